@@ -1,0 +1,1 @@
+"""To be written: the table of contents of this room."""

@@ -1,0 +1,47 @@
+"""A raw frame as the sensor hands it over, with the truth where a simulation knows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a perfect decoder would return, on the geometric image grid of the x polarisation.
+
+    Attributes:
+        depth_m: shape (n_y, n_x), NaN where the scene is empty.
+        intensity_x: shape (n_y, n_x), mean electrons of x polarised light; likewise ``intensity_y``.
+        label: shape (n_y, n_x), number of the object from 1, 0 for none.
+    """
+
+    depth_m: FloatArray
+    intensity_x: FloatArray
+    intensity_y: FloatArray
+    label: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class RawFrame:
+    """One exposure.
+
+    Attributes:
+        frame: shape (n_y, n_x), electrons (or a real camera's counts).
+        pixel_um: pixel pitch.
+        origin_um: (x, y) on the sensor plane of the centre of pixel [0, 0].
+        read_noise_e: standard deviation of the read noise.
+        truth: present for simulated frames.
+        truth_origin_um: (x, y) on the sensor plane of the centre of pixel [0, 0] of the truth's grid.
+    """
+
+    frame: FloatArray
+    pixel_um: float
+    origin_um: tuple[float, float]
+    read_noise_e: float
+    truth: Truth | None = None
+    truth_origin_um: tuple[float, float] | None = None

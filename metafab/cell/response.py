@@ -1,0 +1,109 @@
+"""What every solver is asked (:class:`PillarCell`, :class:`CellNumerics`) and answers (:class:`CellResponse`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+from metafab.core.conventions import ComplexArray, Side
+
+
+@dataclass(frozen=True)
+class PillarCell:
+    """One unit cell under a plane wave: what is solved.
+
+    Attributes:
+        period_nm: (x, y) period.
+        width_nm: pillar size along x; 0 is an empty cell, the period a closed film.
+        length_nm: pillar size along y.
+        height_nm: pillar height.
+        n_pillar: complex index of the pillar.
+        n_substrate: complex index of the half space under the pillar, as x and y polarisation see it.
+        n_ambient: complex index around and above the pillar.
+        wavelength_nm: vacuum wavelength.
+        side: where the light comes from.
+        angle_deg: polar angle of incidence inside the incident half space, 0 to < 90.
+        azimuth_deg: azimuth of the plane of incidence, counter-clockwise from +x.
+    """
+
+    period_nm: tuple[float, float]
+    width_nm: float
+    length_nm: float
+    height_nm: float
+    n_pillar: complex
+    n_substrate: tuple[complex, complex]
+    n_ambient: complex
+    wavelength_nm: float
+    side: Side = "substrate"
+    angle_deg: float = 0.0
+    azimuth_deg: float = 0.0
+
+    @property
+    def n_in(self) -> tuple[complex, complex]:
+        """Index of the half space that the light comes from, for x and y polarisation."""
+        return self.n_substrate if self.side == "substrate" else (self.n_ambient, self.n_ambient)
+
+    @property
+    def n_out(self) -> tuple[complex, complex]:
+        """Index of the half space that the light goes to, for x and y polarisation."""
+        return (self.n_ambient, self.n_ambient) if self.side == "substrate" else self.n_substrate
+
+
+@dataclass(frozen=True)
+class CellNumerics:
+    """How a unit cell is solved.
+
+    Attributes:
+        target_error: largest error wanted in any of the complex amplitudes.
+        solver: "rcwa", or "meep" for FDTD in a separate program.
+    """
+
+    target_error: float = 1e-3
+    solver: Literal["rcwa", "meep"] = "rcwa"
+
+
+@dataclass(frozen=True)
+class CellResponse:
+    """Zero-order Jones matrices of a unit cell, each with the same reference planes for every solver.
+
+    Attributes:
+        cell: what was solved.
+        numerics: what was asked of the solver.
+        t: shape (2, 2), transmitted over incident E, [out, in] in the basis (x, y); planes of the conventions.
+        r: shape (2, 2), reflected over incident E, both at the plane where the pillar begins.
+        error: bound or estimate of the largest absolute error among ``t`` and ``r``.
+        converged: whether ``error <= numerics.target_error``.
+        resolution: Fourier orders (rcwa) or pixels per micrometre (meep) of the finest solution.
+        seconds: time that the solution took.
+        details: solver's own figures (orders of the sequence, condition numbers, decay levels, ...).
+    """
+
+    cell: PillarCell
+    numerics: CellNumerics
+    t: ComplexArray
+    r: ComplexArray
+    error: float
+    converged: bool
+    resolution: int
+    seconds: float
+    details: dict[str, float | str] = field(default_factory=dict)
+
+    @property
+    def transmittance(self) -> tuple[float, float]:
+        """Zero-order power transmittance of x and y polarised light (all outgoing polarisations)."""
+        x, y = (
+            float((abs(self.t[0, i]) ** 2 + abs(self.t[1, i]) ** 2) * self.cell.n_out[i].real / self.cell.n_in[i].real)
+            for i in (0, 1)
+        )
+        return x, y
+
+
+class CellSolver(Protocol):
+    """A solver of unit cells; RCWA, Meep and a stored table are interchangeable."""
+
+    def __call__(self, cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+        """Solve one unit cell.
+
+        Raises:
+            SolverError: no trustworthy answer could be had.
+        """

@@ -1,0 +1,103 @@
+"""HDF5 as metafab writes it: every dataset with units and a description, every file with its provenance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike
+
+from metafab import __version__
+from metafab.core.errors import InputError
+from metafab.core.files import whole_file
+
+
+@contextmanager
+def create(path: Path, *, kind: str, format_version: int, inputs_sha256: str) -> Iterator[h5py.File]:
+    """A new HDF5 file that appears under ``path`` only when the block has succeeded.
+
+    Args:
+        path: final name.
+        kind: what the file holds, such as ``"metafab library"``; readers refuse other kinds.
+        format_version: version of this kind's layout.
+        inputs_sha256: fingerprint of everything that the content depends on.
+    """
+    # Without tracked times, the same content gives the same bytes.
+    with whole_file(path) as part, h5py.File(part, "w", libver=("v110", "v110"), track_order=True) as file:
+        file.attrs["kind"] = kind
+        file.attrs["format_version"] = format_version
+        file.attrs["inputs_sha256"] = inputs_sha256
+        file.attrs["metafab_version"] = __version__
+        yield file
+
+
+def put(
+    group: h5py.Group,
+    name: str,
+    data: ArrayLike,
+    *,
+    units: str,
+    description: str,
+    dims: Sequence[str] = (),
+    compress: bool = False,
+) -> h5py.Dataset:
+    """Store an array with its units, a one-line description and, by name, its dimension scales.
+
+    A name in ``dims`` that is a dataset of ``group`` becomes that axis' scale; a dataset whose only
+    dimension is itself (``dims=(name,)``) becomes a scale.
+    """
+    array = np.asarray(data)
+    options: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if compress else {}
+    dataset = group.create_dataset(name, data=array, track_times=False, **options)
+    dataset.attrs["units"] = units
+    dataset.attrs["description"] = description
+    if tuple(dims) == (name,):
+        dataset.make_scale(name)
+        return dataset
+    for axis, dimension in enumerate(dims):
+        dataset.dims[axis].label = dimension
+        if dimension in group:
+            dataset.dims[axis].attach_scale(group[dimension])
+    return dataset
+
+
+@contextmanager
+def open_kind(path: Path, *, kind: str, format_version: int, remedy: str) -> Iterator[h5py.File]:
+    """Open an existing file of a kind for reading, or say in one line why it cannot be used.
+
+    Raises:
+        InputError: the file is missing, truncated, not HDF5, of another kind, or of a newer format.
+    """
+    expected = f"a {kind} file (HDF5, format {format_version} or older)"
+    if not path.is_file():
+        raise InputError.single(str(path), "file", expected, "nothing at that path", remedy)
+    try:
+        file = h5py.File(path, "r")
+    except OSError as error:
+        reason = "a truncated or foreign file" if path.stat().st_size else "an empty file"
+        raise InputError.single(str(path), "file", expected, f"{reason} ({error})", remedy) from error
+    with file:
+        found = file.attrs.get("kind")
+        if found != kind:
+            got = f"an HDF5 file of kind {found!r}" if found else "an HDF5 file that metafab did not write"
+            raise InputError.single(str(path), "kind", expected, got, remedy)
+        version = int(file.attrs.get("format_version", 0))
+        if version > format_version:
+            raise InputError.single(
+                str(path), "format_version", expected, f"format {version}", "update metafab to read this file"
+            )
+        try:
+            yield file
+        except (KeyError, OSError) as error:
+            raise InputError.single(
+                str(path), "content", expected, f"an unreadable or missing dataset ({error})", remedy
+            ) from error
+
+
+def provenance(file: h5py.File) -> Mapping[str, str]:
+    """The root attributes that say where a file came from."""
+    return {str(key): str(value) for key, value in file.attrs.items()}

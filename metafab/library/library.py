@@ -1,0 +1,84 @@
+"""The phase library: complex t and r of every manufacturable size, each with its error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.errors import InputError
+from metafab.spec.cell import UnitCell
+
+
+@dataclass(frozen=True)
+class SizeResponse:
+    """Library values at some sizes.
+
+    Attributes:
+        t_xx: shape of the sizes, zero-order transmission of x polarised light.
+        t_yy: the same for y.
+        error: bound on the absolute error of either.
+    """
+
+    t_xx: ComplexArray
+    t_yy: ComplexArray
+    error: FloatArray
+
+
+@dataclass(frozen=True)
+class Library:
+    """Zero-order response against pillar size, on the grid of manufacturable sizes.
+
+    Attributes:
+        unit_cell: the spec that it was built from.
+        wavelength_nm: shape (n_wavelength,).
+        width_nm: shape (n_width,), ascending.
+        length_nm: shape (n_length,), ascending.
+        t_xx: shape (n_wavelength, n_length, n_width); likewise ``t_yy``, ``r_xx``, ``r_yy``.
+        error: shape (n_length, n_width) or with a leading wavelength axis; solver and interpolation together.
+        inputs_sha256: fingerprint of what it was built from.
+        details: figures of the build (points solved, seconds, held-out error, ...).
+    """
+
+    unit_cell: UnitCell
+    wavelength_nm: FloatArray
+    width_nm: FloatArray
+    length_nm: FloatArray
+    t_xx: ComplexArray
+    t_yy: ComplexArray
+    r_xx: ComplexArray
+    r_yy: ComplexArray
+    error: FloatArray
+    inputs_sha256: str = ""
+    details: dict[str, float | str] = field(default_factory=dict)
+
+    def at_sizes(self, width_nm: ArrayLike, length_nm: ArrayLike) -> SizeResponse:
+        """Stored values at sizes of the grid, exactly; design wavelength.
+
+        Args:
+            width_nm: any shape; each must be a size of the library to within 1e-3 nm.
+            length_nm: the same shape.
+
+        Raises:
+            InputError: a size is not in the library (nothing is extrapolated or rounded).
+        """
+        column = _index(self.width_nm, np.asarray(width_nm, dtype=np.float64), "width_nm")
+        row = _index(self.length_nm, np.asarray(length_nm, dtype=np.float64), "length_nm")
+        error = np.broadcast_to(self.error, self.t_xx.shape)[0]
+        return SizeResponse(self.t_xx[0, row, column], self.t_yy[0, row, column], error[row, column])
+
+
+def _index(grid_nm: FloatArray, size_nm: FloatArray, name: str) -> np.ndarray:
+    nearest = np.clip(np.searchsorted(grid_nm, size_nm - 1e-3), 0, grid_nm.size - 1)
+    wrong = np.abs(grid_nm[nearest] - size_nm) > 1e-3
+    if np.any(wrong):
+        raise InputError.single(
+            "library",
+            name,
+            f"sizes of its grid, {grid_nm[0]:g} to {grid_nm[-1]:g} nm",
+            f"{np.asarray(size_nm)[wrong].flat[0]:g} nm ({int(np.count_nonzero(wrong))} such)",
+            "use the library that the layout was made with, or build one that holds these sizes",
+        )
+    return nearest

@@ -1,0 +1,37 @@
+"""Design, unit-cell and scene files (TOML) -> frozen, validated specs.
+
+- ``fields``   checked number types and the ``spec`` decorator
+- ``cell``     UnitCell: what one pillar's cell is made of, and the sweep of a library
+- ``design``   Design: device, phase terms, rules, mask, sensor, verification
+- ``scene``    Scene: objects at depths, photons, noise
+- ``load``     TOML -> spec with all faults at once; spec -> canonical TOML
+
+In: paths. Out: frozen dataclasses whose public names carry their units.
+"""
+
+from metafab.spec.cell import Illumination, Material, Solver, Sweep, UnitCell
+from metafab.spec.design import Design, Device, Mask, Numerics, PhaseTerm, Rules, Sensor, Verify
+from metafab.spec.load import canonical_toml, load_design, load_scene, load_unit_cell
+from metafab.spec.scene import Scene, SceneObject
+
+__all__ = [
+    "Design",
+    "Device",
+    "Illumination",
+    "Mask",
+    "Material",
+    "Numerics",
+    "PhaseTerm",
+    "Rules",
+    "Scene",
+    "SceneObject",
+    "Sensor",
+    "Solver",
+    "Sweep",
+    "UnitCell",
+    "Verify",
+    "canonical_toml",
+    "load_design",
+    "load_scene",
+    "load_unit_cell",
+]

@@ -1,0 +1,165 @@
+"""The design file: device, phase terms, rules, mask, sensor, and what is to be verified."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from metafab.core.conventions import Polarisation
+from metafab.spec.cell import UnitCell
+from metafab.spec.fields import CONFIG, Count, Index, Name, NonNegative, Positive, Real, TargetError
+from metafab.spec.scene import Scene
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Device:
+    """The lens: outline, size (diameter or side) and focal length."""
+
+    aperture_um: Positive
+    focal_length_mm: Positive
+    aperture_shape: Literal["circle", "square"] = "circle"
+
+
+@dataclass(frozen=True, config=CONFIG)
+class _Term:
+    """What all phase terms share: the polarisations that they act on (both unless named)."""
+
+    polarisation: Polarisation | None = None
+
+
+@dataclass(frozen=True, config=CONFIG)
+class SpiralZones(_Term):
+    """Fresnel zones with topological charge rising from 1 to ``zones`` outwards: Eq. 2 of Shen 2023.
+
+    The y polarisation gets the point mirror image, so that the PSF pair is conjugate.
+    """
+
+    term: Literal["spiral_zones"] = "spiral_zones"
+    zones: Annotated[int, Field(strict=True, ge=1, le=64)] = 4
+    exponent: Positive = 0.5
+    optimise: Literal["none", "peak", "blind_information"] = "none"
+
+
+@dataclass(frozen=True, config=CONFIG)
+class SplitLens(_Term):
+    """Off-axis lenses that focus x polarisation at -theta and y polarisation at +theta: Eqs. 3 and 4."""
+
+    term: Literal["split_lens"] = "split_lens"
+    angle_deg: Annotated[float, Field(strict=True, ge=0.0, lt=90.0)] = 8.0
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Lens(_Term):
+    """A hyperbolic lens on the axis: parallel light, or an object at ``object_depth_m``, to a point."""
+
+    term: Literal["lens"] = "lens"
+    object_depth_m: Positive | None = None
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Vortex(_Term):
+    """A spiral phase of integer charge."""
+
+    term: Literal["vortex"] = "vortex"
+    charge: Annotated[int, Field(strict=True)] = 1
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Grating(_Term):
+    """A linear phase that deflects normal incidence by ``angle_deg`` towards ``azimuth_deg``."""
+
+    term: Literal["grating"] = "grating"
+    angle_deg: Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)] = 0.0
+    azimuth_deg: Real = 0.0
+
+
+PhaseTerm = Annotated[SpiralZones | SplitLens | Lens | Vortex | Grating, Field(discriminator="term")]
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Rules:
+    """What the process can make."""
+
+    min_gap_nm: Positive = 100.0
+    min_feature_nm: Positive = 100.0
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Mask:
+    """How the layout is written."""
+
+    formats: tuple[Literal["gds", "oas"], ...] = ("gds", "oas")
+    layer: Index = 1
+    datatype: Index = 0
+    database_unit_nm: Positive = 0.5
+    write_field_um: Positive = 499.8
+
+    @model_validator(mode="after")
+    def _formats(self) -> Mask:
+        if not self.formats or len(set(self.formats)) != len(self.formats):
+            raise ValueError("`formats` must name each of 'gds' and 'oas' at most once, and at least one of them")
+        return self
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Sensor:
+    """The image sensor: pixel pitch and where it stands (the depth whose image is sharp)."""
+
+    pixel_um: Positive
+    focus_depth_m: Positive
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Verify:
+    """At which depths the written file is simulated, on which window, at how many points across the field."""
+
+    depths_m: tuple[Positive, ...]
+    window_px: Count = 64
+    field_points: Annotated[int, Field(strict=True, ge=1, le=33)] = 5
+    target_error: TargetError = 1e-3
+
+    @model_validator(mode="after")
+    def _increasing(self) -> Verify:
+        if not self.depths_m or any(b <= a for a, b in zip(self.depths_m, self.depths_m[1:], strict=False)):
+            raise ValueError("`depths_m` must hold at least one depth, in increasing order")
+        return self
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Numerics:
+    """Settings of the computing, not of the device; all have good defaults."""
+
+    tile_sites: Annotated[int, Field(strict=True, ge=16, le=4096)] = 286
+    seed: Annotated[int, Field(strict=True, ge=0)] = 1
+    library_target_error: TargetError | None = None
+    iterations: NonNegative = 200
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Design:
+    """A design file (``layouts/NAME.toml``) with its unit cell and scene resolved."""
+
+    name: Name
+    library: Path
+    unit_cell: UnitCell
+    device: Device
+    phase: Annotated[tuple[PhaseTerm, ...], Field(min_length=1)]
+    rules: Rules
+    mask: Mask
+    sensor: Sensor
+    verify: Verify
+    scene: Scene
+    numerics: Numerics = Field(default_factory=Numerics)
+
+    @property
+    def wavelength_um(self) -> float:
+        """Vacuum wavelength, um."""
+        return self.unit_cell.illumination.wavelength_nm * 1e-3
+
+    @property
+    def split_angle_deg(self) -> float:
+        """Off-axis angle theta of the split lens, 0 for a design without one."""
+        return next((term.angle_deg for term in self.phase if isinstance(term, SplitLens)), 0.0)

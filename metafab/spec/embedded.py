@@ -1,0 +1,26 @@
+"""The unit cell inside a built library file: a library carries the spec that it was built from."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+from metafab.core import hdf5
+from metafab.spec.cell import UnitCell
+
+LIBRARY_KIND = "metafab library"
+LIBRARY_FORMAT = 1
+
+
+def unit_cell_of_library(path: Path) -> UnitCell:
+    """The unit-cell spec stored in ``path`` (attribute ``unit_cell_toml``).
+
+    Raises:
+        InputError: the file is missing, truncated, foreign or of a newer format.
+    """
+    from metafab.spec.load import validate
+
+    remedy = "build it with `metafab library build UNITCELL.toml`"
+    with hdf5.open_kind(path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, remedy=remedy) as file:
+        text = str(file.attrs["unit_cell_toml"])
+    return validate(UnitCell, tomllib.loads(text), str(path))
