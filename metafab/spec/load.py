@@ -110,6 +110,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
+    """``table`` as a spec, or an :class:`InputError` with all of its faults."""
     try:
         checked: Spec = _adapter(spec).validate_python(table)
     except ValidationError as error:

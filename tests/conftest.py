@@ -1,0 +1,49 @@
+"""Fixtures that several folders share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab.library.library import Library
+from metafab.spec import Design, UnitCell, load_design, load_unit_cell
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="session")
+def unit_cell() -> UnitCell:
+    """The paper's unit cell."""
+    return load_unit_cell(ROOT / "unitcell_lib" / "sos_800nm.toml")
+
+
+@pytest.fixture(scope="session")
+def small_design() -> Design:
+    """The small design of the main job."""
+    return load_design(ROOT / "layouts" / "helix_small.toml")
+
+
+@pytest.fixture(scope="session")
+def smooth_library(unit_cell: UnitCell) -> Library:
+    """A library in closed form, for rooms whose tests must not depend on a solver.
+
+    Each polarisation's phase runs over 1.3 turns, mostly with its own side of the pillar; both amplitudes dip
+    smoothly for large pillars.
+    """
+    sweep = unit_cell.sweep
+    count = round((sweep.width_nm[1] - sweep.width_nm[0]) / sweep.size_grid_nm) + 1
+    side = np.linspace(*sweep.width_nm, count)
+    own = (side - side[0]) / (side[-1] - side[0])
+    width, length = own[None, :], own[:, None]
+    phase_x = 2.6 * np.pi * (0.8 * width + 0.2 * length)
+    phase_y = 2.6 * np.pi * (0.8 * length + 0.2 * width)
+    amplitude = 1.25 * (1.0 - 0.15 * width * length)
+    t_xx = (amplitude * np.exp(1j * phase_x))[None]
+    t_yy = (amplitude * np.exp(1j * phase_y))[None]
+    r = np.full_like(t_xx, 0.1)
+    wavelength = np.array([unit_cell.illumination.wavelength_nm])
+    return Library(
+        unit_cell, wavelength, side, side.copy(), t_xx, t_yy, r, r.copy(), np.full(t_xx.shape, 1e-3), "closed form"
+    )
