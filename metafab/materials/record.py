@@ -1,0 +1,120 @@
+"""What a source says about one material: a dispersion formula or a table, its range and its citation."""
+
+from __future__ import annotations
+
+import cmath
+import csv
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from metafab.core.errors import InputError
+
+#: Index of x and y polarised light at a vacuum wavelength in nanometres.
+IndexPair = tuple[complex, complex]
+
+_HEADER = ("wavelength_nm", "n", "k")
+
+
+@dataclass(frozen=True)
+class IndexRecord:
+    """A cited refractive index.
+
+    Attributes:
+        name: such as ``"Si/Schinke"``.
+        citation: where the numbers come from, and of what sample.
+        range_nm: shortest and longest vacuum wavelength that the source covers.
+        index: (n + ik of x polarisation, of y polarisation) at a wavelength in nm inside the range.
+    """
+
+    name: str
+    citation: str
+    range_nm: tuple[float, float]
+    index: Callable[[float], IndexPair]
+
+    def at(self, wavelength_nm: float) -> IndexPair:
+        """Complex index of x and y polarised light.
+
+        Raises:
+            InputError: the wavelength lies outside the source's range.
+        """
+        low, high = self.range_nm
+        if not low <= wavelength_nm <= high:
+            raise InputError.single(
+                f"material record {self.name}",
+                "wavelength_nm",
+                f"{low:g} to {high:g} nm, the range of {self.citation}",
+                f"{wavelength_nm:g} nm",
+                "take a record that covers it, or give `n` and `k`",
+            )
+        return self.index(wavelength_nm)
+
+
+def isotropic(index: Callable[[float], complex]) -> Callable[[float], IndexPair]:
+    """The same index for both polarisations."""
+
+    def pair(wavelength_nm: float) -> IndexPair:
+        value = index(wavelength_nm)
+        return value, value
+
+    return pair
+
+
+def sellmeier(
+    terms: Iterable[tuple[float, float]], *, squared_um2: bool = False, offset: float = 1.0
+) -> Callable[[float], complex]:
+    """n^2 = offset + sum of B lambda^2 / (lambda^2 - C^2), lambda in micrometres; lossless.
+
+    Args:
+        terms: pairs (B, C), C in um, or in um^2 where ``squared_um2`` is set (the source gives C squared).
+        squared_um2: whether each C is already squared.
+        offset: the constant of the sum.
+    """
+    poles = tuple((strength, pole if squared_um2 else pole**2) for strength, pole in terms)
+
+    def index(wavelength_nm: float) -> complex:
+        square_um2 = (wavelength_nm * 1e-3) ** 2
+        return cmath.sqrt(offset + sum(b * square_um2 / (square_um2 - c) for b, c in poles))
+
+    return index
+
+
+def read_table(path: Path, name: str, citation: str | None = None) -> IndexRecord:
+    """A record from a CSV file with the columns ``wavelength_nm,n,k``, linear between its rows.
+
+    Lines that begin with ``#`` are comments; the first of them is the citation unless one is given.
+
+    Raises:
+        InputError: the file is missing, or its rows are not increasing wavelengths with n > 0 and k >= 0.
+    """
+
+    def refuse(got: str) -> InputError:
+        expected = "a CSV file with the header wavelength_nm,n,k and rows of increasing wavelength, n > 0, k >= 0"
+        return InputError.single(str(path), "file", expected, got, "correct the file")
+
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise refuse(f"an unreadable file ({error})") from error
+    comments = [line.lstrip("# ").strip() for line in lines if line.startswith("#")]
+    rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+    if not rows or tuple(cell.strip() for cell in rows[0]) != _HEADER:
+        raise refuse(f"the header {','.join(rows[0])}" if rows else "no rows")
+    try:
+        table = np.array([[float(cell) for cell in row] for row in rows[1:]])
+    except ValueError as error:
+        raise refuse(f"a cell that is no number ({error})") from error
+    if table.ndim != 2 or table.shape[1] != len(_HEADER):
+        raise refuse("rows that do not hold three numbers each")
+    wavelength_nm, n, k = table.T
+    # `not all(good)` also catches NaN.
+    if not (np.all(np.isfinite(table)) and np.all(np.diff(wavelength_nm) > 0) and np.all(n > 0) and np.all(k >= 0)):
+        raise refuse("rows that break these rules")
+
+    def index(wavelength: float) -> complex:
+        return complex(np.interp(wavelength, wavelength_nm, n), np.interp(wavelength, wavelength_nm, k))
+
+    source = citation or (comments[0] if comments else f"the file {path.name}")
+    return IndexRecord(name, source, (float(wavelength_nm[0]), float(wavelength_nm[-1])), isotropic(index))
