@@ -1,0 +1,83 @@
+"""What this machine offers metafab: interpreters, libraries, Meep, KLayout, and a short self-test."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+import subprocess
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from metafab import __version__
+from metafab.core.executor import default_workers
+from metafab.core.numerics import HAS_NUMBA
+from metafab.run import versions
+
+
+def examine() -> dict[str, Any]:
+    """Everything that ``metafab doctor`` shows; ``self_test`` holds one flag a check."""
+    from metafab.cell import meep
+
+    candidates = meep.find()
+    best = next((candidate for candidate in candidates if candidate.found), None)
+    return {
+        "metafab": __version__,
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cores": default_workers(),
+        "libraries": versions(),
+        "meep": {
+            "found": best is not None,
+            "version": best.version if best else None,
+            "python": str(best.interpreter) if best else None,
+            "tried": candidates,
+        },
+        "mpi": _first_line("mpirun", "--version"),
+        "klayout": {"python": find_spec("klayout") is not None, "program": shutil.which("klayout")},
+        "compiled_kernels": HAS_NUMBA,
+        "self_test": {name: _passes(test) for name, test in SELF_TESTS.items()},
+    }
+
+
+def _film_matches_closed_form() -> bool:
+    """A closed film by RCWA against the Airy formula."""
+    from metafab import cell
+
+    film = cell.PillarCell((350.0, 350.0), 350.0, 350.0, 600.0, 3.5 + 0.01j, (1.76, 1.76), 1.0, 800.0)
+    exact = cell.fresnel.film(film)
+    return bool(abs(cell.solve(film).t[0, 0] - exact.t[0, 0]) < 1e-10)
+
+
+def _hdf5_writes() -> bool:
+    """A small HDF5 file written and read."""
+    from metafab.core import hdf5
+
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "test.h5"
+        with hdf5.create(path, kind="self-test", format_version=1, inputs_sha256="") as file:
+            hdf5.put(file, "x", [1.0, 2.0], units="1", description="two numbers", dims=("x",))
+        with hdf5.open_kind(path, kind="self-test", format_version=1, remedy="") as file:
+            return bool(file["x"][1] == 2.0)
+
+
+SELF_TESTS: dict[str, Callable[[], bool]] = {
+    "film_matches_closed_form": _film_matches_closed_form,
+    "hdf5_writes": _hdf5_writes,
+}
+
+
+def _passes(test: Callable[[], bool]) -> bool:
+    try:
+        return test()
+    except Exception:  # a broken installation can raise anything; the doctor reports it and goes on
+        return False
+
+
+def _first_line(*command: str) -> str | None:
+    if shutil.which(command[0]) is None:
+        return None
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
+    return next(iter(answer.stdout.splitlines()), None)

@@ -1,0 +1,262 @@
+"""The steps of the main job, each a few lines: files in, files out, and its part of the summary.
+
+The verification steps (``drc``, ``psf``) open the written mask; they never see the arrays of the design step.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from metafab import camera, decode, drc, layout, library, mask, optics, phase, report
+from metafab.core.executor import open_executor
+from metafab.core.files import write_json
+from metafab.library import Library
+from metafab.optics import Imaging, Psf
+from metafab.run import Job, Step
+from metafab.spec import Design
+
+#: The decoder's calibration reaches beyond the scene by this share of its range of vergence.
+DEPTH_MARGIN = 0.08
+
+
+# --- library ---------------------------------------------------------------------------------------------------
+
+
+def library_path(job: Job) -> Path:
+    """Where the built library lives: beside its unit-cell file, or in the run folder if that is read-only."""
+    source = job.design.library
+    if source.suffix == ".h5":
+        return source
+    built = source.with_suffix(".h5")
+    return built if os.access(source.parent, os.W_OK) else job.folder / built.name
+
+
+def open_library(job: Job) -> Library:
+    """The design's library, built first when it is missing or was built from another unit cell."""
+    path = library_path(job)
+    if job.design.library.suffix != ".h5" and not library.is_current(path, job.design.unit_cell):
+        with open_executor(job.workers, job.cluster) as executor:
+            built = library.build(
+                job.design.unit_cell,
+                executor=executor,
+                checkpoint=path.with_suffix(".partial"),
+                progress=job.progress,
+            )
+        library.save(built, path)
+    return library.load(path)
+
+
+def _library(job: Job) -> dict[str, Any]:
+    opened = open_library(job)
+    return {"file": str(library_path(job)), **library.quality(opened), **opened.details}
+
+
+# --- phase and layout --------------------------------------------------------------------------------------------
+
+
+def _phase(job: Job) -> dict[str, Any]:
+    profile = phase.profile_of(job.design, progress=job.progress)
+    phase.save_sampled(profile, job.design, job.folder / "phase.h5")
+    return dict(profile.figures)
+
+
+def write_layout(job: Job) -> dict[str, Any]:
+    """Map the target phases to pillars and write the mask files."""
+    profile = phase.profile_of(job.design, progress=job.progress)
+    assignment = layout.assign(profile, open_library(job), job.design, progress=job.progress)
+    files = mask.write(assignment.pillars, job.folder, job.design, progress=job.progress)
+    return {**assignment.figures, "files": [{"name": file.path.name, "bytes": file.bytes} for file in files]}
+
+
+def mask_paths(job: Job) -> tuple[Path, ...]:
+    """The mask files that the design asks for."""
+    return tuple(job.folder / f"layout.{suffix}" for suffix in job.design.mask.formats)
+
+
+# --- verification of the written file ------------------------------------------------------------------------------
+
+
+def _drc(job: Job) -> dict[str, Any]:
+    reports = {
+        path.name: drc.check(path, job.design, workers=job.workers, progress=job.progress) for path in mask_paths(job)
+    }
+    write_json(job.folder / "drc.json", reports)
+    first = next(iter(reports.values()))
+    worst = {rule: max(r.violations.get(rule, 0) for r in reports.values()) for rule in first.violations}
+    counts = {r.pillars for r in reports.values()}
+    if len(counts) != 1:
+        worst["formats_differ"] = max(counts) - min(counts)
+    return {"pillars": first.pillars, "violations": worst, "files": list(reports), "engine": first.engine}
+
+
+def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
+    """Depths of the PSF stack: the verified ones, and nodes that carry the scene's range by interpolation."""
+    depths = [*design.verify.depths_m, *(item.depth_m for item in design.scene.objects)]
+    near, far = 1.0 / min(depths), 1.0 / max(depths)
+    margin = DEPTH_MARGIN * (near - far)
+    nodes = optics.depth_nodes(imaging, 1.0 / (near + margin), 1.0 / (far - margin), design.verify.target_error)
+    return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
+
+
+def mask_source(job: Job, path: Path) -> optics.Source:
+    """What light the pillars of a written file let through."""
+    pillars = mask.read(path, job.design, progress=job.progress).pillars
+    return optics.written_field(pillars, open_library(job))
+
+
+def ideal_source(job: Job) -> optics.Source:
+    """What light the target phases would let through, without a mask."""
+    lattice = layout.lattice_of(job.design)
+    return optics.ideal_field(phase.profile_of(job.design, progress=job.progress), lattice, job.design.device)
+
+
+def point_spread(
+    job: Job,
+    path: Path | None,
+    *,
+    depths_m: tuple[float, ...],
+    object_mm: tuple[float, float],
+    pixel_um: float | None,
+    window_px: int,
+    target_error: float,
+) -> Psf:
+    """PSF pair of a written file, or of the target phases where ``path`` is None."""
+    imaging = Imaging.of(job.design)
+    if pixel_um is not None:
+        imaging = replace(imaging, pixel_um=pixel_um)
+    source = ideal_source(job) if path is None else mask_source(job, path)
+    x_mm, y_mm = object_mm
+    stacks = [
+        optics.psf(
+            source, imaging, (depth,), tangent=(1e-3 * x_mm / depth, 1e-3 * y_mm / depth),
+            window_px=window_px, target_error=target_error, progress=job.progress,
+        )
+        for depth in depths_m
+    ]  # fmt: skip
+    return optics.concatenate(stacks)
+
+
+def psf_figures(psf: Psf) -> dict[str, Any]:
+    """The PSF pair's figures of merit, one array over depth each."""
+    return {
+        "depth_m": psf.depth_m,
+        "phi_deg": psf.phi_deg,
+        "efficiency_x": psf.efficiency[0],
+        "efficiency_y": psf.efficiency[1],
+        "extinction_ratio": psf.extinction_ratio,
+        "error": psf.error,
+    }
+
+
+def _psf(job: Job) -> dict[str, Any]:
+    design = job.design
+    imaging = Imaging.of(design)
+    depths = calibration_depths(design, imaging)
+    options = {"window_px": design.verify.window_px, "target_error": design.verify.target_error}
+    tangents = optics.field_tangents(design, imaging)
+    written = optics.psf(
+        mask_source(job, mask_paths(job)[-1]), imaging, depths,
+        field_points=design.verify.field_points, field_tangents=tangents, progress=job.progress, **options,
+    )  # fmt: skip
+    optics.save(written, job.folder / "psf.h5")
+    ideal = optics.psf(ideal_source(job), imaging, design.verify.depths_m, progress=job.progress, **options)
+    optics.save(ideal, job.folder / "ideal_psf.h5")
+    shown = np.isin(written.depth_m, design.verify.depths_m)
+    nodes = optics.without_depths(written, shown)
+    figures = psf_figures(written)
+    return {
+        **{name: value[shown] for name, value in figures.items() if isinstance(value, np.ndarray)},
+        **{f"ideal_{name}": value for name, value in psf_figures(ideal).items() if name != "depth_m"},
+        "depth_interpolation_error": optics.relative_l2(
+            optics.at_depths(nodes, written.depth_m[shown]), written.psf[:, shown]
+        ),
+        "depths": written.depth_m.size,
+        **written.details,
+    }
+
+
+# --- camera and decoder ----------------------------------------------------------------------------------------
+
+
+def _capture(job: Job) -> dict[str, Any]:
+    frame = camera.capture(job.design.scene, optics.load(job.folder / "psf.h5"), progress=job.progress)
+    camera.save(frame, job.folder / "raw.h5")
+    return {"shape": frame.frame.shape, "photons": float(frame.frame.sum())}
+
+
+def _decode(job: Job) -> dict[str, Any]:
+    frame = camera.load(job.folder / "raw.h5")
+    image = decode.decode(frame, optics.load(job.folder / "psf.h5"), progress=job.progress)
+    decode.save(image, job.folder / "decoded.h5")
+    return {"nmae": image.nmae, "segments": image.segments, **image.details}
+
+
+def write_report(job: Job) -> Path:
+    """Draw the figures and the page from the files of the run folder."""
+    return report.write(job.folder, progress=job.progress)
+
+
+# --- the order of things, and what they add up to -------------------------------------------------------------------
+
+
+def _in_folder(*names: str) -> Callable[[Job], tuple[Path, ...]]:
+    return lambda job: tuple(job.folder / name for name in names)
+
+
+STEPS = (
+    Step(
+        "library", ("spec", "materials", "cell", "library"), (),
+        lambda d: d.unit_cell, lambda job: (library_path(job),), _library,
+    ),
+    Step(
+        "phase", ("spec", "phase"), (),
+        lambda d: (d.phase, d.device, d.sensor, d.unit_cell.illumination, d.verify, d.numerics),
+        _in_folder("phase.h5"), _phase,
+    ),
+    Step(
+        "layout", ("layout", "mask"), ("library", "phase"),
+        lambda d: (d.name, d.rules, d.mask, d.device, d.numerics),
+        lambda job: (*mask_paths(job), *_in_folder("layout.lyp", "layout.json")(job)), write_layout,
+    ),
+    Step("drc", ("mask", "drc"), ("layout",), lambda d: (d.rules, d.mask, d.device), _in_folder("drc.json"), _drc),
+    Step(
+        "psf", ("mask", "optics"), ("layout",),
+        lambda d: (d.sensor, d.verify, d.scene.field_px, [item.depth_m for item in d.scene.objects]),
+        _in_folder("psf.h5", "ideal_psf.h5"), _psf,
+    ),
+    Step("capture", ("optics", "camera"), ("psf",), lambda d: d.scene, _in_folder("raw.h5"), _capture),
+    Step("decode", ("optics", "camera", "decode"), ("capture",), lambda d: None, _in_folder("decoded.h5"), _decode),
+)  # fmt: skip
+
+
+def error_budget(figures: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """The measured contributions to the error of the whole, in the order of the pipeline.
+
+    Args:
+        figures: each step's part of the summary.
+
+    Returns:
+        One row a source: ``source``, ``value`` (None where this run did not measure it), ``unit``, ``how``.
+    """
+    solved, written, light, decoded = (figures[name] for name in ("library", "layout", "psf", "decode"))
+    return [
+        _row("solver and library", solved.get("max_error"), "complex t", "largest error of any size: certificate of "
+             "the truncation plus interpolation, checked at held-out sizes"),
+        _row("size snapping and finite library", written.get("phase_rms_error_rad"), "rad rms",
+             "phase of the chosen size against the target, over all pillars"),
+        _row("local-period approximation", None, "complex t", "not measured by this run: needs full-wave supercells"),
+        _row("pupil reduction and sampling", max(light["error"]), "relative L2", "PSF with blocks of half the size"),
+        _row("depth interpolation", light["depth_interpolation_error"], "relative L2",
+             "PSFs computed at the verified depths against those interpolated from the other nodes"),
+        _row("decoder", decoded.get("nmae"), "mean |dz|/z", "decoded against true depth of the simulated scene"),
+    ]  # fmt: skip
+
+
+def _row(source: str, value: float | None, unit: str, how: str) -> dict[str, Any]:
+    return {"source": source, "value": value, "unit": unit, "how": how}
