@@ -1,0 +1,160 @@
+"""The mapping table: it holds the best size for every pair of phases, exactly, and refuses what a mask cannot hold."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from metafab.core.errors import InputError
+from metafab.library import Library, SizeTable, build_size_table, global_offsets
+from metafab.library.lookup import empty_cell_t, phase_slope_per_nm
+
+CELLS = 64
+
+
+@pytest.fixture(scope="module")
+def table(smooth_library: Library) -> SizeTable:
+    return build_size_table(smooth_library, database_unit_nm=0.5, cells=CELLS)
+
+
+def overlap_of(t: np.ndarray, phase_x: np.ndarray, phase_y: np.ndarray) -> np.ndarray:
+    return (t[..., 0] * np.exp(-1j * phase_x)).real + (t[..., 1] * np.exp(-1j * phase_y)).real
+
+
+def test_every_cell_holds_the_best_of_all_sizes(table: SizeTable) -> None:
+    """Brute force over all 5776 sizes at 200 cells; ties may name another size, never a smaller overlap."""
+    rng = np.random.default_rng(3)
+    for row, column in rng.integers(0, CELLS, (200, 2)):
+        phases = 2.0 * math.pi * np.array([column, row]) / CELLS
+        best = overlap_of(table.t[1:], *phases).max()
+        held = overlap_of(table.t[table.size_index[row, column]], *phases)
+        assert held == pytest.approx(best, abs=1e-12)
+        assert table.overlap[row, column] == pytest.approx(best, abs=1e-12)
+
+
+@settings(max_examples=50, deadline=None)
+@given(phase_x=st.floats(-50.0, 50.0), phase_y=st.floats(-50.0, 50.0))
+def test_a_lookup_loses_no_more_than_a_cell_can(table: SizeTable, phase_x: float, phase_y: float) -> None:
+    """Between cell centres, each of the two overlaps compared moves by at most |t| delta for each phase."""
+    index = table.sizes_for(phase_x, phase_y)
+    best = overlap_of(table.t[1:], np.float64(phase_x), np.float64(phase_y)).max()
+    half_cell = math.pi / CELLS
+    loss_bound = 2.0 * 2.0 * np.abs(table.t).max() * half_cell
+    loss = best - overlap_of(table.t[index], np.float64(phase_x), np.float64(phase_y))
+    assert -1e-12 <= loss <= loss_bound
+
+
+def test_the_loss_of_the_default_table_is_negligible(smooth_library: Library) -> None:
+    """At 512 cells the mean overlap of random targets is within 1e-4 of an exhaustive search."""
+    table = build_size_table(smooth_library, database_unit_nm=0.5)
+    phases = np.random.default_rng(4).uniform(-math.pi, math.pi, (2, 300))
+    best = overlap_of(table.t[1:, None], *phases).max(axis=0)
+    held = overlap_of(table.t[table.sizes_for(*phases)], *phases)
+    assert np.mean(best - held) < 1e-4
+
+
+def test_sizes_are_even_whole_units_and_zero_is_no_pillar(table: SizeTable, smooth_library: Library) -> None:
+    assert table.size_dbu.dtype == np.int32
+    assert tuple(table.size_dbu[0]) == (0, 0)
+    assert not np.any(table.size_dbu % 2)
+    assert table.size_dbu.shape == (smooth_library.t_xx.size + 1, 2)
+    assert np.allclose(table.t[0], empty_cell_t(smooth_library.unit_cell))
+    sizes_nm = table.size_dbu[1:] * 0.5
+    response = smooth_library.at_sizes(sizes_nm[:, 0], sizes_nm[:, 1])
+    assert np.array_equal(table.t[1:], np.stack([response.t_xx, response.t_yy], axis=-1))
+
+
+def test_rules_leave_only_what_they_allow(smooth_library: Library) -> None:
+    table = build_size_table(
+        smooth_library, database_unit_nm=0.5, max_width_nm=240.0, max_length_nm=230.0, min_feature_nm=120.0, cells=16
+    )
+    sizes_nm = table.size_dbu[1:] * 0.5
+    assert sizes_nm[:, 0].max() == 240.0
+    assert sizes_nm[:, 1].max() == 230.0
+    assert sizes_nm.min() == 120.0
+    assert table.size_index.min() >= 1
+
+
+def test_poorly_known_sizes_can_be_left_out(smooth_library: Library) -> None:
+    error = smooth_library.error.copy()
+    error[0, 10:20, :] = 0.1
+    table = build_size_table(replace(smooth_library, error=error), database_unit_nm=0.5, cells=16, max_error=0.05)
+    assert table.error.max() <= 0.05
+    assert table.size_dbu.shape[0] == smooth_library.t_xx.size - 10 * smooth_library.width_nm.size + 1
+
+
+def test_inexact_sizes_are_refused(smooth_library: Library) -> None:
+    """102 nm is no even number of 4 nm units, 104 nm no even number of 3 nm units."""
+    with pytest.raises(InputError, match=r"database_unit_nm .*nothing is rounded silently"):
+        build_size_table(smooth_library, database_unit_nm=4.0, cells=16)
+
+
+def test_rules_that_leave_nothing_are_refused(smooth_library: Library) -> None:
+    with pytest.raises(InputError, match="relax the rules"):
+        build_size_table(smooth_library, database_unit_nm=0.5, max_width_nm=90.0)
+
+
+def test_a_table_needs_a_power_of_two(smooth_library: Library) -> None:
+    with pytest.raises(ValueError, match="power of two"):
+        build_size_table(smooth_library, database_unit_nm=0.5, cells=100)
+
+
+def test_phase_slope_of_the_closed_form(smooth_library: Library) -> None:
+    """Both phases of the fixture rise by 2.6 pi while both sides grow by 150 nm: 0.0545 rad per nm of bias.
+
+    Second differences at 2 nm leave a relative error of (k h)^2 / 6 = 1e-3 inside and twice that at the edges.
+    """
+    slope = phase_slope_per_nm(smooth_library)
+    assert np.allclose(slope, 2.6 * math.pi / 150.0, rtol=5e-3)
+
+
+def test_a_cd_bias_moves_the_choice_to_calm_sizes(smooth_library: Library) -> None:
+    """A ridge of steep phase is chosen for its phases nominally, and avoided under a bias."""
+    steep = np.abs(np.arange(smooth_library.width_nm.size) - 40) < 4
+    wobble = np.where(steep, np.arange(smooth_library.width_nm.size) * 1.3, 0.0)
+    library = replace(smooth_library, t_xx=smooth_library.t_xx * np.exp(1j * wobble)[None, None, :])
+    slope = np.abs(phase_slope_per_nm(library)).max(axis=-1)
+
+    def mean_slope(cd_sigma_nm: float) -> float:
+        table = build_size_table(library, database_unit_nm=0.5, cells=64, cd_sigma_nm=cd_sigma_nm)
+        size_nm = 0.5 * table.size_dbu[table.size_index].astype(float)
+        column = np.searchsorted(library.width_nm, size_nm[..., 0] - 0.1)
+        row = np.searchsorted(library.length_nm, size_nm[..., 1] - 0.1)
+        return float(slope[row, column].mean())
+
+    assert mean_slope(5.0) < 0.8 * mean_slope(0.0)
+
+
+def test_global_offsets_find_the_best_place_of_all(table: SizeTable) -> None:
+    """Against trying every offset by brute force, for targets bunched around (1.0, -2.0)."""
+    rng = np.random.default_rng(7)
+    phases = rng.normal([[1.0], [-2.0]], 0.4, (2, 4000))
+    histogram = table.histogram(*phases)
+    assert histogram.sum() == 4000
+    total = np.array(
+        [
+            [np.sum(histogram * np.roll(table.overlap, (-i, -j), axis=(0, 1))) for j in range(CELLS)]
+            for i in range(CELLS)
+        ]
+    )
+    c_x, c_y = global_offsets(table, histogram)
+    reached = np.sum(table.overlap[table._cell(phases[1] + c_y), table._cell(phases[0] + c_x)])
+    assert reached == pytest.approx(total.max(), rel=2e-3)  # targets on a cell's edge may round the other way
+
+
+def test_even_targets_leave_the_offsets_alone(table: SizeTable) -> None:
+    assert global_offsets(table, np.ones((CELLS, CELLS), dtype=np.int64)) == (0.0, 0.0)
+
+
+def test_phase_error_is_wrapped(table: SizeTable) -> None:
+    phases = np.random.default_rng(5).uniform(-10.0, 10.0, (2, 50, 40))
+    error = table.phase_error_rad(table.sizes_for(*phases), *phases)
+    assert error.shape == (2, 50, 40)
+    assert np.all(np.abs(error) <= math.pi)
+    # The fixture covers the torus, so a target is reached to within the size grid and a cell of 64.
+    assert np.sqrt(np.mean(error**2)) < 0.2
