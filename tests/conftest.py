@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from metafab.library.library import Library
 from metafab.spec import Design, UnitCell, load_design, load_unit_cell
+from tests.main_job import SMALL, Answer, metafab
 
 ROOT = Path(__file__).parent.parent
 
@@ -47,3 +49,20 @@ def smooth_library(unit_cell: UnitCell) -> Library:
     return Library(
         unit_cell, wavelength, side, side.copy(), t_xx, t_yy, r, r.copy(), np.full(t_xx.shape, 1e-3), "closed form"
     )
+
+
+@dataclass(frozen=True)
+class MainJob:
+    """The finished run of the small design."""
+
+    folder: Path
+    answer: Answer
+
+
+@pytest.fixture(scope="session")
+def main_job(tmp_path_factory: pytest.TempPathFactory) -> MainJob:
+    """``metafab run layouts/helix_small.toml --json``, once; its tests share the xdist group ``main_job``."""
+    folder = tmp_path_factory.mktemp("runs") / "helix_small"
+    answer = metafab("run", SMALL, "-o", folder, "--json")
+    assert answer.code == 0, answer.stderr
+    return MainJob(folder, answer)

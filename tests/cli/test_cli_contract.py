@@ -1,0 +1,209 @@
+"""The command-line contract: names, keys, exit codes, and stdout that holds one JSON object or nothing."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from metafab.cli import _spread_depths
+from tests.conftest import MainJob
+from tests.main_job import ROOT, SMALL, UNIT_CELL, metafab
+
+pytestmark = pytest.mark.xdist_group("main_job")
+
+COMMANDS = [
+    ["run"], ["cell"], ["library"], ["library", "build"], ["library", "check"], ["library", "show"], ["layout"],
+    ["drc"], ["psf"], ["capture"], ["decode"], ["report"], ["benchmark"], ["doctor"],
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+def test_every_command_explains_itself(command: list[str], flag: str) -> None:
+    answer = metafab(*command, flag)
+    assert answer.code == 0
+    assert answer.stdout.startswith("Usage: ")
+
+
+def test_cell_answers_with_the_contract_keys() -> None:
+    answer = metafab("cell", UNIT_CELL, "--width-nm", "150", "--length-nm", "210", "--target-error", "1e-3", "--json")
+    assert answer.code == 0, answer.stderr
+    keys = {"t_xx", "t_yy", "t_xy", "t_yx", "r_xx", "r_yy", "transmittance_x", "transmittance_y"}
+    assert keys | {"error", "orders", "seconds", "solver"} <= answer.json.keys()
+    assert answer.json["solver"] == "rcwa"
+    assert answer.json["error"] <= 1e-3
+    re, im = answer.json["t_xx"]
+    # |t|^2 n_out / n_in is the transmittance (conventions); n_in = 1.7601 is the sapphire of the file.
+    assert answer.json["transmittance_x"] == pytest.approx((re**2 + im**2) / 1.7601, rel=1e-9)
+
+
+def test_doctor_lists_what_is_there() -> None:
+    answer = metafab("doctor", "--json")
+    assert answer.code == 0, answer.stderr
+    assert {"found", "version", "python"} <= answer.json["meep"].keys()
+    assert all(answer.json["self_test"].values())
+
+
+def test_layout_writes_what_it_says(tmp_path: Path) -> None:
+    answer = metafab("layout", SMALL, "-o", tmp_path, "--json")
+    assert answer.code == 0, answer.stderr
+    keys = {"pillars", "distinct_sizes", "min_gap_nm", "phase_rms_error_rad", "files", "seconds", "peak_rss_mb"}
+    assert keys <= answer.json.keys()
+    assert answer.json["min_gap_nm"] >= 100.0
+    for file in answer.json["files"]:
+        assert (tmp_path / file["name"]).stat().st_size == file["bytes"]
+
+
+def test_the_same_design_gives_the_same_mask_bytes(tmp_path: Path, main_job: MainJob) -> None:
+    answer = metafab("layout", SMALL, "-o", tmp_path, "--json")
+    assert answer.code == 0, answer.stderr
+    for name in ("layout.gds", "layout.oas"):
+        assert (tmp_path / name).read_bytes() == (main_job.folder / name).read_bytes()
+
+
+@pytest.mark.parametrize("engine", ["lattice", "polygons"])
+@pytest.mark.parametrize("name", ["layout.gds", "layout.oas"])
+def test_drc_passes_the_written_file(main_job: MainJob, engine: str, name: str) -> None:
+    answer = metafab("drc", main_job.folder / name, "--design", SMALL, "--engine", engine, "--json")
+    assert answer.code == 0, answer.stderr
+    assert answer.json["pillars"] == main_job.answer.json["layout"]["pillars"]
+    assert set(answer.json["violations"].values()) == {0}
+
+
+def test_drc_exits_with_2_where_a_rule_is_violated(tmp_path: Path, main_job: MainJob) -> None:
+    strict = tmp_path / "strict.toml"
+    text = SMALL.read_text().replace("../unitcell_lib", str(UNIT_CELL.parent))
+    strict.write_text(text.replace("min_gap_nm = 100.0", "min_gap_nm = 130.0"))
+    answer = metafab("drc", main_job.folder / "layout.oas", "--design", strict, "--json")
+    assert answer.code == 2
+    assert answer.json["violations"]["min_gap"] > 0
+
+
+def test_psf_capture_and_decode_work_one_by_one(tmp_path: Path, main_job: MainJob) -> None:
+    psf = tmp_path / "psf.h5"
+    layout = main_job.folder / "layout.gds"
+    depths = ["0.0025", "0.0028", "0.0031"]
+    answer = metafab("psf", layout, "--design", SMALL, "--depths-m", *depths, "-o", psf, "--json")
+    assert answer.code == 0, answer.stderr
+    keys = {"phi_deg", "depth_m", "efficiency_x", "efficiency_y", "extinction_ratio", "error", "seconds"}
+    assert keys <= answer.json.keys()
+    assert answer.json["depth_m"] == [float(z) for z in depths]
+    calibration = main_job.folder / "psf.h5"
+    raw, decoded = tmp_path / "raw.h5", tmp_path / "decoded.h5"
+    answer = metafab("capture", SMALL, "--psf", calibration, "-o", raw, "--json")
+    assert answer.code == 0, answer.stderr
+    assert {"shape", "photons", "seconds"} <= answer.json.keys()
+    answer = metafab("decode", raw, "--psf", calibration, "-o", decoded, "--json")
+    assert answer.code == 0, answer.stderr
+    assert {"seconds", "segments", "nmae"} <= answer.json.keys()
+    assert answer.json["nmae"] < 0.01
+
+
+def test_decode_takes_a_camera_frame_without_truth(tmp_path: Path, main_job: MainJob) -> None:
+    with h5py.File(main_job.folder / "raw.h5") as file:
+        np.save(tmp_path / "raw.npy", np.asarray(file["frame"]))
+    answer = metafab(
+        "decode", tmp_path / "raw.npy", "--psf", main_job.folder / "psf.h5", "-o", tmp_path / "d.h5", "--json"
+    )
+    assert answer.code == 0, answer.stderr
+    assert "nmae" not in answer.json
+
+
+def test_ideal_psf_needs_no_mask() -> None:
+    answer = metafab("psf", "--ideal", "--design", SMALL, "--depths-m", "0.003", "--json")
+    assert answer.code == 0, answer.stderr
+    assert len(answer.json["phi_deg"]) == 1
+
+
+def test_report_makes_the_page_again(main_job: MainJob) -> None:
+    answer = metafab("report", main_job.folder, "--json")
+    assert answer.code == 0, answer.stderr
+    assert Path(answer.json["file"]).name == "report.html"
+
+
+# --- bad input: one clear message, exit code 2 ---------------------------------------------------------------------
+
+
+def test_a_design_with_three_faults_reports_all_three(tmp_path: Path) -> None:
+    path = tmp_path / "bad.toml"
+    text = SMALL.read_text().replace("../unitcell_lib", str(UNIT_CELL.parent))
+    text = text.replace("aperture_um = 200.0", "aperture_um = -1.0").replace("zones = 4", "zones = 0")
+    path.write_text(text.replace("layer = 1", "layr = 1"))
+    answer = metafab("run", path, "--json")
+    assert answer.code == 2
+    assert answer.stdout == ""
+    for place in ("device.aperture_um", "phase[0].spiral_zones.zones", "mask.layr"):
+        assert place in answer.stderr
+    assert "Traceback" not in answer.stderr
+
+
+BAD_CALLS = {
+    "no design": ["run", "nowhere.toml"],
+    "no library": ["library", "check", "nowhere.h5"],
+    "no mask": ["drc", "nowhere.gds", "--design", str(SMALL)],
+    "no psf": ["capture", str(SMALL), "--psf", "nowhere.h5"],
+    "no frame": ["decode", "nowhere.h5", "--psf", "nowhere.h5"],
+    "unknown solver": ["cell", str(UNIT_CELL), "--width-nm", "150", "--length-nm", "150", "--solver", "x"],
+    "wider than the period": ["cell", str(UNIT_CELL), "--width-nm", "400", "--length-nm", "150"],
+    "neither mask nor ideal": ["psf", "--design", str(SMALL)],
+    "unknown room": ["benchmark", "x"],
+    "unknown command": ["fly"],
+    "not a design": ["run", str(ROOT / "README.md")],
+}
+
+
+@pytest.mark.parametrize("call", BAD_CALLS.values(), ids=BAD_CALLS.keys())
+def test_bad_input_exits_with_2_and_one_message(call: list[str], tmp_path: Path) -> None:
+    answer = metafab(*call, cwd=tmp_path)
+    assert answer.code == 2, answer.stderr
+    assert answer.stdout == ""
+    assert "Traceback" not in answer.stderr
+    assert answer.stderr.strip()
+
+
+@pytest.mark.parametrize("name", ["layout.gds", "layout.oas", "psf.h5", "raw.h5"])
+@pytest.mark.parametrize("damage", ["empty", "truncated", "foreign"])
+def test_damaged_files_are_refused(tmp_path: Path, main_job: MainJob, name: str, damage: str) -> None:
+    content = (main_job.folder / name).read_bytes()
+    path = tmp_path / name
+    path.write_bytes({"empty": b"", "truncated": content[: len(content) // 2], "foreign": b"hello" * 100}[damage])
+    if name.startswith("layout"):
+        answer = metafab("drc", path, "--design", SMALL)
+    elif name == "psf.h5":
+        answer = metafab("decode", main_job.folder / "raw.h5", "--psf", path, "-o", tmp_path / "d.h5")
+    else:
+        answer = metafab("decode", path, "--psf", main_job.folder / "psf.h5", "-o", tmp_path / "d.h5")
+    assert answer.code == 2, answer.stderr
+    assert str(path) in answer.stderr
+    assert "Traceback" not in answer.stderr
+    assert not (tmp_path / "d.h5").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("delay_s", [1.0, 2.5])
+def test_an_interrupted_run_leaves_no_half_written_file(tmp_path: Path, number: int, delay_s: float) -> None:
+    command = [sys.executable, "-m", "metafab.cli", "run", str(SMALL), "-o", str(tmp_path)]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    time.sleep(delay_s)
+    process.send_signal(number)
+    _, stderr = process.communicate(timeout=60)
+    assert process.returncode in (0, 1)  # 0 where the run was faster than the signal
+    assert "Traceback" not in stderr
+    assert [p.name for p in tmp_path.rglob("*.part")] == []
+    for path in tmp_path.glob("*.h5"):
+        with h5py.File(path) as file:
+            assert file.attrs["kind"]
+
+
+def test_depths_may_stand_in_any_of_three_ways() -> None:
+    wanted = ["--depths-m", "0.25", "--depths-m", "0.3", "--json"]
+    assert _spread_depths(["--depths-m", "0.25", "0.3", "--json"]) == wanted
+    assert _spread_depths(["--depths-m", "0.25,0.3", "--json"]) == wanted
+    assert _spread_depths(["--depths-m=0.25", "--depths-m", "0.3", "--json"]) == wanted

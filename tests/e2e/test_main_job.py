@@ -1,0 +1,89 @@
+"""The main job on the small design, from outside: what it promises and what it leaves in its folder."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from metafab import mask
+from metafab.spec import load_design
+from tests.conftest import MainJob
+from tests.main_job import SMALL, metafab
+
+pytestmark = pytest.mark.xdist_group("main_job")
+
+FILES = {
+    "design.toml": None,
+    "layout.gds": None,
+    "layout.oas": None,
+    "layout.lyp": None,
+    "layout.json": None,
+    "drc.json": None,
+    "report.html": None,
+    "summary.json": None,
+    "psf.h5": {"depth_m", "pixel_um", "psf", "centre_um", "phi_deg", "error"},
+    "raw.h5": {"frame", "truth/depth_m", "truth/intensity_x", "truth/intensity_y", "truth/label"},
+    "decoded.h5": {"intensity_x", "intensity_y", "contrast", "depth_m", "confidence", "segment"},
+}
+KEYS = {
+    "library", "phase", "layout", "drc", "psf", "decode", "error_budget", "seconds", "skipped", "versions",
+}  # fmt: skip
+
+
+def test_the_run_folder_holds_every_promised_file(main_job: MainJob) -> None:
+    for name, datasets in FILES.items():
+        path = main_job.folder / name
+        assert path.stat().st_size > 0, name
+        if datasets:
+            with h5py.File(path) as file:
+                for dataset in datasets:
+                    assert file[dataset].attrs["units"], f"{name}:{dataset}"
+                    assert file[dataset].attrs["description"], f"{name}:{dataset}"
+                assert file.attrs["metafab_version"]
+                assert file.attrs["inputs_sha256"]
+    assert len(list((main_job.folder / "figures").glob("*.png"))) >= 6
+
+
+def test_the_summary_has_its_keys_and_goes_to_stdout(main_job: MainJob) -> None:
+    stored = json.loads((main_job.folder / "summary.json").read_text())
+    assert stored == main_job.answer.json
+    assert stored.keys() >= KEYS
+    assert {"peak_gain", "rotation_deg"} <= stored["phase"].keys()
+    assert all(seconds >= 0.0 for seconds in stored["seconds"].values())
+
+
+def test_what_was_measured_is_good(main_job: MainJob) -> None:
+    summary = main_job.answer.json
+    assert set(summary["drc"]["violations"].values()) == {0}
+    assert summary["layout"]["min_gap_nm"] >= 100.0
+    assert summary["library"]["max_error"] <= 2e-3
+    assert summary["decode"]["nmae"] < 0.01
+    assert max(summary["psf"]["error"]) <= 1e-3
+    # The written mask turns as the target phases do: its pixels and phase errors move the lobe by little.
+    difference = np.subtract(summary["psf"]["phi_deg"], summary["psf"]["ideal_phi_deg"])
+    assert np.abs((difference + 180.0) % 360.0 - 180.0).max() < 5.0
+
+
+def test_the_simulated_pillars_are_those_of_the_file(main_job: MainJob) -> None:
+    design = load_design(SMALL)
+    gds, oas = (mask.read(main_job.folder / f"layout.{s}", design).pillars for s in ("gds", "oas"))
+    first, second = gds.size_dbu[gds.to_array()], oas.size_dbu[oas.to_array()]
+    assert np.array_equal(first, second)
+    assert np.count_nonzero(first[..., 0]) == main_job.answer.json["layout"]["pillars"]
+
+
+def test_a_second_run_skips_everything(main_job: MainJob, tmp_path: Path) -> None:
+    folder = tmp_path / "again"
+    shutil.copytree(main_job.folder, folder)
+    first = metafab("run", SMALL, "-o", folder, "--json")
+    assert first.code == 0, first.stderr
+    second = metafab("run", SMALL, "-o", folder, "--json")
+    assert {entry["step"] for entry in second.json["skipped"]} == {
+        "library", "phase", "layout", "drc", "psf", "capture", "decode", "report",
+    }  # fmt: skip
+    assert second.json["decode"] == first.json["decode"]

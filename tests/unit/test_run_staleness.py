@@ -1,0 +1,126 @@
+"""Which steps are stale: only those whose inputs, code or files changed, and what follows from them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from metafab import run as run_module
+from metafab.run import Job, Record, Step, run
+from metafab.spec import Design
+
+
+@pytest.fixture
+def steps(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Three small steps in a row that record when they work; the real ones are tested end to end."""
+    import metafab.steps as real
+
+    done: list[str] = []
+
+    def step(name: str, after: tuple[str, ...], inputs: Any) -> Step:
+        def work(job: Job) -> dict[str, Any]:
+            done.append(name)
+            (job.folder / f"{name}.txt").write_text(name)
+            return {"violations": {}} if name == "drc" else {"value": name}
+
+        return Step(name, (), after, inputs, lambda job: (job.folder / f"{name}.txt",), work)
+
+    chain = (
+        step("layout", (), lambda d: d.device),
+        step("drc", ("layout",), lambda d: d.rules),
+        step("psf", ("layout",), lambda d: d.sensor),
+    )
+
+    def report(job: Job) -> Path:
+        done.append("report")
+        path = job.folder / "report.html"
+        path.write_text("page")
+        return path
+
+    monkeypatch.setattr(real, "STEPS", chain)
+    monkeypatch.setattr(real, "write_report", report)
+    monkeypatch.setattr(real, "error_budget", lambda figures: [])
+    return done
+
+
+def _changed(design: Design, **tables: Any) -> Design:
+    from dataclasses import replace
+
+    return replace(design, **{name: replace(getattr(design, name), **keys) for name, keys in tables.items()})
+
+
+def test_nothing_changed_nothing_done(tmp_path: Path, small_design: Design, steps: list[str]) -> None:
+    run(small_design, tmp_path)
+    assert steps == ["layout", "drc", "psf", "report"]
+    steps.clear()
+    outcome = run(small_design, tmp_path)
+    assert steps == []
+    assert [entry["step"] for entry in outcome.summary["skipped"]] == ["layout", "drc", "psf", "report"]
+
+
+def test_a_changed_input_reaches_its_step_and_no_other(tmp_path: Path, small_design: Design, steps: list[str]) -> None:
+    run(small_design, tmp_path)
+    steps.clear()
+    run(_changed(small_design, sensor={"pixel_um": 3.0}), tmp_path)
+    assert steps == ["psf", "report"]
+
+
+def test_a_changed_input_reaches_all_that_follows(tmp_path: Path, small_design: Design, steps: list[str]) -> None:
+    run(small_design, tmp_path)
+    steps.clear()
+    run(_changed(small_design, device={"aperture_um": 100.0}), tmp_path)
+    assert steps == ["layout", "drc", "psf", "report"]
+
+
+@pytest.mark.parametrize("damage", ["missing", "edited", "same length"])
+def test_a_file_that_is_not_as_it_was_left_is_made_again(
+    tmp_path: Path, small_design: Design, steps: list[str], damage: str
+) -> None:
+    run(small_design, tmp_path)
+    steps.clear()
+    victim = tmp_path / "drc.txt"
+    if damage == "missing":
+        victim.unlink()
+    else:
+        victim.write_text("DRC" if damage == "same length" else "other")
+        os.utime(victim, ns=(1, 1))
+    run(small_design, tmp_path)
+    assert steps == ["drc", "report"]
+
+
+def test_a_touched_file_with_the_same_bytes_still_stands(
+    tmp_path: Path, small_design: Design, steps: list[str]
+) -> None:
+    run(small_design, tmp_path)
+    steps.clear()
+    os.utime(tmp_path / "psf.txt", ns=(1, 1))
+    run(small_design, tmp_path)
+    assert steps == []
+
+
+def test_changed_code_makes_its_steps_stale(
+    tmp_path: Path, small_design: Design, steps: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(small_design, tmp_path)
+    steps.clear()
+    monkeypatch.setattr(run_module, "code_sha256", lambda rooms: "another")
+    run(small_design, tmp_path)
+    assert steps == ["layout", "drc", "psf", "report"]
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"layout": {"wrong": 1}}'])
+def test_a_damaged_record_means_doing_it_again(
+    tmp_path: Path, small_design: Design, steps: list[str], content: str
+) -> None:
+    run(small_design, tmp_path)
+    steps.clear()
+    (tmp_path / "steps.json").write_text(content)
+    run(small_design, tmp_path)
+    assert steps == ["layout", "drc", "psf", "report"]
+
+
+def test_a_record_without_files_stands() -> None:
+    assert Record("", {}, {}, 0.0, 0.0).stands()

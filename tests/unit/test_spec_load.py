@@ -1,0 +1,114 @@
+"""Input files: everything that is wrong is said at once, with its place; what is right survives a round trip."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.spec import Design, canonical_toml, load_design, load_scene, load_unit_cell
+
+ROOT = Path(__file__).parents[2]
+SMALL = ROOT / "layouts" / "helix_small.toml"
+CELL = ROOT / "unitcell_lib" / "sos_800nm.toml"
+
+
+def _variant(tmp_path: Path, *replacements: tuple[str, str]) -> Path:
+    text = SMALL.read_text().replace("../unitcell_lib", str(CELL.parent))
+    for old, new in replacements:
+        assert old in text
+        text = text.replace(old, new, 1)
+    path = tmp_path / "design.toml"
+    path.write_text(text)
+    return path
+
+
+def test_paper_design_holds_the_paper_numbers() -> None:
+    design = load_design(ROOT / "layouts" / "helix_2mm.toml")
+    assert design.device.aperture_um == 2000.0
+    assert design.device.focal_length_mm == 20.0
+    assert design.split_angle_deg == 8.0
+    assert design.wavelength_um == pytest.approx(0.8)
+    cell = design.unit_cell
+    assert cell.cell.period_nm == (350.0, 350.0)
+    assert cell.cell.height_nm == 600.0
+    assert cell.sweep.width_nm == cell.sweep.length_nm == (100.0, 250.0)
+    assert design.rules.min_gap_nm == 100.0
+
+
+def test_three_faults_are_reported_together_with_their_paths(tmp_path: Path) -> None:
+    path = _variant(
+        tmp_path,
+        ("aperture_um = 200.0", "aperture_um = -3.0"),
+        ("zones = 4", 'zones = "four"'),
+        ("pixel_um = 2.4", "pixels_um = 2.4"),
+    )
+    with pytest.raises(InputError) as caught:
+        load_design(path)
+    fields = {fault.field for fault in caught.value.faults}
+    assert {"device.aperture_um", "phase[0].spiral_zones.zones", "sensor.pixel_um", "sensor.pixels_um"} <= fields
+    assert str(path) in str(caught.value)
+
+
+def test_faults_of_the_unit_cell_are_reported_with_those_of_the_design(tmp_path: Path) -> None:
+    cell = tmp_path / "cell.toml"
+    cell.write_text(CELL.read_text().replace("height_nm = 600.0", "height_nm = 0"))
+    path = _variant(tmp_path, (str(CELL), str(cell)), ("layer = 1", "layer = -1"))
+    with pytest.raises(InputError) as caught:
+        load_design(path)
+    text = str(caught.value)
+    assert "cell.height_nm" in text
+    assert "mask.layer" in text
+
+
+@pytest.mark.parametrize("value", ['"350"', "nan", "inf", "0.0", "-1.0", "[350.0]", "true"])
+def test_a_period_must_be_a_positive_number(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL.read_text().replace("period_nm = 350.0", f"period_nm = {value}"))
+    with pytest.raises(InputError, match="period_nm"):
+        load_unit_cell(path)
+
+
+def test_a_rectangular_period_is_x_then_y(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL.read_text().replace("period_nm = 350.0", "period_nm = [350.0, 400.0]"))
+    cell = load_unit_cell(path)
+    assert cell.cell.period_nm == (350.0, 400.0)
+    assert not cell.is_square
+
+
+def test_a_sweep_beyond_the_period_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "cell.toml"
+    path.write_text(CELL.read_text().replace("width_nm = [100.0, 250.0]", "width_nm = [100.0, 360.0]"))
+    with pytest.raises(InputError, match="beyond"):
+        load_unit_cell(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(None, "no file"), ("", "add the key"), ("name = ", "invalid TOML"), ("a = 1", "unknown"), (b"\xff\xfe", "UTF-8")],
+)
+def test_unusable_files_say_what_is_wrong(tmp_path: Path, content: str | bytes | None, message: str) -> None:
+    path = tmp_path / "design.toml"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content is not None:
+        path.write_text(content)
+    with pytest.raises(InputError, match=message):
+        load_design(path)
+
+
+def test_canonical_toml_reads_back_as_the_same_design(tmp_path: Path, small_design: Design) -> None:
+    path = tmp_path / "canonical.toml"
+    path.write_text(canonical_toml(small_design))
+    assert load_design(path) == small_design
+    assert canonical_toml(load_design(path)) == canonical_toml(small_design)
+
+
+def test_a_scene_is_read_from_a_design_or_a_file(tmp_path: Path, small_design: Design) -> None:
+    assert load_scene(SMALL) == small_design.scene
+    path = tmp_path / "scene.toml"
+    path.write_text("[[objects]]\ndepth_m = 0.3\n")
+    assert math.isclose(load_scene(path).objects[0].depth_m, 0.3)
