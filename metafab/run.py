@@ -69,7 +69,7 @@ class Step:
 
 @dataclass
 class Record:
-    """What ``steps.json`` remembers of a step."""
+    """What ``steps.json`` remembers of a step; file names are relative to the run folder where they lie in it."""
 
     inputs_sha256: str
     outputs: dict[str, dict[str, Any]]
@@ -77,10 +77,10 @@ class Record:
     seconds: float
     peak_rss_mb: float
 
-    def stands(self) -> bool:
+    def stands(self, folder: Path) -> bool:
         """Whether every file is as the step left it: same size and time, or else the same bytes."""
         for name, mark in self.outputs.items():
-            path = Path(name)
+            path = folder / name
             if not path.is_file() or path.stat().st_size != mark["bytes"]:
                 return False
             if path.stat().st_mtime_ns != mark["mtime_ns"] and file_sha256(path) != mark["sha256"]:
@@ -135,13 +135,13 @@ def run(
         print_ = fingerprint(step.inputs(design), [prints[name] for name in step.after], code_sha256(step.rooms))
         prints[step.name] = print_
         record = records.get(step.name)
-        if record and record.inputs_sha256 == print_ and record.stands():
+        if record and record.inputs_sha256 == print_ and record.stands(folder):
             skipped.append({"step": step.name, "why": "its inputs and its files are unchanged"})
             continue
         with measured() as cost:
             result = step.work(job)
         peak_mb = max(cost.peak_rss_mb, float(result.pop("worker_peak_rss_mb", 0.0)))
-        records[step.name] = Record(print_, _marks(step.outputs(job)), plain(result), cost.seconds, peak_mb)
+        records[step.name] = Record(print_, _marks(step.outputs(job), folder), plain(result), cost.seconds, peak_mb)
         _write_records(folder, records)
 
     summary = _summary(design, {step.name: records[step.name] for step in STEPS}, skipped)
@@ -193,9 +193,9 @@ def code_sha256(rooms: tuple[str, ...]) -> str:
     return digest.hexdigest()
 
 
-def _marks(paths: tuple[Path, ...]) -> dict[str, dict[str, Any]]:
+def _marks(paths: tuple[Path, ...], folder: Path) -> dict[str, dict[str, Any]]:
     return {
-        str(path): {
+        str(path.relative_to(folder) if path.is_relative_to(folder) else path.resolve()): {
             "bytes": path.stat().st_size,
             "mtime_ns": path.stat().st_mtime_ns,
             "sha256": file_sha256(path),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -122,5 +123,15 @@ def test_a_damaged_record_means_doing_it_again(
     assert steps == ["layout", "drc", "psf", "report"]
 
 
-def test_a_record_without_files_stands() -> None:
-    assert Record("", {}, {}, 0.0, 0.0).stands()
+def test_a_copied_folder_is_judged_by_its_own_files(tmp_path: Path, small_design: Design, steps: list[str]) -> None:
+    first, copy = tmp_path / "first", tmp_path / "copy"
+    run(small_design, first)
+    shutil.copytree(first, copy)
+    (copy / "psf.txt").unlink()
+    steps.clear()
+    run(small_design, copy)
+    assert steps == ["psf", "report"]
+
+
+def test_a_record_without_files_stands(tmp_path: Path) -> None:
+    assert Record("", {}, {}, 0.0, 0.0).stands(tmp_path)
