@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
@@ -103,3 +104,22 @@ def stream(
         done, _ = wait(pending, return_when=FIRST_COMPLETED)
         for future in done:
             yield pending.pop(future), future.result()
+
+
+def in_order(
+    executor: Executor, function: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = 8
+) -> Iterator[Result]:
+    """Apply ``function`` to each item and yield the results in the order of the items, few in flight at a time."""
+    source = iter(items)
+    pending: deque[Future[Result]] = deque()
+    try:
+        for item in islice(source, ahead):
+            pending.append(executor.submit(function, item))
+        while pending:
+            result = pending.popleft().result()
+            for item in islice(source, 1):
+                pending.append(executor.submit(function, item))
+            yield result
+    finally:
+        for future in pending:
+            future.cancel()

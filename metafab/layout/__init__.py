@@ -1,1 +1,31 @@
-"""To be written: the table of contents of this room."""
+"""Target phases + Library + rules -> PillarMap, tile by tile.
+
+- ``pillars``   Lattice, PillarTile, PillarMap: pillars as integers
+- ``geometry``  a design's lattice, write fields and tiles in whole database units
+- ``aperture``  which sites carry a pillar
+- ``gaps``      distances between neighbours, diagonals included
+- ``mapping``   one tile: the best sizes and how well they do
+- ``assign``    the whole lens
+
+In: a PhaseProfile, a Library and a Design. Out: an Assignment, the PillarMap and its figures.
+"""
+
+from metafab.layout.aperture import Aperture
+from metafab.layout.assign import Assignment, assign
+from metafab.layout.gaps import Gaps, smallest_gap
+from metafab.layout.geometry import field_sites, lattice_of, tile_sites
+from metafab.layout.pillars import Lattice, PillarMap, PillarTile
+
+__all__ = [
+    "Aperture",
+    "Assignment",
+    "Gaps",
+    "Lattice",
+    "PillarMap",
+    "PillarTile",
+    "assign",
+    "field_sites",
+    "lattice_of",
+    "smallest_gap",
+    "tile_sites",
+]

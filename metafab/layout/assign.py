@@ -1,0 +1,148 @@
+"""Target phases + library + rules -> pillars, tile by tile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import reduce
+from operator import add
+from typing import Any
+
+import numpy as np
+
+from metafab.core.conventions import power_transmittance
+from metafab.core.executor import default_workers, in_order
+from metafab.core.progress import Progress, silent
+from metafab.layout.aperture import Aperture
+from metafab.layout.geometry import tile_sites
+from metafab.layout.mapping import Mapping, TileFigures
+from metafab.layout.pillars import PillarMap, PillarTile
+from metafab.library import Library, SizeTable, build_size_table, global_offsets
+from metafab.phase.profile import PhaseProfile
+from metafab.spec import Design
+
+#: Lattices up to this many sites are kept (2 bytes a site); larger ones are mapped again on each reading.
+KEPT_SITES = 1 << 27
+
+# Strides of the sample that chooses the constant phases; primes, so that no grating of the design hides in them.
+_SAMPLE_STRIDE = (7, 5)
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """The pillars of a lens and how well they follow the target.
+
+    Attributes:
+        pillars: the map.
+        figures: ``pillars``, ``distinct_sizes``, ``min_gap_nm``, ``phase_rms_error_rad`` (both polarisations,
+            after the constant phases ``offsets_rad``), ``mean_transmittance`` (power), ``field_overlap`` =
+            |<target, t>|^2 / (<target, target> <t, t>), mean of both polarisations, and each with suffix _x, _y.
+    """
+
+    pillars: PillarMap
+    figures: dict[str, Any]
+
+
+def assign(
+    profile: PhaseProfile,
+    library: Library,
+    design: Design,
+    *,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> Assignment:
+    """Choose the size of every pillar.
+
+    Each site inside the aperture (:mod:`metafab.layout.aperture`) gets the size whose field overlaps best with
+    its two target phases. Widths and lengths are limited to the period minus the smallest gap, so that no pair
+    of neighbours can come closer.
+
+    Args:
+        profile: target phases.
+        library: response of every size.
+        design: lattice, aperture, rules, mask grid.
+        executor: runs tiles; threads of this process unless given.
+        progress: told about tiles.
+
+    Raises:
+        InputError: the library has no size that the rules allow, or lengths do not fit the database unit.
+    """
+    table = allowed_sizes(library, design)
+    aperture = Aperture.of(design)
+    offsets = _offsets(profile, table, aperture)
+    mapping = Mapping(profile, table, aperture, offsets, tile_sites(design))
+    lattice = aperture.lattice
+    kept = lattice.shape[0] * lattice.shape[1] <= KEPT_SITES
+    whole = np.zeros(lattice.shape if kept else (0, 0), dtype=np.uint16)
+    total: list[TileFigures] = []
+    places = mapping.places()
+    with ThreadPoolExecutor(default_workers()) as threads:
+        for done, (tile, figures) in enumerate(in_order(executor or threads, mapping, places), start=1):
+            if kept:
+                n_y, n_x = tile.size_index.shape
+                whole[tile.row : tile.row + n_y, tile.column : tile.column + n_x] = tile.size_index
+            total = [reduce(add, [*total, figures])]
+            progress("mapping", done, len(places))
+
+    if kept:
+        pillars = PillarMap.from_array(lattice, table.size_dbu, whole, mapping.tile_sites)
+    else:
+
+        def tiles() -> Iterator[PillarTile]:
+            with ThreadPoolExecutor(default_workers()) as threads:
+                for tile, _ in in_order(threads, mapping, places):
+                    yield tile
+
+        pillars = PillarMap(lattice, table.size_dbu, tiles, mapping.tile_sites)
+    return Assignment(pillars, _summary(total[0], library, table, offsets))
+
+
+def allowed_sizes(library: Library, design: Design) -> SizeTable:
+    """The look-up table of the sizes that the design's rules allow at every site."""
+    p_x, p_y = design.unit_cell.cell.period_nm
+    return build_size_table(
+        library,
+        database_unit_nm=design.mask.database_unit_nm,
+        max_width_nm=p_x - design.rules.min_gap_nm,
+        max_length_nm=p_y - design.rules.min_gap_nm,
+        min_feature_nm=design.rules.min_feature_nm,
+    )
+
+
+def _offsets(profile: PhaseProfile, table: SizeTable, aperture: Aperture) -> tuple[float, float]:
+    """The constant phases that suit the library best, from a sample of the lens."""
+    lattice = aperture.lattice
+    step_y, step_x = (min(s, n) for s, n in zip(_SAMPLE_STRIDE, lattice.shape, strict=True))
+    x_um, columns = lattice.x_um()[step_x // 2 :: step_x], np.arange(lattice.shape[1])[step_x // 2 :: step_x]
+    histogram = np.zeros(table.size_index.shape, dtype=np.int64)
+    rows = np.arange(lattice.shape[0])[step_y // 2 :: step_y]
+    for block in np.array_split(rows, max(1, rows.size // 64)):
+        target = profile(x_um, lattice.y_um()[block])
+        inside = (columns >= aperture.first[block, None]) & (columns < aperture.last[block, None])
+        histogram += table.histogram(target[0][inside], target[1][inside])
+    return global_offsets(table, histogram)
+
+
+def _summary(sums: TileFigures, library: Library, table: SizeTable, offsets: tuple[float, float]) -> dict[str, Any]:
+    from metafab.cell import pillar_cell
+
+    cell = pillar_cell(library.unit_cell, 0.0, 0.0)
+    overlap = np.abs(sums.overlap) ** 2 / (sums.pillars * sums.power)
+    transmittance = [
+        float(power_transmittance(np.sqrt(power / sums.pillars), n_in, n_out))
+        for power, n_in, n_out in zip(sums.power, cell.n_in, cell.n_out, strict=True)
+    ]
+    return {
+        "pillars": sums.pillars,
+        "distinct_sizes": int(np.count_nonzero(sums.used[1:])),
+        "min_gap_nm": sums.smallest_gap_dbu * table.database_unit_nm,
+        "phase_rms_error_rad": float(np.sqrt(sums.square_error.sum() / (2 * sums.pillars))),
+        "mean_transmittance": float(np.mean(transmittance)),
+        "mean_transmittance_x": transmittance[0],
+        "mean_transmittance_y": transmittance[1],
+        "field_overlap": float(overlap.mean()),
+        "field_overlap_x": float(overlap[0]),
+        "field_overlap_y": float(overlap[1]),
+        "offsets_rad": offsets,
+    }

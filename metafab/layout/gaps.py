@@ -1,0 +1,130 @@
+"""Gaps between neighbouring pillars of a block of sites, beside, above and across both diagonals.
+
+Pillars no larger than their cells can only come too close to one of their eight nearest neighbours, provided
+that the smallest gap allowed does not exceed the period; :func:`smallest_gap` looks at each pair once. The gap
+of a diagonal pair is the distance of their nearest corners.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.layout.pillars import Lattice, SizeIndexArray
+
+#: (rows, columns) from a site to the four neighbours with which it makes a pair.
+PAIRS = ((0, 1), (1, 0), (1, 1), (1, -1))
+
+
+@dataclass(frozen=True)
+class Gaps:
+    """What :func:`smallest_gap` found.
+
+    Attributes:
+        smallest_dbu: smallest distance of two neighbours; infinity without any pair; negative where they overlap.
+        too_small: shape (n_sites,), flat index of the first site of each pair below the limit.
+        neighbour: shape (n_sites,), which of :data:`PAIRS` it is.
+    """
+
+    smallest_dbu: float
+    too_small: NDArray[np.int64]
+    neighbour: NDArray[np.int64]
+
+
+def smallest_gap(
+    size_index: SizeIndexArray, size_dbu: NDArray[np.int32], lattice: Lattice, limit_dbu: float = 0.0
+) -> Gaps:
+    """Gaps of all pairs of neighbours in a block.
+
+    Args:
+        size_index: shape (n_y, n_x), 0 for no pillar.
+        size_dbu: shape (n_sizes + 1, 2).
+        lattice: for its periods.
+        limit_dbu: pairs below it are listed.
+    """
+    if not HAS_NUMBA:
+        return smallest_gap_vectorised(size_index, size_dbu, lattice, limit_dbu)
+    block = np.ascontiguousarray(size_index)
+    found = np.empty((64, 2), dtype=np.int64)
+    while True:
+        square, count = _scan(block, size_dbu.astype(np.int64), *lattice.period_dbu, limit_dbu, found)
+        if count <= len(found):
+            return Gaps(_signed_root(square), found[:count, 0], found[:count, 1])
+        found = np.empty((count, 2), dtype=np.int64)
+
+
+def smallest_gap_vectorised(
+    size_index: SizeIndexArray, size_dbu: NDArray[np.int32], lattice: Lattice, limit_dbu: float = 0.0
+) -> Gaps:
+    """As :func:`smallest_gap`, in NumPy alone."""
+    n_y, n_x = size_index.shape
+    p_x, p_y = lattice.period_dbu
+    smallest = np.inf
+    sites, neighbours = [], []
+    for pair, (down, right) in enumerate(PAIRS):
+        left = max(0, -right)
+        here = size_index[: n_y - down, left : n_x - max(0, right)]
+        there = size_index[down:, left + right : n_x + min(0, right)]
+        gap_x = abs(right) * p_x - (size_dbu[here, 0] + size_dbu[there, 0]) / 2.0
+        gap_y = down * p_y - (size_dbu[here, 1] + size_dbu[there, 1]) / 2.0
+        square = np.where((here > 0) & (there > 0), _signed_square(gap_x, gap_y), np.inf)
+        if square.size:
+            smallest = min(smallest, float(square.min()))
+        row, column = np.nonzero(square < limit_dbu * abs(limit_dbu))
+        sites.append(row * n_x + column + left)
+        neighbours.append(np.full(row.size, pair))
+    site, neighbour = np.concatenate(sites), np.concatenate(neighbours)
+    order = np.lexsort((neighbour, site))
+    return Gaps(_signed_root(smallest), site[order], neighbour[order])
+
+
+def _signed_square(gap_x: NDArray[np.float64], gap_y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Squared distance of two rectangles; minus the squared depth where they overlap."""
+    apart = np.maximum(gap_x, 0.0) ** 2 + np.maximum(gap_y, 0.0) ** 2
+    depth = np.maximum(gap_x, gap_y)
+    return np.asarray(np.where(depth < 0.0, -(depth**2), apart))
+
+
+def _signed_root(square: float) -> float:
+    return float(np.sign(square) * np.sqrt(abs(square)))
+
+
+@compiled
+def _scan(
+    size_index: SizeIndexArray,
+    size_dbu: NDArray[np.int64],
+    p_x: int,
+    p_y: int,
+    limit: float,
+    found: NDArray[np.int64],
+) -> tuple[float, int]:
+    n_y, n_x = size_index.shape
+    limit_square = limit * abs(limit)
+    smallest, count = np.inf, 0
+    for row in range(n_y):
+        for column in range(n_x):
+            here = size_index[row, column]
+            if here == 0:
+                continue
+            for pair in range(4):
+                down = 0 if pair == 0 else 1
+                right = 1 if pair == 0 else pair - 1 if pair < 3 else -1
+                if row + down >= n_y or column + right >= n_x or column + right < 0:
+                    continue
+                there = size_index[row + down, column + right]
+                if there == 0:
+                    continue
+                gap_x = abs(right) * p_x - 0.5 * (size_dbu[here, 0] + size_dbu[there, 0])
+                gap_y = down * p_y - 0.5 * (size_dbu[here, 1] + size_dbu[there, 1])
+                depth = max(gap_x, gap_y)
+                square = -depth * depth if depth < 0.0 else max(gap_x, 0.0) ** 2 + max(gap_y, 0.0) ** 2
+                smallest = min(smallest, square)
+                if square < limit_square:
+                    if count < len(found):
+                        found[count, 0] = row * n_x + column
+                        found[count, 1] = pair
+                    count += 1
+    return smallest, count

@@ -1,0 +1,41 @@
+"""Names and places of the cells that both formats share."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from metafab.layout.pillars import Lattice, PillarTile
+
+_LONGEST_NAME = 32  # what every GDSII reader takes
+
+
+@dataclass(frozen=True)
+class TileCell:
+    """The cell of one tile; its origin is the lower left corner of its first unit cell.
+
+    Attributes:
+        name: cell name.
+        x_dbu: where the top cell places the origin; likewise ``y_dbu``.
+        first_x_dbu: centre of the first site, from the origin; likewise ``first_y_dbu``.
+    """
+
+    name: str
+    x_dbu: int
+    y_dbu: int
+    first_x_dbu: int
+    first_y_dbu: int
+
+
+def tile_cell(lattice: Lattice, tile: PillarTile) -> TileCell:
+    """Name and place of the cell of ``tile``."""
+    (p_x, p_y), (n_y, n_x) = lattice.period_dbu, lattice.shape
+    centre_x = (2 * tile.column - (n_x - 1)) * p_x // 2
+    centre_y = (2 * tile.row - (n_y - 1)) * p_y // 2
+    name = f"TILE_R{tile.row:06d}_C{tile.column:06d}"
+    return TileCell(name, centre_x - p_x // 2, centre_y - p_y // 2, p_x // 2, p_y // 2)
+
+
+def top_name(design_name: str) -> str:
+    """A design's name with the characters and the length that every GDSII reader takes."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", design_name)[:_LONGEST_NAME]

@@ -1,0 +1,74 @@
+"""OASIS integers: seven bits a byte, the least significant first, the top bit set on all but the last."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.numerics import HAS_NUMBA, compiled
+
+TokenArray = NDArray[np.uint64]
+ByteArray = NDArray[np.uint8]
+
+_LONGEST = 10  # bytes of a 64-bit integer
+
+
+def unsigned(value: int) -> bytes:
+    """One unsigned integer."""
+    out = bytearray()
+    while value >= 0x80:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def signed(value: int) -> bytes:
+    """One signed integer: magnitude shifted left, the sign in bit 0."""
+    return unsigned(abs(value) << 1 | (value < 0))
+
+
+def string(text: str) -> bytes:
+    """A length and the characters."""
+    data = text.encode("ascii")
+    return unsigned(len(data)) + data
+
+
+def encode(tokens: TokenArray) -> bytes:
+    """Many unsigned integers, one after the other; shape (n,)."""
+    if HAS_NUMBA:
+        out = np.empty(_LONGEST * tokens.size, dtype=np.uint8)
+        return out[: _encode_compiled(tokens, out)].tobytes()
+    return encode_vectorised(tokens)
+
+
+def encode_vectorised(tokens: TokenArray) -> bytes:
+    """As :func:`encode`, in NumPy alone: one pass for each byte of the longest token."""
+    length = np.ones(tokens.size, dtype=np.int64)
+    for power in range(7, 70, 7):
+        longer = tokens >> np.uint64(power) if power < 64 else np.zeros_like(tokens)
+        if not longer.any():
+            break
+        length += longer > 0
+    end = np.cumsum(length)
+    out = np.empty(int(end[-1]) if tokens.size else 0, dtype=np.uint8)
+    start = end - length
+    for byte in range(int(length.max(initial=0))):
+        has = np.flatnonzero(length > byte)
+        more = (length[has] > byte + 1).astype(np.uint8) << np.uint8(7)
+        out[start[has] + byte] = (tokens[has] >> np.uint64(7 * byte)).astype(np.uint8) & np.uint8(0x7F) | more
+    return out.tobytes()
+
+
+@compiled
+def _encode_compiled(tokens: TokenArray, out: ByteArray) -> int:
+    position = 0
+    for token in tokens:
+        rest = token
+        while rest >= np.uint64(128):
+            out[position] = np.uint8(rest & np.uint64(127)) | np.uint8(128)
+            rest = rest >> np.uint64(7)
+            position += 1
+        out[position] = np.uint8(rest)
+        position += 1
+    return position
