@@ -1,1 +1,24 @@
-"""To be written: the table of contents of this room."""
+"""Scene and PSF pair -> raw frame (Eq. 1, occlusion, noise), and frames of real cameras.
+
+- ``frame``     RawFrame and Truth
+- ``geometry``  directions to places on the sensor and back, for both polarisations
+- ``kernels``   the PSF calibration as blur kernels at any depth and direction
+- ``texture``   procedural and pictured textures
+- ``render``    objects to layers of coverage and brightness
+- ``blur``      a layer through a PSF that varies over the field
+- ``sensor``    shot noise and read noise
+- ``capture``   all of it: one exposure
+- ``store``     raw.h5
+- ``foreign``   TIFF, PNG and NumPy frames
+
+In: a Scene and a Psf, or a file. Out: a RawFrame.
+"""
+
+from metafab.camera.capture import capture
+from metafab.camera.foreign import load_frame
+from metafab.camera.frame import RawFrame, Truth
+from metafab.camera.geometry import ImageMap
+from metafab.camera.kernels import PairKernels
+from metafab.camera.store import load, save
+
+__all__ = ["ImageMap", "PairKernels", "RawFrame", "Truth", "capture", "load", "load_frame", "save"]

@@ -37,6 +37,7 @@ class RawFrame:
         read_noise_e: standard deviation of the read noise.
         truth: present for simulated frames.
         truth_origin_um: (x, y) on the sensor plane of the centre of pixel [0, 0] of the truth's grid.
+        saturation_e: level at which pixels saturate, where it is known.
     """
 
     frame: FloatArray
@@ -45,3 +46,4 @@ class RawFrame:
     read_noise_e: float
     truth: Truth | None = None
     truth_origin_um: tuple[float, float] | None = None
+    saturation_e: float | None = None

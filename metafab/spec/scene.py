@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from metafab.spec.fields import CONFIG, Fraction, NonNegative, Positive, Real
@@ -12,20 +13,36 @@ from metafab.spec.fields import CONFIG, Fraction, NonNegative, Positive, Real
 
 @dataclass(frozen=True, config=CONFIG)
 class SceneObject:
-    """A flat, opaque piece facing the lens; nearer objects hide what is behind them.
+    """A flat, opaque piece; nearer objects hide what is behind them.
 
     Position and size are directions as tangents (x/z, y/z), so a piece keeps its place in the image when its
-    depth changes.
+    depth changes. ``depth_m`` is the depth of its centre; a tilted piece is nearer or farther elsewhere.
     """
 
     depth_m: Positive
     centre: tuple[Real, Real] = (0.0, 0.0)
     size: tuple[Positive, Positive] = (0.01, 0.01)
     outline: Literal["rectangle", "ellipse"] = "rectangle"
+    tilt: Annotated[
+        tuple[Real, Real], Field(description="change of depth over depth at the centre, along the full size in x and y")
+    ] = (0.0, 0.0)
     brightness: Positive = 1.0
     polarisation_contrast: Annotated[Positive, Field(description="I_x / I_y")] = 1.0
-    texture: Literal["uniform", "fractal", "checker"] = "fractal"
+    texture: Literal["uniform", "fractal", "checker", "image"] = "fractal"
     texture_contrast: Annotated[Fraction, Field(description="rms over mean")] = 0.25
+    texture_file: Annotated[Path | None, Field(description="picture of an object with the texture 'image'")] = None
+
+    @model_validator(mode="after")
+    def _picture(self) -> SceneObject:
+        if (self.texture == "image") != (self.texture_file is not None):
+            raise ValueError("`texture_file` belongs to texture = 'image', and only to it")
+        return self
+
+    @model_validator(mode="after")
+    def _tilt(self) -> SceneObject:
+        if abs(self.tilt[0]) + abs(self.tilt[1]) > 1.0:
+            raise ValueError("`tilt` must change the depth by at most half of itself either way: |x| + |y| <= 1")
+        return self
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -33,11 +50,13 @@ class Scene:
     """A scene (table ``[scene]`` of a design, or a file of its own)."""
 
     objects: Annotated[tuple[SceneObject, ...], Field(min_length=1)]
-    photons_per_pixel: Annotated[Positive, Field(description="mean electrons a pixel at brightness 1")] = 3000.0
+    photons_per_pixel: Annotated[
+        Positive, Field(description="electrons a pixel at brightness 1, mean of both polarisations' images")
+    ] = 3000.0
     read_noise_e: NonNegative = 2.0
     background: Annotated[Fraction, Field(description="brightness behind all objects")] = 0.0
-    field_px: tuple[Annotated[int, Field(strict=True, ge=8)], Annotated[int, Field(strict=True, ge=8)]] = (
-        128,
-        128,
-    )
+    field_px: Annotated[
+        tuple[Annotated[int, Field(strict=True, ge=8)], Annotated[int, Field(strict=True, ge=8)]],
+        Field(description="rows and columns of each image"),
+    ] = (128, 128)
     seed: Annotated[int, Field(strict=True, ge=0)] = 1

@@ -1,0 +1,201 @@
+"""Scene and PSF pair -> raw frame with its truth (Eq. 1 of Shen 2023)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.camera.blur import FieldBlur
+from metafab.camera.frame import RawFrame, Truth
+from metafab.camera.geometry import ImageMap
+from metafab.camera.kernels import PairKernels
+from metafab.camera.render import Renderer
+from metafab.camera.sensor import expose
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.core.progress import Progress, silent
+from metafab.optics.point_spread import Psf
+from metafab.spec.scene import Scene
+
+
+@dataclass(frozen=True)
+class _Window:
+    """A rectangle of sensor pixels, with the direction that each pixel is the geometric image of.
+
+    Attributes:
+        column: sensor column (x_um / pixel_um) of the first pixel; likewise ``row``.
+        tangent_x: shape (n_y, n_x); likewise ``tangent_y``.
+        seen: shape (n_y, n_x), 1 inside the field stop, 0 outside.
+        gain: shape (n_y, n_x), electrons at brightness 1: photons times the solid angle behind a pixel.
+    """
+
+    column: int
+    row: int
+    tangent_x: FloatArray
+    tangent_y: FloatArray
+    seen: FloatArray
+    gain: FloatArray
+
+
+def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress = silent) -> RawFrame:
+    """One exposure of a scene through the lens.
+
+    Each depth is blurred by its own pair, which varies over the field where ``psf.field`` is present. Layers
+    are composed from far to near; the blurred coverage of a nearer one hides what lies behind it, so light is
+    never counted twice. This is exact for each layer alone; at an occluding edge it takes the share of the
+    aperture that the nearer layer blocks as independent of where in the aperture the light passes.
+
+    Args:
+        scene: objects, photons, noise. A field stop passes ``scene.field_px`` pixels about the axis.
+        psf: the pair over depth; depths of the scene must lie inside its range.
+        seed: of textures and noise; ``scene.seed`` if not given.
+        progress: called after each layer.
+
+    Returns:
+        A frame over both images and the margin that their blur needs, rows and columns on whole multiples of
+        ``psf.pixel_um`` from the axis.
+
+    Raises:
+        InputError: a depth is outside the calibrated range, or the two images overlap.
+    """
+    seed = scene.seed if seed is None else seed
+    kernels = PairKernels(psf)
+    image_map = ImageMap.from_psf(psf)
+    windows = _windows(scene, psf, image_map)
+    margin_y, margin_x = kernels.shape
+    left = min(window.column for window in windows) - margin_x // 2
+    bottom = min(window.row for window in windows) - margin_y // 2
+    right = max(window.column + window.seen.shape[1] for window in windows) + margin_x // 2
+    top = max(window.row + window.seen.shape[0] for window in windows) + margin_y // 2
+    mean_e = np.zeros((top - bottom, right - left))
+
+    renderer = Renderer.of(scene, psf.pixel_um / psf.sensor_distance_um, seed)
+    steps = len(windows) * len(scene.objects)
+    blurs: dict[float, tuple[FieldBlur, FieldBlur]] = {}
+    for polarisation, window in enumerate(windows):
+        light = _light(renderer, kernels, window, polarisation, blurs, progress, steps)
+        row = window.row - bottom - margin_y // 2
+        column = window.column - left - margin_x // 2
+        part = (slice(row, row + light.shape[0]), slice(column, column + light.shape[1]))
+        mean_e[part] += light[: mean_e[part].shape[0], : mean_e[part].shape[1]]
+
+    rng = np.random.default_rng(np.random.SeedSequence((seed, 0x0C0FFEE)))
+    frame = expose(mean_e, scene.read_noise_e, rng)
+    truth_origin_um = (windows[0].column * psf.pixel_um, windows[0].row * psf.pixel_um)
+    return RawFrame(
+        frame,
+        psf.pixel_um,
+        (left * psf.pixel_um, bottom * psf.pixel_um),
+        scene.read_noise_e,
+        _truth(renderer, windows[0]),
+        truth_origin_um,
+    )
+
+
+def _windows(scene: Scene, psf: Psf, image_map: ImageMap) -> tuple[_Window, _Window]:
+    """The x polarisation's window of ``field_px`` pixels about the axis, and the one that holds its twin."""
+    pixel = psf.pixel_um
+    n_y, n_x = scene.field_px
+    axis_x, axis_y = image_map.coefficients_um[0, :, 0, 0]
+    column, row = round(axis_x / pixel) - n_x // 2, round(axis_y / pixel) - n_y // 2
+    edges = (np.arange(n_x + 1) - 0.5 + column) * pixel, (np.arange(n_y + 1) - 0.5 + row) * pixel
+    outline_x = np.concatenate([edges[0], edges[0], np.full(n_y + 1, edges[0][0]), np.full(n_y + 1, edges[0][-1])])
+    outline_y = np.concatenate([np.full(n_x + 1, edges[1][0]), np.full(n_x + 1, edges[1][-1]), edges[1], edges[1]])
+    twin_x, twin_y = image_map.to_sensor_um(1, *image_map.to_tangent(0, outline_x, outline_y))
+    twin_column, twin_row = math.floor(twin_x.min() / pixel + 0.5), math.floor(twin_y.min() / pixel + 0.5)
+    twin_n_x = math.ceil(twin_x.max() / pixel - 0.5) - twin_column + 1
+    twin_n_y = math.ceil(twin_y.max() / pixel - 0.5) - twin_row + 1
+    apart = abs(twin_column - column) >= (n_x if twin_column > column else twin_n_x) or abs(twin_row - row) >= (
+        n_y if twin_row > row else twin_n_y
+    )
+    if not apart:
+        raise InputError.single(
+            "scene",
+            "field_px",
+            "a field whose two images lie side by side",
+            f"{n_y} x {n_x} pixels, with the images {abs(twin_column - column)} columns apart",
+            "make the field smaller or split by a larger angle",
+        )
+    first = _window(image_map, 0, pixel, column, row, n_x, n_y, scene.photons_per_pixel, None)
+    stop = (edges[0][0], edges[0][-1], edges[1][0], edges[1][-1])
+    second = _window(image_map, 1, pixel, twin_column, twin_row, twin_n_x, twin_n_y, scene.photons_per_pixel, stop)
+    return first, second
+
+
+def _window(
+    image_map: ImageMap,
+    polarisation: int,
+    pixel: float,
+    column: int,
+    row: int,
+    n_x: int,
+    n_y: int,
+    photons: float,
+    stop: tuple[float, float, float, float] | None,
+) -> _Window:
+    x_um, y_um = np.meshgrid((column + np.arange(n_x)) * pixel, (row + np.arange(n_y)) * pixel)
+    tangent_x, tangent_y = image_map.to_tangent(polarisation, x_um, y_um)
+    axis = np.zeros(1)
+    # Irradiance falls where the image is stretched; brightness 1 gives ``photons`` on the axis.
+    gain = photons * image_map.area_um2(0, axis, axis) / image_map.area_um2(polarisation, tangent_x, tangent_y)
+    if stop is None:
+        return _Window(column, row, tangent_x, tangent_y, np.ones((n_y, n_x)), gain)
+    in_x, in_y = image_map.to_sensor_um(0, tangent_x, tangent_y)
+    seen_x = np.clip(np.minimum(in_x - stop[0], stop[1] - in_x) / pixel + 0.5, 0.0, 1.0)
+    seen_y = np.clip(np.minimum(in_y - stop[2], stop[3] - in_y) / pixel + 0.5, 0.0, 1.0)
+    return _Window(column, row, tangent_x, tangent_y, seen_x * seen_y, gain)
+
+
+def _light(
+    renderer: Renderer,
+    kernels: PairKernels,
+    window: _Window,
+    polarisation: int,
+    blurs: dict[float, tuple[FieldBlur, FieldBlur]],
+    progress: Progress,
+    steps: int,
+) -> FloatArray:
+    """Mean electrons of one image with its blur's margin all around: window shape plus kernel shape."""
+    scene = renderer.scene
+    k_y, k_x = kernels.shape
+    n_y, n_x = window.seen.shape
+    light = np.zeros((n_y + k_y, n_x + k_x))
+    if scene.background > 0.0:
+        # Without structure, depth does not matter: the mean of all depths' throughputs is 1.
+        inner = (slice(k_y // 2, k_y // 2 + n_y), slice(k_x // 2, k_x // 2 + n_x))
+        light[inner] = scene.background * window.gain * window.seen
+    for done, layer in enumerate(renderer.layers(window.tangent_x, window.tangent_y), start=1):
+        crop = (layer.rows, layer.columns)
+        if layer.depth_m not in blurs:
+            blurs[layer.depth_m] = FieldBlur.at_depth(kernels, layer.depth_m)
+        blur = blurs[layer.depth_m][polarisation]
+        tangents = window.tangent_x[crop], window.tangent_y[crop]
+        flux = layer.brightness * layer.share[polarisation] * window.gain[crop] * window.seen[crop]
+        spread = blur(flux[None], *tangents)[0]
+        hidden = blur((layer.coverage * window.seen[crop])[None], *tangents, normalised=True)[0]
+        part = (
+            slice(layer.rows.start, layer.rows.start + spread.shape[0]),
+            slice(layer.columns.start, layer.columns.start + spread.shape[1]),
+        )
+        light[part] = light[part] * (1.0 - np.clip(hidden, 0.0, 1.0)) + spread
+        progress("capture", min(steps, polarisation * len(scene.objects) + done), steps)
+    return light
+
+
+def _truth(renderer: Renderer, window: _Window) -> Truth:
+    """Depths, labels and sharp intensities of the nearest piece at each pixel; a pixel is whose half it is."""
+    scene = renderer.scene
+    shape = window.seen.shape
+    depth_m, label = np.full(shape, np.nan), np.zeros(shape, dtype=np.int32)
+    intensity = np.stack([scene.background * window.gain] * 2)
+    for layer in renderer.layers(window.tangent_x, window.tangent_y):
+        crop = (layer.rows, layer.columns)
+        for channel in (0, 1):
+            lit = layer.brightness * layer.share[channel] * window.gain[crop]
+            intensity[channel][crop] = intensity[channel][crop] * (1.0 - layer.coverage) + lit
+        owned = layer.coverage >= 0.5
+        depth_m[crop] = np.where(owned, layer.depth_m, depth_m[crop])
+        label[crop] = np.where(owned, layer.label, label[crop])
+    return Truth(depth_m, intensity[0], intensity[1], label)

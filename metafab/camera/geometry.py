@@ -1,0 +1,101 @@
+"""Directions in the scene to places on the sensor and back, for both polarisations.
+
+A direction is the pair of tangents (x/z, y/z) of an object point. The images are inverted: an object at +x
+appears at -x of the geometric image point of the axis. The split lens draws its two images with opposite
+distortion (some 15 pixels over the paper's field), so the twin of a pixel is looked up, not shifted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial.polynomial import polyder, polyval2d, polyvander
+
+from metafab.core.conventions import FloatArray
+from metafab.optics.point_spread import Psf
+
+_NEWTON_STEPS = 4
+
+
+@dataclass(frozen=True)
+class ImageMap:
+    """The geometric images of both polarisations as polynomials through the calibrated field points.
+
+    Attributes:
+        scale: largest tangent among the field points; the polynomials' argument is tangent / scale.
+        coefficients_um: shape (2, 2, n_y, n_x): polarisation, (x, y) on the sensor, powers of y and of x.
+    """
+
+    scale: float
+    coefficients_um: FloatArray
+
+    @classmethod
+    def from_psf(cls, psf: Psf) -> ImageMap:
+        """The map at the middle depth of ``psf``; without field points, the image of an inverting pinhole."""
+        middle = psf.depth_m.size // 2
+        if psf.field is None:
+            coefficients = np.zeros((2, 2, 2, 2))
+            coefficients[:, :, 0, 0] = psf.centre_um[:, middle]
+            coefficients[:, 0, 0, 1] = coefficients[:, 1, 1, 0] = -psf.sensor_distance_um
+            return cls(1.0, coefficients)
+        tangent_x, tangent_y = psf.field.tangent_x, psf.field.tangent_y
+        scale = float(max(np.abs(tangent_x).max(), np.abs(tangent_y).max())) or 1.0
+        inverse_x = _fit(tangent_x / scale)
+        inverse_y = _fit(tangent_y / scale)
+        centre = psf.field.centre_um[:, middle]
+        coefficients = np.einsum("ij,pjkc,lk->pcil", inverse_y, centre, inverse_x)
+        # A single field point along an axis still needs a slope: the pinhole's.
+        if tangent_x.size == 1:
+            coefficients = np.concatenate([coefficients, np.zeros_like(coefficients)], axis=3)
+            coefficients[:, 0, 0, 1] = -psf.sensor_distance_um * scale
+        if tangent_y.size == 1:
+            coefficients = np.concatenate([coefficients, np.zeros_like(coefficients)], axis=2)
+            coefficients[:, 1, 1, 0] = -psf.sensor_distance_um * scale
+        return cls(scale, coefficients)
+
+    def to_sensor_um(
+        self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """(x, y) on the sensor of the geometric image of a direction; ``polarisation`` 0 for x, 1 for y."""
+        v, u = tangent_y / self.scale, tangent_x / self.scale
+        x, y = (np.asarray(polyval2d(v, u, c)) for c in self.coefficients_um[polarisation])
+        return x, y
+
+    def jacobian_um(self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
+        """d(x, y) / d(tangent_x, tangent_y), shape (..., 2, 2), um."""
+        v, u = tangent_y / self.scale, tangent_x / self.scale
+        rows = [
+            [polyval2d(v, u, polyder(c, axis=axis)) / self.scale for axis in (1, 0)]
+            for c in self.coefficients_um[polarisation]
+        ]
+        return np.moveaxis(np.asarray(rows), (0, 1), (-2, -1))
+
+    def to_tangent(self, polarisation: int, x_um: FloatArray, y_um: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The direction whose geometric image is at (x, y), by Newton's method from the axis.
+
+        Far outside the calibrated field, where the map may not be invertible, the result is not meaningful:
+        callers compare with the field's range.
+        """
+        x_um, y_um = np.broadcast_arrays(x_um, y_um)
+        tangent_x, tangent_y = np.zeros(x_um.shape), np.zeros(x_um.shape)
+        limit = 2.0 * self.scale if self.scale < 1.0 else 1.0
+        for _ in range(_NEWTON_STEPS):
+            x, y = self.to_sensor_um(polarisation, tangent_x, tangent_y)
+            jacobian = self.jacobian_um(polarisation, tangent_x, tangent_y)
+            determinant = jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0]
+            dx, dy = x_um - x, y_um - y
+            step_x = (jacobian[..., 1, 1] * dx - jacobian[..., 0, 1] * dy) / determinant
+            step_y = (jacobian[..., 0, 0] * dy - jacobian[..., 1, 0] * dx) / determinant
+            tangent_x = np.clip(tangent_x + step_x, -limit, limit)
+            tangent_y = np.clip(tangent_y + step_y, -limit, limit)
+        return tangent_x, tangent_y
+
+    def area_um2(self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
+        """Sensor area per unit area of tangents, um^2: irradiance falls as it grows."""
+        return np.asarray(np.abs(np.linalg.det(self.jacobian_um(polarisation, tangent_x, tangent_y))))
+
+
+def _fit(nodes: FloatArray) -> FloatArray:
+    """Matrix from values at the nodes to power coefficients of the polynomial through them (degree 5 at most)."""
+    return np.asarray(np.linalg.pinv(polyvander(nodes, min(nodes.size - 1, 5))))

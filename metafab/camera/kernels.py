@@ -1,0 +1,103 @@
+"""The calibrated PSF pair as blur kernels of one depth, at any direction of the field.
+
+Between the calibrated points the pair is interpolated by cubic splines: over depth in vergence (1/z), in which
+the helix turns evenly, and over the field in tangents. Nothing is extrapolated over depth.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.fft
+from numpy.typing import ArrayLike
+from scipy.interpolate import make_interp_spline
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.optics.point_spread import Psf
+
+
+def spline_weights(nodes: FloatArray, at: ArrayLike) -> FloatArray:
+    """Weights of the values at ``nodes`` in their interpolating spline at ``at``: shape (*at.shape, n_nodes).
+
+    Cubic, or of the highest order that the nodes allow; beyond the outer nodes, their values are kept.
+    """
+    points = np.asarray(at, dtype=np.float64)
+    if nodes.size == 1:
+        return np.ones((*points.shape, 1))
+    ascending = np.argsort(nodes)
+    spline = make_interp_spline(nodes[ascending], np.eye(nodes.size)[ascending], k=min(3, nodes.size - 1))
+    return np.asarray(spline(np.clip(points, nodes.min(), nodes.max())), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class PairKernels:
+    """A PSF calibration, ready to blur with.
+
+    Kernels are integrated over the pixel and scaled so that their sums are throughputs relative to the mean of
+    both polarisations on the axis at the middle depth.
+    """
+
+    psf: Psf
+
+    @cached_property
+    def tangent_x(self) -> FloatArray:
+        """Directions of the field points along x, shape (n_field_x,); one point on the axis without a field."""
+        return np.zeros(1) if self.psf.field is None else self.psf.field.tangent_x
+
+    @cached_property
+    def tangent_y(self) -> FloatArray:
+        """Directions of the field points along y, shape (n_field_y,)."""
+        return np.zeros(1) if self.psf.field is None else self.psf.field.tangent_y
+
+    @cached_property
+    def _nodes(self) -> np.ndarray:
+        """Kernels at all calibrated points: shape (2, n_depth, n_field_y, n_field_x, n_y, n_x)."""
+        psf = self.psf
+        middle = psf.depth_m.size // 2
+        if psf.field is None:
+            nodes, centre = psf.psf[:, :, None, None], psf.centre_um[:, :, None, None]
+        else:
+            nodes, centre = psf.field.psf, psf.field.centre_um
+        # Kernels are about the geometric image point of the middle depth, wherever their own windows stand.
+        offset_px = (centre - centre[:, middle : middle + 1]) / psf.pixel_um
+        n_y, n_x = nodes.shape[-2:]
+        ky, kx = scipy.fft.fftfreq(n_y)[:, None], scipy.fft.rfftfreq(n_x)[None, :]
+        transfer = scipy.fft.rfft2(nodes) * (np.sinc(ky) * np.sinc(kx))
+        if np.abs(offset_px).max() > 1e-6:
+            turns = ky * offset_px[..., 1, None, None] + kx * offset_px[..., 0, None, None]
+            transfer = transfer * np.exp(-2j * np.pi * turns)
+        kernels = scipy.fft.irfft2(transfer, (n_y, n_x))
+        reference = psf.psf[:, middle].sum(axis=(-2, -1)).mean()
+        return np.asarray(kernels / reference, dtype=np.float32)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(n_y, n_x) of a kernel; its origin is ``[n_y // 2, n_x // 2]``."""
+        return self.psf.psf.shape[-2], self.psf.psf.shape[-1]
+
+    def at_depth(self, depth_m: float) -> FloatArray:
+        """Kernels at the field points for one depth: shape (2, n_field_y, n_field_x, n_y, n_x).
+
+        Raises:
+            InputError: the depth is outside the calibrated range.
+        """
+        nearest, farthest = self.psf.depth_m.min(), self.psf.depth_m.max()
+        slack = 1e-9 * farthest
+        if not nearest - slack <= depth_m <= farthest + slack:
+            raise InputError.single(
+                "scene",
+                "depth_m",
+                f"a depth inside the PSF calibration, {nearest:g} to {farthest:g} m",
+                f"{depth_m:g} m",
+                "calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`)",
+            )
+        weights = spline_weights(1.0 / self.psf.depth_m, 1.0 / depth_m)
+        return np.einsum("d,pdjiyx->pjiyx", weights, self._nodes, optimize=True)
+
+    def field_weights(self, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
+        """Share of each field point in the kernel of a direction: shape (*directions, n_field_y, n_field_x)."""
+        along_y, along_x = spline_weights(self.tangent_y, tangent_y), spline_weights(self.tangent_x, tangent_x)
+        return along_y[..., :, None] * along_x[..., None, :]

@@ -1,0 +1,72 @@
+"""Raw frames in HDF5: ``raw.h5`` with the truth where a simulation knows it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from metafab.camera.frame import RawFrame, Truth
+from metafab.core import hdf5
+
+RAW_KIND = "metafab raw frame"
+RAW_FORMAT = 1
+
+
+def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
+    """Write a frame, whole or not at all."""
+    with hdf5.create(path, kind=RAW_KIND, format_version=RAW_FORMAT, inputs_sha256=inputs_sha256) as file:
+        _axes(file, frame.frame.shape, frame.origin_um, frame.pixel_um)
+        put = {"units": "e", "dims": ("y_um", "x_um"), "compress": True}
+        hdf5.put(file, "frame", frame.frame, description="raw frame (electrons, or counts of a camera)", **put)
+        file.attrs["pixel_um"] = frame.pixel_um
+        file.attrs["origin_um"] = frame.origin_um
+        file.attrs["read_noise_e"] = frame.read_noise_e
+        if frame.saturation_e is not None:
+            file.attrs["saturation_e"] = frame.saturation_e
+        if frame.truth is None or frame.truth_origin_um is None:
+            return
+        group = file.create_group("truth")
+        group.attrs["origin_um"] = frame.truth_origin_um
+        truth = frame.truth
+        _axes(group, truth.depth_m.shape, frame.truth_origin_um, frame.pixel_um)
+        hdf5.put(group, "depth_m", truth.depth_m, description="object depth, NaN for none", **{**put, "units": "m"})
+        hdf5.put(group, "intensity_x", truth.intensity_x, description="sharp image, x polarisation", **put)
+        hdf5.put(group, "intensity_y", truth.intensity_y, description="sharp image, y polarisation", **put)
+        hdf5.put(group, "label", truth.label, description="object number from 1, 0 for none", **{**put, "units": "1"})
+
+
+def load(path: Path) -> RawFrame:
+    """Read a frame.
+
+    Raises:
+        InputError: the file is missing, truncated, foreign or of a newer format.
+    """
+    remedy = "make it with `metafab capture SCENE.toml --psf PSF.h5`"
+    with hdf5.open_kind(path, kind=RAW_KIND, format_version=RAW_FORMAT, remedy=remedy) as file:
+        truth, truth_origin_um = None, None
+        if "truth" in file:
+            group = file["truth"]
+            floats = (np.asarray(group[name], dtype=np.float64) for name in ("depth_m", "intensity_x", "intensity_y"))
+            truth = Truth(*floats, np.asarray(group["label"], dtype=np.int32))
+            truth_origin_um = _pair(group.attrs["origin_um"])
+        saturation = file.attrs.get("saturation_e")
+        return RawFrame(
+            np.asarray(file["frame"], dtype=np.float64),
+            float(file.attrs["pixel_um"]),
+            _pair(file.attrs["origin_um"]),
+            float(file.attrs["read_noise_e"]),
+            truth,
+            truth_origin_um,
+            None if saturation is None else float(saturation),
+        )
+
+
+def _axes(group: object, shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um: float) -> None:
+    for name, start, count in (("x_um", origin_um[0], shape[1]), ("y_um", origin_um[1], shape[0])):
+        place = start + pixel_um * np.arange(count)
+        hdf5.put(group, name, place, units="um", description=f"{name[0]} on the sensor plane", dims=(name,))
+
+
+def _pair(values: np.ndarray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
