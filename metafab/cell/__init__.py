@@ -1,1 +1,13 @@
-"""To be written: the table of contents of this room."""
+"""One unit cell under a plane wave: a PillarCell in, a CellResponse (Jones t and r, error) out.
+
+- ``response``     what every solver is asked and answers
+- ``problem``      from a unit-cell spec to cells, and the calls that solve one or many
+- ``fresnel``      closed forms: interface and film, in the same planes and types
+- ``rcwa``         the Fourier modal method, certified
+- ``meep``         the real Meep (FDTD) as a separate program
+"""
+
+from metafab.cell.problem import pillar_cell, solve, solve_many
+from metafab.cell.response import CellNumerics, CellResponse, CellSolver, PillarCell
+
+__all__ = ["CellNumerics", "CellResponse", "CellSolver", "PillarCell", "pillar_cell", "solve", "solve_many"]

@@ -56,10 +56,14 @@ class CellNumerics:
     Attributes:
         target_error: largest error wanted in any of the complex amplitudes.
         solver: "rcwa", or "meep" for FDTD in a separate program.
+        formulation: rcwa only: "adaptive" coordinates, or plain "fourier" harmonics as an independent check.
+        max_orders: rcwa only: most cosines along the longer period before the solver gives up, from 3.
     """
 
     target_error: float = 1e-3
     solver: Literal["rcwa", "meep"] = "rcwa"
+    formulation: Literal["adaptive", "fourier"] = "adaptive"
+    max_orders: int = 16
 
 
 @dataclass(frozen=True)

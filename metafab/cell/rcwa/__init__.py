@@ -1,1 +1,19 @@
-"""To be written: the table of contents of this room."""
+"""Rigorous coupled-wave analysis of a rectangular pillar: a PillarCell in, a certified CellResponse out.
+
+From one axis to the answer:
+
+- ``coordinates``    the map x(u) that gathers resolution at the walls, integrals in closed form
+- ``basis``          one axis in a truncated basis: wave numbers and overlaps with the pillar; parity
+- ``transverse``     coefficients of a symmetry class, paired and turned to TM and TE
+- ``factorisation``  Maxwell's equations of the layer as two matrices, by Li's rules
+- ``eigenmodes``     modes of the layer, plane waves of the half spaces
+- ``admittance``     one incident wave through the layer, stable for any height
+- ``jones``          Jones matrices at one truncation
+- ``certificate``    truncation raised until the error is what was asked
+"""
+
+from metafab.cell.rcwa.basis import Formulation
+from metafab.cell.rcwa.certificate import solve
+from metafab.cell.rcwa.jones import ZeroOrder, zero_order
+
+__all__ = ["Formulation", "ZeroOrder", "solve", "zero_order"]

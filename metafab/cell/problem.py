@@ -1,0 +1,134 @@
+"""From a unit-cell file to the cells that are solved, and the one call that solves them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Executor
+from functools import partial
+
+from metafab.cell import rcwa
+from metafab.cell.response import CellNumerics, CellResponse, PillarCell
+from metafab.core.errors import Fault, InputError
+from metafab.core.executor import SerialExecutor, stream
+from metafab.core.progress import Progress, silent
+from metafab.materials import refractive_index
+from metafab.spec.cell import UnitCell
+
+
+def pillar_cell(
+    unit_cell: UnitCell,
+    width_nm: float,
+    length_nm: float,
+    *,
+    wavelength_nm: float | None = None,
+    angle_deg: float = 0.0,
+    azimuth_deg: float = 0.0,
+) -> PillarCell:
+    """The cell of one pillar of ``unit_cell``, materials resolved at the wavelength.
+
+    Args:
+        unit_cell: the spec.
+        width_nm: pillar size along x, 0 to the period.
+        length_nm: pillar size along y, 0 to the period.
+        wavelength_nm: vacuum wavelength; that of the spec if not given.
+        angle_deg: polar angle in the medium of incidence, 0 to < 90.
+        azimuth_deg: azimuth of the plane of incidence, counter-clockwise from +x.
+
+    Raises:
+        InputError: a size or an angle is out of range, or a material is not known at the wavelength.
+    """
+    wavelength = unit_cell.illumination.wavelength_nm if wavelength_nm is None else wavelength_nm
+    cell = PillarCell(
+        period_nm=unit_cell.cell.period_nm,
+        width_nm=float(width_nm),
+        length_nm=float(length_nm),
+        height_nm=unit_cell.cell.height_nm,
+        n_pillar=refractive_index(unit_cell.materials.pillar, wavelength)[0],
+        n_substrate=refractive_index(unit_cell.materials.substrate, wavelength),
+        n_ambient=refractive_index(unit_cell.materials.ambient, wavelength)[0],
+        wavelength_nm=float(wavelength),
+        side=unit_cell.illumination.side,
+        angle_deg=float(angle_deg),
+        azimuth_deg=float(azimuth_deg),
+    )
+    check(cell)
+    return cell
+
+
+def check(cell: PillarCell) -> None:
+    """Refuse a cell that has no physical meaning.
+
+    Raises:
+        InputError: with every fault of the cell.
+    """
+    faults = [
+        Fault(name, f"0 to the period of {period:g} nm", f"{size:g} nm")
+        for name, size, period in zip(
+            ("width_nm", "length_nm"), (cell.width_nm, cell.length_nm), cell.period_nm, strict=True
+        )
+        if not 0.0 <= size <= period
+    ]
+    if not 0.0 <= cell.angle_deg < 90.0:
+        faults.append(Fault("angle_deg", "0 to below 90", f"{cell.angle_deg:g}"))
+    if not 0.0 < cell.wavelength_nm < float("inf"):
+        faults.append(Fault("wavelength_nm", "a positive length", f"{cell.wavelength_nm:g}"))
+    if not 0.0 <= cell.height_nm < float("inf"):
+        faults.append(Fault("height_nm", "a length from 0", f"{cell.height_nm:g}"))
+    indices = {"n_pillar": (cell.n_pillar,), "n_substrate": cell.n_substrate, "n_ambient": (cell.n_ambient,)}
+    for name, values in indices.items():
+        faults.extend(
+            Fault(name, "a finite index with real part > 0 and imaginary part >= 0", f"{n}")
+            for n in map(complex, values)
+            if not (0.0 <= n.imag < float("inf") and 0.0 < n.real < float("inf"))
+        )
+    if faults:
+        raise InputError("cell", faults)
+
+
+def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResponse:  # noqa: B008 (frozen)
+    """Jones matrices of one cell by the solver that ``numerics`` names.
+
+    Raises:
+        InputError: the cell has no physical meaning, or lies outside what the solver treats.
+        MissingToolError: Meep is asked for and not installed.
+        SolverError: the solver failed.
+    """
+    check(cell)
+    if numerics.solver == "meep":
+        from metafab.cell import meep
+
+        return meep.solve(cell, numerics)
+    return rcwa.solve(cell, numerics)
+
+
+def solve_many(
+    cells: Iterable[PillarCell],
+    numerics: CellNumerics = CellNumerics(),  # noqa: B008 (frozen)
+    executor: Executor | None = None,
+    progress: Progress = silent,
+    *,
+    batch: int = 16,
+) -> Iterator[CellResponse]:
+    """Solve many cells, in batches over an executor; responses come as they finish, each with its cell.
+
+    Args:
+        cells: what to solve.
+        numerics: the same for all.
+        executor: processes or a cluster; this process if not given.
+        progress: called after every batch.
+        batch: cells a call hands to one worker.
+
+    Raises:
+        InputError, MissingToolError, SolverError: as :func:`solve`.
+    """
+    todo = list(cells)
+    batches = [todo[start : start + batch] for start in range(0, len(todo), batch)]
+    done = 0
+    for _, responses in stream(executor or SerialExecutor(), partial(_solve_batch, numerics=numerics), batches):
+        done += len(responses)
+        progress("cells", done, len(todo))
+        yield from responses
+
+
+def _solve_batch(cells: list[PillarCell], numerics: CellNumerics) -> list[CellResponse]:
+    return [solve(cell, numerics) for cell in cells]

@@ -1,0 +1,145 @@
+"""One axis of the unit cell in a truncated basis: wave numbers, and the pillar's overlap with the basis functions.
+
+A scalar along one axis is expanded in 1, cos(2 pi m u / U) (even) and sin(2 pi m u / U) (odd), m = 1 .. M, of the
+adapted coordinate u. With F the Gram matrix of the weight dx/du and D the derivative, the second derivative in x
+is the symmetric definite pair (D F_odd^-1 D^T, F_even). Its solutions are the plane waves of the empty cell as
+the truncated basis sees them; the constant is among them exactly. Expanding in these instead of in the harmonics
+turns every uniform medium diagonal, and leaves of the stretched coordinate nothing but
+
+- ``wavenumber``  kappa_m in place of 2 pi m / U, and
+- ``even``, ``odd``  the overlap <m| pillar |n> in place of the Toeplitz matrices of the indicator function.
+
+All that follows is ordinary Fourier modal theory with those three. A one-form (E_u = dx/du E_x) is expanded in the
+dual basis, so that the metric disappears from the equations (Weiss et al., Opt. Express 17, 8051, 2009).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular, svd
+
+from metafab.cell.rcwa.coordinates import AxisMap, stretched, unstretched
+from metafab.core.conventions import FloatArray
+
+IntArray: TypeAlias = NDArray[np.intp]
+#: Real where nothing is lost, complex where something is.
+Matrix: TypeAlias = NDArray[Any]
+
+Formulation: TypeAlias = Literal["adaptive", "fourier"]
+
+
+@dataclass(frozen=True)
+class AxisBasis:
+    """Basis of one axis.
+
+    Attributes:
+        wavenumber: shape (M,), rad/nm, ascending and positive.
+        even: shape (M + 1, M + 1), the pillar's indicator between even functions; the constant comes first.
+        odd: shape (M, M), the same between odd functions.
+    """
+
+    wavenumber: FloatArray
+    even: FloatArray
+    odd: FloatArray
+
+
+@dataclass(frozen=True)
+class AxisParity:
+    """The two families of functions of an axis that the fields of one symmetry class need.
+
+    A field component uses family ``a`` or ``b`` along the axis; the derivative takes a function of one to that of the
+    other with the same label, times i ``wavenumber[label]``. (Odd functions are i sin, so that this holds for all.)
+    Label 0 is the zero order.
+
+    Attributes:
+        a: shape (n_a, n_a), the pillar's indicator in family a.
+        b: shape (n_b, n_b), the same in family b.
+        label_a: shape (n_a,), labels in family a.
+        label_b: shape (n_b,), labels in family b.
+        wavenumber: shape (labels,), rad/nm.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    label_a: IntArray
+    label_b: IntArray
+    wavenumber: FloatArray
+
+
+@lru_cache(maxsize=1024)
+def axis_basis(period_nm: float, size_nm: float, orders: int, formulation: Formulation) -> AxisBasis:
+    """The basis of one axis, ``orders`` = M; see the module's docstring."""
+    to_u = stretched(period_nm, size_nm, orders) if formulation == "adaptive" else unstretched(period_nm, size_nm)
+    return _basis(to_u, orders)
+
+
+def _basis(to_u: AxisMap, orders: int) -> AxisBasis:
+    pillar, whole = to_u.cosine_integrals(2 * orders + 1)
+    lower_even = cholesky(_even(whole, orders), lower=True)
+    lower_odd = cholesky(_odd(whole, orders), lower=True)
+    derivative = np.zeros((orders + 1, orders))
+    derivative[1:] = np.diag(2.0 * np.pi / to_u.period_nm * np.arange(1, orders + 1))
+    # L_even^-1 D L_odd^-T has the wave numbers as singular values and the constant as its left null vector.
+    reduced = solve_triangular(lower_even, derivative, lower=True)
+    reduced = solve_triangular(lower_odd, reduced.T, lower=True).T
+    left, wavenumber, right_t = svd(reduced)
+    order = np.argsort(wavenumber)
+    left = np.concatenate([left[:, -1:], left[:, :-1][:, order]], axis=1)
+    left[:, 0] *= np.sign(left[0, 0])
+    even = solve_triangular(lower_even, left, lower=True, trans="T")
+    odd = solve_triangular(lower_odd, right_t[order].T, lower=True, trans="T")
+    return AxisBasis(
+        wavenumber[order],
+        _symmetric(even.T @ _even(pillar, orders) @ even),
+        _symmetric(odd.T @ _odd(pillar, orders) @ odd),
+    )
+
+
+def symmetric_axis(basis: AxisBasis, *, even_first: bool) -> AxisParity:
+    """Parity along an axis in whose mirror plane the light comes in; family a is even if ``even_first``."""
+    even_label = np.arange(basis.wavenumber.size + 1)
+    odd_label = even_label[1:]
+    wavenumber = np.concatenate([[0.0], basis.wavenumber])
+    if even_first:
+        return AxisParity(basis.even, basis.odd, even_label, odd_label, wavenumber)
+    return AxisParity(basis.odd, basis.even, odd_label, even_label, wavenumber)
+
+
+def travelling_axis(basis: AxisBasis, incident_per_nm: float) -> AxisParity:
+    """No parity: light with wave number ``incident_per_nm`` along the axis.
+
+    exp(i k_x x) is split off the field, not exp(i k_x u), so that the zero order stays exact in the stretched
+    coordinate; what is left is the periodic basis, combined to (cos +- i sin) / sqrt(2) with wave number
+    k_x +- kappa_m. The zero order stands first, then the plus and the minus functions.
+    """
+    even = basis.even[1:, 1:]
+    side = basis.even[:1, 1:] / np.sqrt(2.0)
+    same, opposite = 0.5 * (even + basis.odd), 0.5 * (even - basis.odd)
+    overlap = np.block([[basis.even[:1, :1], side, side], [side.T, same, opposite], [side.T, opposite, same]])
+    label = np.arange(overlap.shape[0])
+    wavenumber = np.concatenate([[0.0], basis.wavenumber, -basis.wavenumber]) + incident_per_nm
+    return AxisParity(overlap, overlap, label, label, wavenumber)
+
+
+def _even(integral: FloatArray, orders: int) -> FloatArray:
+    """Matrix of a weight between 1, sqrt(2) cos(m u): from its cosine integrals of order 0 .. 2 M."""
+    m = np.arange(orders + 1)
+    matrix = integral[np.abs(m[:, None] - m)] + integral[m[:, None] + m]
+    matrix[0] /= np.sqrt(2.0)
+    matrix[:, 0] /= np.sqrt(2.0)
+    return np.asarray(matrix)
+
+
+def _odd(integral: FloatArray, orders: int) -> FloatArray:
+    """The same between sqrt(2) sin(m u), m = 1 .. M."""
+    m = np.arange(1, orders + 1)
+    return np.asarray(integral[np.abs(m[:, None] - m)] - integral[m[:, None] + m])
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * (matrix + matrix.T))

@@ -1,0 +1,79 @@
+"""Maxwell's equations of one layer as two matrices, with Li's factorisation rules for an upright rectangle.
+
+In units of 1/k0 along z, for e = (E_u, E_v) and h = (H_v, -H_u),
+
+    de/dz = i P h,    P = 1 - B N^-1 B^T,                         B = [K_u;  K_v^T] (from E_z),
+    dh/dz = i Q e,    Q = [[eps_u, 0], [0, eps_v]] - C C^T,       C = [K_v; -K_u^T] (from H_z),
+
+with N the matrix of the permittivity for E_z and i K the derivative from family b to family a. All are real where the
+permittivity is. E_u is normal to two walls and tangential to the other two: its
+permittivity follows the inverse rule along u within each interval of v, then the direct rule along v (Li, J. Opt. Soc.
+Am. A 14, 2758, 1997). For a rectangle that is a sum of two Kronecker products of one-dimensional matrices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metafab.cell.rcwa.basis import AxisParity, Matrix
+from metafab.cell.rcwa.transverse import TransverseBasis
+from metafab.core.conventions import FloatArray
+
+
+def layer_matrices(
+    basis: TransverseBasis, k0_per_nm: float, eps_pillar: complex, eps_around: complex
+) -> tuple[Matrix, Matrix]:
+    """P and Q of a layer that holds a rectangle, in the (TM, TE) basis.
+
+    Args:
+        basis: symmetry class, n coefficients.
+        k0_per_nm: vacuum wave number.
+        eps_pillar: permittivity of the pillar; a real number gives real matrices where the class allows it.
+        eps_around: permittivity around it.
+
+    Returns:
+        P and Q, each of shape (n, n).
+    """
+    u, v = basis.u, basis.v
+    n_u = u.label_a.size * v.label_a.size
+    inverse = _inverse_rule
+    eps_u = _kron(inverse(u.a, eps_pillar, eps_around), v.a) + eps_around * _kron(np.eye(len(u.a)), _rest(v.a))
+    eps_v = _kron(u.b, inverse(v.b, eps_pillar, eps_around)) + eps_around * _kron(_rest(u.b), np.eye(len(v.b)))
+    eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
+
+    k_u, k_v = _wavenumber(u) / k0_per_nm, _wavenumber(v) / k0_per_nm
+    from_e_z = np.concatenate([_kron(k_u, np.eye(len(v.a))), _kron(np.eye(len(u.b)), k_v.T)])
+    from_h_z = np.concatenate([_kron(np.eye(len(u.a)), k_v), -_kron(k_u.T, np.eye(len(v.b)))])
+    p = np.eye(basis.size) - from_e_z @ eta_z @ from_e_z.T
+    q = (-from_h_z @ from_h_z.T).astype(eps_u.dtype)
+    q[:n_u, :n_u] += eps_u
+    q[n_u:, n_u:] += eps_v
+    return basis.turn(p), basis.turn(q)
+
+
+def _inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+    return np.linalg.inv(overlap / eps_pillar + _rest(overlap) / eps_around)
+
+
+def _inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+    """Inverse of eps_around + (eps_pillar - eps_around) u (x) v from the eigenvectors of the two small factors."""
+    value_u, vector_u = np.linalg.eigh(u)
+    value_v, vector_v = np.linalg.eigh(v)
+    weight = 1.0 / (eps_around + (eps_pillar - eps_around) * value_u[:, None] * value_v)
+    outer_u, outer_v = (np.einsum("ia,ka->ika", x, x).reshape(-1, len(x)) for x in (vector_u, vector_v))
+    product = (outer_u @ weight @ outer_v.T).reshape(len(u), len(u), len(v), len(v))
+    return np.asarray(product.transpose(0, 2, 1, 3).reshape(len(u) * len(v), -1))
+
+
+def _rest(overlap: FloatArray) -> FloatArray:
+    return np.asarray(np.eye(len(overlap)) - overlap)
+
+
+def _wavenumber(axis: AxisParity) -> FloatArray:
+    same = axis.label_a[:, None] == axis.label_b
+    return np.asarray(np.where(same, axis.wavenumber[axis.label_b], 0.0))
+
+
+def _kron(u: Matrix, v: Matrix) -> Matrix:
+    product = u[:, None, :, None] * v[None, :, None, :]
+    return np.asarray(product.reshape(u.shape[0] * v.shape[0], u.shape[1] * v.shape[1]))

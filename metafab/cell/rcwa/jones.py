@@ -1,0 +1,142 @@
+"""Zero-order Jones matrices of a pillar at one truncation, by the symmetry classes that the incidence allows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from threadpoolctl import ThreadpoolController
+
+from metafab.cell.rcwa.admittance import through_layer
+from metafab.cell.rcwa.basis import AxisParity, Formulation, axis_basis, symmetric_axis, travelling_axis
+from metafab.cell.rcwa.eigenmodes import layer_modes, plane_waves
+from metafab.cell.rcwa.factorisation import layer_matrices
+from metafab.cell.rcwa.transverse import transverse_basis
+from metafab.cell.response import PillarCell
+from metafab.core.conventions import ComplexArray
+from metafab.core.errors import InputError
+
+Orders = tuple[int, int]
+
+
+@dataclass(frozen=True)
+class ZeroOrder:
+    """Jones matrices at one truncation.
+
+    Attributes:
+        t: shape (2, 2), [out, in] of the transverse field in the basis (x, y), at the planes of the conventions.
+        r: shape (2, 2), the same for reflection.
+        coefficients: size of the largest eigenvalue problem.
+    """
+
+    t: ComplexArray
+    r: ComplexArray
+    coefficients: int
+
+
+def axis_orders(cell: PillarCell, orders: int) -> Orders:
+    """Cosines along x and y for ``orders`` cosines along the longer period; shorter periods need fewer."""
+    longest = max(cell.period_nm)
+    x, y = (max(2, math.ceil(orders * period / longest)) for period in cell.period_nm)
+    return x, y
+
+
+def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adaptive") -> ZeroOrder:
+    """Jones matrices of ``cell`` with ``orders`` cosines beside the constant along the longer period.
+
+    One BLAS thread is used: on matrices of this size more threads cost time.
+
+    Raises:
+        InputError: light at an angle meets a substrate whose index depends on polarisation, or comes out of an
+            absorbing medium.
+    """
+    t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
+    largest = 0
+    with _blas().limit(limits=1):
+        for u, v, n_in, n_out in _classes(cell, axis_orders(cell, orders), formulation):
+            size, t_class, r_class = _solve_class(cell, u, v, n_in, n_out)
+            t, r = t + t_class, r + r_class
+            largest = max(largest, size)
+    return ZeroOrder(t, r, largest)
+
+
+def _classes(
+    cell: PillarCell, orders: Orders, formulation: Formulation
+) -> Iterator[tuple[AxisParity, AxisParity, complex, complex]]:
+    """The symmetry classes that incident light of either polarisation excites, with the outer indices they see."""
+    x = axis_basis(cell.period_nm[0], cell.width_nm, orders[0], formulation)
+    y = axis_basis(cell.period_nm[1], cell.length_nm, orders[1], formulation)
+    if cell.angle_deg == 0.0:
+        for i, even_first in enumerate((True, False)):
+            u, v = (symmetric_axis(axis, even_first=even_first) for axis in (x, y))
+            yield u, v, cell.n_in[i], cell.n_out[i]
+        return
+    _check_oblique(cell)
+    n_in, n_out = cell.n_in[0], cell.n_out[0]
+    k_in = 2.0 * math.pi / cell.wavelength_nm * n_in.real * math.sin(math.radians(cell.angle_deg))
+    k_x, k_y = (k_in * part for part in _direction(cell.azimuth_deg))
+    families_x = _families(x, k_x)
+    families_y = _families(y, k_y)
+    # With parity along one axis only, each of its two classes holds one polarisation.
+    for u in families_x:
+        for v in families_y:
+            yield u, v, n_in, n_out
+
+
+def _families(axis: Any, incident_per_nm: float) -> list[AxisParity]:
+    if incident_per_nm == 0.0:
+        return [symmetric_axis(axis, even_first=True), symmetric_axis(axis, even_first=False)]
+    return [travelling_axis(axis, incident_per_nm)]
+
+
+def _direction(azimuth_deg: float) -> tuple[float, float]:
+    """Cosine and sine, exact at multiples of 90 degrees, so that mirror planes are recognised."""
+    quarter, rest = divmod(azimuth_deg, 90.0)
+    c, s = (1.0, 0.0) if rest == 0.0 else (math.cos(math.radians(rest)), math.sin(math.radians(rest)))
+    return ((c, s), (-s, c), (-c, -s), (s, -c))[int(quarter) % 4]
+
+
+def _check_oblique(cell: PillarCell) -> None:
+    if cell.n_substrate[0] != cell.n_substrate[1]:
+        raise InputError.single(
+            "cell",
+            "angle_deg",
+            "0 where the substrate's index differs between x and y polarisation",
+            f"{cell.angle_deg:g}",
+            "give the substrate one index, or light along the axis",
+        )
+    if cell.n_in[0].imag != 0.0:
+        raise InputError.single(
+            "cell", "angle_deg", "0 where the light comes out of an absorbing medium", f"{cell.angle_deg:g}"
+        )
+
+
+def _solve_class(
+    cell: PillarCell, u: AxisParity, v: AxisParity, n_in: complex, n_out: complex
+) -> tuple[int, ComplexArray, ComplexArray]:
+    k0_per_nm = 2.0 * math.pi / cell.wavelength_nm
+    basis = transverse_basis(u, v)
+    p, q = layer_matrices(basis, k0_per_nm, _permittivity(cell.n_pillar), _permittivity(cell.n_ambient))
+    incident = basis.zero_order()
+    transmitted, reflected = through_layer(
+        layer_modes(p, q),
+        k0_per_nm * cell.height_nm,
+        plane_waves(basis, k0_per_nm, _permittivity(n_in)),
+        plane_waves(basis, k0_per_nm, _permittivity(n_out)),
+        incident,
+    )
+    return basis.size, incident.T @ transmitted, incident.T @ reflected
+
+
+def _permittivity(n: complex) -> complex:
+    """Square of the index; a real number where nothing is lost, so that real arithmetic follows."""
+    return n * n if complex(n).imag else complex(n).real ** 2
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    return ThreadpoolController()

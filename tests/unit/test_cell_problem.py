@@ -1,0 +1,63 @@
+"""From specs to cells, refusals, and solving many."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metafab.cell import CellNumerics, pillar_cell, solve, solve_many
+from metafab.core.errors import InputError
+from metafab.spec import UnitCell
+
+
+def test_cell_of_the_paper(unit_cell: UnitCell) -> None:
+    cell = pillar_cell(unit_cell, 150.0, 210.0)
+    assert cell.n_pillar == 3.6941 + 0.0065j
+    assert cell.n_in == (1.7601, 1.7601)
+    assert cell.n_out == (1.0, 1.0)
+    assert pillar_cell(unit_cell, 150.0, 210.0, wavelength_nm=820.0).wavelength_nm == 820.0
+
+
+def test_all_faults_of_a_cell_at_once(unit_cell: UnitCell) -> None:
+    with pytest.raises(InputError) as caught:
+        pillar_cell(unit_cell, 351.0, -1.0, angle_deg=90.0)
+    assert [fault.field for fault in caught.value.faults] == ["width_nm", "length_nm", "angle_deg"]
+
+
+def test_gain_is_refused(unit_cell: UnitCell) -> None:
+    with pytest.raises(InputError, match="n_pillar"):
+        solve(replace(pillar_cell(unit_cell, 150.0, 210.0), n_pillar=3.7 - 0.01j))
+
+
+def test_anisotropic_substrate_gives_each_polarisation_its_index(unit_cell: UnitCell) -> None:
+    cell = pillar_cell(unit_cell, 150.0, 210.0)
+    mixed = solve(replace(cell, n_substrate=(1.7601, 1.7522)), CellNumerics(1e-2))
+    ordinary, extraordinary = (solve(replace(cell, n_substrate=(n, n)), CellNumerics(1e-2)) for n in (1.7601, 1.7522))
+    assert abs(mixed.t[0, 0] - ordinary.t[0, 0]) <= 2e-2
+    assert abs(mixed.t[1, 1] - extraordinary.t[1, 1]) <= 2e-2
+    with pytest.raises(InputError, match="angle_deg"):
+        solve(replace(cell, n_substrate=(1.7601, 1.7522), angle_deg=5.0))
+
+
+def test_error_reached_or_confessed(unit_cell: UnitCell) -> None:
+    cell = pillar_cell(unit_cell, 150.0, 210.0)
+    reached = solve(cell, CellNumerics(1e-2))
+    assert reached.converged
+    assert reached.error <= 1e-2
+    given_up = solve(cell, CellNumerics(1e-9, max_orders=5))
+    assert not given_up.converged
+    assert given_up.error > 1e-9
+
+
+def test_many_cells_come_back_with_their_cells(unit_cell: UnitCell) -> None:
+    cells = [pillar_cell(unit_cell, width, 150.0) for width in (100.0, 120.0, 140.0)]
+    seen: list[float] = []
+    responses = list(
+        solve_many(cells, CellNumerics(1e-2), progress=lambda step, done, total: seen.append(done), batch=2)
+    )
+    assert {response.cell for response in responses} == set(cells)
+    assert seen == [2, 3]
+    for response in responses:
+        np.testing.assert_array_equal(response.t, solve(response.cell, CellNumerics(1e-2)).t)
