@@ -1,1 +1,63 @@
-"""To be written: the table of contents of this room."""
+"""Target phases as functions of (x, y, polarisation), and the search for better ones.
+
+- ``profile``   Term (a summand) and PhaseProfile (their sum), evaluated tile by tile
+- ``carriers``  lens, split lens (Eqs. 3 and 4), grating, axicon
+- ``helices``   spiral zones (Eq. 2), the optimised mask as a sum of waves, vortex, double helix
+- ``zernike``   Zernike polynomials
+- ``sampled``   phases given by samples: a user's file
+- ``pupil``     the pupil in normalised coordinates, rim defocus, images on the focal plane
+- ``rotation``  the law of rotation, and the main lobe measured in a PSF
+- ``peak``      the main lobe made as bright as it can be while it turns (the paper's IFTA step)
+- ``bound``     how bright any mask's lobe can be, proven
+- ``build``     a design's terms -> PhaseProfile
+
+In: a Design (or plain numbers). Out: a PhaseProfile for the layout room; radians, not wrapped.
+"""
+
+from metafab.phase.build import profile_of, pupil_field
+from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
+from metafab.phase.helices import (
+    DoubleHelixPhase,
+    SpiralZonesPhase,
+    VortexPhase,
+    WaveSumPhase,
+    zone_charges,
+    zone_radii,
+)
+from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
+from metafab.phase.profile import PhaseProfile, Term
+from metafab.phase.pupil import FocalPlane, Pupil, rim_defocus_per_dioptre_rad, rim_defocus_rad
+from metafab.phase.rotation import MainLobe, full_turn_dioptre, main_lobe, rotation_deg_per_dioptre
+from metafab.phase.sampled import SampledPhase, load_array
+from metafab.phase.zernike import ZernikePhase
+
+__all__ = [
+    "AxiconPhase",
+    "DoubleHelixPhase",
+    "FocalPlane",
+    "GratingPhase",
+    "LensPhase",
+    "MainLobe",
+    "PeakDesign",
+    "PhaseProfile",
+    "Pupil",
+    "SampledPhase",
+    "SpiralZonesPhase",
+    "SplitLensPhase",
+    "Term",
+    "VortexPhase",
+    "WaveSumPhase",
+    "ZernikePhase",
+    "full_turn_dioptre",
+    "load_array",
+    "main_lobe",
+    "optimise_peak",
+    "profile_of",
+    "pupil_field",
+    "rim_defocus_per_dioptre_rad",
+    "rim_defocus_rad",
+    "rotation_deg_per_dioptre",
+    "spiral_field",
+    "zone_charges",
+    "zone_radii",
+]

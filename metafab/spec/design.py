@@ -40,15 +40,25 @@ class SpiralZones(_Term):
     term: Literal["spiral_zones"] = "spiral_zones"
     zones: Annotated[int, Field(strict=True, ge=1, le=64)] = 4
     exponent: Positive = 0.5
-    optimise: Literal["none", "peak", "blind_information"] = "none"
+    optimise: Literal["none", "peak", "worst_peak", "blind_information"] = "none"
+
+    @model_validator(mode="after")
+    def _turns(self) -> SpiralZones:
+        if self.zones == 1 and self.optimise != "none":
+            raise ValueError("`zones` must be at least 2 to be optimised: a single zone does not turn with depth")
+        return self
 
 
 @dataclass(frozen=True, config=CONFIG)
 class SplitLens(_Term):
-    """Off-axis lenses that focus x polarisation at -theta and y polarisation at +theta: Eqs. 3 and 4."""
+    """Off-axis lenses that focus x polarisation at -theta and y polarisation at +theta: Eqs. 3 and 4.
+
+    Eqs. 3 and 4 focus parallel light; ``object_depth_m`` makes them exact for an object at a finite depth.
+    """
 
     term: Literal["split_lens"] = "split_lens"
     angle_deg: Annotated[float, Field(strict=True, ge=0.0, lt=90.0)] = 8.0
+    object_depth_m: Positive | None = None
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -76,7 +86,62 @@ class Grating(_Term):
     azimuth_deg: Real = 0.0
 
 
-PhaseTerm = Annotated[SpiralZones | SplitLens | Lens | Vortex | Grating, Field(discriminator="term")]
+@dataclass(frozen=True, config=CONFIG)
+class Axicon(_Term):
+    """A cone that sends light towards the axis at ``angle_deg`` (away from it where negative)."""
+
+    term: Literal["axicon"] = "axicon"
+    angle_deg: Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)] = 0.0
+
+
+@dataclass(frozen=True, config=CONFIG)
+class DoubleHelix(_Term):
+    """A double helix of Gauss-Laguerre modes, for comparison; ``waist`` in units of the aperture's radius."""
+
+    term: Literal["double_helix"] = "double_helix"
+    waist: Positive = 0.35
+    modes: Annotated[int, Field(strict=True, ge=2, le=8)] = 5
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Zernike(_Term):
+    """One Zernike polynomial of ``degree`` n and ``order`` m, 1 at the rim, times ``amplitude_rad``.
+
+    Positive orders go with cos(m phi), negative ones with sin(|m| phi).
+    """
+
+    amplitude_rad: Real = 0.0
+    term: Literal["zernike"] = "zernike"
+    degree: Annotated[int, Field(strict=True, ge=0, le=40)] = 0
+    order: Annotated[int, Field(strict=True, ge=-40, le=40)] = 0
+
+    @model_validator(mode="after")
+    def _exists(self) -> Zernike:
+        if abs(self.order) > self.degree or (self.degree - abs(self.order)) % 2:
+            raise ValueError(
+                f"`order` must be one of -{self.degree}, -{self.degree} + 2, ..., {self.degree} for this `degree`, "
+                f"got {self.order}"
+            )
+        return self
+
+
+@dataclass(frozen=True, config=CONFIG)
+class UserArray(_Term):
+    """A phase of the user's own on a square grid centred on the axis: a .npy, .csv or .h5 file, radians.
+
+    Shape (n_y, n_x), lowest y first, or (2, n_y, n_x) for x and y polarisation; ``dataset`` names it in an .h5.
+    """
+
+    file: Path = Field(kw_only=True)
+    pitch_um: Positive = Field(kw_only=True)
+    term: Literal["array"] = "array"
+    dataset: str = "phase_rad"
+
+
+PhaseTerm = Annotated[
+    SpiralZones | SplitLens | Lens | Vortex | Grating | Axicon | DoubleHelix | Zernike | UserArray,
+    Field(discriminator="term"),
+]
 
 
 @dataclass(frozen=True, config=CONFIG)

@@ -50,6 +50,9 @@ def load_design(path: Path) -> Design:
         table["scene"] = _collect(faults, "scene", lambda: load_scene(path.parent / table["scene"]))
     if isinstance(table.get("library"), str):
         table["library"] = str((path.parent / table["library"]).resolve())
+    for term in table.get("phase", ()) if isinstance(table.get("phase"), list) else ():
+        if isinstance(term, dict) and isinstance(term.get("file"), str):
+            term["file"] = str((path.parent / term["file"]).resolve())
     skip = {key for key in ("unit_cell", "scene") if table.get(key) is _FAULTY}
     try:
         design: Design | None = _adapter(Design).validate_python({k: v for k, v in table.items() if k not in skip})

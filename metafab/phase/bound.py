@@ -1,0 +1,77 @@
+"""How bright the lobes of any mask can be: a bound that is proven, and so close that it certifies the optimum.
+
+The weighted sum of peaks is p^H G p with G = sum_d w_d f_d f_d^H over the target waves f_d, for a mask p with |p|
+<= 1 at each of n samples. Two bounds:
+
+- spectral: the largest eigenvalue of G times n;
+- dual: for any positive d, p^H G p <= sum(d) * largest eigenvalue of D^-1/2 G D^-1/2. The best d belongs to the
+  relaxation in which each sample of the mask is a unit vector of a few components instead of one phase, and that
+  is found by the same iteration as the mask itself (Burer and Monteiro, Mathematical Programming 95, 329, 2003).
+
+G has few target waves, so both eigenvalues are those of small matrices.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.core.conventions import ComplexArray, FloatArray
+
+#: Components of a sample in the relaxation. One more than the rank that optimal solutions were found to have.
+_COMPONENTS = 4
+
+
+@dataclass(frozen=True)
+class PeakBound:
+    """Upper bounds of the weighted mean of the target peaks, Strehl ratios.
+
+    Attributes:
+        spectral: from the largest eigenvalue of G, passive masks of the same mean square included.
+        dual: the tighter one; holds for every mask with |p| <= 1 everywhere.
+        start: shape (n_waves,), wave amplitudes of the relaxed solution's main component.
+    """
+
+    spectral: float
+    dual: float
+    start: ComplexArray
+
+
+def peak_bound(waves: ComplexArray, weights: FloatArray, iterations: int, seed: int) -> PeakBound:
+    """Bounds of sum_d weights_d |<f_d, p>|^2 over all masks p.
+
+    Args:
+        waves: shape (n_waves, n), target waves f_d at the pupil's samples, modulus 1.
+        weights: shape (n_waves,), positive, sum 1.
+        iterations: of the relaxation; the bounds hold however few they are.
+        seed: of the relaxation's start.
+    """
+    count = waves.shape[1]
+    root = np.sqrt(weights)[:, None] * waves
+    spectral = _largest_eigenvalue(root, np.ones(count)) / count
+    random = np.random.default_rng(seed)
+    shape = (_COMPONENTS, len(waves))
+    amplitude = random.normal(size=shape) + 1j * random.normal(size=shape)
+    adjoint = waves.conj().T / count
+    drive = amplitude @ waves
+    for _ in range(iterations):
+        relaxed = drive / _norm(drive)
+        amplitude = (relaxed @ adjoint) * weights
+        drive = amplitude @ waves
+    d = _norm(drive)
+    dual = _largest_eigenvalue(root, d) / count**2 * float(d.sum())
+    _, values, right = np.linalg.svd(amplitude, full_matrices=False)
+    return PeakBound(spectral, min(dual, spectral), values[0] * right[0])
+
+
+def _norm(drive: ComplexArray) -> FloatArray:
+    """Length of each sample's vector, kept off zero."""
+    length = np.sqrt((np.abs(drive) ** 2).sum(axis=0))
+    return np.asarray(np.maximum(length, 1e-6 * math.sqrt(float(np.mean(length**2)))), dtype=np.float64)
+
+
+def _largest_eigenvalue(root: ComplexArray, d: FloatArray) -> float:
+    scaled = root / np.sqrt(d)
+    return float(np.linalg.eigvalsh(scaled @ scaled.conj().T)[-1])

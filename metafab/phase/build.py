@@ -1,0 +1,148 @@
+"""A design's phase terms, in order, as one profile; helices optimised as asked, and what that gained."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from metafab.core.conventions import ComplexArray, FloatArray, image_distance_mm
+from metafab.core.errors import InputError
+from metafab.core.progress import Progress, silent
+from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
+from metafab.phase.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase
+from metafab.phase.peak import optimise_peak
+from metafab.phase.profile import PhaseProfile, Term
+from metafab.phase.pupil import Pupil, phasor, rim_defocus_rad
+from metafab.phase.rotation import main_lobe, rotation_deg_per_dioptre
+from metafab.phase.sampled import load_array
+from metafab.phase.zernike import ZernikePhase
+from metafab.spec import design as spec
+from metafab.spec.design import Design
+
+#: Depths at which the rotation is measured; between neighbours the lobe turns by less than half a turn.
+_ROTATION_DEPTHS = 49
+
+
+def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
+    """The target phase that a design declares.
+
+    Args:
+        design: its phase terms add up; ``spiral_zones`` is optimised as its ``optimise`` asks, for the design's
+            aperture and over one full turn of the lobe.
+        progress: called while optimising.
+
+    Returns:
+        The profile. Its figures: for a design with spiral zones ``peak_gain`` (mean peak over the full turn
+        against Eq. 2; 1 where nothing is optimised), ``worst_gain``, ``peak_mean`` (Strehl ratio), ``bound_mean``
+        and ``bound_fraction`` (proven upper bound of the mean of the wanted peaks, and the share reached),
+        ``rotation_deg`` (turn of PSF_x's main lobe from the nearest to the farthest depth of ``[verify]``, positive
+        counter-clockwise, by the paraxial pupil), ``rotation_deg_per_dioptre`` and its theoretical value.
+
+    Raises:
+        InputError: a user's array cannot be used, or more than one term has spiral zones for one polarisation.
+    """
+    _one_helix(design)
+    terms: list[Term] = []
+    figures: dict[str, float] = {}
+    for term in design.phase:
+        if isinstance(term, spec.SpiralZones):
+            helix, gained = _helix(design, term, progress)
+            terms.append(helix)
+            figures.update(gained)
+        else:
+            terms.append(_plain_term(design, term))
+    return PhaseProfile(tuple(terms), figures)
+
+
+def _one_helix(design: Design) -> None:
+    acting = [term.polarisation for term in design.phase if isinstance(term, spec.SpiralZones)]
+    if len(acting) > 1 and (None in acting or len(set(acting)) < len(acting)):
+        raise InputError.single(
+            design.name, "phase", "at most one `spiral_zones` term for each polarisation", f"{len(acting)} terms"
+        )
+
+
+def _plain_term(design: Design, term: spec.PhaseTerm) -> Term:
+    """A term that needs no optimiser."""
+    wavelength_um, radius_um = design.wavelength_um, 0.5 * design.device.aperture_um
+    only = term.polarisation
+    if isinstance(term, spec.SplitLens):
+        image_um, object_um = _conjugates_um(design, term.object_depth_m)
+        return SplitLensPhase(wavelength_um, image_um, term.angle_deg, object_um, only)
+    if isinstance(term, spec.Lens):
+        return LensPhase(wavelength_um, *_conjugates_um(design, term.object_depth_m), only)
+    if isinstance(term, spec.Vortex):
+        return VortexPhase(term.charge, only)
+    if isinstance(term, spec.Grating):
+        return GratingPhase(wavelength_um, term.angle_deg, term.azimuth_deg, only)
+    if isinstance(term, spec.Axicon):
+        return AxiconPhase(wavelength_um, term.angle_deg, only)
+    if isinstance(term, spec.DoubleHelix):
+        return DoubleHelixPhase(radius_um, term.waist, term.modes, only)
+    if isinstance(term, spec.Zernike):
+        return ZernikePhase(term.degree, term.order, term.amplitude_rad, radius_um, only)
+    if isinstance(term, spec.UserArray):
+        reach_um = radius_um  # of a square aperture, the half side
+        return load_array(term.file, term.pitch_um, term.dataset, reach_um, only)
+    raise TypeError(f"`term`: expected a phase term of the design file, got {type(term).__name__}")
+
+
+def _conjugates_um(design: Design, object_depth_m: float | None) -> tuple[float, float]:
+    """Image and object distance of a lens with the design's focal length."""
+    depth_m = math.inf if object_depth_m is None else object_depth_m
+    try:
+        return 1e3 * image_distance_mm(design.device.focal_length_mm, depth_m), 1e6 * depth_m
+    except ValueError as error:
+        expected = f"a depth beyond the focal length of {design.device.focal_length_mm} mm"
+        raise InputError.single(design.name, "phase.object_depth_m", expected, f"{depth_m} m") from error
+
+
+def _helix(design: Design, term: spec.SpiralZones, progress: Progress) -> tuple[Term, dict[str, float]]:
+    radius_um = 0.5 * design.device.aperture_um
+    pupil = Pupil(shape=design.device.aperture_shape)
+    plain = SpiralZonesPhase(term.zones, term.exponent, radius_um, term.polarisation)
+    if term.optimise == "none":
+        return plain, {"peak_gain": 1.0, **_rotation(design, term, plain, pupil)}
+    best = optimise_peak(
+        term.zones,
+        term.exponent,
+        pupil=pupil,
+        goal="worst" if term.optimise == "worst_peak" else "mean",
+        iterations=max(1, round(design.numerics.iterations)),
+        seed=design.numerics.seed,
+        progress=progress,
+    )
+    helix = best.term(radius_um, term.polarisation)
+    figures = {
+        "peak_gain": best.peak_gain,
+        "worst_gain": best.worst_gain,
+        "peak_mean": float(best.lobe.peak.mean()),
+        "bound_mean": best.bound.dual,
+        "bound_fraction": best.bound_fraction,
+    }
+    return helix, figures | _rotation(design, term, helix, pupil)
+
+
+def _rotation(design: Design, term: spec.SpiralZones, helix: Term, pupil: Pupil) -> dict[str, float]:
+    """How far and how fast the lobe turns over the design's depths."""
+    radius_um = 0.5 * design.device.aperture_um
+    nearest_m, farthest_m = design.verify.depths_m[0], design.verify.depths_m[-1]
+    theory = rotation_deg_per_dioptre(term.zones, radius_um, design.wavelength_um)
+    figures = {"rotation_deg_per_dioptre_theory": theory}
+    if nearest_m == farthest_m or term.zones == 1:
+        return {"rotation_deg": 0.0, **figures}
+    vergence = np.linspace(1.0 / nearest_m, 1.0 / farthest_m, _ROTATION_DEPTHS)
+    defocus = rim_defocus_rad(1.0 / vergence, design.sensor.focus_depth_m, radius_um, design.wavelength_um)
+    lobe = main_lobe(pupil, pupil_field(helix, pupil, radius_um), defocus, 2.0 * term.zones + 6.0)
+    return {
+        "rotation_deg": float(lobe.phi_deg[-1] - lobe.phi_deg[0]),
+        "rotation_deg_per_dioptre": float(np.polyfit(vergence, lobe.phi_deg, 1)[0]),
+        **figures,
+    }
+
+
+def pupil_field(term: Term, pupil: Pupil, radius_um: float) -> ComplexArray:
+    """exp(i psi) of a term for x polarisation at the pupil's samples, shape (n,)."""
+    positions_um: FloatArray = radius_um * pupil.axis
+    return phasor(term(positions_um, positions_um, "x")[pupil.inside])
