@@ -7,12 +7,16 @@ loop, tested against each other.
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, TypeVar, cast
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 HAS_NUMBA = find_spec("numba") is not None
+
+#: Loop index of :func:`compiled_parallel` kernels; a plain ``range`` without numba.
+prange: Any = import_module("numba").prange if HAS_NUMBA else range
 
 
 def compiled(function: Function) -> Function:

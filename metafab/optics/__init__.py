@@ -1,1 +1,49 @@
-"""To be written: the table of contents of this room."""
+"""Written pillars and their library -> point-spread functions over depth and field, each with its error.
+
+- ``imaging``      Imaging: geometry of lens and sensor; image points by the grating law; nodes over depth, field
+- ``source``       what leaves the metasurface: pillars through a library, or target phases
+- ``path``         exact path lengths and amplitudes from object over lens to sensor
+- ``pupil``        Pupil: a streaming pass from pillars to block sums
+- ``window``       block sums -> field on a window: low-rank kernel and matrix Fourier transforms
+- ``stack``        :func:`psf`: the pair over depth and field, block size chosen by the error asked
+- ``lobe``         main lobe to a fraction of a pixel, orientation
+- ``depth``        interpolation between depths, joining stacks
+- ``point_spread`` Psf, PsfField: what goes out
+- ``store``        ``psf.h5``
+- ``reference``    the direct Rayleigh-Sommerfeld sum over all sites that checks the rest
+
+In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.library.library.Library`, or a
+:class:`~metafab.phase.profile.PhaseProfile`; an :class:`Imaging`. Out: a :class:`Psf`.
+"""
+
+from metafab.optics.depth import at_depths, concatenate, without_depths
+from metafab.optics.imaging import Imaging, depth_nodes, field_tangents
+from metafab.optics.lobe import main_lobe_px, orientation_deg
+from metafab.optics.point_spread import Psf, PsfField
+from metafab.optics.reference import direct_irradiance
+from metafab.optics.source import IdealField, Source, WrittenField, ideal_field, written_field
+from metafab.optics.stack import psf, relative_l2
+from metafab.optics.store import load, save
+
+__all__ = [
+    "IdealField",
+    "Imaging",
+    "Psf",
+    "PsfField",
+    "Source",
+    "WrittenField",
+    "at_depths",
+    "concatenate",
+    "depth_nodes",
+    "direct_irradiance",
+    "field_tangents",
+    "ideal_field",
+    "load",
+    "main_lobe_px",
+    "orientation_deg",
+    "psf",
+    "relative_l2",
+    "save",
+    "without_depths",
+    "written_field",
+]

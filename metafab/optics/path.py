@@ -1,0 +1,88 @@
+"""Path lengths from an object over the lens to the sensor, without cancellation, and the amplitudes that go with them.
+
+All lengths are differences from the path through the lens' centre, written so that double precision holds 1e-9
+rad at any distance, infinity included. Functions take scalars or arrays that broadcast; they are compiled where
+numba is installed, and inlined in the kernels that need them a million times.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.core.numerics import compiled
+from metafab.optics.imaging import Imaging
+
+
+@dataclass(frozen=True)
+class Ray:
+    """The ray from an object point through the lens' centre to a point of the sensor.
+
+    Attributes:
+        vergence_per_um: 1 / depth; 0 for an object at infinity.
+        tangent: (x/z, y/z) of the object.
+        target_um: (x, y, z) of the sensor point.
+    """
+
+    vergence_per_um: float
+    tangent: tuple[float, float]
+    target_um: tuple[float, float, float]
+
+    @classmethod
+    def towards_image(cls, imaging: Imaging, polarisation: int, depth_m: float, tangent: tuple[float, float]) -> Ray:
+        """The ray to the geometric image point of one polarisation."""
+        x, y = imaging.image_point_um(polarisation, tangent)
+        return cls(1e-6 / depth_m, tangent, (x, y, imaging.sensor_distance_um))
+
+    def path_um(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
+        """Path over the lens point (x, y) minus the path over its centre; broadcasts."""
+        return np.asarray(path_um(x_um, y_um, self.vergence_per_um, *self.tangent, *self.target_um))
+
+    def incident_amplitude(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
+        """Square root of the incident flux through the lens plane, 1 at its centre; broadcasts."""
+        return np.asarray(incident_amplitude(x_um, y_um, self.vergence_per_um, *self.tangent))
+
+
+@compiled
+def path_um(x: Any, y: Any, w: float, t_x: float, t_y: float, c_x: float, c_y: float, c_z: float) -> Any:
+    """Object to (x, y, 0) to (c_x, c_y, c_z), minus the same over the origin.
+
+    An object at depth 1/w in the direction (t_x, t_y): R - R_0 = (w r^2 - 2 r.t) / (w R + w R_0), finite for
+    w = 0, where it is the plane wave's -r.t / sqrt(1 + t^2).
+    """
+    square = x * x + y * y
+    secant2 = 1.0 + t_x * t_x + t_y * t_y
+    bend = w * square - 2.0 * (x * t_x + y * t_y)
+    source = bend / (np.sqrt(w * bend + secant2) + math.sqrt(secant2))
+    centre2 = c_x * c_x + c_y * c_y + c_z * c_z
+    fall = square - 2.0 * (x * c_x + y * c_y)
+    return source + fall / (np.sqrt(fall + centre2) + math.sqrt(centre2))
+
+
+@compiled
+def incident_amplitude(x: Any, y: Any, w: float, t_x: float, t_y: float) -> Any:
+    """(R_0 / R)^(3/2): the flux of a spherical wave through a plane falls with cos / R^2 = z / R^3."""
+    secant2 = 1.0 + t_x * t_x + t_y * t_y
+    bend = w * (w * (x * x + y * y) - 2.0 * (x * t_x + y * t_y))
+    return (1.0 + bend / secant2) ** -0.75
+
+
+def power_at_aperture(imaging: Imaging, ray: Ray) -> float:
+    """Integral of the squared incident amplitude over the aperture, um^2 (its area for distant objects).
+
+    Gauss-Legendre in r^2 and equidistant azimuths (a circle), or Gauss-Legendre twice (a square): exact to
+    1e-12 for objects further away than the aperture is wide.
+    """
+    node, weight = np.polynomial.legendre.leggauss(24)
+    half = 0.5 * imaging.aperture_um
+    if imaging.aperture_shape == "square":
+        flux = ray.incident_amplitude(half * node[None, :], half * node[:, None]) ** 2
+        return float(half**2 * weight @ flux @ weight)
+    azimuth = 2.0 * np.pi * np.arange(48) / 48
+    radius = half * np.sqrt(0.5 * (1.0 + node))[:, None]
+    flux = ray.incident_amplitude(radius * np.cos(azimuth), radius * np.sin(azimuth)) ** 2
+    return float(np.pi * half**2 * 0.5 * weight @ flux.mean(axis=1))
