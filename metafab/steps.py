@@ -62,7 +62,7 @@ def _library(job: Job) -> dict[str, Any]:
 
 def _phase(job: Job) -> dict[str, Any]:
     profile = phase.profile_of(job.design, progress=job.progress)
-    phase.save_sampled(profile, job.design, job.folder / "phase.h5")
+    phase.save(profile, job.design, job.folder / "phase.h5")
     return dict(profile.figures)
 
 

@@ -10,6 +10,7 @@
 - ``peak``      the main lobe made as bright as it can be while it turns (the paper's IFTA step)
 - ``bound``     how bright any mask's lobe can be, proven
 - ``build``     a design's terms -> PhaseProfile
+- ``store``     ``phase.h5``: phases sampled over the aperture
 
 In: a Design (or plain numbers). Out: a PhaseProfile for the layout room; radians, not wrapped.
 """
@@ -29,6 +30,7 @@ from metafab.phase.profile import PhaseProfile, Term
 from metafab.phase.pupil import FocalPlane, Pupil, rim_defocus_per_dioptre_rad, rim_defocus_rad
 from metafab.phase.rotation import MainLobe, full_turn_dioptre, main_lobe, rotation_deg_per_dioptre
 from metafab.phase.sampled import SampledPhase, load_array
+from metafab.phase.store import load, save
 from metafab.phase.zernike import ZernikePhase
 
 __all__ = [
@@ -49,6 +51,7 @@ __all__ = [
     "WaveSumPhase",
     "ZernikePhase",
     "full_turn_dioptre",
+    "load",
     "load_array",
     "main_lobe",
     "optimise_peak",
@@ -57,6 +60,7 @@ __all__ = [
     "rim_defocus_per_dioptre_rad",
     "rim_defocus_rad",
     "rotation_deg_per_dioptre",
+    "save",
     "spiral_field",
     "zone_charges",
     "zone_radii",
