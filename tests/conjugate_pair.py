@@ -46,8 +46,8 @@ def _over_field(
 ) -> tuple[FloatArray, FloatArray]:
     psf = np.empty((2, depth_m.size, tangent_y.size, tangent_x.size, window_px, window_px))
     centre = np.empty((2, depth_m.size, tangent_y.size, tangent_x.size, 2))
-    # 0.3 dioptre a degree for the 20 mm lens; vergences of the small lens are 100 times as large.
-    drift_per_m = 30.0 * math.degrees(1.0)
+    # 0.3 dioptre a degree for f = 20 mm, and in proportion to 1/f.
+    drift_per_m = 6.0 * math.degrees(1.0)
     for polarisation, sign in enumerate((-1.0, 1.0)):
         for row, column in np.ndindex(tangent_y.size, tangent_x.size):
             tx, ty = tangent_x[column], tangent_y[row]

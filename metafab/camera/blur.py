@@ -57,7 +57,8 @@ class FieldBlur:
 
         Args:
             images: shape (n_images, n_y, n_x); zero outside.
-            tangent_x: shape (n_y, n_x), direction of each pixel; likewise ``tangent_y``.
+            tangent_x: shape (n_y, n_x), direction of each pixel.
+            tangent_y: shape (n_y, n_x).
             normalised: divide by the throughput, so that a sum over the plane is kept (for coverage).
 
         Returns:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -65,7 +66,7 @@ def _read(path: Path, *, colours: bool = False) -> tuple[FloatArray, float | Non
     return values.astype(np.float64), _saturation(values)
 
 
-def _decoders() -> dict[str, object]:
+def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
     def tiff(path: Path) -> np.ndarray:
         import tifffile
 

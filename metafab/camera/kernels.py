@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 import scipy.fft
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
 from metafab.core.conventions import FloatArray
@@ -53,14 +53,14 @@ class PairKernels:
         return np.zeros(1) if self.psf.field is None else self.psf.field.tangent_y
 
     @cached_property
-    def _nodes(self) -> np.ndarray:
+    def nodes(self) -> NDArray[np.float32]:
         """Kernels at all calibrated points: shape (2, n_depth, n_field_y, n_field_x, n_y, n_x)."""
         psf = self.psf
         middle = psf.depth_m.size // 2
         if psf.field is None:
-            nodes, centre = psf.psf[:, :, None, None], psf.centre_um[:, :, None, None]
+            nodes, centre = np.asarray(psf.psf)[:, :, None, None], psf.centre_um[:, :, None, None]
         else:
-            nodes, centre = psf.field.psf, psf.field.centre_um
+            nodes, centre = np.asarray(psf.field.psf, dtype=np.float64), psf.field.centre_um
         # Kernels are about the geometric image point of the middle depth, wherever their own windows stand.
         offset_px = (centre - centre[:, middle : middle + 1]) / psf.pixel_um
         n_y, n_x = nodes.shape[-2:]
@@ -95,7 +95,7 @@ class PairKernels:
                 "calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`)",
             )
         weights = spline_weights(1.0 / self.psf.depth_m, 1.0 / depth_m)
-        return np.einsum("d,pdjiyx->pjiyx", weights, self._nodes, optimize=True)
+        return np.asarray(np.tensordot(weights, self.nodes, axes=(0, 1)), dtype=np.float64)
 
     def field_weights(self, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
         """Share of each field point in the kernel of a direction: shape (*directions, n_field_y, n_field_x)."""

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from metafab.camera.texture import Texture, make_texture
 from metafab.core.conventions import FloatArray
@@ -68,7 +70,7 @@ class Renderer:
         for index, spec in enumerate(self.scene.objects):
             steps = max(1, math.ceil((abs(spec.tilt[0]) + abs(spec.tilt[1])) / _TILT_STEP))
             edges = np.linspace(-0.5, 0.5, steps + 1) * (abs(spec.tilt[0]) + abs(spec.tilt[1]))
-            for low, high in zip(edges[:-1], edges[1:], strict=True):
+            for low, high in pairwise(edges):
                 pieces.append((spec.depth_m * (1.0 + 0.5 * (low + high)), index, np.array([low, high])))
         for depth_m, index, relative in sorted(pieces, key=lambda piece: -piece[0]):
             layer = self._layer(index, depth_m, relative, tangent_x, tangent_y)
@@ -110,8 +112,8 @@ def _inside(spec: SceneObject, u: FloatArray, v: FloatArray) -> np.ndarray:
     return np.asarray((np.abs(u) <= 0.5) & (np.abs(v) <= 0.5))
 
 
-def _extent(hit: np.ndarray) -> slice:
-    where = np.flatnonzero(hit)
+def _extent(hit: ArrayLike) -> slice:
+    where = np.flatnonzero(np.asarray(hit))
     return slice(int(where[0]), int(where[-1]) + 1)
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import h5py
 import numpy as np
+from numpy.typing import ArrayLike
 
 from metafab.camera.frame import RawFrame, Truth
 from metafab.core import hdf5
@@ -17,8 +19,7 @@ def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
     """Write a frame, whole or not at all."""
     with hdf5.create(path, kind=RAW_KIND, format_version=RAW_FORMAT, inputs_sha256=inputs_sha256) as file:
         _axes(file, frame.frame.shape, frame.origin_um, frame.pixel_um)
-        put = {"units": "e", "dims": ("y_um", "x_um"), "compress": True}
-        hdf5.put(file, "frame", frame.frame, description="raw frame (electrons, or counts of a camera)", **put)
+        _image(file, "frame", frame.frame, "e", "raw frame (electrons, or counts of a camera)")
         file.attrs["pixel_um"] = frame.pixel_um
         file.attrs["origin_um"] = frame.origin_um
         file.attrs["read_noise_e"] = frame.read_noise_e
@@ -30,10 +31,10 @@ def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
         group.attrs["origin_um"] = frame.truth_origin_um
         truth = frame.truth
         _axes(group, truth.depth_m.shape, frame.truth_origin_um, frame.pixel_um)
-        hdf5.put(group, "depth_m", truth.depth_m, description="object depth, NaN for none", **{**put, "units": "m"})
-        hdf5.put(group, "intensity_x", truth.intensity_x, description="sharp image, x polarisation", **put)
-        hdf5.put(group, "intensity_y", truth.intensity_y, description="sharp image, y polarisation", **put)
-        hdf5.put(group, "label", truth.label, description="object number from 1, 0 for none", **{**put, "units": "1"})
+        _image(group, "depth_m", truth.depth_m, "m", "object depth, NaN for none")
+        _image(group, "intensity_x", truth.intensity_x, "e", "sharp image, x polarisation")
+        _image(group, "intensity_y", truth.intensity_y, "e", "sharp image, y polarisation")
+        _image(group, "label", truth.label, "1", "object number from 1, 0 for none")
 
 
 def load(path: Path) -> RawFrame:
@@ -47,8 +48,10 @@ def load(path: Path) -> RawFrame:
         truth, truth_origin_um = None, None
         if "truth" in file:
             group = file["truth"]
-            floats = (np.asarray(group[name], dtype=np.float64) for name in ("depth_m", "intensity_x", "intensity_y"))
-            truth = Truth(*floats, np.asarray(group["label"], dtype=np.int32))
+            depth_m, intensity_x, intensity_y = (
+                np.asarray(group[name], dtype=np.float64) for name in ("depth_m", "intensity_x", "intensity_y")
+            )
+            truth = Truth(depth_m, intensity_x, intensity_y, np.asarray(group["label"], dtype=np.int32))
             truth_origin_um = _pair(group.attrs["origin_um"])
         saturation = file.attrs.get("saturation_e")
         return RawFrame(
@@ -62,10 +65,14 @@ def load(path: Path) -> RawFrame:
         )
 
 
-def _axes(group: object, shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um: float) -> None:
+def _axes(group: h5py.Group, shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um: float) -> None:
     for name, start, count in (("x_um", origin_um[0], shape[1]), ("y_um", origin_um[1], shape[0])):
         place = start + pixel_um * np.arange(count)
         hdf5.put(group, name, place, units="um", description=f"{name[0]} on the sensor plane", dims=(name,))
+
+
+def _image(group: h5py.Group, name: str, values: ArrayLike, units: str, description: str) -> None:
+    hdf5.put(group, name, values, units=units, description=description, dims=("y_um", "x_um"), compress=True)
 
 
 def _pair(values: np.ndarray) -> tuple[float, float]:

@@ -23,6 +23,8 @@ class Image4D:
         origin_um: (x, y) on the sensor of the centre of pixel [0, 0].
         pixel_um: pixel pitch.
         segments: one row a segment: number, pixels, depth, its standard error, mean contrast.
+        depth_pixel_m: shape (n_y, n_x), depth of each pixel from its own neighbourhood alone, NaN where none is
+            claimed; ``depth_m`` holds the depth of its segment.
         nmae: mean |depth error| / depth over decoded pixels with known truth; None without truth.
         details: figures of the computing (seconds, pixels skipped and why, ...).
     """
@@ -36,5 +38,6 @@ class Image4D:
     origin_um: tuple[float, float]
     pixel_um: float
     segments: tuple[dict[str, float], ...] = ()
+    depth_pixel_m: FloatArray | None = None
     nmae: float | None = None
     details: dict[str, float | str] = field(default_factory=dict)

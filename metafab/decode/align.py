@@ -1,0 +1,121 @@
+"""Depth from the conjugate pair: undo the pair's phases at a candidate depth and see whether the twins agree.
+
+Of an unknown texture with transform F, the frame holds F H_x(z) and c F H_y(z). Taking out the phases of H_x and
+H_y leaves the same |H| F in both where z is right and rotates the twins against each other where it is not; in
+white noise and |H_x| = |H_y| the residual of this comparison is the likelihood itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from metafab.core.conventions import FloatArray
+from metafab.decode.calibration import Calibration, Transfer
+from metafab.decode.levels import LOWEST_FREQUENCY, Levels
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How well the twins agree at one depth: sums of products of the aligned images over a window or a segment.
+
+    Attributes:
+        cross: sum of a b; likewise ``first`` of a^2 and ``second`` of b^2; any shape.
+    """
+
+    cross: FloatArray
+    first: FloatArray
+    second: FloatArray
+
+    @property
+    def correlation(self) -> FloatArray:
+        """Normalised cross-correlation: blind to the polarisation contrast, 1 for equal twins without noise."""
+        return np.asarray(self.cross / np.sqrt(np.maximum(self.first * self.second, 1e-30)))
+
+
+@dataclass(frozen=True)
+class Aligner:
+    """The twins' transforms, and the filters' weight over frequency.
+
+    Attributes:
+        calibration: transfer functions.
+        spectra: shape (2, n_tiles, n_ky, n_kx), transforms of the tiles.
+        weight: shape (n_ky, n_kx), the same for all depths, so that it cannot favour one.
+    """
+
+    calibration: Calibration
+    spectra: Transfer
+    weight: Image
+
+    @classmethod
+    def of(cls, spectra: Transfer, calibration: Calibration, levels: Levels, whitening: float) -> Aligner:
+        """Filters for the twins' ``spectra``.
+
+        Args:
+            spectra: of the tiles of both images.
+            calibration: on the same grid.
+            levels: noise and texture of the frame.
+            whitening: 0 weighs frequencies by shot noise alone, which is best inside an object; 1 gives all of
+                them the same power, which keeps strong edges from outshouting their surroundings.
+        """
+        depth_m = calibration.kernels.psf.depth_m
+        middle = np.array([len(calibration.tiling.starts) // 2])
+        some = (depth_m[0], float(np.median(depth_m)), depth_m[-1])
+        power = np.mean([np.abs(calibration.transfer(1.0 / z, middle)[:, 0]) ** 2 for z in some], axis=(0, 1))
+        return cls(calibration, spectra, _weight(power, calibration.tiling.size, levels, whitening))
+
+    @property
+    def bandwidth(self) -> float:
+        """Independent samples a pixel of the aligned images, 0 to 1."""
+        share = self.weight.astype(np.float64) ** 2
+        return float(share.sum() ** 2 / (share**2).sum() / share.size)
+
+    @property
+    def noise_gain(self) -> float:
+        """Variance of an aligned image per variance of white noise in the frame."""
+        return float(np.mean(self.weight.astype(np.float64) ** 2))
+
+    def aligned(self, vergence_per_m: float, tiles: NDArray[np.intp] | None = None) -> Image:
+        """Both images' tiles with the pair's phases taken out: equal up to noise and contrast at the right depth.
+
+        Returns:
+            Shape (2, n_tiles, *size), of the tiles asked for (all by default).
+        """
+        spectra = self.spectra if tiles is None else self.spectra[:, tiles]
+        transfer = self.calibration.transfer(vergence_per_m, tiles)
+        filters = np.conj(transfer) * (self.weight / np.maximum(np.abs(transfer), 1e-9))
+        return np.asarray(scipy.fft.irfft2(spectra * filters, self.calibration.tiling.size))
+
+    def windows(self, vergence_per_m: float, window_px: int) -> Agreement:
+        """Agreement in a square window about each pixel (means rather than sums)."""
+        first, second = (self.calibration.tiling.join(tiles) for tiles in self.aligned(vergence_per_m))
+        parts = (first * second, first * first, second * second)
+        return Agreement(*(uniform_filter(part, window_px, mode="reflect") for part in parts))
+
+    def segment(self, vergence_per_m: float, mask: NDArray[np.bool_]) -> Agreement:
+        """Agreement over the pixels of ``mask`` (the decoded window's shape)."""
+        tiling = self.calibration.tiling
+        cores = tiling.cores(mask)
+        tiles = np.flatnonzero(cores.any(axis=(1, 2)))
+        first, second = (tiling.core_of(part)[cores[tiles]] for part in self.aligned(vergence_per_m, tiles))
+        return Agreement(
+            *(np.asarray(np.sum(part, dtype=np.float64)) for part in (first * second, first**2, second**2))
+        )
+
+
+def _weight(power: FloatArray, size: tuple[int, int], levels: Levels, whitening: float) -> Image:
+    """Square root of what each frequency adds to the likelihood, whitened; nothing slower than a window."""
+    ky, kx = scipy.fft.fftfreq(size[0])[:, None], scipy.fft.rfftfreq(size[1])[None, :]
+    k2 = ky * ky + kx * kx
+    signal = power * levels.texture_spectrum(k2)
+    likelihood = signal / (levels.noise_variance + 2.0 * signal)
+    flattening = (signal + levels.noise_variance) ** (-whitening / 2.0)
+    high_pass = k2 / (k2 + 4.0 * LOWEST_FREQUENCY**2)
+    weight = np.sqrt(likelihood) * flattening * high_pass
+    return np.asarray(weight / max(float(weight.max()), 1e-300), dtype=np.float32)

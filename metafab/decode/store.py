@@ -1,0 +1,70 @@
+"""Decoded images in HDF5: ``decoded.h5``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from metafab.core import hdf5
+from metafab.core.files import plain
+from metafab.decode.image import Image4D
+
+DECODED_KIND = "metafab decoded image"
+DECODED_FORMAT = 1
+
+_DATASETS = (
+    ("intensity_x", "e", "all-in-focus image, x polarisation"),
+    ("intensity_y", "e", "all-in-focus image, y polarisation"),
+    ("contrast", "1", "I_x / I_y, NaN without signal"),
+    ("depth_m", "m", "depth of the segment, NaN where none is claimed"),
+    ("confidence", "1", "0 to 1, 0 where no depth is claimed"),
+    ("segment", "1", "number of the segment from 1, 0 for none"),
+    ("depth_pixel_m", "m", "depth of the pixel by itself, NaN where none is claimed"),
+)
+
+
+def save(image: Image4D, path: Path, *, inputs_sha256: str = "") -> None:
+    """Write a decoded image, whole or not at all."""
+    with hdf5.create(path, kind=DECODED_KIND, format_version=DECODED_FORMAT, inputs_sha256=inputs_sha256) as file:
+        n_y, n_x = image.depth_m.shape
+        for name, start, count in (("x_um", image.origin_um[0], n_x), ("y_um", image.origin_um[1], n_y)):
+            place = start + image.pixel_um * np.arange(count)
+            hdf5.put(file, name, place, units="um", description=f"{name[0]} on the sensor plane", dims=(name,))
+        for name, units, description in _DATASETS:
+            values = getattr(image, name)
+            if values is not None:
+                hdf5.put(file, name, values, units=units, description=description, dims=("y_um", "x_um"), compress=True)
+        file.attrs["origin_um"] = image.origin_um
+        file.attrs["pixel_um"] = image.pixel_um
+        file.attrs["segments"] = json.dumps(plain(image.segments))
+        file.attrs["details"] = json.dumps(plain(image.details))
+        if image.nmae is not None:
+            file.attrs["nmae"] = image.nmae
+
+
+def load(path: Path) -> Image4D:
+    """Read a decoded image.
+
+    Raises:
+        InputError: the file is missing, truncated, foreign or of a newer format.
+    """
+    remedy = "make it with `metafab decode RAW --psf PSF.h5`"
+    with hdf5.open_kind(path, kind=DECODED_KIND, format_version=DECODED_FORMAT, remedy=remedy) as file:
+        arrays = {name: np.asarray(file[name]) for name, _, _ in _DATASETS if name in file}
+        origin, nmae = file.attrs["origin_um"], file.attrs.get("nmae")
+        return Image4D(
+            arrays["intensity_x"],
+            arrays["intensity_y"],
+            arrays["contrast"],
+            arrays["depth_m"],
+            arrays["confidence"],
+            arrays["segment"].astype(np.int32),
+            (float(origin[0]), float(origin[1])),
+            float(file.attrs["pixel_um"]),
+            tuple(json.loads(str(file.attrs["segments"]))),
+            arrays.get("depth_pixel_m"),
+            None if nmae is None else float(nmae),
+            json.loads(str(file.attrs["details"])),
+        )
