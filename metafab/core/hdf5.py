@@ -51,6 +51,8 @@ def put(
     dimension is itself (``dims=(name,)``) becomes a scale.
     """
     array = np.asarray(data)
+    if array.dtype.kind == "U":
+        array = array.astype("S")
     options: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if compress else {}
     dataset = group.create_dataset(name, data=array, track_times=False, **options)
     dataset.attrs["units"] = units
