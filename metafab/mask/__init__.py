@@ -6,10 +6,17 @@
 - ``gdsii_writer``  GDSII by streaming
 - ``viewer``        layer properties for KLayout
 - ``write``         all files of a mask in one pass
+- ``hierarchy``     cells and references -> rectangles
+- ``gdsii_reader``  GDSII -> cells
+- ``oasis_stream``  the elements of OASIS records
+- ``oasis_reader``  OASIS -> cells
+- ``recover``       rectangles -> sizes at lattice sites, and leftovers
+- ``read``          a file -> ReadBack
 
 In: a PillarMap and a Design. Out: files; from a file: a ReadBack, the pillars and everything that is none.
 """
 
+from metafab.mask.read import Leftover, ReadBack, read
 from metafab.mask.write import WrittenFile, write
 
-__all__ = ["WrittenFile", "write"]
+__all__ = ["Leftover", "ReadBack", "WrittenFile", "read", "write"]

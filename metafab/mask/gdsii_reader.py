@@ -1,0 +1,349 @@
+"""GDSII (Stream format) -> cells, exactly and fast.
+
+Elements that follow one another and differ in nothing but their coordinates (the boundaries of a tile, the
+references to one cell) form a run: the first is parsed record by record, the others by comparing whole blocks of
+the file. So a file of 25 million boundaries costs little more than reading it twice, in windows of a few MB.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.errors import InputError
+from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.core.progress import Progress, silent
+from metafab.mask.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of, rectangle_of
+
+_WINDOW = 1 << 22
+_REMEDY = "the file is damaged or not GDSII: write or export it again"
+
+_HEADER, _UNITS, _ENDLIB, _BGNSTR, _STRNAME, _ENDSTR = 0x0002, 0x0305, 0x0400, 0x0502, 0x0606, 0x0700
+_BOUNDARY, _PATH, _SREF, _AREF, _TEXT, _NODE, _BOX = 0x0800, 0x0900, 0x0A00, 0x0B00, 0x0C00, 0x1500, 0x2D00
+_LAYER, _XY, _ENDEL, _SNAME, _COLROW = 0x0D02, 0x1003, 0x1100, 0x1206, 0x1302
+_WIDTH, _STRANS, _MAG, _ANGLE, _PATHTYPE = 0x0F03, 0x1A01, 0x1B05, 0x1C05, 0x2102
+_DATATYPES = {0x0E02, 0x1602, 0x2A02, 0x2E02}
+_ELEMENTS = {_BOUNDARY: "polygon", _PATH: "path", _TEXT: "text", _NODE: "node", _BOX: "box"}
+
+
+@dataclass(frozen=True)
+class _Run:
+    """Elements that differ in their coordinates only.
+
+    Attributes:
+        start: file offset of the first.
+        count: how many.
+        stride: bytes of one.
+        xy: offset of the coordinates in an element, and their number of words.
+    """
+
+    start: int
+    count: int
+    stride: int
+    xy: tuple[int, int]
+
+
+class GdsiiReader:
+    """The cells of a GDSII file.
+
+    Args:
+        path: the file.
+        layer: (layer, datatype) whose shapes are wanted.
+        progress: told about bytes indexed.
+
+    Attributes:
+        cells: by name.
+        unit_m: database unit in metres.
+
+    Raises:
+        InputError: the file is truncated, damaged or foreign.
+    """
+
+    def __init__(self, path: Path, layer: tuple[int, int], progress: Progress = silent) -> None:
+        self._path = path
+        self._layer = layer
+        self.unit_m = 0.0
+        self.cells: dict[str, Cell] = {}
+        self._size = path.stat().st_size
+        with path.open("rb", buffering=0) as stream:
+            self._index(_Window(stream, self._size, str(path)), progress)
+
+    def _index(self, window: _Window, progress: Progress) -> None:
+        position, cell, runs = 0, None, list[_Run]()
+        kind = 0
+        while kind != _ENDLIB:
+            kind, data, following = window.record(position)
+            if position == 0 and kind != _HEADER:
+                raise self._fault("a GDSII header", f"a record of type {kind:#06x}")
+            if kind == _UNITS:
+                self.unit_m = _real(data[8:16])
+                if not 0.0 < self.unit_m < 1.0:
+                    raise self._fault("a database unit", f"{self.unit_m} m")
+            elif kind == _STRNAME:
+                name = data.rstrip(b"\0").decode("latin-1")
+                if name in self.cells:
+                    raise self._fault("cells of different names", f"two of the name {name!r}")
+                cell, runs = Cell(), []
+                self.cells[name] = cell
+                # Bound now: `runs` is another list in the next cell.
+                cell.shapes = lambda runs=runs: self._shapes(runs)  # type: ignore[misc]
+            elif kind in _ELEMENTS or kind in {_SREF, _AREF}:
+                if cell is None:
+                    raise self._fault("elements inside structures", f"one at byte {position}")
+                following = self._element(window, position, kind, cell, runs)
+            elif kind == _ENDSTR:
+                cell = None
+                progress("indexing", position, self._size)
+            position = following
+        if not self.unit_m:
+            raise self._fault("a database unit", "a library without UNITS")
+
+    def _element(self, window: _Window, start: int, kind: int, cell: Cell, runs: list[_Run]) -> int:
+        """Take in the element at ``start`` and all that follow it and differ in coordinates only."""
+        fields: dict[int, bytes] = {}
+        position, xy = start, (0, 0)
+        record = kind
+        while record != _ENDEL:
+            record, data, following = window.record(position)
+            if record == _XY:
+                xy = (position + 4 - start, len(data) // 4)
+            elif record in {_ENDSTR, _ENDLIB, _BGNSTR}:
+                raise self._fault("elements that end", f"one without an end at byte {start}")
+            fields[record] = data
+            position = following
+        if xy[1] == 0 or xy[1] % 2:
+            raise self._fault("elements with coordinates", f"one without at byte {start}")
+        run = _Run(start, window.repeats(start, position - start, xy), position - start, xy)
+        if kind in {_SREF, _AREF}:
+            cell.references.append(self._reference(kind, fields, run))
+        else:
+            layer = _short(fields, {_LAYER}), _short(fields, _DATATYPES)
+            if layer == self._layer and kind != _TEXT:
+                cell.shape_count += run.count
+                runs.append(run)
+            else:
+                cell.other_layers[f"{layer[0]}/{layer[1]}" + (" text" if kind == _TEXT else "")] += run.count
+        return run.start + run.count * run.stride
+
+    def _reference(self, kind: int, fields: dict[int, bytes], run: _Run) -> Reference:
+        if _SNAME not in fields:
+            raise self._fault("references with a name", f"one without at byte {run.start}")
+        strans = int.from_bytes(fields.get(_STRANS, b"\0\0"), "big")
+        magnified = _MAG in fields and not math.isclose(_real(fields[_MAG]), 1.0, rel_tol=1e-12)
+        quarters = _real(fields[_ANGLE]) / 90.0 if _ANGLE in fields else 0.0
+        exact = not magnified and abs(quarters - round(quarters)) < 1e-9
+        orientation = Orientation(bool(strans & 0x8000), round(quarters) % 4) if exact else None
+        columns, rows = 1, 1
+        if kind == _AREF:
+            if len(fields.get(_COLROW, b"")) != 4 or run.xy[1] != 6:
+                raise self._fault("arrays with columns, rows and three points", f"another at byte {run.start}")
+            columns, rows = struct.unpack(">2h", fields[_COLROW])
+            if columns < 1 or rows < 1:
+                raise self._fault("arrays of at least one", f"{columns} x {rows} at byte {run.start}")
+
+        def offsets() -> Iterator[IntArray]:
+            for points in self._coordinates(run):
+                if kind == _SREF:
+                    yield points[:, 0].astype(np.int64)
+                    continue
+                for origin, end_column, end_row in points.astype(np.int64):
+                    step_column, rest_column = np.divmod(end_column - origin, columns)
+                    step_row, rest_row = np.divmod(end_row - origin, rows)
+                    if np.any(rest_column) or np.any(rest_row):
+                        raise self._fault("arrays with whole steps", f"another at byte {run.start}")
+                    grid = step_row * np.arange(rows)[:, None, None] + step_column * np.arange(columns)[:, None]
+                    yield (origin + grid).reshape(-1, 2)
+
+        name = fields[_SNAME].rstrip(b"\0").decode("latin-1")
+        return Reference(name, orientation, run.count * rows * columns, offsets)
+
+    def _coordinates(self, run: _Run) -> Iterator[NDArray[np.int32]]:
+        """Coordinates of the elements of a run, shape (m, n_points, 2), big-endian words made native."""
+        at_a_time = max(1, _WINDOW // run.stride)
+        first, words = run.xy
+        with self._path.open("rb", buffering=0) as stream:
+            for start in range(0, run.count, at_a_time):
+                count = min(at_a_time, run.count - start)
+                stream.seek(run.start + start * run.stride)
+                data = stream.read(count * run.stride)
+                if len(data) < count * run.stride:
+                    raise self._fault("a file that stays as it is", "one that shrank while it was read")
+                block = np.frombuffer(data, dtype=np.uint8).reshape(count, run.stride)[:, first : first + 4 * words]
+                # Aligned in practice (element headers are whole words), so this is one strided copy.
+                yield np.ascontiguousarray(block).view(">i4").reshape(count, words // 2, 2)
+
+    def _shapes(self, runs: list[_Run]) -> Iterator[Chunk]:
+        for run in runs:
+            kind = int.from_bytes(self._bytes(run.start + 2, 2), "big")
+            for points in self._coordinates(run):
+                if kind in {_BOUNDARY, _BOX} and points.shape[1] == 5:
+                    rectangles, is_rectangle = rectangles_of(points)
+                    others = tuple(
+                        Other(_ELEMENTS[kind], box_of(points[i].astype(np.int64)))
+                        for i in np.flatnonzero(~is_rectangle)
+                    )
+                    yield Chunk(rectangles[is_rectangle] if others else rectangles, others)
+                else:
+                    yield self._slow(kind, run, points.astype(np.int64))
+
+    def _slow(self, kind: int, run: _Run, points: IntArray) -> Chunk:
+        """Paths, and boundaries of any other number of corners, one by one."""
+        rectangles, others = [], []
+        for corners in points:
+            found = self._path_rectangle(run, corners) if kind == _PATH else rectangle_of(corners)
+            if found is None:
+                others.append(Other(_ELEMENTS[kind], box_of(corners)))
+            else:
+                rectangles.append(found)
+        return Chunk(np.array(rectangles, dtype=np.int64).reshape(-1, 4), tuple(others))
+
+    def _path_rectangle(self, run: _Run, points: IntArray) -> IntArray | None:
+        """A straight path along x or y with flush or half-width ends, as a rectangle."""
+        fields, position = {}, 0
+        element = self._bytes(run.start, run.stride)
+        while position < run.stride:
+            length, kind = struct.unpack_from(">HH", element, position)
+            fields[kind] = element[position + 4 : position + length]
+            position += length
+        width = int.from_bytes(fields.get(_WIDTH, b""), "big", signed=True)
+        ends = int.from_bytes(fields.get(_PATHTYPE, b""), "big")
+        step = points[-1] - points[0]
+        if len(points) != 2 or width <= 0 or width % 2 or ends not in {0, 2} or np.count_nonzero(step) != 1:
+            return None
+        across = np.where(step == 0, width // 2, width // 2 if ends == 2 else 0)
+        low = points.min(axis=0) - across
+        return np.concatenate([low, points.max(axis=0) + across - low])
+
+    def _bytes(self, start: int, count: int) -> bytes:
+        with self._path.open("rb") as stream:
+            stream.seek(start)
+            return stream.read(count)
+
+    def _fault(self, expected: str, got: str) -> InputError:
+        return InputError.single(str(self._path), "file", expected, got, _REMEDY)
+
+
+class _Window:
+    """Sequential reading of records through a window that moves along the file."""
+
+    def __init__(self, stream: BinaryIO, size: int, source: str) -> None:
+        self._stream, self._size, self._source = stream, size, source
+        self._start, self._data = 0, b""
+
+    def record(self, position: int) -> tuple[int, bytes, int]:
+        """Kind and data of the record at ``position``, and where the next begins."""
+        self._need(position, 4)
+        length, kind = struct.unpack_from(">HH", self._data, position - self._start)
+        if length < 4 or length % 2:
+            raise self._fault("records of even length from 4", f"one of {length} bytes at byte {position}")
+        self._need(position, length)
+        inside = position - self._start
+        return kind, self._data[inside + 4 : inside + length], position + length
+
+    def repeats(self, start: int, stride: int, xy: tuple[int, int]) -> int:
+        """How many elements from ``start`` on equal the first outside their coordinates; at least 1."""
+        count = 0
+        self._need(start, stride)
+        first = np.frombuffer(self._data, np.uint16, stride // 2, start - self._start).copy()
+        while True:
+            here = start + count * stride
+            if self._start + len(self._data) < here + stride:
+                if here + stride > self._size:
+                    return count
+                self._need(here, stride)
+            fit = (self._start + len(self._data) - here) // stride
+            block = np.frombuffer(self._data, np.uint16, fit * stride // 2, here - self._start)
+            same = _same(block.reshape(fit, stride // 2), first, xy[0] // 2, xy[0] // 2 + 2 * xy[1])
+            count += same
+            if same < fit:
+                return count
+
+    def _need(self, position: int, count: int) -> None:
+        if self._start <= position and position + count <= self._start + len(self._data):
+            return
+        self._stream.seek(position)
+        self._start, self._data = position, self._stream.read(max(_WINDOW, count))
+        if len(self._data) < count:
+            raise self._fault("a file that ends with ENDLIB", f"one that ends at byte {self._size}, inside a record")
+
+    def _fault(self, expected: str, got: str) -> InputError:
+        return InputError.single(self._source, "file", expected, got, _REMEDY)
+
+
+def _same(rows: NDArray[np.uint16], first: NDArray[np.uint16], xy_start: int, xy_end: int) -> int:
+    """Leading rows that equal ``first`` outside [xy_start, xy_end)."""
+    if HAS_NUMBA:
+        return int(_same_compiled(rows, first, xy_start, xy_end))
+    differs = np.any(rows[:, :xy_start] != first[:xy_start], axis=1)
+    differs |= np.any(rows[:, xy_end:] != first[xy_end:], axis=1)
+    return int(np.argmax(differs)) if differs.any() else len(rows)
+
+
+@compiled
+def _same_compiled(rows: NDArray[np.uint16], first: NDArray[np.uint16], xy_start: int, xy_end: int) -> int:
+    for row in range(rows.shape[0]):
+        for column in range(xy_start):
+            if rows[row, column] != first[column]:
+                return row
+        for column in range(xy_end, rows.shape[1]):
+            if rows[row, column] != first[column]:
+                return row
+    return len(rows)
+
+
+def rectangles_of(points: NDArray[np.int32]) -> tuple[IntArray, NDArray[np.bool_]]:
+    """Rings of five points -> rectangles.
+
+    Args:
+        points: shape (n, 5, 2), of either byte order.
+
+    Returns:
+        Shape (n, 4), x, y, width, height; and shape (n,), whether the ring is an axis-parallel rectangle, in
+        whatever sense and from whatever corner it runs.
+    """
+    if HAS_NUMBA:
+        rectangles = np.empty((len(points), 4), dtype=np.int64)
+        is_rectangle = np.empty(len(points), dtype=np.bool_)
+        _rectangles_compiled(points.astype(np.int32).reshape(-1, 10), rectangles, is_rectangle)
+        return rectangles, is_rectangle
+    x, y = np.moveaxis(points.astype(np.int64), 2, 0)
+    step_x, step_y = np.diff(x, axis=1), np.diff(y, axis=1)
+    closed = (x[:, 0] == x[:, 4]) & (y[:, 0] == y[:, 4])
+    x_first = np.all(step_y[:, ::2] == 0, axis=1) & np.all(step_x[:, 1::2] == 0, axis=1)
+    y_first = np.all(step_x[:, ::2] == 0, axis=1) & np.all(step_y[:, 1::2] == 0, axis=1)
+    low = np.stack([x.min(axis=1), y.min(axis=1)], axis=1)
+    extent = np.stack([x.max(axis=1), y.max(axis=1)], axis=1) - low
+    return np.concatenate([low, extent], axis=1), closed & (x_first | y_first) & np.all(extent > 0, axis=1)
+
+
+@compiled
+def _rectangles_compiled(points: NDArray[np.int32], rectangles: IntArray, is_rectangle: NDArray[np.bool_]) -> None:
+    for i in range(len(points)):
+        p = points[i]
+        x_0, y_0 = np.int64(min(p[0], p[4])), np.int64(min(p[1], p[5]))
+        rectangles[i, 0], rectangles[i, 1] = x_0, y_0
+        rectangles[i, 2], rectangles[i, 3] = np.int64(max(p[0], p[4])) - x_0, np.int64(max(p[1], p[5])) - y_0
+        x_first = p[1] == p[3] and p[2] == p[4] and p[5] == p[7] and p[6] == p[0]
+        y_first = p[0] == p[2] and p[3] == p[5] and p[4] == p[6] and p[7] == p[1]
+        closed = p[0] == p[8] and p[1] == p[9]
+        is_rectangle[i] = closed and (x_first or y_first) and p[0] != p[4] and p[1] != p[5]
+
+
+def _short(fields: dict[int, bytes], kinds: set[int]) -> int:
+    return next((int.from_bytes(fields[kind], "big", signed=True) for kind in kinds if kind in fields), 0)
+
+
+def _real(data: bytes) -> float:
+    """An 8-byte real: sign, exponent of 16 in excess 64, mantissa of 56 bits."""
+    if len(data) != 8:
+        return 0.0
+    (word,) = struct.unpack(">Q", data)
+    value = math.ldexp(word & (1 << 56) - 1, 4 * ((word >> 56 & 0x7F) - 64) - 56)
+    return -value if word >> 63 else value

@@ -1,0 +1,230 @@
+"""Cells and references of a mask file, format left aside -> a stream of rectangles in the top cell's coordinates."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.errors import InputError
+
+IntArray = NDArray[np.int64]
+
+# Rectangles expanded at a time; keeps a chunk in the cache.
+_CHUNK = 1 << 16
+
+
+@dataclass(frozen=True)
+class Other:
+    """A shape on the pillar layer that is no axis-parallel rectangle.
+
+    Attributes:
+        kind: what the file calls it, such as "polygon".
+        box: shape (4,), x, y, width, height of its bounding box in file units, or None if unknown.
+        count: how many such shapes stand for this one.
+    """
+
+    kind: str
+    box: IntArray | None
+    count: int = 1
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Some shapes of a cell.
+
+    Attributes:
+        rectangles: shape (n, 4), x and y of the lower left corner, width, height, in file units.
+        others: everything else on the pillar layer.
+    """
+
+    rectangles: IntArray
+    others: tuple[Other, ...] = ()
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """A mirror at the x axis, then ``quarters`` turns by 90 degrees counter-clockwise."""
+
+    mirrored: bool = False
+    quarters: int = 0
+
+    def __call__(self, rectangles: IntArray) -> IntArray:
+        """Turn rectangles of shape (n, 4)."""
+        if not self.mirrored and not self.quarters:
+            return rectangles
+        x, y, width, height = rectangles.T
+        if self.mirrored:
+            y = -(y + height)
+        for _ in range(self.quarters):
+            x, y, width, height = -(y + height), x, height, width
+        return np.stack([x, y, width, height], axis=1)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Placements of one cell.
+
+    Attributes:
+        cell: its name.
+        orientation: None where the cell is magnified or turned by no multiple of 90 degrees.
+        count: how many placements.
+        offsets: opens the stream of their origins, shape (m, 2) each.
+    """
+
+    cell: str
+    orientation: Orientation | None
+    count: int
+    offsets: Callable[[], Iterator[IntArray]]
+
+
+@dataclass
+class Cell:
+    """A cell of a file.
+
+    Attributes:
+        references: cells placed in it.
+        shapes: opens the stream of its own shapes on the pillar layer.
+        shape_count: how many they are.
+        other_layers: shapes on other layers, by "layer/datatype".
+    """
+
+    references: list[Reference] = field(default_factory=list)
+    shapes: Callable[[], Iterator[Chunk]] = lambda: iter(())
+    shape_count: int = 0
+    other_layers: Counter[str] = field(default_factory=Counter)
+
+
+class Hierarchy:
+    """The cells of a file and how they hang together.
+
+    Args:
+        cells: by name.
+        source: file, for messages.
+
+    Raises:
+        InputError: a cell is referenced but missing, cells contain one another, or there is no cell at all.
+    """
+
+    def __init__(self, cells: Mapping[str, Cell], source: str) -> None:
+        self._cells = cells
+        placed = set()
+        for name, cell in cells.items():
+            for reference in cell.references:
+                placed.add(reference.cell)
+                if reference.cell not in cells:
+                    raise InputError.single(
+                        source, f"cell {name}", "references to cells of the file", f"one to {reference.cell!r}",
+                        "the file is incomplete: write it again",
+                    )  # fmt: skip
+        self.tops = tuple(name for name in cells if name not in placed)
+        if not self.tops:
+            got = "cells that contain one another" if cells else "no cell"
+            raise InputError.single(source, "cells", "a top cell", got, "write the mask again")
+        self._totals = self._count(source)
+
+    def count(self) -> int:
+        """Shapes on the pillar layer, all references expanded; nothing is read for it."""
+        return sum(self._totals[top][0] for top in self.tops)
+
+    def other_layers(self) -> dict[str, int]:
+        """Shapes on other layers, all references expanded, by "layer/datatype"."""
+        total: Counter[str] = Counter()
+        for top in self.tops:
+            total.update(self._totals[top][1])
+        return dict(sorted(total.items()))
+
+    def chunks(self) -> Iterator[Chunk]:
+        """All shapes on the pillar layer, in the coordinates of their top cell."""
+        for top in self.tops:
+            yield from self._expanded(top)
+
+    def _expanded(self, name: str) -> Iterator[Chunk]:
+        cell = self._cells[name]
+        yield from cell.shapes()
+        for reference in cell.references:
+            count, _ = self._totals[reference.cell]
+            if count == 0:
+                continue
+            if reference.orientation is None:
+                yield Chunk(
+                    np.empty((0, 4), dtype=np.int64),
+                    (Other("magnified or obliquely turned reference", None, count * reference.count),),
+                )
+                continue
+            yield from self._placed(reference, reference.orientation, count)
+
+    def _placed(self, reference: Reference, turn: Orientation, count: int) -> Iterator[Chunk]:
+        small = list(self._expanded(reference.cell)) if count <= _CHUNK // 4 else None
+        for offsets in reference.offsets():
+            block = max(1, _CHUNK // count) if small is not None else 1
+            for start in range(0, len(offsets), block):
+                shift = offsets[start : start + block]
+                for chunk in small if small is not None else self._expanded(reference.cell):
+                    turned = turn(chunk.rectangles)
+                    moved = np.repeat(turned[None], len(shift), axis=0) if len(shift) > 1 else turned[None].copy()
+                    moved[:, :, :2] += shift[:, None, :]
+                    others = tuple(_moved(other, turn, by) for other in chunk.others for by in shift)
+                    yield Chunk(moved.reshape(-1, 4), others)
+
+    def _count(self, source: str) -> dict[str, tuple[int, Counter[str]]]:
+        """Expanded counts of every cell, children first, without recursion (files may nest deeply)."""
+        totals: dict[str, tuple[int, Counter[str]]] = {}
+        for top in self._cells:
+            stack, open_cells = [(top, False)], set()
+            while stack:
+                name, children_done = stack.pop()
+                if name in totals:
+                    continue
+                cell = self._cells[name]
+                if children_done:
+                    count, layers = cell.shape_count, Counter(cell.other_layers)
+                    for reference in cell.references:
+                        inner, inner_layers = totals[reference.cell]
+                        count += inner * reference.count
+                        for layer, number in inner_layers.items():
+                            layers[layer] += number * reference.count
+                    totals[name] = (count, layers)
+                    open_cells.discard(name)
+                    continue
+                open_cells.add(name)
+                stack.append((name, True))
+                for reference in cell.references:
+                    if reference.cell in open_cells:
+                        raise InputError.single(
+                            source, f"cell {name}", "cells without circles", f"one that contains {reference.cell!r}",
+                            "write the mask again",
+                        )  # fmt: skip
+                    stack.append((reference.cell, False))
+        return totals
+
+
+def _moved(other: Other, turn: Orientation, shift: IntArray) -> Other:
+    if other.box is None:
+        return other
+    box = turn(other.box[None])[0]
+    return Other(other.kind, np.concatenate([box[:2] + shift, box[2:]]), other.count)
+
+
+def rectangle_of(points: IntArray) -> IntArray | None:
+    """x, y, width, height of a closed or open ring of corners (n, 2) if it is an axis-parallel rectangle."""
+    if len(points) == 5 and np.array_equal(points[0], points[4]):
+        points = points[:4]
+    if len(points) != 4:
+        return None
+    step = np.roll(points, -1, axis=0) - points
+    alternating = np.all(step[::2, 0] == 0) and np.all(step[1::2, 1] == 0)
+    alternating |= bool(np.all(step[::2, 1] == 0) and np.all(step[1::2, 0] == 0))
+    low, high = points.min(axis=0), points.max(axis=0)
+    if not alternating or np.any(high == low):
+        return None
+    return np.concatenate([low, high - low])
+
+
+def box_of(points: IntArray) -> IntArray:
+    """x, y, width, height of the bounding box of points (n, 2)."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.concatenate([low, high - low])

@@ -1,0 +1,536 @@
+"""OASIS (SEMI P39) -> cells, exactly and fast; every record of the standard is understood.
+
+The file is parsed twice: once for cells, references and counts, and once, cell by cell, for the shapes. Runs of
+RECTANGLE records, which hold nearly all of a mask, are parsed by a compiled loop; everything else in Python.
+"""
+
+from __future__ import annotations
+
+import mmap
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.errors import InputError
+from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.core.progress import Progress, silent
+from metafab.mask.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of, rectangle_of
+from metafab.mask.oasis_stream import DamagedError, Stream, read_displacement, read_unsigned
+from metafab.mask.oasis_writer import CBLOCK, END, MAGIC, PLACEMENT, RECTANGLE, START
+
+_REMEDY = "the file is damaged or not OASIS: write or export it again"
+_END_BYTES = 256
+_LARGEST_CHUNK = 1 << 21
+_LARGEST_BLOCK = 1 << 31
+_ORIGIN = np.zeros((1, 2), dtype=np.int64)
+
+
+@dataclass
+class _Modal:
+    """What records may leave out because an earlier one of the cell said it."""
+
+    relative: bool = False
+    placement: tuple[int, int] = (0, 0)
+    geometry: tuple[int, int] = (0, 0)
+    text: tuple[int, int] = (0, 0)
+    cell: str | None = None
+    layer: int = -1
+    datatype: int = -1
+    text_layer: tuple[int, int] = (-1, -1)
+    width: int = 0
+    height: int = 0
+    half_width: int = 0
+    extension: list[int] = field(default_factory=lambda: [0, 0])
+    path: IntArray | None = None
+    polygon: IntArray | None = None
+    radius: int = 0
+    trapezoid: int = 0
+    repetition: IntArray | None = None
+    #: Where a compiled run has left a repetition that nobody has asked for yet.
+    unread: tuple[NDArray[np.uint8], int] | None = None
+
+
+class OasisReader:
+    """The cells of an OASIS file.
+
+    Args:
+        path: the file.
+        layer: (layer, datatype) whose shapes are wanted.
+        progress: told about bytes indexed.
+
+    Attributes:
+        cells: by name.
+        unit_m: database unit in metres.
+
+    Raises:
+        InputError: the file is truncated, damaged or foreign.
+    """
+
+    def __init__(self, path: Path, layer: tuple[int, int], progress: Progress = silent) -> None:
+        self._path = path
+        self._layer = layer
+        self._progress = progress
+        with path.open("rb") as stream:
+            # The mapping outlives the stream; arrays over it keep it open.
+            self._data = np.frombuffer(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ), dtype=np.uint8)
+        self.unit_m = 0.0
+        self.cells: dict[str, Cell] = {}
+        self._names: dict[int, str] = {}
+        try:
+            self._check_end()
+            for _ in _Pass(self, None):
+                pass
+        except DamagedError as error:
+            raise self._fault(str(error)) from error
+        self._resolve_names()
+        if not self.unit_m:
+            raise self._fault("no START record")
+
+    @property
+    def layer(self) -> tuple[int, int]:
+        """The wanted layer and datatype."""
+        return self._layer
+
+    def _check_end(self) -> None:
+        if self._data[: len(MAGIC)].tobytes() != MAGIC:
+            raise DamagedError("another beginning than %SEMI-OASIS")
+        last = self._data[-_END_BYTES:]
+        if self._data.size < len(MAGIC) + _END_BYTES or last[0] != END:
+            raise DamagedError("no END record in the last 256 bytes: the file is truncated")
+        # Validation scheme 1: a CRC-32 over everything before it closes the file.
+        if last[-5] == 1:
+            (stated,) = struct.unpack("<I", last[-4:].tobytes())
+            if zlib.crc32(memoryview(self._data)[:-4]) != stated:
+                raise DamagedError("content that does not fit its checksum")
+
+    def _resolve_names(self) -> None:
+        """Cells and references by number get their names."""
+
+        def name(key: str) -> str:
+            return self._names.get(int(key[1:]), key) if key.startswith("#") else key
+
+        self.cells = {name(key): cell for key, cell in self.cells.items()}
+        for cell in self.cells.values():
+            cell.references = [Reference(name(r.cell), r.orientation, r.count, r.offsets) for r in cell.references]
+
+    def shapes_at(self, place: tuple[int | None, int]) -> Iterator[Chunk]:
+        """Shapes of the cell whose records begin at ``place`` (position of the CBLOCK or None, position)."""
+        try:
+            yield from _Pass(self, place)
+        except DamagedError as error:
+            raise self._fault(str(error)) from error
+
+    def _fault(self, got: str) -> InputError:
+        return InputError.single(str(self._path), "file", "a whole OASIS file", got, _REMEDY)
+
+
+class _Pass:
+    """One pass over the records: of the whole file for the index, or of one cell for its shapes."""
+
+    def __init__(self, reader: OasisReader, place: tuple[int | None, int] | None) -> None:
+        self._reader = reader
+        self._indexing = place is None
+        self._block_at: int | None = None
+        self._outer: Stream | None = None
+        self._stream = Stream(reader._data, len(MAGIC))
+        self._modal = _Modal()
+        self._cell: Cell | None = None if place is None else Cell()
+        self._implicit_names = 0
+        self._rectangles: list[IntArray] = []
+        self._others: list[Other] = []
+        if place is not None:
+            block, position = place
+            if block is not None:
+                self._stream = Stream(reader._data, block + 1)
+                self._enter_block()
+            self._stream.position = position
+
+    def __iter__(self) -> Iterator[Chunk]:
+        while True:
+            if self._stream.exhausted:
+                if self._outer is None:
+                    raise DamagedError("the data end without an END record")
+                self._stream, self._outer, self._block_at = self._outer, None, None
+                continue
+            kind = int(self._stream.data[self._stream.position])
+            if kind == RECTANGLE and HAS_NUMBA and self._run_of_rectangles():
+                yield from self._flush(1)
+                continue
+            self._stream.position += 1
+            if kind == END:
+                break
+            if not self._record(kind):
+                break
+            yield from self._flush(_LARGEST_CHUNK)
+        yield from self._flush(1)
+
+    def _flush(self, at_least: int) -> Iterator[Chunk]:
+        """Hand on what has gathered, once it is enough."""
+        if self._indexing or sum(map(len, self._rectangles)) + len(self._others) < at_least:
+            return
+        rectangles = self._rectangles or [np.empty((0, 4), dtype=np.int64)]
+        yield Chunk(np.concatenate(rectangles) if len(rectangles) > 1 else rectangles[0], tuple(self._others))
+        self._rectangles, self._others = [], []
+
+    # --- records ---------------------------------------------------------------------------------------------
+
+    def _record(self, kind: int) -> bool:
+        """Take in one record; False when the cell of this pass ends."""
+        stream = self._stream
+        if kind in {13, 14}:
+            if not self._indexing:
+                return False
+            self._begin_cell(f"#{stream.unsigned()}" if kind == 13 else stream.string())
+        elif kind in {15, 16}:
+            self._modal.relative = kind == 16
+        elif kind in {PLACEMENT, 18}:
+            self._placement(kind)
+        elif kind == 19:
+            self._text()
+        elif kind in {RECTANGLE, 21, 22, 23, 24, 25, 26, 27, 33}:
+            self._geometry(kind)
+        elif kind == CBLOCK:
+            if self._outer is not None:
+                raise DamagedError("a CBLOCK inside a CBLOCK")
+            self._enter_block()
+        elif kind in {28, 29, 32}:
+            self._properties(kind)
+        elif 1 <= kind <= 12 or kind in {30, 31}:
+            if not self._indexing:
+                return False
+            self._cell = None
+            self._table(kind)
+        elif kind != 0:
+            raise DamagedError(f"a record of type {kind}")
+        return True
+
+    def _enter_block(self) -> None:
+        stream = self._stream
+        self._block_at = stream.position - 1
+        if stream.unsigned() != 0:
+            raise DamagedError("a CBLOCK of unknown compression")
+        size, packed = stream.unsigned(), stream.unsigned()
+        if size > _LARGEST_BLOCK:
+            raise DamagedError(f"a CBLOCK of {size} bytes")
+        try:
+            inflater = zlib.decompressobj(-15)
+            data = inflater.decompress(stream.bytes(packed), size + 1)
+        except zlib.error as error:
+            raise DamagedError(f"a CBLOCK that cannot be inflated ({error})") from error
+        if len(data) != size:
+            raise DamagedError("a CBLOCK of another length than it says")
+        self._outer, self._stream = stream, Stream(np.frombuffer(data, dtype=np.uint8))
+
+    def _begin_cell(self, key: str) -> None:
+        reader = self._reader
+        if key in reader.cells:
+            raise DamagedError(f"two cells of the name {key!r}")
+        cell = Cell()
+        place = (self._block_at if self._outer is not None else None, self._stream.position)
+        cell.shapes = lambda: reader.shapes_at(place)
+        reader.cells[key] = cell
+        self._cell, self._modal = cell, _Modal()
+        position = self._stream.position if self._outer is None else self._outer.position
+        reader._progress("indexing", position, reader._data.size)
+
+    def _table(self, kind: int) -> None:
+        """START and the name tables; only cell names matter."""
+        stream, reader = self._stream, self._reader
+        if kind == START:
+            stream.string()
+            per_um = stream.real()
+            if not 0.0 < per_um < 1e9:
+                raise DamagedError(f"{per_um} grid steps a micrometre")
+            reader.unit_m = 1e-6 / per_um
+            if stream.unsigned() == 0:
+                for _ in range(12):
+                    stream.unsigned()
+            return
+        if kind in {30, 31}:
+            stream.unsigned()
+        name = stream.string()
+        if kind == 3:
+            reader._names[self._implicit_names] = name
+            self._implicit_names += 1
+        elif kind == 4:
+            reader._names[stream.unsigned()] = name
+        elif kind in {6, 8, 10, 31}:
+            stream.unsigned()
+        elif kind in {11, 12}:
+            for _ in range(2):
+                for _ in range({0: 0, 1: 1, 2: 1, 3: 1, 4: 2}.get(stream.unsigned(), 0)):
+                    stream.unsigned()
+
+    def _properties(self, kind: int) -> None:
+        """Skip a property or an extension element."""
+        stream = self._stream
+        if kind == 29:
+            return
+        if kind == 32:
+            stream.unsigned()
+            stream.string()
+            return
+        info = stream.byte()
+        if info & 0b100:
+            if info & 0b10:
+                stream.unsigned()
+            else:
+                stream.string()
+        if info & 0b1000:
+            return
+        count = info >> 4
+        for _ in range(stream.unsigned() if count == 15 else count):
+            value = stream.unsigned()
+            if value < 8:
+                stream.real(value)
+            elif value in {10, 11, 12}:
+                stream.string()
+            else:
+                stream.unsigned()
+
+    # --- contents of a cell ----------------------------------------------------------------------------------
+
+    def _inside(self) -> Cell:
+        if self._cell is None:
+            raise DamagedError("shapes outside cells")
+        return self._cell
+
+    def _place(self, info: int, last: tuple[int, int], bits: tuple[int, int]) -> tuple[int, int]:
+        values = list(last)
+        for axis, bit in enumerate(bits):
+            if info & bit:
+                value = self._stream.signed()
+                values[axis] = values[axis] + value if self._modal.relative else value
+        return values[0], values[1]
+
+    def _repetition(self, present: bool) -> IntArray:
+        modal = self._modal
+        if not present:
+            return _ORIGIN
+        if modal.unread is not None:
+            data, position = modal.unread
+            modal.repetition, modal.unread = Stream(data, position).repetition(None), None
+        modal.repetition = self._stream.repetition(modal.repetition)
+        return modal.repetition
+
+    def _placement(self, kind: int) -> None:
+        stream, modal, cell = self._stream, self._modal, self._inside()
+        info = stream.byte()
+        if info & 0b1000_0000:
+            modal.cell = f"#{stream.unsigned()}" if info & 0b0100_0000 else stream.string()
+        if modal.cell is None:
+            raise DamagedError("a placement of no cell")
+        quarters: float = info >> 1 & 3
+        magnified = False
+        if kind == 18:
+            magnified = bool(info & 0b100) and stream.real() != 1.0
+            quarters = stream.real() / 90.0 if info & 0b10 else 0.0
+        modal.placement = self._place(info, modal.placement, (0b10_0000, 0b1_0000))
+        offsets = self._repetition(bool(info & 0b1000)) + np.array(modal.placement, dtype=np.int64)
+        if not self._indexing:
+            return
+        exact = not magnified and abs(quarters - round(quarters)) < 1e-9
+        orientation = Orientation(bool(info & 1), round(quarters) % 4) if exact else None
+        cell.references.append(Reference(modal.cell, orientation, len(offsets), lambda: iter((offsets,))))
+
+    def _text(self) -> None:
+        stream, modal, cell = self._stream, self._modal, self._inside()
+        info = stream.byte()
+        if info & 0b0100_0000:
+            if info & 0b0010_0000:
+                stream.unsigned()
+            else:
+                stream.string()
+        layer, kind = modal.text_layer
+        layer = stream.unsigned() if info & 1 else layer
+        modal.text_layer = (layer, stream.unsigned() if info & 2 else kind)
+        modal.text = self._place(info, modal.text, (0b1_0000, 0b1000))
+        count = len(self._repetition(bool(info & 0b100)))
+        cell.other_layers["{}/{} text".format(*modal.text_layer)] += count
+
+    def _geometry(self, kind: int) -> None:
+        stream, modal, cell = self._stream, self._modal, self._inside()
+        info = stream.byte()
+        if kind == 33:
+            stream.unsigned()
+        modal.layer = stream.unsigned() if info & 1 else modal.layer
+        modal.datatype = stream.unsigned() if info & 2 else modal.datatype
+        shape, name = self._shape(kind, info)
+        modal.geometry = self._place(info, modal.geometry, (0b1_0000, 0b1000))
+        offsets = self._repetition(bool(info & 0b100))
+        if (modal.layer, modal.datatype) != self._reader.layer:
+            cell.other_layers[f"{modal.layer}/{modal.datatype}"] += len(offsets)
+            return
+        cell.shape_count += len(offsets)
+        if self._indexing:
+            return
+        origin = np.concatenate([modal.geometry, [0, 0]])
+        rectangle = rectangle_of(shape) if name != "circle" else None
+        box = (box_of(shape) if rectangle is None else rectangle) + origin
+        boxes = np.concatenate([box[:2] + offsets, np.broadcast_to(box[2:], (len(offsets), 2))], axis=1)
+        if rectangle is None:
+            self._others += [Other(name, one) for one in boxes]
+        else:
+            self._rectangles.append(boxes)
+
+    def _shape(self, kind: int, info: int) -> tuple[IntArray, str]:
+        """Corners of a shape about its own origin, and what it is called."""
+        stream, modal = self._stream, self._modal
+        if kind == 33:
+            stream.string()
+            return np.zeros((1, 2), dtype=np.int64), "extension geometry"
+        if kind == 27:
+            modal.radius = stream.unsigned() if info & 0b10_0000 else modal.radius
+            return np.array([[-modal.radius] * 2, [modal.radius] * 2], dtype=np.int64), "circle"
+        if kind == 21:
+            modal.polygon = stream.points(closed=True) if info & 0b10_0000 else modal.polygon
+            if modal.polygon is None:
+                raise DamagedError("a polygon without points")
+            return modal.polygon, "polygon"
+        if kind == 22:
+            return self._path(info), "path"
+        if kind == 26:
+            modal.trapezoid = stream.unsigned() if info & 0b1000_0000 else modal.trapezoid
+        modal.width = stream.unsigned() if info & 0b100_0000 else modal.width
+        if kind == RECTANGLE and info & 0b1000_0000:
+            modal.height = modal.width
+        else:
+            modal.height = stream.unsigned() if info & 0b10_0000 else modal.height
+        width, height = modal.width, modal.height
+        if kind == 26 and modal.trapezoid == 25:
+            height = width
+        corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.int64)
+        if kind == RECTANGLE or (kind == 26 and modal.trapezoid in {24, 25}):
+            return corners, "rectangle"
+        slanted = kind == 26
+        if kind in {23, 24}:
+            slanted |= stream.signed() != 0
+        if kind in {23, 25}:
+            slanted |= stream.signed() != 0
+        # Of slanted ones only the bounding box is told; a fifth corner marks them as no rectangle.
+        return np.concatenate([corners, [[width // 2, height // 2]]]) if slanted else corners, "trapezoid"
+
+    def _path(self, info: int) -> IntArray:
+        """Outline of a path: exact where it is one straight piece, else its bounding box and a fifth corner."""
+        stream, modal = self._stream, self._modal
+        modal.half_width = stream.unsigned() if info & 0b100_0000 else modal.half_width
+        if info & 0b1000_0000:
+            scheme = stream.unsigned()
+            for end, choice in enumerate((scheme >> 2 & 3, scheme & 3)):
+                if choice:
+                    modal.extension[end] = [0, modal.half_width, 0][choice - 1] if choice < 3 else stream.signed()
+        modal.path = stream.points(closed=False) if info & 0b10_0000 else modal.path
+        if modal.path is None:
+            raise DamagedError("a path without points")
+        points = modal.path
+        step = points[-1] - points[0]
+        if len(points) == 2 and np.count_nonzero(step) == 1:
+            unit = np.sign(step)
+            ends = np.stack([points[0] - unit * modal.extension[0], points[1] + unit * modal.extension[1]])
+            low = ends.min(axis=0) - modal.half_width * (step == 0)
+            high = ends.max(axis=0) + modal.half_width * (step == 0)
+            return np.array([low, [high[0], low[1]], high, [low[0], high[1]]], dtype=np.int64)
+        reach = modal.half_width + max(*modal.extension, 0)
+        return np.concatenate([points - reach, points + reach, points[:1]])
+
+    def _run_of_rectangles(self) -> bool:
+        """Parse rectangles as far as the compiled loop goes; False if it cannot take the first."""
+        stream, modal, cell = self._stream, self._modal, self._inside()
+        state = np.array(
+            [modal.layer, modal.datatype, *modal.geometry, modal.width, modal.height, -1, modal.relative],
+            dtype=np.int64,
+        )
+        capacity = min(stream.data.size - stream.position, _LARGEST_CHUNK)
+        out = np.empty((0 if self._indexing else capacity, 4), dtype=np.int64)
+        end, count = _rectangles(stream.data, stream.position, state, self._reader.layer, out, capacity)
+        if end == stream.position:
+            return False
+        stream.position = int(end)
+        modal.layer, modal.datatype, x, y, modal.width, modal.height, repetition, _ = state.tolist()
+        modal.geometry = (x, y)
+        if repetition >= 0:
+            modal.unread = (stream.data, repetition)
+        cell.shape_count += count
+        if not self._indexing:
+            self._rectangles.append(out[:count])
+        return True
+
+
+@compiled
+def _rectangles(
+    data: NDArray[np.uint8],
+    position: int,
+    state: NDArray[np.int64],
+    wanted: tuple[int, int],
+    out: IntArray,
+    capacity: int,
+) -> tuple[int, int]:
+    """RECTANGLE records from ``position`` on -> (position behind the last taken, rectangles).
+
+    Stops at any other record, at another layer, at repetitions other than lists of displacements, when ``out``
+    is full, and where the data end; ``state`` is then as before the record that was not taken.
+    """
+    count = 0
+    while position + 1 < len(data) and data[position] == RECTANGLE:
+        info = data[position + 1]
+        here = position + 2
+        layer, datatype, x, y, width, height = state[0], state[1], state[2], state[3], state[4], state[5]
+        if info & 1:
+            layer, here = read_unsigned(data, here)
+        if here >= 0 and info & 2:
+            datatype, here = read_unsigned(data, here)
+        if here >= 0 and info & 64:
+            width, here = read_unsigned(data, here)
+        if info & 128:
+            height = width
+        elif here >= 0 and info & 32:
+            height, here = read_unsigned(data, here)
+        if here >= 0 and info & 16:
+            value, here = read_unsigned(data, here)
+            step = -(value >> 1) if value & 1 else value >> 1
+            x = x + step if state[7] else step
+        if here >= 0 and info & 8:
+            value, here = read_unsigned(data, here)
+            step = -(value >> 1) if value & 1 else value >> 1
+            y = y + step if state[7] else step
+        if here < 0 or layer != wanted[0] or datatype != wanted[1]:
+            break
+        copies, grid, repetition = 1, 1, -1
+        if info & 4:
+            repetition = here
+            kind, here = read_unsigned(data, here)
+            if here < 0 or kind not in (10, 11):
+                break
+            copies, here = read_unsigned(data, here)
+            copies += 2
+            if here >= 0 and kind == 11:
+                grid, here = read_unsigned(data, here)
+            if here < 0:
+                break
+        if count + copies > capacity:
+            break
+        store = len(out) > 0
+        at_x, at_y = x, y
+        for copy in range(copies):
+            if copy:
+                step_x, step_y, here = read_displacement(data, here, 2)
+                if here < 0:
+                    break
+                at_x += grid * step_x
+                at_y += grid * step_y
+            if store:
+                out[count + copy, 0], out[count + copy, 1] = at_x, at_y
+                out[count + copy, 2], out[count + copy, 3] = width, height
+        if here < 0:
+            break
+        count += copies
+        position = here
+        state[0], state[1], state[2], state[3], state[4], state[5] = layer, datatype, x, y, width, height
+        if repetition >= 0:
+            state[6] = repetition
+    return position, count

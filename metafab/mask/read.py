@@ -1,0 +1,159 @@
+"""A mask file -> the pillars in it, and everything in it that is none."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.core.progress import Progress, silent
+from metafab.layout import PillarMap, lattice_of, tile_sites
+from metafab.mask.gdsii_reader import GdsiiReader
+from metafab.mask.hierarchy import Hierarchy, Other
+from metafab.mask.oasis_reader import OasisReader
+from metafab.mask.oasis_writer import MAGIC
+from metafab.mask.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, Recovery
+from metafab.spec import Design
+
+Format = Literal["gds", "oas"]
+
+_GDSII_BEGINNING = b"\x00\x06\x00\x02"
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """Shapes on the pillar layer that are no pillar of the lattice.
+
+    Attributes:
+        count: how many.
+        boxes_nm: the first of them, shape (m, 4), x, y of the lower left corner, width, height of the bounding box.
+    """
+
+    count: int
+    boxes_nm: FloatArray
+
+
+@dataclass(frozen=True)
+class ReadBack:
+    """What a mask file holds; nothing in it is left out.
+
+    Attributes:
+        path: the file.
+        format: which of the two formats.
+        pillars: rectangles centred on sites of the design's lattice, no larger than its cells.
+        off_site: rectangles elsewhere, or larger.
+        off_grid: rectangles whose edges are no whole number of the design's database units.
+        duplicates: rectangles at sites that hold one already (the first in the file is in ``pillars``).
+        foreign: polygons, paths and so on, by kind.
+        other_layers: shapes and texts on other layers, counted by "layer/datatype".
+        top_cells: names of the cells that no other places.
+        database_unit_nm: unit of the file.
+    """
+
+    path: Path
+    format: Format
+    pillars: PillarMap
+    off_site: Leftover
+    off_grid: Leftover
+    duplicates: Leftover
+    foreign: dict[str, Leftover]
+    other_layers: dict[str, int]
+    top_cells: tuple[str, ...]
+    database_unit_nm: float
+
+
+def read(path: Path, design: Design, progress: Progress = silent) -> ReadBack:
+    """Read the pillars of ``design`` from a GDSII or OASIS file, told apart by its first bytes.
+
+    The file may be metafab's own or have been through other software: flat or hierarchical, with arrays and
+    repetitions, mirrored or turned by right angles, renamed, in other units.
+
+    Args:
+        path: the file.
+        design: whose lattice, layer and unit the pillars are read for.
+        progress: told about bytes indexed and shapes read.
+
+    Raises:
+        InputError: the file is missing, empty, truncated, damaged or of another kind, or holds far more shapes
+            than the design has sites.
+    """
+    kind = format_of(path)
+    lattice = lattice_of(design)
+    layer = (design.mask.layer, design.mask.datatype)
+    reader = (GdsiiReader if kind == "gds" else OasisReader)(path, layer, progress)
+    hierarchy = Hierarchy(reader.cells, str(path))
+    total = hierarchy.count()
+    sites = lattice.shape[0] * lattice.shape[1]
+    if total > 16 * sites + 1_000_000:
+        raise InputError.single(
+            str(path), "shapes", f"about as many as the design's {sites} sites", str(total), "is it another design's?"
+        )
+    recovery = Recovery(lattice, _ratio(reader.unit_m * 1e9, design), str(path))
+    foreign: Counter[str] = Counter()
+    boxes: dict[str, list[Other]] = {}
+    done = 0
+    for chunk in hierarchy.chunks():
+        recovery.add(chunk.rectangles)
+        for other in chunk.others:
+            foreign[other.kind] += other.count
+            if other.box is not None and len(boxes.setdefault(other.kind, [])) < KEPT:
+                boxes[other.kind].append(other)
+        done += len(chunk.rectangles)
+        progress("reading", done, total)
+    size_dbu = recovery.finish()
+    unit_nm = reader.unit_m * 1e9
+
+    def leftover(stray: int) -> Leftover:
+        found = recovery.strays(stray)
+        return Leftover(found.count, found.rectangles * unit_nm)
+
+    return ReadBack(
+        path=path,
+        format=kind,
+        pillars=PillarMap.from_array(lattice, size_dbu, recovery.size_index, tile_sites(design)),
+        off_site=leftover(OFF_SITE),
+        off_grid=leftover(OFF_GRID),
+        duplicates=leftover(DUPLICATE),
+        foreign={
+            name: Leftover(
+                count, np.array([o.box for o in boxes.get(name, ())], dtype=np.float64).reshape(-1, 4) * unit_nm
+            )
+            for name, count in sorted(foreign.items())
+        },
+        other_layers=hierarchy.other_layers(),
+        top_cells=hierarchy.tops,
+        database_unit_nm=unit_nm,
+    )
+
+
+def format_of(path: Path) -> Format:
+    """Which format a file has, by its first bytes.
+
+    Raises:
+        InputError: it is missing, unreadable, or neither GDSII nor OASIS.
+    """
+    expected, remedy = "a GDSII or OASIS file", "write it with `metafab layout DESIGN.toml`"
+    if not path.is_file():
+        raise InputError.single(str(path), "file", expected, "nothing at that path", remedy)
+    try:
+        with path.open("rb") as stream:
+            beginning = stream.read(len(MAGIC))
+    except OSError as error:
+        raise InputError.single(str(path), "file", expected, f"an unreadable file ({error})", remedy) from error
+    if beginning == MAGIC:
+        return "oas"
+    if beginning.startswith(_GDSII_BEGINNING):
+        return "gds"
+    got = "a file of another kind" if beginning else "an empty file"
+    raise InputError.single(str(path), "file", expected, got, remedy)
+
+
+def _ratio(unit_nm: float, design: Design) -> Fraction:
+    """File units in the design's units, a fraction of small whole numbers (GDSII's reals are only nearly exact)."""
+    return Fraction(unit_nm / design.mask.database_unit_nm).limit_denominator(1_000_000)
