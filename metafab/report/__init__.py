@@ -1,1 +1,24 @@
-"""To be written: the table of contents of this room."""
+"""Showing: figures, and one self-contained HTML page a run. Nothing here computes physics.
+
+- ``style``         palette, colour maps, panels; PNG and SVG forms of a figure
+- ``figures``       figure functions: results and axes in, axes out
+- ``run_folder``    the files of a run, opened; notes for what is missing
+- ``mask_picture``  a written mask as a grey map and rectangles, in one pass over its tiles
+- ``accounts``      loss chain, error budget, depth against truth, as rows
+- ``draw``          which figures a run has; PNG files and SVG
+- ``viewers``       data of the page's live views
+- ``html``          tables, figures, sections as HTML
+- ``sections``      the page's sections
+- ``write``         run folder -> ``figures/*.png`` and ``report.html``
+- ``library_page``  one library -> one picture
+- ``benchmark``     benchmark rows -> table, plots, JSON
+- ``page.html``, ``style.css``, ``page.js``  the page's template, style and script
+
+In: the files of a run folder, a Library, benchmark rows. Out: PNG, HTML, JSON.
+"""
+
+from metafab.report.benchmark import benchmark_page
+from metafab.report.library_page import library_figure
+from metafab.report.write import write
+
+__all__ = ["benchmark_page", "library_figure", "write"]

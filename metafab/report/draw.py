@@ -1,0 +1,147 @@
+"""Which figures a run has: each drawn once, saved as PNG for papers and slides, and kept as SVG for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from metafab.core.conventions import POLARISATIONS
+from metafab.core.progress import Progress
+from metafab.report import figures
+from metafab.report.accounts import budget_of, chain_of, depths_against_truth, seconds_of
+from metafab.report.mask_picture import picture_of
+from metafab.report.run_folder import RunFolder
+from metafab.report.style import MAP, PICTURE, PLOT, Margins, names_margin, panel, save_png, svg
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A figure to be drawn.
+
+    Attributes:
+        name: file name without suffix, and prefix of the SVG's identifiers.
+        label: what a screen reader says.
+        paint: draws on the axes.
+        size_in: width and height in inches.
+        margins_in: left, right, bottom and top margins around the axes.
+    """
+
+    name: str
+    label: str
+    paint: Callable[[Axes], object]
+    size_in: tuple[float, float] = (4.0, 3.1)
+    margins_in: Margins = PLOT
+
+    def figure(self) -> Figure:
+        """The drawn figure."""
+        figure, axes = panel(self.size_in, self.margins_in)
+        self.paint(axes)
+        return figure
+
+
+def draw(run: RunFolder, progress: Progress) -> dict[str, str]:
+    """Draw all figures of a run into ``figures/`` and return them as SVG by name; pictures of earlier runs go."""
+    folder = run.path / "figures"
+    folder.mkdir(exist_ok=True)
+    plans = [*_accounts(run), *_library(run), *_design(run), *_light(run), *_image(run)]
+    drawn: dict[str, str] = {}
+    for done, plan in enumerate(plans):
+        progress("figures", done, len(plans))
+        figure = plan.figure()
+        save_png(figure, folder / f"{plan.name}.png")
+        drawn[plan.name] = svg(figure, plan.name, plan.label)
+    for path in folder.glob("*.png"):
+        if path.stem not in drawn:
+            path.unlink()
+    progress("figures", len(plans), len(plans))
+    return drawn
+
+
+def _accounts(run: RunFolder) -> Iterator[Plan]:
+    chain, budget, seconds = chain_of(run), budget_of(run), seconds_of(run)
+    if chain:
+        yield _bars("loss_chain", "Loss chain", partial(figures.loss_chain, chain), [name for name, _ in chain])
+    if budget:
+        names = [line[0] for line in budget if line[1] > 0.0]
+        yield _bars("error_budget", "Error budget", partial(figures.error_budget, budget), names)
+    if seconds:
+        yield _bars("seconds", "Seconds of each step", partial(figures.seconds, seconds), list(seconds))
+
+
+def _bars(name: str, label: str, paint: Callable[[Axes], object], names: Sequence[str]) -> Plan:
+    return Plan(name, label, paint, (5.4, 0.9 + 0.29 * len(names)), names_margin(names, 1.3))
+
+
+def _map(name: str, label: str, paint: Callable[[Axes], object]) -> Plan:
+    return Plan(name, label, paint, (4.0, 3.1), MAP)
+
+
+def _library(run: RunFolder) -> Iterator[Plan]:
+    if run.library is None:
+        return
+    for p in POLARISATIONS:
+        phase = partial(figures.phase_map, run.library, polarisation=p)
+        yield _map(f"library_phase_{p}", f"Phase of t over width and length, {p} polarisation", phase)
+        share = partial(figures.transmittance_map, run.library, polarisation=p)
+        yield _map(f"library_transmittance_{p}", f"Transmittance over width and length, {p} polarisation", share)
+    yield _map("coverage", "Pairs of phases that the library reaches", partial(figures.coverage, run.library))
+    yield _map("library_error", "Error over width and length", partial(figures.error_map, run.library))
+
+
+def _design(run: RunFolder) -> Iterator[Plan]:
+    if run.phases is not None:
+        for row, p in enumerate(POLARISATIONS):
+            paint = partial(
+                figures.aperture_phase,
+                run.phases.phase_rad[row],
+                run.phases.half_side_um,
+                polarisation=p,
+                title=f"Zones, {p} polarisation",
+            )
+            yield Plan(f"phase_{p}", f"Target phase over the aperture, {p} polarisation", paint, (4.0, 3.4), PICTURE)
+    if run.pillars is None:
+        return
+    picture = picture_of(run.pillars)
+    lens = partial(figures.fill_map, picture.fill, picture.half_side_um, marks_um=picture.frames_um())
+    yield Plan("mask", "Pillar coverage over the lens", lens, (4.0, 3.4), PICTURE)
+    wide, close = picture.zooms
+    if wide.size:
+        paint = partial(figures.pillar_rectangles, wide, title="A region")
+        yield Plan("mask_wide", "Pillars of a region", paint, (4.0, 3.4))
+    if close.size:
+        paint = partial(figures.pillar_rectangles, close, title="Single pillars", label_nearest=True)
+        yield Plan("mask_close", "Single pillars with their sizes", paint, (4.0, 3.4))
+
+
+def _light(run: RunFolder) -> Iterator[Plan]:
+    psf, ideal = run.psf, run.ideal_psf
+    if psf is None:
+        return
+    size = (1.15 * figures.shown_depths(psf).size + 0.4, 2.8)
+    yield Plan("psf_pair", "PSF pair over depth", partial(figures.pair_over_depth, psf), size, (0.3, 0.1, 0.05, 0.3))
+    yield Plan("psf_orientation", "Orientation over depth", partial(figures.orientation, psf, ideal=ideal))
+    yield Plan("psf_peak", "Peak irradiance over depth", partial(figures.peak, psf, ideal=ideal))
+
+
+def _image(run: RunFolder) -> Iterator[Plan]:
+    if run.raw is not None:
+        n_y, n_x = run.raw.frame.shape
+        size = (8.4, min(6.0, max(2.2, 6.7 * n_y / n_x + 0.9)))
+        yield Plan("raw_frame", "Raw frame", partial(figures.raw_frame, run.raw), size, MAP)
+    decoded = run.decoded
+    if decoded is not None:
+        for p in POLARISATIONS:
+            paint = partial(figures.intensity, decoded, polarisation=p)
+            yield _map(f"intensity_{p}", f"Decoded intensity of {p} polarisation", paint)
+        yield _map("contrast", "Polarisation contrast", partial(figures.contrast, decoded))
+        yield _map("depth", "Decoded depth", partial(figures.depth, decoded))
+        yield _map("confidence", "Confidence of the depth", partial(figures.confidence, decoded))
+    known = depths_against_truth(run)
+    if known is not None:
+        true_m, decoded_m, error_m = known
+        paint = partial(figures.depth_against_truth, true_m, decoded_m, error_m=error_m)
+        yield Plan("depth_truth", "Decoded against true depth", paint, (3.6, 3.1))

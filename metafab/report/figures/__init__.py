@@ -1,0 +1,42 @@
+"""Figure functions: each takes results and axes, draws, and returns the axes. Nothing is computed or shown here.
+
+- ``library``    maps of phase, transmittance and error over pillar size; coverage of both phases
+- ``phases``     phases over the aperture
+- ``mask``       the written pillars at three zooms
+- ``psf``        the pair over depth, orientation, peak
+- ``image``      raw frame, decoded intensities, contrast, depth, depth against truth
+- ``accounts``   loss chain, error budget, seconds, error against time
+
+In: results of the other rooms. Out: the axes that were drawn on.
+"""
+
+from metafab.report.figures.accounts import error_against_time, error_budget, loss_chain, seconds
+from metafab.report.figures.image import confidence, contrast, depth, depth_against_truth, intensity, raw_frame
+from metafab.report.figures.library import coverage, error_map, phase_map, transmittance_map
+from metafab.report.figures.mask import fill_map, pillar_rectangles
+from metafab.report.figures.phases import aperture_phase
+from metafab.report.figures.psf import orientation, pair_over_depth, peak, shown_depths
+
+__all__ = [
+    "aperture_phase",
+    "confidence",
+    "contrast",
+    "coverage",
+    "depth",
+    "depth_against_truth",
+    "error_against_time",
+    "error_budget",
+    "error_map",
+    "fill_map",
+    "intensity",
+    "loss_chain",
+    "orientation",
+    "pair_over_depth",
+    "peak",
+    "phase_map",
+    "pillar_rectangles",
+    "raw_frame",
+    "seconds",
+    "shown_depths",
+    "transmittance_map",
+]

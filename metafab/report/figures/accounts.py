@@ -1,0 +1,66 @@
+"""Accounts: where light goes, where error comes from, where time goes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from matplotlib.axes import Axes
+
+from metafab.report.style import GOOD, INK, MUTED, X_COLOUR, Y_COLOUR, dress, legend
+
+_MARKERS = "osD^vP*X<>"
+
+
+def loss_chain(stages: Sequence[tuple[str, float]], axes: Axes) -> Axes:
+    """Share of the light at the aperture that is left after each stage."""
+    names, shares = [name for name, _ in stages], [share for _, share in stages]
+    _bars(names, [100.0 * share for share in shares], axes, GOOD, [f"{100.0 * s:.1f} %" for s in shares])
+    dress(axes, "share of the light at the aperture / %", "", "Loss chain")
+    axes.set_xlim(0.0, 100.0)
+    return axes
+
+
+def error_budget(lines: Sequence[tuple[str, float, str]], axes: Axes) -> Axes:
+    """Each line of the budget on a logarithmic scale: (source, value, unit), lines without error left out."""
+    shown = [line for line in lines if line[1] > 0.0]
+    values = [value for _, value, _ in shown]
+    labels = [f"{value:.2g} {unit}" for _, value, unit in shown]
+    _bars([source for source, _, _ in shown], values, axes, X_COLOUR, labels)
+    axes.set_xscale("log")
+    if shown:
+        axes.set_xlim(min(values) / 3.0, max(values) * 1.5)
+    return dress(axes, "error, each in its unit", "", "Error budget")
+
+
+def seconds(step_seconds: Mapping[str, float], axes: Axes) -> Axes:
+    """Time of every step."""
+    _bars(list(step_seconds), list(step_seconds.values()), axes, Y_COLOUR, [f"{s:.2f}" for s in step_seconds.values()])
+    longest = max(step_seconds.values(), default=1.0)
+    axes.set_xlim(0.0, longest or 1.0)
+    return dress(axes, "seconds", "", "Time")
+
+
+def error_against_time(rows: Sequence[Mapping[str, Any]], axes: Axes) -> Axes:
+    """Benchmark rows as points, both axes logarithmic: lower left is better. Rows without an error are left out."""
+    for index, row in enumerate(rows):
+        if not (row["error"] and row["error"] > 0.0 and row["seconds"] > 0.0):
+            continue
+        colour = (X_COLOUR, Y_COLOUR, GOOD, INK, MUTED)[index % 5]
+        marker = _MARKERS[index % len(_MARKERS)]
+        axes.plot(row["seconds"], row["error"], marker, color=colour, markersize=6, label=str(row["name"]))
+    axes.set(xscale="log", yscale="log")
+    dress(axes, "seconds", "error", "Error against time")
+    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
+    if axes.lines:
+        legend(axes, loc="center left", bbox_to_anchor=(1.02, 0.5))
+    return axes
+
+
+def _bars(names: Sequence[str], values: Sequence[float], axes: Axes, colour: str, labels: Sequence[str]) -> None:
+    places = range(len(names))
+    axes.barh(places, values, height=0.55, color=colour)
+    for place, value, label in zip(places, values, labels, strict=True):
+        axes.annotate(label, (value, place), (4, 0), textcoords="offset points", fontsize=8.5, color=INK, va="center")
+    axes.set_yticks(list(places), list(names))
+    axes.invert_yaxis()

@@ -1,0 +1,113 @@
+"""The library over pillar width and length, and the pairs of phases that it reaches."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+
+from metafab.core.conventions import ComplexArray, FloatArray, Polarisation, power_transmittance
+from metafab.library.library import Library
+from metafab.report.style import (
+    ERROR_MAP,
+    INK,
+    MUTED,
+    PHASE_MAP,
+    POLARISATION_COLOUR,
+    SHARE_MAP,
+    Extent,
+    colour_bar,
+    dress,
+    show_map,
+)
+
+_PI_TICKS = (-math.pi, -math.pi / 2, 0.0, math.pi / 2, math.pi)
+_PI_LABELS = ("−π", "−π/2", "0", "π/2", "π")
+_RIDGE_TRANSMITTANCE = 0.5
+
+
+def phase_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
+    """Transmission phase over width and length; lines ring the resonances, where less than half passes."""
+    phase = np.angle(_t(library, polarisation))
+    image = show_map(axes, phase, _extent(library), cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
+    _ridges(library, axes, polarisation, "#ffffff")
+    bar = colour_bar(image, axes, "phase / rad", ticks=_PI_TICKS)
+    bar.set_ticklabels(list(_PI_LABELS))
+    return _dress_map(axes, f"Phase of t, {polarisation} polarisation", polarisation)
+
+
+def transmittance_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
+    """Zero-order power transmittance over width and length; lines ring the resonances."""
+    share = transmittance(library, polarisation)
+    image = show_map(axes, share, _extent(library), cmap=SHARE_MAP, vmin=0.0, vmax=1.0)
+    _ridges(library, axes, polarisation, "#ffffff")
+    colour_bar(image, axes, "transmittance")
+    return _dress_map(axes, f"Transmittance, {polarisation} polarisation", polarisation)
+
+
+def error_map(library: Library, axes: Axes) -> Axes:
+    """Error bound of |t| over width and length, on a logarithmic scale."""
+    error = np.broadcast_to(library.error, library.t_xx.shape)[0]
+    positive = error[error > 0.0]
+    high = float(positive.max()) if positive.size else 1e-6
+    low = min(float(positive.min()) if positive.size else high, 0.1 * high)  # at least a decade, for readable ticks
+    norm = LogNorm(low, high)
+    image = show_map(axes, np.maximum(error, low), _extent(library), cmap=ERROR_MAP, norm=norm)
+    colour_bar(image, axes, "absolute error of t")
+    return _dress_map(axes, "Error of every point")
+
+
+def coverage(library: Library, axes: Axes) -> Axes:
+    """Every size as a point on the torus of both phases, coloured by the smaller transmittance."""
+    phase_x, phase_y = (np.angle(_t(library, p)).ravel() for p in ("x", "y"))
+    share = np.minimum(transmittance(library, "x"), transmittance(library, "y")).ravel()
+    order = np.argsort(share)  # well transmitting sizes on top
+    points = axes.scatter(
+        phase_x[order], phase_y[order], c=share[order], s=5, cmap=SHARE_MAP, vmin=0.0, vmax=1.0, lw=0, rasterized=True
+    )
+    colour_bar(points, axes, "smaller transmittance")
+    dress(axes, "phase of x / rad", "phase of y / rad", "Reach: one point a pillar size")
+    axes.set_xticks(_PI_TICKS, _PI_LABELS)
+    axes.set_yticks(_PI_TICKS, _PI_LABELS)
+    axes.set(xlim=(-math.pi, math.pi), ylim=(-math.pi, math.pi), aspect="equal")
+    axes.grid(color=MUTED, linewidth=0.4, alpha=0.35)
+    return axes
+
+
+def transmittance(library: Library, polarisation: Polarisation) -> FloatArray:
+    """Zero-order power transmittance at the design wavelength, shape (n_length, n_width)."""
+    spec = library.unit_cell
+    substrate = spec.materials.substrate
+    n_substrate = (substrate.n_y if polarisation == "y" else None) or substrate.n or 1.0
+    n_ambient = spec.materials.ambient.n or 1.0
+    from_substrate = spec.illumination.side == "substrate"
+    n_in, n_out = (n_substrate, n_ambient) if from_substrate else (n_ambient, n_substrate)
+    return power_transmittance(_t(library, polarisation), complex(n_in), complex(n_out))
+
+
+def _t(library: Library, polarisation: Polarisation) -> ComplexArray:
+    t = library.t_xx if polarisation == "x" else library.t_yy
+    return np.asarray(t[0])
+
+
+def _extent(library: Library) -> Extent:
+    """Where the map's pixels lie: centred on the sizes."""
+    width, length = library.width_nm, library.length_nm
+    half_w, half_l = (0.5 * (g[1] - g[0]) if g.size > 1 else 1.0 for g in (width, length))
+    return (width[0] - half_w, width[-1] + half_w, length[0] - half_l, length[-1] + half_l)
+
+
+def _ridges(library: Library, axes: Axes, polarisation: Polarisation, colour: str) -> None:
+    share = transmittance(library, polarisation)
+    if share.min() < _RIDGE_TRANSMITTANCE < share.max() and min(share.shape) > 1:
+        axes.contour(
+            library.width_nm, library.length_nm, share, [_RIDGE_TRANSMITTANCE], colors=colour, linewidths=0.8, alpha=0.9
+        )
+
+
+def _dress_map(axes: Axes, title: str, polarisation: Polarisation | None = None) -> Axes:
+    dress(axes, "width W / nm", "length L / nm", title)
+    axes.title.set_color(INK if polarisation is None else POLARISATION_COLOUR[polarisation])
+    return axes

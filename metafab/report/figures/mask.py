@@ -1,0 +1,69 @@
+"""The written pillars at three zooms: the lens as a grey map, then rectangles."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.patches import Rectangle
+
+from metafab.core.conventions import FloatArray
+from metafab.report.style import GOOD, HAIRLINE, INK, SHARE_MAP, X_COLOUR, bare, colour_bar, dress, scale_bar, show_map
+
+
+def fill_map(fill: FloatArray, half_side_um: tuple[float, float], axes: Axes, marks_um: list[FloatArray]) -> Axes:
+    """Share of the surface that pillars cover, over the whole lens; frames show where the other zooms lie.
+
+    Args:
+        fill: shape (n_y, n_x), 0 to 1; NaN where there is no pillar.
+        half_side_um: half the width and half the height of the map.
+        axes: where to draw.
+        marks_um: (left, right, low, high) of each closer zoom.
+    """
+    half_x, half_y = half_side_um
+    extent = (-half_x, half_x, -half_y, half_y)
+    image = show_map(axes, fill, extent, cmap=SHARE_MAP)
+    colour_bar(image, axes, "share covered by pillars")
+    for left, right, low, high in marks_um:
+        pad = max(0.0, 0.012 * 2 * half_x - (right - left) / 2)  # a frame that can be seen
+        corners_x = [left - pad, right + pad, right + pad, left - pad, left - pad]
+        corners_y = [low - pad, low - pad, high + pad, high + pad, low - pad]
+        axes.plot(corners_x, corners_y, color="#ffffff", linewidth=1.1)
+    bare(axes, "The lens")
+    scale_bar(axes, extent, INK)
+    return axes
+
+
+def pillar_rectangles(rectangles_um: FloatArray, axes: Axes, title: str, *, label_nearest: bool = False) -> Axes:
+    """Pillars as the rectangles of the file.
+
+    Args:
+        rectangles_um: shape (n, 4), (x, y) of each centre, width and length.
+        axes: where to draw.
+        title: what is shown.
+        label_nearest: mark the pillar nearest to the middle and write its width x length above.
+    """
+    x, y, half_w, half_l = rectangles_um[:, 0], rectangles_um[:, 1], rectangles_um[:, 2] / 2, rectangles_um[:, 3] / 2
+    corners = np.stack(
+        [
+            np.stack([x - half_w, y - half_l], axis=1),
+            np.stack([x + half_w, y - half_l], axis=1),
+            np.stack([x + half_w, y + half_l], axis=1),
+            np.stack([x - half_w, y + half_l], axis=1),
+        ],
+        axis=1,
+    )
+    axes.add_collection(PolyCollection(list(corners), facecolors=GOOD, edgecolors="none", rasterized=len(x) > 400))
+    dress(axes, "x / µm", "y / µm", title)
+    axes.set(xlim=(x.min() - 0.2, x.max() + 0.2), ylim=(y.min() - 0.2, y.max() + 0.2), aspect="equal")
+    for spine in axes.spines.values():
+        spine.set_visible(True)
+        spine.set_color(HAIRLINE)
+    if label_nearest and x.size:
+        nearest = int(np.argmin((x - x.mean()) ** 2 + (y - y.mean()) ** 2))
+        text = f"{2e3 * half_w[nearest]:g} × {2e3 * half_l[nearest]:g} nm"
+        axes.add_patch(
+            Rectangle(tuple(corners[nearest, 0]), 2 * half_w[nearest], 2 * half_l[nearest], color=X_COLOUR, lw=0)
+        )
+        axes.set_title(text, fontsize=9, color=X_COLOUR, loc="right", pad=7)
+    return axes

@@ -1,0 +1,67 @@
+"""The few pieces of HTML that the page is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import Any
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """A value for reading: thin spaces in long integers, few digits in others, a dash for nothing."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, int):
+        return f"{value:,}".replace(",", "\u202f").replace("-", "−")
+    if isinstance(value, float):
+        if value.is_integer() and abs(value) >= 1000:
+            return number(int(value))
+        mantissa, _, exponent = f"{value:.{digits}g}".replace("-", "−").partition("e")
+        power = exponent.lstrip("+").replace("−0", "−").lstrip("0")
+        return f"{mantissa}\u202f×\u202f10<sup>{power}</sup>" if power else mantissa
+    return escape(str(value))
+
+
+def section(identifier: str, title: str, *content: str) -> str:
+    """A titled section, empty pieces left out."""
+    body = "\n".join(piece for piece in content if piece)
+    return f'<section id="{identifier}">\n<h2>{escape(title)}</h2>\n{body}\n</section>'
+
+
+def paragraph(text: str, kind: str = "") -> str:
+    """A paragraph of ready HTML."""
+    return f'<p class="{kind}">{text}</p>' if kind else f"<p>{text}</p>"
+
+
+def note(text: str) -> str:
+    """A plain remark in place of something that is not there."""
+    return paragraph(escape(text) + ".", "note")
+
+
+def figure(svg: str, caption: str = "") -> str:
+    """A picture with its caption (ready HTML)."""
+    below = f"<figcaption>{caption}</figcaption>" if caption else ""
+    return f"<figure>{svg}{below}</figure>"
+
+
+def grid(figures: Iterable[str]) -> str:
+    """Pictures side by side where there is room."""
+    return f'<div class="grid">{"".join(figures)}</div>'
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], kinds: Sequence[str] = ()) -> str:
+    """A table of ready cells; ``kinds`` gives a class to each column ("n" for numbers)."""
+    classes = [*kinds, *[""] * (len(head) - len(kinds))]
+
+    def cells(row: Sequence[str], tag: str) -> str:
+        return "".join(f'<{tag} class="{kind}">{cell}</{tag}>' for cell, kind in zip(row, classes, strict=True))
+
+    body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
+    return f'<div class="scroll"><table><thead><tr>{cells(head, "th")}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def headline(value: str, label: str, tone: str = "") -> str:
+    """A large figure with what it means; ``tone`` is "good" or "bad" where that can be said."""
+    return f'<li class="{tone}"><b>{value}</b><span>{label}</span></li>'

@@ -1,0 +1,94 @@
+"""A mask as pictures: one pass over the tiles of the file gives the whole lens in grey and rectangles at two zooms.
+
+Memory does not grow with the lens: the grey map has a fixed number of pixels, the zooms a fixed number of sites.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.layout.pillars import PillarMap, PillarTile
+
+_MAP_PIXELS = 360
+#: Where the zooms look, as a share of the half side from the centre: off the axis, off the diagonals.
+_LOOK_AT = (0.42, 0.23)
+_ZOOM_SITES = (64, 12)
+
+
+@dataclass(frozen=True)
+class MaskPicture:
+    """What the mask figures show.
+
+    Attributes:
+        fill: shape (n_y, n_x), share of each block of sites that pillars cover; NaN where there are none.
+        half_side_um: half the width and height that ``fill`` spans.
+        zooms: rectangles of each closer zoom, wider first; shape (n, 4): x, y, width, length in um.
+        sites_a_pixel: sites a side of one pixel of ``fill``.
+    """
+
+    fill: FloatArray
+    half_side_um: tuple[float, float]
+    zooms: tuple[FloatArray, ...]
+    sites_a_pixel: int
+
+    def frames_um(self) -> list[FloatArray]:
+        """(left, right, low, high) of each zoom that shows a pillar."""
+        return [np.array([z[:, 0].min(), z[:, 0].max(), z[:, 1].min(), z[:, 1].max()]) for z in self.zooms if z.size]
+
+
+def picture_of(pillars: PillarMap) -> MaskPicture:
+    """Draw a pillar map from its tiles, in one pass."""
+    lattice = pillars.lattice
+    n_y, n_x = lattice.shape
+    block = max(1, math.ceil(max(n_y, n_x) / _MAP_PIXELS))
+    area = np.prod(pillars.size_nm(), axis=1)
+    covered = np.zeros((math.ceil(n_y / block), math.ceil(n_x / block)))
+    windows = [_window(lattice.shape, sites) for sites in _ZOOM_SITES]
+    found: list[list[FloatArray]] = [[] for _ in windows]
+    for tile in pillars.tiles():
+        _add_blocks(covered, tile, area, block)
+        for window, rectangles in zip(windows, found, strict=True):
+            rectangles.append(_rectangles(pillars, tile, window))
+    period_nm = np.multiply(lattice.period_dbu, lattice.database_unit_nm)
+    covered /= float(np.prod(period_nm)) * block**2
+    covered[covered == 0.0] = np.nan
+    half_x, half_y = (0.5e-3 * block * count * period_nm[axis] for axis, count in enumerate(covered.shape[::-1]))
+    zooms = tuple(np.concatenate([np.empty((0, 4)), *rectangles]) for rectangles in found)
+    return MaskPicture(covered, (float(half_x), float(half_y)), zooms, block)
+
+
+def _window(shape: tuple[int, int], sites: int) -> tuple[slice, slice]:
+    """Rows and columns of a square of sites at the place where all zooms look."""
+    slices = []
+    for count, place in zip(shape, reversed(_LOOK_AT), strict=True):
+        start = round(0.5 * count * (1.0 + place)) - sites // 2
+        start = min(max(0, start), max(0, count - sites))
+        slices.append(slice(start, min(count, start + sites)))
+    return slices[0], slices[1]
+
+
+def _add_blocks(covered: FloatArray, tile: PillarTile, area: FloatArray, block: int) -> None:
+    rows = (tile.row + np.arange(tile.size_index.shape[0])) // block
+    columns = (tile.column + np.arange(tile.size_index.shape[1])) // block
+    by_row = np.add.reduceat(area[tile.size_index], np.flatnonzero(np.diff(rows, prepend=-1)), axis=0)
+    blocks = np.add.reduceat(by_row, np.flatnonzero(np.diff(columns, prepend=-1)), axis=1)
+    covered[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += blocks
+
+
+def _rectangles(pillars: PillarMap, tile: PillarTile, window: tuple[slice, slice]) -> FloatArray:
+    rows, columns = window
+    index = tile.size_index[
+        max(0, rows.start - tile.row) : max(0, rows.stop - tile.row),
+        max(0, columns.start - tile.column) : max(0, columns.stop - tile.column),
+    ]
+    if index.size == 0:
+        return np.empty((0, 4))
+    row, column = np.nonzero(index)
+    size_um = 1e-3 * pillars.size_nm()[index[row, column]]
+    y = pillars.lattice.y_um()[row + max(tile.row, rows.start)]
+    x = pillars.lattice.x_um()[column + max(tile.column, columns.start)]
+    return np.column_stack([x, y, size_um])

@@ -1,0 +1,145 @@
+"""A run folder, opened: whatever of its files is there and readable, and a note for each that is not."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from metafab.camera.frame import RawFrame
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import MetafabError
+from metafab.decode.image import Image4D
+from metafab.layout.pillars import PillarMap
+from metafab.library.library import Library
+from metafab.optics.point_spread import Psf
+from metafab.spec import Design
+
+Loaded = TypeVar("Loaded")
+
+#: Smallest first: a mask is read from the format that takes the least reading.
+_MASK_FILES = ("layout.oas", "layout.gds")
+
+
+@dataclass(frozen=True)
+class AperturePhases:
+    """Target phases of both polarisations, sampled over the aperture.
+
+    Attributes:
+        phase_rad: shape (2, n, n), NaN outside the aperture.
+        half_side_um: half the side of the square that the samples span.
+    """
+
+    phase_rad: FloatArray
+    half_side_um: float
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """The results of a run, as its files hold them; None for what is missing.
+
+    Attributes:
+        path: the folder.
+        summary: content of ``summary.json``, {} when missing.
+        design: the validated ``design.toml``, None when it or what it names has gone.
+        design_table: the same file as plain TOML.
+        library: the library that the summary names.
+        phases: target phases sampled over the aperture.
+        pillars: the pillars, read back from the written mask.
+        mask_file: name of the mask that ``pillars`` comes from.
+        psf: PSF pair of the written mask.
+        ideal_psf: PSF pair of the target phases.
+        raw: raw frame.
+        decoded: 4D image.
+        notes: section -> why it has nothing to show.
+    """
+
+    path: Path
+    summary: dict[str, Any] = field(default_factory=dict)
+    design: Design | None = None
+    design_table: dict[str, Any] = field(default_factory=dict)
+    library: Library | None = None
+    phases: AperturePhases | None = None
+    pillars: PillarMap | None = None
+    mask_file: str = ""
+    psf: Psf | None = None
+    ideal_psf: Psf | None = None
+    raw: RawFrame | None = None
+    decoded: Image4D | None = None
+    notes: dict[str, str] = field(default_factory=dict)
+
+    def part(self, step: str) -> dict[str, Any]:
+        """A step's part of the summary, {} when missing."""
+        part = self.summary.get(step)
+        return part if isinstance(part, dict) else {}
+
+    @property
+    def name(self) -> str:
+        """The design's name, or the folder's."""
+        return str(self.design_table.get("name") or self.summary.get("name") or self.path.resolve().name)
+
+
+def open_run(path: Path) -> RunFolder:
+    """Open the files of a run folder; one that is missing or damaged leaves a note in place of a result."""
+    from metafab import camera, decode, library, mask, optics
+    from metafab.spec import load_design
+
+    notes: dict[str, str] = {}
+
+    def attempt(section: str, file: Path, load: Callable[[Path], Loaded]) -> Loaded | None:
+        if not file.is_file():
+            notes[section] = f"{file.name} is not in the run folder"
+            return None
+        try:
+            return load(file)
+        except (MetafabError, OSError, ValueError, KeyError) as error:
+            notes[section] = f"{file.name} could not be used: {error}"
+            return None
+
+    summary = attempt("summary", path / "summary.json", _read_object) or {}
+    design = attempt("design", path / "design.toml", load_design)
+    library_file = (summary.get("library") or {}).get("file")
+    if library_file is None:
+        notes["library"] = "summary.json does not name a library"
+    masks = [path / name for name in _MASK_FILES if (path / name).is_file()] or [path / _MASK_FILES[0]]
+    pillars = None
+    if design is not None:
+        pillars = attempt("mask", masks[0], lambda file: mask.read(file, design).pillars)
+    else:
+        notes["mask"] = "reading a mask needs design.toml"
+    return RunFolder(
+        path=path,
+        summary=summary,
+        design=design,
+        design_table=attempt("design_table", path / "design.toml", _read_toml) or {},
+        library=attempt("library", path / library_file, library.load) if library_file else None,
+        phases=attempt("phases", path / "phase.h5", _read_phases),
+        pillars=pillars,
+        mask_file=masks[0].name,
+        psf=attempt("psf", path / "psf.h5", optics.load),
+        ideal_psf=attempt("ideal_psf", path / "ideal_psf.h5", optics.load),
+        raw=attempt("raw", path / "raw.h5", camera.load),
+        decoded=attempt("decoded", path / "decoded.h5", decode.load),
+        notes=notes,
+    )
+
+
+def _read_phases(path: Path) -> AperturePhases:
+    from metafab.phase import load
+
+    x_um, phase_rad = load(path)
+    return AperturePhases(phase_rad, float(0.5 * (x_um[-1] - x_um[0])))
+
+
+def _read_object(path: Path) -> dict[str, Any]:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(content, dict):
+        raise ValueError("expected one JSON object")
+    return content
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    return tomllib.loads(path.read_text(encoding="utf-8"))
