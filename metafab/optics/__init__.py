@@ -4,6 +4,7 @@
 - ``source``       what leaves the metasurface: pillars through a library, or target phases
 - ``path``         exact path lengths and amplitudes from object over lens to sensor
 - ``pupil``        Pupil: a streaming pass from pillars to block sums
+- ``chebyshev``    interpolation between Chebyshev points
 - ``window``       block sums -> field on a window: low-rank kernel and matrix Fourier transforms
 - ``stack``        :func:`psf`: the pair over depth and field, block size chosen by the error asked
 - ``lobe``         main lobe to a fraction of a pixel, orientation

@@ -21,7 +21,7 @@ from metafab.optics.path import Ray, power_at_aperture
 from metafab.optics.point_spread import Psf, PsfField
 from metafab.optics.pupil import Carrier, Pupil, mixed_phase_rad, reduce_field
 from metafab.optics.source import Source
-from metafab.optics.window import SmoothKernel, WindowTransform, refocus
+from metafab.optics.window import WindowKernel, WindowTransform, refocus
 
 Tangent = tuple[float, float]
 
@@ -39,13 +39,13 @@ class _Window:
     window_px: int
     tolerance: float
 
-    def kernel(self, pupils: Sequence[Pupil], target_um: tuple[float, float, float]) -> SmoothKernel:
+    def kernel(self, pupils: Sequence[Pupil], target_um: tuple[float, float, float]) -> WindowKernel:
         x, y = (
             (min(float(axis[0]) for axis in axes), max(float(axis[-1]) for axis in axes))
             for axes in ([p.x_um for p in pupils], [p.y_um for p in pupils])
         )
         imaging = self.imaging
-        return SmoothKernel.build(
+        return WindowKernel.build(
             imaging.wavenumber, target_um, (x, y), self.window_px, imaging.pixel_um, self.tolerance
         )
 
@@ -122,7 +122,7 @@ def psf(
     begun = time.perf_counter()
     depths = _checked_depths(depths_m)
     grid = _field_grid(imaging, field_points, field_tangents)
-    window = _Window(imaging, window_px, min(0.03 * target_error, 1e-3))
+    window = _Window(imaging, window_px, min(0.1 * target_error, 1e-3))
     pupils, stray_pupil = _reduce(source, window, depths, tangent, grid, target_error, progress)
 
     tasks = [(p, tangent) for p in (0, 1)]

@@ -1,12 +1,13 @@
 """From block sums to the field on one window of the sensor: a few matrix Fourier transforms.
 
-The kernel h(R) exp(ikR) from a lens point r to a window point u is, exactly,
+The kernel h(R) exp(ikR) from a lens point (x, y) to a window point (u, v) is, up to a phase on the window alone,
 
-    exp(ik[R(r, 0) + R(0, u) - R(0, 0)]) x exp(ik l(r, u)) x (smooth rest),
+    exp(ik R(x, y; 0, 0)) x exp(ik X(x, u)) x exp(ik Y(y, v)) x (smooth rest).
 
-l bilinear and separable in x and y. The first factor's r part belongs to the pupil's path, the second is a matrix
-Fourier transform, and the rest (curvature, skew, obliquity, fall-off with distance) has low rank: it is sampled
-on Chebyshev points and split by a singular value decomposition, sum over m of A_m(u) B_m(r).
+The first factor belongs to the pupil's path. X and Y are the exact change of distance along the axes; being
+functions of one lens and one window coordinate they are the two matrices of a separable transform. The rest
+(curvature and skew off the axes, obliquity, fall-off with distance) has low rank: it is sampled on Chebyshev
+points and split by a singular value decomposition, sum over m of A_m(u, v) B_m(x, y).
 """
 
 from __future__ import annotations
@@ -20,100 +21,79 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.optics import chebyshev
+from metafab.optics.chebyshev import Span
 from metafab.optics.path import Ray, incident_amplitude, path_um
 from metafab.optics.pupil import Pupil
 
 #: Block phases are reduced in double precision; what is left fits single precision: 1e-6 of the field at most.
 SingleComplexArray = NDArray[np.complex64]
 
-_EXTRA_NODES = 8
-
 
 @dataclass(frozen=True)
-class SmoothKernel:
-    """The smooth rest of the kernel for one window, as a sum of products on Chebyshev points.
+class WindowKernel:
+    """Propagation from Chebyshev points of the lens to one window, whatever the blocks are.
 
     Attributes:
         target_um: (x, y, z) of the window's centre point.
         offsets_um: shape (n,), window points along x and y from the centre.
-        lens_um: ((lowest, highest) x, (lowest, highest) y) of block centres that it is good for.
-        over_window: shape (rank, n, n), A_m on the window.
-        on_lens: shape (rank, count, count), B_m on Chebyshev points of ``lens_um``.
+        lens_um: ((lowest, highest) x, (lowest, highest) y) of the lens points.
+        left: shape (n, q_y), exp(ik Y).
+        right: shape (q_x, n), exp(ik X).
+        over_window: shape (rank, n, n), A_m.
+        over_lens: shape (rank, q_y, q_x), B_m.
     """
 
     target_um: tuple[float, float, float]
     offsets_um: FloatArray
-    lens_um: tuple[tuple[float, float], tuple[float, float]]
-    over_window: ComplexArray
-    on_lens: ComplexArray
+    lens_um: tuple[Span, Span]
+    left: SingleComplexArray
+    right: SingleComplexArray
+    over_window: SingleComplexArray
+    over_lens: SingleComplexArray
 
     @classmethod
     def build(
         cls,
         wavenumber: float,
         target_um: tuple[float, float, float],
-        lens_um: tuple[tuple[float, float], tuple[float, float]],
+        lens_um: tuple[Span, Span],
         window_px: int,
         pixel_um: float,
         tolerance: float,
-    ) -> SmoothKernel:
-        """Sample and split the kernel to a relative error of ``tolerance``."""
-        k, offsets = wavenumber, _offsets(window_px, pixel_um)
-        spans = [*lens_um, *2 * [(float(offsets[0]), float(offsets[-1]))]]
-        corners = np.array(np.meshgrid(*spans, indexing="ij")).reshape(4, -1)
-        largest_rad = float(np.abs(k * _rest_um(target_um, *corners)).max())
-        count = math.ceil(largest_rad + 0.5 * math.log10(1.0 / tolerance)) + _EXTRA_NODES
-        nodes = [_chebyshev(*span, count) for span in spans]
-        x, y = (axis.reshape(-1, 1) for axis in np.meshgrid(nodes[0], nodes[1]))
-        u, v = (axis.reshape(1, -1) for axis in np.meshgrid(nodes[2], nodes[3]))
-        distance = np.sqrt((target_um[0] + u - x) ** 2 + (target_um[1] + v - y) ** 2 + target_um[2] ** 2)
-        kernel = target_um[2] / (2.0 * np.pi * distance**2) * (1.0 / distance - 1j * k)
-        kernel = kernel * np.exp(1j * k * _rest_um(target_um, x, y, u, v))
-        left, weight, right = np.linalg.svd(kernel, full_matrices=False)
-        rank = max(1, int(np.count_nonzero(weight > tolerance * weight[0])))
-        to_window = _interpolation(spans[2], count, offsets)
-        sampled = (weight[:rank, None] * right[:rank]).reshape(rank, count, count)
-        return cls(target_um, offsets, lens_um, to_window @ sampled @ to_window.T, left.T[:rank].reshape(sampled.shape))
+    ) -> WindowKernel:
+        """Sample and split the kernel.
 
-    def over_pupil(self, pupil: Pupil) -> ComplexArray:
-        """B_m at the block centres, shape (rank, n_y, n_x)."""
-        count = self.on_lens.shape[1]
-        to_x = _interpolation(self.lens_um[0], count, pupil.x_um)
-        to_y = _interpolation(self.lens_um[1], count, pupil.y_um)
-        return np.asarray(to_y @ self.on_lens @ to_x.T)
-
-
-@dataclass(frozen=True)
-class WindowTransform:
-    """The linear map from block sums (path of ``target_um`` removed) to the window around it.
-
-    Attributes:
-        left: shape (n, n_y), transform along y.
-        right: shape (n_x, n), transform along x.
-        over_window: shape (rank, n, n), A_m with the block's own diffraction divided out.
-        over_pupil: shape (rank, n_y, n_x), B_m.
-    """
-
-    left: SingleComplexArray
-    right: SingleComplexArray
-    over_window: ComplexArray
-    over_pupil: SingleComplexArray
-
-    @classmethod
-    def build(cls, pupil: Pupil, kernel: SmoothKernel) -> WindowTransform:
-        """The transform from the blocks of ``pupil`` to the window of ``kernel``."""
-        k, offsets = pupil.wavenumber, kernel.offsets_um
-        slope_x, slope_y = _slopes(kernel.target_um)
-        left = np.exp(-1j * k * slope_y * np.outer(offsets, pupil.y_um))
-        right = np.exp(-1j * k * slope_x * np.outer(pupil.x_um, offsets))
-        block = pupil.carrier.block_sites
-        diffraction_x = _dirichlet(k * slope_x * pupil.pitch_um[0] * offsets, block)
-        diffraction_y = _dirichlet(k * slope_y * pupil.pitch_um[1] * offsets, block)
+        Args:
+            wavenumber: k, rad/um.
+            target_um: centre of the window, which is point ``window_px // 2`` along either side.
+            lens_um: box that holds all block centres.
+            window_px: points a side.
+            pixel_um: distance of points.
+            tolerance: relative error, 1e-7 or more.
+        """
+        k = wavenumber
+        offsets = np.multiply(np.arange(window_px) - window_px // 2, pixel_um, dtype=np.float64)
+        span = (float(offsets[0]), float(offsets[-1]))
+        corners = np.array(np.meshgrid(*lens_um, span, span, indexing="ij")).reshape(4, -1)
+        changes_rad = k * np.abs(_changes_um(target_um, *corners)).max(axis=1)
+        x, y = (
+            chebyshev.points(s, chebyshev.points_needed(c, tolerance))
+            for s, c in zip(lens_um, changes_rad[:2], strict=True)
+        )
+        over_window, over_lens = _split_rest(k, target_um, lens_um, span, float(changes_rad[2]), tolerance)
+        to_window = chebyshev.interpolation(span, over_window.shape[1], offsets)
+        to_x, to_y = (chebyshev.interpolation(s, over_lens.shape[1], at) for s, at in zip(lens_um, (x, y), strict=True))
+        along_x, _, _ = _changes_um(target_um, x[:, None], 0.0, offsets[None, :], 0.0)
+        _, along_y, _ = _changes_um(target_um, 0.0, y[None, :], 0.0, offsets[:, None])
         return cls(
-            left.astype(np.complex64),
-            right.astype(np.complex64),
-            kernel.over_window / np.outer(diffraction_y, diffraction_x),
-            kernel.over_pupil(pupil).astype(np.complex64),
+            target_um,
+            offsets,
+            lens_um,
+            np.exp(1j * k * along_y).astype(np.complex64),
+            np.exp(1j * k * along_x).astype(np.complex64),
+            (to_window @ over_window @ to_window.T).astype(np.complex64),
+            (to_y @ over_lens @ to_x.T).astype(np.complex64),
         )
 
     @property
@@ -121,24 +101,55 @@ class WindowTransform:
         """Terms of the low-rank part."""
         return int(self.over_window.shape[0])
 
-    @property
-    def nbytes(self) -> int:
-        """Memory held."""
-        return sum(a.nbytes for a in (self.left, self.right, self.over_window, self.over_pupil))
 
-    def field(self, blocks: SingleComplexArray) -> ComplexArray:
+@dataclass(frozen=True)
+class WindowTransform:
+    """The linear map from block sums (path to the window's centre removed) to the field on the window.
+
+    Attributes:
+        kernel: from Chebyshev points to the window.
+        gather_y: shape (q_y, n_y), transposed interpolation: block sums to weights on Chebyshev points.
+        gather_x: shape (n_x, q_x).
+        diffraction: shape (n, n), what a block of finite size sends there; divided out.
+    """
+
+    kernel: WindowKernel
+    gather_y: NDArray[np.float32]
+    gather_x: NDArray[np.float32]
+    diffraction: NDArray[np.float32]
+
+    @classmethod
+    def build(cls, pupil: Pupil, kernel: WindowKernel) -> WindowTransform:
+        """The transform from the blocks of ``pupil`` to the window of ``kernel``."""
+        q_y, q_x = kernel.over_lens.shape[1:]
+        (x, y, z), block, k = kernel.target_um, pupil.carrier.block_sites, pupil.wavenumber
+        distance = math.hypot(x, y, z)
+        per_site = [
+            k * pitch * (1.0 - (c / distance) ** 2) / distance * kernel.offsets_um
+            for c, pitch in zip((x, y), pupil.pitch_um, strict=True)
+        ]
+        return cls(
+            kernel,
+            chebyshev.interpolation(kernel.lens_um[1], q_y, pupil.y_um).T.astype(np.float32, order="C"),
+            chebyshev.interpolation(kernel.lens_um[0], q_x, pupil.x_um).astype(np.float32, order="C"),
+            np.outer(_dirichlet(per_site[1], block), _dirichlet(per_site[0], block)).astype(np.float32),
+        )
+
+    def field(self, blocks: SingleComplexArray) -> SingleComplexArray:
         """Field on the window, shape (n, n), of block sums of shape (n_y, n_x)."""
-        total = np.zeros(self.over_window.shape[1:], dtype=np.complex128)
-        for window, pupil in zip(self.over_window, self.over_pupil, strict=True):
-            total += window * ((self.left @ (pupil * blocks)) @ self.right)
-        return total
+        kernel = self.kernel
+        rows = (self.gather_y @ blocks.view(np.float32)).view(np.complex64)
+        weights = (rows.real @ self.gather_x) + 1j * (rows.imag @ self.gather_x)
+        images = kernel.left @ (kernel.over_lens * weights) @ kernel.right
+        return np.asarray(np.einsum("mvu,mvu->vu", kernel.over_window, images) / self.diffraction, dtype=np.complex64)
 
-    def adjoint(self, field: ComplexArray) -> ComplexArray:
+    def adjoint(self, field: SingleComplexArray) -> SingleComplexArray:
         """Block sums, shape (n_y, n_x), of a window field: the conjugate transpose of :meth:`field`."""
-        total = np.zeros(self.over_pupil.shape[1:], dtype=np.complex128)
-        for window, pupil in zip(self.over_window, self.over_pupil, strict=True):
-            total += pupil.conj() * (self.left.conj().T @ (window.conj() * field) @ self.right.conj().T)
-        return total
+        kernel = self.kernel
+        images = kernel.over_window.conj() * (field / self.diffraction)
+        weights = kernel.left.conj().T @ images @ kernel.right.conj().T
+        total = np.einsum("mvu,mvu->vu", kernel.over_lens.conj(), weights)
+        return np.asarray(self.gather_y.T @ total @ self.gather_x.T, dtype=np.complex64)
 
 
 def refocus(pupil: Pupil, ray: Ray) -> SingleComplexArray:
@@ -183,10 +194,6 @@ def _refocus_compiled(
             blocks[i, j] = sums[i, j] * (amplitude * math.cos(phase) + 1j * (amplitude * math.sin(phase)))
 
 
-def _offsets(window_px: int, pixel_um: float) -> FloatArray:
-    return np.multiply(np.arange(window_px) - window_px // 2, pixel_um, dtype=np.float64)
-
-
 def _dirichlet(phase_per_site: FloatArray, sites: int) -> FloatArray:
     """Mean of exp(i phase n) over a centred run of ``sites``: the diffraction of a block, 1 for one site."""
     half = 0.5 * phase_per_site
@@ -195,37 +202,48 @@ def _dirichlet(phase_per_site: FloatArray, sites: int) -> FloatArray:
     return np.where(steep, np.sin(sites * safe) / (sites * np.sin(safe)), 1.0)
 
 
-def _slopes(target_um: tuple[float, float, float]) -> tuple[float, float]:
-    """-d^2 R / dx du and -d^2 R / dy dv at the centres: (1 - s^2) / R with the direction cosines s."""
-    distance = math.dist(target_um, (0.0, 0.0, 0.0))
-    s_x, s_y = target_um[0] / distance, target_um[1] / distance
-    return (1.0 - s_x * s_x) / distance, (1.0 - s_y * s_y) / distance
+def _split_rest(
+    k: float,
+    target_um: tuple[float, float, float],
+    lens_um: tuple[Span, Span],
+    window_um: Span,
+    rest_rad: float,
+    tolerance: float,
+) -> tuple[ComplexArray, ComplexArray]:
+    """A_m and B_m, each of shape (rank, count, count), on Chebyshev points of the window and of the lens.
+
+    The eigenvectors of the Gram matrix are the right singular vectors; squared singular values below 1e-14 of the
+    largest are lost in rounding, hence the smallest tolerance of 1e-7.
+    """
+    count = chebyshev.points_needed(rest_rad, tolerance)
+    x, y = np.meshgrid(*(chebyshev.points(span, count) for span in lens_um))
+    u, v = np.meshgrid(*(chebyshev.points(span, count) for span in (window_um, window_um)))
+    x, y, u, v = x.reshape(-1, 1), y.reshape(-1, 1), u.reshape(1, -1), v.reshape(1, -1)
+    _, _, rest = _changes_um(target_um, x, y, u, v)
+    distance = np.sqrt((target_um[0] + u - x) ** 2 + (target_um[1] + v - y) ** 2 + target_um[2] ** 2)
+    spreading = target_um[2] / (2.0 * np.pi * distance**2) * (1.0 / distance - 1j * k)
+    kernel = spreading * np.exp(1j * k * rest)
+    squares, vectors = np.linalg.eigh(kernel.conj().T @ kernel)
+    lost = np.cumsum(np.maximum(squares, 0.0))
+    first = min(int(np.searchsorted(lost, tolerance**2 * lost[-1])), squares.size - 1)
+    kept = vectors[:, first:]
+    shape = (-1, count, count)
+    return kept.conj().T.reshape(shape), (kernel @ kept).T.reshape(shape)
 
 
-def _rest_um(target_um: tuple[float, float, float], x: Any, y: Any, u: Any, v: Any) -> FloatArray:
-    """R(r, u) - R(r, 0) - R(0, u) + R(0, 0) - l(r, u)."""
+def _changes_um(
+    target_um: tuple[float, float, float], x: Any, y: Any, u: Any, v: Any
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """X(x, u), Y(y, v) and the rest of R(x, y; u, v) - R(x, y; 0, 0) - R(0, 0; u, v) + R(0, 0; 0, 0)."""
     c_x, c_y, c_z = target_um
-    slope_x, slope_y = _slopes(target_um)
-    mixed = (
-        np.sqrt((c_x + u - x) ** 2 + (c_y + v - y) ** 2 + c_z**2)
-        - np.sqrt((c_x - x) ** 2 + (c_y - y) ** 2 + c_z**2)
-        - np.sqrt((c_x + u) ** 2 + (c_y + v) ** 2 + c_z**2)
-        + math.dist(target_um, (0.0, 0.0, 0.0))
-    )
-    return np.asarray(mixed + slope_x * u * x + slope_y * v * y)
 
+    def change(x: Any, y: Any, u: Any, v: Any) -> FloatArray:
+        return np.asarray(
+            np.sqrt((c_x + u - x) ** 2 + (c_y + v - y) ** 2 + c_z**2)
+            - np.sqrt((c_x - x) ** 2 + (c_y - y) ** 2 + c_z**2)
+            - np.sqrt((c_x + u) ** 2 + (c_y + v) ** 2 + c_z**2)
+            + math.hypot(c_x, c_y, c_z)
+        )
 
-def _chebyshev(low: float, high: float, count: int) -> FloatArray:
-    angle = np.pi * (np.arange(count) + 0.5) / count
-    return 0.5 * (low + high) - 0.5 * (high - low) * np.cos(angle)
-
-
-def _interpolation(span: tuple[float, float], count: int, points: FloatArray) -> FloatArray:
-    """Matrix (n_points, count) of polynomial interpolation between Chebyshev points of the first kind."""
-    low, high = span
-    if high == low:
-        return np.full((points.size, count), 1.0 / count)
-    angles = np.arccos(np.clip((low + high - 2.0 * points) / (high - low), -1.0, 1.0))
-    order = np.arange(count)
-    cosines = np.cos(np.outer(angles, order)) * np.where(order == 0, 1.0, 2.0) / count
-    return np.asarray(cosines @ np.cos(np.outer(order, np.pi * (order + 0.5) / count)))
+    along_x, along_y = change(x, 0.0, u, 0.0), change(0.0, y, 0.0, v)
+    return along_x, along_y, change(x, y, u, v) - along_x - along_y
