@@ -1,1 +1,14 @@
-"""To be written: the table of contents of this room."""
+"""Design rules on a written file.
+
+- ``report``    DrcReport: counts, places; JSON and KLayout's report database
+- ``lattice``   all rules on the pillars read back, exact
+- ``polygons``  the geometric rules by KLayout, independent of lattices
+- ``check``     either engine on a file
+
+In: a mask file and a Design. Out: a DrcReport.
+"""
+
+from metafab.drc.check import check
+from metafab.drc.report import RULES, DrcReport, Marker, save
+
+__all__ = ["RULES", "DrcReport", "Marker", "check", "save"]

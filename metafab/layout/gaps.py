@@ -18,6 +18,9 @@ from metafab.layout.pillars import Lattice, SizeIndexArray
 #: (rows, columns) from a site to the four neighbours with which it makes a pair.
 PAIRS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
+#: Pairs below the limit that are listed; all are counted.
+LISTED = 1000
+
 
 @dataclass(frozen=True)
 class Gaps:
@@ -25,17 +28,25 @@ class Gaps:
 
     Attributes:
         smallest_dbu: smallest distance of two neighbours; infinity without any pair; negative where they overlap.
-        too_small: shape (n_sites,), flat index of the first site of each pair below the limit.
-        neighbour: shape (n_sites,), which of :data:`PAIRS` it is.
+        below: pairs below the limit.
+        overlapping: pairs that overlap or touch, a part of those below.
+        too_small: shape (m,), flat index of the first site of the first :data:`LISTED` pairs below the limit.
+        neighbour: shape (m,), which of :data:`PAIRS` it is.
     """
 
     smallest_dbu: float
+    below: int
+    overlapping: int
     too_small: NDArray[np.int64]
     neighbour: NDArray[np.int64]
 
 
 def smallest_gap(
-    size_index: SizeIndexArray, size_dbu: NDArray[np.int32], lattice: Lattice, limit_dbu: float = 0.0
+    size_index: SizeIndexArray,
+    size_dbu: NDArray[np.int32],
+    lattice: Lattice,
+    limit_dbu: float = 0.0,
+    rows: int | None = None,
 ) -> Gaps:
     """Gaps of all pairs of neighbours in a block.
 
@@ -43,42 +54,43 @@ def smallest_gap(
         size_index: shape (n_y, n_x), 0 for no pillar.
         size_dbu: shape (n_sizes + 1, 2).
         lattice: for its periods.
-        limit_dbu: pairs below it are listed.
+        limit_dbu: pairs below it are counted and listed.
+        rows: pairs whose first site lies in these first rows only; the others are neighbours. All unless given.
     """
+    rows = size_index.shape[0] if rows is None else rows
     if not HAS_NUMBA:
-        return smallest_gap_vectorised(size_index, size_dbu, lattice, limit_dbu)
-    block = np.ascontiguousarray(size_index)
-    found = np.empty((64, 2), dtype=np.int64)
-    while True:
-        square, count = _scan(block, size_dbu.astype(np.int64), *lattice.period_dbu, limit_dbu, found)
-        if count <= len(found):
-            return Gaps(_signed_root(square), found[:count, 0], found[:count, 1])
-        found = np.empty((count, 2), dtype=np.int64)
+        return smallest_gap_vectorised(size_index, size_dbu, lattice, limit_dbu, rows)
+    found = np.empty((LISTED, 2), dtype=np.int64)
+    square, below, overlapping = _scan(
+        np.ascontiguousarray(size_index), size_dbu.astype(np.int64), *lattice.period_dbu, limit_dbu, rows, found
+    )
+    listed = min(below, LISTED)
+    return Gaps(_signed_root(square), below, overlapping, found[:listed, 0], found[:listed, 1])
 
 
 def smallest_gap_vectorised(
-    size_index: SizeIndexArray, size_dbu: NDArray[np.int32], lattice: Lattice, limit_dbu: float = 0.0
+    size_index: SizeIndexArray, size_dbu: NDArray[np.int32], lattice: Lattice, limit_dbu: float, rows: int
 ) -> Gaps:
     """As :func:`smallest_gap`, in NumPy alone."""
     n_y, n_x = size_index.shape
     p_x, p_y = lattice.period_dbu
-    smallest = np.inf
+    smallest, overlapping = np.inf, 0
     sites, neighbours = [], []
     for pair, (down, right) in enumerate(PAIRS):
-        left = max(0, -right)
-        here = size_index[: n_y - down, left : n_x - max(0, right)]
-        there = size_index[down:, left + right : n_x + min(0, right)]
+        left, end = max(0, -right), min(rows, n_y - down)
+        here = size_index[:end, left : n_x - max(0, right)]
+        there = size_index[down : end + down, left + right : n_x + min(0, right)]
         gap_x = abs(right) * p_x - (size_dbu[here, 0] + size_dbu[there, 0]) / 2.0
         gap_y = down * p_y - (size_dbu[here, 1] + size_dbu[there, 1]) / 2.0
         square = np.where((here > 0) & (there > 0), _signed_square(gap_x, gap_y), np.inf)
-        if square.size:
-            smallest = min(smallest, float(square.min()))
+        smallest = min(smallest, float(square.min(initial=np.inf)))
         row, column = np.nonzero(square < limit_dbu * abs(limit_dbu))
+        overlapping += int(np.count_nonzero(square[row, column] <= 0.0))
         sites.append(row * n_x + column + left)
         neighbours.append(np.full(row.size, pair))
     site, neighbour = np.concatenate(sites), np.concatenate(neighbours)
-    order = np.lexsort((neighbour, site))
-    return Gaps(_signed_root(smallest), site[order], neighbour[order])
+    order = np.lexsort((neighbour, site))[:LISTED]
+    return Gaps(_signed_root(smallest), site.size, overlapping, site[order], neighbour[order])
 
 
 def _signed_square(gap_x: NDArray[np.float64], gap_y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -99,12 +111,13 @@ def _scan(
     p_x: int,
     p_y: int,
     limit: float,
+    rows: int,
     found: NDArray[np.int64],
-) -> tuple[float, int]:
+) -> tuple[float, int, int]:
     n_y, n_x = size_index.shape
     limit_square = limit * abs(limit)
-    smallest, count = np.inf, 0
-    for row in range(n_y):
+    smallest, count, overlapping = np.inf, 0, 0
+    for row in range(rows):
         for column in range(n_x):
             here = size_index[row, column]
             if here == 0:
@@ -127,4 +140,5 @@ def _scan(
                         found[count, 0] = row * n_x + column
                         found[count, 1] = pair
                     count += 1
-    return smallest, count
+                    overlapping += square <= 0.0
+    return smallest, count, overlapping

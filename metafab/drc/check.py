@@ -1,0 +1,48 @@
+"""A written file against the rules of its design, by either engine."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+from metafab.core.errors import InputError
+from metafab.core.progress import Progress, silent
+from metafab.drc.lattice import check_lattice
+from metafab.drc.report import DrcReport, Engine
+from metafab.mask import read
+from metafab.spec import Design
+
+
+def check(
+    path: Path,
+    design: Design,
+    *,
+    engine: Engine = "lattice",
+    workers: int | None = None,
+    progress: Progress = silent,
+) -> DrcReport:
+    """Check a GDSII or OASIS file.
+
+    Args:
+        path: the file; nothing but the file is looked at.
+        design: rules, lattice, aperture, layer.
+        engine: ``lattice`` knows where pillars should be and checks every rule exactly; ``polygons`` is
+            KLayout's, knows only shapes, and checks width, gap, overlap, grid and foreign shapes.
+        workers: threads; the cores unless given.
+        progress: told about rows or tiles.
+
+    Raises:
+        InputError: the file cannot be read as a mask, or the engine is unknown.
+        MissingToolError: KLayout is not installed.
+    """
+    start = time.perf_counter()
+    if engine == "lattice":
+        report = check_lattice(read(path, design, progress), design, workers, progress)
+    elif engine == "polygons":
+        from metafab.drc.polygons import check_polygons
+
+        report = check_polygons(path, design, workers, progress)
+    else:
+        raise InputError.single("--engine", "engine", "'lattice' or 'polygons'", repr(engine))
+    return replace(report, seconds=time.perf_counter() - start)

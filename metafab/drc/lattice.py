@@ -1,0 +1,162 @@
+"""Design rules on the pillars read back from a file: exact, in whole database units, a band of rows at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+from metafab.core.executor import default_workers, in_order
+from metafab.core.progress import Progress, silent
+from metafab.drc.report import MARKERS, RULES, DrcReport, Marker
+from metafab.layout import Aperture, smallest_gap
+from metafab.layout.gaps import PAIRS
+from metafab.layout.pillars import SizeIndexArray
+from metafab.mask import ReadBack
+from metafab.spec import Design
+
+_BAND_ROWS = 256
+
+# Rules compare with limits from the design file, which are decimal; a millionth of a unit is no violation.
+_SLACK_DBU = 1e-6
+
+
+@dataclass
+class _Findings:
+    """Violations of one band."""
+
+    counts: dict[str, int]
+    boxes_nm: dict[str, list[FloatArray]]
+    smallest_gap_dbu: float
+
+    def add(self, rule: str, count: int, boxes_nm: FloatArray) -> None:
+        self.counts[rule] += count
+        if count:
+            self.boxes_nm[rule].append(boxes_nm[:MARKERS])
+
+
+def _nothing() -> _Findings:
+    return _Findings(dict.fromkeys(RULES, 0), {rule: [] for rule in RULES}, np.inf)
+
+
+def check_lattice(
+    read_back: ReadBack, design: Design, workers: int | None = None, progress: Progress = silent
+) -> DrcReport:
+    """All rules of :data:`RULES` on what was read from a file.
+
+    Args:
+        read_back: the file's content.
+        design: rules, aperture.
+        workers: threads; the cores unless given.
+        progress: told about rows.
+    """
+    bands = _Bands(read_back, design)
+    total = _of_leftovers(read_back, design)
+    n_y = bands.size_index.shape[0]
+    with ThreadPoolExecutor(workers or default_workers()) as threads:
+        for done, findings in enumerate(in_order(threads, bands.check, range(0, n_y, _BAND_ROWS)), start=1):
+            for rule in RULES:
+                total.counts[rule] += findings.counts[rule]
+                total.boxes_nm[rule] += findings.boxes_nm[rule]
+            total.smallest_gap_dbu = min(total.smallest_gap_dbu, findings.smallest_gap_dbu)
+            progress("rules", min(done * _BAND_ROWS, n_y), n_y)
+    on_sites = int(np.count_nonzero(bands.size_index))
+    rectangles = on_sites + read_back.off_site.count + read_back.off_grid.count + read_back.duplicates.count
+    unit_nm = design.mask.database_unit_nm
+    return DrcReport(
+        file=read_back.path.name,
+        engine="lattice",
+        pillars=rectangles,
+        violations=total.counts,
+        markers={rule: tuple(_markers(total.boxes_nm[rule])) for rule, count in total.counts.items() if count},
+        min_gap_nm=float(total.smallest_gap_dbu * unit_nm) if np.isfinite(total.smallest_gap_dbu) else None,
+        other_layers=read_back.other_layers,
+    )
+
+
+def _markers(boxes_nm: list[FloatArray]) -> Iterator[Marker]:
+    if boxes_nm:
+        for box in np.concatenate(boxes_nm)[:MARKERS].tolist():
+            yield Marker(*box)
+
+
+def _of_leftovers(read_back: ReadBack, design: Design) -> _Findings:
+    """Violations that the reader has already set apart."""
+    found = _nothing()
+    kinds = {"lattice_site": read_back.off_site, "grid": read_back.off_grid, "duplicate": read_back.duplicates}
+    for rule, leftover in kinds.items():
+        found.add(rule, leftover.count, leftover.boxes_nm)
+        for narrow, column in (("min_width", 2), ("min_length", 3)):
+            below = leftover.boxes_nm[:, column] < design.rules.min_feature_nm - _SLACK_DBU
+            found.add(narrow, int(np.count_nonzero(below)), leftover.boxes_nm[below])
+    # A second rectangle at a site lies on the first.
+    found.add("overlap", read_back.duplicates.count, read_back.duplicates.boxes_nm)
+    for shapes in read_back.foreign.values():
+        found.add("foreign", shapes.count, shapes.boxes_nm)
+    return found
+
+
+class _Bands:
+    """Rules on the pillars at their sites."""
+
+    def __init__(self, read_back: ReadBack, design: Design) -> None:
+        pillars = read_back.pillars
+        self.size_index: SizeIndexArray = pillars.to_array()
+        self._lattice = pillars.lattice
+        self._size_dbu = pillars.size_dbu
+        self._size_nm = pillars.size_nm()
+        self._aperture = Aperture.of(design)
+        unit_nm = pillars.lattice.database_unit_nm
+        self._gap_dbu = design.rules.min_gap_nm / unit_nm - _SLACK_DBU
+        too_small = self._size_dbu < design.rules.min_feature_nm / unit_nm - _SLACK_DBU
+        self._too_small = {"min_width": too_small[:, 0], "min_length": too_small[:, 1]}
+
+    def check(self, first_row: int) -> _Findings:
+        """All rules for the rows of a band; pairs with the row above the band belong to it."""
+        found = _nothing()
+        rows = min(_BAND_ROWS, self.size_index.shape[0] - first_row)
+        band = self.size_index[first_row : first_row + rows]
+        used = np.bincount(band.ravel(), minlength=len(self._size_dbu))
+        for rule, bad in self._too_small.items():
+            count = int(used[1:] @ bad[1:])
+            if count:
+                row, column = np.nonzero(bad[band] & (band > 0))
+                found.add(rule, count, self._boxes(row[:MARKERS] + first_row, column[:MARKERS]))
+        self._check_aperture(first_row, band, found)
+        self._check_gaps(first_row, rows, found)
+        return found
+
+    def _check_aperture(self, first_row: int, band: SizeIndexArray, found: _Findings) -> None:
+        inside = self._aperture.inside(first_row, 0, band.shape)
+        wrong = inside != (band > 0)
+        if wrong.any():
+            for rule, bad in (("aperture", wrong & ~inside), ("missing", wrong & inside)):
+                row, column = np.nonzero(bad)
+                found.add(rule, row.size, self._boxes(row[:MARKERS] + first_row, column[:MARKERS]))
+
+    def _check_gaps(self, first_row: int, rows: int, found: _Findings) -> None:
+        block = self.size_index[first_row : first_row + rows + 1]
+        gaps = smallest_gap(block, self._size_dbu, self._lattice, self._gap_dbu, rows)
+        found.smallest_gap_dbu = gaps.smallest_dbu
+        if gaps.below:
+            row, column = np.divmod(gaps.too_small, block.shape[1])
+            down, right = np.array(PAIRS)[gaps.neighbour].T
+            here = self._boxes(row + first_row, column)
+            there = self._boxes(row + down + first_row, column + right)
+            low = np.minimum(here[:, :2], there[:, :2])
+            high = np.maximum(here[:, :2] + here[:, 2:], there[:, :2] + there[:, 2:])
+            boxes = np.concatenate([low, high - low], axis=1)
+            found.add("min_gap", gaps.below, boxes)
+            found.add("overlap", gaps.overlapping, boxes)
+
+    def _boxes(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> FloatArray:
+        """The pillar at each site, or its unit cell where there is none: x, y, width, height in nm."""
+        size = self._size_nm[self.size_index[row, column]]
+        period = np.multiply(self._lattice.period_dbu, self._lattice.database_unit_nm, dtype=np.float64)
+        size = np.where(size > 0, size, period)
+        centre = np.stack([self._lattice.x_um()[column], self._lattice.y_um()[row]], axis=1) * 1e3
+        return np.concatenate([centre - size / 2.0, size], axis=1)

@@ -1,0 +1,104 @@
+"""What a check found: counts of all violations, places of the first, as JSON and as KLayout's report database."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+from xml.sax.saxutils import escape
+
+from metafab.core.files import whole_file, write_json
+
+Engine = Literal["lattice", "polygons"]
+
+#: Places that are kept for each rule; violations are counted without limit.
+MARKERS = 1000
+
+RULES = {
+    "min_width": "a pillar narrower along x than `rules.min_feature_nm`",
+    "min_length": "a pillar shorter along y than `rules.min_feature_nm`",
+    "min_gap": "two pillars nearer than `rules.min_gap_nm`, corners of diagonal neighbours included",
+    "overlap": "two pillars that overlap or touch",
+    "grid": "edges that are no whole number of database units",
+    "lattice_site": "a rectangle whose centre is no site of the lattice, or that is larger than a unit cell",
+    "aperture": "a pillar whose unit cell is not inside the aperture",
+    "duplicate": "a second rectangle at a site",
+    "missing": "a site inside the aperture without a pillar",
+    "foreign": "a shape on the pillar layer that is no axis-parallel rectangle",
+}
+
+
+@dataclass(frozen=True)
+class Marker:
+    """One violation's place: the box around it, nm from the optical axis."""
+
+    x_nm: float
+    y_nm: float
+    width_nm: float
+    height_nm: float
+
+
+@dataclass(frozen=True)
+class DrcReport:
+    """The outcome of a check.
+
+    Attributes:
+        file: the checked file's name.
+        engine: ``lattice`` or ``polygons``.
+        pillars: rectangles found on the pillar layer.
+        violations: count by rule, zero included; the rules that this engine can see.
+        markers: up to :data:`MARKERS` places of each rule that is violated.
+        min_gap_nm: smallest distance between neighbours that was found; None if the engine does not measure it.
+        other_layers: shapes on other layers, which no rule concerns, by "layer/datatype".
+        seconds: wall clock, reading included.
+    """
+
+    file: str
+    engine: Engine
+    pillars: int
+    violations: dict[str, int]
+    markers: dict[str, tuple[Marker, ...]] = field(default_factory=dict)
+    min_gap_nm: float | None = None
+    other_layers: dict[str, int] = field(default_factory=dict)
+    seconds: float = 0.0
+
+    @property
+    def clean(self) -> bool:
+        """Whether no rule is violated."""
+        return not any(self.violations.values())
+
+
+def save(report: DrcReport, directory: Path, top_cell: str = "TOP") -> tuple[Path, Path]:
+    """Write ``drc.json`` and ``drc.lyrdb``, which KLayout opens at the violations."""
+    json_path, database_path = directory / "drc.json", directory / "drc.lyrdb"
+    write_json(json_path, report)
+    with whole_file(database_path) as part:
+        part.write_text(report_database(report, top_cell), encoding="utf-8")
+    return json_path, database_path
+
+
+def report_database(report: DrcReport, top_cell: str) -> str:
+    """The report in KLayout's marker format (micrometres)."""
+    categories = "".join(
+        f"  <category><name>{rule}</name><description>{escape(RULES[rule])}</description></category>\n"
+        for rule in report.violations
+    )
+    items = "".join(
+        f"  <item><category>{rule}</category><cell>{escape(top_cell)}</cell><values><value>{_box(marker)}</value>"
+        "</values></item>\n"
+        for rule, markers in report.markers.items()
+        for marker in markers
+    )
+    return (
+        '<?xml version="1.0" encoding="utf-8"?>\n<report-database>\n'
+        f" <description>{escape(report.file)}, {report.engine} engine</description>\n"
+        f" <generator>metafab drc</generator>\n <top-cell>{escape(top_cell)}</top-cell>\n"
+        f" <categories>\n{categories} </categories>\n"
+        f" <cells>\n  <cell><name>{escape(top_cell)}</name></cell>\n </cells>\n"
+        f" <items>\n{items} </items>\n</report-database>\n"
+    )
+
+
+def _box(marker: Marker) -> str:
+    left, bottom = marker.x_nm * 1e-3, marker.y_nm * 1e-3
+    return f"box: ({left:.6f},{bottom:.6f};{left + marker.width_nm * 1e-3:.6f},{bottom + marker.height_nm * 1e-3:.6f})"
