@@ -1,0 +1,19 @@
+"""Unit cells by FDTD: drives the real Meep, a separate program in an interpreter of its own.
+
+- ``finding``        which interpreter has the FDTD Meep, proved by a probe; what to install
+- ``protocol``       one worker process: jobs, time limits, a sure end
+- ``pool``           long-lived workers, one a core
+- ``grid``           a cell on whole pixels -> the worker's job
+- ``deembedding``    recorded fields -> t and r in the planes of the conventions
+- ``extrapolation``  several resolutions -> limit and error
+- ``solver``         all of it for one cell, or many
+
+In: a :class:`metafab.cell.response.PillarCell` at normal incidence. Out: its CellResponse. The program itself is
+``metafab/cell/meep_worker.py``, the only file that imports meep.
+"""
+
+from metafab.cell.meep.finding import MeepCandidate, find
+from metafab.cell.meep.pool import Pool
+from metafab.cell.meep.solver import MeepSettings, solve, solve_many
+
+__all__ = ["MeepCandidate", "MeepSettings", "Pool", "find", "solve", "solve_many"]

@@ -1,0 +1,255 @@
+"""One worker process: jobs as JSON lines, arrays as .npz files, time limits, and a sure end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import queue
+import signal
+import subprocess
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.cell.meep import finding
+from metafab.core.conventions import Polarisation
+from metafab.core.errors import SolverError
+
+Reply = dict[str, NDArray[Any]]
+
+_STDERR_LINES = 12
+_GRACE_SECONDS = 2.0
+
+#: A complex index along (x, y, z), each as (real, imaginary).
+AxisIndex = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Block:
+    """A cuboid of one material; later ones cover earlier ones.
+
+    Attributes:
+        centre: (x, y, z) in um; x and y from the middle of the cell, z from the plane where the light comes in.
+        size: (x, y, z) in um, None for as large as the cell.
+        n: its index.
+    """
+
+    centre: tuple[float, float, float]
+    size: tuple[float | None, float | None, float | None]
+    n: AxisIndex
+
+
+@dataclass(frozen=True)
+class Job:
+    """One FDTD run: a plane-wave pulse along +z through a structure that is periodic along x and y.
+
+    Attributes:
+        pixel_um: grid spacing.
+        n_x: pixels a period along x; likewise ``n_y``; ``n_z`` pixels along z, absorbers included.
+        origin_node: place of z = 0 on the grid, in pixels from its lower end; need not be whole.
+        absorber_nodes: thickness of each absorber (PML), in pixels.
+        source_node: where the pulse starts, in whole pixels from the lower end.
+        monitor_nodes: where fields are recorded.
+        wavelength_um: vacuum wavelength of the recorded fields.
+        polarisation: of the pulse.
+        components: recorded components of E.
+        orders: recorded diffraction orders (m, n) along x and y.
+        n_in: index wherever there is no block; the source lies in it.
+        blocks: the structure.
+        mirrors: whether it equals its mirror images in x and in y: a quarter is simulated then.
+        decay: the run ends when the extrapolated orders change by no more than this, relative to the incident wave.
+        longest_time: it ends at this time (um / c) at the latest.
+        courant: time step over grid spacing.
+        fields: whether to return the whole field of each monitor.
+    """
+
+    pixel_um: float
+    n_x: int
+    n_y: int
+    n_z: int
+    origin_node: float
+    absorber_nodes: int
+    source_node: int
+    monitor_nodes: tuple[int, ...]
+    wavelength_um: float
+    polarisation: Polarisation
+    components: tuple[Polarisation, ...]
+    orders: tuple[tuple[int, int], ...]
+    n_in: AxisIndex
+    blocks: tuple[Block, ...]
+    mirrors: bool
+    decay: float
+    longest_time: float
+    courant: float = 0.5
+    fields: bool = False
+
+    def to_json(self) -> dict[str, Any]:
+        """The job as the worker reads it; complex indices become complex(*pair) there."""
+        return asdict(self)
+
+
+class Worker:
+    """A process that runs jobs one after the other. Not to be shared between threads.
+
+    Args:
+        command: the program and its arguments; by default the first interpreter that has Meep.
+    """
+
+    def __init__(self, command: Sequence[str] | None = None) -> None:
+        self.jobs_done = 0
+        self._folder = tempfile.TemporaryDirectory(prefix="metafab-meep-")
+        self._lines: queue.Queue[str | None] = queue.Queue()
+        self._stderr: deque[str] = deque(maxlen=_STDERR_LINES)
+        self._process = subprocess.Popen(
+            list(command) if command is not None else finding.command(finding.best().interpreter),
+            env=finding.clean_environment(),
+            cwd=self._folder.name,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            # A group of its own: Ctrl-C reaches us alone, and we end everything that it started.
+            start_new_session=True,
+        )
+        self._readers = [
+            threading.Thread(target=self._read_stdout, daemon=True),
+            threading.Thread(target=self._read_stderr, daemon=True),
+        ]
+        for reader in self._readers:
+            reader.start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process still runs."""
+        return self._process.poll() is None
+
+    def run(self, job: Job, *, limit_s: float, report: Callable[[float], None] | None = None) -> Reply:
+        """Run one job to its end.
+
+        Args:
+            job: what to simulate.
+            limit_s: the worker is killed when it takes longer.
+            report: called with the simulated time in um / c.
+
+        Returns:
+            The arrays that :func:`metafab.cell.meep_worker.run` documents.
+
+        Raises:
+            SolverError: the worker failed, died, talked nonsense or took too long. Only after a failure that it
+                reported itself can it be used again (see ``alive``).
+        """
+        name = f"{self.jobs_done}"
+        arrays = Path(self._folder.name) / f"{name}.npz"
+        try:
+            self._send({"id": name, "job": job.to_json(), "arrays": str(arrays)})
+            self._await(name, time.monotonic() + limit_s, limit_s, report)
+            with np.load(arrays, allow_pickle=False) as content:
+                reply = {key: np.array(content[key]) for key in content.files}
+        except (OSError, ValueError) as error:
+            self.close()
+            raise self._failure(f"its arrays cannot be read ({error})") from error
+        except BaseException:
+            # Ctrl-C included: a run that nobody waits for must not go on. A failure that the worker
+            # reported itself has left it idle.
+            if not self._idle:
+                self.close()
+            raise
+        finally:
+            arrays.unlink(missing_ok=True)
+        self.jobs_done += 1
+        return reply
+
+    def close(self) -> None:
+        """End the process and all that it started, and remove its files."""
+        if self.alive:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(self._process.pid, signal.SIGTERM)
+            try:
+                self._process.wait(_GRACE_SECONDS)
+            except subprocess.TimeoutExpired:
+                with contextlib.suppress(ProcessLookupError, PermissionError):
+                    os.killpg(self._process.pid, signal.SIGKILL)
+                self._process.wait()
+        for reader in self._readers:
+            reader.join(_GRACE_SECONDS)
+        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
+            if stream is not None:
+                with contextlib.suppress(OSError):
+                    stream.close()
+        self._folder.cleanup()
+
+    def __enter__(self) -> Worker:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    _idle = True
+
+    def _send(self, message: dict[str, Any]) -> None:
+        self._idle = False
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(message) + "\n")
+            self._process.stdin.flush()
+        except OSError as error:
+            self.close()
+            raise self._failure("it was gone before it got its job") from error
+
+    def _await(self, name: str, deadline: float, limit_s: float, report: Callable[[float], None] | None) -> None:
+        while True:
+            try:
+                line = self._lines.get(timeout=max(0.0, deadline - time.monotonic()))
+            except queue.Empty:
+                raise self._failure(f"it took longer than {limit_s:g} s") from None
+            if line is None:
+                self._process.wait()
+                raise self._failure(f"it died in the middle of a job (exit status {self._process.returncode})")
+            message = _parse(line)
+            if message is None or message.get("id") != name:
+                raise self._failure(f"it answered with {line.strip()[:80]!r}")
+            if "error" in message:
+                self._idle = True
+                raise self._failure(str(message["error"]))
+            if "done" in message:
+                self._idle = True
+                return
+            if report is not None and "progress" in message:
+                report(float(message["progress"]))
+
+    def _failure(self, what: str) -> SolverError:
+        if not self._idle:
+            # What it said last may still be on its way.
+            self._readers[1].join(0.2)
+        said = "".join(f"\n  | {line}" for line in self._stderr)
+        return SolverError(f"Meep worker: {what}{said}")
+
+    def _read_stdout(self) -> None:
+        assert self._process.stdout is not None
+        with contextlib.suppress(ValueError, OSError):
+            for line in self._process.stdout:
+                self._lines.put(line)
+        self._lines.put(None)
+
+    def _read_stderr(self) -> None:
+        assert self._process.stderr is not None
+        with contextlib.suppress(ValueError, OSError):
+            for line in self._process.stderr:
+                self._stderr.append(line.rstrip())
+
+
+def _parse(line: str) -> dict[str, Any] | None:
+    try:
+        message = json.loads(line)
+    except ValueError:
+        return None
+    return message if isinstance(message, dict) else None

@@ -1,0 +1,313 @@
+"""The FDTD side: a program of its own, run by whichever interpreter has Meep; see ``metafab.cell.meep``.
+
+Standard library, NumPy and Meep only. One JSON object a line comes in on stdin and goes out on stdout:
+
+- ``{"id", "job", "arrays"}`` asks for one run; ``arrays`` is the path of the .npz file to write
+- ``{"id", "progress"}`` tells the simulated time while it lasts
+- ``{"id", "done", "seconds"}`` or ``{"id", "error"}`` ends it
+
+``--probe`` prints one object that says whether this interpreter has the FDTD Meep, and exits.
+
+Lengths are micrometres and times micrometres / c, as in Meep; fields depend on time as exp(-i omega t).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+Json = dict[str, Any]  # Python 3.9 and later
+
+#: A pulse of this relative width (Meep's ``fwidth``) dies soon and excites few modes that the answer lacks.
+_PULSE_WIDTH = 0.5
+_PULSE_CUTOFF = 5.0
+#: Samples of the running Fourier transform: one every so many optical periods.
+_SAMPLE_PERIODS = 2.5
+#: Modes that a decaying tail may hold, and the window from which they are found.
+_TAIL_MODES = 6
+_TAIL_SAMPLES = 3 * _TAIL_MODES
+#: How many limits in a row must agree.
+_AGREEING_LIMITS = 3
+
+
+def tail_limit(samples: Any, modes: int = _TAIL_MODES) -> Any:
+    """Limit of a sequence whose tail is a sum of decaying oscillations: reduced rank extrapolation.
+
+    With s_j = s + sum_m c_m q_m^j, weights a_k that annihilate the differences of the window and add up to one
+    give s = sum_k a_k s_(j+k), exactly where no more than ``modes`` of the q_m matter (Sidi, Vector
+    Extrapolation Methods, 2017, ch. 1). A mode of high quality need not be waited for.
+
+    Args:
+        samples: shape (n_samples, n_values), n_samples >= 2 (modes + 1).
+        modes: number of q_m.
+
+    Returns:
+        Shape (n_values,).
+    """
+    window = np.asarray(samples)
+    change = np.diff(window, axis=0)
+    rows = change.shape[0] - modes
+    # Each value gives one Hankel block; all share the decay rates.
+    hankel = np.concatenate([[change[row : row + modes + 1, i] for row in range(rows)] for i in range(window.shape[1])])
+    size = float(np.max(np.abs(hankel)))
+    if size == 0.0:
+        return window[-1].copy()
+    # Minimise |hankel a| with sum(a) = 1; the small ridge keeps noise at round-off level out of the weights.
+    normal = hankel.conj().T @ hankel / size**2
+    normal += 1e-15 * np.trace(normal).real * np.eye(modes + 1)
+    weights = np.linalg.solve(normal, np.ones(modes + 1))
+    weights /= weights.sum()
+    return weights @ window[-(modes + 1) :]
+
+
+def run(job: Json, report: Any) -> Json:
+    """Drive one plane-wave pulse through a periodic structure.
+
+    Args:
+        job: as :class:`metafab.cell.meep.protocol.Job` documents.
+        report: called with the simulated time now and then.
+
+    Returns:
+        Arrays of the reply: ``time`` (n_samples,), ``amplitude`` (n_samples, n_monitors, n_components,
+        n_orders), ``limit`` (the same without samples), ``tail`` (largest change of the last limits),
+        ``incident`` (n_monitors,), and ``field`` (n_monitors, n_components, n_y, n_x) where asked for.
+    """
+    import meep as mp
+
+    mp.verbosity(0)
+    empty = _simulation(mp, job, empty=True)
+    monitors = _monitors(mp, job, empty, empty=True)
+    pulse = 2.0 * _PULSE_CUTOFF * job["wavelength_um"] / _PULSE_WIDTH
+    # Behind the pulse only the absorber's echo is left: two passes through the cell are ample.
+    longest = max(abs(complex(*n)) for n in job["n_in"])
+    empty.run(until=pulse + 2.0 * longest * job["n_z"] * job["pixel_um"])
+    own = job["components"].index(job["polarisation"])
+    incident = _amplitudes(mp, job, empty, monitors, empty=True)[:, own, 0]
+    empty.reset_meep()
+
+    cell = _simulation(mp, job, empty=False)
+    monitors = _monitors(mp, job, cell, empty=False)
+    step = _SAMPLE_PERIODS * job["wavelength_um"]
+    scale = float(np.max(np.abs(incident)))
+    times, samples, limits = [], [], []
+    cell.run(until=pulse)
+    tail = math.inf
+    while True:
+        times.append(cell.meep_time())
+        samples.append(_amplitudes(mp, job, cell, monitors, empty=False))
+        report(times[-1])
+        if len(samples) >= _TAIL_SAMPLES:
+            limits.append(tail_limit(np.reshape(samples[-_TAIL_SAMPLES:], (_TAIL_SAMPLES, -1))))
+        if len(limits) > _AGREEING_LIMITS:
+            recent = np.array(limits[-_AGREEING_LIMITS - 1 :])
+            tail = float(np.max(np.abs(np.diff(recent, axis=0)))) / scale
+            if tail <= job["decay"]:
+                break
+        if times[-1] >= job["longest_time"]:
+            break
+        cell.run(until=step)
+    if not limits:
+        limits.append(np.ravel(samples[-1]))
+    reply = {
+        "time": np.array(times),
+        "amplitude": np.array(samples),
+        "limit": limits[-1].reshape(samples[-1].shape),
+        "tail": np.array(tail),
+        "incident": incident,
+    }
+    if job.get("fields"):
+        reply["field"] = np.array([[_plane(mp, job, cell, m, c) for c in job["components"]] for m in monitors])
+    cell.reset_meep()
+    return reply
+
+
+def _medium(mp: Any, job: Json, n: Any) -> Any:
+    """A constant complex index at the design frequency (no dispersion: subpixel smoothing needs that)."""
+    epsilon = [complex(*axis) ** 2 for axis in n]
+    omega = 2.0 * math.pi / job["wavelength_um"]
+    return mp.Medium(
+        epsilon_diag=mp.Vector3(*(e.real for e in epsilon)),
+        D_conductivity_diag=mp.Vector3(*(omega * e.imag / e.real for e in epsilon)),
+    )
+
+
+def _lateral_um(job: Json, empty: bool) -> tuple[float, float]:
+    """Periods; the empty cell is as uniform as the wave and needs two pixels only."""
+    n_x, n_y = (2, 2) if empty else (job["n_x"], job["n_y"])
+    return n_x * job["pixel_um"], n_y * job["pixel_um"]
+
+
+def _z(job: Json, node: float) -> float:
+    """Meep's z of a node: its origin is the middle of the cell."""
+    return float((node - job["n_z"] / 2) * job["pixel_um"])
+
+
+def _simulation(mp: Any, job: Json, *, empty: bool) -> Any:
+    pixel, frequency = job["pixel_um"], 1.0 / job["wavelength_um"]
+    width, length = _lateral_um(job, empty)
+    x_polarised = job["polarisation"] == "x"
+    origin = _z(job, job["origin_node"])
+    geometry = [
+        mp.Block(
+            center=mp.Vector3(block["centre"][0], block["centre"][1], block["centre"][2] + origin),
+            size=mp.Vector3(*(mp.inf if size is None else size for size in block["size"])),
+            material=_medium(mp, job, block["n"]),
+        )
+        for block in ([] if empty else job["blocks"])
+    ]
+    mirrors = []
+    if job["mirrors"] and not empty:
+        # The source is a polar vector: odd under the mirror across its own axis.
+        mirrors = [mp.Mirror(mp.X, phase=-1 if x_polarised else 1), mp.Mirror(mp.Y, phase=1 if x_polarised else -1)]
+    source = mp.Source(
+        mp.GaussianSource(frequency, fwidth=_PULSE_WIDTH * frequency, cutoff=_PULSE_CUTOFF),
+        component=mp.Ex if x_polarised else mp.Ey,
+        center=mp.Vector3(z=_z(job, job["source_node"])),
+        size=mp.Vector3(width, length),
+    )
+    return mp.Simulation(
+        cell_size=mp.Vector3(width, length, job["n_z"] * pixel),
+        resolution=1.0 / pixel,
+        Courant=job["courant"],
+        geometry=geometry,
+        # Otherwise blocks that leave the cell come in again at its other end, along z, too.
+        ensure_periodicity=False,
+        default_material=_medium(mp, job, job["n_in"]),
+        boundary_layers=[mp.PML(job["absorber_nodes"] * pixel, direction=mp.Z)],
+        k_point=mp.Vector3(),
+        symmetries=mirrors,
+        sources=[source],
+    )
+
+
+def _monitors(mp: Any, job: Json, simulation: Any, *, empty: bool) -> list[Any]:
+    width, length = _lateral_um(job, empty)
+    components = [mp.Ex if name == "x" else mp.Ey for name in job["components"]]
+    return [
+        simulation.add_dft_fields(
+            components,
+            1.0 / job["wavelength_um"],
+            0,
+            1,
+            center=mp.Vector3(z=_z(job, node)),
+            size=mp.Vector3(width, length),
+            yee_grid=True,
+        )
+        for node in job["monitor_nodes"]
+    ]
+
+
+def _plane(mp: Any, job: Json, simulation: Any, monitor: Any, component: str, *, empty: bool = False) -> Any:
+    """One period of a monitor's field, shape (n_y, n_x), on the component's own grid points."""
+    field = simulation.get_dft_array(monitor, mp.Ex if component == "x" else mp.Ey, 0)
+    shape = (2, 2) if empty else (job["n_x"], job["n_y"])
+    # Meep adds the periodic images at the edges: one where points lie on the edge, two where they straddle it.
+    cut = tuple(slice((held - n) // 2, (held - n) // 2 + n) for held, n in ((field.shape[i], shape[i]) for i in (0, 1)))
+    return field[cut].T
+
+
+def _amplitudes(mp: Any, job: Json, simulation: Any, monitors: list[Any], *, empty: bool) -> Any:
+    """Diffraction orders of each monitor and component: shape (n_monitors, n_components, n_orders).
+
+    The cell average over the grid points removes every other order exactly.
+    """
+    orders = [(0, 0)] if empty else job["orders"]
+    shape = (2, 2) if empty else (job["n_x"], job["n_y"])
+    result = np.empty((len(monitors), len(job["components"]), len(orders)), dtype=complex)
+    for j, component in enumerate(job["components"]):
+        # E_x lies half a pixel along x from the nodes, E_y along y; the first node is the cell's edge.
+        x = (np.arange(shape[0]) + (0.5 if component == "x" else 0.0)) / shape[0] - 0.5
+        y = (np.arange(shape[1]) + (0.5 if component == "y" else 0.0)) / shape[1] - 0.5
+        waves = np.array([np.exp(-2j * np.pi * (m * x[None, :] + n * y[:, None])) for m, n in orders])
+        for i, monitor in enumerate(monitors):
+            field = _plane(mp, job, simulation, monitor, component, empty=empty)
+            result[i, j] = np.mean(waves * field, axis=(1, 2))
+    return result
+
+
+def probe() -> Json:
+    """Whether this interpreter's ``meep`` is the FDTD program: a wave in vacuum must advance as it should."""
+    answer = {"python": ".".join(map(str, sys.version_info[:3])), "found": False, "version": "", "reason": ""}
+    try:
+        import meep as mp
+    except Exception as error:  # a broken installation may raise anything
+        answer["reason"] = f"import failed: {type(error).__name__}: {error}"
+        return answer
+    answer["version"] = str(getattr(mp, "__version__", ""))
+    missing = [name for name in ("Simulation", "PML", "GaussianSource", "Medium", "Mirror") if not hasattr(mp, name)]
+    if missing:
+        answer["reason"] = f"its package `meep` is not the FDTD program (no {', '.join(missing)})"
+        return answer
+    try:
+        mp.verbosity(0)
+        simulation = mp.Simulation(
+            cell_size=mp.Vector3(z=4.0),
+            resolution=20,
+            dimensions=1,
+            boundary_layers=[mp.PML(1.0)],
+            sources=[mp.Source(mp.GaussianSource(1.0, fwidth=0.5), component=mp.Ex, center=mp.Vector3(z=-0.9))],
+        )
+        planes = [
+            simulation.add_dft_fields([mp.Ex], 1.0, 0, 1, center=mp.Vector3(z=z), size=mp.Vector3())
+            for z in (-0.25, 0.25)
+        ]
+        simulation.run(until=25)
+        first, second = (complex(simulation.get_dft_array(plane, mp.Ex, 0)) for plane in planes)
+    except Exception as error:
+        answer["reason"] = f"it failed in vacuum: {type(error).__name__}: {error}"
+        return answer
+    # Half a wavelength turns the field over; the grid's own dispersion is 4e-3 of that.
+    if abs(second / first + 1.0) > 0.05:
+        answer["reason"] = "its waves do not travel as they should in vacuum"
+        return answer
+    answer["found"] = True
+    return answer
+
+
+def serve(stream: Any) -> None:
+    """Answer jobs until stdin ends; leave when whoever started us is gone."""
+    parent = os.getppid()
+
+    def say(message: Json) -> None:
+        stream.write(json.dumps(message) + "\n")
+        stream.flush()
+
+    for line in sys.stdin:
+        message = json.loads(line)
+        name = message["id"]
+
+        def report(done: float, name: Any = name) -> None:
+            if os.getppid() != parent:
+                os._exit(3)
+            say({"id": name, "progress": done})
+
+        start = time.perf_counter()
+        try:
+            arrays = run(message["job"], report)
+            np.savez(message["arrays"], **arrays)
+        except Exception as error:
+            say({"id": name, "error": f"{type(error).__name__}: {error}"})
+        else:
+            say({"id": name, "done": True, "seconds": time.perf_counter() - start})
+
+
+def main() -> None:
+    """Keep the real stdout for the protocol: Meep's own prints, C++ ones included, go to stderr."""
+    sys.stdout.flush()
+    protocol = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    if sys.argv[1:] == ["--probe"]:
+        protocol.write(json.dumps(probe()) + "\n")
+        protocol.flush()
+    else:
+        serve(protocol)
+
+
+if __name__ == "__main__":
+    main()
