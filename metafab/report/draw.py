@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -15,7 +15,7 @@ from metafab.report import figures
 from metafab.report.accounts import budget_of, chain_of, depths_against_truth, seconds_of
 from metafab.report.mask_picture import picture_of
 from metafab.report.run_folder import RunFolder
-from metafab.report.style import MAP, PICTURE, PLOT, Margins, names_margin, panel, save_png, svg
+from metafab.report.style import BARS, MAP, PICTURE, PLOT, Margins, panel, save_png, svg
 
 
 @dataclass(frozen=True)
@@ -64,16 +64,16 @@ def draw(run: RunFolder, progress: Progress) -> dict[str, str]:
 def _accounts(run: RunFolder) -> Iterator[Plan]:
     chain, budget, seconds = chain_of(run), budget_of(run), seconds_of(run)
     if chain:
-        yield _bars("loss_chain", "Loss chain", partial(figures.loss_chain, chain), [name for name, _ in chain])
+        yield _bars("loss_chain", "Loss chain", partial(figures.loss_chain, chain), len(chain))
     if budget:
-        names = [line[0] for line in budget if line[1] > 0.0]
-        yield _bars("error_budget", "Error budget", partial(figures.error_budget, budget), names)
+        shown = [line for line in budget if line[1] > 0.0]
+        yield _bars("error_budget", "Error budget", partial(figures.error_budget, shown), len(shown))
     if seconds:
-        yield _bars("seconds", "Seconds of each step", partial(figures.seconds, seconds), list(seconds))
+        yield _bars("seconds", "Seconds of each step", partial(figures.seconds, seconds), len(seconds))
 
 
-def _bars(name: str, label: str, paint: Callable[[Axes], object], names: Sequence[str]) -> Plan:
-    return Plan(name, label, paint, (5.4, 0.9 + 0.29 * len(names)), names_margin(names, 1.3))
+def _bars(name: str, label: str, paint: Callable[[Axes], object], count: int) -> Plan:
+    return Plan(name, label, paint, (4.6, 0.94 + 0.42 * count), BARS)
 
 
 def _map(name: str, label: str, paint: Callable[[Axes], object]) -> Plan:

@@ -46,6 +46,11 @@ def figure(svg: str, caption: str = "") -> str:
     return f"<figure>{svg}{below}</figure>"
 
 
+def wide(content: str) -> str:
+    """Content that needs room: on a narrow screen it scrolls sideways."""
+    return f'<div class="scroll wide">{content}</div>'
+
+
 def grid(figures: Iterable[str]) -> str:
     """Pictures side by side where there is room."""
     return f'<div class="grid">{"".join(figures)}</div>'

@@ -195,7 +195,7 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
             "arrows run from there to the maximum."
         ),
         viewer,
-        f'<div class="scroll wide">{html.figure(drawn["psf_pair"])}</div>' if "psf_pair" in drawn else "",
+        html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
         html.grid(html.figure(drawn[n]) for n in ("psf_orientation", "psf_peak") if n in drawn),
         "" if run.ideal_psf is not None else html.note(run.notes.get("ideal_psf", "no PSF of the target phases")),
     )
@@ -216,7 +216,7 @@ def imaging(run: RunFolder, drawn: Drawn) -> str:
     return html.section(
         "image",
         "One exposure, four dimensions",
-        html.figure(drawn["raw_frame"], "Both polarisations of the scene on one sensor, y up, as recorded.")
+        html.wide(html.figure(drawn["raw_frame"], "Both polarisations of the scene on one sensor, y up, as recorded."))
         if "raw_frame" in drawn
         else html.note(run.notes.get("raw", "no raw frame")),
         "" if run.decoded is not None else html.note(run.notes.get("decoded", "no decoded image")),

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -61,6 +60,8 @@ Extent = tuple[float, float, float, float]
 PLOT: Margins = (0.66, 0.22, 0.52, 0.36)
 MAP: Margins = (0.66, 0.98, 0.52, 0.36)
 PICTURE: Margins = (0.10, 0.86, 0.10, 0.36)
+#: Of bars under their names, with room for values at their ends.
+BARS: Margins = (0.10, 1.15, 0.52, 0.42)
 
 
 def panel(size_in: tuple[float, float] = (4.0, 3.1), margins_in: Margins = PLOT) -> tuple[Figure, Axes]:
@@ -75,16 +76,11 @@ def panel(size_in: tuple[float, float] = (4.0, 3.1), margins_in: Margins = PLOT)
     return figure, figure.add_axes(place)
 
 
-def names_margin(names: Iterable[str], right_in: float) -> Margins:
-    """Margins of a plot whose vertical axis carries names."""
-    return (0.2 + 0.068 * max(map(len, names), default=0), right_in, 0.52, 0.36)
-
-
-def dress(axes: Axes, x_label: str = "", y_label: str = "", title: str = "") -> Axes:
+def dress(axes: Axes, x_label: str = "", y_label: str = "", title: str = "", title_ink: str = INK) -> Axes:
     """Labels, spines and ticks in the house's hand."""
     axes.set_xlabel(x_label, fontsize=9, color=INK)
     axes.set_ylabel(y_label, fontsize=9, color=INK)
-    axes.set_title(title, fontsize=9.5, color=INK, loc="left", pad=7)
+    axes.set_title(title, fontsize=9.5, color=title_ink, loc="left", pad=7)
     axes.tick_params(labelsize=8.5, colors=MUTED, labelcolor=INK, length=3, width=0.7)
     axes.set_facecolor("none")
     for side, spine in axes.spines.items():
@@ -94,9 +90,9 @@ def dress(axes: Axes, x_label: str = "", y_label: str = "", title: str = "") -> 
     return axes
 
 
-def bare(axes: Axes, title: str = "") -> Axes:
+def bare(axes: Axes, title: str = "", title_ink: str = INK) -> Axes:
     """Axes of a picture that carries its own scale bar: no ticks, no spines."""
-    dress(axes, title=title)
+    dress(axes, title=title, title_ink=title_ink)
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():

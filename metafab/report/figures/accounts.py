@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from matplotlib.axes import Axes
+from matplotlib.ticker import NullFormatter
 
 from metafab.report.style import GOOD, INK, MUTED, X_COLOUR, Y_COLOUR, dress, legend
 
@@ -22,13 +23,13 @@ def loss_chain(stages: Sequence[tuple[str, float]], axes: Axes) -> Axes:
 
 
 def error_budget(lines: Sequence[tuple[str, float, str]], axes: Axes) -> Axes:
-    """Each line of the budget on a logarithmic scale: (source, value, unit), lines without error left out."""
-    shown = [line for line in lines if line[1] > 0.0]
-    values = [value for _, value, _ in shown]
-    labels = [f"{value:.2g} {unit}" for _, value, unit in shown]
-    _bars([source for source, _, _ in shown], values, axes, X_COLOUR, labels)
+    """Each line of the budget on a logarithmic scale: (source, value above 0, unit)."""
+    values = [value for _, value, _ in lines]
+    labels = [f"{value:.2g} {unit}" for _, value, unit in lines]
+    _bars([source for source, _, _ in lines], values, axes, X_COLOUR, labels)
     axes.set_xscale("log")
-    if shown:
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    if values:
         axes.set_xlim(min(values) / 3.0, max(values) * 1.5)
     return dress(axes, "error, each in its unit", "", "Error budget")
 
@@ -59,8 +60,10 @@ def error_against_time(rows: Sequence[Mapping[str, Any]], axes: Axes) -> Axes:
 
 def _bars(names: Sequence[str], values: Sequence[float], axes: Axes, colour: str, labels: Sequence[str]) -> None:
     places = range(len(names))
-    axes.barh(places, values, height=0.55, color=colour)
-    for place, value, label in zip(places, values, labels, strict=True):
-        axes.annotate(label, (value, place), (4, 0), textcoords="offset points", fontsize=8.5, color=INK, va="center")
-    axes.set_yticks(list(places), list(names))
-    axes.invert_yaxis()
+    axes.barh(places, values, height=0.36, color=colour)
+    for place, name, value, label in zip(places, names, values, labels, strict=True):
+        text: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8.5, "color": INK}
+        axes.annotate(label, (value, place), (4, 0), va="center", **text)
+        axes.annotate(name, (0.0, place - 0.22), (0, 1.5), xycoords=("axes fraction", "data"), va="bottom", **text)
+    axes.set_yticks([])
+    axes.set_ylim(len(names) - 0.6, -0.75)  # the first row on top

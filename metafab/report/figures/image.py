@@ -38,9 +38,7 @@ def intensity(decoded: Image4D, axes: Axes, polarisation: Polarisation, top: flo
     values = decoded.intensity_x if polarisation == "x" else decoded.intensity_y
     image = show_map(axes, values, _extent(decoded), cmap="gray", vmin=0.0, vmax=top or _top(values))
     colour_bar(image, axes, "electrons")
-    dress(axes, "x / µm", "y / µm", f"I_{polarisation}, all in focus")
-    axes.title.set_color(POLARISATION_COLOUR[polarisation])
-    return axes
+    return dress(axes, "x / µm", "y / µm", f"I_{polarisation}, all in focus", POLARISATION_COLOUR[polarisation])
 
 
 def contrast(decoded: Image4D, axes: Axes) -> Axes:

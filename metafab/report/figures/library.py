@@ -108,6 +108,5 @@ def _ridges(library: Library, axes: Axes, polarisation: Polarisation, colour: st
 
 
 def _dress_map(axes: Axes, title: str, polarisation: Polarisation | None = None) -> Axes:
-    dress(axes, "width W / nm", "length L / nm", title)
-    axes.title.set_color(INK if polarisation is None else POLARISATION_COLOUR[polarisation])
-    return axes
+    ink = INK if polarisation is None else POLARISATION_COLOUR[polarisation]
+    return dress(axes, "width W / nm", "length L / nm", title, ink)

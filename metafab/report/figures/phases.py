@@ -7,7 +7,7 @@ import math
 from matplotlib.axes import Axes
 
 from metafab.core.conventions import FloatArray, Polarisation, wrap_phase
-from metafab.report.style import PHASE_MAP, POLARISATION_COLOUR, bare, colour_bar, scale_bar, show_map
+from metafab.report.style import INK, PHASE_MAP, POLARISATION_COLOUR, bare, colour_bar, scale_bar, show_map
 
 
 def aperture_phase(
@@ -26,7 +26,6 @@ def aperture_phase(
     image = show_map(axes, wrap_phase(phase_rad), extent, cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
     bar = colour_bar(image, axes, "phase / rad", ticks=(-math.pi, 0.0, math.pi))
     bar.set_ticklabels(["−π", "0", "π"])
-    bare(axes, title)
-    axes.title.set_color(POLARISATION_COLOUR[polarisation])
-    scale_bar(axes, extent, POLARISATION_COLOUR[polarisation])
+    bare(axes, title, POLARISATION_COLOUR[polarisation])
+    scale_bar(axes, extent, INK)
     return axes
