@@ -8,14 +8,14 @@
 - ``depth``        depth of each pixel, with its error
 - ``segment``      segments, and the depth of each
 - ``restore``      all-in-focus images
-- ``decode``       all of it: ``decode`` and, for many frames, ``Decoder``
+- ``decoder``      all of it: ``decode`` and, for many frames, ``Decoder``
 - ``judge``        errors against the truth
 - ``store``        decoded.h5
 
 In: a RawFrame and a Psf. Out: an Image4D. No frame raises.
 """
 
-from metafab.decode.decode import Decoder, decode
+from metafab.decode.decoder import Decoder, decode
 from metafab.decode.image import Image4D
 from metafab.decode.store import load, save
 

@@ -14,7 +14,9 @@ from functools import cached_property
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
+from scipy.interpolate import BSpline
+from scipy.ndimage import spline_filter1d
+from scipy.sparse import csr_matrix
 
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels, spline_weights
@@ -24,7 +26,7 @@ from metafab.decode.twins import TwinGrid
 Transfer = NDArray[np.complex64]
 #: How much of itself (relative L2) the pair may change from the centre of a tile to its edge. What x and y change
 #: in opposite senses cancels in their comparison, so this is far from the depth error that it leaves.
-_TILE_CHANGE = 0.25
+_TILE_CHANGE = 0.06
 _TILE_CORES = (24, 256)
 
 
@@ -185,13 +187,29 @@ def _change_per_tangent(kernels: PairKernels) -> tuple[float, float]:
 
 
 def _stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.float32]:
-    """h(J r) |J| for a stack of kernels."""
+    """h(J r) |J| for a stack of kernels (n, n_y, n_x), by a quintic spline; zero outside of the window."""
     n_y, n_x = kernels.shape[-2:]
+    coefficients = spline_filter1d(kernels, order=5, axis=-1, mode="mirror", output=np.float32)
+    coefficients = spline_filter1d(coefficients, order=5, axis=-2, mode="mirror", output=np.float32)
     y, x = np.mgrid[:n_y, :n_x]
     x, y = x - n_x // 2, y - n_y // 2
-    place = [
-        stretch[1, 0] * x + stretch[1, 1] * y + n_y // 2,
-        stretch[0, 0] * x + stretch[0, 1] * y + n_x // 2,
-    ]
-    scale = abs(float(np.linalg.det(stretch)))
-    return np.stack([map_coordinates(k, place, order=5, mode="constant") * scale for k in kernels]).astype(np.float32)
+    place_x = stretch[0, 0] * x + stretch[0, 1] * y + n_x // 2
+    place_y = stretch[1, 0] * x + stretch[1, 1] * y + n_y // 2
+    inside = (place_x >= 0) & (place_x <= n_x - 1) & (place_y >= 0) & (place_y <= n_y - 1)
+    first_x, first_y = np.floor(place_x).astype(int) - 2, np.floor(place_y).astype(int) - 2
+    weight_x = np.stack([_QUINTIC(place_x - (first_x + i)) * inside for i in range(6)])
+    weight_y = np.stack([_QUINTIC(place_y - (first_y + i)) for i in range(6)])
+    row = np.stack([_mirrored(first_y + j, n_y) for j in range(6)])
+    column = np.stack([_mirrored(first_x + i, n_x) for i in range(6)])
+    source = (row[:, None] * n_x + column[None, :]).reshape(36, -1)
+    weight = (weight_y[:, None] * weight_x[None, :]).reshape(36, -1) * abs(np.linalg.det(stretch))
+    starts = np.arange(0, 36 * n_y * n_x + 1, 36)
+    matrix = csr_matrix((weight.T.ravel().astype(np.float32), source.T.ravel(), starts), shape=(n_y * n_x,) * 2)
+    return np.asarray((matrix @ coefficients.reshape(-1, n_y * n_x).T).T.reshape(kernels.shape), dtype=np.float32)
+
+
+_QUINTIC = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
+
+
+def _mirrored(index: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    return np.asarray((count - 1) - np.abs((count - 1) - np.abs(index)) % (2 * count))
