@@ -1,0 +1,50 @@
+"""Sphinx configuration: Markdown pages by MyST, API pages from the docstrings."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from metafab import __version__
+
+project = "metafab"
+author = "The metafab founders"
+copyright = "2026, the metafab founders"  # noqa: A001 (the name that Sphinx asks for)
+release = version = __version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build"]
+
+html_theme = "alabaster"
+html_title = f"metafab {version}"
+html_theme_options = {
+    "description": "From unit cell to mask to decoded image",
+    "page_width": "1080px",
+    "sidebar_width": "230px",
+    "fixed_sidebar": False,
+    "show_powered_by": False,
+    "font_family": "Charter, 'Bitstream Charter', Georgia, serif",
+    "head_font_family": "Charter, 'Bitstream Charter', Georgia, serif",
+}
+
+autodoc_typehints = "description"
+autodoc_member_order = "bysource"
+napoleon_use_ivar = True
+nitpicky = False
+
+_VERBATIM = re.compile(r"(``.*?``|`[^`]+`_?)", re.DOTALL)
+
+
+def _plain_english(app: Any, what: str, name: str, item: Any, options: Any, lines: list[str]) -> None:
+    """Our docstrings are plain text: bars, stars and trailing underscores mean themselves, not markup."""
+    for index, line in enumerate(lines):
+        pieces = _VERBATIM.split(line)
+        pieces[::2] = [re.sub(r"([|*]|_(?=\W|$))", r"\\\1", piece) for piece in pieces[::2]]
+        lines[index] = "".join(pieces)
+
+
+def setup(app: Any) -> None:
+    """Register the docstring filter; it runs before napoleon adds markup of its own."""
+    app.connect("autodoc-process-docstring", _plain_english, priority=100)
