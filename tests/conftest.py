@@ -7,12 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 from metafab.library.library import Library
 from metafab.spec import Design, UnitCell, load_design, load_unit_cell
 from tests.main_job import SMALL, Answer, metafab
 
 ROOT = Path(__file__).parent.parent
+
+# The first call of a compiled kernel takes seconds; wall clock is no property of correctness.
+settings.register_profile("metafab", deadline=None)
+settings.load_profile("metafab")
 
 
 @pytest.fixture(scope="session")

@@ -100,7 +100,8 @@ def _run(
         processor.output(name, collection)
     processor.queue(_SCRIPT)
     processor.execute("design rules")
-    width, length = set(), set()
+    width: set[tuple[int, int, int, int]] = set()
+    length: set[tuple[int, int, int, int]] = set()
     for pair in outputs["narrow"].each():
         (width if pair.first.dx() == 0 else length).add(_box(pair.bbox()))
     return {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,8 +37,14 @@ class TileFigures:
     smallest_gap_dbu: float
 
     def __add__(self, other: TileFigures) -> TileFigures:
-        sums = [getattr(self, f.name) + getattr(other, f.name) for f in fields(self)[:-1]]
-        return TileFigures(*sums, min(self.smallest_gap_dbu, other.smallest_gap_dbu))
+        return TileFigures(
+            self.pillars + other.pillars,
+            self.overlap + other.overlap,
+            self.power + other.power,
+            self.square_error + other.square_error,
+            self.used + other.used,
+            min(self.smallest_gap_dbu, other.smallest_gap_dbu),
+        )
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ class GdsiiReader:
 
     Attributes:
         cells: by name.
-        unit_m: database unit in metres.
+        unit_nm: size of a database unit.
 
     Raises:
         InputError: the file is truncated, damaged or foreign.
@@ -69,7 +69,7 @@ class GdsiiReader:
     def __init__(self, path: Path, layer: tuple[int, int], progress: Progress = silent) -> None:
         self._path = path
         self._layer = layer
-        self.unit_m = 0.0
+        self.unit_nm = 0.0
         self.cells: dict[str, Cell] = {}
         self._size = path.stat().st_size
         with path.open("rb", buffering=0) as stream:
@@ -83,9 +83,9 @@ class GdsiiReader:
             if position == 0 and kind != _HEADER:
                 raise self._fault("a GDSII header", f"a record of type {kind:#06x}")
             if kind == _UNITS:
-                self.unit_m = _real(data[8:16])
-                if not 0.0 < self.unit_m < 1.0:
-                    raise self._fault("a database unit", f"{self.unit_m} m")
+                self.unit_nm = float(f"{_real(data[8:16]) * 1e9:.12g}")  # reals of 56 bits are only nearly decimal
+                if not 0.0 < self.unit_nm < 1e6:
+                    raise self._fault("a database unit", f"{self.unit_nm} nm")
             elif kind == _STRNAME:
                 name = data.rstrip(b"\0").decode("latin-1")
                 if name in self.cells:
@@ -102,7 +102,7 @@ class GdsiiReader:
                 cell = None
                 progress("indexing", position, self._size)
             position = following
-        if not self.unit_m:
+        if not self.unit_nm:
             raise self._fault("a database unit", "a library without UNITS")
 
     def _element(self, window: _Window, start: int, kind: int, cell: Cell, runs: list[_Run]) -> int:

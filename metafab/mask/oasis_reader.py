@@ -65,7 +65,7 @@ class OasisReader:
 
     Attributes:
         cells: by name.
-        unit_m: database unit in metres.
+        unit_nm: size of a database unit.
 
     Raises:
         InputError: the file is truncated, damaged or foreign.
@@ -78,7 +78,7 @@ class OasisReader:
         with path.open("rb") as stream:
             # The mapping outlives the stream; arrays over it keep it open.
             self._data = np.frombuffer(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ), dtype=np.uint8)
-        self.unit_m = 0.0
+        self.unit_nm = 0.0
         self.cells: dict[str, Cell] = {}
         self._names: dict[int, str] = {}
         try:
@@ -88,7 +88,7 @@ class OasisReader:
         except DamagedError as error:
             raise self._fault(str(error)) from error
         self._resolve_names()
-        if not self.unit_m:
+        if not self.unit_nm:
             raise self._fault("no START record")
 
     @property
@@ -105,7 +105,7 @@ class OasisReader:
         # Validation scheme 1: a CRC-32 over everything before it closes the file.
         if last[-5] == 1:
             (stated,) = struct.unpack("<I", last[-4:].tobytes())
-            if zlib.crc32(memoryview(self._data)[:-4]) != stated:
+            if zlib.crc32(self._data[:-4].data) != stated:
                 raise DamagedError("content that does not fit its checksum")
 
     def _resolve_names(self) -> None:
@@ -246,7 +246,7 @@ class _Pass:
             per_um = stream.real()
             if not 0.0 < per_um < 1e9:
                 raise DamagedError(f"{per_um} grid steps a micrometre")
-            reader.unit_m = 1e-6 / per_um
+            reader.unit_nm = 1e3 / per_um
             if stream.unsigned() == 0:
                 for _ in range(12):
                     stream.unsigned()

@@ -110,21 +110,22 @@ class Stream:
             self._plausible(columns * rows)
             steps = ((self.unsigned(), 0), (0, self.unsigned())) if kind == 1 else (self.step(), self.step())
             fast, slow = np.array(steps, dtype=np.int64)
-            return (slow * np.arange(rows)[:, None, None] + fast * np.arange(columns)[:, None]).reshape(-1, 2)
+            grid = slow * np.arange(rows)[:, None, None] + fast * np.arange(columns)[:, None]
+            return np.asarray(grid.reshape(-1, 2))
         if kind in {2, 3, 9}:
             count = self._count()
             step = self.step() if kind == 9 else (self.unsigned(), 0) if kind == 2 else (0, self.unsigned())
-            return np.arange(count)[:, None] * np.array(step, dtype=np.int64)
+            return np.asarray(np.arange(count)[:, None] * np.array(step, dtype=np.int64))
         if kind in {4, 5, 6, 7, 10, 11}:
             count = self._count()
-            grid = self.unsigned() if kind in {5, 7, 11} else 1
+            unit = self.unsigned() if kind in {5, 7, 11} else 1
             offsets = np.zeros((count, 2), dtype=np.int64)
             form = 2 if kind >= 10 else kind // 6  # 0: along x, 1: along y, 2: displacements
             end = read_displacements(self.data, self.position, form, offsets)
             if end < 0:
                 raise DamagedError("the data end inside a repetition")
             self.position = int(end)
-            return offsets * grid
+            return offsets * unit
         raise DamagedError(f"a repetition of type {kind}")
 
     def points(self, closed: bool) -> IntArray:

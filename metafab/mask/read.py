@@ -94,7 +94,7 @@ def read(path: Path, design: Design, progress: Progress = silent) -> ReadBack:
         raise InputError.single(
             str(path), "shapes", f"about as many as the design's {sites} sites", str(total), "is it another design's?"
         )
-    recovery = Recovery(lattice, _ratio(reader.unit_m * 1e9, design), str(path))
+    recovery = Recovery(lattice, _ratio(reader.unit_nm, design), str(path))
     foreign: Counter[str] = Counter()
     boxes: dict[str, list[Other]] = {}
     done = 0
@@ -107,11 +107,11 @@ def read(path: Path, design: Design, progress: Progress = silent) -> ReadBack:
         done += len(chunk.rectangles)
         progress("reading", done, total)
     size_dbu = recovery.finish()
-    unit_nm = reader.unit_m * 1e9
+    unit_nm = reader.unit_nm
 
     def leftover(stray: int) -> Leftover:
         found = recovery.strays(stray)
-        return Leftover(found.count, found.rectangles * unit_nm)
+        return Leftover(found.count, np.multiply(found.rectangles, unit_nm, dtype=np.float64))
 
     return ReadBack(
         path=path,
@@ -155,5 +155,5 @@ def format_of(path: Path) -> Format:
 
 
 def _ratio(unit_nm: float, design: Design) -> Fraction:
-    """File units in the design's units, a fraction of small whole numbers (GDSII's reals are only nearly exact)."""
+    """File units in the design's units, a fraction of small whole numbers."""
     return Fraction(unit_nm / design.mask.database_unit_nm).limit_denominator(1_000_000)

@@ -23,7 +23,7 @@ from metafab.mask.oasis_writer import OasisWriter
 from metafab.mask.viewer import layer_properties
 from metafab.spec import Design
 
-_WRITERS = {"gds": GdsiiWriter, "oas": OasisWriter}
+_WRITERS: dict[str, type[GdsiiWriter] | type[OasisWriter]] = {"gds": GdsiiWriter, "oas": OasisWriter}
 _BUFFER_BYTES = 1 << 20
 
 
@@ -56,7 +56,7 @@ def write(pillars: PillarMap, directory: Path, design: Design, progress: Progres
     figures = _Figures(pillars)
     files = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     with ExitStack() as stack:
-        writers = []
+        writers: list[GdsiiWriter | OasisWriter] = []
         for suffix, path in files.items():
             part = stack.enter_context(whole_file(path))
             stream = stack.enter_context(part.open("wb", buffering=_BUFFER_BYTES))

@@ -1,0 +1,221 @@
+"""Planted faults of every kind are found in the written file, by both engines where both can see them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import drc
+from metafab.layout import Assignment
+from metafab.spec import Design
+
+kdb = pytest.importorskip("klayout.db")
+
+FORMATS = ("gds", "oas")
+PERIOD = 700  # dbu
+
+
+@dataclass
+class Plant:
+    """A flat copy of the tiny lens in which shapes can be moved about."""
+
+    layout: kdb.Layout
+    shapes: kdb.Shapes
+    x_dbu: np.ndarray
+    y_dbu: np.ndarray
+
+    def at(self, row: int, column: int) -> kdb.Shape:
+        """The pillar at a site."""
+        x, y = int(self.x_dbu[column]), int(self.y_dbu[row])
+        (shape,) = self.shapes.each_touching(kdb.Box(x, y, x, y))
+        return shape
+
+    def resize(self, row: int, column: int, width: int, length: int) -> None:
+        x, y = int(self.x_dbu[column]), int(self.y_dbu[row])
+        self.at(row, column).box = kdb.Box(x - width // 2, y - length // 2, x + width // 2, y + length // 2)
+
+
+@pytest.fixture
+def plant(tiny: Assignment, tiny_files: dict[str, Path]) -> Plant:
+    layout = kdb.Layout()
+    layout.read(str(tiny_files["oas"]))
+    layout.flatten(layout.top_cell().cell_index(), -1, True)
+    shapes = layout.top_cell().shapes(layout.layer(1, 0))
+    for row in (40, 41):  # the sites that faults are planted at start from one calm size
+        for column in (40, 41, 42):
+            Plant(layout, shapes, tiny.pillars.lattice.x_dbu(), tiny.pillars.lattice.y_dbu()).resize(
+                row, column, 300, 300
+            )
+    return Plant(layout, shapes, tiny.pillars.lattice.x_dbu(), tiny.pillars.lattice.y_dbu())
+
+
+def _narrow(plant: Plant) -> None:
+    plant.resize(40, 40, 198, 300)
+
+
+def _short(plant: Plant) -> None:
+    plant.resize(40, 40, 300, 198)
+
+
+def _near_beside(plant: Plant) -> None:
+    plant.resize(40, 40, 502, 300)
+    plant.resize(40, 41, 502, 300)
+
+
+def _near_above(plant: Plant) -> None:
+    plant.resize(40, 40, 300, 502)
+    plant.resize(41, 40, 300, 502)
+
+
+def _near_diagonal(plant: Plant) -> None:
+    # Corners at (138, 140): 196.6 units apart, less than 200, while beside and above there is room.
+    for row, column, width, length in ((40, 40, 562, 560), (41, 41, 562, 560)):
+        plant.resize(row, column, width, length)
+    for row, column in ((39, 39), (39, 40), (39, 41), (40, 39), (41, 40), (40, 41), (41, 42), (42, 40), (42, 41), (42, 42)):
+        plant.resize(row, column, 200, 200)
+    plant.resize(42, 40, 200, 200)
+
+
+def _overlapping(plant: Plant) -> None:
+    plant.resize(40, 40, 700, 300)
+    plant.resize(40, 41, 702 - 2, 300)
+
+
+def _twice(plant: Plant) -> None:
+    plant.shapes.insert(plant.at(40, 40).box)
+
+
+def _gone(plant: Plant) -> None:
+    plant.at(40, 40).delete()
+
+
+def _shifted(plant: Plant) -> None:
+    plant.at(40, 40).transform(kdb.Trans(2, 0))
+
+
+def _too_large(plant: Plant) -> None:
+    plant.resize(40, 40, 720, 300)
+
+
+def _outside(plant: Plant) -> None:
+    x, y = int(plant.x_dbu[0]), int(plant.y_dbu[0])
+    plant.shapes.insert(kdb.Box(x - 150, y - 150, x + 150, y + 150))
+
+
+def _polygon(plant: Plant) -> None:
+    box = plant.at(40, 40).box
+    plant.at(40, 40).delete()
+    corners = [kdb.Point(box.left, box.bottom), kdb.Point(box.left, box.top), kdb.Point(box.right, box.bottom)]
+    plant.shapes.insert(kdb.Polygon(corners))
+
+
+# Fault -> what the lattice engine must count, and what KLayout's engine must at least see.
+FAULTS: dict[str, tuple[Callable[[Plant], None], dict[str, int], set[str]]] = {
+    "narrow": (_narrow, {"min_width": 1}, {"min_width"}),
+    "short": (_short, {"min_length": 1}, {"min_length"}),
+    "near beside": (_near_beside, {"min_gap": 1}, {"min_gap"}),
+    "near above": (_near_above, {"min_gap": 1}, {"min_gap"}),
+    "near diagonal": (_near_diagonal, {"min_gap": 1}, {"min_gap"}),
+    "overlapping": (_overlapping, {"min_gap": 3, "overlap": 1}, set()),
+    "twice": (_twice, {"duplicate": 1, "overlap": 1}, {"overlap"}),
+    "gone": (_gone, {"missing": 1}, set()),
+    "shifted": (_shifted, {"lattice_site": 1, "missing": 1}, set()),
+    "too large": (_too_large, {"lattice_site": 1, "missing": 1}, {"overlap"}),
+    "outside": (_outside, {"aperture": 1}, set()),
+    "polygon": (_polygon, {"foreign": 1, "missing": 1}, {"foreign"}),
+}
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_planted_fault_is_found(fault: str, suffix: str, plant: Plant, tiny_design: Design, tmp_path: Path) -> None:
+    act, expected, _ = FAULTS[fault]
+    act(plant)
+    path = tmp_path / f"planted.{suffix}"
+    plant.layout.write(str(path))
+    report = drc.check(path, tiny_design)
+    found = {rule: count for rule, count in report.violations.items() if count}
+    if fault == "overlapping":  # touching neighbours are also too near to others
+        assert found["overlap"] == 1
+        assert found["min_gap"] >= 1
+    else:
+        assert found == expected
+    assert set(report.markers) == set(found)
+
+
+@pytest.mark.parametrize("fault", [name for name, (_, _, seen) in FAULTS.items() if seen])
+def test_klayout_agrees_where_it_can_see(fault: str, plant: Plant, tiny_design: Design, tmp_path: Path) -> None:
+    act, _, seen = FAULTS[fault]
+    act(plant)
+    path = tmp_path / "planted.oas"
+    plant.layout.write(str(path))
+    report = drc.check(path, tiny_design, engine="polygons", workers=2)
+    assert seen <= {rule for rule, count in report.violations.items() if count}
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_the_mask_itself_is_clean(
+    suffix: str, tiny: Assignment, tiny_design: Design, tiny_files: dict[str, Path]
+) -> None:
+    for engine in ("lattice", "polygons"):
+        report = drc.check(tiny_files[suffix], tiny_design, engine=engine, workers=2)
+        assert report.clean
+        assert report.violations.keys() <= drc.RULES.keys()
+        assert report.pillars == tiny.figures["pillars"]
+    assert drc.check(tiny_files[suffix], tiny_design).min_gap_nm == tiny.figures["min_gap_nm"]
+
+
+def test_edges_off_the_grid_are_found(plant: Plant, tiny_design: Design, tmp_path: Path) -> None:
+    """A file in units of 0.1 nm, in which one pillar is 0.1 nm too wide to either side."""
+    options = kdb.SaveLayoutOptions()
+    options.format = "OASIS"
+    options.dbu = 0.0001
+    fine, path = tmp_path / "fine.oas", tmp_path / "off.oas"
+    plant.layout.write(str(fine), options)
+    layout = kdb.Layout()
+    layout.read(str(fine))
+    shapes = layout.top_cell().shapes(layout.layer(1, 0))
+    x, y = 5 * int(plant.x_dbu[40]), 5 * int(plant.y_dbu[40])
+    (shape,) = shapes.each_touching(kdb.Box(x, y, x, y))
+    shape.box = shape.box.enlarged(1, 0)
+    layout.write(str(path))
+    for engine in ("lattice", "polygons"):
+        assert drc.check(fine, tiny_design, engine=engine, workers=2).clean
+        assert drc.check(path, tiny_design, engine=engine, workers=2).violations["grid"] >= 1
+
+
+def test_markers_stand_at_the_violation(plant: Plant, tiny_design: Design, tmp_path: Path) -> None:
+    _narrow(plant)
+    path = tmp_path / "planted.oas"
+    plant.layout.write(str(path))
+    lattice = drc.check(path, tiny_design)
+    polygons = drc.check(path, tiny_design, engine="polygons", workers=1)
+    (marker,) = lattice.markers["min_width"]
+    expected = (plant.x_dbu[40] / 2 - 49.5, plant.y_dbu[40] / 2 - 75.0, 99.0, 150.0)
+    assert (marker.x_nm, marker.y_nm, marker.width_nm, marker.height_nm) == pytest.approx(expected, abs=1e-9)
+    assert polygons.markers["min_width"] == (marker,)
+
+
+def test_reports_are_written_and_klayout_opens_them(plant: Plant, tiny_design: Design, tmp_path: Path) -> None:
+    _near_beside(plant)
+    path = tmp_path / "planted.oas"
+    plant.layout.write(str(path))
+    report = drc.check(path, tiny_design)
+    json_path, database_path = drc.save(report, tmp_path, "helix_small")
+    stored = json.loads(json_path.read_text())
+    assert stored["violations"]["min_gap"] == 1
+    rdb = pytest.importorskip("klayout.rdb")
+    database = rdb.ReportDatabase("drc")
+    database.load(str(database_path))
+    assert database.num_items() == 1
+    (item,) = database.each_item()
+    assert database.category_by_id(item.category_id()).name() == "min_gap"
+    (value,) = item.each_value()
+    box = value.box()
+    # The box spans both pillars: 350 nm from centre to centre and half a width of 251 nm at either end.
+    assert box.width() == pytest.approx(0.601, abs=1e-9)

@@ -1,0 +1,107 @@
+"""From target phases to pillars: the best sizes, the same at every tiling, never below the gap."""
+
+from __future__ import annotations
+
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metafab import layout
+from metafab.core.conventions import wrap_phase
+from metafab.layout import Aperture, Assignment
+from metafab.layout.assign import allowed_sizes
+from metafab.library import Library
+from metafab.phase.profile import PhaseProfile
+from metafab.spec import Design
+from tests.layout.conftest import sizes_at_sites
+
+
+def test_exactly_the_sites_inside_the_aperture_carry_a_pillar(tiny: Assignment, tiny_design: Design) -> None:
+    aperture = Aperture.of(tiny_design)
+    assert np.array_equal(tiny.pillars.to_array() > 0, aperture.inside(0, 0, aperture.lattice.shape))
+    assert tiny.figures["pillars"] == aperture.count
+
+
+def test_figures_are_what_a_direct_sum_over_the_pillars_gives(
+    tiny: Assignment, profile: PhaseProfile, smooth_library: Library, tiny_design: Design
+) -> None:
+    lattice, index = tiny.pillars.lattice, tiny.pillars.to_array()
+    width, length = np.moveaxis(tiny.pillars.size_nm()[index[index > 0]], -1, 0)
+    reached = smooth_library.at_sizes(width, length)
+    target = profile(lattice.x_um(), lattice.y_um())[:, index > 0] + np.reshape(tiny.figures["offsets_rad"], (2, 1))
+    square = 0.0
+    for t, wanted, name in zip((reached.t_xx, reached.t_yy), target, "xy", strict=True):
+        error = wrap_phase(np.angle(t) - wanted)
+        overlap = abs(np.sum(t * np.exp(-1j * wanted))) ** 2 / (wanted.size * np.sum(np.abs(t) ** 2))
+        # 1e-9: the same float64 terms in another order.
+        assert tiny.figures[f"field_overlap_{name}"] == pytest.approx(overlap, rel=1e-9)
+        square += np.mean(error**2) / 2
+    assert tiny.figures["phase_rms_error_rad"] == pytest.approx(np.sqrt(square), rel=1e-9)
+
+
+def test_no_other_size_would_overlap_much_better(
+    tiny: Assignment, profile: PhaseProfile, smooth_library: Library, tiny_design: Design
+) -> None:
+    """The look-up's cells are 2 pi / 512 wide, so a choice may lose the overlap of half a cell: |t| (pi/512) each."""
+    table = allowed_sizes(smooth_library, tiny_design)
+    lattice, index = tiny.pillars.lattice, tiny.pillars.to_array()
+    row = lattice.shape[0] // 2
+    target = profile(lattice.x_um(), lattice.y_um()[row : row + 1])[:, 0] + np.reshape(
+        tiny.figures["offsets_rad"], (2, 1)
+    )
+    overlap = np.real(table.t @ np.exp(-1j * target))
+    chosen = overlap[index[row], np.arange(index.shape[1])]
+    inside = index[row] > 0
+    largest = np.abs(table.t).max()
+    assert np.all((overlap[1:].max(axis=0) - chosen)[inside] <= 2 * largest * np.sqrt(2) * np.pi / 512)
+
+
+@pytest.mark.parametrize("tile_sites", [17, 51, 476])
+def test_tiling_and_workers_change_nothing(
+    tile_sites: int, tiny: Assignment, profile: PhaseProfile, smooth_library: Library, tiny_design: Design
+) -> None:
+    design = replace(tiny_design, numerics=replace(tiny_design.numerics, tile_sites=tile_sites))
+    with ThreadPoolExecutor(3) as threads:
+        other = layout.assign(profile, smooth_library, design, executor=threads)
+    assert np.array_equal(other.pillars.to_array(), tiny.pillars.to_array())
+    assert other.figures["min_gap_nm"] == tiny.figures["min_gap_nm"]
+    assert other.figures["phase_rms_error_rad"] == pytest.approx(tiny.figures["phase_rms_error_rad"], rel=1e-12)
+
+
+def test_a_lens_too_large_to_keep_is_mapped_again_on_each_reading(
+    monkeypatch: pytest.MonkeyPatch,
+    tiny: Assignment,
+    profile: PhaseProfile,
+    smooth_library: Library,
+    tiny_design: Design,
+) -> None:
+    monkeypatch.setattr(sys.modules["metafab.layout.assign"], "KEPT_SITES", 100)
+    streamed = layout.assign(profile, smooth_library, tiny_design)
+    assert streamed.figures == tiny.figures
+    for _ in range(2):
+        assert np.array_equal(streamed.pillars.to_array(), tiny.pillars.to_array())
+
+
+@pytest.mark.parametrize("min_gap_nm", [100.0, 130.0, 180.0])
+def test_gaps_keep_the_rule(
+    min_gap_nm: float, profile: PhaseProfile, smooth_library: Library, tiny_design: Design
+) -> None:
+    design = replace(tiny_design, rules=replace(tiny_design.rules, min_gap_nm=min_gap_nm))
+    assignment = layout.assign(profile, smooth_library, design)
+    # Measured independently of the mapping's own figure, on the finished map.
+    found = layout.smallest_gap(
+        assignment.pillars.to_array(), assignment.pillars.size_dbu, assignment.pillars.lattice, min_gap_nm / 0.5
+    )
+    assert found.below == 0
+    assert found.smallest_dbu * 0.5 == pytest.approx(assignment.figures["min_gap_nm"], rel=1e-12)
+    assert assignment.figures["min_gap_nm"] >= min_gap_nm
+
+
+def test_sizes_are_the_librarys(tiny: Assignment, smooth_library: Library) -> None:
+    size_nm = sizes_at_sites(tiny.pillars).reshape(-1, 2) * 0.5
+    used = np.unique(size_nm[size_nm[:, 0] > 0], axis=0)
+    assert len(used) == tiny.figures["distinct_sizes"]
+    smooth_library.at_sizes(used[:, 0], used[:, 1])  # raises where a size is not in the library

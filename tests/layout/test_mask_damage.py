@@ -1,0 +1,195 @@
+"""Missing, truncated, damaged and foreign mask files: refused in words, never a crash, never a hang."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from metafab import mask
+from metafab.core.errors import InputError
+from metafab.mask import varints
+from metafab.mask.gdsii_writer import excess_64, record, text
+from metafab.mask.oasis_writer import CBLOCK, CELL, END, MAGIC, PLACEMENT, START
+from metafab.spec import Design
+
+FORMATS = ("gds", "oas")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "nothing at that path"),
+        (b"", "an empty file"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(100), "a file of another kind"),
+        (b"HEADER 600\nBGNLIB", "a file of another kind"),
+        (b"\x00\x06\x00\x02\x02\x58", "inside a record"),
+        (b"%SEMI-OASIS\r\n", "truncated"),
+    ],
+)
+def test_files_that_are_no_masks(content: bytes | None, message: str, tiny_design: Design, tmp_path: Path) -> None:
+    path = tmp_path / "layout.gds"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=message) as caught:
+        mask.read(path, tiny_design)
+    assert caught.value.faults[0].remedy
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("share", [0.001, 0.3, 0.5, 0.999])
+def test_truncated_files(
+    suffix: str, share: float, tiny_design: Design, tiny_files: dict[str, Path], tmp_path: Path
+) -> None:
+    whole = tiny_files[suffix].read_bytes()
+    path = tmp_path / f"cut.{suffix}"
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(InputError):
+        mask.read(path, tiny_design)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_flipped_bytes_are_refused_or_seen(
+    suffix: str, data: st.DataObject, tiny_design: Design, tiny_files: dict[str, Path], tmp_path: Path
+) -> None:
+    """OASIS has a checksum, so any flip is refused; a GDSII flip is refused or changes what is read, or is in a date."""
+    content = bytearray(tiny_files[suffix].read_bytes())
+    place = data.draw(st.integers(0, len(content) - 1))
+    content[place] ^= 1 << data.draw(st.integers(0, 7))
+    path = tmp_path / f"flipped.{suffix}"
+    path.write_bytes(content)
+    try:
+        mask.read(path, tiny_design)
+    except InputError:
+        return
+    assert suffix == "gds"
+
+
+@settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(garbage=st.binary(max_size=300))
+@pytest.mark.parametrize("start", [b"\x00\x06\x00\x02\x02\x58", MAGIC + bytes([START]) + b"\x031.0\x00\xd0\x0f" + bytes(13)])
+def test_garbage_after_a_good_beginning(start: bytes, garbage: bytes, tiny_design: Design, tmp_path: Path) -> None:
+    end = bytes([END]) + bytes(255) if start.startswith(MAGIC) else b""
+    path = tmp_path / "garbage"
+    path.write_bytes(start + garbage + end)
+    try:
+        read_back = mask.read(path, tiny_design)
+    except InputError:
+        return
+    assert not read_back.pillars.to_array().any()
+
+
+def _gds(tmp_path: Path, *structures: bytes) -> Path:
+    path = tmp_path / "made.gds"
+    head = record(0x0002, b"\x02\x58") + record(0x0102, bytes(24)) + record(0x0206, text("L"))
+    path.write_bytes(
+        head + record(0x0305, excess_64(5e-4) + excess_64(5e-10)) + b"".join(structures) + record(0x0400)
+    )
+    return path
+
+
+def _structure(name: str, *elements: bytes) -> bytes:
+    return record(0x0502, bytes(24)) + record(0x0606, text(name)) + b"".join(elements) + record(0x0700)
+
+
+def _reference(name: str) -> bytes:
+    return record(0x0A00) + record(0x1206, text(name)) + record(0x1003, bytes(8)) + record(0x1100)
+
+
+def _array(name: str, columns: int, rows: int) -> bytes:
+    points = struct.pack(">6i", 0, 0, 700 * columns, 0, 0, 700 * rows)
+    head = record(0x0B00) + record(0x1206, text(name)) + record(0x1302, struct.pack(">2h", columns, rows))
+    return head + record(0x1003, points) + record(0x1100)
+
+
+def _square(layer: int = 1) -> bytes:
+    points = struct.pack(">10i", -100, -100, 100, -100, 100, 100, -100, 100, -100, -100)
+    head = record(0x0800) + record(0x0D02, struct.pack(">h", layer)) + record(0x0E02, bytes(2))
+    return head + record(0x1003, points) + record(0x1100)
+
+
+def test_cells_that_contain_one_another(tiny_design: Design, tmp_path: Path) -> None:
+    path = _gds(
+        tmp_path,
+        _structure("T", _reference("A")),
+        _structure("A", _reference("B")),
+        _structure("B", _reference("A")),
+    )
+    with pytest.raises(InputError, match="circles"):
+        mask.read(path, tiny_design)
+
+
+def test_a_missing_cell(tiny_design: Design, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'GONE'"):
+        mask.read(_gds(tmp_path, _structure("T", _reference("GONE"))), tiny_design)
+
+
+def test_nested_arrays_that_would_fill_the_memory_are_counted_not_expanded(tiny_design: Design, tmp_path: Path) -> None:
+    """Five levels of 32767^2 copies: 10^45 pillars in a kilobyte."""
+    levels = [_structure(f"L{n}", _array(f"L{n + 1}", 32767, 32767)) for n in range(5)]
+    path = _gds(tmp_path, *levels, _structure("L5", _square()))
+    with pytest.raises(InputError, match="about as many"):
+        mask.read(path, tiny_design)
+
+
+def test_an_oasis_block_that_would_fill_the_memory_is_refused(tiny_design: Design, tmp_path: Path) -> None:
+    head = MAGIC + bytes([START]) + varints.string("1.0") + b"\x00" + varints.unsigned(2000) + bytes(13)
+    cell = bytes([CELL]) + varints.string("T")
+    block = bytes([CBLOCK, 0]) + varints.unsigned(1 << 40) + varints.unsigned(4) + bytes(4)
+    place = bytes([PLACEMENT, 0b1000_1000]) + varints.string("T")
+    repetition = bytes([1]) + varints.unsigned(1 << 40) + varints.unsigned(1 << 20) + bytes(2)
+    for content in (block, place + repetition):
+        path = tmp_path / "bomb.oas"
+        path.write_bytes(head + cell + content + bytes([END]) + bytes(255))
+        with pytest.raises(InputError, match=r"CBLOCK of|list of"):
+            mask.read(path, tiny_design)
+
+
+def test_arrays_mirrors_turns_and_other_layers(tiny_design: Design, tmp_path: Path) -> None:
+    """A 3 x 2 array of a cell that holds a turned reference: positions by hand."""
+    turned = record(0x0A00) + record(0x1206, text("P")) + record(0x1A01, b"\x80\x00")
+    turned += record(0x1C05, excess_64(90.0)) + record(0x1003, struct.pack(">2i", 350, 350)) + record(0x1100)
+    bar = struct.pack(">10i", 100, -150, 100, 150, -100, 150, -100, -150, 100, -150)  # clockwise, another corner
+    bar = record(0x0800) + record(0x0D02, b"\0\1") + record(0x0E02, bytes(2)) + record(0x1003, bar) + record(0x1100)
+    path = _gds(
+        tmp_path,
+        _structure("TOP", _array("MID", 3, 2)),
+        _structure("MID", turned, _square(layer=7)),
+        _structure("P", bar),
+    )
+    read_back = mask.read(path, tiny_design)
+    index = read_back.pillars.to_array()
+    row, column = np.nonzero(index)
+    # 114 sites: the centre of site 57 lies half a period, 350 units, right of the axis.
+    assert sorted(set(column.tolist())) == [57, 58, 59]
+    assert sorted(set(row.tolist())) == [57, 58]
+    assert np.array_equal(read_back.pillars.size_dbu[1:], [[300, 200]])
+    assert read_back.other_layers == {"7/0": 6}
+
+
+def test_everything_that_is_no_pillar_is_reported(tiny_design: Design, tmp_path: Path) -> None:
+    triangle = record(0x0800) + record(0x0D02, b"\0\1") + record(0x0E02, bytes(2))
+    triangle += record(0x1003, struct.pack(">8i", 0, 0, 90, 0, 0, 90, 0, 0)) + record(0x1100)
+    bent = record(0x0900) + record(0x0D02, b"\0\1") + record(0x0E02, bytes(2)) + record(0x0F03, struct.pack(">i", 40))
+    bent += record(0x1003, struct.pack(">6i", 0, 0, 90, 0, 90, 90)) + record(0x1100)
+    straight = record(0x0900) + record(0x0D02, b"\0\1") + record(0x0E02, bytes(2))
+    straight += record(0x0F03, struct.pack(">i", 200)) + record(0x1003, struct.pack(">4i", 250, 350, 450, 350))
+    magnified = record(0x0A00) + record(0x1206, text("P")) + record(0x1A01, bytes(2))
+    magnified += record(0x1B05, excess_64(2.0)) + record(0x1003, bytes(8)) + record(0x1100)
+    elements = (triangle, bent, straight + record(0x1100), magnified, _square())
+    read_back = mask.read(_gds(tmp_path, _structure("TOP", *elements), _structure("P", _square())), tiny_design)
+    assert {kind: left.count for kind, left in read_back.foreign.items()} == {
+        "magnified or obliquely turned reference": 1,
+        "path": 1,
+        "polygon": 1,
+    }
+    assert np.array_equal(read_back.foreign["polygon"].boxes_nm, [[0.0, 0.0, 45.0, 45.0]])
+    assert read_back.off_site.count == 1  # the square at the origin: between sites of an even lattice
+    assert np.array_equal(read_back.off_site.boxes_nm, [[-50.0, -50.0, 100.0, 100.0]])
+    assert np.count_nonzero(read_back.pillars.to_array()) == 1  # the straight path is a rectangle at a site

@@ -1,0 +1,196 @@
+"""Written masks: read back exactly by our readers and by two libraries that did not write them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import gdstk
+import numpy as np
+import pytest
+
+from metafab import mask
+from metafab.core.errors import InputError
+from metafab.layout import Assignment, PillarMap
+from metafab.spec import Design
+from tests.layout.conftest import sizes_at_sites
+
+kdb = pytest.importorskip("klayout.db")
+
+FORMATS = ("gds", "oas")
+
+
+def _assert_pure(read_back: mask.ReadBack) -> None:
+    assert (read_back.off_site.count, read_back.off_grid.count, read_back.duplicates.count) == (0, 0, 0)
+    assert read_back.foreign == {}
+
+
+def _expected_boxes(pillars: PillarMap) -> np.ndarray:
+    """Left, bottom, right, top of every pillar in dbu, sorted; from the lattice's definition."""
+    row, column = np.nonzero(pillars.to_array())
+    size = sizes_at_sites(pillars)[row, column]
+    centre = np.stack([pillars.lattice.x_dbu()[column], pillars.lattice.y_dbu()[row]], axis=1)
+    boxes = np.concatenate([centre - size // 2, centre + size // 2], axis=1)
+    return boxes[np.lexsort(boxes.T)]
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_read_back_is_exact(suffix: str, tiny: Assignment, tiny_design: Design, tiny_files: dict[str, Path]) -> None:
+    read_back = mask.read(tiny_files[suffix], tiny_design)
+    _assert_pure(read_back)
+    assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(tiny.pillars))
+    assert read_back.format == suffix
+    assert read_back.top_cells == ("helix_small",)
+    assert read_back.database_unit_nm == 0.5
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_klayout_sees_the_same_geometry(suffix: str, tiny: Assignment, tiny_files: dict[str, Path]) -> None:
+    layout = kdb.Layout()
+    layout.read(str(tiny_files[suffix]))
+    assert [cell.name for cell in layout.top_cells()] == ["helix_small"]
+    assert [str(layout.get_info(i)) for i in layout.layer_indexes()] == ["1/0"]
+    assert layout.dbu == 0.0005
+    region = kdb.Region(layout.top_cell().begin_shapes_rec(layout.layer(1, 0)))
+    assert region.non_rectangles().is_empty()
+    boxes = np.array([(b.left, b.bottom, b.right, b.top) for b in (p.bbox() for p in region.each())])
+    assert np.array_equal(boxes[np.lexsort(boxes.T)], _expected_boxes(tiny.pillars))
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_gdstk_sees_the_same_geometry(suffix: str, tiny: Assignment, tiny_files: dict[str, Path]) -> None:
+    library = (gdstk.read_gds if suffix == "gds" else gdstk.read_oas)(tiny_files[suffix])
+    (top,) = library.top_level()
+    boxes = np.array([np.concatenate(polygon.bounding_box()) for polygon in top.get_polygons()])
+    # gdstk works in float micrometres: 1e-9 um is far below the 5e-4 um of a unit and above float rounding at 20 um.
+    dbu = boxes / 5e-4
+    assert np.abs(dbu - np.rint(dbu)).max() < 1e-6
+    dbu = np.rint(dbu).astype(np.int64)
+    assert np.array_equal(dbu[np.lexsort(dbu.T)], _expected_boxes(tiny.pillars))
+    if suffix == "oas":
+        assert gdstk.oas_validate(tiny_files[suffix])[0]
+
+
+def test_the_two_formats_hold_the_same_shapes(tiny_files: dict[str, Path]) -> None:
+    layouts = [kdb.Layout(), kdb.Layout()]  # regions look into their layouts, which must live on
+    for layout, suffix in zip(layouts, FORMATS, strict=True):
+        layout.read(str(tiny_files[suffix]))
+    one, other = (kdb.Region(layout.top_cell().begin_shapes_rec(layout.layer(1, 0))) for layout in layouts)
+    assert one.count() == other.count() > 0
+    assert (one ^ other).is_empty()
+
+
+def test_a_second_run_writes_the_same_bytes(
+    tiny: Assignment, tiny_design: Design, tiny_files: dict[str, Path], tmp_path: Path
+) -> None:
+    for file in mask.write(tiny.pillars, tmp_path, tiny_design):
+        assert file.bytes == file.path.stat().st_size
+        assert file.path.read_bytes() == (tiny_files["gds"].parent / file.path.name).read_bytes()
+
+
+def test_sidecar_states_count_area_and_density(tiny: Assignment, tiny_files: dict[str, Path]) -> None:
+    sidecar = json.loads(tiny_files["json"].read_text())
+    size = sizes_at_sites(tiny.pillars).astype(np.int64)
+    area_um2 = int(np.sum(size[..., 0] * size[..., 1])) * 0.25e-6
+    assert sidecar["pillars"] == tiny.figures["pillars"]
+    assert sidecar["distinct_sizes"] == tiny.figures["distinct_sizes"]
+    assert sidecar["area_um2"] == pytest.approx(area_um2, rel=1e-12)
+    assert sidecar["density"] == pytest.approx(area_um2 / (sidecar["pillars"] * 0.35**2), rel=1e-12)
+
+
+def test_tile_cells_divide_the_write_field(tiny_files: dict[str, Path]) -> None:
+    layout = kdb.Layout()
+    layout.read(str(tiny_files["oas"]))
+    corners = np.array([(i.trans.disp.x, i.trans.disp.y) for i in layout.top_cell().each_inst()])
+    steps = np.unique(corners - corners.min(axis=0))
+    assert np.all(steps % (34 * 700) == 0)
+    assert 1428 % 34 == 0
+
+
+def _klayout_flat(source: Path, target: Path) -> None:
+    layout = kdb.Layout()
+    layout.read(str(source))
+    layout.flatten(layout.top_cell().cell_index(), -1, True)
+    layout.write(str(target))
+
+
+def _klayout_renamed_finer(source: Path, target: Path) -> None:
+    layout = kdb.Layout()
+    layout.read(str(source))
+    for cell in layout.each_cell():
+        cell.name = f"X${cell.cell_index()}"
+    options = kdb.SaveLayoutOptions()
+    options.set_format_from_filename(str(target))
+    options.dbu = 0.0001
+    layout.write(str(target), options)
+
+
+def _gdstk_again(source: Path, target: Path) -> None:
+    library = (gdstk.read_gds if source.suffix == ".gds" else gdstk.read_oas)(source)
+    library.rename_cell(library.top_level()[0].name, "renamed")
+    (library.write_gds if target.suffix == ".gds" else library.write_oas)(target)
+
+
+def _gdstk_cell_a_size(source: Path, target: Path) -> None:
+    """One cell for each size, placed by a repetition (references one by one in GDSII)."""
+    (top,) = (gdstk.read_gds if source.suffix == ".gds" else gdstk.read_oas)(source).top_level()
+    places: dict[tuple[int, int], list[tuple[float, float]]] = {}
+    for polygon in top.get_polygons():
+        (left, bottom), (right, upper) = polygon.bounding_box()
+        size = round((right - left) / 5e-4), round((upper - bottom) / 5e-4)
+        places.setdefault(size, []).append(((left + right) / 2, (bottom + upper) / 2))
+    library = gdstk.Library(unit=1e-6, precision=5e-10)
+    new_top = library.new_cell("TOP")
+    for (width, length), centres in places.items():
+        cell = library.new_cell(f"P_{width}_{length}")
+        corner = width * 2.5e-4, length * 2.5e-4
+        cell.add(gdstk.rectangle((-corner[0], -corner[1]), corner, layer=1, datatype=0))
+        first = np.array(centres[0])
+        reference = gdstk.Reference(cell, centres[0])
+        if len(centres) > 1:
+            reference.repetition = gdstk.Repetition(offsets=(np.array(centres) - first)[1:].tolist())
+        new_top.add(reference)
+    (library.write_gds if target.suffix == ".gds" else library.write_oas)(target)
+
+
+@pytest.mark.parametrize("target", FORMATS)
+@pytest.mark.parametrize("source", FORMATS)
+@pytest.mark.parametrize("through", [_klayout_flat, _klayout_renamed_finer, _gdstk_again, _gdstk_cell_a_size])
+def test_read_back_after_other_software(
+    through: Callable[[Path, Path], None],
+    source: str,
+    target: str,
+    tiny: Assignment,
+    tiny_design: Design,
+    tiny_files: dict[str, Path],
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / f"other.{target}"
+    through(tiny_files[source], path)
+    read_back = mask.read(path, tiny_design)
+    _assert_pure(read_back)
+    assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(tiny.pillars))
+
+
+def test_sizes_that_put_edges_off_the_grid_are_refused(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
+    """A width of 101 nm centred on a site has its edges at half nanometres: at 1 nm units that is no grid."""
+    lattice = replace(tiny.pillars.lattice, period_dbu=(350, 350), database_unit_nm=1.0)
+    size_dbu = np.array([[0, 0], [101, 102]], dtype=np.int32)
+    index = np.ones(lattice.shape, dtype=np.uint16)
+    design = replace(tiny_design, mask=replace(tiny_design.mask, database_unit_nm=1.0))
+    with pytest.raises(InputError, match="101 nm x 102 nm"):
+        mask.write(PillarMap.from_array(lattice, size_dbu, index, 34), tmp_path, design)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_odd_nanometres_are_exact_at_half_a_nanometre(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
+    """The trap of rounding libraries: 101 nm must come back as 101 nm at every site."""
+    size_dbu = np.array([[0, 0], *([2 * nm, 2 * (350 - nm)] for nm in range(100, 251))], dtype=np.int32)
+    index = np.resize(np.arange(1, 152, dtype=np.uint16), tiny.pillars.lattice.shape)
+    pillars = PillarMap.from_array(tiny.pillars.lattice, size_dbu, index, 34)
+    mask.write(pillars, tmp_path, tiny_design)
+    for suffix in FORMATS:
+        read_back = mask.read(tmp_path / f"layout.{suffix}", tiny_design)
+        assert np.array_equal(sizes_at_sites(read_back.pillars), size_dbu[index])

@@ -1,0 +1,83 @@
+"""Lengths in whole database units; which sites lie inside the aperture."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from metafab.core.errors import InputError
+from metafab.layout import Aperture, field_sites, lattice_of, tile_sites
+from metafab.layout.geometry import whole_dbu
+from metafab.spec import Design
+
+
+def _device(design: Design, **changes: object) -> Design:
+    return replace(design, device=replace(design.device, **changes))
+
+
+def _mask(design: Design, **changes: object) -> Design:
+    return replace(design, mask=replace(design.mask, **changes))
+
+
+def test_paper_lens_has_25_6_million_sites(small_design: Design) -> None:
+    design = _device(small_design, aperture_um=2000.0)
+    assert lattice_of(design).shape == (5714, 5714)
+    # pi (1000 um)^2 / (350 nm)^2, less half a ring of cells along the rim: within 0.1 %.
+    assert Aperture.of(design).count == pytest.approx(math.pi * 1e6**2 / 350.0**2, rel=1e-3)
+
+
+@given(aperture_nm=st.integers(700, 30_000), square=st.booleans())
+def test_a_site_is_inside_exactly_if_its_whole_cell_is(small_design: Design, aperture_nm: int, square: bool) -> None:
+    shape = "square" if square else "circle"
+    design = _device(small_design, aperture_um=aperture_nm * 1e-3, aperture_shape=shape)
+    aperture = Aperture.of(design)
+    lattice = aperture.lattice
+    x, y = np.meshgrid(lattice.x_dbu(), lattice.y_dbu())
+    # Four times the squared distance of the far corner, in whole units: the rule in words, no rounding.
+    corner_x, corner_y = 2 * np.abs(x) + lattice.period_dbu[0], 2 * np.abs(y) + lattice.period_dbu[1]
+    side = 2 * aperture_nm
+    inside = np.maximum(corner_x, corner_y) <= side if square else corner_x**2 + corner_y**2 <= side**2
+    assert np.array_equal(aperture.inside(0, 0, lattice.shape), inside)
+    assert aperture.count == np.count_nonzero(inside)
+
+
+def test_a_block_is_a_part_of_the_whole(small_design: Design) -> None:
+    aperture = Aperture.of(small_design)
+    whole = aperture.inside(0, 0, aperture.lattice.shape)
+    assert np.array_equal(aperture.inside(100, 37, (50, 60)), whole[100:150, 37:97])
+
+
+def test_tiles_divide_write_fields(small_design: Design) -> None:
+    assert field_sites(small_design) == (1428, 1428)
+    for wanted in (16, 100, 286, 700, 4096):
+        design = replace(small_design, numerics=replace(small_design.numerics, tile_sites=wanted))
+        assert 1428 % tile_sites(design) == 0
+        assert 0.5 < tile_sites(design) / min(wanted, 1428) < 2.0
+
+
+def test_a_write_field_that_cuts_pillars_is_refused_with_the_nearest_that_do_not(small_design: Design) -> None:
+    with pytest.raises(InputError, match=r"499\.8 or 500\.15 um"):
+        field_sites(_mask(small_design, write_field_um=500.0))
+
+
+def test_a_period_off_the_grid_is_refused(small_design: Design) -> None:
+    with pytest.raises(InputError, match="whole number of database units"):
+        lattice_of(_mask(small_design, database_unit_nm=0.3))
+
+
+def test_an_aperture_without_a_cell_is_refused(small_design: Design) -> None:
+    with pytest.raises(InputError, match="at least one period"):
+        lattice_of(_device(small_design, aperture_um=0.3))
+
+
+@given(units=st.integers(1, 10**6), unit_nm=st.sampled_from([0.1, 0.25, 0.5, 1.0, 5.0]))
+def test_whole_units_are_exact(units: int, unit_nm: float) -> None:
+    assert whole_dbu(units * unit_nm, unit_nm, "a") == units
+    if units % 2:
+        with pytest.raises(InputError, match="even number"):
+            whole_dbu(units * unit_nm, unit_nm, "a", even=True)
