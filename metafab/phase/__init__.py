@@ -9,12 +9,15 @@
 - ``rotation``  the law of rotation, and the main lobe measured in a PSF
 - ``peak``      the main lobe made as bright as it can be while it turns (the paper's IFTA step)
 - ``bound``     how bright any mask's lobe can be, proven
+- ``information``  what a twin image of unknown texture can tell about depth
+- ``blind``     the helix that tells most: gradient ascent of that information
 - ``build``     a design's terms -> PhaseProfile
 - ``store``     ``phase.h5``: phases sampled over the aperture
 
 In: a Design (or plain numbers). Out: a PhaseProfile for the layout room; radians, not wrapped.
 """
 
+from metafab.phase.blind import BlindDesign, BlindInformation, optimise_blind
 from metafab.phase.build import profile_of, pupil_field
 from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.helices import (
@@ -25,6 +28,7 @@ from metafab.phase.helices import (
     zone_charges,
     zone_radii,
 )
+from metafab.phase.information import Texture, twin_information
 from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
 from metafab.phase.profile import PhaseProfile, Term
 from metafab.phase.pupil import FocalPlane, Pupil, rim_defocus_per_dioptre_rad, rim_defocus_rad
@@ -35,6 +39,8 @@ from metafab.phase.zernike import ZernikePhase
 
 __all__ = [
     "AxiconPhase",
+    "BlindDesign",
+    "BlindInformation",
     "DoubleHelixPhase",
     "FocalPlane",
     "GratingPhase",
@@ -47,6 +53,7 @@ __all__ = [
     "SpiralZonesPhase",
     "SplitLensPhase",
     "Term",
+    "Texture",
     "VortexPhase",
     "WaveSumPhase",
     "ZernikePhase",
@@ -54,6 +61,7 @@ __all__ = [
     "load",
     "load_array",
     "main_lobe",
+    "optimise_blind",
     "optimise_peak",
     "profile_of",
     "pupil_field",
@@ -62,6 +70,7 @@ __all__ = [
     "rotation_deg_per_dioptre",
     "save",
     "spiral_field",
+    "twin_information",
     "zone_charges",
     "zone_radii",
 ]

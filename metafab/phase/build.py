@@ -9,9 +9,11 @@ import numpy as np
 from metafab.core.conventions import ComplexArray, FloatArray, image_distance_mm
 from metafab.core.errors import InputError
 from metafab.core.progress import Progress, silent
+from metafab.phase.blind import BlindInformation, optimise_blind
 from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase
-from metafab.phase.peak import optimise_peak
+from metafab.phase.information import Texture
+from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
 from metafab.phase.profile import PhaseProfile, Term
 from metafab.phase.pupil import Pupil, phasor, rim_defocus_rad
 from metafab.phase.rotation import main_lobe, rotation_deg_per_dioptre
@@ -22,6 +24,9 @@ from metafab.spec.design import Design
 
 #: Depths at which the rotation is measured; between neighbours the lobe turns by less than half a turn.
 _ROTATION_DEPTHS = 49
+#: Depths and pupil samples of the search for information.
+_BLIND_DEPTHS = 10
+_BLIND_SAMPLES = 64
 
 
 def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
@@ -33,11 +38,13 @@ def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
         progress: called while optimising.
 
     Returns:
-        The profile. Its figures: for a design with spiral zones ``peak_gain`` (mean peak over the full turn
-        against Eq. 2; 1 where nothing is optimised), ``worst_gain``, ``peak_mean`` (Strehl ratio), ``bound_mean``
-        and ``bound_fraction`` (proven upper bound of the mean of the wanted peaks, and the share reached),
+        The profile. Its figures, for a design with spiral zones: ``peak_gain`` and ``worst_gain`` (mean and smallest
+        peak of the main lobe over the full turn against Eq. 2; 1 where nothing is optimised), ``peak_mean`` (Strehl
+        ratio), ``target_mean``, ``bound_mean`` and ``bound_fraction`` (mean peak at the points aimed at, what no
+        mask can exceed there, and their ratio), ``blind_information_gain`` (over Eq. 2, where that was maximised),
         ``rotation_deg`` (turn of PSF_x's main lobe from the nearest to the farthest depth of ``[verify]``, positive
-        counter-clockwise, by the paraxial pupil), ``rotation_deg_per_dioptre`` and its theoretical value.
+        counter-clockwise, by the paraxial pupil), ``rotation_deg_per_dioptre`` and its theoretical value. Without
+        spiral zones there are none.
 
     Raises:
         InputError: a user's array cannot be used, or more than one term has spiral zones for one polarisation.
@@ -113,13 +120,41 @@ def _helix(design: Design, term: spec.SpiralZones, progress: Progress) -> tuple[
         seed=design.numerics.seed,
         progress=progress,
     )
+    if term.optimise == "blind_information":
+        return _blind_helix(design, term, best, progress)
     helix = best.term(radius_um, term.polarisation)
     figures = {
         "peak_gain": best.peak_gain,
         "worst_gain": best.worst_gain,
         "peak_mean": float(best.lobe.peak.mean()),
+        "target_mean": float(best.weights @ best.target),
         "bound_mean": best.bound.dual,
         "bound_fraction": best.bound_fraction,
+    }
+    return helix, figures | _rotation(design, term, helix, pupil)
+
+
+def _blind_helix(
+    design: Design, term: spec.SpiralZones, start: PeakDesign, progress: Progress
+) -> tuple[Term, dict[str, float]]:
+    """The helix that tells most over the depths of ``[verify]`` and the scene, begun at the brightest one."""
+    radius_um = 0.5 * design.device.aperture_um
+    depths_m = [*design.verify.depths_m, *(item.depth_m for item in design.scene.objects)]
+    vergence = np.linspace(1.0 / min(depths_m), 1.0 / max(depths_m), _BLIND_DEPTHS)
+    defocus = rim_defocus_rad(1.0 / vergence, design.sensor.focus_depth_m, radius_um, design.wavelength_um)
+    scene = design.scene
+    texture = Texture(electrons=scene.photons_per_pixel, read_noise_e=scene.read_noise_e)
+    pupil = Pupil(_BLIND_SAMPLES, design.device.aperture_shape)
+    problem = BlindInformation(pupil, defocus, texture)
+    best = optimise_blind(problem, pupil_field(start.term(1.0), pupil, 1.0), iterations=20, progress=progress)
+    plain_information = problem.of_field(spiral_field(pupil, term.zones, term.exponent))
+    helix = best.term(radius_um, term.polarisation)
+    lobe = main_lobe(pupil, phasor(best.phase_rad), start.defocus_rad, 2.0 * term.zones + 6.0)
+    figures = {
+        "peak_gain": float(lobe.peak.mean() / start.plain.peak.mean()),
+        "worst_gain": float(lobe.peak.min() / start.plain.peak.min()),
+        "peak_mean": float(lobe.peak.mean()),
+        "blind_information_gain": float(best.information.mean() / plain_information.mean()),
     }
     return helix, figures | _rotation(design, term, helix, pupil)
 

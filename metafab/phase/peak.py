@@ -14,9 +14,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.progress import Progress, silent
@@ -28,8 +29,12 @@ from metafab.phase.rotation import MainLobe, full_turn_defocus_rad, main_lobe
 #: The lobe may come this much nearer to the centre than the plain spiral's. Nearer still it would be brighter,
 #: and its turning harder to see: at the centre there is nothing left that turns.
 _NEAREST_LOBE = 0.7
-#: Samples a side of the pupil on which lobe radii are compared.
+#: Samples a side of the pupil on which the lobe's radius and aim are found.
 _COARSE = 48
+_STEERING_ROUNDS = 5
+
+#: What is made large: the mean of the peaks over depth, or the smallest.
+Goal: TypeAlias = Literal["mean", "worst"]
 
 
 @dataclass(frozen=True)
@@ -40,27 +45,28 @@ class PeakDesign:
         zones: L, which sets the rate of rotation.
         defocus_rad: shape (n_depth,), rim defocuses that count.
         lobe_radius: where the lobe was wanted, optical units.
-        phi_deg: shape (n_depth,), orientations wanted.
+        phi_deg: shape (n_depth,), orientations wanted of the lobe.
+        aim_deg: shape (n_depth,), orientations of the points whose brightness is maximised; they lead or lag the law
+            so that the lobe itself keeps to it.
         amplitude: shape (n_depth,), weights of the waves whose sum has the mask's phase.
         weights: shape (n_depth,), of the depths in the goal, sum 1.
-        target: shape (n_depth,), Strehl ratio at the wanted points.
+        target: shape (n_depth,), Strehl ratio at the aimed points.
         bound: what no mask can exceed for the weighted mean of ``target`` (the worst one never exceeds it either).
         lobe: measured main lobe of the mask.
         plain: measured main lobe of the spiral of Eq. 2 at the same defocuses.
-        iterations: steps taken.
     """
 
     zones: int
     defocus_rad: FloatArray
     lobe_radius: float
     phi_deg: FloatArray
+    aim_deg: FloatArray
     amplitude: ComplexArray
     weights: FloatArray
     target: FloatArray
     bound: PeakBound
     lobe: MainLobe
     plain: MainLobe
-    iterations: int
 
     @property
     def peak_gain(self) -> float:
@@ -79,7 +85,7 @@ class PeakDesign:
 
     def term(self, radius_um: float, polarisation: Polarisation | None = None) -> WaveSumPhase:
         """The mask as a phase term for an aperture of ``radius_um``."""
-        tilt = self.lobe_radius * _directions(self.phi_deg)
+        tilt = self.lobe_radius * _directions(self.aim_deg)
         return WaveSumPhase(radius_um, self.amplitude, self.defocus_rad, tilt, polarisation)
 
 
@@ -89,7 +95,7 @@ def optimise_peak(
     *,
     pupil: Pupil | None = None,
     defocus_rad: FloatArray | None = None,
-    goal: Literal["mean", "worst"] = "mean",
+    goal: Goal = "mean",
     lobe_radius: float | None = None,
     iterations: int = 200,
     seed: int = 1,
@@ -114,7 +120,22 @@ def optimise_peak(
     """
     if zones < 2:
         raise ValueError(f"`zones`: expected at least 2, got {zones}; a plain vortex does not turn with depth")
-    pupil = pupil or Pupil()
+    # Small matrices: a second BLAS thread costs more than it brings, at times a hundredfold.
+    with threadpool_limits(1):
+        return _optimise(zones, exponent, pupil or Pupil(), defocus_rad, goal, lobe_radius, iterations, seed, progress)
+
+
+def _optimise(
+    zones: int,
+    exponent: float,
+    pupil: Pupil,
+    defocus_rad: FloatArray | None,
+    goal: Goal,
+    lobe_radius: float | None,
+    iterations: int,
+    seed: int,
+    progress: Progress,
+) -> PeakDesign:
     defocus = full_turn_defocus_rad(zones, max(24, 6 * zones)) if defocus_rad is None else defocus_rad
     half_width = 2.0 * zones + 6.0
     plain = main_lobe(pupil, spiral_field(pupil, zones, exponent), defocus, half_width)
@@ -122,21 +143,17 @@ def optimise_peak(
     origin_rad = float(np.angle(np.mean(np.exp(1j * (np.radians(plain.phi_deg) + defocus / zones)))))
     phi_deg = np.degrees(origin_rad - defocus / zones)
     if lobe_radius is None:
-        progress("phase: lobe radius", 0, 1)
+        progress("phase: peak", 0, 2)
         lobe_radius = _brightest_radius(pupil.shape, defocus, phi_deg, float(plain.radius.mean()), seed)
-    waves = _waves(pupil, defocus, lobe_radius * _directions(phi_deg))
-    weights = np.full(defocus.size, 1.0 / defocus.size)
-    bound = peak_bound(waves, weights, iterations, seed)
-    amplitude, steps = _iterate(waves, weights, bound.start, iterations)
-    if goal == "worst":
-        amplitude, weights = _level(waves, amplitude, iterations)
-        steps += iterations
-        bound = peak_bound(waves, weights, iterations, seed)
-    progress("phase: peak", 1, 1)
+    aim_deg = _steered(pupil.shape, defocus, phi_deg, lobe_radius, goal, seed)
+    progress("phase: peak", 1, 2)
+    waves = _waves(pupil, defocus, lobe_radius * _directions(aim_deg))
+    amplitude, weights, bound = _solve(waves, goal, iterations, seed)
     field = _mask(amplitude @ waves)
     target = np.abs(waves.conj() @ field / pupil.count) ** 2
     lobe = main_lobe(pupil, field, defocus, half_width)
-    return PeakDesign(zones, defocus, lobe_radius, phi_deg, amplitude, weights, target, bound, lobe, plain, steps)
+    progress("phase: peak", 2, 2)
+    return PeakDesign(zones, defocus, lobe_radius, phi_deg, aim_deg, amplitude, weights, target, bound, lobe, plain)
 
 
 def spiral_field(pupil: Pupil, zones: int, exponent: float) -> ComplexArray:
@@ -161,20 +178,49 @@ def _mask(total: ComplexArray) -> ComplexArray:
     return np.asarray(total / np.maximum(np.abs(total), np.finfo(np.float64).tiny))
 
 
-def _iterate(
-    waves: ComplexArray, weights: FloatArray, amplitude: ComplexArray, iterations: int
-) -> tuple[ComplexArray, int]:
+def _solve(waves: ComplexArray, goal: Goal, iterations: int, seed: int) -> tuple[ComplexArray, FloatArray, PeakBound]:
+    """Amplitudes of the best mask for target waves, the weights of the quadratic goal, and its bound."""
+    weights = np.full(len(waves), 1.0 / len(waves))
+    bound = peak_bound(waves, weights, iterations, seed)
+    amplitude = _iterate(waves, weights, bound.start, iterations)
+    if goal == "worst":
+        amplitude, weights = _level(waves, amplitude, iterations)
+        bound = peak_bound(waves, weights, iterations, seed)
+    return amplitude, weights, bound
+
+
+def _steered(
+    shape: Literal["circle", "square"],
+    defocus_rad: FloatArray,
+    phi_deg: FloatArray,
+    lobe_radius: float,
+    goal: Goal,
+    seed: int,
+) -> FloatArray:
+    """Orientations to aim at, so that the brightest point, which drifts from the aimed one, keeps to the law."""
+    pupil = Pupil(_COARSE, shape)
+    aim_deg = phi_deg.copy()
+    for _ in range(_STEERING_ROUNDS):
+        waves = _waves(pupil, defocus_rad, lobe_radius * _directions(aim_deg))
+        amplitude, _, _ = _solve(waves, goal, 40, seed)
+        lobe = main_lobe(pupil, _mask(amplitude @ waves), defocus_rad, 2.0 * lobe_radius + 3.0)
+        drift_deg = np.mod(lobe.phi_deg - phi_deg + 180.0, 360.0) - 180.0
+        aim_deg -= 0.7 * np.clip(drift_deg, -20.0, 20.0)
+    return aim_deg
+
+
+def _iterate(waves: ComplexArray, weights: FloatArray, amplitude: ComplexArray, iterations: int) -> ComplexArray:
     """Ascend the weighted sum of peaks until a step gains less than 1e-7 of it."""
     adjoint = waves.conj().T / waves.shape[1]
     reached = 0.0
-    for step in range(1, iterations + 1):
+    for _ in range(iterations):
         response = _mask(amplitude @ waves) @ adjoint
         amplitude = weights * response
         value = float(weights @ np.abs(response) ** 2)
         if value - reached < 1e-7 * value:
-            return amplitude, step
+            break
         reached = value
-    return amplitude, iterations
+    return amplitude
 
 
 def _level(waves: ComplexArray, amplitude: ComplexArray, iterations: int) -> tuple[ComplexArray, FloatArray]:
@@ -208,6 +254,6 @@ def _brightest_radius(
     for radius in candidates:
         waves = _waves(pupil, defocus_rad, radius * directions)
         start = peak_bound(waves, weights, 20, seed).start
-        amplitude, _ = _iterate(waves, weights, start, 30)
+        amplitude = _iterate(waves, weights, start, 30)
         means.append(float(np.mean(np.abs(waves.conj() @ _mask(amplitude @ waves)) ** 2)))
     return float(candidates[int(np.argmax(means))])
