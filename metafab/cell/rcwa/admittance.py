@@ -7,9 +7,12 @@ other side leave the coupled problem.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 
+from metafab.cell.rcwa.basis import Matrix
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves
 from metafab.core.conventions import ComplexArray
 
@@ -17,41 +20,56 @@ from metafab.core.conventions import ComplexArray
 _NEGLIGIBLE = 1e-18
 
 
+@dataclass(frozen=True)
+class LayerField:
+    """Field of p incident waves in a layer and at its two faces.
+
+    Attributes:
+        forward: shape (n, p), c+ of each mode where the layer begins (the side of the light).
+        backward: shape (n, p), c- of each mode where the layer ends.
+        transmitted: shape (n, p), transverse E where the layer ends.
+        reflected: shape (n, p), transverse E of the reflected waves where the layer begins.
+    """
+
+    forward: ComplexArray
+    backward: ComplexArray
+    transmitted: ComplexArray
+    reflected: ComplexArray
+
+
 def through_layer(
     modes: LayerModes, thickness_k0: float, incoming: PlaneWaves, outgoing: PlaneWaves, incident: ComplexArray
-) -> tuple[ComplexArray, ComplexArray]:
-    """Transmitted and reflected transverse E for incident waves of transverse E ``incident``.
+) -> LayerField:
+    """Field of the waves ``incident``.
 
     Args:
         modes: of the layer, n modes.
         thickness_k0: thickness times k0.
         incoming: plane waves of the half space that the light comes from.
         outgoing: plane waves of the half space behind.
-        incident: shape (n, p), E of p incident waves at the near side of the layer.
-
-    Returns:
-        E at the far side of the layer and the reflected E at its near side, each of shape (n, p).
+        incident: shape (n, p), transverse E of p incident waves where the layer begins.
     """
     decay = np.exp(1j * modes.beta * thickness_k0)
     carried = np.flatnonzero(np.abs(decay) > _NEGLIGIBLE)
-    decay = decay[carried]
+    decay = decay[carried, None]
     near_e, near_h = incoming.h[:, None] * modes.e, incoming.e[:, None] * modes.h
     far_e, far_h = outgoing.h[:, None] * modes.e, outgoing.e[:, None] * modes.h
-    # near: (near_e + near_h) c+ + (near_e - near_h) X c- = 2 h_1 e_inc;  far: the same mirrored, without source.
+    # Where it begins:  (near_e + near_h) c+ + (near_e - near_h) X c- = 2 h_in e_inc, with X the decay;
+    # where it ends:    (far_e + far_h) c- + (far_e - far_h) X c+ = 0.
     source = 2.0 * incoming.h[:, None] * incident
-    near = np.concatenate([source, (near_e - near_h)[:, carried] * decay], axis=1)
-    near = lu_solve(lu_factor(near_e + near_h, check_finite=False), near, check_finite=False)
-    far = (far_e - far_h)[:, carried] * decay
-    far = lu_solve(lu_factor(far_e + far_h, check_finite=False), far, check_finite=False)
+    started = _solved(near_e + near_h, np.concatenate([source, (near_e - near_h)[:, carried] * decay.T], axis=1))
     count = incident.shape[1]
-    started, returned = near[:, :count], near[:, count:]
-    # c+ = started - returned c-[carried],  c- = -far c+[carried]
-    forward_carried = np.linalg.solve(np.eye(carried.size) - returned[carried] @ far[carried], started[carried])
-    backward = -far @ forward_carried
+    started, returned = started[:, :count], started[:, count:]
+    turned = _solved(far_e + far_h, (far_e - far_h)[:, carried] * decay.T)
+    echo = np.eye(carried.size) - returned[carried] @ turned[carried]
+    arriving = np.linalg.solve(echo, started[carried])
+    backward = -turned @ arriving
     forward = started - returned @ backward[carried]
-    backward_near, forward_far = np.zeros_like(backward), np.zeros_like(forward)
-    backward_near[carried] = decay[:, None] * backward[carried]
-    forward_far[carried] = decay[:, None] * forward_carried
-    transmitted = modes.e @ (forward_far + backward)
-    reflected = modes.e @ (forward + backward_near) - incident
-    return transmitted, reflected
+    at_end, at_begin = backward.copy(), forward.copy()
+    at_end[carried] += decay * arriving
+    at_begin[carried] += decay * backward[carried]
+    return LayerField(forward, backward, modes.e @ at_end, modes.e @ at_begin - incident)
+
+
+def _solved(matrix: Matrix, columns: Matrix) -> ComplexArray:
+    return np.asarray(lu_solve(lu_factor(matrix, check_finite=False), columns, check_finite=False))

@@ -74,30 +74,67 @@ class AxisParity:
 @lru_cache(maxsize=1024)
 def axis_basis(period_nm: float, size_nm: float, orders: int, formulation: Formulation) -> AxisBasis:
     """The basis of one axis, ``orders`` = M; see the module's docstring."""
-    to_u = stretched(period_nm, size_nm, orders) if formulation == "adaptive" else unstretched(period_nm, size_nm)
-    return _basis(to_u, orders)
-
-
-def _basis(to_u: AxisMap, orders: int) -> AxisBasis:
+    to_u = _map(period_nm, size_nm, orders, formulation)
     pillar, whole = to_u.cosine_integrals(2 * orders + 1)
+    wavenumber, even, odd = _plane_waves(period_nm, whole, orders)
+    return AxisBasis(
+        wavenumber, _symmetric(even.T @ _even(pillar, orders) @ even), _symmetric(odd.T @ _odd(pillar, orders) @ odd)
+    )
+
+
+def axis_tangent(period_nm: float, size_nm: float, orders: int, formulation: Formulation) -> AxisBasis:
+    """Derivative of :func:`axis_basis` with respect to ``size_nm``, field by field and per nm.
+
+    The basis functions turn among each other as the map follows the pillar: perturbation theory of the definite pair
+    (D F_odd^-1 D^T, F_even) and of its odd partner, whose eigenvalues are the same and all distinct.
+    """
+    to_u = _map(period_nm, size_nm, orders, formulation)
+    count = 2 * orders + 1
+    (pillar, whole), (d_pillar, d_whole) = to_u.cosine_integrals(count), to_u.cosine_integral_tangents(count)
+    wavenumber, even, odd = _plane_waves(period_nm, whole, orders)
+    metric_even, metric_odd = even.T @ _even(d_whole, orders) @ even, odd.T @ _odd(d_whole, orders) @ odd
+    k = np.concatenate([[0.0], wavenumber])
+    lifted = np.zeros_like(metric_even)
+    lifted[1:, 1:] = metric_odd
+    tangents = []
+    for vectors, weight, metric, partner, waves in (
+        (even, _even, metric_even, lifted, k),
+        (odd, _odd, metric_odd, metric_even[1:, 1:], wavenumber),
+    ):
+        gap = waves**2 - waves[:, None] ** 2
+        np.fill_diagonal(gap, 1.0)
+        turn = -(waves[:, None] * partner * waves + metric * waves**2) / gap
+        np.fill_diagonal(turn, -0.5 * np.diag(metric))
+        carried = vectors.T @ weight(pillar, orders) @ vectors @ turn
+        tangents.append(vectors.T @ weight(d_pillar, orders) @ vectors + carried + carried.T)
+    d_wavenumber = -0.5 * wavenumber * (np.diag(metric_odd) + np.diag(metric_even)[1:])
+    return AxisBasis(d_wavenumber, tangents[0], tangents[1])
+
+
+def _map(period_nm: float, size_nm: float, orders: int, formulation: Formulation) -> AxisMap:
+    return stretched(period_nm, size_nm, orders) if formulation == "adaptive" else unstretched(period_nm, size_nm)
+
+
+def _plane_waves(period_nm: float, whole: FloatArray, orders: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Wave numbers of the empty cell, and its even and odd functions as columns over the harmonics."""
     lower_even = cholesky(_even(whole, orders), lower=True)
     lower_odd = cholesky(_odd(whole, orders), lower=True)
     derivative = np.zeros((orders + 1, orders))
-    derivative[1:] = np.diag(2.0 * np.pi / to_u.period_nm * np.arange(1, orders + 1))
+    derivative[1:] = np.diag(2.0 * np.pi / period_nm * np.arange(1, orders + 1))
     # L_even^-1 D L_odd^-T has the wave numbers as singular values and the constant as its left null vector.
     reduced = solve_triangular(lower_even, derivative, lower=True)
     reduced = solve_triangular(lower_odd, reduced.T, lower=True).T
     left, wavenumber, right_t = svd(reduced)
     order = np.argsort(wavenumber)
     left = np.concatenate([left[:, -1:], left[:, :-1][:, order]], axis=1)
+    right = right_t[order].T
+    # Signs that do not depend on rounding: the constant positive, and each sine's leading harmonic.
     left[:, 0] *= np.sign(left[0, 0])
+    sign = np.sign(right[np.argmax(np.abs(right), axis=0), np.arange(orders)])
+    right, left[:, 1:] = right * sign, left[:, 1:] * sign
     even = solve_triangular(lower_even, left, lower=True, trans="T")
-    odd = solve_triangular(lower_odd, right_t[order].T, lower=True, trans="T")
-    return AxisBasis(
-        wavenumber[order],
-        _symmetric(even.T @ _even(pillar, orders) @ even),
-        _symmetric(odd.T @ _odd(pillar, orders) @ odd),
-    )
+    odd = solve_triangular(lower_odd, right, lower=True, trans="T")
+    return wavenumber[order], even, odd
 
 
 def symmetric_axis(basis: AxisBasis, *, even_first: bool) -> AxisParity:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from metafab.cell.rcwa.admittance import through_layer
-from metafab.cell.rcwa.basis import AxisParity, Formulation, axis_basis, symmetric_axis, travelling_axis
-from metafab.cell.rcwa.eigenmodes import layer_modes, plane_waves
+from metafab.cell.rcwa.admittance import LayerField, through_layer
+from metafab.cell.rcwa.basis import AxisBasis, AxisParity, Formulation, axis_basis, symmetric_axis, travelling_axis
+from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, plane_waves
 from metafab.cell.rcwa.factorisation import layer_matrices
-from metafab.cell.rcwa.transverse import transverse_basis
+from metafab.cell.rcwa.transverse import TransverseBasis, transverse_basis
 from metafab.cell.response import PillarCell
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
@@ -38,6 +39,25 @@ class ZeroOrder:
     coefficients: int
 
 
+@dataclass(frozen=True)
+class SymmetryClass:
+    """Fields of one symmetry, with the outer indices that their polarisation sees."""
+
+    basis: TransverseBasis
+    n_in: complex
+    n_out: complex
+
+
+@dataclass(frozen=True)
+class ClassSolution:
+    """What :func:`solve_class` found: modes of the layer, waves outside, and the field."""
+
+    modes: LayerModes
+    incoming: PlaneWaves
+    outgoing: PlaneWaves
+    field: LayerField
+
+
 def axis_orders(cell: PillarCell, orders: int) -> Orders:
     """Cosines along x and y for ``orders`` cosines along the longer period; shorter periods need fewer."""
     longest = max(cell.period_nm)
@@ -56,38 +76,61 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
     """
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     largest = 0
-    with _blas().limit(limits=1):
-        for u, v, n_in, n_out in _classes(cell, axis_orders(cell, orders), formulation):
-            size, t_class, r_class = _solve_class(cell, u, v, n_in, n_out)
-            t, r = t + t_class, r + r_class
-            largest = max(largest, size)
+    with one_thread():
+        for case in symmetry_classes(cell, axis_orders(cell, orders), formulation):
+            field, incident = solve_class(cell, case).field, case.basis.zero_order()
+            t, r = t + incident.T @ field.transmitted, r + incident.T @ field.reflected
+            largest = max(largest, case.basis.size)
+            if _polarisations_swap(cell):
+                return ZeroOrder(t + t[::-1, ::-1], r + r[::-1, ::-1], largest)
     return ZeroOrder(t, r, largest)
 
 
-def _classes(
-    cell: PillarCell, orders: Orders, formulation: Formulation
-) -> Iterator[tuple[AxisParity, AxisParity, complex, complex]]:
-    """The symmetry classes that incident light of either polarisation excites, with the outer indices they see."""
+def symmetry_classes(cell: PillarCell, orders: Orders, formulation: Formulation) -> Iterator[SymmetryClass]:
+    """The symmetry classes that incident light of either polarisation excites."""
     x = axis_basis(cell.period_nm[0], cell.width_nm, orders[0], formulation)
     y = axis_basis(cell.period_nm[1], cell.length_nm, orders[1], formulation)
     if cell.angle_deg == 0.0:
         for i, even_first in enumerate((True, False)):
-            u, v = (symmetric_axis(axis, even_first=even_first) for axis in (x, y))
-            yield u, v, cell.n_in[i], cell.n_out[i]
+            basis = transverse_basis(*(symmetric_axis(axis, even_first=even_first) for axis in (x, y)))
+            yield SymmetryClass(basis, cell.n_in[i], cell.n_out[i])
         return
     _check_oblique(cell)
-    n_in, n_out = cell.n_in[0], cell.n_out[0]
-    k_in = 2.0 * math.pi / cell.wavelength_nm * n_in.real * math.sin(math.radians(cell.angle_deg))
+    k_in = 2.0 * math.pi / cell.wavelength_nm * cell.n_in[0].real * math.sin(math.radians(cell.angle_deg))
     k_x, k_y = (k_in * part for part in _direction(cell.azimuth_deg))
-    families_x = _families(x, k_x)
-    families_y = _families(y, k_y)
     # With parity along one axis only, each of its two classes holds one polarisation.
-    for u in families_x:
-        for v in families_y:
-            yield u, v, n_in, n_out
+    for u in _families(x, k_x):
+        for v in _families(y, k_y):
+            yield SymmetryClass(transverse_basis(u, v), cell.n_in[0], cell.n_out[0])
 
 
-def _families(axis: Any, incident_per_nm: float) -> list[AxisParity]:
+def solve_class(cell: PillarCell, case: SymmetryClass) -> ClassSolution:
+    """Modes and field of one symmetry class, for incident E_x = 1 and E_y = 1 (as far as the class holds them)."""
+    k0_per_nm = 2.0 * math.pi / cell.wavelength_nm
+    p, q = layer_matrices(case.basis, k0_per_nm, permittivity(cell.n_pillar), permittivity(cell.n_ambient))
+    modes = layer_modes(p, q)
+    incoming, outgoing = (plane_waves(case.basis, k0_per_nm, permittivity(n)) for n in (case.n_in, case.n_out))
+    field = through_layer(modes, k0_per_nm * cell.height_nm, incoming, outgoing, case.basis.zero_order())
+    return ClassSolution(modes, incoming, outgoing, field)
+
+
+def permittivity(n: complex) -> complex:
+    """Square of the index; a real number where nothing is lost, so that real arithmetic follows."""
+    return n * n if complex(n).imag else complex(n).real ** 2
+
+
+def one_thread() -> AbstractContextManager[Any]:
+    """One BLAS thread while it lasts."""
+    return cast("AbstractContextManager[Any]", _blas().limit(limits=1))
+
+
+def _polarisations_swap(cell: PillarCell) -> bool:
+    """Whether x and y light see the same cell, turned by 90 degrees."""
+    same_sizes = cell.width_nm == cell.length_nm and cell.period_nm[0] == cell.period_nm[1]
+    return same_sizes and cell.angle_deg == 0.0 and cell.n_substrate[0] == cell.n_substrate[1]
+
+
+def _families(axis: AxisBasis, incident_per_nm: float) -> list[AxisParity]:
     if incident_per_nm == 0.0:
         return [symmetric_axis(axis, even_first=True), symmetric_axis(axis, even_first=False)]
     return [travelling_axis(axis, incident_per_nm)]
@@ -113,28 +156,6 @@ def _check_oblique(cell: PillarCell) -> None:
         raise InputError.single(
             "cell", "angle_deg", "0 where the light comes out of an absorbing medium", f"{cell.angle_deg:g}"
         )
-
-
-def _solve_class(
-    cell: PillarCell, u: AxisParity, v: AxisParity, n_in: complex, n_out: complex
-) -> tuple[int, ComplexArray, ComplexArray]:
-    k0_per_nm = 2.0 * math.pi / cell.wavelength_nm
-    basis = transverse_basis(u, v)
-    p, q = layer_matrices(basis, k0_per_nm, _permittivity(cell.n_pillar), _permittivity(cell.n_ambient))
-    incident = basis.zero_order()
-    transmitted, reflected = through_layer(
-        layer_modes(p, q),
-        k0_per_nm * cell.height_nm,
-        plane_waves(basis, k0_per_nm, _permittivity(n_in)),
-        plane_waves(basis, k0_per_nm, _permittivity(n_out)),
-        incident,
-    )
-    return basis.size, incident.T @ transmitted, incident.T @ reflected
-
-
-def _permittivity(n: complex) -> complex:
-    """Square of the index; a real number where nothing is lost, so that real arithmetic follows."""
-    return n * n if complex(n).imag else complex(n).real ** 2
 
 
 @cache
