@@ -198,13 +198,13 @@ def layout_command(
     json_: Json = False,
 ) -> None:
     """Target phases to pillars to mask files."""
-    from metafab import layout, steps
+    from metafab import mask, phase, steps
     from metafab.core.measure import measured
 
     with _progress() as progress:
         job = _job(design, output, workers, cluster, progress)
         if plan:
-            _show(layout.plan(job.design, steps.open_library(job)), json_)
+            _show(mask.plan(phase.profile_of(job.design), steps.open_library(job), job.design), json_)
             return
         with measured() as cost:
             result = steps.write_layout(job)

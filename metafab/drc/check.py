@@ -9,7 +9,7 @@ from pathlib import Path
 from metafab.core.errors import InputError
 from metafab.core.progress import Progress, silent
 from metafab.drc.lattice import check_lattice
-from metafab.drc.report import DrcReport, Engine
+from metafab.drc.report import DrcReport
 from metafab.mask import read
 from metafab.spec import Design
 
@@ -18,7 +18,7 @@ def check(
     path: Path,
     design: Design,
     *,
-    engine: Engine = "lattice",
+    engine: str = "lattice",
     workers: int | None = None,
     progress: Progress = silent,
 ) -> DrcReport:

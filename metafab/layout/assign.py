@@ -10,6 +10,7 @@ from operator import add
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.core.conventions import power_transmittance
 from metafab.core.executor import default_workers, in_order
@@ -25,8 +26,8 @@ from metafab.spec import Design
 #: Lattices up to this many sites are kept (2 bytes a site); larger ones are mapped again on each reading.
 KEPT_SITES = 1 << 27
 
-# Strides of the sample that chooses the constant phases; primes, so that no grating of the design hides in them.
-_SAMPLE_STRIDE = (7, 5)
+# Rows and columns that are sampled to choose the constant phases.
+_SAMPLED_LINES = 1000
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def assign(
     """
     table = allowed_sizes(library, design)
     aperture = Aperture.of(design)
-    offsets = _offsets(profile, table, aperture)
+    offsets = constant_phases(profile, table, aperture)
     mapping = Mapping(profile, table, aperture, offsets, tile_sites(design))
     lattice = aperture.lattice
     kept = lattice.shape[0] * lattice.shape[1] <= KEPT_SITES
@@ -110,18 +111,23 @@ def allowed_sizes(library: Library, design: Design) -> SizeTable:
     )
 
 
-def _offsets(profile: PhaseProfile, table: SizeTable, aperture: Aperture) -> tuple[float, float]:
-    """The constant phases that suit the library best, from a sample of the lens."""
+def constant_phases(profile: PhaseProfile, table: SizeTable, aperture: Aperture) -> tuple[float, float]:
+    """The constant phases (x, y polarisation) that suit the library best, from a sample of at most a million sites."""
     lattice = aperture.lattice
-    step_y, step_x = (min(s, n) for s, n in zip(_SAMPLE_STRIDE, lattice.shape, strict=True))
-    x_um, columns = lattice.x_um()[step_x // 2 :: step_x], np.arange(lattice.shape[1])[step_x // 2 :: step_x]
+    rows, columns = (_spread(count) for count in lattice.shape)
+    x_um, y_um = lattice.x_um()[columns], lattice.y_um()
     histogram = np.zeros(table.size_index.shape, dtype=np.int64)
-    rows = np.arange(lattice.shape[0])[step_y // 2 :: step_y]
     for block in np.array_split(rows, max(1, rows.size // 64)):
-        target = profile(x_um, lattice.y_um()[block])
+        target = profile(x_um, y_um[block])
         inside = (columns >= aperture.first[block, None]) & (columns < aperture.last[block, None])
         histogram += table.histogram(target[0][inside], target[1][inside])
     return global_offsets(table, histogram)
+
+
+def _spread(count: int) -> NDArray[np.int64]:
+    """Up to :data:`_SAMPLED_LINES` of ``count`` lines, by the golden ratio: even, and in step with no grating."""
+    golden = (np.sqrt(5.0) - 1.0) / 2.0
+    return np.unique((np.arange(1, _SAMPLED_LINES + 1) * golden % 1.0 * count).astype(np.int64))
 
 
 def _summary(sums: TileFigures, library: Library, table: SizeTable, offsets: tuple[float, float]) -> dict[str, Any]:

@@ -6,6 +6,7 @@
 - ``gdsii_writer``  GDSII by streaming
 - ``viewer``        layer properties for KLayout
 - ``write``         all files of a mask in one pass
+- ``plan``          what a layout will cost, from a sample of tiles
 - ``hierarchy``     cells and references -> rectangles
 - ``gdsii_reader``  GDSII -> cells
 - ``oasis_stream``  the elements of OASIS records
@@ -16,7 +17,8 @@
 In: a PillarMap and a Design. Out: files; from a file: a ReadBack, the pillars and everything that is none.
 """
 
+from metafab.mask.plan import plan
 from metafab.mask.read import Leftover, ReadBack, read
 from metafab.mask.write import WrittenFile, write
 
-__all__ = ["Leftover", "ReadBack", "WrittenFile", "read", "write"]
+__all__ = ["Leftover", "ReadBack", "WrittenFile", "plan", "read", "write"]

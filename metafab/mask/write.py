@@ -23,7 +23,7 @@ from metafab.mask.oasis_writer import OasisWriter
 from metafab.mask.viewer import layer_properties
 from metafab.spec import Design
 
-_WRITERS: dict[str, type[GdsiiWriter] | type[OasisWriter]] = {"gds": GdsiiWriter, "oas": OasisWriter}
+WRITERS: dict[str, type[GdsiiWriter] | type[OasisWriter]] = {"gds": GdsiiWriter, "oas": OasisWriter}
 _BUFFER_BYTES = 1 << 20
 
 
@@ -61,7 +61,7 @@ def write(pillars: PillarMap, directory: Path, design: Design, progress: Progres
             part = stack.enter_context(whole_file(path))
             stream = stack.enter_context(part.open("wb", buffering=_BUFFER_BYTES))
             arguments = (top_name(design.name), design.mask.layer, design.mask.datatype)
-            writers.append(_WRITERS[suffix](stream, pillars.lattice, pillars.size_dbu, *arguments))
+            writers.append(WRITERS[suffix](stream, pillars.lattice, pillars.size_dbu, *arguments))
         threads = stack.enter_context(ThreadPoolExecutor(default_workers()))
 
         def encode(tile: PillarTile) -> tuple[PillarTile, list[Any]]:

@@ -1,0 +1,80 @@
+"""What a layout will cost, from a sample of its tiles: seconds, bytes, core-hours."""
+
+from __future__ import annotations
+
+import io
+import time
+from typing import Any
+
+from metafab.core.executor import default_workers
+from metafab.layout import Aperture
+from metafab.layout.assign import allowed_sizes, constant_phases
+from metafab.layout.geometry import tile_sites
+from metafab.layout.mapping import Mapping
+from metafab.library import Library
+from metafab.mask.cells import top_name
+from metafab.mask.write import WRITERS
+from metafab.phase.profile import PhaseProfile
+from metafab.spec import Design
+
+#: GDSII has no limit of its own, but many readers count bytes in 32 bits.
+GDSII_COMFORT_BYTES = 2**31
+
+_SAMPLED_TILES = 16
+
+
+def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, Any]:
+    """Map and encode a sample of tiles and extrapolate to the whole lens, of any size.
+
+    Args:
+        profile: target phases.
+        library: response of every size.
+        design: the lens.
+
+    Returns:
+        ``pillars``, ``tiles``, ``sampled_tiles``, ``seconds`` (on this machine's cores, by step), ``core_hours``,
+        ``bytes`` by format, ``workers``, and ``advice``, a list of sentences.
+    """
+    start = time.perf_counter()
+    table = allowed_sizes(library, design)
+    aperture = Aperture.of(design)
+    mapping = Mapping(profile, table, aperture, constant_phases(profile, table, aperture), tile_sites(design))
+    places = mapping.places()
+    # Evenly through the list: rim and centre, all rows of tiles alike. The first is mapped twice, to warm up.
+    count = min(_SAMPLED_TILES, len(places))
+    chosen = [places[(2 * k + 1) * len(places) // (2 * count)] for k in range(count)]
+    mapping(chosen[0])
+    prepared = time.perf_counter() - start
+
+    tiles, mapping_seconds = [], -time.perf_counter()
+    for place in chosen:
+        tiles.append(mapping(place))
+    mapping_seconds += time.perf_counter()
+    share = sum(figures.pillars for _, figures in tiles) / aperture.count
+    seconds = {"preparing": prepared, "mapping": mapping_seconds / share / default_workers()}
+    sizes: dict[str, int] = {}
+    for suffix in design.mask.formats:
+        names = (top_name(design.name), design.mask.layer, design.mask.datatype)
+        writer = WRITERS[suffix](io.BytesIO(), aperture.lattice, table.size_dbu, *names)
+        writer.encode(tiles[0][0])
+        encoding = time.perf_counter()
+        encoded = sum(len(writer.encode(tile)[1]) for tile, _ in tiles)
+        seconds[suffix] = (time.perf_counter() - encoding) / share / default_workers()
+        sizes[suffix] = round(encoded / share)
+    return {
+        "pillars": aperture.count,
+        "tiles": len(places),
+        "sampled_tiles": count,
+        "seconds": seconds,
+        "core_hours": (sum(seconds.values()) - prepared) * default_workers() / 3600.0,
+        "bytes": sizes,
+        "workers": default_workers(),
+        "advice": _advice(sizes),
+    }
+
+
+def _advice(sizes: dict[str, int]) -> list[str]:
+    if sizes.get("gds", 0) <= GDSII_COMFORT_BYTES:
+        return []
+    text = f"layout.gds would have {sizes['gds'] / 1e9:.1f} GB, more than many GDSII readers take (2.1 GB)"
+    return [f"{text}; write 'oas' (set mask.formats = [\"oas\"])"]
