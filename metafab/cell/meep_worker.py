@@ -28,7 +28,7 @@ Json = dict[str, Any]  # Python 3.9 and later
 _PULSE_WIDTH = 0.5
 _PULSE_CUTOFF = 5.0
 #: Samples of the running Fourier transform: one every so many optical periods.
-_SAMPLE_PERIODS = 2.5
+_SAMPLE_PERIODS = 1.25
 #: Modes that a decaying tail may hold, and the window from which they are found.
 _TAIL_MODES = 6
 _TAIL_SAMPLES = 3 * _TAIL_MODES
@@ -85,8 +85,8 @@ def run(job: Json, report: Any) -> Json:
     monitors = _monitors(mp, job, empty, empty=True)
     pulse = 2.0 * _PULSE_CUTOFF * job["wavelength_um"] / _PULSE_WIDTH
     # Behind the pulse only the absorber's echo is left: two passes through the cell are ample.
-    longest = max(abs(complex(*n)) for n in job["n_in"])
-    empty.run(until=pulse + 2.0 * longest * job["n_z"] * job["pixel_um"])
+    slowness = max(abs(complex(*epsilon)) for epsilon in job["epsilon_in"]) ** 0.5
+    empty.run(until=pulse + 2.0 * slowness * job["n_z"] * job["pixel_um"])
     own = job["components"].index(job["polarisation"])
     incident = _amplitudes(mp, job, empty, monitors, empty=True)[:, own, 0]
     empty.reset_meep()
@@ -127,13 +127,14 @@ def run(job: Json, report: Any) -> Json:
     return reply
 
 
-def _medium(mp: Any, job: Json, n: Any) -> Any:
-    """A constant complex index at the design frequency (no dispersion: subpixel smoothing needs that)."""
-    epsilon = [complex(*axis) ** 2 for axis in n]
+def _medium(mp: Any, job: Json, epsilon: Any, mu: Any = (1.0, 1.0, 1.0)) -> Any:
+    """A material that is constant over frequency, its loss exact at the design wavelength."""
+    values = [complex(*axis) for axis in epsilon]
     omega = 2.0 * math.pi / job["wavelength_um"]
     return mp.Medium(
-        epsilon_diag=mp.Vector3(*(e.real for e in epsilon)),
-        D_conductivity_diag=mp.Vector3(*(omega * e.imag / e.real for e in epsilon)),
+        epsilon_diag=mp.Vector3(*(e.real for e in values)),
+        mu_diag=mp.Vector3(*mu),
+        D_conductivity_diag=mp.Vector3(*(omega * e.imag / e.real for e in values)),
     )
 
 
@@ -152,12 +153,11 @@ def _simulation(mp: Any, job: Json, *, empty: bool) -> Any:
     pixel, frequency = job["pixel_um"], 1.0 / job["wavelength_um"]
     width, length = _lateral_um(job, empty)
     x_polarised = job["polarisation"] == "x"
-    origin = _z(job, job["origin_node"])
     geometry = [
         mp.Block(
-            center=mp.Vector3(block["centre"][0], block["centre"][1], block["centre"][2] + origin),
-            size=mp.Vector3(*(mp.inf if size is None else size for size in block["size"])),
-            material=_medium(mp, job, block["n"]),
+            center=mp.Vector3(*(np.add(block["low"], block["high"]) / 2.0)),
+            size=mp.Vector3(*np.subtract(block["high"], block["low"])),
+            material=_medium(mp, job, block["epsilon"], block["mu"]),
         )
         for block in ([] if empty else job["blocks"])
     ]
@@ -165,20 +165,28 @@ def _simulation(mp: Any, job: Json, *, empty: bool) -> Any:
     if job["mirrors"] and not empty:
         # The source is a polar vector: odd under the mirror across its own axis.
         mirrors = [mp.Mirror(mp.X, phase=-1 if x_polarised else 1), mp.Mirror(mp.Y, phase=1 if x_polarised else -1)]
+
+    def weight(place: Any) -> complex:
+        across = place.y if x_polarised else place.x
+        node = round(across / pixel + len(job["weight"]) / 2)
+        return complex(job["weight"][node % len(job["weight"])])
+
     source = mp.Source(
         mp.GaussianSource(frequency, fwidth=_PULSE_WIDTH * frequency, cutoff=_PULSE_CUTOFF),
         component=mp.Ex if x_polarised else mp.Ey,
         center=mp.Vector3(z=_z(job, job["source_node"])),
         size=mp.Vector3(width, length),
+        amp_func=None if empty else weight,
     )
     return mp.Simulation(
         cell_size=mp.Vector3(width, length, job["n_z"] * pixel),
         resolution=1.0 / pixel,
         Courant=job["courant"],
         geometry=geometry,
+        eps_averaging=job["smooth"],
         # Otherwise blocks that leave the cell come in again at its other end, along z, too.
         ensure_periodicity=False,
-        default_material=_medium(mp, job, job["n_in"]),
+        default_material=_medium(mp, job, job["epsilon_in"]),
         boundary_layers=[mp.PML(job["absorber_nodes"] * pixel, direction=mp.Z)],
         k_point=mp.Vector3(),
         symmetries=mirrors,
@@ -225,6 +233,9 @@ def _amplitudes(mp: Any, job: Json, simulation: Any, monitors: list[Any], *, emp
         x = (np.arange(shape[0]) + (0.5 if component == "x" else 0.0)) / shape[0] - 0.5
         y = (np.arange(shape[1]) + (0.5 if component == "y" else 0.0)) / shape[1] - 0.5
         waves = np.array([np.exp(-2j * np.pi * (m * x[None, :] + n * y[:, None])) for m, n in orders])
+        if not empty:
+            weight = np.asarray(job["weight"])
+            waves = waves * (weight[:, None] if job["polarisation"] == "x" else weight[None, :])
         for i, monitor in enumerate(monitors):
             field = _plane(mp, job, simulation, monitor, component, empty=empty)
             result[i, j] = np.mean(waves * field, axis=(1, 2))

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
-from metafab.core.conventions import ComplexArray
-
-#: Order of Meep's scheme with smoothed interfaces (Farjadpour et al., Opt. Lett. 31, 2972, 2006).
-ORDER = 2
+from metafab.core.conventions import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -27,34 +25,30 @@ class Extrapolated:
 
 
 def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Extrapolated:
-    """Limit of v(h) = v + c h^2 by least squares over all resolutions.
+    """Limit of v(h) = v + c_2 h^2 + c_4 h^4 + ... from grids that share their coordinates.
 
-    Where walls stand between grid points changes from one resolution to the next, and the coefficient c a
-    little with it; the fit averages over that. The error is the largest of: the change when the coarsest
-    resolution is left out, the misfit of the finest, and a tenth of the correction that was made to it.
+    The three finest grids give both coefficients, two give the first only. The error is half of the step from
+    the last limit but one of second order to the last: what was gained by the last refinement, of which, at
+    ratios of 3/2 and less between grids, no more than that half should be left even if corners of the pillar
+    make the rest fall with h^3 only.
 
     Args:
-        pixel_um: at least two grid spacings, in any order.
+        pixel_um: at least two grid spacings, coarse to fine.
         values: for each, shape (n_values,).
     """
     if len(pixel_um) < 2 or len(pixel_um) != len(values):
         raise ValueError(f"`pixel_um`: expected two or more, as many as `values`, got {len(pixel_um)}")
-    order = np.argsort(pixel_um)[::-1]
-    h, v = np.asarray(pixel_um, dtype=np.float64)[order], np.asarray(values, dtype=np.complex128)[order]
-    fitted, slope = _fit(h, v)
-    correction = float(np.max(np.abs(fitted - v[-1])))
+    if any(fine >= coarse for coarse, fine in pairwise(pixel_um)):
+        raise ValueError(f"`pixel_um`: expected descending grid spacings, got {tuple(pixel_um)}")
+    h, v = np.asarray(pixel_um, dtype=np.float64), np.asarray(values, dtype=np.complex128)
+    last = _limit(h[-2:], v[-2:])
     if len(h) == 2:
-        # Nothing checks the order: half the correction is what a first-order rest of it would be.
-        return Extrapolated(fitted, 0.5 * correction)
-    finer, _ = _fit(h[1:], v[1:])
-    spread = float(np.max(np.abs(fitted - finer)))
-    misfit = float(np.max(np.abs(v[-1] - fitted - slope * h[-1] ** ORDER)))
-    return Extrapolated(fitted, max(spread, misfit, 0.1 * correction))
+        # Nothing checks the order yet: the whole correction to the finer grid stays in doubt.
+        return Extrapolated(last, float(np.max(np.abs(last - v[-1]))))
+    before = _limit(h[-3:-1], v[-3:-1])
+    return Extrapolated(_limit(h[-3:], v[-3:]), 0.5 * float(np.max(np.abs(last - before))))
 
 
-def _fit(h: np.ndarray, v: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-    """Weighted least squares; finer grids count more, as misfits shrink with h^2."""
-    weight = 1.0 / h**ORDER
-    design = np.stack([np.ones_like(h), h**ORDER], axis=1) * weight[:, None]
-    solution = np.linalg.lstsq(design, v * weight[:, None], rcond=None)[0]
-    return solution[0], solution[1]
+def _limit(h: FloatArray, v: ComplexArray) -> ComplexArray:
+    """Value at h = 0 of the polynomial in h^2 through all points."""
+    return np.asarray(np.linalg.solve(np.vander(h**2, increasing=True).astype(np.complex128), v)[0])

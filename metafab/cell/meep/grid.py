@@ -1,22 +1,40 @@
-"""A unit cell on Meep's grid: whole pixels a period, generic places for every wall, planes in whole pixels."""
+"""A unit cell on Meep's grid: a family of resolutions that share their coordinates, and one run of it."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 
-import numpy as np
-
-from metafab.cell.meep.protocol import AxisIndex, Block, Job
+from metafab.cell.meep.coordinates import Axis, cuboids, lateral_axis
+from metafab.cell.meep.protocol import Block, Job
 from metafab.cell.response import PillarCell
 from metafab.core.conventions import Polarisation
-from metafab.core.errors import SolverError
 
-#: Of the vacuum wavelength: absorber, source to pillar, pillar to the far monitor and absorber.
+#: Of the vacuum wavelength: absorber, and clearance between source, monitors and pillar.
 _ABSORBER = 0.5
 _CLEARANCE = 0.3
 #: Pixels between source and near monitor, and between any of these planes and an absorber.
 _PLANE_NODES = 3
+#: Half periods that the coarsest member of a family may have, in pixels.
+_FAMILY = range(5, 10)
+#: Part of the stability limit that the time step takes.
+_STABILITY = 0.95
+
+
+@dataclass(frozen=True)
+class Family:
+    """Grids that differ by a whole factor only: member j has 2 j times these numbers of pixels.
+
+    Attributes:
+        period: half the pixels a period along (x, y), at j = 1.
+        inside: half those of the pillar.
+        height: half those of the pillar's height.
+    """
+
+    period: tuple[int, int]
+    inside: tuple[int, int]
+    height: int
 
 
 @dataclass(frozen=True)
@@ -27,7 +45,8 @@ class Plan:
         job: for the worker; its monitors are the near plane (incident and reflected light) and the far one.
         near_um: z of the near monitor, from the plane where the light comes in (negative).
         far_um: z of the far monitor, from the pillar's other plane.
-        n_in: index of the polarisation on the near side; ``n_out`` on the far side.
+        n_in: index of the polarisation on the near side.
+        n_out: index of the polarisation on the far side.
     """
 
     job: Job
@@ -37,28 +56,52 @@ class Plan:
     n_out: float
 
 
-def pixels_per_period(cell: PillarCell, resolution_per_um: float) -> tuple[int, int]:
-    """Even numbers of square pixels that fill both periods, at least as fine as asked.
+def family(cell: PillarCell) -> Family:
+    """The family of grids that must be stretched least.
 
-    Raises:
-        SolverError: no pixel up to twice as fine fits both periods.
+    The pixel is that of the x period; the y period gets the number of pixels that comes nearest.
     """
-    x_um, y_um = (period * 1e-3 for period in cell.period_nm)
-    first = 2 * math.ceil(x_um * resolution_per_um / 2 - 1e-9)
-    for n_x in range(first, 2 * first + 2, 2):
-        n_y = n_x * y_um / x_um
-        if abs(n_y - round(n_y)) < 1e-6 and round(n_y) % 2 == 0:
-            return n_x, round(n_y)
-    raise SolverError(
-        f"no square pixel between 1/{first / x_um:.0f} and 1/{2 * first / x_um:.0f} um divides both periods, "
-        f"{cell.period_nm[0]:g} and {cell.period_nm[1]:g} nm, into even numbers; solve this cell by rcwa"
-    )
+
+    def stretch(count: int, length: float, pixel: float) -> float:
+        return abs(math.log(length / (count * pixel))) if length > 0.0 and count > 0 else 0.0
+
+    best: tuple[float, Family] | None = None
+    sizes = (cell.width_nm, cell.length_nm)
+    for p_x in _FAMILY:
+        pixel = cell.period_nm[0] / p_x
+        period = (p_x, max(1, round(cell.period_nm[1] / pixel)))
+        inside = tuple(
+            _split(size, whole, count) for size, whole, count in zip(sizes, cell.period_nm, period, strict=True)
+        )
+        height = max(1, round(cell.height_nm / pixel))
+        worst = max(
+            stretch(height, cell.height_nm, pixel),
+            *(stretch(i, size, pixel) for i, size in zip(inside, sizes, strict=True)),
+            *(
+                stretch(p - i, whole - size, pixel)
+                for p, i, whole, size in zip(period, inside, cell.period_nm, sizes, strict=True)
+            ),
+        )
+        if best is None or worst < best[0]:
+            best = worst, Family(period, (inside[0], inside[1]), height)
+    assert best is not None
+    return best[1]
+
+
+def _split(size: float, period: float, count: int) -> int:
+    """Pixels of the pillar, of ``count`` a period; a pillar and a gap keep one each."""
+    if size <= 0.0:
+        return 0
+    if size >= period:
+        return count
+    return min(max(1, round(size / period * count)), count - 1)
 
 
 def plan(
     cell: PillarCell,
     polarisation: Polarisation,
-    shape: tuple[int, int],
+    grids: Family,
+    member: int,
     *,
     decay: float,
     longest_time: float,
@@ -71,30 +114,36 @@ def plan(
     Args:
         cell: what to solve.
         polarisation: of the incident wave.
-        shape: (n_x, n_y) of :func:`pixels_per_period`.
+        grids: of :func:`family`.
+        member: resolution, in multiples of the coarsest.
         decay: see :class:`Job`.
         longest_time: see :class:`Job`.
         shift_nodes: moves both monitors outwards; results must not notice.
     """
-    pixel = cell.period_nm[0] * 1e-3 / shape[0]
+    n_x, n_y = (2 * member * count for count in grids.period)
+    pixel = cell.period_nm[0] * 1e-3 / n_x
     wavelength, height = cell.wavelength_nm * 1e-3, cell.height_nm * 1e-3
     absorber = math.ceil(_ABSORBER * wavelength / pixel)
     clearance = math.ceil(_CLEARANCE * wavelength / pixel)
     source = absorber + _PLANE_NODES
     near = source + _PLANE_NODES
-    foot = near + shift_nodes + clearance
-    origin = foot + _generic_offset(height / pixel)
-    far = math.ceil(origin + height / pixel) + clearance + shift_nodes
+    begin = near + shift_nodes + clearance
+    end = begin + 2 * member * grids.height
+    far = end + clearance + shift_nodes
     n_z = far + _PLANE_NODES + absorber
     n_z += n_z % 2
+    sizes = zip(grids.inside, (cell.width_nm, cell.length_nm), cell.period_nm, (n_x, n_y), strict=True)
+    x, y = (
+        lateral_axis(count, 2 * member * inside, size * 1e-3, period * 1e-3, pixel)
+        for inside, size, period, count in sizes
+    )
+    z = Axis((0, begin, end, n_z), (1.0, height / ((end - begin) * pixel), 1.0), (0, 1, 2))
     axis = 0 if polarisation == "x" else 1
-    n_in, n_out = _axes(cell.n_in), _axes(cell.n_out)
     job = Job(
         pixel_um=pixel,
-        n_x=shape[0],
-        n_y=shape[1],
+        n_x=n_x,
+        n_y=n_y,
         n_z=n_z,
-        origin_node=origin,
         absorber_nodes=absorber,
         source_node=source,
         monitor_nodes=(near, far),
@@ -102,58 +151,46 @@ def plan(
         polarisation=polarisation,
         components=(polarisation,),
         orders=((0, 0),),
-        n_in=n_in,
-        blocks=_blocks(cell, height, n_z * pixel, n_in, n_out),
+        # Where E_x is stretched by x alone, the wave's flux varies along y, and the other way round.
+        weight=tuple((y if polarisation == "x" else x).node_stretch()),
+        epsilon_in=_axes(cell.n_in),
+        blocks=_blocks(cell, (x, y, z), pixel, n_z),
+        smooth=False,
         mirrors=True,
         decay=decay,
         longest_time=longest_time,
+        courant=_courant(cell, (x, y, z)),
     )
-    return Plan(
-        job, (near - origin) * pixel, (far - origin) * pixel - height, cell.n_in[axis].real, cell.n_out[axis].real
-    )
+    return Plan(job, (near - begin) * pixel, (far - end) * pixel, cell.n_in[axis].real, cell.n_out[axis].real)
 
 
-def _generic_offset(height_px: float) -> float:
-    """Part of a pixel by which z = 0 lies off the nodes, so that neither end of the pillar meets a pixel's face.
-
-    Where a face of a pixel and a wall coincide, round-off decides what Meep's smoothing sees at the pillar's
-    rim. Modulo half a pixel the ends lie at 1/4 -+ h/2, never nearer to a face than 1/8.
-    """
-    remainder = height_px % 0.5
-    h = remainder - 0.5 if remainder > 0.25 else remainder
-    return 0.25 - h / 2.0
+def _courant(cell: PillarCell, axes: tuple[Axis, Axis, Axis]) -> float:
+    """Time step over pixel, at the fastest place of the stretched grid (Taflove and Hagness 2005, Eq. 4.60)."""
+    slowest_n = min(n.real for n in (*cell.n_in, *cell.n_out, complex(cell.n_ambient)))
+    inverse = sum(1.0 / min(axis.stretch) ** 2 for axis in axes)
+    return min(0.5, _STABILITY * slowest_n / math.sqrt(inverse))
 
 
-def _axes(n: tuple[complex, complex]) -> AxisIndex:
-    """Index along x, y and z. The zero order does not see n_z; evanescent orders do, and get the mean."""
-    return (_pair(n[0]), _pair(n[1]), _pair((n[0] + n[1]) / 2.0))
+def _axes(n: tuple[complex, complex]) -> tuple[complex, complex, complex]:
+    """Permittivity along x, y, z. The zero order does not see eps_z; evanescent orders do, and get the mean."""
+    x, y = complex(n[0]) ** 2, complex(n[1]) ** 2
+    return x, y, (x + y) / 2.0
 
 
-def _pair(n: complex) -> tuple[float, float]:
-    return complex(n).real, complex(n).imag
-
-
-def _blocks(cell: PillarCell, height: float, depth: float, n_in: AxisIndex, n_out: AxisIndex) -> tuple[Block, ...]:
-    """Half spaces and pillar.
-
-    The pillar's foot goes into the substrate, which then covers it: wherever a wall ends, Meep's smoothing finds
-    two materials that meet in one plane, not three.
-    """
+def _blocks(cell: PillarCell, axes: tuple[Axis, Axis, Axis], pixel: float, n_z: int) -> tuple[Block, ...]:
     ambient = _axes((cell.n_ambient, cell.n_ambient))
-    width, length = cell.width_nm * 1e-3, cell.length_nm * 1e-3
-    above = Block((0.0, 0.0, depth / 2.0), (None, None, depth), ambient)
-    substrate_in = Block((0.0, 0.0, -depth / 2.0), (None, None, depth), n_in)
-    substrate_out = Block((0.0, 0.0, height + depth / 2.0), (None, None, depth), n_out)
-    blocks = [above]
-    if width > 0.0 and length > 0.0:
-        foot = height / 2.0
-        z = (-foot, height) if cell.side == "substrate" else (0.0, height + foot)
-        # A film has no walls; as large as the cell, its seams cannot show.
-        size = tuple(
-            None if np.isclose(side, period * 1e-3) else side
-            for side, period in zip((width, length), cell.period_nm, strict=True)
+    pillar = _axes((cell.n_pillar, cell.n_pillar))
+    epsilon: dict[tuple[int, int, int], tuple[complex, ...]] = {}
+    for in_x, in_y in product((0, 1), repeat=2):
+        epsilon[in_x, in_y, 0] = _axes(cell.n_in)
+        epsilon[in_x, in_y, 1] = pillar if in_x and in_y else ambient
+        epsilon[in_x, in_y, 2] = _axes(cell.n_out)
+    return tuple(
+        Block(
+            (box.low[0] * pixel, box.low[1] * pixel, (box.low[2] - n_z / 2) * pixel),
+            (box.high[0] * pixel, box.high[1] * pixel, (box.high[2] - n_z / 2) * pixel),
+            box.epsilon,
+            box.mu,
         )
-        index = _axes((cell.n_pillar, cell.n_pillar))
-        blocks.append(Block((0.0, 0.0, sum(z) / 2.0), (size[0], size[1], z[1] - z[0]), index))
-    blocks.append(substrate_in if cell.side == "substrate" else substrate_out)
-    return tuple(blocks)
+        for box in cuboids(axes, epsilon)
+    )

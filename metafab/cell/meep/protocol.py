@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,29 +23,29 @@ from numpy.typing import NDArray
 from metafab.cell.meep import finding
 from metafab.core.conventions import Polarisation
 from metafab.core.errors import SolverError
+from metafab.core.files import plain
 
 Reply = dict[str, NDArray[Any]]
 
 _STDERR_LINES = 12
 _GRACE_SECONDS = 2.0
 
-#: A complex index along (x, y, z), each as (real, imaginary).
-AxisIndex = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
-
 
 @dataclass(frozen=True)
 class Block:
-    """A cuboid of one material; later ones cover earlier ones.
+    """A box of one material; later ones cover earlier ones.
 
     Attributes:
-        centre: (x, y, z) in um; x and y from the middle of the cell, z from the plane where the light comes in.
-        size: (x, y, z) in um, None for as large as the cell.
-        n: its index.
+        low: (x, y, z) in um from the middle of the cell.
+        high: the opposite corner.
+        epsilon: permittivity along x, y and z.
+        mu: permeability along x, y and z.
     """
 
-    centre: tuple[float, float, float]
-    size: tuple[float | None, float | None, float | None]
-    n: AxisIndex
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    epsilon: tuple[complex, complex, complex]
+    mu: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -54,19 +54,22 @@ class Job:
 
     Attributes:
         pixel_um: grid spacing.
-        n_x: pixels a period along x; likewise ``n_y``; ``n_z`` pixels along z, absorbers included.
-        origin_node: place of z = 0 on the grid, in pixels from its lower end; need not be whole.
+        n_x: pixels a period along x; even.
+        n_y: pixels a period along y; even.
+        n_z: pixels along z, absorbers included; even.
         absorber_nodes: thickness of each absorber (PML), in pixels.
-        source_node: where the pulse starts, in whole pixels from the lower end.
-        monitor_nodes: where fields are recorded.
+        source_node: where the pulse starts, in pixels from the lower end.
+        monitor_nodes: where fields are recorded, in the same way.
         wavelength_um: vacuum wavelength of the recorded fields.
         polarisation: of the pulse.
         components: recorded components of E.
         orders: recorded diffraction orders (m, n) along x and y.
-        n_in: index wherever there is no block; the source lies in it.
+        weight: shape (n_y,) for x polarisation, (n_x,) for y: of the source, and of the points in each average.
+        epsilon_in: permittivity along x, y and z wherever there is no block; the source lies in it.
         blocks: the structure.
+        smooth: whether Meep averages pixels that a wall crosses; not where blocks are made for the grid's points.
         mirrors: whether it equals its mirror images in x and in y: a quarter is simulated then.
-        decay: the run ends when the extrapolated orders change by no more than this, relative to the incident wave.
+        decay: the run ends when extrapolated orders change by no more than this, relative to the incident wave.
         longest_time: it ends at this time (um / c) at the latest.
         courant: time step over grid spacing.
         fields: whether to return the whole field of each monitor.
@@ -76,7 +79,6 @@ class Job:
     n_x: int
     n_y: int
     n_z: int
-    origin_node: float
     absorber_nodes: int
     source_node: int
     monitor_nodes: tuple[int, ...]
@@ -84,8 +86,10 @@ class Job:
     polarisation: Polarisation
     components: tuple[Polarisation, ...]
     orders: tuple[tuple[int, int], ...]
-    n_in: AxisIndex
+    weight: tuple[float, ...]
+    epsilon_in: tuple[complex, complex, complex]
     blocks: tuple[Block, ...]
+    smooth: bool
     mirrors: bool
     decay: float
     longest_time: float
@@ -93,8 +97,9 @@ class Job:
     fields: bool = False
 
     def to_json(self) -> dict[str, Any]:
-        """The job as the worker reads it; complex indices become complex(*pair) there."""
-        return asdict(self)
+        """The job as the worker reads it; complex numbers as [re, im]."""
+        table: dict[str, Any] = plain(self)
+        return table
 
 
 class Worker:

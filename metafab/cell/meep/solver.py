@@ -7,12 +7,13 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
 from metafab.cell.meep.deembedding import amplitudes
-from metafab.cell.meep.extrapolation import Extrapolated, richardson
-from metafab.cell.meep.grid import pixels_per_period, plan
+from metafab.cell.meep.extrapolation import richardson
+from metafab.cell.meep.grid import family, plan
 from metafab.cell.meep.pool import Pool, own_pool
 from metafab.cell.response import CellNumerics, CellResponse, PillarCell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
@@ -25,15 +26,20 @@ class MeepSettings:
     """What is particular to FDTD.
 
     Attributes:
-        resolutions_per_um: pixels per micrometre to solve at, coarse to fine; each is raised to the next at which
-            both periods are even numbers of pixels. Finer ones are left out once the target error is reached.
-        decay: a run ends when its extrapolated orders change by no more than this.
+        members: grids of the cell's family to solve on, coarse to fine, at least two. A member has 10 to 18 times its
+            number pixels a period. From the third on, finer ones are left out once the target error is reached.
+        decay: a run ends when its extrapolated orders change by no more than this, relative to the incident wave.
         longest_periods: it ends after this many optical periods at the latest.
     """
 
-    resolutions_per_um: tuple[float, ...] = (68.0, 80.0, 91.0, 103.0)
-    decay: float = 1e-4
+    members: tuple[int, ...] = (1, 2, 3, 4)
+    decay: float = 2e-4
     longest_periods: float = 1000.0
+
+    def __post_init__(self) -> None:
+        ascending = all(fine > coarse for coarse, fine in pairwise(self.members))
+        if len(self.members) < 2 or not ascending or self.members[0] < 1:
+            raise InputError.single("meep", "members", "two or more whole numbers from 1, ascending", f"{self.members}")
 
 
 def solve(
@@ -53,7 +59,7 @@ def solve(
     Raises:
         InputError: the cell lies outside what this solver treats.
         MissingToolError: no interpreter has Meep.
-        SolverError: a worker failed, or no grid fits both periods.
+        SolverError: a worker failed.
     """
     refuse_untreated(cell)
     start = time.perf_counter()
@@ -62,17 +68,18 @@ def solve(
     square = cell.period_nm[0] == cell.period_nm[1] and cell.width_nm == cell.length_nm
     same = square and cell.n_substrate[0] == cell.n_substrate[1]
     polarisations: tuple[Polarisation, ...] = ("x",) if same else POLARISATIONS
+    grids = family(cell)
     pixels: list[float] = []
     values: list[ComplexArray] = []
     tail = simulated = 0.0
-    best: Extrapolated | None = None
-    for shape in dict.fromkeys(pixels_per_period(cell, density) for density in settings.resolutions_per_um):
+    for member in settings.members:
         found = []
         for polarisation in polarisations:
             run = plan(
                 cell,
                 polarisation,
-                shape,
+                grids,
+                member,
                 decay=settings.decay,
                 longest_time=settings.longest_periods * cell.wavelength_nm * 1e-3,
             )
@@ -80,14 +87,13 @@ def solve(
             found.append(amplitudes(run, reply["limit"][:, 0, 0], reply["incident"]))
             tail = max(tail, float(reply["tail"]))
             simulated = max(simulated, float(reply["time"][-1]))
-        pixels.append(cell.period_nm[0] * 1e-3 / shape[0])
+        pixels.append(run.job.pixel_um)
         values.append(np.array(found).T.ravel())
-        if len(pixels) > 1:
-            best = richardson(pixels, values)
-            if best.error + tail <= numerics.target_error and len(pixels) > 2:
-                break
-    if best is None:
-        raise ValueError("`resolutions_per_um`: expected at least two different grids")
+        if len(pixels) == 1:
+            continue
+        best = richardson(pixels, values)
+        if len(pixels) > 2 and best.error + tail <= numerics.target_error:
+            break
     t, r = best.value.reshape(2, -1)
     error = best.error + tail
     return CellResponse(
@@ -101,6 +107,7 @@ def solve(
         seconds=time.perf_counter() - start,
         details={
             "grids": float(len(pixels)),
+            "pixels_per_period": float(run.job.n_x),
             "error_resolution": best.error,
             "error_decay": tail,
             "last_correction": float(np.max(np.abs(best.value - values[-1]))),
