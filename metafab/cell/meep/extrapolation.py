@@ -27,10 +27,9 @@ class Extrapolated:
 def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Extrapolated:
     """Limit of v(h) = v + c_2 h^2 + c_4 h^4 + ... from grids that share their coordinates.
 
-    The three finest grids give both coefficients, two give the first only. The error is half of the step from
-    the last limit but one of second order to the last: what was gained by the last refinement, of which, at
-    ratios of 3/2 and less between grids, no more than that half should be left even if corners of the pillar
-    make the rest fall with h^3 only.
+    The three finest grids give both coefficients, two give the first only. The error is the step from the last
+    limit but one of second order to the last: corners of the pillar add powers between h and h^3, of which
+    grids in the ratios 1 : 2 : 3 : 4 leave less than that step.
 
     Args:
         pixel_um: at least two grid spacings, coarse to fine.
@@ -46,7 +45,7 @@ def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Ext
         # Nothing checks the order yet: the whole correction to the finer grid stays in doubt.
         return Extrapolated(last, float(np.max(np.abs(last - v[-1]))))
     before = _limit(h[-3:-1], v[-3:-1])
-    return Extrapolated(_limit(h[-3:], v[-3:]), 0.5 * float(np.max(np.abs(last - before))))
+    return Extrapolated(_limit(h[-3:], v[-3:]), float(np.max(np.abs(last - before))))
 
 
 def _limit(h: FloatArray, v: ComplexArray) -> ComplexArray:
