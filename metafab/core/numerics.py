@@ -20,12 +20,15 @@ prange: Any = import_module("numba").prange if HAS_NUMBA else range
 
 
 def compiled(function: Function) -> Function:
-    """Compile ``function`` by numba on its first call (cached on disk); without numba, return it unchanged."""
+    """Compile ``function`` by numba on its first call (cached on disk); without numba, return it unchanged.
+
+    Division follows NumPy (x / 0 is infinite, nothing is raised), which lets loops with quotients be vectorised.
+    """
     if not HAS_NUMBA:
         return function
     import numba
 
-    decorated: Any = numba.njit(cache=True, nogil=True, fastmath=False)(function)
+    decorated: Any = numba.njit(cache=True, nogil=True, fastmath=False, error_model="numpy")(function)
     return cast("Function", decorated)
 
 

@@ -3,6 +3,7 @@
 - ``profile``   Term (a summand) and PhaseProfile (their sum), evaluated tile by tile
 - ``carriers``  lens, split lens (Eqs. 3 and 4), grating, axicon
 - ``helices``   spiral zones (Eq. 2), the optimised mask as a sum of waves, vortex, double helix
+- ``angle``     angles of many complex numbers, fast
 - ``zernike``   Zernike polynomials
 - ``sampled``   phases given by samples: a user's file
 - ``pupil``     the pupil in normalised coordinates, rim defocus, images on the focal plane
@@ -11,12 +12,15 @@
 - ``bound``     how bright any mask's lobe can be, proven
 - ``information``  what a twin image of unknown texture can tell about depth
 - ``blind``     the helix that tells most: gradient ascent of that information
+- ``propose``   which [L, epsilon] suits a depth range and its noise
+- ``bandwidth`` what the width of the colour filter costs
 - ``build``     a design's terms -> PhaseProfile
 - ``store``     ``phase.h5``: phases sampled over the aperture
 
 In: a Design (or plain numbers). Out: a PhaseProfile for the layout room; radians, not wrapped.
 """
 
+from metafab.phase.bandwidth import BandwidthTradeoff, bandwidth_tradeoff, smear_um_per_nm
 from metafab.phase.blind import BlindDesign, BlindInformation, optimise_blind
 from metafab.phase.build import profile_of, pupil_field
 from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
@@ -31,6 +35,7 @@ from metafab.phase.helices import (
 from metafab.phase.information import Texture, twin_information
 from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
 from metafab.phase.profile import PhaseProfile, Term
+from metafab.phase.propose import Proposal, propose
 from metafab.phase.pupil import FocalPlane, Pupil, rim_defocus_per_dioptre_rad, rim_defocus_rad
 from metafab.phase.rotation import MainLobe, full_turn_dioptre, main_lobe, rotation_deg_per_dioptre
 from metafab.phase.sampled import SampledPhase, load_array
@@ -39,6 +44,7 @@ from metafab.phase.zernike import ZernikePhase
 
 __all__ = [
     "AxiconPhase",
+    "BandwidthTradeoff",
     "BlindDesign",
     "BlindInformation",
     "DoubleHelixPhase",
@@ -48,6 +54,7 @@ __all__ = [
     "MainLobe",
     "PeakDesign",
     "PhaseProfile",
+    "Proposal",
     "Pupil",
     "SampledPhase",
     "SpiralZonesPhase",
@@ -57,6 +64,7 @@ __all__ = [
     "VortexPhase",
     "WaveSumPhase",
     "ZernikePhase",
+    "bandwidth_tradeoff",
     "full_turn_dioptre",
     "load",
     "load_array",
@@ -64,11 +72,13 @@ __all__ = [
     "optimise_blind",
     "optimise_peak",
     "profile_of",
+    "propose",
     "pupil_field",
     "rim_defocus_per_dioptre_rad",
     "rim_defocus_rad",
     "rotation_deg_per_dioptre",
     "save",
+    "smear_um_per_nm",
     "spiral_field",
     "twin_information",
     "zone_charges",

@@ -50,6 +50,18 @@ class BlindInformation:
         """Information, shape (n_depth,), 1/rad^2, of a pupil field, shape (n,)."""
         return self._evaluate(field)[0]
 
+    def transfer(self, field: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Transfer functions of x polarisation and their derivatives over the rim defocus.
+
+        Args:
+            field: shape (n,), pupil field.
+
+        Returns:
+            Two arrays of shape (n_depth, 2 samples, 2 samples), zero frequency first, where the transfer is 1; y
+            polarisation has their complex conjugates.
+        """
+        return self._evaluate(field)[3:]
+
     def with_gradient(self, phase_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Information, shape (n_depth,), and the derivative of its mean over the phases, shape (n,).
 

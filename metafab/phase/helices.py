@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.special import binom
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
+from metafab.phase.angle import angle
 from metafab.phase.pupil import phasor
 
 
@@ -84,7 +85,7 @@ class WaveSumPhase:
             return np.zeros((y_um.size, x_um.size))
         sign = 1.0 if polarisation == "x" else -1.0
         total = self.field(sign * x_um / self.radius_um, sign * y_um / self.radius_um)
-        return np.angle(total)
+        return angle(total)
 
     def field(self, x: FloatArray, y: FloatArray) -> ComplexArray:
         """The sum of waves on the grid of normalised ``x`` (n_x,) and ``y`` (n_y,): shape (n_y, n_x)."""
@@ -151,4 +152,4 @@ class DoubleHelixPhase:
             for k in range(j, -1, -1):
                 laguerre = laguerre * intensity + (-1) ** k * binom(j + order, j - k) / math.factorial(k)
             total += norm * position**order * laguerre
-        return np.angle(total)
+        return angle(total)

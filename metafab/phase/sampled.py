@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
+from metafab.phase.angle import angle
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class SampledPhase:
         column, share_x = _neighbours(sign * x_um / self.pitch_um, samples.shape[1])
         rows = samples[row] * (1.0 - share_y)[:, None] + samples[row + 1] * share_y[:, None]
         field = rows[:, column] * (1.0 - share_x) + rows[:, column + 1] * share_x
-        return np.asarray(np.angle(field), dtype=np.float64)
+        return angle(field)
 
 
 def _neighbours(position: FloatArray, count: int) -> tuple[NDArray[np.int64], FloatArray]:

@@ -1,0 +1,83 @@
+"""Phase design: what the optimisers reach, how far from the proven bound, and the cost of the tiles.
+
+``error`` is the share that is missing to the proven bound for the peak, and the largest difference from the plain
+formulas in rad for the tiles; the search for information has no bound to be compared with (NaN).
+"""
+
+from __future__ import annotations
+
+import math
+import resource
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from metafab.phase import (
+    BlindInformation,
+    PhaseProfile,
+    Pupil,
+    SplitLensPhase,
+    Texture,
+    optimise_blind,
+    optimise_peak,
+    pupil_field,
+    rim_defocus_rad,
+    spiral_field,
+)
+
+TILE_SITES, PERIOD_UM, SITES = 286, 0.35, 25.6e6
+
+
+def rows(quick: bool) -> list[dict[str, Any]]:
+    """One row an optimiser and number of zones, and one for all tiles of a 2 mm lens."""
+    optimise_peak(2)  # warm-up
+    table = [_peak(zones, goal) for zones in ((4,) if quick else (2, 3, 4, 5, 7)) for goal in ("mean", "worst")]
+    table += [_blind(zones) for zones in ((4,) if quick else (2, 4, 7))]
+    return [*table, _tiles()]
+
+
+def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
+    start = time.perf_counter()
+    result = call()
+    return result, time.perf_counter() - start
+
+
+def _row(name: str, error: float, seconds: float, **more: float) -> dict[str, Any]:
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return {"name": name, "error": error, "seconds": seconds, "peak_rss_mb": peak_mb, **more}
+
+
+def _peak(zones: int, goal: Any) -> dict[str, Any]:
+    design, seconds = _timed(lambda: optimise_peak(zones, goal=goal))
+    # The goal itself against what no mask can exceed: the mean, or the worst depth.
+    reached = design.bound_fraction if goal == "mean" else float(design.target.min()) / design.bound.dual
+    gains = {"mean_gain": design.peak_gain, "worst_gain": design.worst_gain}
+    return _row(f"peak, {goal}, L = {zones}", 1.0 - reached, seconds, **gains)
+
+
+def _blind(zones: int) -> dict[str, Any]:
+    pupil = Pupil(64)
+    defocus = rim_defocus_rad(1.0 / np.linspace(4.0, 1.0 / 0.6, 10), 0.30, 1000.0, 0.8)
+    problem = BlindInformation(pupil, defocus, Texture())
+    start = pupil_field(optimise_peak(zones).term(1.0), pupil, 1.0)
+    design, seconds = _timed(lambda: optimise_blind(problem, start, iterations=20))
+    plain = problem.of_field(spiral_field(pupil, zones, 0.5))
+    gain = float(design.information.mean() / plain.mean())
+    return _row(f"blind information, L = {zones}", math.nan, seconds, information_gain=gain)
+
+
+def _tiles() -> dict[str, Any]:
+    """All sites of the 2 mm lens, both polarisations, one thread, from the time of twenty tiles."""
+    helix = optimise_peak(4).term(1000.0)
+    profile = PhaseProfile((helix, SplitLensPhase(0.8, 20000.0, 8.0)), {})
+    x_um = (np.arange(TILE_SITES) + 400.0) * PERIOD_UM
+    y_um = (np.arange(TILE_SITES) - 900.0) * PERIOD_UM
+    phase = profile(x_um, y_um)
+    x, y = x_um[None, :], y_um[:, None]
+    plain = -2.0 * np.pi / 0.8 * (np.sqrt(x**2 + y**2 + 4e8 + 4e4 * x * np.sin(np.radians(8.0))) - 2e4)
+    plain += np.angle(helix.field(x_um / 1000.0, y_um / 1000.0))
+    error = float(np.abs(np.exp(1j * (phase[0] - plain)) - 1.0).max())
+    _, seconds = _timed(lambda: [profile(x_um, y_um) for _ in range(20)])
+    return _row("25.6 million sites, both polarisations", error, seconds / 20 * SITES / TILE_SITES**2)
