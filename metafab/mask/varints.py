@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.core.numerics import compiled
 
 TokenArray = NDArray[np.uint64]
 ByteArray = NDArray[np.uint8]
-
-_LONGEST = 10  # bytes of a 64-bit integer
 
 
 def unsigned(value: int) -> bytes:
@@ -34,16 +32,8 @@ def string(text: str) -> bytes:
     return unsigned(len(data)) + data
 
 
-def encode(tokens: TokenArray) -> bytes:
-    """Many unsigned integers, one after the other; shape (n,)."""
-    if HAS_NUMBA:
-        out = np.empty(_LONGEST * tokens.size, dtype=np.uint8)
-        return out[: _encode_compiled(tokens, out)].tobytes()
-    return encode_vectorised(tokens)
-
-
 def encode_vectorised(tokens: TokenArray) -> bytes:
-    """As :func:`encode`, in NumPy alone: one pass for each byte of the longest token."""
+    """Many unsigned integers, one after the other; shape (n,). One pass for each byte of the longest."""
     length = np.ones(tokens.size, dtype=np.int64)
     for power in range(7, 70, 7):
         longer = tokens >> np.uint64(power) if power < 64 else np.zeros_like(tokens)
@@ -61,14 +51,11 @@ def encode_vectorised(tokens: TokenArray) -> bytes:
 
 
 @compiled
-def _encode_compiled(tokens: TokenArray, out: ByteArray) -> int:
-    position = 0
-    for token in tokens:
-        rest = token
-        while rest >= np.uint64(128):
-            out[position] = np.uint8(rest & np.uint64(127)) | np.uint8(128)
-            rest = rest >> np.uint64(7)
-            position += 1
-        out[position] = np.uint8(rest)
+def put(out: ByteArray, position: int, value: int) -> int:
+    """Write an unsigned integer at ``position``; returns the position behind it."""
+    while value >= 0x80:
+        out[position] = value & 0x7F | 0x80
+        value >>= 7
         position += 1
-    return position
+    out[position] = value
+    return position + 1

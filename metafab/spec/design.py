@@ -197,7 +197,7 @@ class Verify:
 class Numerics:
     """Settings of the computing, not of the device; all have good defaults."""
 
-    tile_sites: Annotated[int, Field(strict=True, ge=16, le=4096)] = 286
+    tile_sites: Annotated[int, Field(strict=True, ge=16, le=4096)] = 476
     seed: Annotated[int, Field(strict=True, ge=0)] = 1
     library_target_error: TargetError | None = None
     iterations: NonNegative = 200

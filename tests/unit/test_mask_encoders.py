@@ -1,0 +1,51 @@
+"""Compiled and vectorised encoders write the same bytes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+
+from metafab.layout import Lattice, PillarTile
+from metafab.mask.cells import tile_cell
+from metafab.mask.gdsii_reader import rectangles_of
+from metafab.mask.gdsii_writer import boundary_template, fill_boundaries, fill_boundaries_vectorised
+from metafab.mask.oasis_writer import rectangle_records, rectangle_records_vectorised
+
+SIZES = np.array([[0, 0], [20, 30], [50, 20], [20, 50], [52, 50], [700, 64]], dtype=np.int64)
+TILES = arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.integers(0, 5))
+
+
+@given(index=TILES.filter(np.any), row=st.integers(0, 300), periods=st.sampled_from([(700, 700), (700, 600)]))
+def test_oasis_records(index: np.ndarray, row: int, periods: tuple[int, int]) -> None:
+    lattice, tile = Lattice(periods, (400, 400), 0.5), PillarTile(row, 17, index)
+    arguments = (tile, lattice, SIZES, tile_cell(lattice, tile), (1, 300))
+    assert rectangle_records(*arguments) == rectangle_records_vectorised(*arguments)
+
+
+@given(index=TILES, layer=st.integers(0, 255))
+def test_gdsii_boundaries(index: np.ndarray, layer: int) -> None:
+    arguments = (index, SIZES.astype(np.int32), (700, 600), (-350, 90_000_000), boundary_template(layer, 0))
+    compiled, vectorised = fill_boundaries(*arguments), fill_boundaries_vectorised(*arguments)
+    assert np.array_equal(compiled, vectorised)
+    points = compiled[:, 5:15].byteswap().reshape(-1, 5, 2)
+    rectangles, is_rectangle = rectangles_of(points)
+    assert is_rectangle.all()
+    rows, columns = np.nonzero(index)
+    size = SIZES[index[rows, columns]]
+    centre = np.stack([-350 + 700 * columns, 90_000_000 + 600 * rows], axis=1)
+    assert np.array_equal(rectangles, np.concatenate([centre - size // 2, size], axis=1))
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("start", range(4))
+def test_rings_from_any_corner_in_either_sense(start: int, turned: bool) -> None:
+    ring = np.roll(np.array([[-5, 3], [7, 3], [7, 9], [-5, 9]]), start, axis=0)[:: -1 if turned else 1]
+    closed = np.concatenate([ring, ring[:1]])[None].astype(np.int32)
+    rectangles, is_rectangle = rectangles_of(closed)
+    assert is_rectangle.tolist() == [True]
+    assert rectangles.tolist() == [[-5, 3, 12, 6]]
+    for wrong in (np.roll(closed, 1, axis=2) * [[[1, 2]]] + [[[0, 1], [0, 0], [0, 0], [0, 0], [0, 1]]], closed * 0):
+        assert not rectangles_of(wrong.astype(np.int32))[1][0]
