@@ -53,7 +53,10 @@ def decoded_image() -> Image4D:
     intensity_y = np.choose(segment, [0.0, 850.0, 600.0])
     with np.errstate(invalid="ignore", divide="ignore"):
         contrast = np.where(segment > 0, intensity_x / intensity_y, np.nan)
-    rows = ({"number": 1.0, "depth_m": 0.2604, "error_m": 4e-4}, {"number": 2.0, "depth_m": 0.3291, "error_m": 8e-4})
+    rows = (
+        {"segment": 1.0, "depth_m": 0.2604, "depth_error_m": 4e-4},
+        {"segment": 2.0, "depth_m": 0.3291, "depth_error_m": 8e-4},
+    )
     confidence = np.where(segment > 0, 0.9, 0.0)
     return Image4D(
         intensity_x, intensity_y, contrast, depth, confidence, segment, (-3000.0, -80.0), 3.45, rows, nmae=2.1e-3

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from metafab.core.conventions import FloatArray
+from metafab.camera.frame import RawFrame
+from metafab.core.conventions import POLARISATIONS, FloatArray
+from metafab.decode.image import Image4D
 from metafab.report.run_folder import RunFolder
 
 Stage = tuple[str, float]
@@ -16,19 +16,22 @@ BudgetLine = tuple[str, float, str]
 def chain_of(run: RunFolder) -> list[Stage]:
     """Share of the light at the aperture after each stage, mean over polarisations and depths.
 
-    The target phases alone already spread some light beyond the window; what the written pillars lose on top
-    (transmission, phase error, diffraction by the lattice of sizes) is the step to the file's own efficiency.
+    The last stage is for comparison: the target phases alone, without a mask, spread some light beyond the window,
+    too.
     """
-    stages: list[Stage] = []
     stated = run.summary.get("loss_chain")
     if isinstance(stated, list):
         return [(str(row["stage"]), float(row["share"])) for row in stated if {"stage", "share"} <= set(row)]
     if run.psf is None:
-        return stages
-    stages.append(("at the aperture", 1.0))
+        return []
+    stages = [("at the aperture", 1.0)]
+    figures = run.part("psf")
+    transmitted = [float(figures[key]) for p in POLARISATIONS if (key := f"transmitted_{p}") in figures]
+    if transmitted:
+        stages.append(("through the pillars", float(np.mean(transmitted))))
+    stages.append(("in the window of its PSF", float(np.mean(run.psf.efficiency))))
     if run.ideal_psf is not None:
-        stages.append(("target phases: in the window", float(np.mean(run.ideal_psf.efficiency))))
-    stages.append(("written file: in the window", float(np.mean(run.psf.efficiency))))
+        stages.append(("for comparison: target phases, in the window", float(np.mean(run.ideal_psf.efficiency))))
     return stages
 
 
@@ -49,17 +52,33 @@ def seconds_of(run: RunFolder) -> dict[str, float]:
 
 def depths_against_truth(run: RunFolder) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """True depth, decoded depth and standard error of every segment whose truth the raw frame carries."""
-    raw, decoded = run.raw, run.decoded
-    if raw is None or decoded is None or raw.truth is None or raw.truth.depth_m.shape != decoded.depth_m.shape:
+    decoded = run.decoded
+    true_m = None if decoded is None or run.raw is None else _truth_on(decoded, run.raw)
+    if decoded is None or true_m is None:
         return None
-    errors = {int(row["number"]): row.get("error_m", 0.0) for row in decoded.segments if "number" in row}
-    rows: list[tuple[Any, ...]] = []
+    errors = {int(row["segment"]): row.get("depth_error_m", 0.0) for row in decoded.segments if "segment" in row}
+    rows = []
     for number in np.unique(decoded.segment[decoded.segment > 0]):
-        inside = (decoded.segment == number) & np.isfinite(decoded.depth_m) & np.isfinite(raw.truth.depth_m)
+        inside = (decoded.segment == number) & np.isfinite(decoded.depth_m) & np.isfinite(true_m)
         if inside.any():
-            true, found = np.median(raw.truth.depth_m[inside]), np.median(decoded.depth_m[inside])
-            rows.append((true, found, errors.get(int(number), 0.0)))
+            rows.append((np.median(true_m[inside]), np.median(decoded.depth_m[inside]), errors.get(int(number), 0.0)))
     if not rows:
         return None
-    true_m, decoded_m, error_m = np.array(rows, dtype=np.float64).T
-    return true_m, decoded_m, error_m
+    true, found, error = np.array(rows, dtype=np.float64).T
+    return true, found, error
+
+
+def _truth_on(decoded: Image4D, raw: RawFrame) -> FloatArray | None:
+    """True depth at the decoded pixels, NaN beyond the truth's grid; both grids share the pixel pitch."""
+    if raw.truth is None or raw.truth_origin_um is None:
+        return None
+    true_m = np.full(decoded.depth_m.shape, np.nan)
+    indices = []
+    for axis in (1, 0):
+        offset = (decoded.origin_um[axis] - raw.truth_origin_um[axis]) / raw.pixel_um
+        indices.append(np.arange(decoded.depth_m.shape[1 - axis]) + round(offset))
+    row, column = np.meshgrid(*indices, indexing="ij")
+    n_y, n_x = raw.truth.depth_m.shape
+    known = (row >= 0) & (row < n_y) & (column >= 0) & (column < n_x)
+    true_m[known] = raw.truth.depth_m[row[known], column[known]]
+    return true_m

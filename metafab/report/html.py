@@ -56,15 +56,33 @@ def grid(figures: Iterable[str]) -> str:
     return f'<div class="grid">{"".join(figures)}</div>'
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]], kinds: Sequence[str] = ()) -> str:
-    """A table of ready cells; ``kinds`` gives a class to each column ("n" for numbers)."""
+#: Units that end a key, as readers write them.
+_UNITS = {"m": "m", "mm": "mm", "um": "µm", "nm": "nm", "rad": "rad", "deg": "°", "db": "dB", "px": "px", "mb": "MB"}
+
+
+def column(key: str) -> str:
+    """A key such as ``depth_error_m`` as a column's head: depth error / m."""
+    *words, last = key.split("_")
+    return escape(f"{' '.join(words)} / {_UNITS[last]}" if words and last in _UNITS else key.replace("_", " "))
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], kinds: Sequence[str] = (), kind: str = "") -> str:
+    """A table of ready cells.
+
+    Args:
+        head: one cell a column.
+        rows: cells of each row.
+        kinds: class of each column ("n" for numbers).
+        kind: class of the table ("stack": on narrow screens the last cell goes below the others).
+    """
     classes = [*kinds, *[""] * (len(head) - len(kinds))]
 
     def cells(row: Sequence[str], tag: str) -> str:
         return "".join(f'<{tag} class="{kind}">{cell}</{tag}>' for cell, kind in zip(row, classes, strict=True))
 
     body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
-    return f'<div class="scroll"><table><thead><tr>{cells(head, "th")}</tr></thead><tbody>{body}</tbody></table></div>'
+    top = f"<thead><tr>{cells(head, 'th')}</tr></thead>"
+    return f'<div class="scroll"><table class="{kind}">{top}<tbody>{body}</tbody></table></div>'
 
 
 def headline(value: str, label: str, tone: str = "") -> str:

@@ -16,7 +16,7 @@ from metafab.layout.pillars import PillarMap, PillarTile
 _MAP_PIXELS = 360
 #: Where the zooms look, as a share of the half side from the centre: off the axis, off the diagonals.
 _LOOK_AT = (0.42, 0.23)
-_ZOOM_SITES = (64, 12)
+_ZOOM_SITES = (40, 10)
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def accounts(run: RunFolder, drawn: Drawn) -> str:
         "Where the light goes, and where the error comes from",
         html.grid(html.figure(drawn[name]) for name in ("loss_chain", "error_budget") if name in drawn),
         "" if chain else html.note(run.notes.get("psf", "the run holds no efficiencies: no loss chain")),
-        html.table(["source", "error", "unit", "how it was measured"], rows, ["", "n"])
+        html.table(["source", "error", "unit", "how it was measured"], rows, ["", "n"], "stack")
         if rows
         else html.note("summary.json holds no error budget"),
     )
@@ -139,9 +139,12 @@ def mask(run: RunFolder, drawn: Drawn) -> str:
         facts,
         html.grid(html.figure(drawn[n]) for n in ("mask", "mask_wide", "mask_close") if n in drawn),
         html.paragraph(escape(caption), "caption") if caption else html.note(run.notes.get("mask", "no mask")),
-        html.table(["file", "bytes"], rows, ["", "n"]) if rows else "",
-        _rules(run),
+        html.grid([_rules(run), _files(rows)]),
     )
+
+
+def _files(rows: list[list[str]]) -> str:
+    return f"<div><h3>Files</h3>{html.table(['file', 'bytes'], rows, ['', 'n'])}</div>" if rows else ""
 
 
 def _rules(run: RunFolder) -> str:
@@ -164,9 +167,10 @@ def _rules(run: RunFolder) -> str:
     checked = html.number(drc.get("pillars"))
     engine = f" by the {escape(str(drc['engine']))} engine" if "engine" in drc else ""
     return (
-        "<h3>Design rules</h3>"
+        "<div><h3>Design rules</h3>"
         + html.paragraph(f"Checked on the written file: {checked} pillars{engine}.{markers}")
         + html.table(["rule", "violations", ""], rows, ["", "n"])
+        + "</div>"
     )
 
 
@@ -234,8 +238,11 @@ def _segments(run: RunFolder) -> str:
     if not rows:
         return ""
     keys = list(rows[0])
-    head = [escape(key.replace("_", " ")) for key in keys]
-    return html.table(head, [[html.number(row.get(key), 4) for key in keys] for row in rows], ["n"] * len(keys))
+    return html.table(
+        [html.column(key) for key in keys],
+        [[html.number(row.get(key), 4) for key in keys] for row in rows],
+        ["n"] * len(keys),
+    )
 
 
 def cost(run: RunFolder, drawn: Drawn) -> str:
@@ -256,6 +263,7 @@ def cost(run: RunFolder, drawn: Drawn) -> str:
         html.table(
             ["skipped", "why that was safe"],
             [[escape(str(line.get("step", ""))), escape(str(line.get("why", "")))] for line in skipped],
+            kind="stack",
         )
         if skipped
         else html.note("nothing was skipped: every step ran"),

@@ -16,12 +16,15 @@ from typing import Any
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
 from matplotlib.colorbar import Colorbar
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from numpy.typing import ArrayLike
+from PIL import Image
 
 from metafab.core.files import whole_file
 
@@ -77,10 +80,13 @@ def panel(size_in: tuple[float, float] = (4.0, 3.1), margins_in: Margins = PLOT)
 
 
 def dress(axes: Axes, x_label: str = "", y_label: str = "", title: str = "", title_ink: str = INK) -> Axes:
-    """Labels, spines and ticks in the house's hand."""
+    """Labels, spines and ticks in the house's hand; labels at fixed places, which need no measuring."""
+    width, height = _size_in(axes)
     axes.set_xlabel(x_label, fontsize=9, color=INK)
     axes.set_ylabel(y_label, fontsize=9, color=INK)
-    axes.set_title(title, fontsize=9.5, color=title_ink, loc="left", pad=7)
+    axes.xaxis.set_label_coords(0.5, -0.31 / height)
+    axes.yaxis.set_label_coords(-0.46 / width, 0.5)
+    axes.set_title(title, fontsize=9.5, color=title_ink, loc="left", y=1.0, pad=7)
     axes.tick_params(labelsize=8.5, colors=MUTED, labelcolor=INK, length=3, width=0.7)
     axes.set_facecolor("none")
     for side, spine in axes.spines.items():
@@ -108,7 +114,9 @@ def show_map(axes: Axes, values: ArrayLike, extent: Extent, **options: Any) -> A
 
 def colour_bar(mappable: ScalarMappable, axes: Axes, label: str, **options: Any) -> Colorbar:
     """A slim colour bar with its unit."""
-    place = axes.inset_axes((1.035, 0.0, 0.045, 1.0))  # beside the picture, whatever its proportions
+    # Beside the picture, whatever its proportions, and as wide on every figure.
+    width, _ = _size_in(axes)
+    place = axes.inset_axes((1.0 + 0.10 / width, 0.0, 0.13 / width, 1.0))
     bar: Colorbar = axes.get_figure(root=True).colorbar(mappable, cax=place, **options)  # type: ignore[union-attr]
     bar.set_label(label, fontsize=9, color=INK)
     bar.ax.tick_params(labelsize=8.5, colors=MUTED, labelcolor=INK, length=3, width=0.7)
@@ -129,13 +137,24 @@ def scale_bar(axes: Axes, extent_um: Extent, colour: str = "#ffffff") -> None:
     x, y = left + 0.05 * width, low + 0.06 * height
     axes.plot([x, x + length], [y, y], color=colour, linewidth=2.4, solid_capstyle="butt")
     text = f"{length:g} µm" if length < 1000 else f"{length / 1000:g} mm"
-    axes.text(x + length / 2, y + 0.02 * height, text, color=colour, fontsize=8.5, ha="center", va="bottom")
+    axes.text(x, y + 0.02 * height, text, color=colour, fontsize=8.5, ha="left", va="bottom")
+
+
+def depth_unit(depth_m: ArrayLike) -> tuple[float, str]:
+    """The unit that suits some depths, as (how many of it make a metre, its name)."""
+    largest = float(np.nanmax(np.asarray(depth_m, dtype=np.float64), initial=0.0))
+    return (1e3, "mm") if largest < 0.02 else (1e2, "cm") if largest < 1.0 else (1.0, "m")
 
 
 def save_png(figure: Figure, path: Path) -> Path:
     """The figure as a PNG on white, whole or not at all; the same figure gives the same bytes."""
+    figure.set_dpi(_DPI)
+    figure.set_facecolor("white")
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.draw()
+    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     with whole_file(path) as part:
-        figure.savefig(part, format="png", dpi=_DPI, facecolor="white", metadata={"Software": None})
+        picture.save(part, format="PNG", dpi=(_DPI, _DPI), compress_level=4)
     return path
 
 
@@ -148,8 +167,12 @@ def svg(figure: Figure, name: str, label: str) -> str:
         label: what a screen reader says.
     """
     stream = io.StringIO()
+    figure.set_dpi(_DPI)  # of pictures inside the drawing
+    figure.set_facecolor("none")
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "metafab"}):
-        figure.savefig(stream, format="svg", transparent=True, dpi=_DPI, metadata={"Date": None, "Creator": None})
+        # The canvas' own method: savefig would draw every figure twice.
+        canvas: Any = FigureCanvasSVG(figure)
+        canvas.print_svg(stream, metadata={"Date": None, "Creator": None})
     text = stream.getvalue()
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -166,3 +189,10 @@ def svg(figure: Figure, name: str, label: str) -> str:
     head = re.sub(r' (?:width|height|version)="[^"]*"', "", head)
     body = re.sub(r"\n\s*", " ", body).strip()
     return f'{head} class="plot" role="img" aria-label="{escape(label)}">{body}'
+
+
+def _size_in(axes: Axes) -> tuple[float, float]:
+    """Width and height of the axes' place in inches (of the root's, for axes inside axes)."""
+    width, height = axes.get_figure(root=True).get_size_inches()  # type: ignore[union-attr]
+    place = axes.get_position(original=True)
+    return float(width * place.width), float(height * place.height)

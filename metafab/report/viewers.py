@@ -20,7 +20,7 @@ from metafab.core.conventions import FloatArray
 from metafab.decode.image import Image4D
 from metafab.optics.point_spread import Psf
 from metafab.report.figures.image import contrast_reach
-from metafab.report.figures.psf import depth_text
+from metafab.report.figures.psf import depth_text, lit_half_px
 from metafab.report.style import CONTRAST_MAP, DEPTH_MAP, LIGHT_MAP
 
 _BLANK = 255  # palette entry of pixels without a value: transparent
@@ -36,11 +36,14 @@ def psf_view(psf: Psf, ideal: Psf | None) -> dict[str, Any]:
 
 
 def _psf_strip(name: str, psf: Psf) -> dict[str, Any]:
-    _, n_depth, n_y, n_x = psf.psf.shape
+    centre_y, centre_x = (count // 2 for count in psf.psf.shape[2:])
+    half = lit_half_px(psf)
+    lit = psf.psf[:, :, centre_y - half : centre_y + half + 1, centre_x - half : centre_x + half + 1]
+    _, n_depth, n_y, n_x = lit.shape
     brightest = float(psf.psf.max()) or 1.0
-    levels = np.clip(np.rint(psf.psf / brightest * 254.0), 0, 254).astype(np.uint8)
+    levels = np.clip(np.rint(lit / brightest * 254.0), 0, 254).astype(np.uint8)
     strips = [np.flip(stack, axis=1).reshape(n_depth * n_y, n_x) for stack in levels]  # y up: first row on top
-    peaks = psf.psf.reshape(2, n_depth, -1).argmax(axis=2)
+    peaks = lit.reshape(2, n_depth, -1).argmax(axis=2)
     row, column = np.unravel_index(peaks, (n_y, n_x))
     return {
         "name": name,

@@ -15,7 +15,7 @@ from metafab.report.figures.image import confidence, contrast, depth, depth_agai
 from metafab.report.figures.library import coverage, error_map, phase_map, transmittance_map
 from metafab.report.figures.mask import fill_map, pillar_rectangles
 from metafab.report.figures.phases import aperture_phase
-from metafab.report.figures.psf import orientation, pair_over_depth, peak, shown_depths
+from metafab.report.figures.psf import lit_half_px, orientation, pair_over_depth, peak, shown_depths
 
 __all__ = [
     "aperture_phase",
@@ -29,6 +29,7 @@ __all__ = [
     "error_map",
     "fill_map",
     "intensity",
+    "lit_half_px",
     "loss_chain",
     "orientation",
     "pair_over_depth",

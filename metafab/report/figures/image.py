@@ -19,6 +19,7 @@ from metafab.report.style import (
     X_COLOUR,
     Extent,
     colour_bar,
+    depth_unit,
     dress,
     show_map,
 )
@@ -55,8 +56,9 @@ def contrast(decoded: Image4D, axes: Axes) -> Axes:
 
 def depth(decoded: Image4D, axes: Axes) -> Axes:
     """Depth of every decoded pixel; blank where none is claimed."""
-    image = show_map(axes, decoded.depth_m, _extent(decoded), cmap=DEPTH_MAP)
-    colour_bar(image, axes, "depth / m")
+    scale, unit = depth_unit(decoded.depth_m)
+    image = show_map(axes, scale * decoded.depth_m, _extent(decoded), cmap=DEPTH_MAP)
+    colour_bar(image, axes, f"depth / {unit}")
     return dress(axes, "x / µm", "y / µm", "Depth")
 
 
@@ -76,12 +78,14 @@ def depth_against_truth(true_m: FloatArray, decoded_m: FloatArray, axes: Axes, e
         axes: where to draw.
         error_m: shape (n,), standard error; 0 draws no bar.
     """
-    low, high = (float(f([*true_m, *decoded_m])) for f in (min, max))
+    scale, unit = depth_unit(true_m)
+    true, found, error = scale * true_m, scale * decoded_m, scale * error_m
+    low, high = (float(f([*true, *found])) for f in (min, max))
     pad = 0.06 * (high - low) or 0.05 * high
     ends = (low - pad, high + pad)
     axes.plot(ends, ends, color=IDEAL, linewidth=3.0, alpha=0.5)
-    axes.errorbar(true_m, decoded_m, yerr=error_m, fmt="o", markersize=5, color=X_COLOUR, elinewidth=1.0, capsize=2)
-    dress(axes, "true depth / m", "decoded depth / m", "Depth against truth")
+    axes.errorbar(true, found, yerr=error, fmt="o", markersize=5, color=X_COLOUR, elinewidth=1.0, capsize=2)
+    dress(axes, f"true depth / {unit}", f"decoded depth / {unit}", "Depth against truth")
     axes.set(xlim=ends, ylim=ends, aspect="equal")
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
     return axes

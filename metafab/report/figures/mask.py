@@ -22,7 +22,9 @@ def fill_map(fill: FloatArray, half_side_um: tuple[float, float], axes: Axes, ma
     """
     half_x, half_y = half_side_um
     extent = (-half_x, half_x, -half_y, half_y)
-    image = show_map(axes, fill, extent, cmap=SHARE_MAP)
+    # Blocks on the rim are partly outside the lens: they do not set the scale.
+    low, high = np.nanpercentile(fill, (2.0, 98.0)) if np.isfinite(fill).any() else (0.0, 1.0)
+    image = show_map(axes, fill, extent, cmap=SHARE_MAP, vmin=low, vmax=high)
     colour_bar(image, axes, "share covered by pillars")
     for left, right, low, high in marks_um:
         pad = max(0.0, 0.012 * 2 * half_x - (right - left) / 2)  # a frame that can be seen

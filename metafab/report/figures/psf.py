@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from metafab.report.style import (
     POLARISATION_COLOUR,
     X_COLOUR,
     bare,
+    depth_unit,
     dress,
     legend,
     scale_bar,
@@ -31,32 +34,44 @@ def shown_depths(psf: Psf) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, min(count, _MOST_COLUMNS)).round().astype(np.int64))
 
 
+def lit_half_px(psf: Psf) -> int:
+    """Half side of the square about the image point that holds all light above a twenty-fifth of the brightest pixel."""
+    _, _, n_y, n_x = psf.psf.shape
+    row, column = np.nonzero(psf.psf.max(axis=(0, 1)) > 0.04 * psf.psf.max())
+    most: int = (min(n_y, n_x) - 1) // 2
+    if row.size == 0:
+        return most
+    reach = max(int(np.abs(row - n_y // 2).max()), int(np.abs(column - n_x // 2).max()))
+    return min(most, reach + 2)
+
+
 def pair_over_depth(psf: Psf, axes: Axes) -> Axes:
     """Both PSFs over depth, one scale for all (Fig. 2h of Shen 2023), on a grid in place of ``axes``.
 
     Crosshairs meet in the geometric image point; arrows run from there to the maximum.
     """
-    chosen = shown_depths(psf)
+    chosen, half = shown_depths(psf), lit_half_px(psf)
     axes.set_axis_off()
     _, _, n_y, n_x = psf.psf.shape
-    left, low = -(n_x // 2 + 0.5) * psf.pixel_um, -(n_y // 2 + 0.5) * psf.pixel_um
-    extent = (left, left + n_x * psf.pixel_um, low, low + n_y * psf.pixel_um)
+    reach = (half + 0.5) * psf.pixel_um
+    extent = (-reach, reach, -reach, reach)
     brightest = float(psf.psf.max()) or 1.0
     for row, polarisation in enumerate(POLARISATIONS):
         for column, depth in enumerate(chosen):
             place = (column / chosen.size, 0.5 * (1 - row), 0.96 / chosen.size, 0.48)
             cell = axes.inset_axes(place)
-            picture = psf.psf[row, depth]
+            picture = psf.psf[row, depth, n_y // 2 - half : n_y // 2 + half + 1, n_x // 2 - half : n_x // 2 + half + 1]
             show_map(cell, picture, extent, cmap=LIGHT_MAP, vmin=0.0, vmax=brightest, interpolation="bilinear")
             cell.axhline(0.0, color="#ffffff", linewidth=0.6, alpha=0.55)
             cell.axvline(0.0, color="#ffffff", linewidth=0.6, alpha=0.55)
             peak_y, peak_x = np.unravel_index(int(np.argmax(picture)), picture.shape)
-            tip = ((peak_x - n_x // 2) * psf.pixel_um, (peak_y - n_y // 2) * psf.pixel_um)
+            tip = ((peak_x - half) * psf.pixel_um, (peak_y - half) * psf.pixel_um)
             arrow = {"arrowstyle": "->", "color": "#7fe3c4", "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0}
             cell.annotate("", tip, (0.0, 0.0), arrowprops=arrow)
             bare(cell, depth_text(float(psf.depth_m[depth])) if row == 0 else "")
             if column == 0:
                 cell.set_ylabel(f"PSF of {polarisation}", fontsize=9, color=POLARISATION_COLOUR[polarisation])
+                cell.yaxis.set_label_coords(-0.06, 0.5)
                 if row == 0:
                     scale_bar(cell, extent)
     return axes
@@ -64,11 +79,13 @@ def pair_over_depth(psf: Psf, axes: Axes) -> Axes:
 
 def orientation(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
     """Orientation of the pair over depth, unwrapped (Fig. 2g): written file, and target phases where known."""
+    scale, unit = depth_unit(psf.depth_m)
     if ideal is not None:
-        axes.plot(ideal.depth_m, _unwrapped(ideal), color=IDEAL, linewidth=3.5, alpha=0.6, label="target phases")
-    line = {"color": X_COLOUR, "linewidth": 1.4, "marker": "o", "markersize": 4}
-    axes.plot(psf.depth_m, _unwrapped(psf), label="written file", **line)  # type: ignore[arg-type]
-    dress(axes, "object depth / m", "orientation φ / °", "The pair turns with depth")
+        line: dict[str, Any] = {"color": IDEAL, "linewidth": 3.5, "alpha": 0.6, "label": "target phases"}
+        axes.plot(scale * ideal.depth_m, _unwrapped(ideal), **line)
+    line = {"color": X_COLOUR, "linewidth": 1.4, "marker": "o", "markersize": 4, "label": "written file"}
+    axes.plot(scale * psf.depth_m, _unwrapped(psf), **line)
+    dress(axes, f"object depth / {unit}", "orientation φ / °", "The pair turns with depth")
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
     if ideal is not None:
         legend(axes)
@@ -77,17 +94,18 @@ def orientation(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
 
 def peak(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
     """Peak irradiance of both PSFs over depth: what the written pillars keep of the target phases' peak."""
+    scale, unit = depth_unit(psf.depth_m)
     for row, polarisation in enumerate(POLARISATIONS):
         colour = POLARISATION_COLOUR[polarisation]
-        line = {"color": colour, "linewidth": 1.4, "marker": "o", "markersize": 4}
+        line: dict[str, Any] = {"color": colour, "linewidth": 1.4, "marker": "o", "markersize": 4}
         values = psf.psf[row].max(axis=(1, 2))
-        axes.plot(psf.depth_m, values, label=f"{polarisation}, written file", **line)  # type: ignore[arg-type]
+        axes.plot(scale * psf.depth_m, values, label=f"{polarisation}, written file", **line)
         if ideal is not None:
             values = ideal.psf[row].max(axis=(1, 2))
-            axes.plot(ideal.depth_m, values, color=colour, linewidth=1.0, linestyle=(0, (4, 3)), alpha=0.8)
+            axes.plot(scale * ideal.depth_m, values, color=colour, linewidth=1.0, linestyle=(0, (4, 3)), alpha=0.8)
     if ideal is not None:
         axes.plot([], [], color=INK, linewidth=1.0, linestyle=(0, (4, 3)), label="target phases")
-    dress(axes, "object depth / m", "peak irradiance / µm⁻²", "Peak, per unit power at the aperture")
+    dress(axes, f"object depth / {unit}", "peak irradiance / µm⁻²", "Peak, per unit power at the aperture")
     axes.set_ylim(bottom=0.0)
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
     legend(axes)
@@ -95,10 +113,9 @@ def peak(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
 
 
 def depth_text(depth_m: float) -> str:
-    """A depth in the unit that suits it: millimetres, centimetres or metres."""
-    if depth_m < 0.02:
-        return f"{1e3 * depth_m:.4g} mm"
-    return f"{1e2 * depth_m:.4g} cm" if depth_m < 1.0 else f"{depth_m:.4g} m"
+    """A depth in the unit that suits it."""
+    scale, unit = depth_unit(depth_m)
+    return f"{scale * depth_m:.4g} {unit}"
 
 
 def _unwrapped(psf: Psf) -> np.ndarray:
