@@ -68,7 +68,8 @@ def incident_amplitude(x: Any, y: Any, w: float, t_x: float, t_y: float) -> Any:
     """(R_0 / R)^(3/2): the flux of a spherical wave through a plane falls with cos / R^2 = z / R^3."""
     secant2 = 1.0 + t_x * t_x + t_y * t_y
     bend = w * (w * (x * x + y * y) - 2.0 * (x * t_x + y * t_y))
-    return (1.0 + bend / secant2) ** -0.75
+    square = 1.0 + bend / secant2
+    return 1.0 / np.sqrt(square * np.sqrt(square))
 
 
 def power_at_aperture(imaging: Imaging, ray: Ray) -> float:
