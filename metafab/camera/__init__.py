@@ -4,7 +4,7 @@
 - ``geometry``  directions to places on the sensor and back, for both polarisations
 - ``kernels``   the PSF calibration as blur kernels at any depth and direction
 - ``texture``   procedural and pictured textures
-- ``render``    objects to layers of coverage and brightness
+- ``render``    objects to coverage and brightness at each depth
 - ``blur``      a layer through a PSF that varies over the field
 - ``sensor``    shot noise and read noise
 - ``capture``   all of it: one exposure

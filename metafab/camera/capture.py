@@ -91,6 +91,7 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
         scene.read_noise_e,
         _truth(renderer, windows[0]),
         truth_origin_um,
+        (windows[0].row - bottom, windows[0].column - left, *scene.field_px),
     )
 
 
@@ -166,18 +167,24 @@ def _light(
         # Without structure, depth does not matter: the mean of all depths' throughputs is 1.
         inner = (slice(k_y // 2, k_y // 2 + n_y), slice(k_x // 2, k_x // 2 + n_x))
         light[inner] = scene.background * window.gain * window.seen
-    for done, layer in enumerate(renderer.layers(window.tangent_x, window.tangent_y), start=1):
-        crop = (layer.rows, layer.columns)
-        if layer.depth_m not in blurs:
-            blurs[layer.depth_m] = FieldBlur.at_depth(kernels, layer.depth_m)
-        blur = blurs[layer.depth_m][polarisation]
+    for done, piece in enumerate(renderer.pieces(window.tangent_x, window.tangent_y), start=1):
+        crop = (piece.rows, piece.columns)
         tangents = window.tangent_x[crop], window.tangent_y[crop]
-        flux = layer.brightness * layer.share[polarisation] * window.gain[crop] * window.seen[crop]
-        spread = blur(flux[None], *tangents)[0]
-        hidden = blur((layer.coverage * window.seen[crop])[None], *tangents, normalised=True)[0]
+        flux = piece.share[polarisation] * window.gain[crop] * window.seen[crop]
+        n_y, n_x = flux.shape
+        spread, hidden = np.zeros((2, n_y + k_y - 1, n_x + k_x - 1))
+        # The steps of one piece lie beside each other: their light adds up, and so does what they hide.
+        for depth_m, coverage, brightness in zip(piece.depth_m, piece.coverage, piece.brightness, strict=True):
+            if not coverage.any():
+                continue
+            if depth_m not in blurs:
+                blurs[depth_m] = FieldBlur.at_depth(kernels, float(depth_m))
+            blur = blurs[depth_m][polarisation]
+            spread += blur((brightness * flux)[None], *tangents)[0]
+            hidden += blur((coverage * window.seen[crop])[None], *tangents, normalised=True)[0]
         part = (
-            slice(layer.rows.start, layer.rows.start + spread.shape[0]),
-            slice(layer.columns.start, layer.columns.start + spread.shape[1]),
+            slice(piece.rows.start, piece.rows.start + spread.shape[0]),
+            slice(piece.columns.start, piece.columns.start + spread.shape[1]),
         )
         light[part] = light[part] * (1.0 - np.clip(hidden, 0.0, 1.0)) + spread
         progress("capture", min(steps, polarisation * len(scene.objects) + done), steps)
@@ -190,12 +197,14 @@ def _truth(renderer: Renderer, window: _Window) -> Truth:
     shape = window.seen.shape
     depth_m, label = np.full(shape, np.nan), np.zeros(shape, dtype=np.int32)
     intensity = np.stack([scene.background * window.gain] * 2)
-    for layer in renderer.layers(window.tangent_x, window.tangent_y):
-        crop = (layer.rows, layer.columns)
+    for piece in renderer.pieces(window.tangent_x, window.tangent_y):
+        crop = (piece.rows, piece.columns)
+        coverage = piece.coverage.sum(axis=0)
         for channel in (0, 1):
-            lit = layer.brightness * layer.share[channel] * window.gain[crop]
-            intensity[channel][crop] = intensity[channel][crop] * (1.0 - layer.coverage) + lit
-        owned = layer.coverage >= 0.5
-        depth_m[crop] = np.where(owned, layer.depth_m, depth_m[crop])
-        label[crop] = np.where(owned, layer.label, label[crop])
+            lit = piece.brightness.sum(axis=0) * piece.share[channel] * window.gain[crop]
+            intensity[channel][crop] = intensity[channel][crop] * (1.0 - coverage) + lit
+        owned = coverage >= 0.5
+        mean_m = np.tensordot(piece.depth_m, piece.coverage, axes=(0, 0)) / np.maximum(coverage, 1e-12)
+        depth_m[crop] = np.where(owned, mean_m, depth_m[crop])
+        label[crop] = np.where(owned, piece.label, label[crop])
     return Truth(depth_m, intensity[0], intensity[1], label)

@@ -37,6 +37,7 @@ class RawFrame:
         read_noise_e: standard deviation of the read noise.
         truth: present for simulated frames.
         truth_origin_um: (x, y) on the sensor plane of the centre of pixel [0, 0] of the truth's grid.
+        x_window: (row, column, rows, columns) of the x polarisation's image, where the field stop is known.
         saturation_e: level at which pixels saturate, where it is known.
     """
 
@@ -46,4 +47,5 @@ class RawFrame:
     read_noise_e: float
     truth: Truth | None = None
     truth_origin_um: tuple[float, float] | None = None
+    x_window: tuple[int, int, int, int] | None = None
     saturation_e: float | None = None

@@ -1,40 +1,38 @@
-"""A scene as layers of one depth on a grid of directions: coverage and brightness, before any blur."""
+"""A scene on a grid of directions, object by object: coverage and brightness at each depth, before any blur."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from metafab.camera.texture import Texture, make_texture
 from metafab.core.conventions import FloatArray
 from metafab.spec.scene import Scene, SceneObject
 
-_SUPERSAMPLING = 3
+_SUPERSAMPLING = 2
 #: A tilted piece is cut into steps of at most this much of its depth.
 _TILT_STEP = 0.004
 
 
 @dataclass(frozen=True)
-class Layer:
-    """What one depth of one object shows on a crop of a pixel grid.
+class Piece:
+    """What one object shows on a crop of a pixel grid, before any blur.
 
     Attributes:
         label: number of the object from 1.
-        depth_m: depth of the layer.
+        depth_m: shape (n_steps,), the depths that it is made of; one unless it is tilted.
         rows: rows of the grid that the crop covers; likewise ``columns``.
-        coverage: shape of the crop, share of each pixel that the piece covers, before any blur.
-        brightness: shape of the crop, coverage times texture times the object's brightness, both polarisations'
-            mean.
+        coverage: shape (n_steps, n_y, n_x), share of each pixel that each step covers.
+        brightness: the same shape, coverage times texture times the object's brightness, both polarisations' mean.
         share: (x, y) factors of the two polarisations; their mean is 1.
     """
 
     label: int
-    depth_m: float
+    depth_m: FloatArray
     rows: slice
     columns: slice
     coverage: FloatArray
@@ -64,52 +62,57 @@ class Renderer:
             textures.append(make_texture(spec, (min(height, 4096), min(width, 4096)), np.random.default_rng(sequence)))
         return cls(scene, tuple(textures))
 
-    def layers(self, tangent_x: FloatArray, tangent_y: FloatArray) -> Iterator[Layer]:
-        """All layers, farthest first, on a pixel grid with the directions ``tangent_x``, ``tangent_y`` (n_y, n_x)."""
-        pieces: list[tuple[float, int, FloatArray]] = []
-        for index, spec in enumerate(self.scene.objects):
-            steps = max(1, math.ceil((abs(spec.tilt[0]) + abs(spec.tilt[1])) / _TILT_STEP))
-            edges = np.linspace(-0.5, 0.5, steps + 1) * (abs(spec.tilt[0]) + abs(spec.tilt[1]))
-            for low, high in pairwise(edges):
-                pieces.append((spec.depth_m * (1.0 + 0.5 * (low + high)), index, np.array([low, high])))
-        for depth_m, index, relative in sorted(pieces, key=lambda piece: -piece[0]):
-            layer = self._layer(index, depth_m, relative, tangent_x, tangent_y)
-            if layer is not None:
-                yield layer
+    def pieces(self, tangent_x: FloatArray, tangent_y: FloatArray) -> Iterator[Piece]:
+        """All objects in sight, farthest first, on a grid with directions ``tangent_x``, ``tangent_y`` (n_y, n_x)."""
+        farthest_first = sorted(range(len(self.scene.objects)), key=lambda i: -self.scene.objects[i].depth_m)
+        for index in farthest_first:
+            piece = self._piece(index, tangent_x, tangent_y)
+            if piece is not None:
+                yield piece
 
-    def _layer(
-        self, index: int, depth_m: float, relative: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray
-    ) -> Layer | None:
+    def _piece(self, index: int, tangent_x: FloatArray, tangent_y: FloatArray) -> Piece | None:
         spec = self.scene.objects[index]
-        slope_x, slope_y = np.gradient(tangent_x), np.gradient(tangent_y)
-        margin = 2.0 * max(float(np.abs(s).max(initial=0.0)) for s in (*slope_x, *slope_y))
-        near = (np.abs(tangent_x - spec.centre[0]) <= 0.5 * spec.size[0] + margin) & (
-            np.abs(tangent_y - spec.centre[1]) <= 0.5 * spec.size[1] + margin
+        slopes_x, slopes_y = np.gradient(tangent_x), np.gradient(tangent_y)
+        pixel = max(float(np.abs(slope).max(initial=0.0)) for slope in (*slopes_x, *slopes_y))
+        near = (np.abs(tangent_x - spec.centre[0]) <= 0.5 * spec.size[0] + 2.0 * pixel) & (
+            np.abs(tangent_y - spec.centre[1]) <= 0.5 * spec.size[1] + 2.0 * pixel
         )
         if not near.any():
             return None
         rows, columns = (_extent(near.any(axis=axis)) for axis in (1, 0))
         crop = (rows, columns)
-        fine_x = _supersampled(tangent_x[crop], slope_x[0][crop], slope_x[1][crop])
-        fine_y = _supersampled(tangent_y[crop], slope_y[0][crop], slope_y[1][crop])
+        fine_x = _supersampled(tangent_x[crop], slopes_x[0][crop], slopes_x[1][crop])
+        fine_y = _supersampled(tangent_y[crop], slopes_y[0][crop], slopes_y[1][crop])
         u, v = (fine_x - spec.centre[0]) / spec.size[0], (fine_y - spec.centre[1]) / spec.size[1]
-        covered = _inside(spec, u, v)
-        if any(spec.tilt):
-            height = spec.tilt[0] * u + spec.tilt[1] * v
-            last = relative[1] >= 0.5 * (abs(spec.tilt[0]) + abs(spec.tilt[1])) * (1 - 1e-9)
-            covered &= (height >= relative[0]) & ((height <= relative[1]) if last else (height < relative[1]))
-        if not covered.any():
-            return None
-        lit = np.where(covered, self.textures[index](u + 0.5, v + 0.5), 0.0) * spec.brightness
+        covered = _covered(spec, u, v, pixel / _SUPERSAMPLING)
+        lit = covered * self.textures[index](u + 0.5, v + 0.5) * spec.brightness
+        depth_m, step = _steps(spec, u, v)
+        coverage = np.stack([_binned(np.where(step == k, covered, 0.0)) for k in range(depth_m.size)])
+        brightness = np.stack([_binned(np.where(step == k, lit, 0.0)) for k in range(depth_m.size)])
         contrast = spec.polarisation_contrast
         share = (2.0 * contrast / (1.0 + contrast), 2.0 / (1.0 + contrast))
-        return Layer(index + 1, depth_m, rows, columns, _binned(covered.astype(np.float64)), _binned(lit), share)
+        return Piece(index + 1, depth_m, rows, columns, coverage, brightness, share)
 
 
-def _inside(spec: SceneObject, u: FloatArray, v: FloatArray) -> np.ndarray:
+def _covered(spec: SceneObject, u: FloatArray, v: FloatArray, sample: float) -> FloatArray:
+    """Share of each sample (of the tangent size ``sample``) inside the outline: exact for a rectangle."""
     if spec.outline == "ellipse":
-        return np.asarray(u * u + v * v <= 0.25)
-    return np.asarray((np.abs(u) <= 0.5) & (np.abs(v) <= 0.5))
+        radius = np.maximum(np.hypot(u, v), 1e-12)
+        slope = np.hypot(u / spec.size[0], v / spec.size[1]) / radius
+        return np.asarray(np.clip((0.5 - radius) / (slope * sample) + 0.5, 0.0, 1.0))
+    inside_x = np.clip((0.5 - np.abs(u)) * spec.size[0] / sample + 0.5, 0.0, 1.0)
+    inside_y = np.clip((0.5 - np.abs(v)) * spec.size[1] / sample + 0.5, 0.0, 1.0)
+    return np.asarray(inside_x * inside_y)
+
+
+def _steps(spec: SceneObject, u: FloatArray, v: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Depths of a piece's steps, and the step that each sample belongs to."""
+    rise = abs(spec.tilt[0]) + abs(spec.tilt[1])
+    count = max(1, math.ceil(rise / _TILT_STEP))
+    relative = (np.arange(count) + 0.5) / count - 0.5
+    height = (spec.tilt[0] * u + spec.tilt[1] * v) / rise if rise else np.zeros_like(u)
+    step = np.clip(np.floor((height + 0.5) * count), 0, count - 1).astype(np.intp)
+    return spec.depth_m * (1.0 + rise * relative), step
 
 
 def _extent(hit: ArrayLike) -> slice:

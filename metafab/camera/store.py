@@ -23,6 +23,8 @@ def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
         file.attrs["pixel_um"] = frame.pixel_um
         file.attrs["origin_um"] = frame.origin_um
         file.attrs["read_noise_e"] = frame.read_noise_e
+        if frame.x_window is not None:
+            file.attrs["x_window"] = frame.x_window
         if frame.saturation_e is not None:
             file.attrs["saturation_e"] = frame.saturation_e
         if frame.truth is None or frame.truth_origin_um is None:
@@ -53,7 +55,7 @@ def load(path: Path) -> RawFrame:
             )
             truth = Truth(depth_m, intensity_x, intensity_y, np.asarray(group["label"], dtype=np.int32))
             truth_origin_um = _pair(group.attrs["origin_um"])
-        saturation = file.attrs.get("saturation_e")
+        saturation, window = file.attrs.get("saturation_e"), file.attrs.get("x_window")
         return RawFrame(
             np.asarray(file["frame"], dtype=np.float64),
             float(file.attrs["pixel_um"]),
@@ -61,6 +63,7 @@ def load(path: Path) -> RawFrame:
             float(file.attrs["read_noise_e"]),
             truth,
             truth_origin_um,
+            None if window is None else (int(window[0]), int(window[1]), int(window[2]), int(window[3])),
             None if saturation is None else float(saturation),
         )
 

@@ -26,8 +26,10 @@ from metafab.decode.twins import TwinGrid
 Transfer = NDArray[np.complex64]
 #: How much of itself (relative L2) the pair may change from the centre of a tile to its edge. What x and y change
 #: in opposite senses cancels in their comparison, so this is far from the depth error that it leaves.
-_TILE_CHANGE = 0.06
-_TILE_CORES = (24, 256)
+_TILE_CHANGE = 0.1
+_TILE_CORES = (32, 256)
+#: Share of the margin over which a tile fades out.
+_FADE = 0.75
 
 
 @dataclass(frozen=True)
@@ -59,15 +61,28 @@ class Tiling:
 
     def cut(self, image: FloatArray) -> NDArray[np.float32]:
         """Tiles with margins of an image with margin: shape (n_tiles, *size); beyond the image, its edge value."""
-        m = self.margin
         need = [max(start[axis] for start in self.starts) + self.size[axis] for axis in (0, 1)]
         extra = [(0, max(0, n - have)) for n, have in zip(need, image.shape, strict=True)]
         padded = np.pad(image, extra, mode="edge") if any(e[1] for e in extra) else image
         tiles = np.empty((len(self.starts), *self.size), dtype=np.float32)
         for tile, (row, column) in zip(tiles, self.starts, strict=True):
-            tile[:] = padded[row : row + self.size[0], column : column + self.size[1]]
-            _tapered(tile, self.core[0] + 2 * m, self.core[1] + 2 * m)
+            cut = padded[row : row + self.size[0], column : column + self.size[1]]
+            level = cut.mean()
+            tile[:] = (cut - level) * self._fade + level
         return tiles
+
+    @cached_property
+    def _fade(self) -> NDArray[np.float32]:
+        """1 in the core, falling to 0 over the outer part of the margin, shape ``size``.
+
+        A step where a tile wraps round would agree with itself in both images and pull the depth.
+        """
+        fades = []
+        for core, size in zip(self.core, self.size, strict=True):
+            away = np.maximum(-np.arange(size) + self.margin, np.arange(size) - (self.margin + core - 1))
+            share = np.clip((self.margin - away) / (_FADE * self.margin), 0.0, 1.0)
+            fades.append(0.5 - 0.5 * np.cos(np.pi * share))
+        return np.asarray(fades[0][:, None] * fades[1][None, :], dtype=np.float32)
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -91,15 +106,6 @@ class Tiling:
         whole = np.zeros((rows * n_y, columns * n_x), dtype=bool)
         whole[: self.shape[0], : self.shape[1]] = mask
         return whole.reshape(rows, n_y, columns, n_x).transpose(0, 2, 1, 3).reshape(-1, n_y, n_x)
-
-
-def _tapered(tile: NDArray[np.float32], n_y: int, n_x: int) -> None:
-    """Lead the rows and columns that rounding up added back to the tile's first ones, so that it wraps smoothly."""
-    for array, count in ((tile, n_y), (tile.T, n_x)):
-        extra = array.shape[0] - count
-        if extra > 0:
-            ramp = np.linspace(0.0, 1.0, extra + 2, dtype=np.float32)[1:-1, None]
-            array[count:] = array[count - 1] * (1.0 - ramp) + array[0] * ramp
 
 
 @dataclass(frozen=True)

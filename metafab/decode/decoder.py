@@ -29,8 +29,10 @@ from metafab.optics.point_spread import Psf
 
 _CANDIDATES = 25
 _WINDOW_PX = 25
-_WHITENING_PIXELS = 0.5  # windows reach across outlines
-_WHITENING_SEGMENTS = 0.0  # segments keep away from them
+#: How far around a window light is let in: the reach of the pair's main parts, and as much again to fade out.
+_MARGIN_PX = 40
+_WHITENING_PIXELS = 0.75  # windows reach across outlines
+_WHITENING_SEGMENTS = 0.25  # segments keep away from them
 
 
 def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D:
@@ -60,7 +62,7 @@ def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D
     if abs(frame.pixel_um / psf.pixel_um - 1.0) > 1e-6:
         reason = f"pixels of {frame.pixel_um:g} um, but a calibration for {psf.pixel_um:g} um"
         return _empty(values.shape, frame, reason, started)
-    decoder = Decoder.of(psf, values.shape, frame.origin_um)
+    decoder = Decoder.of(psf, values.shape, frame.origin_um, frame.x_window)
     if decoder is None:
         return _empty(values.shape, frame, "the frame does not hold both images", started)
     return decoder(frame, progress=progress)
@@ -77,10 +79,24 @@ class Decoder:
     calibration: Calibration
 
     @classmethod
-    def of(cls, psf: Psf, frame_shape: tuple[int, int], origin_um: tuple[float, float]) -> Decoder | None:
-        """A decoder, or None if no part of such frames holds both images."""
+    def of(
+        cls,
+        psf: Psf,
+        frame_shape: tuple[int, int],
+        origin_um: tuple[float, float],
+        x_window: tuple[int, int, int, int] | None = None,
+    ) -> Decoder | None:
+        """A decoder, or None if no part of such frames holds both images.
+
+        Args:
+            psf: calibration.
+            frame_shape: (n_y, n_x) of the frames.
+            origin_um: (x, y) on the sensor of pixel [0, 0].
+            x_window: (row, column, rows, columns) of the x image; without it, all that has its twin in the frame.
+        """
         kernels, image_map = PairKernels(psf), ImageMap.from_psf(psf)
-        grid = TwinGrid.find(image_map, frame_shape, origin_um, psf.pixel_um, max(kernels.shape) // 2)
+        place = (image_map, frame_shape, origin_um, psf.pixel_um, _MARGIN_PX)
+        grid = TwinGrid.find(*place) if x_window is None else TwinGrid.at(*place, x_window)
         return None if grid is None else cls(Calibration.of(kernels, grid, image_map))
 
     @cached_property
@@ -145,10 +161,10 @@ class Decoder:
             np.copyto(images, np.maximum(layer_image, 0.0), where=mask)
             rows.append(
                 {
-                    "segment": float(number),
+                    "number": float(number),
                     "pixels": float(mask.sum()),
                     "depth_m": 1.0 / found.vergence_per_m,
-                    "depth_error_m": found.relative_error / found.vergence_per_m,
+                    "error_m": found.relative_error / found.vergence_per_m,
                     "contrast": float(images[0][mask].sum() / max(images[1][mask].sum(), 1e-30)),
                     "correlation": found.correlation,
                 }

@@ -43,6 +43,37 @@ class TwinGrid:
     twin_area: FloatArray
 
     @classmethod
+    def at(
+        cls,
+        image_map: ImageMap,
+        frame_shape: tuple[int, int],
+        origin_um: tuple[float, float],
+        pixel_um: float,
+        margin: int,
+        window: tuple[int, int, int, int],
+    ) -> TwinGrid:
+        """The grid of a known window (row, column, rows, columns)."""
+        first_row, first_column, rows, columns = window
+        row, column = first_row - margin, first_column - margin
+        x_um = origin_um[0] + pixel_um * (column + np.arange(columns + 2 * margin))
+        y_um = origin_um[1] + pixel_um * (row + np.arange(rows + 2 * margin))
+        tangent_x, tangent_y = image_map.to_tangent(0, *np.meshgrid(x_um, y_um))
+        place_x, place_y = image_map.to_sensor_um(1, tangent_x, tangent_y)
+        return cls(
+            frame_shape,
+            (float(x_um[margin]), float(y_um[margin])),
+            (rows, columns),
+            margin,
+            row,
+            column,
+            tangent_x,
+            tangent_y,
+            (place_y - origin_um[1]) / pixel_um,
+            (place_x - origin_um[0]) / pixel_um,
+            image_map.area_um2(1, tangent_x, tangent_y) / image_map.area_um2(0, tangent_x, tangent_y),
+        )
+
+    @classmethod
     def find(
         cls,
         image_map: ImageMap,
@@ -87,26 +118,8 @@ class TwinGrid:
             return None
         first_row, last_row = _grown(good_rows, every, margin, n_y)
         first_column, last_column = _grown(good_columns, every, margin, n_x)
-        shape = (last_row - first_row + 1, last_column - first_column + 1)
-        row, column = first_row - margin, first_column - margin
-        full_x = origin_um[0] + pixel_um * (column + np.arange(shape[1] + 2 * margin))
-        full_y = origin_um[1] + pixel_um * (row + np.arange(shape[0] + 2 * margin))
-        tangent_x, tangent_y = image_map.to_tangent(0, *np.meshgrid(full_x, full_y))
-        place_x, place_y = image_map.to_sensor_um(1, tangent_x, tangent_y)
-        area = image_map.area_um2(1, tangent_x, tangent_y) / image_map.area_um2(0, tangent_x, tangent_y)
-        return cls(
-            frame_shape,
-            (float(x_um[first_column]), float(y_um[first_row])),
-            shape,
-            margin,
-            row,
-            column,
-            tangent_x,
-            tangent_y,
-            (place_y - origin_um[1]) / pixel_um,
-            (place_x - origin_um[0]) / pixel_um,
-            area,
-        )
+        window = (first_row, first_column, last_row - first_row + 1, last_column - first_column + 1)
+        return cls.at(image_map, frame_shape, origin_um, pixel_um, margin, window)
 
     @property
     def inner(self) -> tuple[slice, slice]:
@@ -138,16 +151,23 @@ def extract(frame: RawFrame, grid: TwinGrid) -> Twins:
         broken |= np.where(np.isfinite(values), values, 0.0) >= frame.saturation_e
     if broken.any():
         values = _mended(values, broken)
-    n_y, n_x = grid.tangent_x.shape
-    first = values[grid.row : grid.row + n_y, grid.column : grid.column + n_x]
+    first = _cut(values, grid)
     place = [grid.twin_row, grid.twin_column]
     # A quintic spline passes the PSF's whole band (0.8 of the sampling limit) to within a few per cent.
     second = map_coordinates(values, place, order=5, mode="nearest") * grid.twin_area
     bad = np.zeros(grid.shape, dtype=bool)
     if broken.any():
         twin = map_coordinates(broken.astype(np.float32), place, order=1, mode="constant") > 0.0
-        bad = (broken[grid.row : grid.row + n_y, grid.column : grid.column + n_x] | twin)[grid.inner]
+        bad = (_cut(broken, grid) | twin)[grid.inner]
     return Twins(grid, np.stack([first, second]), bad)
+
+
+def _cut(values: np.ndarray, grid: TwinGrid) -> np.ndarray:
+    """The x image with its margin; beyond the frame, the frame's edge."""
+    n_y, n_x = grid.tangent_x.shape
+    rows = np.clip(grid.row + np.arange(n_y), 0, values.shape[0] - 1)
+    columns = np.clip(grid.column + np.arange(n_x), 0, values.shape[1] - 1)
+    return np.asarray(values[np.ix_(rows, columns)])
 
 
 def _mended(values: FloatArray, broken: np.ndarray) -> FloatArray:
