@@ -64,6 +64,22 @@ def path_um(x: Any, y: Any, w: float, t_x: float, t_y: float, c_x: float, c_y: f
 
 
 @compiled
+def path_and_slopes(
+    x: Any, y: Any, w: float, t_x: float, t_y: float, c_x: float, c_y: float, c_z: float
+) -> tuple[Any, Any, Any]:
+    """:func:`path_um` and its derivatives along x and y."""
+    square = x * x + y * y
+    secant2 = 1.0 + t_x * t_x + t_y * t_y
+    bend = w * square - 2.0 * (x * t_x + y * t_y)
+    source = np.sqrt(w * bend + secant2)
+    centre2 = c_x * c_x + c_y * c_y + c_z * c_z
+    fall = square - 2.0 * (x * c_x + y * c_y)
+    image = np.sqrt(fall + centre2)
+    path = bend / (source + math.sqrt(secant2)) + fall / (image + math.sqrt(centre2))
+    return path, (w * x - t_x) / source + (x - c_x) / image, (w * y - t_y) / source + (y - c_y) / image
+
+
+@compiled
 def incident_amplitude(x: Any, y: Any, w: float, t_x: float, t_y: float) -> Any:
     """(R_0 / R)^(3/2): the flux of a spherical wave through a plane falls with cos / R^2 = z / R^3."""
     secant2 = 1.0 + t_x * t_x + t_y * t_y

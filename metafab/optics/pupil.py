@@ -1,9 +1,10 @@
 """Millions of pillars to some 10^5 block sums, in one streaming pass.
 
 Within a block, the light of all pillars travels to the image point with nearly the same phase once the exact
-(non-paraxial) path of a carrier ray is removed at every site. A block is then one complex number; what other
-object points and depths add to the phase is smooth across it. The phase is reduced in double precision. Blocks of
-twice the side are sums of four, which is how the error is estimated.
+(non-paraxial) path of a carrier ray is removed at every site. A block is then its sum and its two first moments;
+what other object points, depths and window points add to the phase is smooth across it. The moments make ragged
+rims and phase slopes exact to second order in the block's size. The phase is reduced in double precision. Blocks
+of twice the side are made of four, which is how the error is estimated.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ class Pupil:
         pitch_um: (x, y) distance of sites.
         x_um: shape (n_x,), block centres.
         y_um: shape (n_y,).
-        sums: shape (n_y, n_x), sum over the block of amplitude times exp(i k path).
+        sums: shape (3, n_y, n_x), over the block, of amplitude times exp(i k path), and of the same times x and
+            times y from the block's centre (um).
         power: shape (n_y, n_x), sum over the block of the squared amplitude.
     """
 
@@ -58,13 +60,19 @@ class Pupil:
         """Half as many blocks a side, each the sum of four."""
         block = self.carrier.block_sites
         step_x, step_y = (block * pitch for pitch in self.pitch_um)
+        # A quarter lies half a fine step beside the centre of the four: low for even, high for odd rows.
+        aside_x = 0.5 * step_x * (2.0 * (np.arange(self.x_um.size) % 2) - 1.0)
+        aside_y = 0.5 * step_y * (2.0 * (np.arange(self.y_um.size) % 2) - 1.0)
+        sums = _sum_of_four(self.sums[0])
+        moment_x = _sum_of_four(self.sums[1] + aside_x[None, :] * self.sums[0])
+        moment_y = _sum_of_four(self.sums[2] + aside_y[:, None] * self.sums[0])
         return Pupil(
             Carrier(self.carrier.polarisation, self.carrier.ray, 2 * block),
             self.wavenumber,
             self.pitch_um,
             self.x_um[::2] + 0.5 * step_x,
             self.y_um[::2] + 0.5 * step_y,
-            _sum_of_four(self.sums),
+            np.array([sums, moment_x, moment_y]),
             _sum_of_four(self.power),
         )
 
@@ -110,7 +118,7 @@ def _empty_pupil(
     n_x, n_y = (-(-axis.size // block) for axis in (x_um, y_um))
     centre_x = x_um[0] + pitch_um[0] * (block * np.arange(n_x) + 0.5 * (block - 1))
     centre_y = y_um[0] + pitch_um[1] * (block * np.arange(n_y) + 0.5 * (block - 1))
-    sums = np.zeros((n_y, n_x), dtype=np.complex128)
+    sums = np.zeros((3, n_y, n_x), dtype=np.complex128)
     return Pupil(carrier, wavenumber, pitch_um, centre_x, centre_y, sums, np.zeros((n_y, n_x)))
 
 
@@ -134,8 +142,11 @@ def add_tile_exactly(pupil: Pupil, tile: FieldTile, x_um: FloatArray, y_um: Floa
     columns = np.arange(tile.column, tile.column + n_x) // pupil.carrier.block_sites
     tile_x, tile_y = x_um[None, tile.column : tile.column + n_x], y_um[tile.row : tile.row + n_y, None]
     phase_rad = pupil.wavenumber * pupil.carrier.ray.path_um(tile_x, tile_y)
+    light = amplitude * np.exp(1j * phase_rad)
     target = np.ix_(np.unique(rows), np.unique(columns))
-    pupil.sums[target] += _block_sums(amplitude * np.exp(1j * phase_rad), rows, columns)
+    pupil.sums[0][target] += _block_sums(light, rows, columns)
+    pupil.sums[1][target] += _block_sums(light * (tile_x - pupil.x_um[columns]), rows, columns)
+    pupil.sums[2][target] += _block_sums(light * (tile_y - pupil.y_um[rows, None]), rows, columns)
     pupil.power[target] += _block_sums(np.abs(amplitude) ** 2, rows, columns)
 
 
@@ -191,18 +202,27 @@ def _sum_blocks(
                 step = left + j - block_column * block - 0.5 * (block - 1)
                 phase = step * (slope_x + step * bend_x)
                 along_x[j] = math.cos(phase) + 1j * math.sin(phase)
-            total, total_power = 0.0 + 0.0j, 0.0
+            total, moment_x, moment_y, total_power = 0.0 + 0.0j, 0.0 + 0.0j, 0.0 + 0.0j, 0.0
             for i in range(top, bottom):
-                line, line_power = 0.0 + 0.0j, 0.0
+                line, line_moment, line_power = 0.0 + 0.0j, 0.0 + 0.0j, 0.0
                 for j in range(right - left):
                     index = size_index[i - row, left + j - column]
-                    line += along_x[j] * table[index]
+                    light = along_x[j] * table[index]
+                    line += light
+                    line_moment += light * j
                     line_power += intensity[index]
                 step = i - block_row * block - 0.5 * (block - 1)
                 phase = wavenumber * here + step * (slope_y + step * bend_y)
-                total += line * (math.cos(phase) + 1j * math.sin(phase))
+                wave = math.cos(phase) + 1j * math.sin(phase)
+                # Columns are counted from the left end; the moment's origin is the block's centre.
+                first_step = left - block_column * block - 0.5 * (block - 1)
+                total += line * wave
+                moment_x += (line_moment + line * first_step) * wave
+                moment_y += line * wave * step
                 total_power += line_power
-            sums[block_row, block_column] += total
+            sums[0, block_row, block_column] += total
+            sums[1, block_row, block_column] += moment_x * pitch_x
+            sums[2, block_row, block_column] += moment_y * pitch_y
             power[block_row, block_column] += total_power
 
 

@@ -23,7 +23,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.optics import chebyshev
 from metafab.optics.chebyshev import Span
-from metafab.optics.path import Ray, incident_amplitude, path_um
+from metafab.optics.path import Ray, incident_amplitude, path_and_slopes
 from metafab.optics.pupil import Pupil
 
 #: Block phases are reduced in double precision; what is left fits single precision: 1e-6 of the field at most.
@@ -104,94 +104,124 @@ class WindowKernel:
 
 @dataclass(frozen=True)
 class WindowTransform:
-    """The linear map from block sums (path to the window's centre removed) to the field on the window.
+    """The linear map from refocused blocks to the field on the window.
 
     Attributes:
         kernel: from Chebyshev points to the window.
-        gather_y: shape (q_y, n_y), transposed interpolation: block sums to weights on Chebyshev points.
+        gather_y: shape (q_y, n_y), transposed interpolation: blocks to weights on Chebyshev points.
         gather_x: shape (n_x, q_x).
-        diffraction: shape (n, n), what a block of finite size sends there; divided out.
+        by_order: shape (3, n, n) or (1, n, n), what a window point makes of a block's sum and moments: the
+            diffraction of a block, and i times its phase slope along x and y. Blocks of one site have no moments.
     """
 
     kernel: WindowKernel
     gather_y: NDArray[np.float32]
     gather_x: NDArray[np.float32]
-    diffraction: NDArray[np.float32]
+    by_order: SingleComplexArray
 
     @classmethod
     def build(cls, pupil: Pupil, kernel: WindowKernel) -> WindowTransform:
         """The transform from the blocks of ``pupil`` to the window of ``kernel``."""
         q_y, q_x = kernel.over_lens.shape[1:]
-        (x, y, z), block, k = kernel.target_um, pupil.carrier.block_sites, pupil.wavenumber
+        (x, y, z), block, n = kernel.target_um, pupil.carrier.block_sites, kernel.offsets_um.size
         distance = math.hypot(x, y, z)
-        per_site = [
-            k * pitch * (1.0 - (c / distance) ** 2) / distance * kernel.offsets_um
-            for c, pitch in zip((x, y), pupil.pitch_um, strict=True)
-        ]
+        slope_x, slope_y = (
+            -pupil.wavenumber * (1.0 - (c / distance) ** 2) / distance * kernel.offsets_um for c in (x, y)
+        )
+        diffraction = np.outer(
+            _dirichlet(slope_y * pupil.pitch_um[1], block), _dirichlet(slope_x * pupil.pitch_um[0], block)
+        )
+        orders = [diffraction, 1j * np.tile(slope_x, (n, 1)), 1j * np.tile(slope_y, (n, 1)).T]
         return cls(
             kernel,
             chebyshev.interpolation(kernel.lens_um[1], q_y, pupil.y_um).T.astype(np.float32, order="C"),
             chebyshev.interpolation(kernel.lens_um[0], q_x, pupil.x_um).astype(np.float32, order="C"),
-            np.outer(_dirichlet(per_site[1], block), _dirichlet(per_site[0], block)).astype(np.float32),
+            np.array(orders[: 1 if block == 1 else 3], dtype=np.complex64),
         )
 
     def field(self, blocks: SingleComplexArray) -> SingleComplexArray:
-        """Field on the window, shape (n, n), of block sums of shape (n_y, n_x)."""
+        """Field on the window, shape (n, n), of refocused blocks of shape (1 or 3, n_y, n_x)."""
         kernel = self.kernel
         rows = (self.gather_y @ blocks.view(np.float32)).view(np.complex64)
         weights = (rows.real @ self.gather_x) + 1j * (rows.imag @ self.gather_x)
-        images = kernel.left @ (kernel.over_lens * weights) @ kernel.right
-        return np.asarray(np.einsum("mvu,mvu->vu", kernel.over_window, images) / self.diffraction, dtype=np.complex64)
+        total = np.zeros(self.by_order.shape[1:], dtype=np.complex64)
+        for order, weight in zip(self.by_order, weights, strict=True):
+            images = kernel.left @ (kernel.over_lens * weight) @ kernel.right
+            total += order * np.einsum("mvu,mvu->vu", kernel.over_window, images)
+        return total
 
     def adjoint(self, field: SingleComplexArray) -> SingleComplexArray:
-        """Block sums, shape (n_y, n_x), of a window field: the conjugate transpose of :meth:`field`."""
+        """Blocks, shape (1 or 3, n_y, n_x), of a window field: the conjugate transpose of :meth:`field`."""
         kernel = self.kernel
-        images = kernel.over_window.conj() * (field / self.diffraction)
-        weights = kernel.left.conj().T @ images @ kernel.right.conj().T
-        total = np.einsum("mvu,mvu->vu", kernel.over_lens.conj(), weights)
-        return np.asarray(self.gather_y.T @ total @ self.gather_x.T, dtype=np.complex64)
+        blocks = []
+        for order in self.by_order:
+            images = kernel.over_window.conj() * (order.conj() * field)
+            weights = kernel.left.conj().T @ images @ kernel.right.conj().T
+            total = np.einsum("mvu,mvu->vu", kernel.over_lens.conj(), weights)
+            blocks.append(self.gather_y.T @ total @ self.gather_x.T)
+        return np.array(blocks, dtype=np.complex64)
 
 
 def refocus(pupil: Pupil, ray: Ray) -> SingleComplexArray:
-    """Block sums behind another ray than the carrier: its path instead, and its incident amplitude.
+    """Sums and moments behind another ray than the carrier: its path instead, and its incident amplitude.
 
-    The change of path is evaluated at block centres; halving the blocks shows what that costs.
+    The change of phase is followed to second order in the block's size.
+
+    Returns:
+        Shape (3, n_y, n_x), or (1, n_y, n_x) for blocks of one site.
     """
+    block = pupil.carrier.block_sites
+    orders = 1 if block == 1 else 3
+    # The mean of x^2 over a full block.
+    spread_x, spread_y = (pitch * pitch * (block * block - 1) / 12.0 for pitch in pupil.pitch_um)
     kernel = _refocus_compiled if HAS_NUMBA else _refocus_plain
-    old, blocks = pupil.carrier.ray, np.empty(pupil.sums.shape, dtype=np.complex64)
+    old, blocks = pupil.carrier.ray, np.empty((orders, *pupil.power.shape), dtype=np.complex64)
     kernel(
-        blocks, pupil.sums, pupil.x_um, pupil.y_um, pupil.wavenumber,
+        blocks, pupil.sums, pupil.x_um, pupil.y_um, pupil.wavenumber, spread_x, spread_y,
         ray.vergence_per_um, *ray.tangent, *ray.target_um, old.vergence_per_um, *old.tangent, *old.target_um,
     )  # fmt: skip
     return blocks
 
 
 def _refocus_plain(
-    blocks: Any, sums: Any, x: Any, y: Any, k: float,
+    blocks: Any, sums: Any, x: Any, y: Any, k: float, spread_x: float, spread_y: float,
     w: float, t_x: float, t_y: float, c_x: float, c_y: float, c_z: float,
     old_w: float, old_t_x: float, old_t_y: float, old_x: float, old_y: float, old_z: float,
 ) -> None:  # fmt: skip
-    path = path_um(x[None, :], y[:, None], w, t_x, t_y, c_x, c_y, c_z)
-    path -= path_um(x[None, :], y[:, None], old_w, old_t_x, old_t_y, old_x, old_y, old_z)
-    blocks[...] = sums * np.exp(1j * k * path) * incident_amplitude(x[None, :], y[:, None], w, t_x, t_y)
+    x, y = x[None, :], y[:, None]
+    path, along_x, along_y = path_and_slopes(x, y, w, t_x, t_y, c_x, c_y, c_z)
+    old_path, old_along_x, old_along_y = path_and_slopes(x, y, old_w, old_t_x, old_t_y, old_x, old_y, old_z)
+    slope_x, slope_y = k * (along_x - old_along_x), k * (along_y - old_along_y)
+    wave = np.exp(1j * k * (path - old_path)) * incident_amplitude(x, y, w, t_x, t_y)
+    second = 1.0 - 0.5 * (slope_x**2 * spread_x + slope_y**2 * spread_y)
+    blocks[0] = wave * (second * sums[0] + 1j * (slope_x * sums[1] + slope_y * sums[2]))
+    if blocks.shape[0] == 3:
+        blocks[1] = wave * (sums[1] + 1j * slope_x * spread_x * sums[0])
+        blocks[2] = wave * (sums[2] + 1j * slope_y * spread_y * sums[0])
 
 
 @compiled
 def _refocus_compiled(
-    blocks: Any, sums: Any, x: Any, y: Any, k: float,
+    blocks: Any, sums: Any, x: Any, y: Any, k: float, spread_x: float, spread_y: float,
     w: float, t_x: float, t_y: float, c_x: float, c_y: float, c_z: float,
     old_w: float, old_t_x: float, old_t_y: float, old_x: float, old_y: float, old_z: float,
 ) -> None:  # fmt: skip
+    blocks[:] = 0.0
     for i in range(y.size):
         for j in range(x.size):
-            if sums[i, j] == 0.0:
-                blocks[i, j] = 0.0
+            if sums[0, i, j] == 0.0:
                 continue
-            path = path_um(x[j], y[i], w, t_x, t_y, c_x, c_y, c_z)
-            path -= path_um(x[j], y[i], old_w, old_t_x, old_t_y, old_x, old_y, old_z)
-            phase = k * path
+            path, along_x, along_y = path_and_slopes(x[j], y[i], w, t_x, t_y, c_x, c_y, c_z)
+            old = path_and_slopes(x[j], y[i], old_w, old_t_x, old_t_y, old_x, old_y, old_z)
+            phase, slope_x, slope_y = k * (path - old[0]), k * (along_x - old[1]), k * (along_y - old[2])
             amplitude = incident_amplitude(x[j], y[i], w, t_x, t_y)
-            blocks[i, j] = sums[i, j] * (amplitude * math.cos(phase) + 1j * (amplitude * math.sin(phase)))
+            wave = amplitude * math.cos(phase) + 1j * (amplitude * math.sin(phase))
+            s, s_x, s_y = sums[0, i, j], sums[1, i, j], sums[2, i, j]
+            second = 1.0 - 0.5 * (slope_x * slope_x * spread_x + slope_y * slope_y * spread_y)
+            blocks[0, i, j] = wave * (second * s + 1j * (slope_x * s_x + slope_y * s_y))
+            if blocks.shape[0] == 3:
+                blocks[1, i, j] = wave * (s_x + 1j * slope_x * spread_x * s)
+                blocks[2, i, j] = wave * (s_y + 1j * slope_y * spread_y * s)
 
 
 def _dirichlet(phase_per_site: FloatArray, sites: int) -> FloatArray:

@@ -1,0 +1,74 @@
+"""Block sums: compiled against plain, whatever the tiles, and coarser ones as sums of four."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from metafab.core.numerics import HAS_NUMBA
+from metafab.optics.path import Ray, power_at_aperture
+from metafab.optics.pupil import Carrier, Pupil, add_tile_exactly, mixed_phase_rad, reduce_field
+from metafab.optics.source import Source
+from tests import optics_lens as lens
+
+OPTICS = lens.imaging()
+K = OPTICS.wavenumber
+
+
+def _ray(polarisation: int = 0, tangent: tuple[float, float] = (0.03, -0.05)) -> Ray:
+    return Ray.towards_image(OPTICS, polarisation, 0.9e-3, tangent)
+
+
+def _exact(source: Source, carrier: Carrier) -> Pupil:
+    (pupil,) = reduce_field(source, [carrier], K)
+    pupil.sums[:], pupil.power[:] = 0.0, 0.0
+    for tile in source.tiles():
+        add_tile_exactly(pupil, tile, source.lattice.x_um(), source.lattice.y_um())
+    return pupil
+
+
+@pytest.mark.skipif(not HAS_NUMBA, reason="nothing compiled to compare with")
+@pytest.mark.parametrize("block", [1, 3, 8])
+def test_the_compiled_pass_is_the_plain_one(block: int) -> None:
+    """They differ by the mixed curvature, which ``mixed_phase_rad`` bounds, and by third order (less here)."""
+    source = lens.written(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
+    carrier = Carrier(0, _ray(), block)
+    (fast,) = reduce_field(source, [carrier], K)
+    exact = _exact(source, carrier)
+    bound = 2.0 * mixed_phase_rad(source, carrier.ray, K, block) + 1e-9
+    assert np.abs(fast.sums - exact.sums).max() <= bound * 0.9 * block**2
+    assert fast.power == pytest.approx(exact.power, abs=1e-9)
+
+
+def test_tiles_leave_no_trace() -> None:
+    terms = lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS)
+    carrier = Carrier(1, _ray(1), 4)
+    (one,) = reduce_field(lens.written(OPTICS, *terms, tile_sites=400), [carrier], K)
+    (many,) = reduce_field(lens.written(OPTICS, *terms, tile_sites=17), [carrier], K)
+    assert np.abs(one.sums - many.sums).max() < 1e-10 * np.abs(one.sums).max()
+
+
+def test_halving_is_the_same_as_larger_blocks() -> None:
+    source = lens.ideal(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
+    ray = _ray()
+    fine, coarse = reduce_field(source, [Carrier(0, ray, 3), Carrier(0, ray, 6)], K)
+    halved = fine.halved()
+    assert halved.x_um == pytest.approx(coarse.x_um) and halved.y_um == pytest.approx(coarse.y_um)
+    assert np.abs(halved.sums - coarse.sums).max() < 1e-10 * np.abs(coarse.sums).max()
+    assert halved.power == pytest.approx(coarse.power)
+
+
+def test_all_light_through_an_ideal_aperture_arrives() -> None:
+    """Sites inside the outline against its exact integral: the rim's sites make the difference, N^(-3/2) of it."""
+    source = lens.ideal(OPTICS, lens.eq_3_and_4(OPTICS))
+    ray = _ray()
+    (pupil,) = reduce_field(source, [Carrier(0, ray, 2)], K)
+    across = source.lattice.shape[0]
+    assert pupil.transmitted(ray) / power_at_aperture(OPTICS, ray) == pytest.approx(1.0, abs=2.0 * across**-1.5)
+
+
+def test_a_dark_mask_lets_nothing_through() -> None:
+    source = lens.written(OPTICS, lens.eq_3_and_4(OPTICS))
+    source.table[:] = 0.0
+    (pupil,) = reduce_field(source, [Carrier(0, _ray(), 4)], K)
+    assert not pupil.sums.any() and not pupil.power.any()

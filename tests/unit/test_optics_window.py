@@ -1,0 +1,86 @@
+"""The window transform alone: against the kernel's own sum, and its adjoint."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.optics import window
+from metafab.optics.path import Ray
+from metafab.optics.pupil import Carrier, Pupil
+from metafab.optics.window import WindowKernel, WindowTransform, refocus
+from tests import optics_lens as lens
+
+OPTICS = lens.imaging()
+K = OPTICS.wavenumber
+COUNT = 24
+
+
+def _random_pupil(block: int = 1) -> Pupil:
+    random = np.random.default_rng(3)
+    axis = np.linspace(-29.0, 29.0, 31)
+    sums = random.normal(size=(3, 31, 29)) + 1j * random.normal(size=(3, 31, 29))
+    ray = Ray.towards_image(OPTICS, 0, 0.9e-3, (0.02, 0.05))
+    return Pupil(Carrier(0, ray, block), K, (0.35, 0.35), axis[1:-1], axis, sums, np.abs(sums[0]) ** 2)
+
+
+def _transform(pupil: Pupil, tolerance: float) -> WindowTransform:
+    box = ((pupil.x_um[0], pupil.x_um[-1]), (pupil.y_um[0], pupil.y_um[-1]))
+    kernel = WindowKernel.build(K, pupil.carrier.ray.target_um, box, COUNT, OPTICS.pixel_um, tolerance)
+    return WindowTransform.build(pupil, kernel)
+
+
+def _direct(pupil: Pupil) -> ComplexArray:
+    """Sum of h(R) exp(ik [R - R to the centre]) over the blocks, without any expansion."""
+    c_x, c_y, c_z = pupil.carrier.ray.target_um
+    offset = (np.arange(COUNT) - COUNT // 2) * OPTICS.pixel_um
+
+    def distance(u: FloatArray, v: FloatArray) -> FloatArray:
+        along_x, along_y = c_x + u - pupil.x_um[None, :], c_y + v - pupil.y_um[:, None]
+        return np.asarray(np.sqrt(along_x**2 + along_y**2 + c_z**2))
+
+    centre = distance(0.0, 0.0)
+    field = np.empty((COUNT, COUNT), dtype=np.complex128)
+    for row, column in np.ndindex(field.shape):
+        r = distance(offset[column], offset[row])
+        h = c_z / (2.0 * np.pi * r**2) * (1.0 / r - 1j * K)
+        field[row, column] = np.sum(pupil.sums[0] * h * np.exp(1j * K * (r - centre)))
+    return field
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6])
+def test_the_low_rank_kernel_keeps_its_tolerance(tolerance: float) -> None:
+    """On random light, which fills the window evenly: the tolerance is that of the kernel's Frobenius norm."""
+    pupil = _random_pupil()
+    field = _transform(pupil, tolerance).field(pupil.sums[:1].astype(np.complex64))
+    exact = _direct(pupil)
+    # The two carry another phase on the window, R(0, u); irradiance does not see it.
+    error = np.linalg.norm(np.abs(field) - np.abs(exact)) / np.linalg.norm(exact)
+    assert error < 2.0 * tolerance + 1e-6
+
+
+def test_the_adjoint_is_one() -> None:
+    """<F b, f> = <b, F* f> to single precision."""
+    pupil = _random_pupil(block=4)
+    transform = _transform(pupil, 1e-5)
+    random = np.random.default_rng(4)
+    blocks = pupil.sums.astype(np.complex64)
+    image = (random.normal(size=(COUNT, COUNT)) + 1j * random.normal(size=(COUNT, COUNT))).astype(np.complex64)
+    forward = np.vdot(image, transform.field(blocks))
+    backward = np.vdot(transform.adjoint(image), blocks)
+    scale = np.linalg.norm(image) * np.linalg.norm(transform.field(blocks))
+    assert abs(forward - backward) < 1e-5 * scale
+
+
+def test_refocusing_is_the_same_without_compilation(monkeypatch: pytest.MonkeyPatch) -> None:
+    pupil = _random_pupil(block=4)
+    ray = Ray.towards_image(OPTICS, 0, 0.8e-3, (-0.03, 0.06))
+    fast = refocus(pupil, ray)
+    monkeypatch.setattr(window, "HAS_NUMBA", False)
+    assert refocus(pupil, ray) == pytest.approx(fast, abs=1e-5)
+
+
+def test_one_site_is_a_block_without_diffraction() -> None:
+    pupil = _random_pupil(block=1)
+    assert np.all(_transform(pupil, 1e-4).by_order == 1.0)
