@@ -1,0 +1,103 @@
+"""The documentation holds: it builds without a warning, its commands parse, its TOML and Python are ours."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+import typer
+
+from metafab.cli import app
+from metafab.core.errors import InputError
+from metafab.spec import load_design, load_unit_cell
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)
+DESIGN = (ROOT / "layouts" / "helix_small.toml").read_text(encoding="utf-8")
+UNIT_CELL = (ROOT / "unitcell_lib" / "sos_800nm.toml").read_text(encoding="utf-8")
+
+
+def _blocks(language: str) -> list[Any]:
+    """Every fenced block of a language, with its page and number as the test's name."""
+    found = []
+    for page in [*PAGES, ROOT / "README.md"]:
+        text = page.read_text(encoding="utf-8")
+        for number, match in enumerate(re.finditer(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)):
+            found.append(pytest.param(match[1], id=f"{page.stem}-{number}"))
+    return found
+
+
+def _commands() -> list[Any]:
+    """Every metafab command line of a console block."""
+    found = []
+    for block in _blocks("console"):
+        for line in str(block.values[0]).splitlines():
+            words = shlex.split(line.removeprefix("$ ").removesuffix("&"))
+            if line.startswith("$ ") and Path(words[0]).name == "metafab":
+                found.append(pytest.param(words[1:], id=" ".join(words[1:4])))
+    return found
+
+
+@pytest.mark.parametrize("words", _commands())
+def test_commands_parse(words: list[str]) -> None:
+    """Every option exists and takes what the page gives it; parsing does not run the command."""
+    command: Any = typer.main.get_command(app)
+    while hasattr(command, "commands"):
+        assert words[0] in command.commands, f"no command {words[0]}"
+        command, words = command.commands[words[0]], words[1:]
+    command.make_context("metafab", words)
+
+
+@pytest.mark.parametrize("block", _blocks("toml"))
+def test_toml_is_accepted(block: str, tmp_path: Path) -> None:
+    """A table of a page takes the place of the same table in the small design, or in its unit cell."""
+    tables = tomllib.loads(block)
+    known_to_cell = set(tables) <= set(tomllib.loads(UNIT_CELL))
+    base = tomllib.loads(UNIT_CELL if known_to_cell else DESIGN)
+    merged = {**base, **tables}
+    if not known_to_cell:
+        merged["library"] = str(ROOT / "unitcell_lib" / "sos_800nm.toml")
+    path = tmp_path / "from_page.toml"
+    path.write_text(tomli_w.dumps(merged), encoding="utf-8")
+    try:
+        (load_unit_cell if known_to_cell else load_design)(path)
+    except InputError as error:
+        pytest.fail(str(error))
+
+
+@pytest.mark.parametrize("block", _blocks("python"))
+def test_python_compiles_and_imports(block: str) -> None:
+    """Blocks that need no run are executed; the others import what they say and compile."""
+    code = compile(block, "documentation", "exec")
+    if "runs/" in block or "load_unit_cell" in block:
+        imports = [line for line in block.splitlines() if re.match(r"(from|import) ", line)]
+        code = compile("\n".join(imports), "documentation", "exec")
+    exec(code, {})
+
+
+def test_every_page_is_reached() -> None:
+    """No page stands outside the table of contents."""
+    listed = set()
+    for page in PAGES:
+        for tree in re.findall(r"```\{toctree\}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
+            for line in tree.splitlines():
+                if line and not line.startswith(":"):
+                    listed.add((page.parent / f"{line.strip()}.md").resolve())
+    assert set(PAGES) - listed == {ROOT / "docs" / "index.md"}
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("sphinx") is None or find_spec("myst_parser") is None, reason="the docs extra is missing")
+def test_documentation_builds_without_a_warning(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-q", "docs", str(tmp_path / "out")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "theory" / "conventions.html").is_file()
