@@ -45,7 +45,7 @@ def peak_bound(waves: ComplexArray, weights: FloatArray, iterations: int, seed: 
     Args:
         waves: shape (n_waves, n), target waves f_d at the pupil's samples, modulus 1.
         weights: shape (n_waves,), positive, sum 1.
-        iterations: of the relaxation; the bounds hold however few they are.
+        iterations: of the relaxation, at most; the bounds hold however few they are.
         seed: of the relaxation's start.
     """
     count = waves.shape[1]
@@ -56,14 +56,44 @@ def peak_bound(waves: ComplexArray, weights: FloatArray, iterations: int, seed: 
     amplitude = random.normal(size=shape) + 1j * random.normal(size=shape)
     adjoint = waves.conj().T / count
     drive = amplitude @ waves
-    for _ in range(iterations):
-        relaxed = drive / _norm(drive)
-        amplitude = (relaxed @ adjoint) * weights
+    d, reached = _norm(drive), 0.0
+    for step in range(iterations):
+        amplitude = (drive / d @ adjoint) * weights
         drive = amplitude @ waves
-    d = _norm(drive)
+        d = _norm(drive)
+        # The mean of d rises to the bound; the first step still has the scale of the random start.
+        value = float(d.mean())
+        if step and value - reached < 1e-7 * value:
+            break
+        reached = value
     dual = _largest_eigenvalue(root, d) / count**2 * float(d.sum())
     _, values, right = np.linalg.svd(amplitude, full_matrices=False)
     return PeakBound(spectral, min(dual, spectral), values[0] * right[0])
+
+
+def worst_peak_bound(waves: ComplexArray, start: ComplexArray, iterations: int) -> PeakBound:
+    """Bounds of the smallest of the peaks |<f_d, p>|^2: of their weighted mean, at the weights that make it smallest.
+
+    The weights come from the relaxation with its peaks levelled: a depth gains weight while it stays behind the mean.
+
+    Args:
+        waves: shape (n_waves, n), target waves f_d at the pupil's samples, modulus 1.
+        start: shape (n_waves,), wave amplitudes of a mask whose peaks are about level.
+        iterations: of the levelling; the bounds hold however few they are.
+    """
+    count = waves.shape[1]
+    adjoint = waves.conj().T / count
+    # A second component, a quarter turn away, lets the relaxation leave the mask.
+    amplitude = np.stack([start, 0.1j * start * np.exp(1j * np.arange(start.size))])
+    gain = np.linalg.norm(amplitude, axis=0)
+    for _ in range(iterations):
+        drive = amplitude @ waves
+        response = (drive / _norm(drive)) @ adjoint
+        size = np.linalg.norm(response, axis=0)
+        gain = gain * size.mean() / size
+        amplitude = gain * response / size
+    weights = gain / size
+    return peak_bound(waves, weights / weights.sum(), iterations, seed=0)
 
 
 def _norm(drive: ComplexArray) -> FloatArray:

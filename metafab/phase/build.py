@@ -40,11 +40,11 @@ def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
     Returns:
         The profile. Its figures, for a design with spiral zones: ``peak_gain`` and ``worst_gain`` (mean and smallest
         peak of the main lobe over the full turn against Eq. 2; 1 where nothing is optimised), ``peak_mean`` (Strehl
-        ratio), ``target_mean``, ``bound_mean`` and ``bound_fraction`` (mean peak at the points aimed at, what no
-        mask can exceed there, and their ratio), ``blind_information_gain`` (over Eq. 2, where that was maximised),
-        ``rotation_deg`` (turn of PSF_x's main lobe from the nearest to the farthest depth of ``[verify]``, positive
-        counter-clockwise, by the paraxial pupil), ``rotation_deg_per_dioptre`` and its theoretical value. Without
-        spiral zones there are none.
+        ratio), ``target_reached``, ``target_bound`` and ``bound_fraction`` (mean or, for "worst_peak", smallest peak
+        at the points aimed at, what no mask can exceed there, and their ratio), ``blind_information_gain`` (over
+        Eq. 2, where that was maximised), ``rotation_deg`` (turn of PSF_x's main lobe from the nearest to the farthest
+        depth of ``[verify]``, positive counter-clockwise, by the paraxial pupil), ``rotation_deg_per_dioptre`` and
+        its theoretical value. Without spiral zones there are none.
 
     Raises:
         InputError: a user's array cannot be used, or more than one term has spiral zones for one polarisation.
@@ -127,8 +127,8 @@ def _helix(design: Design, term: spec.SpiralZones, progress: Progress) -> tuple[
         "peak_gain": best.peak_gain,
         "worst_gain": best.worst_gain,
         "peak_mean": float(best.lobe.peak.mean()),
-        "target_mean": float(best.weights @ best.target),
-        "bound_mean": best.bound.dual,
+        "target_reached": best.reached,
+        "target_bound": best.bound.dual,
         "bound_fraction": best.bound_fraction,
     }
     return helix, figures | _rotation(design, term, helix, pupil)

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.progress import Progress, silent
-from metafab.phase.bound import PeakBound, peak_bound
+from metafab.phase.bound import PeakBound, peak_bound, worst_peak_bound
 from metafab.phase.helices import SpiralZonesPhase, WaveSumPhase
 from metafab.phase.pupil import Pupil, phasor
 from metafab.phase.rotation import MainLobe, full_turn_defocus_rad, main_lobe
@@ -49,9 +49,9 @@ class PeakDesign:
         aim_deg: shape (n_depth,), orientations of the points whose brightness is maximised; they lead or lag the law
             so that the lobe itself keeps to it.
         amplitude: shape (n_depth,), weights of the waves whose sum has the mask's phase.
-        weights: shape (n_depth,), of the depths in the goal, sum 1.
+        goal: what was made large, the mean of ``target`` or its smallest value.
         target: shape (n_depth,), Strehl ratio at the aimed points.
-        bound: what no mask can exceed for the weighted mean of ``target`` (the worst one never exceeds it either).
+        bound: what no mask can exceed for that.
         lobe: measured main lobe of the mask.
         plain: measured main lobe of the spiral of Eq. 2 at the same defocuses.
     """
@@ -62,7 +62,7 @@ class PeakDesign:
     phi_deg: FloatArray
     aim_deg: FloatArray
     amplitude: ComplexArray
-    weights: FloatArray
+    goal: Goal
     target: FloatArray
     bound: PeakBound
     lobe: MainLobe
@@ -79,9 +79,14 @@ class PeakDesign:
         return float(self.lobe.peak.min() / self.plain.peak.min())
 
     @property
+    def reached(self) -> float:
+        """The goal's value: mean or smallest Strehl ratio at the aimed points."""
+        return float(self.target.mean() if self.goal == "mean" else self.target.min())
+
+    @property
     def bound_fraction(self) -> float:
-        """Weighted mean of the target peaks over its bound: 1 is the best that any mask can do."""
-        return float(self.weights @ self.target) / self.bound.dual
+        """Goal's value over its bound: 1 is the best that any mask can do."""
+        return self.reached / self.bound.dual
 
     def term(self, radius_um: float, polarisation: Polarisation | None = None) -> WaveSumPhase:
         """The mask as a phase term for an aperture of ``radius_um``."""
@@ -148,12 +153,17 @@ def _optimise(
     aim_deg = _steered(pupil.shape, defocus, phi_deg, lobe_radius, goal, seed)
     progress("phase: peak", 1, 2)
     waves = _waves(pupil, defocus, lobe_radius * _directions(aim_deg))
-    amplitude, weights, bound = _solve(waves, goal, iterations, seed)
+    amplitude = _solve(waves, goal, iterations, seed)
+    uniform = np.full(defocus.size, 1.0 / defocus.size)
+    if goal == "mean":
+        bound = peak_bound(waves, uniform, iterations, seed)
+    else:
+        bound = worst_peak_bound(waves, amplitude, iterations)
     field = _mask(amplitude @ waves)
     target = np.abs(waves.conj() @ field / pupil.count) ** 2
     lobe = main_lobe(pupil, field, defocus, half_width)
     progress("phase: peak", 2, 2)
-    return PeakDesign(zones, defocus, lobe_radius, phi_deg, aim_deg, amplitude, weights, target, bound, lobe, plain)
+    return PeakDesign(zones, defocus, lobe_radius, phi_deg, aim_deg, amplitude, goal, target, bound, lobe, plain)
 
 
 def spiral_field(pupil: Pupil, zones: int, exponent: float) -> ComplexArray:
@@ -178,15 +188,12 @@ def _mask(total: ComplexArray) -> ComplexArray:
     return np.asarray(total / np.maximum(np.abs(total), np.finfo(np.float64).tiny))
 
 
-def _solve(waves: ComplexArray, goal: Goal, iterations: int, seed: int) -> tuple[ComplexArray, FloatArray, PeakBound]:
-    """Amplitudes of the best mask for target waves, the weights of the quadratic goal, and its bound."""
+def _solve(waves: ComplexArray, goal: Goal, iterations: int, seed: int) -> ComplexArray:
+    """Amplitudes of the best mask for target waves; the relaxation behind the bound says where to start."""
     weights = np.full(len(waves), 1.0 / len(waves))
-    bound = peak_bound(waves, weights, iterations, seed)
-    amplitude = _iterate(waves, weights, bound.start, iterations)
-    if goal == "worst":
-        amplitude, weights = _level(waves, amplitude, iterations)
-        bound = peak_bound(waves, weights, iterations, seed)
-    return amplitude, weights, bound
+    start = peak_bound(waves, weights, iterations, seed).start
+    amplitude = _iterate(waves, weights, start, iterations)
+    return _level(waves, amplitude, iterations) if goal == "worst" else amplitude
 
 
 def _steered(
@@ -202,7 +209,7 @@ def _steered(
     aim_deg = phi_deg.copy()
     for _ in range(_STEERING_ROUNDS):
         waves = _waves(pupil, defocus_rad, lobe_radius * _directions(aim_deg))
-        amplitude, _, _ = _solve(waves, goal, 40, seed)
+        amplitude = _solve(waves, goal, 40, seed)
         lobe = main_lobe(pupil, _mask(amplitude @ waves), defocus_rad, 2.0 * lobe_radius + 3.0)
         drift_deg = np.mod(lobe.phi_deg - phi_deg + 180.0, 360.0) - 180.0
         aim_deg -= 0.7 * np.clip(drift_deg, -20.0, 20.0)
@@ -223,23 +230,22 @@ def _iterate(waves: ComplexArray, weights: FloatArray, amplitude: ComplexArray, 
     return amplitude
 
 
-def _level(waves: ComplexArray, amplitude: ComplexArray, iterations: int) -> tuple[ComplexArray, FloatArray]:
+def _level(waves: ComplexArray, amplitude: ComplexArray, iterations: int) -> ComplexArray:
     """Raise the worst depth: depths gain weight while they stay behind the mean (weighted Gerchberg-Saxton).
 
-    Returns the amplitudes with the best worst peak, and the weights of the quadratic goal that they maximise.
+    Returns the amplitudes with the best worst peak that was met.
     """
     adjoint = waves.conj().T / waves.shape[1]
     gain = np.abs(amplitude)
-    best, best_worst, best_weights = amplitude, -math.inf, np.full(amplitude.size, 1.0 / amplitude.size)
+    best, best_worst = amplitude, -math.inf
     for _ in range(iterations):
         response = _mask(amplitude @ waves) @ adjoint
         size = np.abs(response)
         if size.min() > best_worst:
-            weights = np.abs(amplitude) / size
-            best, best_worst, best_weights = amplitude, float(size.min()), weights / weights.sum()
-        gain = gain * np.sqrt(size.mean() / size)
+            best, best_worst = amplitude, float(size.min())
+        gain = gain * size.mean() / size
         amplitude = gain * response / size
-    return best, best_weights
+    return best
 
 
 def _brightest_radius(

@@ -107,8 +107,8 @@ def test_no_mask_beats_the_bound_and_the_design_all_but_reaches_it(best: PeakDes
     )
     random = np.random.default_rng(7)
     for iterations in (1, 5, 50):  # a bad relaxation gives a weaker bound, never a wrong one
-        bound = peak_bound(waves, best.weights, iterations, seed=3)
-        assert bound.dual >= float(best.weights @ best.target) - 1e-9
+        bound = peak_bound(waves, np.full(len(waves), 1.0 / len(waves)), iterations, seed=3)
+        assert bound.dual >= best.reached - 1e-9
     for wave in waves[::5]:
         mask = wave * np.exp(0.3j * random.normal(size=COARSE.count))
         assert np.mean(np.abs(waves.conj() @ mask / COARSE.count) ** 2) <= best.bound.dual
@@ -147,8 +147,9 @@ def test_the_worst_depth_can_be_raised_instead(best: PeakDesign) -> None:
     worst = optimise_peak(4, pupil=COARSE, goal="worst")
     assert worst.worst_gain >= 1.5
     assert worst.target.min() > 1.5 * best.target.min()
-    # The worst peak cannot exceed a weighted mean, whose bound is proven.
-    assert worst.target.min() <= float(worst.weights @ worst.target) <= worst.bound.dual
+    assert 0.94 < worst.bound_fraction <= 1.0
+    # The smallest peak of the mask with the best mean is one of the values that the bound is about, too.
+    assert best.bound.dual > worst.bound.dual > worst.reached
 
 
 def test_a_square_aperture_is_optimised_too() -> None:
