@@ -28,8 +28,8 @@ def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Ext
     """Limit of v(h) = v + c_2 h^2 + c_4 h^4 + ... from grids that share their coordinates.
 
     The three finest grids give both coefficients, two give the first only. The error is the step from the last
-    limit but one of second order to the last: corners of the pillar add powers between h and h^3, of which
-    grids in the ratios 1 : 2 : 3 : 4 leave less than that step.
+    limit but one of second order to the last: corners of the pillar add powers between h^1.5 and h^3, of
+    which grids in the ratios 1 : 2 : 3 : 4 leave less than that step.
 
     Args:
         pixel_um: at least two grid spacings, coarse to fine.
