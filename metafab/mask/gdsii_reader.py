@@ -135,7 +135,7 @@ class GdsiiReader:
     def _reference(self, kind: int, fields: dict[int, bytes], run: _Run) -> Reference:
         if _SNAME not in fields:
             raise self._fault("references with a name", f"one without at byte {run.start}")
-        strans = int.from_bytes(fields.get(_STRANS, b"\0\0"), "big")
+        strans = int.from_bytes(fields.get(_STRANS, b"\0\0")[:2], "big")
         magnified = _MAG in fields and not math.isclose(_real(fields[_MAG]), 1.0, rel_tol=1e-12)
         quarters = _real(fields[_ANGLE]) / 90.0 if _ANGLE in fields else 0.0
         exact = not magnified and abs(quarters - round(quarters)) < 1e-9
@@ -151,9 +151,9 @@ class GdsiiReader:
         def offsets() -> Iterator[IntArray]:
             for points in self._coordinates(run):
                 if kind == _SREF:
-                    yield points[:, 0].astype(np.int64)
+                    yield points[:, 0]
                     continue
-                for origin, end_column, end_row in points.astype(np.int64):
+                for origin, end_column, end_row in points:
                     step_column, rest_column = np.divmod(end_column - origin, columns)
                     step_row, rest_row = np.divmod(end_row - origin, rows)
                     if np.any(rest_column) or np.any(rest_row):
@@ -164,34 +164,39 @@ class GdsiiReader:
         name = fields[_SNAME].rstrip(b"\0").decode("latin-1")
         return Reference(name, orientation, run.count * rows * columns, offsets)
 
-    def _coordinates(self, run: _Run) -> Iterator[NDArray[np.int32]]:
-        """Coordinates of the elements of a run, shape (m, n_points, 2), big-endian words made native."""
+    def _blocks(self, run: _Run) -> Iterator[NDArray[np.uint8]]:
+        """The elements of a run as bytes, shape (m, stride), a window at a time."""
         at_a_time = max(1, _WINDOW // run.stride)
-        first, words = run.xy
         with self._path.open("rb", buffering=0) as stream:
+            stream.seek(run.start)
             for start in range(0, run.count, at_a_time):
                 count = min(at_a_time, run.count - start)
-                stream.seek(run.start + start * run.stride)
                 data = stream.read(count * run.stride)
                 if len(data) < count * run.stride:
                     raise self._fault("a file that stays as it is", "one that shrank while it was read")
-                block = np.frombuffer(data, dtype=np.uint8).reshape(count, run.stride)[:, first : first + 4 * words]
-                # Aligned in practice (element headers are whole words), so this is one strided copy.
-                yield np.ascontiguousarray(block).view(">i4").reshape(count, words // 2, 2)
+                yield np.frombuffer(data, dtype=np.uint8).reshape(count, run.stride)
+
+    def _coordinates(self, run: _Run) -> Iterator[IntArray]:
+        """Coordinates of the elements of a run, shape (m, n_points, 2)."""
+        first, words = run.xy
+        for block in self._blocks(run):
+            points = np.ascontiguousarray(block[:, first : first + 4 * words]).view(">i4")
+            yield points.reshape(len(block), words // 2, 2).astype(np.int64)
 
     def _shapes(self, runs: list[_Run]) -> Iterator[Chunk]:
         for run in runs:
             kind = int.from_bytes(self._bytes(run.start + 2, 2), "big")
-            for points in self._coordinates(run):
-                if kind in {_BOUNDARY, _BOX} and points.shape[1] == 5:
-                    rectangles, is_rectangle = rectangles_of(points)
-                    others = tuple(
-                        Other(_ELEMENTS[kind], box_of(points[i].astype(np.int64)))
-                        for i in np.flatnonzero(~is_rectangle)
-                    )
-                    yield Chunk(rectangles[is_rectangle] if others else rectangles, others)
-                else:
-                    yield self._slow(kind, run, points.astype(np.int64))
+            if kind not in {_BOUNDARY, _BOX} or run.xy[1] != 10:
+                for points in self._coordinates(run):
+                    yield self._slow(kind, run, points)
+                continue
+            for block in self._blocks(run):
+                rectangles, is_rectangle = rectangles_of(block, run.xy[0])
+                if is_rectangle.all():
+                    yield Chunk(rectangles)
+                    continue
+                others = (Other(_ELEMENTS[kind], box) for box in rectangles[~is_rectangle])
+                yield Chunk(rectangles[is_rectangle], tuple(others))
 
     def _slow(self, kind: int, run: _Run, points: IntArray) -> Chunk:
         """Paths, and boundaries of any other number of corners, one by one."""
@@ -212,8 +217,8 @@ class GdsiiReader:
             length, kind = struct.unpack_from(">HH", element, position)
             fields[kind] = element[position + 4 : position + length]
             position += length
-        width = int.from_bytes(fields.get(_WIDTH, b""), "big", signed=True)
-        ends = int.from_bytes(fields.get(_PATHTYPE, b""), "big")
+        width = int.from_bytes(fields.get(_WIDTH, b"")[:4], "big", signed=True)
+        ends = int.from_bytes(fields.get(_PATHTYPE, b"")[:2], "big")
         step = points[-1] - points[0]
         if len(points) != 2 or width <= 0 or width % 2 or ends not in {0, 2} or np.count_nonzero(step) != 1:
             return None
@@ -298,22 +303,30 @@ def _same_compiled(rows: NDArray[np.uint16], first: NDArray[np.uint16], xy_start
     return len(rows)
 
 
-def rectangles_of(points: NDArray[np.int32]) -> tuple[IntArray, NDArray[np.bool_]]:
-    """Rings of five points -> rectangles.
+def rectangles_of(elements: NDArray[np.uint8], first: int) -> tuple[IntArray, NDArray[np.bool_]]:
+    """Elements with rings of five points -> rectangles.
 
     Args:
-        points: shape (n, 5, 2), of either byte order.
+        elements: shape (n, stride), the bytes of one element a row.
+        first: where in a row the ten coordinates begin, big-endian words.
 
     Returns:
-        Shape (n, 4), x, y, width, height; and shape (n,), whether the ring is an axis-parallel rectangle, in
-        whatever sense and from whatever corner it runs.
+        Shape (n, 4), x, y, width, height of the bounding box; and shape (n,), whether the ring is an
+        axis-parallel rectangle, in whatever sense and from whatever corner it runs.
     """
-    if HAS_NUMBA:
-        rectangles = np.empty((len(points), 4), dtype=np.int64)
-        is_rectangle = np.empty(len(points), dtype=np.bool_)
-        _rectangles_compiled(points.astype(np.int32).reshape(-1, 10), rectangles, is_rectangle)
+    count, stride = elements.shape
+    if HAS_NUMBA and first % 4 == 0 and stride % 4 == 0:
+        rectangles = np.empty((count, 4), dtype=np.int64)
+        is_rectangle = np.empty(count, dtype=np.bool_)
+        _rectangles_compiled(elements.view(np.uint32), first // 4, rectangles, is_rectangle)
         return rectangles, is_rectangle
-    x, y = np.moveaxis(points.astype(np.int64), 2, 0)
+    return rectangles_vectorised(elements, first)
+
+
+def rectangles_vectorised(elements: NDArray[np.uint8], first: int) -> tuple[IntArray, NDArray[np.bool_]]:
+    """As :func:`rectangles_of`, in NumPy alone."""
+    words = np.ascontiguousarray(elements[:, first : first + 40]).view(">i4")
+    x, y = np.moveaxis(words.reshape(-1, 5, 2).astype(np.int64), 2, 0)
     step_x, step_y = np.diff(x, axis=1), np.diff(y, axis=1)
     closed = (x[:, 0] == x[:, 4]) & (y[:, 0] == y[:, 4])
     x_first = np.all(step_y[:, ::2] == 0, axis=1) & np.all(step_x[:, 1::2] == 0, axis=1)
@@ -324,20 +337,28 @@ def rectangles_of(points: NDArray[np.int32]) -> tuple[IntArray, NDArray[np.bool_
 
 
 @compiled
-def _rectangles_compiled(points: NDArray[np.int32], rectangles: IntArray, is_rectangle: NDArray[np.bool_]) -> None:
-    for i in range(len(points)):
-        p = points[i]
-        x_0, y_0 = np.int64(min(p[0], p[4])), np.int64(min(p[1], p[5]))
-        rectangles[i, 0], rectangles[i, 1] = x_0, y_0
-        rectangles[i, 2], rectangles[i, 3] = np.int64(max(p[0], p[4])) - x_0, np.int64(max(p[1], p[5])) - y_0
+def _rectangles_compiled(
+    words: NDArray[np.uint32], first: int, rectangles: IntArray, is_rectangle: NDArray[np.bool_]
+) -> None:
+    p = np.empty(10, dtype=np.int64)
+    for i in range(len(words)):
+        for k in range(10):
+            word = np.int64(words[i, first + k])
+            word = (word >> 24) | ((word >> 8) & 0xFF00) | ((word << 8) & 0xFF0000) | ((word << 24) & 0xFF000000)
+            p[k] = word - 0x100000000 if word >= 0x80000000 else word
+        x_0, x_1, y_0, y_1 = p[0], p[0], p[1], p[1]
+        for k in range(2, 10, 2):
+            x_0, x_1 = min(x_0, p[k]), max(x_1, p[k])
+            y_0, y_1 = min(y_0, p[k + 1]), max(y_1, p[k + 1])
+        rectangles[i, 0], rectangles[i, 1], rectangles[i, 2], rectangles[i, 3] = x_0, y_0, x_1 - x_0, y_1 - y_0
         x_first = p[1] == p[3] and p[2] == p[4] and p[5] == p[7] and p[6] == p[0]
         y_first = p[0] == p[2] and p[3] == p[5] and p[4] == p[6] and p[7] == p[1]
         closed = p[0] == p[8] and p[1] == p[9]
-        is_rectangle[i] = closed and (x_first or y_first) and p[0] != p[4] and p[1] != p[5]
+        is_rectangle[i] = closed and (x_first or y_first) and x_1 > x_0 and y_1 > y_0
 
 
 def _short(fields: dict[int, bytes], kinds: set[int]) -> int:
-    return next((int.from_bytes(fields[kind], "big", signed=True) for kind in kinds if kind in fields), 0)
+    return next((int.from_bytes(fields[kind][:2], "big", signed=True) for kind in kinds if kind in fields), 0)
 
 
 def _real(data: bytes) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ IntArray = NDArray[np.int64]
 
 # Rectangles expanded at a time; keeps a chunk in the cache.
 _CHUNK = 1 << 16
+
+_ORIGIN = np.zeros(2, dtype=np.int64)
+_NOTHING = np.empty((0, 4), dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -30,19 +34,6 @@ class Other:
     kind: str
     box: IntArray | None
     count: int = 1
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Some shapes of a cell.
-
-    Attributes:
-        rectangles: shape (n, 4), x and y of the lower left corner, width, height, in file units.
-        others: everything else on the pillar layer.
-    """
-
-    rectangles: IntArray
-    others: tuple[Other, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -62,6 +53,39 @@ class Orientation:
         for _ in range(self.quarters):
             x, y, width, height = -(y + height), x, height, width
         return np.stack([x, y, width, height], axis=1)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Some shapes of a cell.
+
+    Attributes:
+        rectangles: shape (n, 4), x and y of the lower left corner, width, height, in file units.
+        others: everything else on the pillar layer; placed already, whatever ``shift``.
+        shift: shape (2,), still to be added to x and y of the rectangles: adding it costs nothing where they
+            are put at their sites.
+    """
+
+    rectangles: IntArray
+    others: tuple[Other, ...] = ()
+    shift: IntArray = field(default_factory=lambda: _ORIGIN)
+
+    def shift_under(self, turn: Orientation) -> IntArray:
+        """The shift after the rectangles have been turned."""
+        return turn(np.concatenate([self.shift, self.shift * 0])[None])[0, :2]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A piece of a file that can be read on its own, on any thread.
+
+    Attributes:
+        count: shapes in it.
+        chunks: opens their stream.
+    """
+
+    count: int
+    chunks: Callable[[], Iterator[Chunk]]
 
 
 @dataclass(frozen=True)
@@ -137,38 +161,49 @@ class Hierarchy:
             total.update(self._totals[top][1])
         return dict(sorted(total.items()))
 
-    def chunks(self) -> Iterator[Chunk]:
-        """All shapes on the pillar layer, in the coordinates of their top cell."""
+    def parts(self) -> Iterator[Part]:
+        """All shapes on the pillar layer, in the coordinates of their top cell, in the order of the file."""
         for top in self.tops:
-            yield from self._expanded(top)
+            cell = self._cells[top]
+            if cell.shape_count:
+                yield Part(cell.shape_count, cell.shapes)
+            for reference in cell.references:
+                yield from self._parts_of(reference)
+
+    def _parts_of(self, reference: Reference) -> Iterator[Part]:
+        count, _ = self._totals[reference.cell]
+        if count == 0:
+            return
+        if reference.orientation is None:
+            lost = Other("magnified or obliquely turned reference", None, count * reference.count)
+            yield Part(lost.count, lambda: iter((Chunk(_NOTHING, (lost,)),)))
+            return
+        block = max(1, _CHUNK // count)
+        for offsets in reference.offsets():
+            for start in range(0, len(offsets), block):
+                shift = offsets[start : start + block]
+                yield Part(count * len(shift), partial(self._placed, reference, shift))
+
+    def _placed(self, reference: Reference, offsets: IntArray) -> Iterator[Chunk]:
+        """Shapes of a placed cell at each of some origins."""
+        turn = reference.orientation or Orientation()
+        for chunk in self._expanded(reference.cell):
+            turned = turn(chunk.rectangles)
+            if len(offsets) == 1 and not chunk.others:
+                yield Chunk(turned, (), chunk.shift_under(turn) + offsets[0])
+                continue
+            own = chunk.shift_under(turn)
+            moved = np.repeat(turned[None], len(offsets), axis=0)
+            moved[:, :, :2] += (offsets + own)[:, None, :]
+            others = tuple(_moved(other, turn, by) for other in chunk.others for by in offsets)
+            yield Chunk(moved.reshape(-1, 4), others)
 
     def _expanded(self, name: str) -> Iterator[Chunk]:
         cell = self._cells[name]
         yield from cell.shapes()
         for reference in cell.references:
-            count, _ = self._totals[reference.cell]
-            if count == 0:
-                continue
-            if reference.orientation is None:
-                yield Chunk(
-                    np.empty((0, 4), dtype=np.int64),
-                    (Other("magnified or obliquely turned reference", None, count * reference.count),),
-                )
-                continue
-            yield from self._placed(reference, reference.orientation, count)
-
-    def _placed(self, reference: Reference, turn: Orientation, count: int) -> Iterator[Chunk]:
-        small = list(self._expanded(reference.cell)) if count <= _CHUNK // 4 else None
-        for offsets in reference.offsets():
-            block = max(1, _CHUNK // count) if small is not None else 1
-            for start in range(0, len(offsets), block):
-                shift = offsets[start : start + block]
-                for chunk in small if small is not None else self._expanded(reference.cell):
-                    turned = turn(chunk.rectangles)
-                    moved = np.repeat(turned[None], len(shift), axis=0) if len(shift) > 1 else turned[None].copy()
-                    moved[:, :, :2] += shift[:, None, :]
-                    others = tuple(_moved(other, turn, by) for other in chunk.others for by in shift)
-                    yield Chunk(moved.reshape(-1, 4), others)
+            for part in self._parts_of(reference):
+                yield from part.chunks()
 
     def _count(self, source: str) -> dict[str, tuple[int, Counter[str]]]:
         """Expanded counts of every cell, children first, without recursion (files may nest deeply)."""

@@ -1,7 +1,9 @@
 """OASIS (SEMI P39) -> cells, exactly and fast; every record of the standard is understood.
 
 The file is parsed twice: once for cells, references and counts, and once, cell by cell, for the shapes. Runs of
-RECTANGLE records, which hold nearly all of a mask, are parsed by a compiled loop; everything else in Python.
+RECTANGLE records, which hold nearly all of a mask, are parsed by a compiled loop; everything else in Python. The
+first pass skips blocks that begin with a rectangle, in the hope that they hold nothing but pillars; should the
+second find anything else in one, it raises :class:`MixedBlockError` and the file is read again without skipping.
 """
 
 from __future__ import annotations
@@ -27,7 +29,12 @@ _REMEDY = "the file is damaged or not OASIS: write or export it again"
 _END_BYTES = 256
 _LARGEST_CHUNK = 1 << 21
 _LARGEST_BLOCK = 1 << 31
+_SHAPES = {RECTANGLE, 21, 22, 23, 24, 25, 26, 27, 33}
 _ORIGIN = np.zeros((1, 2), dtype=np.int64)
+
+
+class MixedBlockError(Exception):
+    """A block that was taken for pillars holds something else."""
 
 
 @dataclass
@@ -62,6 +69,7 @@ class OasisReader:
         path: the file.
         layer: (layer, datatype) whose shapes are wanted.
         progress: told about bytes indexed.
+        skip_blocks: whether the index may skip blocks that begin with a rectangle.
 
     Attributes:
         cells: by name.
@@ -71,7 +79,10 @@ class OasisReader:
         InputError: the file is truncated, damaged or foreign.
     """
 
-    def __init__(self, path: Path, layer: tuple[int, int], progress: Progress = silent) -> None:
+    def __init__(
+        self, path: Path, layer: tuple[int, int], progress: Progress = silent, *, skip_blocks: bool = True
+    ) -> None:
+        self.skip_blocks = skip_blocks
         self._path = path
         self._layer = layer
         self._progress = progress
@@ -135,6 +146,7 @@ class _Pass:
     def __init__(self, reader: OasisReader, place: tuple[int | None, int] | None) -> None:
         self._reader = reader
         self._indexing = place is None
+        self._pillars_only = False
         self._block_at: int | None = None
         self._outer: Stream | None = None
         self._stream = Stream(reader._data, len(MAGIC))
@@ -156,6 +168,7 @@ class _Pass:
                 if self._outer is None:
                     raise DamagedError("the data end without an END record")
                 self._stream, self._outer, self._block_at = self._outer, None, None
+                self._pillars_only = False
                 continue
             kind = int(self._stream.data[self._stream.position])
             if kind == RECTANGLE and HAS_NUMBA and self._run_of_rectangles():
@@ -182,6 +195,8 @@ class _Pass:
     def _record(self, kind: int) -> bool:
         """Take in one record; False when the cell of this pass ends."""
         stream = self._stream
+        if self._pillars_only and kind not in _SHAPES:
+            raise MixedBlockError
         if kind in {13, 14}:
             if not self._indexing:
                 return False
@@ -192,7 +207,7 @@ class _Pass:
             self._placement(kind)
         elif kind == 19:
             self._text()
-        elif kind in {RECTANGLE, 21, 22, 23, 24, 25, 26, 27, 33}:
+        elif kind in _SHAPES:
             self._geometry(kind)
         elif kind == CBLOCK:
             if self._outer is not None:
@@ -217,9 +232,16 @@ class _Pass:
         size, packed = stream.unsigned(), stream.unsigned()
         if size > _LARGEST_BLOCK:
             raise DamagedError(f"a CBLOCK of {size} bytes")
+        content = stream.bytes(packed)
         try:
-            inflater = zlib.decompressobj(-15)
-            data = inflater.decompress(stream.bytes(packed), size + 1)
+            begins_with_rectangle = zlib.decompressobj(-15).decompress(content[:64], 1) == bytes([RECTANGLE])
+            self._pillars_only = begins_with_rectangle and self._reader.skip_blocks
+            if self._pillars_only and self._indexing and self._cell is not None:
+                # A rectangle takes at least one byte where it is one of a list.
+                self._cell.shape_count += size
+                self._pillars_only = False
+                return
+            data = zlib.decompressobj(-15).decompress(content, size + 1)
         except zlib.error as error:
             raise DamagedError(f"a CBLOCK that cannot be inflated ({error})") from error
         if len(data) != size:
@@ -364,6 +386,8 @@ class _Pass:
         modal.geometry = self._place(info, modal.geometry, (0b1_0000, 0b1000))
         offsets = self._repetition(bool(info & 0b100))
         if (modal.layer, modal.datatype) != self._reader.layer:
+            if self._pillars_only:
+                raise MixedBlockError
             cell.other_layers[f"{modal.layer}/{modal.datatype}"] += len(offsets)
             return
         cell.shape_count += len(offsets)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -12,11 +14,12 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.executor import default_workers, in_order
 from metafab.core.progress import Progress, silent
-from metafab.layout import PillarMap, lattice_of, tile_sites
+from metafab.layout import Lattice, PillarMap, lattice_of, tile_sites
 from metafab.mask.gdsii_reader import GdsiiReader
-from metafab.mask.hierarchy import Hierarchy, Other
-from metafab.mask.oasis_reader import OasisReader
+from metafab.mask.hierarchy import Chunk, Hierarchy, Other, Part
+from metafab.mask.oasis_reader import MixedBlockError, OasisReader
 from metafab.mask.oasis_writer import MAGIC
 from metafab.mask.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, Recovery
 from metafab.spec import Design
@@ -24,6 +27,9 @@ from metafab.spec import Design
 Format = Literal["gds", "oas"]
 
 _GDSII_BEGINNING = b"\x00\x06\x00\x02"
+
+# Parts up to this many shapes are held whole while they wait for their turn.
+_AHEAD_SHAPES = 1 << 19
 
 
 @dataclass(frozen=True)
@@ -84,28 +90,40 @@ def read(path: Path, design: Design, progress: Progress = silent) -> ReadBack:
             than the design has sites.
     """
     kind = format_of(path)
-    lattice = lattice_of(design)
     layer = (design.mask.layer, design.mask.datatype)
-    reader = (GdsiiReader if kind == "gds" else OasisReader)(path, layer, progress)
+    if kind == "gds":
+        return _recover(path, kind, GdsiiReader(path, layer, progress), design, progress)
+    try:
+        return _recover(path, kind, OasisReader(path, layer, progress), design, progress)
+    except MixedBlockError:
+        return _recover(path, kind, OasisReader(path, layer, progress, skip_blocks=False), design, progress)
+
+
+def _recover(
+    path: Path, kind: Format, reader: GdsiiReader | OasisReader, design: Design, progress: Progress
+) -> ReadBack:
+    """Put the shapes of all cells at their sites."""
+    lattice = lattice_of(design)
     hierarchy = Hierarchy(reader.cells, str(path))
     total = hierarchy.count()
-    sites = lattice.shape[0] * lattice.shape[1]
-    if total > 16 * sites + 1_000_000:
-        raise InputError.single(
-            str(path), "shapes", f"about as many as the design's {sites} sites", str(total), "is it another design's?"
-        )
+    limit = 16 * lattice.shape[0] * lattice.shape[1] + 1_000_000
+    if total > limit:
+        raise _too_many(path, lattice, total)
     recovery = Recovery(lattice, _ratio(reader.unit_nm, design), str(path))
     foreign: Counter[str] = Counter()
     boxes: dict[str, list[Other]] = {}
     done = 0
-    for chunk in hierarchy.chunks():
-        recovery.add(chunk.rectangles)
+    for chunk in _chunks(hierarchy):
+        recovery.add(chunk.rectangles, chunk.shift)
         for other in chunk.others:
             foreign[other.kind] += other.count
             if other.box is not None and len(boxes.setdefault(other.kind, [])) < KEPT:
                 boxes[other.kind].append(other)
         done += len(chunk.rectangles)
-        progress("reading", done, total)
+        if done > limit:  # the count before was an estimate where blocks were skipped
+            raise _too_many(path, lattice, done)
+        progress("reading", min(done, total), total)
+    progress("reading", total, total)
     size_dbu = recovery.finish()
     unit_nm = reader.unit_nm
 
@@ -130,6 +148,24 @@ def read(path: Path, design: Design, progress: Progress = silent) -> ReadBack:
         top_cells=hierarchy.tops,
         database_unit_nm=unit_nm,
     )
+
+
+def _too_many(path: Path, lattice: Lattice, count: int) -> InputError:
+    sites = lattice.shape[0] * lattice.shape[1]
+    return InputError.single(
+        str(path), "shapes", f"about as many as the design's {sites} sites", str(count), "is it another design's?"
+    )
+
+
+def _chunks(hierarchy: Hierarchy) -> Iterator[Chunk]:
+    """All chunks in the order of the file; parts of a tile's size are decoded ahead by threads."""
+
+    def decode(part: Part) -> Iterator[Chunk]:
+        return iter(list(part.chunks())) if part.count <= _AHEAD_SHAPES else part.chunks()
+
+    with ThreadPoolExecutor(default_workers()) as threads:
+        for chunks in in_order(threads, decode, hierarchy.parts(), ahead=4):
+            yield from chunks
 
 
 def format_of(path: Path) -> Format:

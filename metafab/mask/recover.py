@@ -60,11 +60,11 @@ class Recovery:
         self._counts = dict.fromkeys(self._kept, 0)
         self.size_index: SizeIndexArray = np.zeros(lattice.shape, dtype=np.uint16)
 
-    def add(self, rectangles: IntArray) -> None:
-        """Put rectangles, shape (n, 4), in file units, at their sites."""
+    def add(self, rectangles: IntArray, shift: IntArray) -> None:
+        """Put rectangles, shape (n, 4), moved by ``shift``, shape (2,), all in file units, at their sites."""
         verdict = np.empty(len(rectangles), dtype=np.uint8)
         arguments = (
-            np.ascontiguousarray(rectangles), self._ratio, self._origin, self._period,
+            np.ascontiguousarray(rectangles), shift, self._ratio, self._origin, self._period,
             self._index_of, self._sizes, self._size_count, self.size_index, verdict,
         )  # fmt: skip
         failures = _place(*arguments) if HAS_NUMBA else place_vectorised(*arguments)
@@ -78,7 +78,7 @@ class Recovery:
             found = rectangles[verdict == kind]
             room = KEPT - min(self._counts[kind], KEPT)
             if len(found) and room:
-                kept.append(found[:room].copy())
+                kept.append(found[:room] + np.concatenate([shift, [0, 0]]))
             self._counts[kind] += len(found)
 
     def strays(self, kind: int) -> Strays:
@@ -100,6 +100,7 @@ class Recovery:
 
 def place_vectorised(
     rectangles: IntArray,
+    shift: IntArray,
     ratio: IntArray,
     origin: IntArray,
     period: IntArray,
@@ -110,7 +111,7 @@ def place_vectorised(
     verdict: NDArray[np.uint8],
 ) -> int:
     """As the compiled loop, in NumPy alone; returns how many rectangles are not placed."""
-    scaled, rest = np.divmod(rectangles * ratio[0], ratio[1])
+    scaled, rest = np.divmod((rectangles + np.concatenate([shift, [0, 0]])) * ratio[0], ratio[1])
     verdict[:] = np.where(np.any(rest != 0, axis=1), OFF_GRID, PLACED)
     twice = 2 * (scaled[:, :2] - origin) + scaled[:, 2:]
     site, off = np.divmod(twice, 2 * period)
@@ -141,6 +142,7 @@ def place_vectorised(
 @compiled
 def _place(
     rectangles: IntArray,
+    shift: IntArray,
     ratio: IntArray,
     origin: IntArray,
     period: IntArray,
@@ -152,8 +154,10 @@ def _place(
 ) -> int:
     failures = 0
     n_y, n_x = size_index.shape
+    inverse_x, inverse_y = 0.5 / period[0], 0.5 / period[1]
     for i in range(len(rectangles)):
-        x, y, width, length = rectangles[i, 0], rectangles[i, 1], rectangles[i, 2], rectangles[i, 3]
+        x, y = rectangles[i, 0] + shift[0], rectangles[i, 1] + shift[1]
+        width, length = rectangles[i, 2], rectangles[i, 3]
         verdict[i] = PLACED
         if ratio[0] != ratio[1]:
             x, y, width, length = x * ratio[0], y * ratio[0], width * ratio[0], length * ratio[0]
@@ -163,7 +167,8 @@ def _place(
                 continue
             x, y, width, length = x // ratio[1], y // ratio[1], width // ratio[1], length // ratio[1]
         twice_x, twice_y = 2 * (x - origin[0]) + width, 2 * (y - origin[1]) + length
-        column, row = twice_x // (2 * period[0]), twice_y // (2 * period[1])
+        # A rounded product is an exact quotient wherever there is one, which the next line makes sure of.
+        column, row = np.int64(np.rint(twice_x * inverse_x)), np.int64(np.rint(twice_y * inverse_y))
         on_site = twice_x == column * 2 * period[0] and twice_y == row * 2 * period[1]
         inside = 0 <= column < n_x and 0 <= row < n_y and width <= period[0] and length <= period[1]
         if not (on_site and inside):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -193,3 +194,24 @@ def test_everything_that_is_no_pillar_is_reported(tiny_design: Design, tmp_path:
     assert read_back.off_site.count == 1  # the square at the origin: between sites of an even lattice
     assert np.array_equal(read_back.off_site.boxes_nm, [[-50.0, -50.0, 100.0, 100.0]])
     assert np.count_nonzero(read_back.pillars.to_array()) == 1  # the straight path is a rectangle at a site
+
+
+def test_an_oasis_block_that_holds_more_than_pillars_is_read_in_full(tiny_design: Design, tmp_path: Path) -> None:
+    """The index skips blocks that begin with a rectangle; a placement and a text behind one must not get lost."""
+    rectangle = bytes([20, 0b0111_1011, 1, 0]) + b"".join(map(varints.unsigned, (200, 200)))
+    rectangle += varints.signed(-100) + varints.signed(-100)
+    place = bytes([PLACEMENT, 0b1011_0000]) + varints.string("P") + varints.signed(350) + varints.signed(350)
+    label = bytes([19, 0b0101_1011]) + varints.string("X") + bytes([9, 0]) + varints.signed(5) + varints.signed(5)
+    records = rectangle + place + label
+    packer = zlib.compressobj(6, zlib.DEFLATED, -15)
+    packed = packer.compress(records) + packer.flush()
+    block = bytes([CBLOCK, 0]) + varints.unsigned(len(records)) + varints.unsigned(len(packed)) + packed
+    head = MAGIC + bytes([START]) + varints.string("1.0") + b"\x00" + varints.unsigned(2000) + bytes(13)
+    cells = bytes([CELL]) + varints.string("T") + block + bytes([CELL]) + varints.string("P") + rectangle
+    path = tmp_path / "mixed.oas"
+    path.write_bytes(head + cells + bytes([END]) + varints.unsigned(252) + bytes(253))
+    read_back = mask.read(path, tiny_design)
+    assert read_back.top_cells == ("T",)
+    assert np.count_nonzero(read_back.pillars.to_array()) == 1
+    assert read_back.off_site.count == 1
+    assert read_back.other_layers == {"9/0 text": 1}

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,7 +13,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from metafab.layout import Lattice, PillarTile
 from metafab.mask.cells import tile_cell
-from metafab.mask.gdsii_reader import rectangles_of
+from metafab.mask.gdsii_reader import rectangles_of, rectangles_vectorised
 from metafab.mask.gdsii_writer import boundary_template, fill_boundaries, fill_boundaries_vectorised
 from metafab.mask.oasis_writer import rectangle_records, rectangle_records_vectorised
 
@@ -30,8 +33,8 @@ def test_gdsii_boundaries(index: np.ndarray, layer: int) -> None:
     arguments = (index, SIZES.astype(np.int32), (700, 600), (-350, 90_000_000), boundary_template(layer, 0))
     compiled, vectorised = fill_boundaries(*arguments), fill_boundaries_vectorised(*arguments)
     assert np.array_equal(compiled, vectorised)
-    points = compiled[:, 5:15].byteswap().reshape(-1, 5, 2)
-    rectangles, is_rectangle = rectangles_of(points)
+    elements = compiled.view(np.uint8).reshape(-1, 64)
+    rectangles, is_rectangle = rectangles_of(elements, 20)
     assert is_rectangle.all()
     rows, columns = np.nonzero(index)
     size = SIZES[index[rows, columns]]
@@ -39,13 +42,17 @@ def test_gdsii_boundaries(index: np.ndarray, layer: int) -> None:
     assert np.array_equal(rectangles, np.concatenate([centre - size // 2, size], axis=1))
 
 
+@pytest.mark.parametrize("read", [rectangles_of, rectangles_vectorised])
 @pytest.mark.parametrize("turned", [False, True])
 @pytest.mark.parametrize("start", range(4))
-def test_rings_from_any_corner_in_either_sense(start: int, turned: bool) -> None:
+def test_rings_from_any_corner_in_either_sense(read: Callable[..., Any], start: int, turned: bool) -> None:
     ring = np.roll(np.array([[-5, 3], [7, 3], [7, 9], [-5, 9]]), start, axis=0)[:: -1 if turned else 1]
-    closed = np.concatenate([ring, ring[:1]])[None].astype(np.int32)
-    rectangles, is_rectangle = rectangles_of(closed)
-    assert is_rectangle.tolist() == [True]
-    assert rectangles.tolist() == [[-5, 3, 12, 6]]
-    for wrong in (np.roll(closed, 1, axis=2) * [[[1, 2]]] + [[[0, 1], [0, 0], [0, 0], [0, 0], [0, 1]]], closed * 0):
-        assert not rectangles_of(wrong.astype(np.int32))[1][0]
+    whole = np.concatenate([ring, ring[:1]])
+    slanted, is_open, flat = whole.copy(), whole.copy(), whole.copy()
+    slanted[1] += 1
+    is_open[4] += 1
+    flat[:, 0] = 2
+    rings = np.stack([whole, slanted, is_open, flat])
+    rectangles, is_rectangle = read(rings.astype(">i4").view(np.uint8).reshape(4, 40), 0)
+    assert is_rectangle.tolist() == [True, False, False, False]
+    assert rectangles[0].tolist() == [-5, 3, 12, 6]
