@@ -58,6 +58,7 @@ def test_many_cells_come_back_with_their_cells(unit_cell: UnitCell) -> None:
         solve_many(cells, CellNumerics(1e-2), progress=lambda step, done, total: seen.append(done), batch=2)
     )
     assert {response.cell for response in responses} == set(cells)
-    assert seen == [2, 3]
+    assert len(seen) == 2
+    assert seen[-1] == 3
     for response in responses:
         np.testing.assert_array_equal(response.t, solve(response.cell, CellNumerics(1e-2)).t)

@@ -10,10 +10,12 @@ From one axis to the answer:
 - ``admittance``     one incident wave through the layer, stable for any height
 - ``jones``          Jones matrices at one truncation
 - ``certificate``    truncation raised until the error is what was asked
+- ``derivatives``    dt, dr by width and length, by reciprocity
 """
 
 from metafab.cell.rcwa.basis import Formulation
 from metafab.cell.rcwa.certificate import solve
+from metafab.cell.rcwa.derivatives import SizeDerivatives, derivatives
 from metafab.cell.rcwa.jones import ZeroOrder, zero_order
 
-__all__ = ["Formulation", "ZeroOrder", "solve", "zero_order"]
+__all__ = ["Formulation", "SizeDerivatives", "ZeroOrder", "derivatives", "solve", "zero_order"]

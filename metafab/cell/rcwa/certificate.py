@@ -1,37 +1,98 @@
-"""Truncation raised until the error is what was asked, and the estimate of that error."""
+"""Truncation raised until the error is what was asked, and the bound on that error.
+
+The truncations form a ladder. How much nearer to the truth a rung is than an earlier one was measured on pillars with
+and without resonances, of four materials, against references of 15 orders (benchmarks/cell.py repeats it): with
+d(M, k) the largest difference of any amplitude between M and k orders,
+
+    error(M) <= max( floor(M), max over k of share(M, k) d(M, k) ).
+
+Differences see what is special about a pillar (a sharp resonance that the truncation shifts); the floor is what two
+truncations can agree on by accident. A difference so large that the ladder has not begun to converge counts in full.
+The measured worst cases of error over bound are in tests/physics/test_rcwa_certificate.py.
+"""
 
 from __future__ import annotations
 
 import time
+from dataclasses import dataclass
 
 import numpy as np
 
+from metafab.cell.rcwa.basis import Formulation
 from metafab.cell.rcwa.jones import ZeroOrder, axis_orders, zero_order
 from metafab.cell.response import CellNumerics, CellResponse, PillarCell
+from metafab.core.errors import SolverError
 
-#: The estimate is this many times the largest change over the last two steps of the sequence.
-_SAFETY = 2.0
-_FIRST_ORDERS = 3
+
+@dataclass(frozen=True)
+class Rung:
+    """One truncation of the ladder.
+
+    Attributes:
+        orders: cosines along the longer period.
+        floor: least bound that is ever given here.
+        shares: (earlier orders, share of the difference to them that bounds the error).
+    """
+
+    orders: int
+    floor: float
+    shares: tuple[tuple[int, float], ...]
+
+
+_LADDERS: dict[Formulation, tuple[Rung, ...]] = {
+    "adaptive": (
+        Rung(3, np.inf, ()),
+        Rung(5, 6e-4, ((3, 0.4),)),
+        Rung(6, 3e-4, ((5, 1.0), (3, 0.12))),
+        Rung(7, 1.2e-4, ((6, 1.0), (5, 0.4))),
+        Rung(8, 8e-5, ((7, 1.0), (6, 0.4), (5, 0.15))),
+        Rung(9, 6e-5, ((8, 1.0), (7, 0.4))),
+        Rung(10, 5e-5, ((9, 1.0), (8, 1.0))),
+        Rung(12, 3.5e-5, ((10, 1.0), (9, 1.0))),
+        Rung(14, 2e-5, ((12, 1.5), (10, 1.0))),
+        Rung(16, 1.2e-5, ((14, 1.5), (12, 1.0))),
+    ),
+    # Plain harmonics converge algebraically: half the orders are at least twice as far from the truth.
+    "fourier": (
+        Rung(3, np.inf, ()),
+        Rung(4, np.inf, ()),
+        Rung(6, 5e-2, ((3, 1.5), (4, 1.5))),
+        Rung(8, 2e-2, ((4, 1.5), (6, 1.5))),
+        Rung(12, 1e-2, ((6, 1.5), (8, 1.5))),
+        Rung(16, 5e-3, ((8, 1.5), (12, 1.5))),
+        Rung(24, 2e-3, ((12, 1.5), (16, 1.5))),
+    ),
+}
+#: Differences above this are those of a ladder that has not begun to converge.
+_NOT_CONVERGING = 5e-2
+#: Tighter targets than this leave out the rung of six orders, which could not meet them.
+_TIGHT = 2e-4
 
 
 def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResponse:  # noqa: B008 (frozen)
-    """Jones matrices of ``cell``, with an estimate of their error that is at most the target where it converged.
+    """Jones matrices of ``cell``, with a bound on their error that is at most the target where it converged.
 
-    The truncation is raised order by order up to ``numerics.max_orders``. If the target is not met there, the best
-    solution comes back with ``converged`` false and the error that it has.
+    The truncation is raised up to ``numerics.max_orders``. If the target is not met there, the best solution comes
+    back with ``converged`` false and the error that it has.
 
     Raises:
         InputError: see :func:`metafab.cell.rcwa.jones.zero_order`.
+        SolverError: an amplitude is not a finite number.
     """
     started = time.perf_counter()
-    sequence: list[ZeroOrder] = []
+    solved: dict[int, ZeroOrder] = {}
     error, orders = np.inf, 0
-    for orders in range(min(_FIRST_ORDERS, numerics.max_orders), numerics.max_orders + 1):
-        sequence.append(zero_order(cell, orders, numerics.formulation))
-        error = _estimate(sequence)
+    for rung in _LADDERS[numerics.formulation]:
+        if (rung.orders > numerics.max_orders and solved) or _is_idle(rung, numerics):
+            continue
+        orders = rung.orders
+        solved[orders] = zero_order(cell, orders, numerics.formulation)
+        error = bound(rung, solved)
         if error <= numerics.target_error:
             break
-    last = sequence[-1]
+    last = solved[orders]
+    if not (np.isfinite(last.t).all() and np.isfinite(last.r).all()):
+        raise SolverError(f"rcwa gave no finite amplitudes with {orders} orders for {cell}")
     x, y = axis_orders(cell, orders)
     return CellResponse(
         cell=cell,
@@ -47,19 +108,26 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
             "orders_x": x,
             "orders_y": y,
             "coefficients": last.coefficients,
-            "truncations": len(sequence),
+            "truncations": len(solved),
         },
     )
 
 
-def _estimate(sequence: list[ZeroOrder]) -> float:
-    """Bound on the error of the last solution, from how far the last three lie apart."""
-    if len(sequence) < 3:
-        return float("inf")
-    last = sequence[-1]
-    return _SAFETY * max(distance(last, earlier) for earlier in sequence[-3:-1])
+def bound(rung: Rung, solved: dict[int, ZeroOrder]) -> float:
+    """Bound on the error of ``solved[rung.orders]`` from the earlier solutions; infinite where there are none."""
+    parts = [
+        difference if difference > _NOT_CONVERGING else share * difference
+        for earlier, share in rung.shares
+        if earlier in solved
+        for difference in (distance(solved[rung.orders], solved[earlier]),)
+    ]
+    return max(rung.floor, *parts) if parts else float("inf")
 
 
 def distance(one: ZeroOrder, other: ZeroOrder) -> float:
     """Largest absolute difference of any amplitude."""
     return float(max(np.abs(one.t - other.t).max(), np.abs(one.r - other.r).max()))
+
+
+def _is_idle(rung: Rung, numerics: CellNumerics) -> bool:
+    return numerics.formulation == "adaptive" and rung.orders == 6 and numerics.target_error < _TIGHT

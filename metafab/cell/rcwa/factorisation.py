@@ -41,14 +41,64 @@ def layer_matrices(
     eps_v = _kron(u.b, inverse(v.b, eps_pillar, eps_around)) + eps_around * _kron(_rest(u.b), np.eye(len(v.b)))
     eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
 
-    k_u, k_v = _wavenumber(u) / k0_per_nm, _wavenumber(v) / k0_per_nm
-    from_e_z = np.concatenate([_kron(k_u, np.eye(len(v.a))), _kron(np.eye(len(u.b)), k_v.T)])
-    from_h_z = np.concatenate([_kron(np.eye(len(u.a)), k_v), -_kron(k_u.T, np.eye(len(v.b)))])
+    from_e_z, from_h_z = _longitudinal(u, v, k0_per_nm)
     p = np.eye(basis.size) - from_e_z @ eta_z @ from_e_z.T
     q = (-from_h_z @ from_h_z.T).astype(eps_u.dtype)
     q[:n_u, :n_u] += eps_u
     q[n_u:, n_u:] += eps_v
     return basis.turn(p), basis.turn(q)
+
+
+def layer_tangents(
+    basis: TransverseBasis,
+    d_u: AxisParity | None,
+    d_v: AxisParity | None,
+    k0_per_nm: float,
+    eps_pillar: complex,
+    eps_around: complex,
+) -> tuple[Matrix, Matrix]:
+    """The changes dP and dQ of :func:`layer_matrices` for a change ``d_u`` or ``d_v`` of the axes (None: unchanged).
+
+    Equal permittivities give the change of a uniform medium: that of its wave numbers alone.
+    """
+    u, v = basis.u, basis.v
+    d_u, d_v = d_u or _unchanged(u), d_v or _unchanged(v)
+    n_u = u.label_a.size * v.label_a.size
+    step = eps_pillar - eps_around
+    rule_u, rule_v = (_inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
+    # eps_u = rule(u) (x) v + eps_around (1 (x) (1 - v)), and the same with u and v exchanged for eps_v.
+    d_eps_u = _kron(_inverse_rule_tangent(rule_u, d_u.a, eps_pillar, eps_around), v.a)
+    d_eps_u = d_eps_u + _kron(rule_u - eps_around * np.eye(len(u.a)), d_v.a)
+    d_eps_v = _kron(u.b, _inverse_rule_tangent(rule_v, d_v.b, eps_pillar, eps_around))
+    d_eps_v = d_eps_v + _kron(d_u.b, rule_v - eps_around * np.eye(len(v.b)))
+    eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
+    d_eta_z = -eta_z @ (step * (_kron(d_u.b, v.a) + _kron(u.b, d_v.a))) @ eta_z
+
+    from_e_z, from_h_z = _longitudinal(u, v, k0_per_nm)
+    d_from_e_z, d_from_h_z = _longitudinal(d_u, d_v, k0_per_nm)
+    half_p = d_from_e_z @ eta_z @ from_e_z.T
+    half_q = d_from_h_z @ from_h_z.T
+    p = -(half_p + half_p.T + from_e_z @ d_eta_z @ from_e_z.T)
+    q = -(half_q + half_q.T).astype(d_eps_u.dtype)
+    q[:n_u, :n_u] += d_eps_u
+    q[n_u:, n_u:] += d_eps_v
+    return basis.turn(p), basis.turn(q)
+
+
+def _longitudinal(u: AxisParity, v: AxisParity, k0_per_nm: float) -> tuple[FloatArray, FloatArray]:
+    """B and C: what E_z and H_z contribute to the transverse equations."""
+    k_u, k_v = _wavenumber(u) / k0_per_nm, _wavenumber(v) / k0_per_nm
+    from_e_z = np.concatenate([_kron(k_u, np.eye(len(v.a))), _kron(np.eye(len(u.b)), k_v.T)])
+    from_h_z = np.concatenate([_kron(np.eye(len(u.a)), k_v), -_kron(k_u.T, np.eye(len(v.b)))])
+    return from_e_z, from_h_z
+
+
+def _unchanged(axis: AxisParity) -> AxisParity:
+    return AxisParity(0.0 * axis.a, 0.0 * axis.b, axis.label_a, axis.label_b, 0.0 * axis.wavenumber)
+
+
+def _inverse_rule_tangent(rule: Matrix, d_overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+    return np.asarray(-rule @ d_overlap @ rule * (1.0 / eps_pillar - 1.0 / eps_around))
 
 
 def _inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:

@@ -1,0 +1,75 @@
+"""The error that the solver states against the error that it has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metafab.cell.rcwa import solve, zero_order
+from metafab.cell.rcwa.certificate import distance
+from metafab.cell.rcwa.jones import ZeroOrder
+from metafab.cell.response import CellNumerics, PillarCell
+
+SILICON = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
+TITANIA = PillarCell((300.0, 300.0), 110.0, 190.0, 600.0, 2.42, (1.46, 1.46), 1.0, 532.0)
+#: Resonances of the silicon pillar (the first five lie on guided modes, the sixth is the sharpest found by search),
+#: smooth ones, and another material.
+CELLS = [
+    *(
+        replace(SILICON, width_nm=width, length_nm=length)
+        for width, length in (
+            (250.0, 250.0),
+            (150.0, 210.0),
+            (145.0, 245.0),
+            (155.0, 185.0),
+            (220.0, 195.0),
+            (220.8, 244.6),
+            (100.0, 100.0),
+            (188.4, 103.7),
+        )
+    ),
+    TITANIA,
+]
+#: References of 14 orders moved by at most 1e-5 when raised to 20.
+REFERENCE_ORDERS, REFERENCE_ERROR = 14, 1e-5
+
+
+@pytest.fixture(scope="module")
+def references() -> list[ZeroOrder]:
+    return [zero_order(cell, REFERENCE_ORDERS) for cell in CELLS]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target_error", [1e-2, 1e-3, 1e-4])
+def test_stated_error_bounds_the_true_error(references: list[ZeroOrder], target_error: float) -> None:
+    for cell, reference in zip(CELLS, references, strict=True):
+        response = solve(cell, CellNumerics(target_error))
+        true_error = distance(ZeroOrder(response.t, response.r, 0), reference)
+        assert response.converged
+        assert true_error <= response.error + REFERENCE_ERROR
+        assert response.error <= target_error
+
+
+def test_plain_harmonics_approach_the_same_answer() -> None:
+    # Li's factorisation without stretching is an independent discretisation; its own bound must cover the truth.
+    for size_nm in ((100.0, 250.0), (120.0, 130.0)):
+        cell = replace(SILICON, width_nm=size_nm[0], length_nm=size_nm[1])
+        adaptive = solve(cell, CellNumerics(1e-3))
+        fourier = solve(cell, CellNumerics(1e-3, formulation="fourier", max_orders=12))
+        assert not fourier.converged
+        assert np.abs(adaptive.t - fourier.t).max() <= adaptive.error + fourier.error
+        assert np.abs(adaptive.r - fourier.r).max() <= adaptive.error + fourier.error
+
+
+def test_unreachable_target_is_confessed() -> None:
+    response = solve(SILICON, CellNumerics(1e-6, max_orders=6))
+    assert not response.converged
+    assert response.error > 1e-6
+
+
+def test_no_bound_from_a_single_truncation() -> None:
+    response = solve(SILICON, CellNumerics(1e-2, max_orders=3))
+    assert not response.converged
+    assert response.error == np.inf
