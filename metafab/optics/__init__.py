@@ -10,6 +10,7 @@
 - ``lobe``         main lobe to a fraction of a pixel, orientation
 - ``depth``        interpolation between depths, joining stacks
 - ``point_spread`` Psf, PsfField: what goes out
+- ``fisher``       Fisher information about depth in PSF stacks, and the Cramer-Rao bound
 - ``store``        ``psf.h5``
 - ``reference``    the direct Rayleigh-Sommerfeld sum over all sites that checks the rest
 
@@ -18,6 +19,7 @@ In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.libra
 """
 
 from metafab.optics.depth import at_depths, concatenate, without_depths
+from metafab.optics.fisher import PointSource, depth_crlb_m, point_information, twin_depth_information
 from metafab.optics.imaging import Imaging, depth_nodes, field_tangents
 from metafab.optics.lobe import main_lobe_px, orientation_deg
 from metafab.optics.point_spread import Psf, PsfField
@@ -29,12 +31,14 @@ from metafab.optics.store import load, save
 __all__ = [
     "IdealField",
     "Imaging",
+    "PointSource",
     "Psf",
     "PsfField",
     "Source",
     "WrittenField",
     "at_depths",
     "concatenate",
+    "depth_crlb_m",
     "depth_nodes",
     "direct_irradiance",
     "field_tangents",
@@ -42,9 +46,11 @@ __all__ = [
     "load",
     "main_lobe_px",
     "orientation_deg",
+    "point_information",
     "psf",
     "relative_l2",
     "save",
+    "twin_depth_information",
     "without_depths",
     "written_field",
 ]
