@@ -159,13 +159,14 @@ class Decoder:
             )
             layer_image = sharpened(spectra, self.calibration, levels, found.vergence_per_m)
             np.copyto(images, np.maximum(layer_image, 0.0), where=mask)
+            inner = segments.interior(mask)
             rows.append(
                 {
                     "number": float(number),
                     "pixels": float(mask.sum()),
                     "depth_m": 1.0 / found.vergence_per_m,
                     "error_m": found.relative_error / found.vergence_per_m,
-                    "contrast": float(images[0][mask].sum() / max(images[1][mask].sum(), 1e-30)),
+                    "contrast": float(images[0][inner].sum() / max(images[1][inner].sum(), 1e-30)),
                     "correlation": found.correlation,
                 }
             )

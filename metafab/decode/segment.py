@@ -13,7 +13,8 @@ from metafab.core.conventions import FloatArray
 from metafab.decode.align import Aligner
 from metafab.decode.depth import PixelDepth, parabola, standard_error
 
-_FEWEST_PIXELS = 64
+#: Half a window: less cannot be told from the mixture of depths along an outline.
+_FEWEST_PIXELS = 300
 _SMALLEST_SHARE = 0.01
 #: Pixels next to an outline see the blur of what lies beyond it.
 _EDGE_PX = 8
@@ -111,32 +112,30 @@ def segment_depth(
     aligner: Aligner, mask: NDArray[np.bool_], start_per_m: float, step_per_m: float, limits_per_m: tuple[float, float]
 ) -> SegmentDepth:
     """The vergence at which a segment's twins agree best, by parabolas of shrinking width from ``start_per_m``."""
-    inner = _interior(mask)
+    inner = interior(mask)
     samples = max(float(inner.sum()) * aligner.bandwidth, 1.0)
     low, high = limits_per_m
     vergence, step = float(np.clip(start_per_m, low, high)), step_per_m
-    peak, curvature = np.zeros(()), np.ones(())
+    peak, curvature, error = 0.0, 0.0, np.inf
     for _ in range(3):
         middle = float(np.clip(vergence, low + step, high - step)) if high - low > 2.0 * step else 0.5 * (low + high)
         below, at, above = (aligner.segment(middle + d * step, inner).correlation for d in (-1, 0, 1))
         if not np.isfinite(below + at + above) or max(below, at, above) <= 0.0:
             return SegmentDepth(vergence, np.inf, 0.0)
         if at >= max(below, above):
-            shift, peak, curvature = parabola(below, at, above)
-            curvature = curvature / step**2
-            vergence = middle + step * float(shift)
+            shift, peak, curvature = (float(value) for value in parabola(below, at, above))
+            vergence = middle + step * shift
+            error = float(standard_error(np.array(peak), np.array(curvature / step**2), samples)) / abs(vergence)
             step *= 0.4
         else:
             vergence = float(np.clip(middle + (step if above > below else -step), low, high))
-            peak = np.maximum(below, above)
-    error = float(standard_error(peak, curvature, samples)) / abs(vergence)
-    return SegmentDepth(vergence, error, float(peak))
+    return SegmentDepth(vergence, error, peak)
 
 
-def _interior(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def interior(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The pixels away from the outline, as far as a fifth of them remain."""
     for away in range(_EDGE_PX, 0, -2):
         inner = binary_erosion(mask, iterations=away)
-        if inner.sum() >= max(_FEWEST_PIXELS, 0.2 * mask.sum()):
+        if inner.sum() >= max(0.2 * _FEWEST_PIXELS, 0.2 * mask.sum()):
             return np.asarray(inner)
     return mask

@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+from scipy.interpolate import RectBivariateSpline
+from scipy.ndimage import map_coordinates, uniform_filter
 
 from metafab.camera.frame import RawFrame
 from metafab.camera.geometry import ImageMap
@@ -55,9 +56,9 @@ class TwinGrid:
         """The grid of a known window (row, column, rows, columns)."""
         first_row, first_column, rows, columns = window
         row, column = first_row - margin, first_column - margin
-        x_um = origin_um[0] + pixel_um * (column + np.arange(columns + 2 * margin))
-        y_um = origin_um[1] + pixel_um * (row + np.arange(rows + 2 * margin))
-        tangent_x, tangent_y = image_map.to_tangent(0, *np.meshgrid(x_um, y_um))
+        x_um = np.asarray(origin_um[0] + pixel_um * (column + np.arange(columns + 2 * margin)), dtype=np.float64)
+        y_um = np.asarray(origin_um[1] + pixel_um * (row + np.arange(rows + 2 * margin)), dtype=np.float64)
+        tangent_x, tangent_y = _directions(image_map, x_um, y_um)
         place_x, place_y = image_map.to_sensor_um(1, tangent_x, tangent_y)
         return cls(
             frame_shape,
@@ -143,6 +144,14 @@ class Twins:
     bad: np.ndarray
 
 
+def _directions(image_map: ImageMap, x_um: FloatArray, y_um: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Directions behind a grid of the x image: solved on some of it and interpolated, for they vary slowly."""
+    knots_y, knots_x = np.linspace(y_um[0], y_um[-1], 17), np.linspace(x_um[0], x_um[-1], 17)
+    some_x, some_y = image_map.to_tangent(0, *np.meshgrid(knots_x, knots_y))
+    x, y = (RectBivariateSpline(knots_y, knots_x, some, kx=5, ky=5)(y_um, x_um) for some in (some_x, some_y))
+    return np.asarray(x), np.asarray(y)
+
+
 def extract(frame: RawFrame, grid: TwinGrid) -> Twins:
     """Both images from a frame; broken pixels are replaced by their neighbours' mean and marked."""
     values = np.asarray(frame.frame, dtype=np.float64)
@@ -171,8 +180,6 @@ def _cut(values: np.ndarray, grid: TwinGrid) -> np.ndarray:
 
 
 def _mended(values: FloatArray, broken: np.ndarray) -> FloatArray:
-    from scipy.ndimage import uniform_filter
-
     good = np.where(np.isfinite(values) & ~broken, values, 0.0)
     weight = uniform_filter((~broken).astype(np.float64), 5, mode="nearest")
     mean = uniform_filter(good, 5, mode="nearest") / np.maximum(weight, 1e-3)

@@ -1,0 +1,117 @@
+"""raw.h5 and the frames of real cameras: what goes in comes out, and what is broken is refused in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import tifffile
+from PIL import Image
+
+from metafab.camera import RawFrame, capture, load, load_frame, save
+from metafab.core.errors import InputError
+from metafab.optics.point_spread import Psf
+from metafab.spec import Scene, SceneObject
+from tests.conjugate_pair import PIXEL_UM, helix_psf
+
+
+@pytest.fixture(scope="module")
+def psf() -> Psf:
+    return helix_psf(np.linspace(0.0027, 0.0032, 3), window_px=32)
+
+
+@pytest.fixture(scope="module")
+def frame(psf: Psf) -> RawFrame:
+    return capture(Scene(objects=(SceneObject(depth_m=0.003, size=(0.04, 0.04)),), field_px=(40, 48)), psf)
+
+
+def test_a_frame_survives_its_file(frame: RawFrame, tmp_path: Path) -> None:
+    save(frame, tmp_path / "raw.h5")
+    back = load(tmp_path / "raw.h5")
+    assert (back.frame == frame.frame).all()
+    assert (back.pixel_um, back.origin_um, back.x_window) == (frame.pixel_um, frame.origin_um, frame.x_window)
+    assert back.truth is not None
+    assert frame.truth is not None
+    np.testing.assert_array_equal(back.truth.depth_m, frame.truth.depth_m)
+    assert (back.truth.label == frame.truth.label).all()
+    assert back.truth_origin_um == frame.truth_origin_um
+
+
+def test_datasets_have_units_descriptions_and_scales(frame: RawFrame, tmp_path: Path) -> None:
+    save(frame, tmp_path / "raw.h5")
+    with h5py.File(tmp_path / "raw.h5") as file:
+        for name in ("frame", "truth/depth_m", "truth/intensity_x", "truth/intensity_y", "truth/label"):
+            assert file[name].attrs["units"]
+            assert file[name].attrs["description"]
+            assert file[name].dims[0].keys() == ["y_um"]
+            assert file[name].dims[1].keys() == ["x_um"]
+
+
+@pytest.mark.parametrize("kind", ["missing", "empty", "foreign", "truncated"])
+def test_broken_files_are_refused(frame: RawFrame, tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "raw.h5"
+    if kind == "empty":
+        path.touch()
+    elif kind == "foreign":
+        h5py.File(path, "w").close()
+    elif kind == "truncated":
+        save(frame, path)
+        path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(InputError, match="metafab raw frame"):
+        load(path)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype"), [("tif", np.uint8), ("tif", np.uint16), ("png", np.uint8), ("png", np.uint16)]
+)
+def test_camera_frames_come_with_the_lowest_row_first(psf: Psf, tmp_path: Path, suffix: str, dtype: type) -> None:
+    counts = np.arange(60, dtype=dtype).reshape(6, 10)
+    path = tmp_path / f"frame.{suffix}"
+    if suffix == "tif":
+        tifffile.imwrite(path, counts)
+    else:
+        Image.fromarray(counts).save(path)
+    frame = load_frame(path, psf)
+    assert (frame.frame == counts[::-1]).all()
+    assert frame.saturation_e == np.iinfo(dtype).max
+    assert frame.origin_um == pytest.approx((-5 * PIXEL_UM, -3 * PIXEL_UM))
+    assert frame.truth is None
+
+
+def test_twelve_bits_in_sixteen_saturate_at_twelve(psf: Psf, tmp_path: Path) -> None:
+    counts = np.full((4, 4), 4095, dtype=np.uint16)
+    tifffile.imwrite(tmp_path / "frame.tif", counts)
+    assert load_frame(tmp_path / "frame.tif", psf).saturation_e == 4095.0
+
+
+def test_numpy_frames(psf: Psf, tmp_path: Path) -> None:
+    np.save(tmp_path / "frame.npy", np.eye(5))
+    assert (load_frame(tmp_path / "frame.npy", psf, first_row="bottom").frame == np.eye(5)).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "field"),
+    [
+        ("frame.jpg", b"x", "file"),
+        ("frame.tif", b"not a tiff", "file"),
+        ("frame.png", b"", "file"),
+        ("frame.npy", b"\x93NUMPY", "file"),
+        ("none.tif", None, "file"),
+    ],
+)
+def test_unreadable_frames_are_refused(psf: Psf, tmp_path: Path, name: str, content: bytes | None, field: str) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(InputError) as caught:
+        load_frame(tmp_path / name, psf)
+    assert caught.value.faults[0].field == field
+    assert caught.value.faults[0].remedy
+
+
+@pytest.mark.parametrize("values", [np.zeros((2, 3, 4)), np.zeros(7), np.zeros((0, 5)), np.array([["a"]])])
+def test_frames_that_are_no_grey_picture_are_refused(psf: Psf, tmp_path: Path, values: np.ndarray) -> None:
+    np.save(tmp_path / "frame.npy", values)
+    with pytest.raises(InputError):
+        load_frame(tmp_path / "frame.npy", psf)
