@@ -234,7 +234,7 @@ class _Pass:
             raise DamagedError(f"a CBLOCK of {size} bytes")
         content = stream.bytes(packed)
         try:
-            begins_with_rectangle = zlib.decompressobj(-15).decompress(content[:64], 1) == bytes([RECTANGLE])
+            begins_with_rectangle = zlib.decompressobj(-15).decompress(content[:1024], 1) == bytes([RECTANGLE])
             self._pillars_only = begins_with_rectangle and self._reader.skip_blocks
             if self._pillars_only and self._indexing and self._cell is not None:
                 # A rectangle takes at least one byte where it is one of a list.
