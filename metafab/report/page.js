@@ -1,6 +1,6 @@
 "use strict";
-// The two live views: the PSF pair over depth, and the values under the pointer. Without scripts the page still
-// shows every picture; these add motion and numbers.
+// The live views: the PSF pair over depth, the values under the pointer, and the scene in relief. Without scripts the
+// page still shows every picture; these add motion and numbers.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
 
@@ -210,6 +210,86 @@
     root.hidden = false;
     draw();
     new ResizeObserver(draw).observe(panes[0].canvas);
+    relief(root.querySelector(".relief"), view.size, values, panes[3].image);
+  }
+
+  // Every decoded pixel at its depth, nearer ones nearer to the reader; colours of the depth picture, shaded by light.
+  function relief(root, [nx, ny], values, depthPicture) {
+    const canvas = root.querySelector("canvas");
+    const colours = (() => {
+      const flat = new OffscreenCanvas(nx, ny).getContext("2d");
+      flat.drawImage(depthPicture, 0, 0);
+      return flat.getImageData(0, 0, nx, ny).data;
+    })();
+    const known = [];
+    let near = Infinity, far = -Infinity, brightest = 1e-9;
+    values.depth_m.forEach((depth, i) => {
+      if (!Number.isFinite(depth)) return;
+      known.push(i);
+      near = Math.min(near, depth);
+      far = Math.max(far, depth);
+      brightest = Math.max(brightest, values.intensity_x[i] + values.intensity_y[i]);
+    });
+    if (!known.length) return;
+    const turn = { yaw: -0.5, pitch: 0.35 };
+    const unit = Math.max(nx, ny);
+
+    const draw = () => {
+      const width = canvas.width = Math.max(64, Math.round(canvas.clientWidth * Math.min(2, devicePixelRatio)));
+      const height = canvas.height = Math.round(0.56 * width);
+      const picture = new ImageData(width, height);
+      const closest = new Float32Array(width * height).fill(-Infinity);
+      const [sinY, cosY, sinP, cosP] = [Math.sin(turn.yaw), Math.cos(turn.yaw), Math.sin(turn.pitch), Math.cos(turn.pitch)];
+      const scale = 0.82 * Math.min(height * unit / ny, width * unit / nx, 1.25 * height);
+      for (const i of known) {
+        const x = (i % nx - nx / 2) / unit;
+        const y = (Math.floor(i / nx) - ny / 2) / unit;
+        const z = 0.7 * (0.5 - (values.depth_m[i] - near) / (far - near || 1));
+        const right = x * cosY + z * sinY;
+        const towards = z * cosY - x * sinY;
+        const up = y * cosP - towards * sinP;
+        const distance = towards * cosP + y * sinP;
+        const zoom = scale / (1 - 0.3 * distance);
+        const side = Math.ceil(zoom / unit) + 1;
+        const left = Math.round(width / 2 + right * zoom - side / 2);
+        const top = Math.round(height / 2 - up * zoom - side / 2);
+        const row = ny - 1 - Math.floor(i / nx);  // the picture's first row is the highest y
+        const from = 4 * (row * nx + i % nx);
+        const light = 0.4 + 0.6 * Math.sqrt((values.intensity_x[i] + values.intensity_y[i]) / brightest);
+        for (let v = Math.max(0, top); v < Math.min(height, top + side); v++) {
+          for (let u = Math.max(0, left); u < Math.min(width, left + side); u++) {
+            const at = v * width + u;
+            if (distance <= closest[at]) continue;
+            closest[at] = distance;
+            for (let c = 0; c < 3; c++) picture.data[4 * at + c] = light * (70 + 0.72 * colours[from + c]);
+            picture.data[4 * at + 3] = 255;
+          }
+        }
+      }
+      canvas.getContext("2d").putImageData(picture, 0, 0);
+    };
+
+    let waiting = false;
+    const by = (yaw, pitch) => {
+      turn.yaw = Math.max(-1.4, Math.min(1.4, turn.yaw + yaw));
+      turn.pitch = Math.max(-0.3, Math.min(1.2, turn.pitch + pitch));
+      if (waiting) return;
+      waiting = true;
+      requestAnimationFrame(() => { waiting = false; draw(); });
+    };
+    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture?.(event.pointerId));
+    canvas.addEventListener("pointermove", (event) => {
+      if (event.buttons) by(0.006 * event.movementX, 0.006 * event.movementY);
+    });
+    canvas.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, -0.1], ArrowDown: [0, 0.1] }[event.key];
+      if (!step) return;
+      event.preventDefault();
+      by(...step);
+    });
+    root.hidden = false;
+    draw();
+    new ResizeObserver(draw).observe(canvas);
   }
 
   const start = (id, view, build) => {

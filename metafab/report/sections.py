@@ -212,7 +212,11 @@ def imaging(run: RunFolder, drawn: Drawn) -> str:
         live = (
             '<div class="viewer" id="image-viewer" hidden>'
             '<p class="readout" aria-live="polite">Point at a picture to read its pixel.</p>'
-            '<div class="quad"></div></div>'
+            '<div class="quad"></div>'
+            '<figure class="relief" hidden><canvas tabindex="0" role="img" '
+            'aria-label="Decoded pixels at their depths; drag or use arrow keys to turn"></canvas>'
+            "<figcaption>The scene in relief, as on the sensor: nearer is nearer to you. Drag to turn.</figcaption>"
+            "</figure></div>"
         )
     facts = _facts(run.part("decode"), nmae="mean |Δz| / z", seconds="seconds to decode")
     stills = ("intensity_x", "intensity_y", "contrast", "depth")

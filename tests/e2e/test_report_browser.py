@@ -30,7 +30,7 @@ window.faults = [];
 window.addEventListener("error", (event) => window.faults.push(event.message));
 window.addEventListener("unhandledrejection", (event) => window.faults.push(String(event.reason)));
 console.error = (...words) => window.faults.push(words.join(" "));
-window.addEventListener("load", () => setTimeout(() => {
+window.addEventListener("load", () => setTimeout(async () => {
   const found = {};
   const psf = document.getElementById("psf-viewer");
   const slider = psf.querySelector("input");
@@ -63,6 +63,17 @@ window.addEventListener("load", () => setTimeout(() => {
   found.touched = image.querySelector(".readout").textContent;
   canvases[0].dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowUp" }));
   found.keyed = image.querySelector(".readout").textContent;
+  const relief = image.querySelector(".relief canvas");
+  const shape = () => {
+    const { data, width } = relief.getContext("2d").getImageData(0, 0, relief.width, relief.height);
+    let lit = 0, sum = 0;
+    for (let i = 3; i < data.length; i += 4) if (data[i]) { lit += 1; sum += ((i - 3) / 4 % width) / width; }
+    return [lit / (data.length / 4), sum / lit];
+  };
+  found.relief = [shape()];
+  relief.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
+  await new Promise((done) => setTimeout(done, 500));
+  found.relief.push(shape());
   found.sticks_out = document.documentElement.scrollWidth - document.documentElement.clientWidth;
   found.width = innerWidth;
   found.faults = window.faults;
@@ -131,3 +142,7 @@ def test_live_views_answer(live_page: str, tmp_path: Path, width: int) -> None:
     assert "confidence 0.9" in found["pointed"]
     assert "no depth claimed" in found["touched"]
     assert found["keyed"] != found["touched"]
+    (lit, _), (turned, _) = found["relief"]
+    assert 0.05 < lit < 0.9
+    assert found["relief"][0] != found["relief"][1], "an arrow key turns the relief"
+    assert turned > 0.05

@@ -35,7 +35,7 @@ def shown_depths(psf: Psf) -> NDArray[np.int64]:
 
 
 def lit_half_px(psf: Psf) -> int:
-    """Half side of the square about the image point that holds all light above a twenty-fifth of the brightest pixel."""
+    """Half side of the square about the image point that holds all pixels above 4 % of the brightest."""
     _, _, n_y, n_x = psf.psf.shape
     row, column = np.nonzero(psf.psf.max(axis=(0, 1)) > 0.04 * psf.psf.max())
     most: int = (min(n_y, n_x) - 1) // 2
