@@ -1,0 +1,41 @@
+"""Design rules on a written mask: the lattice engine and KLayout's polygons. ``error`` counts violations found."""
+
+from __future__ import annotations
+
+import runpy
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from metafab import drc, layout, mask
+from metafab.core.measure import measured
+
+_lens = runpy.run_path(str(Path(__file__).with_name("lens.py")))
+
+
+def rows(quick: bool) -> list[dict[str, Any]]:
+    """One row a file and engine; the small lens if ``quick``, else 25.6 million pillars."""
+    design = _lens["lens_design"](quick)
+    profile, library = _lens["lens_profile"](design), _lens["closed_form_library"](design.unit_cell)
+    small = replace(design, device=replace(design.device, aperture_um=20.0))
+    table = []
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        for warm in mask.write(layout.assign(profile, library, small).pillars, folder, small)[:2]:
+            drc.check(warm.path, small)
+        files = mask.write(layout.assign(profile, library, design).pillars, folder, design)
+        cases = [(file.path, "lattice") for file in files[:2]] + [(folder / "layout.oas", "polygons")]
+        for path, engine in cases:
+            with measured() as cost:
+                report = drc.check(path, design, engine=engine)
+            table.append(
+                {
+                    "name": f"{engine}, {path.suffix[1:]}, reading included",
+                    "error": float(sum(report.violations.values())),
+                    "seconds": cost.seconds,
+                    "peak_rss_mb": cost.peak_rss_mb,
+                    "pillars": report.pillars,
+                }
+            )
+    return table

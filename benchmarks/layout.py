@@ -1,0 +1,112 @@
+"""From phases to mask files and back: seconds and peak memory beside a raw write of the same bytes, gdstk, KLayout.
+
+``error`` is the phase rms in radians for the mapping and the number of pillars that differ for files.
+"""
+
+from __future__ import annotations
+
+import os
+import runpy
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import gdstk
+import numpy as np
+
+from metafab import layout, mask
+from metafab.core.measure import measured
+from metafab.layout import PillarMap
+from metafab.spec import Design
+
+_lens = runpy.run_path(str(Path(__file__).with_name("lens.py")))
+
+
+def rows(quick: bool) -> list[dict[str, Any]]:
+    """One row a step or peer; the small lens if ``quick``, else 25.6 million pillars."""
+    design = _lens["lens_design"](quick)
+    profile, library = _lens["lens_profile"](design), _lens["closed_form_library"](design.unit_cell)
+    _warm_up(design, profile, library)
+    table: list[dict[str, Any]] = []
+    with measured() as cost:
+        assignment = layout.assign(profile, library, design)
+    pillars = assignment.figures["pillars"]
+    table.append(_row("mapping, phases included", assignment.figures["phase_rms_error_rad"], cost, pillars))
+    with TemporaryDirectory() as folder:
+        for suffix in ("oas", "gds"):
+            table += _own(suffix, assignment.pillars, design, Path(folder), pillars)
+            table += _peers(suffix, Path(folder), pillars, quick)
+    return table
+
+
+def _own(suffix: str, pillars: PillarMap, design: Design, folder: Path, count: int) -> list[dict[str, Any]]:
+    """Write, raw write of as many bytes, and read back."""
+    only = replace(design, mask=replace(design.mask, formats=(suffix,)))
+    with measured() as cost:
+        written = mask.write(pillars, folder, only)[0]
+    table = [{**_row(f"write {suffix}", 0.0, cost, count), "bytes": written.bytes}]
+    block = os.urandom(1 << 20)
+    with measured() as cost, (folder / "raw").open("wb") as stream:
+        for _ in range(-(-written.bytes // len(block))):
+            stream.write(block)
+    (folder / "raw").unlink()
+    table.append({**_row(f"raw write of the bytes of {suffix}", 0.0, cost, count), "bytes": written.bytes})
+    with measured() as cost:
+        read_back = mask.read(written.path, design)
+    expected = pillars.size_dbu[pillars.to_array()]
+    found = read_back.pillars.size_dbu[read_back.pillars.to_array()]
+    return [*table, _row(f"read {suffix}", float(np.count_nonzero(np.any(expected != found, axis=-1))), cost, count)]
+
+
+def _peers(suffix: str, folder: Path, count: int, quick: bool) -> list[dict[str, Any]]:
+    """Other readers on our file; in full size only where they take less than half a minute."""
+    path = str(folder / f"layout.{suffix}")
+    readers: dict[str, Callable[[], int]] = {}
+    if quick or suffix == "oas":
+        read = gdstk.read_oas if suffix == "oas" else gdstk.read_gds
+        readers["gdstk"] = lambda: _gdstk_count(read(path))
+    try:
+        import klayout.db as kdb
+    except ImportError:
+        pass
+    else:
+
+        def by_klayout() -> int:
+            opened = kdb.Layout()
+            opened.read(path)
+            return int(kdb.Region(opened.top_cell().begin_shapes_rec(opened.layer(1, 0))).count())
+
+        readers["KLayout"] = by_klayout
+    table = []
+    for name, read_count in readers.items():
+        with measured() as cost:
+            found = read_count()
+        table.append(_row(f"{name} reads {suffix}", float(abs(found - count)), cost, count))
+    return table
+
+
+def _gdstk_count(library: gdstk.Library) -> int:
+    """Pillars without making a polygon object of each."""
+    polygons = (polygon for cell in library.cells for polygon in cell.polygons)
+    return sum(max(1, polygon.repetition.size) for polygon in polygons)
+
+
+def _warm_up(design: Design, profile: Any, library: Any) -> None:
+    """Load the compiled kernels, so that their one-time cost is not charged to the first row."""
+    small = replace(design, device=replace(design.device, aperture_um=20.0))
+    with TemporaryDirectory() as folder:
+        files = mask.write(layout.assign(profile, library, small).pillars, Path(folder), small)
+        for file in files[: len(design.mask.formats)]:
+            mask.read(file.path, small)
+
+
+def _row(name: str, error: float, cost: Any, pillars: int) -> dict[str, Any]:
+    return {
+        "name": name,
+        "error": error,
+        "seconds": cost.seconds,
+        "peak_rss_mb": cost.peak_rss_mb,
+        "pillars": pillars,
+    }

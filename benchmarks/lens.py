@@ -1,0 +1,47 @@
+"""The lens that the layout and drc benchmarks share: the paper's 2 mm (or a tenth of it) with a closed-form library.
+
+No solver is needed to time the way from phases to a checked mask; the library's phases and amplitudes are smooth
+functions of the size, on the paper's grid of 76 x 76 sizes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from metafab import phase
+from metafab.library import Library
+from metafab.phase import PhaseProfile
+from metafab.spec import Design, UnitCell, load_design
+
+LAYOUTS = Path(__file__).parent.parent / "layouts"
+
+
+def lens_design(quick: bool) -> Design:
+    """The paper's lens, or the small one; Eq. 2's zones as they are, without an optimisation."""
+    design = load_design(LAYOUTS / ("helix_small.toml" if quick else "helix_2mm.toml"))
+    terms = (replace(term, optimise="none") if hasattr(term, "optimise") else term for term in design.phase)
+    return replace(design, phase=tuple(terms))
+
+
+def lens_profile(design: Design) -> PhaseProfile:
+    """Its target phases."""
+    return phase.profile_of(design)
+
+
+def closed_form_library(unit_cell: UnitCell) -> Library:
+    """Each polarisation's phase runs over 1.3 turns, mostly with its own side; amplitudes dip for large pillars."""
+    sweep = unit_cell.sweep
+    count = round((sweep.width_nm[1] - sweep.width_nm[0]) / sweep.size_grid_nm) + 1
+    side_nm = np.linspace(*sweep.width_nm, count)
+    own = np.linspace(0.0, 1.0, count)
+    width, length = own[None, :], own[:, None]
+    amplitude = 1.25 * (1.0 - 0.15 * width * length)
+    t_xx = (amplitude * np.exp(2.6j * np.pi * (0.8 * width + 0.2 * length)))[None]
+    t_yy = (amplitude * np.exp(2.6j * np.pi * (0.8 * length + 0.2 * width)))[None]
+    r = np.full_like(t_xx, 0.1)
+    wavelength_nm = np.array([unit_cell.illumination.wavelength_nm])
+    error = np.full(t_xx.shape, 1e-3)
+    return Library(unit_cell, wavelength_nm, side_nm, side_nm.copy(), t_xx, t_yy, r, r.copy(), error, "closed form")
