@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from metafab.camera.frame import RawFrame
+from metafab.camera.store import load
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.optics.point_spread import Psf
@@ -17,10 +18,10 @@ _REMEDY = "save the sensor's counts as a grey TIFF, PNG or .npy of shape (rows, 
 
 
 def load_frame(path: Path, psf: Psf, *, read_noise_e: float = 0.0, first_row: str = "top") -> RawFrame:
-    """A real camera's frame, with the optical axis assumed at its centre.
+    """A frame from a file: metafab's own, or a real camera's with the optical axis assumed at its centre.
 
     Args:
-        path: a grey TIFF or PNG (8 to 16 bit; 12-bit counts are taken as they are) or a 2-D ``.npy``.
+        path: a ``raw.h5``, a grey TIFF or PNG (8 to 16 bit; 12-bit counts are taken as they are), a 2-D ``.npy``.
         psf: the calibration; its ``pixel_um`` is the camera's pixel pitch.
         read_noise_e: standard deviation of the read noise, in counts.
         first_row: whether the file's first row is the picture's "top" (as TIFF and PNG have it) or "bottom".
@@ -32,6 +33,8 @@ def load_frame(path: Path, psf: Psf, *, read_noise_e: float = 0.0, first_row: st
     Raises:
         InputError: the file cannot be read, or is no grey picture.
     """
+    if path.suffix.lower() in {".h5", ".hdf5"}:
+        return load(path)
     counts, saturation = _read(path)
     frame = counts[::-1] if first_row == "top" else counts
     n_y, n_x = frame.shape
@@ -48,7 +51,7 @@ def _read(path: Path, *, colours: bool = False) -> tuple[FloatArray, float | Non
     """Values and the level at which the file type saturates (None for floats)."""
     kind = _SUFFIXES.get(path.suffix.lower())
     if kind is None:
-        raise InputError.single(str(path), "file", "a .tif, .tiff, .png or .npy file", repr(path.suffix), _REMEDY)
+        raise InputError.single(str(path), "file", "a .h5, .tif, .tiff, .png or .npy file", repr(path.suffix), _REMEDY)
     if not path.is_file():
         raise InputError.single(str(path), "file", f"a {kind} file", "no file at that path", "check the path")
     try:

@@ -54,8 +54,8 @@ class Tiling:
     def over(cls, shape: tuple[int, int], margin: int, core_px: tuple[float, float]) -> Tiling:
         """Equal tiles of about ``core_px`` (rows, columns) at most."""
         counts = [max(1, math.ceil(n / px)) for n, px in zip(shape, core_px, strict=True)]
-        core = tuple(-(-n // count) for n, count in zip(shape, counts, strict=True))
-        size = tuple(scipy.fft.next_fast_len(n + 2 * margin, real=True) for n in core)
+        core = tuple(2 * math.ceil(n / (2 * count)) for n, count in zip(shape, counts, strict=True))
+        size = tuple(4 * scipy.fft.next_fast_len(math.ceil((n + 2 * margin) / 4), real=True) for n in core)
         starts = tuple((i * core[0], j * core[1]) for i in range(counts[0]) for j in range(counts[1]))
         return cls(shape, margin, (core[0], core[1]), (size[0], size[1]), starts)
 
@@ -83,6 +83,13 @@ class Tiling:
             share = np.clip((self.margin - away) / (_FADE * self.margin), 0.0, 1.0)
             fades.append(0.5 - 0.5 * np.cos(np.pi * share))
         return np.asarray(fades[0][:, None] * fades[1][None, :], dtype=np.float32)
+
+    def halved(self) -> Tiling:
+        """The same tiles at every second pixel; margins, cores and sizes are even for that."""
+        (n_y, n_x), (core_y, core_x), (size_y, size_x) = self.shape, self.core, self.size
+        starts = tuple((row // 2, column // 2) for row, column in self.starts)
+        shape, core, size = ((n_y + 1) // 2, (n_x + 1) // 2), (core_y // 2, core_x // 2), (size_y // 2, size_x // 2)
+        return Tiling(shape, self.margin // 2, core, size, starts)
 
     @property
     def counts(self) -> tuple[int, int]:
@@ -160,18 +167,39 @@ class Calibration:
         x, y = (self.image_map.jacobian_um(p, np.array(tangent_x), np.array(tangent_y)) for p in (0, 1))
         return np.asarray(y @ np.linalg.inv(x))
 
-    def transfer(self, vergence_per_m: float, tiles: NDArray[np.intp] | None = None) -> Transfer:
+    def _depth_weights(self, vergence_per_m: float) -> NDArray[np.float32]:
+        return spline_weights(1.0 / self.kernels.psf.depth_m, vergence_per_m).astype(np.float32)
+
+    def transfer(self, vergence_per_m: float) -> Transfer:
         """Transfer functions at a depth: shape (2, n_tiles, size_y, size_x // 2 + 1)."""
-        depth_weights = spline_weights(1.0 / self.kernels.psf.depth_m, vergence_per_m).astype(np.float32)
-        weights = self._tile_weights if tiles is None else self._tile_weights[tiles]
-        nodes = np.tensordot(depth_weights, self._stack, axes=(0, 1))
+        return self._transformed(np.tensordot(self._depth_weights(vergence_per_m), self._stack, axes=(0, 1)))
+
+    def _transformed(self, nodes: NDArray[np.float32]) -> Transfer:
+        """Transforms of each tile's kernels from those of the field points, shape (2, n_field, n_y, n_x)."""
         n_y, n_x = self.kernels.shape
-        flat = nodes.reshape(2, nodes.shape[1], n_y * n_x)
-        kernels = (weights.astype(np.float32) @ flat).reshape(2, weights.shape[0], n_y, n_x)
+        weights = self._tile_weights.astype(np.float32)
+        kernels = (weights @ nodes.reshape(2, nodes.shape[1], n_y * n_x)).reshape(2, -1, n_y, n_x)
         place = np.zeros((2, weights.shape[0], *self.tiling.size), dtype=np.float32)
         place[..., :n_y, :n_x] = kernels
         place = np.roll(place, (-(n_y // 2), -(n_x // 2)), axis=(-2, -1))
         return np.asarray(scipy.fft.rfft2(place), dtype=np.complex64)
+
+    @cached_property
+    def _low_band(self) -> Transfer:
+        """Low halves of the transforms at all calibrated depths: (n_depth, 2, n_tiles, size_y / 2, size_x / 4 + 1)."""
+        return np.stack([low_band(self._transformed(self._stack[:, d])) for d in range(self._stack.shape[1])])
+
+    def low_band_transfer(self, vergence_per_m: float, tiles: NDArray[np.intp] | None = None) -> Transfer:
+        """:meth:`transfer` up to a quarter cycle a pixel, of some tiles: shape (2, n_tiles, size_y / 2, ...)."""
+        nodes = self._low_band if tiles is None else self._low_band[:, :, tiles]
+        return np.asarray(np.tensordot(self._depth_weights(vergence_per_m), nodes, axes=(0, 0)))
+
+
+def low_band(spectra: Transfer) -> Transfer:
+    """The part of half-plane transforms below a quarter cycle a pixel: the transform of every second pixel."""
+    n_y, n_kx = spectra.shape[-2:]
+    columns = spectra[..., : (n_kx - 1) // 2 + 1]
+    return np.concatenate([columns[..., : n_y // 4, :], columns[..., n_y - n_y // 4 :, :]], axis=-2)
 
 
 def _change_per_tangent(kernels: PairKernels) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.progress import Progress
-from metafab.decode.align import Aligner
+from metafab.decode.align import Aligner, doubled
 
 #: Correlation of the twins, in standard deviations of what pure noise gives, from which there is texture.
 _SIGNIFICANT = 5.0
@@ -46,7 +46,7 @@ def pixel_depth(
         progress: called after each candidate.
     """
     count = vergences_per_m.size
-    shape = aligner.calibration.tiling.shape
+    shape = aligner.tiling.shape
     volume = np.empty((count, *shape), dtype=np.float32)
     cross = np.full(shape, -np.inf, dtype=np.float32)
     for index, vergence in enumerate(vergences_per_m):
@@ -62,12 +62,14 @@ def pixel_depth(
     vergence = vergences_per_m[inner] + step * np.clip(shift, -1.0, 1.0)
     samples = window_px**2 * aligner.bandwidth
     error = standard_error(peak, curvature / step**2, samples) / np.abs(vergence)
-    noise = aligner.noise_gain * np.sqrt(noise_variance[0] * noise_variance[1])
+    noise = aligner.noise_gain * np.sqrt(noise_variance[0] * noise_variance[1])[::2, ::2]
     significant = cross > _SIGNIFICANT * noise / np.sqrt(samples)
     # At an end of the range the true depth may lie beyond it.
     open_ended = (best == 0) | (best == count - 1)
     error = np.where(significant & ~open_ended, error, np.inf)
-    return PixelDepth(vergence, error, error < _LARGEST_ERROR)
+    full = noise_variance.shape[1], noise_variance.shape[2]
+    error = np.repeat(np.repeat(error, 2, axis=0), 2, axis=1)[: full[0], : full[1]]
+    return PixelDepth(doubled(vergence, full), error, error < _LARGEST_ERROR)
 
 
 def parabola(below: FloatArray, at: FloatArray, above: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

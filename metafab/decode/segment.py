@@ -10,7 +10,7 @@ from scipy.ndimage import binary_erosion, binary_opening, distance_transform_edt
 from scipy.ndimage import label as connected
 
 from metafab.core.conventions import FloatArray
-from metafab.decode.align import Aligner
+from metafab.decode.align import Aligner, doubled
 from metafab.decode.depth import PixelDepth, parabola, standard_error
 
 #: Half a window: less cannot be told from the mixture of depths along an outline.
@@ -74,7 +74,7 @@ def assign(aligner: Aligner, layers_per_m: FloatArray, pixels: PixelDepth, step_
     for vergence in layers_per_m:
         agreement = aligner.windows(float(vergence), _OUTLINE_WINDOW_PX)
         # Agreement of two twins of equal power: 1 - |a - b|^2 / (|a|^2 + |b|^2) after matching their contrast.
-        score = agreement.correlation
+        score = doubled(agreement.correlation, pixels.claimed.shape)
         score = score - 0.05 * np.minimum(np.abs(pixels.vergence_per_m - vergence) / step_per_m, 4.0)
         scores.append(uniform_filter(score, 5, mode="nearest"))
     label = (np.argmax(scores, axis=0) + 1).astype(np.int32)
