@@ -162,9 +162,10 @@ def _simulation(mp: Any, job: Json, *, empty: bool) -> Any:
         for block in ([] if empty else job["blocks"])
     ]
     mirrors = []
-    if job["mirrors"] and not empty:
+    for name in () if empty else job["mirrors"]:
         # The source is a polar vector: odd under the mirror across its own axis.
-        mirrors = [mp.Mirror(mp.X, phase=-1 if x_polarised else 1), mp.Mirror(mp.Y, phase=1 if x_polarised else -1)]
+        phase = -1 if name == job["polarisation"] else 1
+        mirrors.append(mp.Mirror(mp.X if name == "x" else mp.Y, phase=phase))
 
     def weight(place: Any) -> complex:
         across = place.y if x_polarised else place.x

@@ -56,7 +56,7 @@ def _job(n_x: int = 2) -> Job:
         epsilon_in=one,
         blocks=(),
         smooth=False,
-        mirrors=False,
+        mirrors=(),
         decay=1e-3,
         longest_time=10.0,
     )

@@ -3,10 +3,12 @@
 - ``finding``        which interpreter has the FDTD Meep, proved by a probe; what to install
 - ``protocol``       one worker process: jobs, time limits, a sure end
 - ``pool``           long-lived workers, one a core
-- ``grid``           a cell on whole pixels -> the worker's job
+- ``coordinates``    stretched axes that put every wall on nodes of the grid
+- ``grid``           a cell on such axes -> the worker's job
 - ``deembedding``    recorded fields -> t and r in the planes of the conventions
 - ``extrapolation``  several resolutions -> limit and error
 - ``solver``         all of it for one cell, or many
+- ``supercell``      a row of unlike pillars against the local-period approximation
 
 In: a :class:`metafab.cell.response.PillarCell` at normal incidence. Out: its CellResponse. The program itself is
 ``metafab/cell/meep_worker.py``, the only file that imports meep.
@@ -15,5 +17,6 @@ In: a :class:`metafab.cell.response.PillarCell` at normal incidence. Out: its Ce
 from metafab.cell.meep.finding import MeepCandidate, find
 from metafab.cell.meep.pool import Pool
 from metafab.cell.meep.solver import MeepSettings, solve, solve_many
+from metafab.cell.meep.supercell import RowResponse, solve_row
 
-__all__ = ["MeepCandidate", "MeepSettings", "Pool", "find", "solve", "solve_many"]
+__all__ = ["MeepCandidate", "MeepSettings", "Pool", "RowResponse", "find", "solve", "solve_many", "solve_row"]

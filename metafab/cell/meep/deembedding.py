@@ -11,13 +11,22 @@ from numpy.typing import NDArray
 from metafab.cell.meep.grid import Plan
 
 
-def grid_wavenumber(n: float, wavelength_um: float, pixel_um: float, courant: float) -> float:
-    """Wavenumber (rad/um) of a plane wave along an axis of the Yee grid.
+def grid_wavenumber(n: float, wavelength_um: float, pixel_um: float, courant: float, across: float = 0.0) -> complex:
+    """Wavenumber along z (rad/um) of a plane wave on the Yee grid; imaginary where it is evanescent.
 
-    sin(k dx / 2) / dx = n sin(omega dt / 2) / dt (Taflove and Hagness 2005, Eq. 4.5). With the true n k0 in its
-    place, results would depend on where the monitors stand.
+    The sum of sin^2(k_i dx / 2) / dx^2 over the axes is n^2 sin^2(omega dt / 2) / dt^2 (Taflove and Hagness 2005,
+    Eq. 4.5). With the true wavenumbers in its place, results would depend on where the monitors stand.
+
+    Args:
+        n: index of the medium.
+        wavelength_um: vacuum wavelength.
+        pixel_um: grid spacing.
+        courant: time step over grid spacing.
+        across: wavenumber along x or y, rad/um.
     """
-    return 2.0 / pixel_um * math.asin(n / courant * math.sin(math.pi * courant * pixel_um / wavelength_um))
+    total = n / courant * math.sin(math.pi * courant * pixel_um / wavelength_um)
+    along = cmath.sqrt(total**2 - math.sin(across * pixel_um / 2.0) ** 2)
+    return 2.0 / pixel_um * cmath.asin(along)
 
 
 def amplitudes(plan: Plan, limit: NDArray[Any], incident: NDArray[Any]) -> tuple[complex, complex]:

@@ -10,6 +10,9 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
 
+#: Of h in the error of a field that is singular at a dielectric corner; smooth fields have h^2.
+_SLOWEST_POWER = 1.5
+
 
 @dataclass(frozen=True)
 class Extrapolated:
@@ -27,9 +30,9 @@ class Extrapolated:
 def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Extrapolated:
     """Limit of v(h) = v + c_2 h^2 + c_4 h^4 + ... from grids that share their coordinates.
 
-    The three finest grids give both coefficients, two give the first only. The error is the step from the last
-    limit but one of second order to the last: corners of the pillar add powers between h^1.5 and h^3, of
-    which grids in the ratios 1 : 2 : 3 : 4 leave less than that step.
+    The three finest grids give both coefficients, two give the first only. The error is what the limit of second
+    order from the two finest grids would still lack if the step to it from the one before were all due to a
+    term in h^1.5, the slowest that the corners of a pillar add. With two grids it is the whole correction.
 
     Args:
         pixel_um: at least two grid spacings, coarse to fine.
@@ -42,12 +45,12 @@ def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Ext
     h, v = np.asarray(pixel_um, dtype=np.float64), np.asarray(values, dtype=np.complex128)
     last = _limit(h[-2:], v[-2:])
     if len(h) == 2:
-        # Nothing checks the order yet: the whole correction to the finer grid stays in doubt.
         return Extrapolated(last, float(np.max(np.abs(last - v[-1]))))
-    before = _limit(h[-3:-1], v[-3:-1])
-    return Extrapolated(_limit(h[-3:], v[-3:]), float(np.max(np.abs(last - before))))
+    step = float(np.max(np.abs(last - _limit(h[-3:-1], v[-3:-1]))))
+    coarse, fine = (abs(_limit(pair, pair[:, None] ** _SLOWEST_POWER)[0]) for pair in (h[-3:-1], h[-2:]))
+    return Extrapolated(_limit(h[-3:], v[-3:]), step * fine / (coarse - fine))
 
 
-def _limit(h: FloatArray, v: ComplexArray) -> ComplexArray:
+def _limit(h: FloatArray, v: FloatArray | ComplexArray) -> ComplexArray:
     """Value at h = 0 of the polynomial in h^2 through all points."""
     return np.asarray(np.linalg.solve(np.vander(h**2, increasing=True).astype(np.complex128), v)[0])

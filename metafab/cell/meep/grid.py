@@ -12,10 +12,10 @@ from metafab.cell.response import PillarCell
 from metafab.core.conventions import Polarisation
 
 #: Of the vacuum wavelength: absorber, and clearance between source, monitors and pillar.
-_ABSORBER = 0.5
-_CLEARANCE = 0.3
+ABSORBER = 0.5
+CLEARANCE = 0.3
 #: Pixels between source and near monitor, and between any of these planes and an absorber.
-_PLANE_NODES = 3
+PLANE_NODES = 3
 #: Half periods that the coarsest member of a family may have, in pixels.
 _FAMILY = range(5, 10)
 #: Part of the stability limit that the time step takes.
@@ -123,14 +123,14 @@ def plan(
     n_x, n_y = (2 * member * count for count in grids.period)
     pixel = cell.period_nm[0] * 1e-3 / n_x
     wavelength, height = cell.wavelength_nm * 1e-3, cell.height_nm * 1e-3
-    absorber = math.ceil(_ABSORBER * wavelength / pixel)
-    clearance = math.ceil(_CLEARANCE * wavelength / pixel)
-    source = absorber + _PLANE_NODES
-    near = source + _PLANE_NODES
+    absorber = math.ceil(ABSORBER * wavelength / pixel)
+    clearance = math.ceil(CLEARANCE * wavelength / pixel)
+    source = absorber + PLANE_NODES
+    near = source + PLANE_NODES
     begin = near + shift_nodes + clearance
     end = begin + 2 * member * grids.height
     far = end + clearance + shift_nodes
-    n_z = far + _PLANE_NODES + absorber
+    n_z = far + PLANE_NODES + absorber
     n_z += n_z % 2
     sizes = zip(grids.inside, (cell.width_nm, cell.length_nm), cell.period_nm, (n_x, n_y), strict=True)
     x, y = (
@@ -153,10 +153,10 @@ def plan(
         orders=((0, 0),),
         # Where E_x is stretched by x alone, the wave's flux varies along y, and the other way round.
         weight=tuple((y if polarisation == "x" else x).node_stretch()),
-        epsilon_in=_axes(cell.n_in),
+        epsilon_in=permittivity(cell.n_in),
         blocks=_blocks(cell, (x, y, z), pixel, n_z),
         smooth=False,
-        mirrors=True,
+        mirrors=("x", "y"),
         decay=decay,
         longest_time=longest_time,
         courant=_courant(cell, (x, y, z)),
@@ -171,20 +171,20 @@ def _courant(cell: PillarCell, axes: tuple[Axis, Axis, Axis]) -> float:
     return min(0.5, _STABILITY * slowest_n / math.sqrt(inverse))
 
 
-def _axes(n: tuple[complex, complex]) -> tuple[complex, complex, complex]:
+def permittivity(n: tuple[complex, complex]) -> tuple[complex, complex, complex]:
     """Permittivity along x, y, z. The zero order does not see eps_z; evanescent orders do, and get the mean."""
     x, y = complex(n[0]) ** 2, complex(n[1]) ** 2
     return x, y, (x + y) / 2.0
 
 
 def _blocks(cell: PillarCell, axes: tuple[Axis, Axis, Axis], pixel: float, n_z: int) -> tuple[Block, ...]:
-    ambient = _axes((cell.n_ambient, cell.n_ambient))
-    pillar = _axes((cell.n_pillar, cell.n_pillar))
+    ambient = permittivity((cell.n_ambient, cell.n_ambient))
+    pillar = permittivity((cell.n_pillar, cell.n_pillar))
     epsilon: dict[tuple[int, int, int], tuple[complex, ...]] = {}
     for in_x, in_y in product((0, 1), repeat=2):
-        epsilon[in_x, in_y, 0] = _axes(cell.n_in)
+        epsilon[in_x, in_y, 0] = permittivity(cell.n_in)
         epsilon[in_x, in_y, 1] = pillar if in_x and in_y else ambient
-        epsilon[in_x, in_y, 2] = _axes(cell.n_out)
+        epsilon[in_x, in_y, 2] = permittivity(cell.n_out)
     return tuple(
         Block(
             (box.low[0] * pixel, box.low[1] * pixel, (box.low[2] - n_z / 2) * pixel),

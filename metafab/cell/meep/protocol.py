@@ -68,7 +68,7 @@ class Job:
         epsilon_in: permittivity along x, y and z wherever there is no block; the source lies in it.
         blocks: the structure.
         smooth: whether Meep averages pixels that a wall crosses; not where blocks are made for the grid's points.
-        mirrors: whether it equals its mirror images in x and in y: a quarter is simulated then.
+        mirrors: axes along which the structure equals its mirror image; each halves the work.
         decay: the run ends when extrapolated orders change by no more than this, relative to the incident wave.
         longest_time: it ends at this time (um / c) at the latest.
         courant: time step over grid spacing.
@@ -90,7 +90,7 @@ class Job:
     epsilon_in: tuple[complex, complex, complex]
     blocks: tuple[Block, ...]
     smooth: bool
-    mirrors: bool
+    mirrors: tuple[Polarisation, ...]
     decay: float
     longest_time: float
     courant: float = 0.5
