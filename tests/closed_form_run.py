@@ -11,7 +11,7 @@ from metafab.camera.frame import RawFrame, Truth
 from metafab.decode.image import Image4D
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.library import Library
-from metafab.optics.point_spread import Psf
+from metafab.optics.point_spread import Psf, PsfField
 from metafab.report.run_folder import AperturePhases, RunFolder
 
 DEPTHS_M = np.linspace(0.25, 0.35, 9)
@@ -31,6 +31,12 @@ def turning_psf(share: float = 1.0) -> Psf:
     centre = np.zeros((2, DEPTHS_M.size, 2))
     wrapped = np.mod(phi_deg + 180.0, 360.0) - 180.0
     efficiency = np.full((2, DEPTHS_M.size), share)
+    field = PsfField(
+        np.array([-0.1, 0.0, 0.1]),
+        np.array([-0.05, 0.05]),
+        np.broadcast_to(share * np.stack(lobes)[:, :, None, None], (2, 9, 2, 3, n, n)).astype(np.float32),
+        np.zeros((2, 9, 2, 3, 2)),
+    )
     return Psf(
         DEPTHS_M,
         pixel_um,
@@ -41,6 +47,7 @@ def turning_psf(share: float = 1.0) -> Psf:
         efficiency,
         np.full(9, 30.0),
         2e4,
+        field,
     )
 
 

@@ -7,6 +7,8 @@ import numpy as np
 from metafab.camera.frame import RawFrame
 from metafab.core.conventions import POLARISATIONS, FloatArray
 from metafab.decode.image import Image4D
+from metafab.optics.point_spread import Psf
+from metafab.report.figures.psf import depth_text
 from metafab.report.run_folder import RunFolder
 
 Stage = tuple[str, float]
@@ -48,6 +50,29 @@ def budget_of(run: RunFolder) -> list[BudgetLine]:
 def seconds_of(run: RunFolder) -> dict[str, float]:
     """Time of each step."""
     return {step: float(value) for step, value in run.part("seconds").items() if isinstance(value, int | float)}
+
+
+def modulation_of(psf: Psf) -> tuple[FloatArray, list[tuple[str, FloatArray]]]:
+    """Modulation transfer of PSF_x at the nearest, middle and farthest depth: |Fourier transform|, 1 at zero.
+
+    Returns:
+        Spatial frequencies on the sensor, shape (n,), per mm, the mean of each ring of directions; and the name and
+        transfer, shape (n,), of each depth. Light outside the PSF's window is not in it.
+    """
+    _, n_depth, n_y, n_x = psf.psf.shape
+    step_per_mm = 1e3 / (min(n_y, n_x) * psf.pixel_um)
+    f_y, f_x = (np.fft.fftfreq(n, 1e-3 * psf.pixel_um) for n in (n_y, n_x))
+    radius = np.hypot(f_y[:, None], f_x[None, :])
+    ring = np.rint(radius / step_per_mm).astype(np.int64)
+    count = (min(n_y, n_x) + 1) // 2
+    inside = ring < count
+    pixels = np.bincount(ring[inside], minlength=count)
+    curves = []
+    for depth in dict.fromkeys((0, n_depth // 2, n_depth - 1)):
+        transfer = np.abs(np.fft.fft2(psf.psf[0, depth]))
+        mean = np.bincount(ring[inside], transfer[inside], count) / pixels
+        curves.append((depth_text(float(psf.depth_m[depth])), mean / mean[0]))
+    return np.bincount(ring[inside], radius[inside], count) / pixels, curves
 
 
 def depths_against_truth(run: RunFolder) -> tuple[FloatArray, FloatArray, FloatArray] | None:

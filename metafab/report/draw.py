@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from metafab.core.conventions import POLARISATIONS
 from metafab.core.progress import Progress
 from metafab.report import figures
-from metafab.report.accounts import budget_of, chain_of, depths_against_truth, seconds_of
+from metafab.report.accounts import budget_of, chain_of, depths_against_truth, modulation_of, seconds_of
 from metafab.report.mask_picture import picture_of
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import BARS, MAP, PICTURE, PLOT, Margins, panel, save_png, svg
@@ -125,6 +125,11 @@ def _light(run: RunFolder) -> Iterator[Plan]:
     yield Plan("psf_pair", "PSF pair over depth", partial(figures.pair_over_depth, psf), size, (0.3, 0.1, 0.05, 0.3))
     yield Plan("psf_orientation", "Orientation over depth", partial(figures.orientation, psf, ideal=ideal))
     yield Plan("psf_peak", "Peak irradiance over depth", partial(figures.peak, psf, ideal=ideal))
+    yield Plan("psf_mtf", "Modulation transfer at three depths", partial(figures.modulation, *modulation_of(psf)))
+    if psf.field is not None:
+        for p in POLARISATIONS:
+            paint = partial(figures.over_field, psf, polarisation=p)
+            yield Plan(f"psf_field_{p}", f"PSF of {p} polarisation over the field of view", paint, (4.0, 3.6))
 
 
 def _image(run: RunFolder) -> Iterator[Plan]:

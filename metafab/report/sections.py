@@ -200,7 +200,8 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         ),
         viewer,
         html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
-        html.grid(html.figure(drawn[n]) for n in ("psf_orientation", "psf_peak") if n in drawn),
+        html.grid(html.figure(drawn[n]) for n in ("psf_orientation", "psf_peak", "psf_mtf") if n in drawn),
+        html.grid(html.figure(drawn[n]) for n in ("psf_field_x", "psf_field_y") if n in drawn),
         "" if run.ideal_psf is not None else html.note(run.notes.get("ideal_psf", "no PSF of the target phases")),
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
 from metafab.report import benchmark_page, figures, html, library_figure
-from metafab.report.accounts import chain_of, depths_against_truth
+from metafab.report.accounts import chain_of, depths_against_truth, modulation_of
 from metafab.report.mask_picture import picture_of
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import depth_unit, panel
@@ -109,6 +110,34 @@ def test_depth_against_truth_reads_the_truth_at_the_same_place_on_the_sensor() -
     other = depths_against_truth(RunFolder(Path(), decoded=decoded, raw=moved))
     assert other is not None
     np.testing.assert_array_equal(np.array(other), np.array(same))
+
+
+def test_modulation_of_a_gaussian_lobe() -> None:
+    """exp(-r^2 / 8 um^2) has the transfer exp(-2 (pi f)^2 4 um^2), wherever it sits."""
+    psf = turning_psf()
+    frequency_per_mm, curves = modulation_of(psf)
+    assert [name for name, _ in curves] == ["25 cm", "30 cm", "35 cm"]
+    assert frequency_per_mm.shape == (17,)
+    expected = np.exp(-8.0 * (np.pi * 1e-3 * frequency_per_mm) ** 2)
+    for _, transfer in curves:
+        # The mean over a ring of width s = 1 / 33 um differs from the value at its mean frequency by half the second
+        # derivative, at most 16 pi^2 um^2, times the variance, about s^2 / 12: 0.006.
+        np.testing.assert_allclose(transfer, expected, atol=0.006)
+
+
+def test_field_of_view_is_drawn_in_its_order() -> None:
+    """Mark one direction by brightness: it must light up in its own column and row, lowest y at the bottom."""
+    psf = turning_psf()
+    assert psf.field is not None
+    marked = psf.field.psf.copy()
+    marked[1, 4, 0, 2] *= 5.0
+    _, axes = panel()
+    figures.over_field(replace(psf, field=replace(psf.field, psf=marked)), axes, "y")
+    mosaic = np.asarray(axes.images[0].get_array())
+    row, column = np.unravel_index(int(mosaic.argmax()), mosaic.shape)
+    assert row < mosaic.shape[0] / 2
+    assert column > mosaic.shape[1] * 2 / 3
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["-0.1", "0", "0.1"]
 
 
 def test_loss_chain_falls_and_names_its_comparison() -> None:

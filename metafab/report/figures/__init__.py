@@ -3,7 +3,7 @@
 - ``library``    maps of phase, transmittance and error over pillar size; coverage of both phases
 - ``phases``     phases over the aperture
 - ``mask``       the written pillars at three zooms
-- ``psf``        the pair over depth, orientation, peak
+- ``psf``        the pair over depth and field, orientation, peak, modulation transfer
 - ``image``      raw frame, decoded intensities, contrast, depth, depth against truth
 - ``accounts``   loss chain, error budget, seconds, error against time
 
@@ -15,7 +15,15 @@ from metafab.report.figures.image import confidence, contrast, depth, depth_agai
 from metafab.report.figures.library import coverage, error_map, phase_map, transmittance_map
 from metafab.report.figures.mask import fill_map, pillar_rectangles
 from metafab.report.figures.phases import aperture_phase
-from metafab.report.figures.psf import lit_half_px, orientation, pair_over_depth, peak, shown_depths
+from metafab.report.figures.psf import (
+    lit_half_px,
+    modulation,
+    orientation,
+    over_field,
+    pair_over_depth,
+    peak,
+    shown_depths,
+)
 
 __all__ = [
     "aperture_phase",
@@ -31,7 +39,9 @@ __all__ = [
     "intensity",
     "lit_half_px",
     "loss_chain",
+    "modulation",
     "orientation",
+    "over_field",
     "pair_over_depth",
     "peak",
     "phase_map",

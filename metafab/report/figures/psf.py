@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from metafab.core.conventions import POLARISATIONS
+from metafab.core.conventions import POLARISATIONS, FloatArray, Polarisation
 from metafab.optics.point_spread import Psf
 from metafab.report.style import (
     IDEAL,
@@ -107,6 +108,49 @@ def peak(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
         axes.plot([], [], color=INK, linewidth=1.0, linestyle=(0, (4, 3)), label="target phases")
     dress(axes, f"object depth / {unit}", "peak irradiance / µm⁻²", "Peak, per unit power at the aperture")
     axes.set_ylim(bottom=0.0)
+    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
+    legend(axes)
+    return axes
+
+
+def over_field(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
+    """One PSF over the field of view at the middle depth, each about its own image point, one scale for all.
+
+    Raises:
+        ValueError: ``psf`` holds no field.
+    """
+    if psf.field is None:
+        raise ValueError("`psf`: expected one with a field of view, got the axis alone")
+    half = lit_half_px(psf)
+    pictures = psf.field.psf[POLARISATIONS.index(polarisation), psf.depth_m.size // 2]
+    rows, columns, n_y, n_x = pictures.shape
+    lit = pictures[:, :, n_y // 2 - half : n_y // 2 + half + 1, n_x // 2 - half : n_x // 2 + half + 1]
+    side = 2 * half + 1
+    mosaic = lit.transpose(0, 2, 1, 3).reshape(rows * side, columns * side)
+    show_map(axes, mosaic, (0.0, columns, 0.0, rows), cmap=LIGHT_MAP, vmin=0.0, interpolation="bilinear")
+    title = f"PSF of {polarisation} over the field, {depth_text(float(psf.depth_m[psf.depth_m.size // 2]))}"
+    dress(axes, "object direction x / z", "object direction y / z", title, POLARISATION_COLOUR[polarisation])
+    axes.set_xticks(np.arange(columns) + 0.5, [f"{tangent:.2g}" for tangent in psf.field.tangent_x])
+    axes.set_yticks(np.arange(rows) + 0.5, [f"{tangent:.2g}" for tangent in psf.field.tangent_y])
+    for line in range(1, columns):
+        axes.axvline(line, color="#ffffff", linewidth=0.5, alpha=0.35)
+    for line in range(1, rows):
+        axes.axhline(line, color="#ffffff", linewidth=0.5, alpha=0.35)
+    return axes
+
+
+def modulation(frequency_per_mm: FloatArray, curves: Sequence[tuple[str, FloatArray]], axes: Axes) -> Axes:
+    """Modulation transfer against spatial frequency, up to the sensor's Nyquist frequency.
+
+    Args:
+        frequency_per_mm: shape (n,), on the sensor.
+        curves: name and transfer, shape (n,), of each depth.
+        axes: where to draw.
+    """
+    for (name, transfer), style in zip(curves, ("-", "--", ":"), strict=False):
+        axes.plot(frequency_per_mm, transfer, color=X_COLOUR, linewidth=1.5, linestyle=style, label=name)
+    dress(axes, "spatial frequency / mm⁻¹", "modulation transfer", "MTF of x, mean over directions")
+    axes.set(xlim=(0.0, float(frequency_per_mm[-1])), ylim=(0.0, 1.0))
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
     legend(axes)
     return axes
