@@ -15,7 +15,7 @@ from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 
 #: Share of the kernels' energy over the field that the basis may leave out.
-BASIS_TOLERANCE = 1e-7
+BASIS_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -51,27 +51,29 @@ class FieldBlur:
         return cls(right[:count].reshape(count, n_y, n_x), coefficients, nodes.sum(axis=(-2, -1)), kernels)
 
     def __call__(
-        self, images: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray, *, normalised: bool = False
-    ) -> FloatArray:
-        """Blur a stack of images.
+        self, light: FloatArray, coverage: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Blur the light of a layer, and what it covers.
 
         Args:
-            images: shape (n_images, n_y, n_x); zero outside.
-            tangent_x: shape (n_y, n_x), direction of each pixel.
-            tangent_y: shape (n_y, n_x).
-            normalised: divide by the throughput, so that a sum over the plane is kept (for coverage).
+            light: shape (n_y, n_x), electrons a pixel; zero outside.
+            coverage: the same shape, share of each pixel that the layer covers.
+            tangent_x: the same shape, direction of each pixel.
+            tangent_y: the same shape.
 
         Returns:
-            Shape (n_images, n_y + kernel - 1, n_x + kernel - 1): the full convolution; its pixel
-            ``[kernel_n_y // 2, kernel_n_x // 2]`` is the images' pixel [0, 0].
+            Two arrays of shape (n_y + kernel - 1, n_x + kernel - 1): the full convolutions, whose pixel
+            ``[kernel_n_y // 2, kernel_n_x // 2]`` is the layer's pixel [0, 0]. Coverage is blurred by kernels of
+            sum 1, so that a layer that fills the view covers all of it.
         """
         weights = self.kernels.field_weights(tangent_x, tangent_y)
-        maps = np.einsum("yxij,ijk->kyx", weights, self.coefficients, optimize=True)
-        if normalised:
-            maps = maps / np.einsum("yxij,ij->yx", weights, self.throughput)
-        full = tuple(n + k - 1 for n, k in zip(images.shape[-2:], self.basis.shape[-2:], strict=True))
+        weights = weights.reshape(*light.shape, -1)
+        maps = np.moveaxis(weights @ self.coefficients.reshape(weights.shape[-1], -1), -1, 0)
+        images = np.stack([light, coverage / (weights @ self.throughput.ravel())])
+        full = tuple(n + k - 1 for n, k in zip(light.shape, self.basis.shape[-2:], strict=True))
         fast = tuple(scipy.fft.next_fast_len(n, real=True) for n in full)
-        total = np.zeros((images.shape[0], fast[0], fast[1] // 2 + 1), dtype=np.complex128)
+        total = np.zeros((2, fast[0], fast[1] // 2 + 1), dtype=np.complex128)
         for kernel, coefficient in zip(self.basis, maps, strict=True):
             total += scipy.fft.rfft2(images * coefficient, fast) * scipy.fft.rfft2(kernel, fast)
-        return np.asarray(scipy.fft.irfft2(total, fast)[:, : full[0], : full[1]])
+        spread, hidden = scipy.fft.irfft2(total, fast)[:, : full[0], : full[1]]
+        return spread, hidden

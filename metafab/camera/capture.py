@@ -180,8 +180,9 @@ def _light(
             if depth_m not in blurs:
                 blurs[depth_m] = FieldBlur.at_depth(kernels, float(depth_m))
             blur = blurs[depth_m][polarisation]
-            spread += blur((brightness * flux)[None], *tangents)[0]
-            hidden += blur((coverage * window.seen[crop])[None], *tangents, normalised=True)[0]
+            lit, covered = blur(brightness * flux, coverage * window.seen[crop], *tangents)
+            spread += lit
+            hidden += covered
         part = (
             slice(piece.rows.start, piece.rows.start + spread.shape[0]),
             slice(piece.columns.start, piece.columns.start + spread.shape[1]),
