@@ -49,8 +49,8 @@ def eq_2(optics: Imaging, zones: int = 3) -> object:
 
 
 def lattice(optics: Imaging, period_nm: float = 350.0) -> Lattice:
-    """Sites over the aperture."""
-    count = int(optics.aperture_um * 1e3 // period_nm)
+    """Sites over the aperture, an even number a side: on the axis itself, azimuth and mirror image are undefined."""
+    count = 2 * math.ceil(0.5e3 * optics.aperture_um / period_nm)
     return Lattice((round(2 * period_nm), round(2 * period_nm)), (count, count), 0.5)
 
 

@@ -63,7 +63,7 @@ def test_a_plain_lens_gives_the_airy_pattern() -> None:
     x, y = lens.window_points(optics, np.zeros(2), 32)
     v = optics.wavenumber * 50.0 * np.hypot(x, y) / f
     airy = np.where(v > 0.0, (2.0 * j1(np.where(v > 0.0, v, 1.0)) / np.where(v > 0.0, v, 1.0)) ** 2, 1.0)
-    area = np.count_nonzero(next(source.tiles()).amplitude(0)) * 0.35**2
+    area = sum(np.count_nonzero(tile.amplitude(0)) for tile in source.tiles()) * 0.35**2
     airy *= area**2 / (math.pi * 50.0**2) / (0.8 * f) ** 2
     for polarisation in (0, 1):
         assert relative_l2(result.psf[polarisation, 0].ravel(), airy) < 1e-3
@@ -101,10 +101,10 @@ def test_the_other_polarisations_light_in_the_window_is_not_an_alias() -> None:
 
 def test_field_points_are_the_pairs_of_their_directions() -> None:
     source = lens.written(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
-    t_x, t_y = np.array([-0.05, 0.0, 0.05]), np.array([0.0, 0.04])
+    t_x, t_y = np.array([-0.05, 0.0, 0.05]), np.array([0.04])
     whole = psf(source, OPTICS, [0.8e-3, 0.9e-3], window_px=WINDOW_PX, field_tangents=(t_x, t_y))
-    assert whole.field is not None and whole.field.psf.shape == (2, 2, 2, 3, WINDOW_PX, WINDOW_PX)
-    for row, column in np.ndindex(2, 3):
+    assert whole.field is not None and whole.field.psf.shape == (2, 2, 1, 3, WINDOW_PX, WINDOW_PX)
+    for row, column in np.ndindex(1, 3):
         alone = psf(source, OPTICS, [0.8e-3, 0.9e-3], tangent=(t_x[column], t_y[row]), window_px=WINDOW_PX)
         assert whole.field.centre_um[:, :, row, column] == pytest.approx(alone.centre_um)
         error = relative_l2(whole.field.psf[:, :, row, column], alone.psf)
@@ -123,6 +123,7 @@ def test_one_pillar_is_a_point_source() -> None:
     """A single site radiates h: cell area (which is the aperture) times (z / (lambda R^2))^2 on the sensor."""
     optics = replace(OPTICS, aperture_um=0.35, aperture_shape="square", split_angle_deg=0.0)
     source = lens.ideal(optics, lambda x, y, p: np.zeros((y.size, x.size)))
+    source = replace(source, lattice=replace(source.lattice, shape=(1, 1)))
     result = psf(source, optics, [0.9e-3], window_px=16)
     x, y = lens.window_points(optics, np.zeros(2), 16)
     r2 = x**2 + y**2 + optics.sensor_distance_um**2

@@ -1,0 +1,90 @@
+"""``psf.h5``: what is written is read, and what cannot be used is refused with its faults."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.optics import Psf, load, save
+from tests.conjugate_pair import helix_psf
+
+DEPTHS = np.array([0.0025, 0.0029, 0.0034])
+
+
+@pytest.fixture(scope="module")
+def stack() -> Psf:
+    return helix_psf(DEPTHS, window_px=16, tangents=(np.array([-0.05, 0.05]), np.array([0.0])))
+
+
+def test_a_file_gives_back_the_stack(stack: Psf, tmp_path: Path) -> None:
+    stack.details.update({"seconds": 1.5, "how": "test", "nothing": float("nan"), "all": float("inf")})
+    save(stack, tmp_path / "psf.h5")
+    back = load(tmp_path / "psf.h5")
+    for name in ("depth_m", "psf", "centre_um", "phi_deg", "error", "efficiency", "extinction_ratio"):
+        assert np.array_equal(getattr(back, name), getattr(stack, name)), name
+    assert (back.pixel_um, back.sensor_distance_um) == (stack.pixel_um, stack.sensor_distance_um)
+    assert back.field is not None and stack.field is not None
+    for name in ("tangent_x", "tangent_y", "psf", "centre_um"):
+        assert np.array_equal(getattr(back.field, name), getattr(stack.field, name)), name
+    assert (back.details["seconds"], back.details["how"], back.details["all"]) == (1.5, "test", float("inf"))
+    assert np.isnan(back.details["nothing"])
+
+
+def test_the_contracts_datasets_carry_units_and_scales(stack: Psf, tmp_path: Path) -> None:
+    save(stack, tmp_path / "psf.h5")
+    with h5py.File(tmp_path / "psf.h5") as file:
+        assert file["psf"].shape == (2, 3, 16, 16)
+        assert [dim[0].name for dim in file["psf"].dims] == ["/polarisation", "/depth_m", "/y_um", "/x_um"]
+        for name in ("depth_m", "pixel_um", "psf", "centre_um", "phi_deg", "error"):
+            assert "units" in file[name].attrs and file[name].attrs["description"]
+        assert file["psf"].attrs["units"] == "1/um^2"
+
+
+def test_the_same_stack_gives_the_same_bytes(stack: Psf, tmp_path: Path) -> None:
+    for name in ("a.h5", "b.h5"):
+        save(stack, tmp_path / name)
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+
+
+@pytest.mark.parametrize("damage", ["missing", "empty", "truncated", "text", "foreign"])
+def test_unusable_files_are_refused(stack: Psf, tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "psf.h5"
+    if damage == "empty":
+        path.touch()
+    elif damage == "truncated":
+        save(stack, path)
+        os.truncate(path, path.stat().st_size // 2)
+    elif damage == "text":
+        path.write_text("depth_m = 3\n", encoding="utf-8")
+    elif damage == "foreign":
+        with h5py.File(path, "w") as file:
+            file["psf"] = np.zeros((2, 3, 4, 4))
+    with pytest.raises(InputError, match="metafab psf"):
+        load(path)
+
+
+def test_arrays_that_do_not_fit_are_all_named(stack: Psf, tmp_path: Path) -> None:
+    path = tmp_path / "psf.h5"
+    save(stack, path)
+    with h5py.File(path, "a") as file:
+        file["psf"][0, 0, 0, 0] = np.nan
+        for name in ("phi_deg", "error"):
+            del file[name]
+            file[name] = np.zeros(7)
+    with pytest.raises(InputError) as caught:
+        load(path)
+    assert {fault.field for fault in caught.value.faults} == {"psf", "phi_deg", "error"}
+
+
+def test_a_missing_dataset_is_named(stack: Psf, tmp_path: Path) -> None:
+    path = tmp_path / "psf.h5"
+    save(stack, path)
+    with h5py.File(path, "a") as file:
+        del file["centre_um"]
+    with pytest.raises(InputError, match="centre_um"):
+        load(path)
