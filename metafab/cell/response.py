@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
-from metafab.core.conventions import ComplexArray, Side
+import numpy as np
+
+from metafab.core.conventions import ComplexArray, FloatArray, Side
 
 
 @dataclass(frozen=True)
@@ -73,7 +77,8 @@ class CellResponse:
     Attributes:
         cell: what was solved.
         numerics: what was asked of the solver.
-        t: shape (2, 2), transmitted over incident E, [out, in] in the basis (x, y); planes of the conventions.
+        t: shape (2, 2), transmitted over incident E, [out, in] in the basis (x, y); planes of the conventions. For
+            light at an angle, of the field's components along x and y (tangential to the cell).
         r: shape (2, 2), reflected over incident E, both at the plane where the pillar begins.
         error: bound or estimate of the largest absolute error among ``t`` and ``r``.
         converged: whether ``error <= numerics.target_error``.
@@ -96,10 +101,22 @@ class CellResponse:
     def transmittance(self) -> tuple[float, float]:
         """Zero-order power transmittance of x and y polarised light (all outgoing polarisations)."""
         x, y = (
-            float((abs(self.t[0, i]) ** 2 + abs(self.t[1, i]) ** 2) * self.cell.n_out[i].real / self.cell.n_in[i].real)
+            _power_across(self.cell, self.t[:, i], self.cell.n_out)
+            / _power_across(self.cell, np.eye(2)[i], self.cell.n_in)
             for i in (0, 1)
         )
         return x, y
+
+
+def _power_across(cell: PillarCell, field: ComplexArray | FloatArray, n: tuple[complex, complex]) -> float:
+    """Power (in units of the vacuum's) that a zero order with tangential field (x, y) carries along z in ``n``."""
+    if cell.angle_deg == 0.0:
+        return float(n[0].real * abs(field[0]) ** 2 + n[1].real * abs(field[1]) ** 2)
+    azimuth = math.radians(cell.azimuth_deg)
+    along = math.cos(azimuth) * field[0] + math.sin(azimuth) * field[1]
+    across = math.cos(azimuth) * field[1] - math.sin(azimuth) * field[0]
+    q = cmath.sqrt(n[0] ** 2 - (cell.n_in[0] * math.sin(math.radians(cell.angle_deg))) ** 2)
+    return float((n[0] ** 2 / q).real * abs(along) ** 2 + q.real * abs(across) ** 2)
 
 
 class CellSolver(Protocol):

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from metafab.cell.fresnel import film_jones
-from metafab.cell.rcwa import Formulation, zero_order
-from metafab.cell.response import PillarCell
+from metafab.cell.rcwa import Formulation, solve, zero_order
+from metafab.cell.response import CellNumerics, PillarCell
 from metafab.core.conventions import Side
 
 #: Silicon on sapphire at 800 nm without loss, so that power must be conserved.
@@ -86,10 +86,25 @@ def test_extreme_lossless_cells_stay_sound(change: dict[str, object]) -> None:
     solved = zero_order(cell, 5)
     assert np.isfinite(solved.t).all()
     assert np.isfinite(solved.r).all()
-    zero_orders = np.abs(np.diag(solved.t)) ** 2 / 1.7601 + np.abs(np.diag(solved.r)) ** 2
-    assert (zero_orders <= 1.0 + ROUNDING).all()
-    if max(cell.period_nm) * 1.7601 < 800.0 * (1 - 1e-9):
-        np.testing.assert_allclose(zero_orders, 1.0, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(solved.transmitted_power + solved.reflected_power, 1.0, rtol=0.0, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("angle", [(20.0, 0.0), (20.0, 90.0), (20.0, 40.0)])
+@pytest.mark.parametrize("period_nm", [350.0, 600.0])
+def test_oblique_light_conserves_power(formulation: Formulation, angle: tuple[float, float], period_nm: float) -> None:
+    cell = replace(LOSSLESS, angle_deg=angle[0], azimuth_deg=angle[1], period_nm=(period_nm, period_nm))
+    solved = zero_order(cell, 3, formulation)
+    np.testing.assert_allclose(solved.transmitted_power + solved.reflected_power, 1.0, rtol=0.0, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("angle", [(0.0, 0.0), (20.0, 0.0), (20.0, 40.0)])
+@pytest.mark.parametrize("side", ["substrate", "ambient"])
+def test_transmittance_is_all_transmitted_power_without_diffraction(side: Side, angle: tuple[float, float]) -> None:
+    cell = replace(LOSSY, angle_deg=angle[0], azimuth_deg=angle[1], side=side)
+    response = solve(cell, CellNumerics(1e-2, max_orders=3))
+    every_order = [response.details["transmitted_power_x"], response.details["transmitted_power_y"]]
+    np.testing.assert_allclose(response.transmittance, every_order, rtol=0.0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("n_pillar", [0.036 + 5.6j, 1e-3 + 1e3j, 1e3 + 0j, 0.15 + 3.5j])

@@ -18,7 +18,7 @@ from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, pl
 from metafab.cell.rcwa.factorisation import layer_matrices
 from metafab.cell.rcwa.transverse import TransverseBasis, transverse_basis
 from metafab.cell.response import PillarCell
-from metafab.core.conventions import ComplexArray
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 
 Orders = tuple[int, int]
@@ -31,11 +31,15 @@ class ZeroOrder:
     Attributes:
         t: shape (2, 2), [out, in] of the transverse field in the basis (x, y), at the planes of the conventions.
         r: shape (2, 2), the same for reflection.
+        transmitted_power: shape (2,), power in all transmitted orders for incident x and y, over the incident power.
+        reflected_power: shape (2,), the same for reflection.
         coefficients: size of the largest eigenvalue problem.
     """
 
     t: ComplexArray
     r: ComplexArray
+    transmitted_power: FloatArray
+    reflected_power: FloatArray
     coefficients: int
 
 
@@ -75,15 +79,18 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
             absorbing medium.
     """
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
+    power = np.zeros((2, 2))
     largest = 0
     with one_thread():
         for case in symmetry_classes(cell, axis_orders(cell, orders), formulation):
-            field, incident = solve_class(cell, case).field, case.basis.zero_order()
-            t, r = t + incident.T @ field.transmitted, r + incident.T @ field.reflected
+            solution, incident = solve_class(cell, case), case.basis.zero_order()
+            t, r = t + incident.T @ solution.field.transmitted, r + incident.T @ solution.field.reflected
+            power = power + _powers(solution, incident)
             largest = max(largest, case.basis.size)
             if _polarisations_swap(cell):
-                return ZeroOrder(t + t[::-1, ::-1], r + r[::-1, ::-1], largest)
-    return ZeroOrder(t, r, largest)
+                t, r, power = t + t[::-1, ::-1], r + r[::-1, ::-1], power + power[:, ::-1]
+                break
+    return ZeroOrder(t, r, power[0], power[1], largest)
 
 
 def symmetry_classes(cell: PillarCell, orders: Orders, formulation: Formulation) -> Iterator[SymmetryClass]:
@@ -122,6 +129,20 @@ def permittivity(n: complex) -> complex:
 def one_thread() -> AbstractContextManager[Any]:
     """One BLAS thread while it lasts."""
     return cast("AbstractContextManager[Any]", _blas().limit(limits=1))
+
+
+def _powers(solution: ClassSolution, incident: ComplexArray) -> FloatArray:
+    """Power in all transmitted and all reflected orders, a row each, over the incident power (0 where none comes)."""
+
+    def across(waves: PlaneWaves, field: ComplexArray) -> FloatArray:
+        admittance = waves.h / np.where(waves.e == 0.0, np.inf, waves.e)
+        return np.asarray(admittance.real @ np.abs(field) ** 2)
+
+    sent = across(solution.incoming, incident)
+    gone = np.stack(
+        [across(solution.outgoing, solution.field.transmitted), across(solution.incoming, solution.field.reflected)]
+    )
+    return np.asarray(np.where(sent > 0.0, gone / np.where(sent > 0.0, sent, 1.0), 0.0))
 
 
 def _polarisations_swap(cell: PillarCell) -> bool:
