@@ -144,6 +144,8 @@ def test_richardson_finds_the_limit_of_its_own_model() -> None:
     found = richardson(h, exact)
     np.testing.assert_allclose(found.value, value, atol=1e-12)
     assert found.error > 0.0
+    # Weights 0.0417, -1.0667 and 2.025 for grids in the ratio 1 : 2 : 3.
+    assert found.gain == pytest.approx(1 / 24 + 16 / 15 + 81 / 40)
 
 
 def test_richardson_states_an_error_that_covers_other_orders() -> None:

@@ -21,10 +21,12 @@ class Extrapolated:
     Attributes:
         value: shape (n_values,).
         error: estimate of the largest absolute error among the values.
+        gain: how much larger an independent error of each grid's values becomes in the limit.
     """
 
     value: ComplexArray
     error: float
+    gain: float
 
 
 def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Extrapolated:
@@ -45,12 +47,17 @@ def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Ext
     h, v = np.asarray(pixel_um, dtype=np.float64), np.asarray(values, dtype=np.complex128)
     last = _limit(h[-2:], v[-2:])
     if len(h) == 2:
-        return Extrapolated(last, float(np.max(np.abs(last - v[-1]))))
+        return Extrapolated(last, float(np.max(np.abs(last - v[-1]))), _gain(h))
     step = float(np.max(np.abs(last - _limit(h[-3:-1], v[-3:-1]))))
     coarse, fine = (abs(_limit(pair, pair[:, None] ** _SLOWEST_POWER)[0]) for pair in (h[-3:-1], h[-2:]))
-    return Extrapolated(_limit(h[-3:], v[-3:]), step * fine / (coarse - fine))
+    return Extrapolated(_limit(h[-3:], v[-3:]), step * fine / (coarse - fine), _gain(h[-3:]))
 
 
 def _limit(h: FloatArray, v: FloatArray | ComplexArray) -> ComplexArray:
     """Value at h = 0 of the polynomial in h^2 through all points."""
     return np.asarray(np.linalg.solve(np.vander(h**2, increasing=True).astype(np.complex128), v)[0])
+
+
+def _gain(h: FloatArray) -> float:
+    """Sum of the magnitudes of the weights in :func:`_limit`."""
+    return float(np.sum(np.abs(_limit(h, np.eye(len(h))))))

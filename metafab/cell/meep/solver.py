@@ -33,7 +33,7 @@ class MeepSettings:
     """
 
     members: tuple[int, ...] = (1, 2, 3, 4)
-    decay: float = 2e-4
+    decay: float = 1e-4
     longest_periods: float = 1000.0
 
     def __post_init__(self) -> None:
@@ -92,10 +92,10 @@ def solve(
         if len(pixels) == 1:
             continue
         best = richardson(pixels, values)
-        if len(pixels) > 2 and best.error + tail <= numerics.target_error:
+        error = best.error + best.gain * tail
+        if len(pixels) > 2 and error <= numerics.target_error:
             break
     t, r = best.value.reshape(2, -1)
-    error = best.error + tail
     return CellResponse(
         cell=cell,
         numerics=numerics,
@@ -109,7 +109,7 @@ def solve(
             "grids": float(len(pixels)),
             "pixels_per_period": float(run.job.n_x),
             "error_resolution": best.error,
-            "error_decay": tail,
+            "error_decay": best.gain * tail,
             "last_correction": float(np.max(np.abs(best.value - values[-1]))),
             "simulated_optical_periods": simulated / (cell.wavelength_nm * 1e-3),
         },
