@@ -85,7 +85,7 @@ def dress(axes: Axes, x_label: str = "", y_label: str = "", title: str = "", tit
     axes.set_xlabel(x_label, fontsize=9, color=INK)
     axes.set_ylabel(y_label, fontsize=9, color=INK)
     axes.xaxis.set_label_coords(0.5, -0.31 / height)
-    axes.yaxis.set_label_coords(-0.46 / width, 0.5)
+    axes.yaxis.set_label_coords(-0.55 / width, 0.5)
     axes.set_title(title, fontsize=9.5, color=title_ink, loc="left", y=1.0, pad=7)
     axes.tick_params(labelsize=8.5, colors=MUTED, labelcolor=INK, length=3, width=0.7)
     axes.set_facecolor("none")

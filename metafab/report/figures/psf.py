@@ -130,8 +130,8 @@ def over_field(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
     show_map(axes, mosaic, (0.0, columns, 0.0, rows), cmap=LIGHT_MAP, vmin=0.0, interpolation="bilinear")
     title = f"PSF of {polarisation} over the field, {depth_text(float(psf.depth_m[psf.depth_m.size // 2]))}"
     dress(axes, "object direction x / z", "object direction y / z", title, POLARISATION_COLOUR[polarisation])
-    axes.set_xticks(np.arange(columns) + 0.5, [f"{tangent:.2g}" for tangent in psf.field.tangent_x])
-    axes.set_yticks(np.arange(rows) + 0.5, [f"{tangent:.2g}" for tangent in psf.field.tangent_y])
+    axes.set_xticks(np.arange(columns) + 0.5, _signed(psf.field.tangent_x))
+    axes.set_yticks(np.arange(rows) + 0.5, _signed(psf.field.tangent_y))
     for line in range(1, columns):
         axes.axvline(line, color="#ffffff", linewidth=0.5, alpha=0.35)
     for line in range(1, rows):
@@ -160,6 +160,10 @@ def depth_text(depth_m: float) -> str:
     """A depth in the unit that suits it."""
     scale, unit = depth_unit(depth_m)
     return f"{scale * depth_m:.4g} {unit}"
+
+
+def _signed(values: FloatArray) -> list[str]:
+    return [f"{value:.2g}".replace("-", "−") for value in values]
 
 
 def _unwrapped(psf: Psf) -> np.ndarray:
