@@ -9,6 +9,7 @@
 - ``stack``        :func:`psf`: the pair over depth and field, block size chosen by the error asked
 - ``lobe``         main lobe to a fraction of a pixel, orientation
 - ``depth``        interpolation between depths, joining stacks
+- ``metrics``      efficiency through a pinhole, peaks, rotation, MTF, depth of field
 - ``point_spread`` Psf, PsfField: what goes out
 - ``fisher``       Fisher information about depth in PSF stacks, and the Cramer-Rao bound
 - ``store``        ``psf.h5``
@@ -18,6 +19,7 @@ In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.libra
 :class:`~metafab.phase.profile.PhaseProfile`; an :class:`Imaging`. Out: a :class:`Psf`.
 """
 
+from metafab.optics import metrics
 from metafab.optics.depth import at_depths, concatenate, without_depths
 from metafab.optics.fisher import PointSource, depth_crlb_m, point_information, twin_depth_information
 from metafab.optics.imaging import Imaging, depth_nodes, field_tangents
@@ -45,6 +47,7 @@ __all__ = [
     "ideal_field",
     "load",
     "main_lobe_px",
+    "metrics",
     "orientation_deg",
     "point_information",
     "psf",
