@@ -10,9 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import lu_factor, lu_solve
 
-from metafab.cell.rcwa.basis import Matrix
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves
 from metafab.core.conventions import ComplexArray
 
@@ -57,10 +55,12 @@ def through_layer(
     # Where it begins:  (near_e + near_h) c+ + (near_e - near_h) X c- = 2 h_in e_inc, with X the decay;
     # where it ends:    (far_e + far_h) c- + (far_e - far_h) X c+ = 0.
     source = 2.0 * incoming.h[:, None] * incident
-    started = _solved(near_e + near_h, np.concatenate([source, (near_e - near_h)[:, carried] * decay.T], axis=1))
+    started = np.linalg.solve(
+        near_e + near_h, np.concatenate([source, (near_e - near_h)[:, carried] * decay.T], axis=1)
+    )
     count = incident.shape[1]
     started, returned = started[:, :count], started[:, count:]
-    turned = _solved(far_e + far_h, (far_e - far_h)[:, carried] * decay.T)
+    turned = np.linalg.solve(far_e + far_h, (far_e - far_h)[:, carried] * decay.T)
     echo = np.eye(carried.size) - returned[carried] @ turned[carried]
     arriving = np.linalg.solve(echo, started[carried])
     backward = -turned @ arriving
@@ -69,7 +69,3 @@ def through_layer(
     at_end[carried] += decay * arriving
     at_begin[carried] += decay * backward[carried]
     return LayerField(forward, backward, modes.e @ at_end, modes.e @ at_begin - incident)
-
-
-def _solved(matrix: Matrix, columns: Matrix) -> ComplexArray:
-    return np.asarray(lu_solve(lu_factor(matrix, check_finite=False), columns, check_finite=False))

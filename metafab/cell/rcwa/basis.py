@@ -21,7 +21,6 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cholesky, solve_triangular, svd
 
 from metafab.cell.rcwa.coordinates import AxisMap, stretched, unstretched
 from metafab.core.conventions import FloatArray
@@ -117,14 +116,13 @@ def _map(period_nm: float, size_nm: float, orders: int, formulation: Formulation
 
 def _plane_waves(period_nm: float, whole: FloatArray, orders: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Wave numbers of the empty cell, and its even and odd functions as columns over the harmonics."""
-    lower_even = cholesky(_even(whole, orders), lower=True)
-    lower_odd = cholesky(_odd(whole, orders), lower=True)
+    # NumPy's general solver, not SciPy's triangular one: on matrices this small the call itself is the cost.
+    lower_even, lower_odd = np.linalg.cholesky(_even(whole, orders)), np.linalg.cholesky(_odd(whole, orders))
     derivative = np.zeros((orders + 1, orders))
     derivative[1:] = np.diag(2.0 * np.pi / period_nm * np.arange(1, orders + 1))
     # L_even^-1 D L_odd^-T has the wave numbers as singular values and the constant as its left null vector.
-    reduced = solve_triangular(lower_even, derivative, lower=True)
-    reduced = solve_triangular(lower_odd, reduced.T, lower=True).T
-    left, wavenumber, right_t = svd(reduced)
+    reduced = np.linalg.solve(lower_odd, np.linalg.solve(lower_even, derivative).T).T
+    left, wavenumber, right_t = np.linalg.svd(reduced)
     order = np.argsort(wavenumber)
     left = np.concatenate([left[:, -1:], left[:, :-1][:, order]], axis=1)
     right = right_t[order].T
@@ -132,8 +130,8 @@ def _plane_waves(period_nm: float, whole: FloatArray, orders: int) -> tuple[Floa
     left[:, 0] *= np.sign(left[0, 0])
     sign = np.sign(right[np.argmax(np.abs(right), axis=0), np.arange(orders)])
     right, left[:, 1:] = right * sign, left[:, 1:] * sign
-    even = solve_triangular(lower_even, left, lower=True, trans="T")
-    odd = solve_triangular(lower_odd, right, lower=True, trans="T")
+    even = np.linalg.solve(lower_even.T, left)
+    odd = np.linalg.solve(lower_odd.T, right)
     return wavenumber[order], even, odd
 
 

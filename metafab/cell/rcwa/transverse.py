@@ -8,6 +8,7 @@ each has a quarter of all coefficients (Li, J. Opt. A 5, 345, 2003; Bai and Li, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -71,17 +72,11 @@ class TransverseBasis:
 
 def transverse_basis(u: AxisParity, v: AxisParity) -> TransverseBasis:
     """The transverse basis of the symmetry class that ``u`` and ``v`` name."""
-    labels_u = _grid(u.label_a, v.label_a)
-    labels_v = _grid(u.label_b, v.label_b)
-    label = np.concatenate([labels_u, labels_v], axis=1)
+    label, pair_u, pair_v = _pairs(u.label_a.tobytes(), u.label_b.tobytes(), v.label_a.tobytes(), v.label_b.tobytes())
+    n_u = u.label_a.size * v.label_a.size
     k_u, k_v = u.wavenumber[label[0]], v.wavenumber[label[1]]
     k_squared = k_u**2 + k_v**2
 
-    n_u = labels_u.shape[1]
-    stride = v.wavenumber.size
-    _, pair_u, pair_v = np.intersect1d(
-        labels_u[0] * stride + labels_u[1], labels_v[0] * stride + labels_v[1], return_indices=True
-    )
     norm = np.sqrt(k_squared[pair_u])
     resting = norm == 0.0
     along = np.stack([k_u[pair_u], k_v[pair_u]]) / np.where(resting, 1.0, norm)
@@ -89,9 +84,20 @@ def transverse_basis(u: AxisParity, v: AxisParity) -> TransverseBasis:
 
     is_tm = np.concatenate([k_u[:n_u] != 0.0, k_v[n_u:] != 0.0])
     is_tm[pair_u] = True
-    is_tm[pair_v + n_u] = False
-    return TransverseBasis(u, v, k_squared, is_tm, pair_u, pair_v + n_u, along)
+    is_tm[pair_v] = False
+    return TransverseBasis(u, v, k_squared, is_tm, pair_u, pair_v, along)
 
 
-def _grid(first: IntArray, second: IntArray) -> IntArray:
-    return np.stack([np.repeat(first, second.size), np.tile(second, first.size)])
+@lru_cache(maxsize=64)
+def _pairs(u_a: bytes, u_b: bytes, v_a: bytes, v_b: bytes) -> tuple[IntArray, IntArray, IntArray]:
+    """Labels (2, n) of all coefficients, and those of E_u and E_v that share one; cached by the axes' labels."""
+    in_e_u, in_e_v = _grid(u_a, v_a), _grid(u_b, v_b)
+    stride = 1 + max(in_e_u.max(initial=0), in_e_v.max(initial=0))
+    flat_u, flat_v = in_e_u[0] * stride + in_e_u[1], in_e_v[0] * stride + in_e_v[1]
+    _, pair_u, pair_v = np.intersect1d(flat_u, flat_v, return_indices=True)
+    return np.concatenate([in_e_u, in_e_v], axis=1), pair_u, pair_v + flat_u.size
+
+
+def _grid(first: bytes, second: bytes) -> IntArray:
+    u, v = np.frombuffer(first, dtype=np.intp), np.frombuffer(second, dtype=np.intp)
+    return np.stack([np.repeat(u, v.size), np.tile(v, u.size)])
