@@ -15,11 +15,12 @@ import numpy as np
 
 from metafab import camera, decode, drc, layout, library, mask, optics, phase, report
 from metafab.core.executor import open_executor
-from metafab.core.files import write_json
+from metafab.core.files import file_sha256, write_json
 from metafab.library import Library
 from metafab.optics import Imaging, Psf
 from metafab.run import Job, Step
 from metafab.spec import Design
+from metafab.spec.design import UserArray
 
 #: The decoder's calibration reaches beyond the scene by this share of its range of vergence.
 DEPTH_MARGIN = 0.08
@@ -58,6 +59,12 @@ def _library(job: Job) -> dict[str, Any]:
 
 
 # --- phase and layout --------------------------------------------------------------------------------------------
+
+
+def user_phases(design: Design) -> list[str]:
+    """Fingerprints of the user's own phase files: their content counts, not their names."""
+    files = [term.file for term in design.phase if isinstance(term, UserArray)]
+    return [file_sha256(file) if file.is_file() else "missing" for file in files]
 
 
 def _phase(job: Job) -> dict[str, Any]:
@@ -216,7 +223,7 @@ STEPS = (
     ),
     Step(
         "phase", ("spec", "phase"), (),
-        lambda d: (d.phase, d.device, d.sensor, d.unit_cell.illumination, d.verify, d.numerics),
+        lambda d: (d.phase, user_phases(d), d.device, d.sensor, d.unit_cell.illumination, d.verify, d.numerics),
         _in_folder("phase.h5"), _phase,
     ),
     Step(
