@@ -10,14 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from metafab.cell.meep import MeepSettings, solve
+from metafab.cell.meep import MeepSettings, Pool, solve
 from metafab.cell.meep.coordinates import Axis, cuboids, lateral_axis
 from metafab.cell.meep.deembedding import amplitudes, grid_wavenumber
 from metafab.cell.meep.extrapolation import richardson
 from metafab.cell.meep.grid import family, plan
+from metafab.cell.meep.protocol import Job, Reply
 from metafab.cell.meep_worker import tail_limit
 from metafab.cell.response import CellNumerics, PillarCell
-from metafab.core.errors import InputError
+from metafab.core.errors import InputError, SolverError
 
 
 def _cell(**changes: object) -> PillarCell:
@@ -163,6 +164,57 @@ def test_richardson_refuses_what_it_cannot_extrapolate() -> None:
         richardson([1.0], [np.zeros(1, complex)])
     with pytest.raises(ValueError, match="descending"):
         richardson([1.0, 2.0], [np.zeros(1, complex)] * 2)
+
+
+class _KnownAnswers(Pool):
+    """In place of workers: grid waves around a pillar whose t and r err by h^2 and whose tails are known."""
+
+    T, R = {"x": 0.3 - 0.8j, "y": 0.6 + 0.2j}, {"x": -0.2 + 0.1j, "y": 0.1 + 0.4j}
+
+    def __init__(self, cell: PillarCell, tail: float) -> None:
+        super().__init__(1)
+        self.cell, self.tail = cell, tail
+        self.jobs: list[Job] = []
+
+    def run(self, job: Job, report: object = None) -> Reply:
+        self.jobs.append(job)
+        grids = family(self.cell)
+        member = job.n_x // (2 * grids.period[0])
+        run = plan(self.cell, job.polarisation, grids, member, decay=1.0, longest_time=1.0)
+        k_in = grid_wavenumber(run.n_in, job.wavelength_um, job.pixel_um, job.courant)
+        k_out = grid_wavenumber(run.n_out, job.wavelength_um, job.pixel_um, job.courant)
+        t, r = (value[job.polarisation] + 40.0 * job.pixel_um**2 for value in (self.T, self.R))
+        near, far = cmath.exp(1j * k_in * run.near_um), cmath.exp(1j * k_out * run.far_um)
+        return {
+            "limit": np.array([near + r / near, t * far])[:, None, None],
+            "incident": np.array([near, 0.0]),
+            "tail": np.array(self.tail),
+            "time": np.array([10.0]),
+        }
+
+
+def test_a_cell_is_solved_in_both_polarisations_until_the_error_is_reached() -> None:
+    pool = _KnownAnswers(_cell(), 1e-6)
+    found = solve(_cell(), CellNumerics(1e-3, "meep"), pool=pool)
+    np.testing.assert_allclose(found.t, np.diag(list(pool.T.values())), atol=1e-10)
+    np.testing.assert_allclose(found.r, np.diag(list(pool.R.values())), atol=1e-10)
+    assert found.converged
+    assert len(pool.jobs) == 6, "a pure h^2 error is seen to be one on the third grid, and the fourth is saved"
+    assert found.error == pytest.approx(found.details["error_decay"], abs=1e-9)
+    assert found.details["error_decay"] > 1e-6, "extrapolation makes more of the tails"
+
+
+def test_a_square_pillar_is_solved_in_one_polarisation() -> None:
+    square = _cell(width_nm=150.0, length_nm=150.0)
+    pool = _KnownAnswers(square, 0.0)
+    found = solve(square, CellNumerics(1e-3, "meep"), pool=pool)
+    assert found.t[0, 0] == found.t[1, 1]
+    assert {job.polarisation for job in pool.jobs} == {"x"}
+
+
+def test_a_field_that_does_not_decay_has_no_limit() -> None:
+    with pytest.raises(SolverError, match="longest_periods"):
+        solve(_cell(), CellNumerics(1e-3, "meep"), pool=_KnownAnswers(_cell(), math.inf))
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from metafab.cell.meep.grid import family, plan
 from metafab.cell.meep.pool import Pool, own_pool
 from metafab.cell.response import CellNumerics, CellResponse, PillarCell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
-from metafab.core.errors import Fault, InputError
+from metafab.core.errors import Fault, InputError, SolverError
 from metafab.core.progress import Progress, silent
 
 
@@ -59,7 +59,7 @@ def solve(
     Raises:
         InputError: the cell lies outside what this solver treats.
         MissingToolError: no interpreter has Meep.
-        SolverError: a worker failed.
+        SolverError: a worker failed, or the fields did not decay.
     """
     refuse_untreated(cell)
     start = time.perf_counter()
@@ -84,6 +84,11 @@ def solve(
                 longest_time=settings.longest_periods * cell.wavelength_nm * 1e-3,
             )
             reply = workers.run(run.job)
+            if not np.isfinite(reply["tail"]):
+                raise SolverError(
+                    f"Meep: the fields had not begun to decay after {settings.longest_periods:g} optical periods; "
+                    "give more by `longest_periods`"
+                )
             found.append(amplitudes(run, reply["limit"][:, 0, 0], reply["incident"]))
             tail = max(tail, float(reply["tail"]))
             simulated = max(simulated, float(reply["time"][-1]))
