@@ -6,7 +6,7 @@
 - ``texture``   procedural and pictured textures
 - ``render``    objects to coverage and brightness at each depth
 - ``blur``      a layer through a PSF that varies over the field
-- ``sensor``    shot noise and read noise
+- ``sensor``    noise, dark current, full wells, counts
 - ``capture``   all of it: one exposure
 - ``store``     raw.h5
 - ``foreign``   TIFF, PNG and NumPy frames

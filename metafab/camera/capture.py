@@ -82,7 +82,7 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
         mean_e[part] += light[: mean_e[part].shape[0], : mean_e[part].shape[1]]
 
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0x0C0FFEE)))
-    frame = expose(mean_e, scene.read_noise_e, rng)
+    frame = expose(mean_e, scene, rng)
     truth_origin_um = (windows[0].column * psf.pixel_um, windows[0].row * psf.pixel_um)
     return RawFrame(
         frame,
@@ -92,6 +92,7 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
         _truth(renderer, windows[0]),
         truth_origin_um,
         (windows[0].row - bottom, windows[0].column - left, *scene.field_px),
+        scene.full_well_e,
     )
 
 

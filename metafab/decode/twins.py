@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import map_coordinates, uniform_filter
 
@@ -179,12 +180,12 @@ def _cut(values: np.ndarray, grid: TwinGrid) -> np.ndarray:
     return np.asarray(values[np.ix_(rows, columns)])
 
 
-def _mended(values: FloatArray, broken: np.ndarray) -> FloatArray:
-    good = np.where(np.isfinite(values) & ~broken, values, 0.0)
-    weight = uniform_filter((~broken).astype(np.float64), 5, mode="nearest")
-    mean = uniform_filter(good, 5, mode="nearest") / np.maximum(weight, 1e-3)
-    saturated = np.isfinite(values) & broken
-    return np.where(saturated, values, np.where(broken, mean, values))
+def _mended(values: FloatArray, broken: NDArray[np.bool_]) -> FloatArray:
+    """Broken pixels as the mean of the good ones near them; where there are none, saturated ones stay full."""
+    finite = np.where(np.isfinite(values), values, 0.0)
+    share = uniform_filter((~broken).astype(np.float64), 5, mode="nearest")
+    mean = uniform_filter(np.where(broken, 0.0, finite), 5, mode="nearest") / np.maximum(share, 0.01)
+    return np.where(broken, np.where(share > 0.02, mean, finite), finite)
 
 
 def _grown(chosen: np.ndarray, every: int, margin: int, count: int) -> tuple[int, int]:

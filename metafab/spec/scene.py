@@ -54,9 +54,21 @@ class Scene:
         Positive, Field(description="electrons a pixel at brightness 1, mean of both polarisations' images")
     ] = 3000.0
     read_noise_e: NonNegative = 2.0
+    dark_e: Annotated[NonNegative, Field(description="electrons a pixel that come without light")] = 0.0
+    hot_pixels: Annotated[Fraction, Field(description="share of pixels that are always full")] = 0.0
+    full_well_e: Annotated[Positive | None, Field(description="electrons at which a pixel is full")] = None
+    bit_depth: Annotated[
+        int | None, Field(strict=True, ge=1, le=16, description="bits of a count; needs the full well")
+    ] = None
     background: Annotated[Fraction, Field(description="brightness behind all objects")] = 0.0
     field_px: Annotated[
         tuple[Annotated[int, Field(strict=True, ge=8)], Annotated[int, Field(strict=True, ge=8)]],
         Field(description="rows and columns of each image"),
     ] = (128, 128)
     seed: Annotated[int, Field(strict=True, ge=0)] = 1
+
+    @model_validator(mode="after")
+    def _counts(self) -> Scene:
+        if self.full_well_e is None and (self.bit_depth is not None or self.hot_pixels > 0.0):
+            raise ValueError("`bit_depth` and `hot_pixels` need `full_well_e`")
+        return self

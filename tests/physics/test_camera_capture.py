@@ -153,3 +153,16 @@ def test_depths_outside_the_calibration_are_refused(psf: Psf) -> None:
 def test_overlapping_images_are_refused(psf: Psf) -> None:
     with pytest.raises(InputError, match="side by side"):
         capture(scene(SceneObject(depth_m=0.003), field_px=(64, 512)), psf)
+
+
+def test_full_wells_hot_pixels_and_whole_counts(psf: Psf) -> None:
+    flat = SceneObject(depth_m=0.0029, size=(0.19, 0.19), texture="uniform")
+    settings = {"photons_per_pixel": 3000.0, "full_well_e": 4095.0, "bit_depth": 12, "hot_pixels": 0.01, "dark_e": 50.0}
+    frame = capture(scene(flat, **settings), psf)
+    assert frame.saturation_e == 4095.0
+    assert (frame.frame == np.round(frame.frame)).all()  # a count is one electron here
+    assert frame.frame.max() == 4095.0
+    # 60 000 pixels of which 1 % are hot: a standard deviation of 24 pixels.
+    assert (frame.frame == 4095.0).mean() == pytest.approx(0.01, abs=0.002)
+    # The dark current's mean is taken off; 576 pixels leave 2.3 electrons of uncertainty.
+    assert np.median(frame.frame[60:84, 60:84]) == pytest.approx(3000.0, abs=10.0)

@@ -83,3 +83,12 @@ def test_pixel_errors_are_as_large_as_claimed(psf: Psf) -> None:
         biggest = max(image.segments, key=lambda row: row["pixels"])
         errors.append((biggest["depth_m"] - 0.0029) / biggest["error_m"])
     assert np.abs(errors).max() < 4.0
+
+
+def test_hot_pixels_are_bridged(psf: Psf) -> None:
+    scene = Scene(objects=(plane(0.0029),), full_well_e=8000.0, bit_depth=12, hot_pixels=0.002, seed=3)
+    image = decode(capture(scene, psf), psf)
+    assert image.details["pixels_broken"] > 30
+    # Between the pixels that are left out, as without them: three standard errors.
+    assert image.nmae == pytest.approx(0.0, abs=5e-3)
+    assert image.details["share_decoded"] > 0.97
