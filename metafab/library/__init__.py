@@ -1,12 +1,48 @@
 """A sweep over width and length -> Library: complex t and r of every manufacturable size, each with its error.
 
-- ``library``  Library: values on the grid of sizes, and where they come from
-- ``lookup``   target phases -> size index: best field overlap over the (phi_x, phi_y) torus
+Building, from the bottom up:
+
+- ``sampling``    the grid of sizes, and which of them to solve
+- ``rational``    amplitudes as N/D with common poles, fitted to scattered samples
+- ``models``      all amplitudes, fitted in pairs whose disagreement shows the error
+- ``checkpoint``  solved sizes on disk as they arrive
+- ``rounds``      solve, fit, test on held-out sizes, and again
+- ``build``       UnitCell -> Library
+
+Using:
+
+- ``library``     Library: values on the grid of sizes, and where they come from
+- ``store``       save, load (HDF5)
+- ``surface``     continuous evaluation at millions of sizes a second
+- ``lookup``      target phases -> size index: best field overlap over the (phi_x, phi_y) torus
+- ``quality``     coverage, holes, transmittance, sensitivity
+- ``check``       held-out sizes against a finer or another solver
 
 In: a UnitCell and an executor. Out: a Library, which ``lookup`` turns into the table that a layout maps with.
 """
 
+from metafab.library.build import build
+from metafab.library.check import LibraryCheck, check
 from metafab.library.library import Library, SizeResponse
 from metafab.library.lookup import SizeTable, build_size_table, global_offsets
+from metafab.library.quality import coverage_rad, quality
+from metafab.library.store import is_current, load, save
+from metafab.library.surface import Surface, evaluate
 
-__all__ = ["Library", "SizeResponse", "SizeTable", "build_size_table", "global_offsets"]
+__all__ = [
+    "Library",
+    "LibraryCheck",
+    "SizeResponse",
+    "SizeTable",
+    "Surface",
+    "build",
+    "build_size_table",
+    "check",
+    "coverage_rad",
+    "evaluate",
+    "global_offsets",
+    "is_current",
+    "load",
+    "quality",
+    "save",
+]

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
+from metafab.library.models import SizeModel
 from metafab.spec.cell import UnitCell
+
+if TYPE_CHECKING:
+    from metafab.library.surface import Surface
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,7 @@ class Library:
         error: shape (n_length, n_width) or with a leading wavelength axis; solver and interpolation together.
         inputs_sha256: fingerprint of what it was built from.
         details: figures of the build (points solved, seconds, held-out error, ...).
+        model: the same amplitudes as continuous functions; None for a library that was not built by a model.
     """
 
     unit_cell: UnitCell
@@ -53,6 +60,14 @@ class Library:
     error: FloatArray
     inputs_sha256: str = ""
     details: dict[str, float | str] = field(default_factory=dict)
+    model: SizeModel | None = None
+
+    @cached_property
+    def surface(self) -> Surface:
+        """The library as continuous functions of size, built at the first use."""
+        from metafab.library.surface import Surface
+
+        return Surface.of(self)
 
     def at_sizes(self, width_nm: ArrayLike, length_nm: ArrayLike) -> SizeResponse:
         """Stored values at sizes of the grid, exactly; design wavelength.

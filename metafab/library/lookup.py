@@ -119,7 +119,7 @@ def build_size_table(
     t_grid = np.stack([library.t_xx[0], library.t_yy[0]], axis=-1)
     t = t_grid[row, column]
     damping = np.exp(-0.5 * (cd_sigma_nm * phase_slope_per_nm(library)[row, column]) ** 2)
-    size_index, overlap = _best_overlap(t * damping, cells)
+    size_index, overlap = best_overlap(t * damping, cells)
     error = np.broadcast_to(library.error, library.t_xx.shape)[0]
     return SizeTable(
         database_unit_nm=database_unit_nm,
@@ -233,7 +233,7 @@ def _exact_dbu(size_nm: FloatArray, database_unit_nm: float) -> NDArray[np.int32
     return (2 * np.rint(halves)).astype(np.int32)
 
 
-def _best_overlap(t: ComplexArray, cells: int) -> tuple[NDArray[np.uint16], FloatArray]:
+def best_overlap(t: ComplexArray, cells: int) -> tuple[NDArray[np.uint16], FloatArray]:
     """For every cell of the torus the row of ``t`` (counted from 1) with the largest overlap, and that overlap."""
     u = np.stack([t[:, 0].real, t[:, 0].imag, t[:, 1].real, t[:, 1].imag], axis=-1)
     power = np.sum(u**2, axis=-1)

@@ -1,0 +1,142 @@
+"""Unit cell -> Library, to an asked error."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+from time import perf_counter
+
+import numpy as np
+from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
+
+from metafab.cell import solve
+from metafab.cell.response import CellNumerics, CellSolver
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.executor import SerialExecutor
+from metafab.core.files import fingerprint
+from metafab.core.progress import Progress, silent
+from metafab.library.checkpoint import Checkpoint
+from metafab.library.library import Library
+from metafab.library.quality import coverage_rad
+from metafab.library.rounds import Outcome, SizeSolver, sample
+from metafab.library.sampling import SizeGrid
+from metafab.spec import UnitCell, canonical_toml
+from metafab.spec.embedded import LIBRARY_FORMAT
+
+#: Parts of the target error that the solver and the model may use; the rest is reserve.
+SOLVER_SHARE = 0.5
+MODEL_SHARE = 0.4
+#: The solver's error at a size that was not solved is the largest among this many solved neighbours.
+NEIGHBOURS = 4
+
+
+def build(
+    unit_cell: UnitCell,
+    *,
+    target_error: float | None = None,
+    executor: Executor | None = None,
+    checkpoint: Path | None = None,
+    progress: Progress = silent,
+    solver: CellSolver = solve,
+) -> Library:
+    """Sweep width and length on the manufacturable grid until every size is known to the target error.
+
+    Args:
+        unit_cell: what is swept.
+        target_error: largest error in any complex amplitude; replaces the one of ``unit_cell.sweep``.
+        executor: where sizes are solved; this process when None.
+        checkpoint: file that keeps solved sizes across a kill; the same call continues from it. It stays when
+            the build has ended: delete it once the library is saved.
+        progress: called with the number of solved sizes and how many are foreseen.
+        solver: solves one unit cell; must be importable by the workers.
+
+    Returns:
+        The library. Its ``error`` is solver certificate plus interpolation estimate at each size; a size that
+        could not be had within the target says so there and in ``details["sizes_beyond_target"]``.
+
+    Raises:
+        InputError: ``checkpoint`` belongs to another build.
+    """
+    started = perf_counter()
+    if target_error is not None:
+        unit_cell = replace(unit_cell, sweep=replace(unit_cell.sweep, target_error=target_error))
+    grid = SizeGrid.of(unit_cell)
+    asked = unit_cell.sweep.target_error
+    numerics = CellNumerics(SOLVER_SHARE * asked, unit_cell.solver.name)
+    # One thread for the fits: their rounding, and with it the choice of sizes, must not depend on the machine's.
+    with Checkpoint(checkpoint, inputs_of(unit_cell)) as record, threadpool_limits(1):
+        sizes = SizeSolver(unit_cell, grid, numerics, solver, executor or SerialExecutor(), record, progress)
+        outcome = sample(grid, sizes, MODEL_SHARE * asked)
+    return _library(unit_cell, grid, outcome, perf_counter() - started)
+
+
+def inputs_of(unit_cell: UnitCell) -> str:
+    """Fingerprint of all that a library depends on."""
+    return fingerprint(canonical_toml(unit_cell), LIBRARY_FORMAT)
+
+
+def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: float) -> Library:
+    """Values of all sizes: the solver's where it was asked, the model's elsewhere."""
+    values, certificate, is_solved = _on_grid(grid, outcome)
+    if outcome.model is not None:
+        modelled = outcome.model.on_grid(grid.width_nm, grid.length_nm)
+        values = np.where(is_solved, values, modelled)
+    error = certificate + np.where(is_solved, 0.0, outcome.model_error)
+    t_xx, t_yy, r_xx, r_yy = values[:, None]
+    spent = np.array([point.seconds for point in outcome.solved.values()])
+    library = Library(
+        unit_cell=unit_cell,
+        wavelength_nm=np.array([unit_cell.illumination.wavelength_nm]),
+        width_nm=grid.width_nm,
+        length_nm=grid.length_nm,
+        t_xx=t_xx,
+        t_yy=t_yy,
+        r_xx=r_xx,
+        r_yy=r_yy,
+        error=error[None],
+        inputs_sha256=inputs_of(unit_cell),
+        model=outcome.model,
+    )
+    degrees = outcome.model.x.degrees if outcome.model is not None else (0, 0)
+    library.details.update(
+        points_solved=len(outcome.solved),
+        points_total=grid.size,
+        max_error=float(error.max()),
+        sizes_beyond_target=int(np.count_nonzero(error > unit_cell.sweep.target_error)),
+        max_solver_error=float(certificate.max()),
+        max_model_error=float(np.max(outcome.model_error, where=~is_solved, initial=0.0)),
+        held_out_error=outcome.held_out_error,
+        held_out=outcome.held_out,
+        rounds=outcome.rounds,
+        numerator_degree=degrees[0],
+        denominator_degree=degrees[1],
+        coverage_rad=coverage_rad(library),
+        solver_ms_per_point=float(1e3 * spent.mean()),
+        seconds=seconds,
+    )
+    return library
+
+
+def _on_grid(grid: SizeGrid, outcome: Outcome) -> tuple[ComplexArray, FloatArray, np.ndarray]:
+    """Solved amplitudes (4, n_length, n_width), the solver's error at every size, and which were solved."""
+    points = outcome.solved.values()
+    number = np.array([point.number for point in points])
+    amplitudes = np.array([point.amplitudes for point in points], dtype=np.complex128)
+    error = np.array([point.error for point in points])
+    if grid.exchange:
+        number = np.concatenate([number, grid.exchanged(number)])
+        amplitudes = np.concatenate([amplitudes, amplitudes[:, [1, 0, 3, 2]]])
+        error = np.concatenate([error, error])
+    shape = (grid.length_nm.size, grid.width_nm.size)
+    values = np.zeros((4, grid.size), dtype=np.complex128)
+    values[:, number] = amplitudes.T
+    is_solved = np.zeros(grid.size, dtype=bool)
+    is_solved[number] = True
+    tree = cKDTree(np.stack(grid.sizes_nm(number), axis=-1))
+    count = min(NEIGHBOURS, number.size)
+    near = tree.query(np.stack(grid.sizes_nm(np.arange(grid.size)), axis=-1), k=count)[1].reshape(grid.size, count)
+    certificate = error[near].max(axis=-1)
+    certificate[number] = error
+    return values.reshape(4, *shape), certificate.reshape(shape), is_solved.reshape(shape)

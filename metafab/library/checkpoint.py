@@ -1,0 +1,114 @@
+"""The solved points of a build that is still running: one line a point, written as it arrives.
+
+The file is JSON lines: a header with the fingerprint of the build's inputs, then one record a point. Numbers
+are written so that they read back exactly, and a line that a kill cut short is dropped on the next start.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import IO
+
+from metafab.core.errors import InputError
+
+_KIND = "metafab library checkpoint"
+
+
+@dataclass(frozen=True)
+class SolvedPoint:
+    """The solver's answer for one size.
+
+    Attributes:
+        number: the point's number on the grid of sizes.
+        amplitudes: t_xx, t_yy, r_xx, r_yy.
+        error: the solver's certificate.
+        seconds: time of the solution.
+    """
+
+    number: int
+    amplitudes: tuple[complex, complex, complex, complex]
+    error: float
+    seconds: float
+
+
+class Checkpoint:
+    """An append-only record of solved points; without a path it remembers nothing.
+
+    Args:
+        path: the file, created when missing and continued when present.
+        inputs_sha256: fingerprint of the build; a file of another build is refused.
+
+    Raises:
+        InputError: the file is not a checkpoint, or one of another unit cell or target error.
+    """
+
+    def __init__(self, path: Path | None, inputs_sha256: str) -> None:
+        self._path = path
+        self._inputs = inputs_sha256
+        self._stream: IO[str] | None = None
+        self.points: list[SolvedPoint] = []
+
+    def __enter__(self) -> Checkpoint:
+        if self._path is None:
+            return self
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        whole = self._read(self._path) if self._path.exists() else 0
+        self._stream = self._path.open("a", encoding="utf-8")
+        self._stream.truncate(whole)
+        if whole == 0:
+            self._write({"kind": _KIND, "inputs_sha256": self._inputs})
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._stream is not None:
+            self._stream.close()
+
+    def add(self, points: Sequence[SolvedPoint]) -> None:
+        """Record points; they are on disk when this returns."""
+        self.points += points
+        for point in points:
+            parts = [part for value in point.amplitudes for part in (value.real, value.imag)]
+            self._write([point.number, *parts, point.error, point.seconds])
+        if self._stream is not None:
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+
+    def _write(self, record: object) -> None:
+        if self._stream is not None:
+            self._stream.write(json.dumps(record) + "\n")
+
+    def _read(self, path: Path) -> int:
+        """Take over the points of an earlier start; returns the bytes that hold whole lines."""
+        content = path.read_bytes()
+        lines = content.split(b"\n")[:-1]
+        if not lines:
+            return 0
+        try:
+            header = json.loads(lines[0])
+            records = [json.loads(line) for line in lines[1:]]
+            found = (header["kind"], header["inputs_sha256"])
+            self.points = [_point(record) for record in records]
+        except (ValueError, TypeError, KeyError, IndexError) as error:
+            raise _refused(path, f"a foreign or damaged file ({error})") from error
+        if found != (_KIND, self._inputs):
+            raise _refused(path, "one of another unit cell, target error or version")
+        return sum(len(line) + 1 for line in lines)
+
+
+def _point(record: list[float]) -> SolvedPoint:
+    number, *parts, error, seconds = record
+    t_xx, t_yy, r_xx, r_yy = (complex(*parts[k : k + 2]) for k in range(0, 8, 2))
+    return SolvedPoint(int(number), (t_xx, t_yy, r_xx, r_yy), error, seconds)
+
+
+def _refused(path: Path, got: str) -> InputError:
+    return InputError.single(
+        str(path), "checkpoint", "the checkpoint of this very build", got, "delete it to start the build afresh"
+    )

@@ -1,0 +1,120 @@
+"""Which sizes to solve: the distinct points of the manufacturable grid, spread evenly or where models disagree."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+from metafab.spec.cell import Sweep, UnitCell
+
+IndexArray = NDArray[np.intp]
+
+# The plastic number: steps of 1/g and 1/g^2 fill the unit square evenly (Roberts' R2 sequence).
+_PLASTIC = 1.32471795724474602596
+
+
+@dataclass(frozen=True)
+class SizeGrid:
+    """The manufacturable sizes, and which of them stand for others.
+
+    Points are numbered row by row, ``number = row * n_width + column``. Where exchanging x and y maps the grid
+    to itself, only points with width <= length are solved; they are called distinct.
+
+    Attributes:
+        width_nm: shape (n_width,), ascending.
+        length_nm: shape (n_length,), ascending.
+        exchange: whether t_xx(W, L) = t_yy(L, W) holds on the grid.
+    """
+
+    width_nm: FloatArray
+    length_nm: FloatArray
+    exchange: bool
+
+    @classmethod
+    def of(cls, unit_cell: UnitCell) -> SizeGrid:
+        """The grid of a unit cell's sweep."""
+        sweep = unit_cell.sweep
+        exchange = unit_cell.is_square and sweep.width_nm == sweep.length_nm
+        return cls(_axis(sweep, sweep.width_nm), _axis(sweep, sweep.length_nm), exchange)
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return self.width_nm.size * self.length_nm.size
+
+    @cached_property
+    def distinct(self) -> IndexArray:
+        """Numbers of the points to choose from, ascending."""
+        number = np.arange(self.size)
+        row, column = np.divmod(number, self.width_nm.size)
+        return number[column <= row] if self.exchange else number
+
+    @cached_property
+    def even_order(self) -> IndexArray:
+        """All distinct points, in an order whose beginnings fill the plane evenly, denser towards the edges.
+
+        The density is that of Chebyshev points, for which polynomial least squares is well conditioned. The
+        corners come first: nothing is extrapolated.
+        """
+        n_length, n_width = self.length_nm.size, self.width_nm.size
+        k = np.arange(8 * self.size)
+        u = np.mod(0.5 + k / _PLASTIC, 1.0)
+        v = np.mod(0.5 + k / _PLASTIC**2, 1.0)
+        column = np.rint(0.5 * (1.0 - np.cos(math.pi * u)) * (n_width - 1)).astype(np.intp)
+        row = np.rint(0.5 * (1.0 - np.cos(math.pi * v)) * (n_length - 1)).astype(np.intp)
+        corners = np.array([0, n_width - 1, (n_length - 1) * n_width, self.size - 1])
+        number = self._representative(np.concatenate([corners, row * n_width + column, np.arange(self.size)]))
+        first = np.unique(number, return_index=True)[1]
+        return number[np.sort(first)]
+
+    def sizes_nm(self, number: IndexArray) -> tuple[FloatArray, FloatArray]:
+        """Width and length of points."""
+        row, column = np.divmod(number, self.width_nm.size)
+        return self.width_nm[column], self.length_nm[row]
+
+    def exchanged(self, number: IndexArray) -> IndexArray:
+        """The points with width and length swapped (grids with ``exchange`` only)."""
+        row, column = np.divmod(number, self.width_nm.size)
+        return column * self.width_nm.size + row
+
+    def _representative(self, number: IndexArray) -> IndexArray:
+        if not self.exchange:
+            return number
+        row, column = np.divmod(number, self.width_nm.size)
+        return np.where(column <= row, number, self.exchanged(number))
+
+
+def worst_points(grid: SizeGrid, estimate: FloatArray, solved: NDArray[np.bool_], count: int) -> IndexArray:
+    """Distinct, unsolved points with the largest error estimates, none within three grid steps of another.
+
+    Args:
+        grid: the sizes.
+        estimate: shape (n_length, n_width), error estimate of each point.
+        solved: shape (n_points,).
+        count: how many at most.
+    """
+    worst = estimate.ravel()
+    if grid.exchange:
+        worst = np.maximum(worst, estimate.T.ravel())
+    open_points = grid.distinct[~solved[grid.distinct]]
+    ranked = open_points[np.argsort(-worst[open_points], kind="stable")]
+    chosen: list[int] = []
+    free = np.ones(estimate.shape, dtype=bool)
+    for number in ranked:
+        row, column = divmod(int(number), grid.width_nm.size)
+        if free[row, column]:
+            chosen.append(int(number))
+            free[max(row - 2, 0) : row + 3, max(column - 2, 0) : column + 3] = False
+            if len(chosen) == count:
+                break
+    return np.array(chosen, dtype=np.intp)
+
+
+def _axis(sweep: Sweep, span_nm: tuple[float, float]) -> FloatArray:
+    count = round((span_nm[1] - span_nm[0]) / sweep.size_grid_nm) + 1
+    return np.linspace(*span_nm, count)

@@ -1,0 +1,63 @@
+"""A closed-form solver with guided-mode ridges, for library tests that must not depend on a real solver.
+
+t_xx is a smooth background times Lorentzian (Breit-Wigner) factors 1 - 2i g / (s(W, L) + i g), whose pole lies
+on the curve s = 0 and whose half width is g nanometres; t_yy is the same with width and length swapped.
+"""
+
+from __future__ import annotations
+
+import cmath
+
+import numpy as np
+
+from metafab.cell import CellNumerics, CellResponse, PillarCell
+from metafab.core.errors import SolverError
+
+#: Half widths of the two ridges, nm.
+HALF_WIDTHS_NM = (3.0, 1.0)
+
+
+def amplitude(width_nm: float, length_nm: float) -> complex:
+    """t_xx of the model."""
+    w, h = (width_nm - 175.0) / 75.0, (length_nm - 175.0) / 75.0
+    t = 1.2 * (1.0 - 0.2 * (w + 1.0) * (h + 1.0) / 4.0) * cmath.exp(1j * (3.5 * w + 1.0 * h + 0.5 * w * h))
+    curves = (width_nm - 170.0 + 0.35 * (length_nm - 175.0), width_nm + 0.6 * length_nm - 370.0 + 6.0 * h * h)
+    for distance_nm, half_width_nm in zip(curves, HALF_WIDTHS_NM, strict=True):
+        t *= 1.0 - 0.9j * half_width_nm / (distance_nm + 1j * half_width_nm)
+    return t
+
+
+def solve(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+    """A response in closed form, with a certificate of 1e-6."""
+    x, y = amplitude(cell.width_nm, cell.length_nm), amplitude(cell.length_nm, cell.width_nm)
+    return CellResponse(
+        cell=cell,
+        numerics=numerics,
+        t=np.diag([x, y]),
+        r=np.diag([0.1 * x, 0.1 * y]),
+        error=1e-6,
+        converged=True,
+        resolution=1,
+        seconds=0.0,
+    )
+
+
+def solve_poorly_in_a_corner(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+    """The same, but unable to certify pillars beyond 240 nm in both sides."""
+    answer = solve(cell, numerics)
+    error = 0.05 if min(cell.width_nm, cell.length_nm) > 240.0 else 1e-6
+    return CellResponse(cell, numerics, answer.t, answer.r, error, error < numerics.target_error, 1, 0.0)
+
+
+class DyingSolver:
+    """Solves so many cells and then fails, as a killed program does."""
+
+    def __init__(self, lives: int) -> None:
+        self.lives = lives
+        self.calls = 0
+
+    def __call__(self, cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+        self.calls += 1
+        if self.calls > self.lives:
+            raise SolverError("out of lives")
+        return solve(cell, numerics)

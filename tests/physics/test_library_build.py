@@ -1,0 +1,115 @@
+"""The build: it finds sharp ridges by few solutions, says honestly what it reached, and survives a kill."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import library
+from metafab.core.errors import InputError, SolverError
+from metafab.library import Library
+from metafab.library.sampling import SizeGrid
+from metafab.spec import UnitCell
+from tests import library_ridges as ridges
+
+
+@pytest.fixture(scope="module")
+def built(unit_cell: UnitCell) -> Library:
+    return library.build(unit_cell, solver=ridges.solve)
+
+
+def coarse(unit_cell: UnitCell) -> UnitCell:
+    return replace(unit_cell, sweep=replace(unit_cell.sweep, size_grid_nm=5.0))
+
+
+def test_the_target_is_met_at_held_out_sizes_between_the_grid(built: Library, unit_cell: UnitCell) -> None:
+    """500 random sizes, ridges of 1 nm half width included, against the closed form itself."""
+    width_nm, length_nm = np.random.default_rng(11).uniform(100.0, 250.0, (2, 500))
+    true = np.array([ridges.amplitude(w, h) for w, h in zip(width_nm, length_nm, strict=True)])
+    held = library.evaluate(built, width_nm, length_nm)
+    error = np.abs(held.t_xx - true)
+    assert error.max() <= unit_cell.sweep.target_error
+    assert np.all(error <= held.error)
+
+
+def test_few_of_all_sizes_are_solved(built: Library) -> None:
+    assert built.details["points_total"] == 76 * 76
+    assert float(built.details["points_solved"]) < 0.1 * 76 * 76
+    assert float(built.details["held_out"]) >= 24
+
+
+def test_every_size_of_the_grid_is_within_its_stated_error(built: Library) -> None:
+    true = np.array([[ridges.amplitude(w, h) for w in built.width_nm] for h in built.length_nm])
+    assert np.all(np.abs(built.t_xx[0] - true) <= built.error[0])
+    assert np.all(np.abs(built.t_yy[0] - true.T) <= built.error[0])
+
+
+def test_exchange_of_x_and_y(built: Library) -> None:
+    """A square cell: t_yy(W, L) = t_xx(L, W), by construction, to rounding."""
+    assert np.allclose(built.t_yy[0], built.t_xx[0].T, atol=1e-9)
+
+
+def test_a_cell_that_is_not_square_is_fitted_in_both_polarisations(unit_cell: UnitCell) -> None:
+    oblong = replace(coarse(unit_cell), cell=replace(unit_cell.cell, period_nm=(350.0, 352.0)))
+    built = library.build(oblong, solver=ridges.solve)
+    true = np.array([[ridges.amplitude(w, h) for w in built.width_nm] for h in built.length_nm])
+    assert not SizeGrid.of(oblong).exchange
+    assert np.all(np.abs(built.t_xx[0] - true) <= built.error[0])
+    assert np.all(np.abs(built.t_yy[0] - true.T) <= built.error[0])
+
+
+def test_any_number_of_workers_gives_the_same_library(unit_cell: UnitCell) -> None:
+    cell = coarse(unit_cell)
+    one = library.build(cell, solver=ridges.solve)
+    with ThreadPoolExecutor(3) as executor:
+        three = library.build(cell, solver=ridges.solve, executor=executor)
+    for name in ("t_xx", "t_yy", "r_xx", "r_yy", "error"):
+        assert np.array_equal(getattr(one, name), getattr(three, name)), name
+
+
+def test_a_killed_build_goes_on_where_it_stopped(unit_cell: UnitCell, tmp_path: Path) -> None:
+    cell, checkpoint = coarse(unit_cell), tmp_path / "library.partial"
+    whole = library.build(cell, solver=ridges.solve)
+    with pytest.raises(SolverError, match="out of lives"):
+        library.build(cell, solver=ridges.DyingSolver(101), checkpoint=checkpoint)
+    content = checkpoint.read_bytes()
+    checkpoint.write_bytes(content[:-30])  # the last line cut short, as by a power failure
+    survivor = ridges.DyingSolver(10_000)
+    resumed = library.build(cell, solver=survivor, checkpoint=checkpoint)
+    # 101 solved in chunks of 4: one is lost with its chunk, one with the cut line.
+    assert survivor.calls == float(whole.details["points_solved"]) - 99
+    assert np.array_equal(resumed.t_xx, whole.t_xx)
+    assert np.array_equal(resumed.error, whole.error)
+
+
+def test_a_foreign_checkpoint_is_refused(unit_cell: UnitCell, tmp_path: Path) -> None:
+    checkpoint = tmp_path / "library.partial"
+    with pytest.raises(SolverError):
+        library.build(coarse(unit_cell), solver=ridges.DyingSolver(8), checkpoint=checkpoint)
+    with pytest.raises(InputError, match="delete it"):
+        library.build(unit_cell, solver=ridges.solve, checkpoint=checkpoint)
+    checkpoint.write_text("something else\n")
+    with pytest.raises(InputError, match="foreign or damaged"):
+        library.build(unit_cell, solver=ridges.solve, checkpoint=checkpoint)
+
+
+def test_a_poor_certificate_is_visible(unit_cell: UnitCell) -> None:
+    built = library.build(coarse(unit_cell), solver=ridges.solve_poorly_in_a_corner)
+    assert built.error[0, -1, -1] >= 0.05
+    assert built.error[0, 0, 0] < unit_cell.sweep.target_error
+    assert float(built.details["sizes_beyond_target"]) >= 1
+    assert built.details["max_error"] == built.error.max()
+
+
+def test_check_judges_against_the_solver(built: Library) -> None:
+    fair = library.check(built, samples=60, solver=ridges.solve)
+    assert (fair.verdict, fair.beyond_stated, fair.samples) == ("holds", 0, 60)
+    assert fair.max_abs_error <= built.unit_cell.sweep.target_error
+    wrong = replace(built, t_xx=built.t_xx + 0.01, model=None)
+    judged = library.check(wrong, samples=60, solver=ridges.solve)
+    assert judged.verdict == "fails"
+    assert judged.max_abs_error == pytest.approx(0.01, abs=1e-4)
