@@ -34,6 +34,7 @@ class _Findings:
     smallest_gap_dbu: float
 
     def add(self, rule: str, count: int, boxes_nm: FloatArray) -> None:
+        """Count violations of a rule and keep the first places."""
         self.counts[rule] += count
         if count:
             self.boxes_nm[rule].append(boxes_nm[:MARKERS])

@@ -149,6 +149,7 @@ class GdsiiReader:
                 raise self._fault("arrays of at least one", f"{columns} x {rows} at byte {run.start}")
 
         def offsets() -> Iterator[IntArray]:
+            """Origins of all placements, a window of the run at a time."""
             for points in self._coordinates(run):
                 if kind == _SREF:
                     yield points[:, 0]

@@ -162,7 +162,7 @@ def _fill(
             size = size_index[row, column]
             if size == 0:
                 continue
-            width, length = np.int64(size_dbu[size, 0]), np.int64(size_dbu[size, 1])
+            width, length = int(size_dbu[size, 0]), int(size_dbu[size, 1])
             x_0 = first_x + column * period_x - width // 2
             y_0 = first_y + row * period_y - length // 2
             x_1, y_1 = _swap(x_0 + width), _swap(y_0 + length)

@@ -123,6 +123,7 @@ class OasisReader:
         """Cells and references by number get their names."""
 
         def name(key: str) -> str:
+            """A cell's name, where ``key`` is a number that the tables know."""
             return self._names.get(int(key[1:]), key) if key.startswith("#") else key
 
         self.cells = {name(key): cell for key, cell in self.cells.items()}
@@ -210,8 +211,6 @@ class _Pass:
         elif kind in _SHAPES:
             self._geometry(kind)
         elif kind == CBLOCK:
-            if self._outer is not None:
-                raise DamagedError("a CBLOCK inside a CBLOCK")
             self._enter_block()
         elif kind in {28, 29, 32}:
             self._properties(kind)
@@ -226,6 +225,8 @@ class _Pass:
 
     def _enter_block(self) -> None:
         stream = self._stream
+        if self._outer is not None:
+            raise DamagedError("a CBLOCK inside a CBLOCK")
         self._block_at = stream.position - 1
         if stream.unsigned() != 0:
             raise DamagedError("a CBLOCK of unknown compression")
@@ -500,61 +501,59 @@ def _rectangles(
     is full, and where the data end; ``state`` is then as before the record that was not taken.
     """
     count = 0
+    now = state.copy()
     while position + 1 < len(data) and data[position] == RECTANGLE:
         info = data[position + 1]
-        here = position + 2
-        layer, datatype, x, y, width, height = state[0], state[1], state[2], state[3], state[4], state[5]
-        if info & 1:
-            layer, here = read_unsigned(data, here)
-        if here >= 0 and info & 2:
-            datatype, here = read_unsigned(data, here)
-        if here >= 0 and info & 64:
-            width, here = read_unsigned(data, here)
-        if info & 128:
-            height = width
-        elif here >= 0 and info & 32:
-            height, here = read_unsigned(data, here)
-        if here >= 0 and info & 16:
-            value, here = read_unsigned(data, here)
-            step = -(value >> 1) if value & 1 else value >> 1
-            x = x + step if state[7] else step
-        if here >= 0 and info & 8:
-            value, here = read_unsigned(data, here)
-            step = -(value >> 1) if value & 1 else value >> 1
-            y = y + step if state[7] else step
-        if here < 0 or layer != wanted[0] or datatype != wanted[1]:
+        now[:] = state
+        here = _read_fields(data, position + 2, info, now)
+        if here < 0 or now[0] != wanted[0] or now[1] != wanted[1]:
             break
-        copies, grid, repetition = 1, 1, -1
+        copies, grid = 1, 1
         if info & 4:
-            repetition = here
-            kind, here = read_unsigned(data, here)
-            if here < 0 or kind not in (10, 11):
-                break
-            copies, here = read_unsigned(data, here)
-            copies += 2
-            if here >= 0 and kind == 11:
-                grid, here = read_unsigned(data, here)
-            if here < 0:
-                break
-        if count + copies > capacity:
+            now[6] = here
+            copies, grid, here = _read_list_head(data, here)
+        if here < 0 or count + copies > capacity:
             break
-        store = len(out) > 0
-        at_x, at_y = x, y
-        for copy in range(copies):
-            if copy:
+        x, y = now[2], now[3]
+        for copy in range(count, count + copies):
+            if copy > count:
                 step_x, step_y, here = read_displacement(data, here, 2)
                 if here < 0:
-                    break
-                at_x += grid * step_x
-                at_y += grid * step_y
-            if store:
-                out[count + copy, 0], out[count + copy, 1] = at_x, at_y
-                out[count + copy, 2], out[count + copy, 3] = width, height
-        if here < 0:
-            break
+                    return position, count
+                x += grid * step_x
+                y += grid * step_y
+            if len(out):
+                out[copy, 0], out[copy, 1], out[copy, 2], out[copy, 3] = x, y, now[4], now[5]
         count += copies
         position = here
-        state[0], state[1], state[2], state[3], state[4], state[5] = layer, datatype, x, y, width, height
-        if repetition >= 0:
-            state[6] = repetition
+        state[:] = now
     return position, count
+
+
+@compiled
+def _read_fields(data: NDArray[np.uint8], here: int, info: int, state: NDArray[np.int64]) -> int:
+    """Layer, datatype, width, height, x and y of a RECTANGLE, as ``info`` says; the position behind, or -1."""
+    for bit, field_of_state in ((1, 0), (2, 1), (64, 4), (32, 5)):
+        if here >= 0 and info & bit and not (bit == 32 and info & 128):
+            state[field_of_state], here = read_unsigned(data, here)
+    if info & 128:
+        state[5] = state[4]
+    for bit, field_of_state in ((16, 2), (8, 3)):
+        if here >= 0 and info & bit:
+            value, here = read_unsigned(data, here)
+            step = -(value >> 1) if value & 1 else value >> 1
+            state[field_of_state] = state[field_of_state] + step if state[7] else step
+    return here
+
+
+@compiled
+def _read_list_head(data: NDArray[np.uint8], here: int) -> tuple[int, int, int]:
+    """Copies, grid and position behind the head of a list of displacements; -1 for other repetitions."""
+    grid = 1
+    kind, here = read_unsigned(data, here)
+    if here < 0 or kind not in (10, 11):
+        return 1, 1, -1
+    copies, here = read_unsigned(data, here)
+    if here >= 0 and kind == 11:
+        grid, here = read_unsigned(data, here)
+    return copies + 2, grid, here

@@ -128,6 +128,7 @@ def _recover(
     unit_nm = reader.unit_nm
 
     def leftover(stray: int) -> Leftover:
+        """What was kept apart, in nm."""
         found = recovery.strays(stray)
         return Leftover(found.count, np.multiply(found.rectangles, unit_nm, dtype=np.float64))
 
@@ -161,6 +162,7 @@ def _chunks(hierarchy: Hierarchy) -> Iterator[Chunk]:
     """All chunks in the order of the file; parts of a tile's size are decoded ahead by threads."""
 
     def decode(part: Part) -> Iterator[Chunk]:
+        """Small parts here and now, on the thread that asks; large ones as a stream."""
         return iter(list(part.chunks())) if part.count <= _AHEAD_SHAPES else part.chunks()
 
     with ThreadPoolExecutor(default_workers()) as threads:

@@ -65,6 +65,7 @@ def write(pillars: PillarMap, directory: Path, design: Design, progress: Progres
         threads = stack.enter_context(ThreadPoolExecutor(default_workers()))
 
         def encode(tile: PillarTile) -> tuple[PillarTile, list[Any]]:
+            """One tile in every format."""
             return tile, [writer.encode(tile) for writer in writers]
 
         sites = pillars.lattice.shape[0] * pillars.lattice.shape[1]
@@ -92,10 +93,12 @@ class _Figures:
         self.sites = 0
 
     def add(self, tile: PillarTile) -> None:
+        """Count the pillars of a tile."""
         self._used += np.bincount(tile.size_index.ravel(), minlength=self._used.size)
         self.sites += tile.size_index.size
 
     def summary(self) -> dict[str, Any]:
+        """Pillars, sizes, drawn area, and its share of the pillars' cells."""
         pillars = int(self._used[1:].sum())
         lattice = self._map.lattice
         unit_um = lattice.database_unit_nm * 1e-3
