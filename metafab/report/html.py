@@ -77,12 +77,13 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], kinds: Sequence[st
     """
     classes = [*kinds, *[""] * (len(head) - len(kinds))]
 
-    def cells(row: Sequence[str], tag: str) -> str:
-        return "".join(f'<{tag} class="{kind}">{cell}</{tag}>' for cell, kind in zip(row, classes, strict=True))
-
-    body = "".join(f"<tr>{cells(row, 'td')}</tr>" for row in rows)
-    top = f"<thead><tr>{cells(head, 'th')}</tr></thead>"
+    body = "".join(f"<tr>{_cells(row, classes, 'td')}</tr>" for row in rows)
+    top = f"<thead><tr>{_cells(head, classes, 'th')}</tr></thead>"
     return f'<div class="scroll"><table class="{kind}">{top}<tbody>{body}</tbody></table></div>'
+
+
+def _cells(row: Sequence[str], classes: Sequence[str], tag: str) -> str:
+    return "".join(f'<{tag} class="{kind}">{cell}</{tag}>' for cell, kind in zip(row, classes, strict=True))
 
 
 def headline(value: str, label: str, tone: str = "") -> str:

@@ -88,43 +88,45 @@ def open_run(path: Path) -> RunFolder:
     from metafab.spec import load_design
 
     notes: dict[str, str] = {}
-
-    def attempt(section: str, file: Path, load: Callable[[Path], Loaded]) -> Loaded | None:
-        if not file.is_file():
-            notes[section] = f"{file.name} is not in the run folder"
-            return None
-        try:
-            return load(file)
-        except (MetafabError, OSError, ValueError, KeyError) as error:
-            notes[section] = f"{file.name} could not be used: {error}"
-            return None
-
-    summary = attempt("summary", path / "summary.json", _read_object) or {}
-    design = attempt("design", path / "design.toml", load_design)
-    library_file = (summary.get("library") or {}).get("file")
+    summary = _attempt(notes, "summary", path / "summary.json", _read_object) or {}
+    design = _attempt(notes, "design", path / "design.toml", load_design)
+    built = summary.get("library")
+    library_file = built.get("file") if isinstance(built, dict) else None
     if library_file is None:
         notes["library"] = "summary.json does not name a library"
     masks = [path / name for name in _MASK_FILES if (path / name).is_file()] or [path / _MASK_FILES[0]]
     pillars = None
     if design is not None:
-        pillars = attempt("mask", masks[0], lambda file: mask.read(file, design).pillars)
+        pillars = _attempt(notes, "mask", masks[0], lambda file: mask.read(file, design).pillars)
     else:
         notes["mask"] = "reading a mask needs design.toml"
     return RunFolder(
         path=path,
         summary=summary,
         design=design,
-        design_table=attempt("design_table", path / "design.toml", _read_toml) or {},
-        library=attempt("library", path / library_file, library.load) if library_file else None,
-        phases=attempt("phases", path / "phase.h5", _read_phases),
+        design_table=_attempt(notes, "design_table", path / "design.toml", _read_toml) or {},
+        library=_attempt(notes, "library", path / library_file, library.load) if library_file else None,
+        phases=_attempt(notes, "phases", path / "phase.h5", _read_phases),
         pillars=pillars,
         mask_file=masks[0].name,
-        psf=attempt("psf", path / "psf.h5", optics.load),
-        ideal_psf=attempt("ideal_psf", path / "ideal_psf.h5", optics.load),
-        raw=attempt("raw", path / "raw.h5", camera.load),
-        decoded=attempt("decoded", path / "decoded.h5", decode.load),
+        psf=_attempt(notes, "psf", path / "psf.h5", optics.load),
+        ideal_psf=_attempt(notes, "ideal_psf", path / "ideal_psf.h5", optics.load),
+        raw=_attempt(notes, "raw", path / "raw.h5", camera.load),
+        decoded=_attempt(notes, "decoded", path / "decoded.h5", decode.load),
         notes=notes,
     )
+
+
+def _attempt(notes: dict[str, str], section: str, file: Path, load: Callable[[Path], Loaded]) -> Loaded | None:
+    """What ``load`` makes of a file, or None and a note."""
+    if not file.is_file():
+        notes[section] = f"{file.name} is not in the run folder"
+        return None
+    try:
+        return load(file)
+    except (MetafabError, OSError, ValueError, KeyError) as error:
+        notes[section] = f"{file.name} could not be used: {error}"
+        return None
 
 
 def _read_phases(path: Path) -> AperturePhases:
