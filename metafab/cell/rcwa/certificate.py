@@ -1,8 +1,8 @@
 """Truncation raised until the error is what was asked, and the bound on that error.
 
-The truncations form a ladder. How much nearer to the truth a rung is than an earlier one was measured on pillars with
-and without resonances, of four materials, against references of 15 orders (benchmarks/cell.py repeats it): with
-d(M, k) the largest difference of any amplitude between M and k orders,
+The truncations form a ladder. How much nearer to the truth a rung is than an earlier one was measured on 96 pillars of
+four materials, resonances among them, against references of 13 to 15 orders (benchmarks/cell.py repeats it for
+silicon); with d(M, k) the largest difference of any amplitude between M and k orders,
 
     error(M) <= max( floor(M), max over k of share(M, k) d(M, k) ).
 
@@ -10,7 +10,7 @@ Differences see what is special about a pillar (a sharp resonance that the trunc
 truncations can agree on by accident. A last difference so large that the ladder has not begun to converge counts in
 full. Where the permittivity changes its sign (metals) the field at the corners has no limit that Fourier methods
 approach steadily; there every difference counts threefold.
-The measured worst cases of error over bound are in tests/physics/test_rcwa_certificate.py.
+The largest error over bound found is 0.71; tests/physics/test_rcwa_certificate.py also looks far from these pillars.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _LADDERS: dict[Formulation, tuple[Rung, ...]] = {
     "adaptive": (
         Rung(3, np.inf, ()),
         Rung(5, 6e-4, ((3, 0.4),)),
-        Rung(6, 3e-4, ((5, 1.0), (3, 0.12))),
+        Rung(6, 3e-4, ((5, 1.2), (3, 0.1))),
         Rung(7, 1.2e-4, ((6, 1.0), (5, 0.4))),
         Rung(8, 8e-5, ((7, 1.0), (6, 0.4), (5, 0.15))),
         Rung(9, 6e-5, ((8, 1.0), (7, 0.4))),
