@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -88,13 +89,18 @@ def incident_amplitude(x: Any, y: Any, w: float, t_x: float, t_y: float) -> Any:
     return 1.0 / np.sqrt(square * np.sqrt(square))
 
 
+@cache
+def _gauss_legendre() -> tuple[FloatArray, FloatArray]:
+    return np.polynomial.legendre.leggauss(24)
+
+
 def power_at_aperture(imaging: Imaging, ray: Ray) -> float:
     """Integral of the squared incident amplitude over the aperture, um^2 (its area for distant objects).
 
     Gauss-Legendre in r^2 and equidistant azimuths (a circle), or Gauss-Legendre twice (a square): exact to
     1e-12 for objects further away than the aperture is wide.
     """
-    node, weight = np.polynomial.legendre.leggauss(24)
+    node, weight = _gauss_legendre()
     half = 0.5 * imaging.aperture_um
     if imaging.aperture_shape == "square":
         flux = ray.incident_amplitude(half * node[None, :], half * node[:, None]) ** 2

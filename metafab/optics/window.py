@@ -145,19 +145,23 @@ class WindowTransform:
         rows = (self.gather_y @ blocks.view(np.float32)).view(np.complex64)
         weights = (rows.real @ self.gather_x) + 1j * (rows.imag @ self.gather_x)
         total = np.zeros(self.by_order.shape[1:], dtype=np.complex64)
-        for order, weight in zip(self.by_order, weights, strict=True):
-            images = kernel.left @ (kernel.over_lens * weight) @ kernel.right
-            total += order * np.einsum("mvu,mvu->vu", kernel.over_window, images)
+        for terms, order, weight in zip(self._terms(), self.by_order, weights, strict=True):
+            images = kernel.left @ (kernel.over_lens[terms] * weight) @ kernel.right
+            total += order * np.einsum("mvu,mvu->vu", kernel.over_window[terms], images)
         return total
+
+    def _terms(self) -> list[slice]:
+        """Low-rank terms for sum and moments: terms grow in strength, and moments, small, need the stronger half."""
+        return [slice(None), *2 * [slice(self.kernel.rank // 2, None)]][: self.by_order.shape[0]]
 
     def adjoint(self, field: SingleComplexArray) -> SingleComplexArray:
         """Blocks, shape (1 or 3, n_y, n_x), of a window field: the conjugate transpose of :meth:`field`."""
         kernel = self.kernel
         blocks = []
-        for order in self.by_order:
-            images = kernel.over_window.conj() * (order.conj() * field)
+        for terms, order in zip(self._terms(), self.by_order, strict=True):
+            images = kernel.over_window[terms].conj() * (order.conj() * field)
             weights = kernel.left.conj().T @ images @ kernel.right.conj().T
-            total = np.einsum("mvu,mvu->vu", kernel.over_lens.conj(), weights)
+            total = np.einsum("mvu,mvu->vu", kernel.over_lens[terms].conj(), weights)
             blocks.append(self.gather_y.T @ total @ self.gather_x.T)
         return np.array(blocks, dtype=np.complex64)
 
