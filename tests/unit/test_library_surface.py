@@ -1,0 +1,82 @@
+"""Continuous evaluation and quality figures of libraries in closed form."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import library
+from metafab.core.errors import InputError
+from metafab.library import Library
+from metafab.library.surface import _evaluate_plain
+from metafab.materials import refractive_index
+from metafab.spec import load_unit_cell
+
+SPECS = sorted((Path(__file__).parents[2] / "unitcell_lib").glob("*.toml"))
+
+
+def test_grid_sizes_come_back(smooth_library: Library) -> None:
+    """A spline passes through its nodes, to rounding."""
+    width_nm, length_nm = np.meshgrid(smooth_library.width_nm, smooth_library.length_nm)
+    held = library.evaluate(smooth_library, width_nm, length_nm)
+    assert np.allclose(held.t_xx, smooth_library.t_xx[0], atol=1e-12)
+    assert np.allclose(held.t_yy, smooth_library.t_yy[0], atol=1e-12)
+
+
+def test_between_the_grid_the_closed_form_is_met_within_the_stated_error(smooth_library: Library) -> None:
+    width_nm, length_nm = np.random.default_rng(2).uniform(100.0, 250.0, (2, 400))
+    w, h = (width_nm - 100.0) / 150.0, (length_nm - 100.0) / 150.0
+    true = 1.25 * (1.0 - 0.15 * w * h) * np.exp(2.6j * math.pi * (0.8 * w + 0.2 * h))
+    held = library.evaluate(smooth_library, width_nm, length_nm)
+    # The phase turns by k = 0.0436 rad/nm, the step is 2 nm: (k h)^4 / 384 = 1.5e-7, more at the edges.
+    assert np.abs(held.t_xx - true).max() < 2e-6
+    assert np.all(np.abs(held.t_xx - true) <= held.error)
+
+
+def test_the_plain_and_the_compiled_evaluation_agree(smooth_library: Library) -> None:
+    surface = smooth_library.surface
+    width_nm, length_nm = np.random.default_rng(3).uniform(100.0, 250.0, (2, 300))
+    held = surface(width_nm, length_nm)
+    t, error = np.empty((300, 2), dtype=np.complex128), np.empty(300)
+    place = ((width_nm - 100.0) / surface.step_nm[0], (length_nm - 100.0) / surface.step_nm[1])
+    _evaluate_plain(surface.coefficients, surface.error, *place, t, error)
+    assert np.allclose(t, np.stack([held.t_xx, held.t_yy], axis=-1), atol=1e-13)
+    assert np.array_equal(error, held.error)
+
+
+@pytest.mark.parametrize("width_nm", [99.0, 251.0, math.nan])
+def test_nothing_is_extrapolated(smooth_library: Library, width_nm: float) -> None:
+    with pytest.raises(InputError, match="width_nm"):
+        library.evaluate(smooth_library, width_nm, 150.0)
+
+
+def test_quality_of_the_closed_form(smooth_library: Library) -> None:
+    """Both phases run over 1.3 turns, |t|^2 n_out / n_in = 1.5625 (1 - 0.15 w h)^2 / 1.7601."""
+    figures = library.quality(smooth_library)
+    assert figures["coverage_rad"] == pytest.approx(2.0 * math.pi)
+    assert 0.6 < figures["mean_transmittance"] < 1.5625 / 1.7601
+    assert figures["cd_phase_rms_rad"] == pytest.approx(5.0 * 2.6 * math.pi / 150.0, rel=1e-2)
+    assert 0.0 < figures["phase_rms_error_rad"] < figures["phase_max_error_rad"]
+
+
+def test_a_library_of_dark_sizes_covers_nothing(smooth_library: Library) -> None:
+    dark = replace(smooth_library, t_xx=0.1 * smooth_library.t_xx)
+    assert library.coverage_rad(dark) == 0.0
+    assert library.quality(dark)["torus_coverage"] == 0.0
+
+
+@pytest.mark.parametrize("path", SPECS, ids=[path.stem for path in SPECS])
+def test_the_unit_cells_on_offer_are_complete(path: Path) -> None:
+    """Every spec loads, says its source, has indices at its wavelength and no diffraction orders in the substrate."""
+    cell = load_unit_cell(path)
+    wavelength_nm = cell.illumination.wavelength_nm
+    index = refractive_index(cell.materials.substrate, wavelength_nm)[0]
+    assert cell.source
+    assert refractive_index(cell.materials.pillar, wavelength_nm)[0].real > index.real
+    if path.stem != "sos_800nm":
+        assert max(cell.cell.period_nm) * index.real < wavelength_nm
+    assert cell.sweep.width_nm[1] <= cell.cell.period_nm[0] - 80.0
