@@ -1,0 +1,44 @@
+"""What a layout will cost, told before it is made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from metafab import mask
+from metafab.layout import Assignment
+from metafab.library import Library
+from metafab.phase.profile import PhaseProfile
+from metafab.spec import Design
+
+
+def test_bytes_are_those_of_the_written_files(
+    tiny: Assignment,
+    profile: PhaseProfile,
+    smooth_library: Library,
+    tiny_design: Design,
+    tiny_files: dict[str, Path],
+) -> None:
+    """All tiles are sampled, so only the heads, the top cell and the end (256 bytes in OASIS) are missing."""
+    plan = mask.plan(profile, smooth_library, tiny_design)
+    assert plan["pillars"] == tiny.figures["pillars"]
+    assert plan["sampled_tiles"] == plan["tiles"] <= 16
+    for suffix in ("gds", "oas"):
+        assert 0 < tiny_files[suffix].stat().st_size - plan["bytes"][suffix] < 300 + 60 * plan["tiles"]
+    assert set(plan["seconds"]) == {"preparing", "mapping", "gds", "oas"}
+    assert plan["core_hours"] > 0
+    assert plan["advice"] == []
+
+
+def test_a_centimetre_lens_is_planned_from_a_few_tiles_and_oasis_proposed(
+    profile: PhaseProfile, smooth_library: Library, small_design: Design
+) -> None:
+    design = replace(small_design, device=replace(small_design.device, aperture_um=50_000.0))
+    plan = mask.plan(profile, smooth_library, design)
+    # pi (25 mm)^2 / (350 nm)^2 pillars of 64 bytes each; the rim's ring of cells is a share of 1e-5.
+    assert plan["pillars"] == pytest.approx(16.03e9, rel=1e-3)
+    assert plan["bytes"]["gds"] == pytest.approx(64 * plan["pillars"], rel=1e-2)
+    assert plan["sampled_tiles"] == 16
+    assert "write 'oas'" in plan["advice"][0]
