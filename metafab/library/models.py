@@ -11,7 +11,7 @@ from metafab.library.rational import Degrees, RationalModel, fit, terms
 
 #: Degrees of the denominator that are tried, and the largest degree of the numerators.
 DENOMINATOR_DEGREES = (7, 10, 12)
-LARGEST_DEGREE = 21
+LARGEST_DEGREE = 16
 #: Unknowns that a fit may have for each equation; below 1 keeps noise and false poles away.
 FILLING = 0.7
 
@@ -108,7 +108,7 @@ def _candidates(count: int) -> list[Degrees]:
     for below in DENOMINATOR_DEGREES:
         fitting = [p for p in range(1, LARGEST_DEGREE + 1) if 2 * terms(p) + terms(below) <= FILLING * 2 * count]
         if fitting:
-            found += [(above, below) for above in sorted({fitting[-1], max(2 * fitting[-1] // 3, 1)})]
+            found += [(above, below) for above in sorted({fitting[-1], max(3 * fitting[-1] // 4, 1)})]
     return found if len(found) > 1 else [(2, 0), (1, 0)]
 
 

@@ -31,6 +31,8 @@ from metafab.spec import UnitCell
 #: Sizes of the first round, and of each later one (half of them even, half where models disagree).
 FIRST_ROUND = 128
 LATER_ROUND = 48
+#: When no more than these stay above the tolerance, they are solved outright.
+LAST_ROUND = 96
 #: Sizes that a worker solves before it reports: more save messages, fewer lose less to a kill.
 CHUNK = 4
 #: Chunks in flight: enough to keep the workers of one machine busy.
@@ -132,9 +134,10 @@ def sample(grid: SizeGrid, solve_sizes: SizeSolver, tolerance: float) -> Outcome
         solved |= new
         models = _fit(grid, solved, batch)
         estimate = factor * _estimate(grid, models.disagreement(grid.width_nm, grid.length_nm))
-        open_sizes = ~_is_solved(grid, solved)
-        worst = max(float(np.max(miss - certificate)), float(np.max(estimate, where=open_sizes, initial=0.0)))
-        if worst <= tolerance or not open_sizes.any():
+        open_error = np.where(_is_solved(grid, solved), 0.0, estimate).ravel()[grid.distinct]
+        left = grid.distinct[open_error > tolerance]
+        if left.size <= LAST_ROUND and (float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size):
+            solved |= solve_sizes(left, len(solved) + left.size)
             return Outcome(_sorted(solved), models.best, estimate, float(miss.max()), batch.size, rounds)
 
 
