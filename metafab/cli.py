@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -79,7 +79,7 @@ def cell_command(
     wavelength_nm: Annotated[float | None, typer.Option(help="Vacuum wavelength [default: the file's].")] = None,
     angle_deg: Annotated[float, typer.Option(help="Polar angle of incidence, in the incident medium.")] = 0.0,
     azimuth_deg: Annotated[float, typer.Option(help="Azimuth of incidence from +x.")] = 0.0,
-    solver: Annotated[str | None, typer.Option(help="rcwa or meep [default: the file's].")] = None,
+    solver: Annotated[Literal["rcwa", "meep"] | None, typer.Option(help="Solver [default: the file's].")] = None,
     target_error: TargetError = None,
     json_: Json = False,
 ) -> None:
@@ -89,12 +89,10 @@ def cell_command(
 
     spec = load_unit_cell(unit_cell)
     name = solver or spec.solver.name
-    if name not in ("rcwa", "meep"):
-        raise InputError.single("--solver", "solver", "'rcwa' or 'meep'", repr(name))
     problem = cell.pillar_cell(
         spec, width_nm, length_nm, wavelength_nm=wavelength_nm, angle_deg=angle_deg, azimuth_deg=azimuth_deg
     )
-    numerics = cell.CellNumerics(target_error=target_error or spec.sweep.target_error, solver=name)  # type: ignore[arg-type]
+    numerics = cell.CellNumerics(target_error=target_error or spec.sweep.target_error, solver=name)
     answer = cell.solve(problem, numerics)
     (t_xx, t_xy), (t_yx, t_yy) = answer.t
     transmittance_x, transmittance_y = answer.transmittance
@@ -152,7 +150,7 @@ def library_build(
 @library_app.command("check")
 def library_check(
     file: Annotated[Path, typer.Argument(metavar="LIB.h5")],
-    against: Annotated[str, typer.Option(help="meep, or rcwa at a finer error.")] = "rcwa",
+    against: Annotated[Literal["rcwa", "meep"], typer.Option(help="meep, or rcwa at a finer error.")] = "rcwa",
     samples: Annotated[int, typer.Option(min=1, help="Held-out sizes.")] = 10,
     seed: Annotated[int, typer.Option(min=0)] = 1,
     workers: Workers = None,
@@ -163,8 +161,6 @@ def library_check(
     from metafab import library
     from metafab.core.executor import open_executor
 
-    if against not in ("rcwa", "meep"):
-        raise InputError.single("--against", "against", "'rcwa' or 'meep'", repr(against))
     opened = library.load(file)
     with _progress() as progress, open_executor(workers, cluster) as executor:
         result = library.check(
@@ -215,7 +211,9 @@ def layout_command(
 def drc_command(
     layout: LayoutFile,
     design: DesignOption,
-    engine: Annotated[str, typer.Option(help="lattice, or polygons (KLayout's engine).")] = "lattice",
+    engine: Annotated[
+        Literal["lattice", "polygons"], typer.Option(help="On the lattice, or by KLayout's polygon engine.")
+    ] = "lattice",
     output: Output = None,
     workers: Workers = None,
     json_: Json = False,
@@ -225,8 +223,6 @@ def drc_command(
     from metafab.core.files import write_json
     from metafab.spec import load_design
 
-    if engine not in ("lattice", "polygons"):
-        raise InputError.single("--engine", "engine", "'lattice' or 'polygons'", repr(engine))
     with _progress() as progress:
         result = drc.check(layout, load_design(design), engine=engine, workers=workers, progress=progress)
     if output is not None:

@@ -8,12 +8,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from metafab import camera, decode, drc, layout, library, mask, optics, phase, report
+from metafab.core.conventions import FloatArray
 from metafab.core.executor import open_executor
 from metafab.core.files import file_sha256, write_json
 from metafab.library import Library
@@ -149,7 +151,7 @@ def point_spread(
     return optics.concatenate(stacks)
 
 
-def psf_figures(psf: Psf) -> dict[str, Any]:
+def psf_figures(psf: Psf) -> dict[str, FloatArray]:
     """The PSF pair's figures of merit, one array over depth each."""
     return {
         "depth_m": psf.depth_m,
@@ -162,27 +164,30 @@ def psf_figures(psf: Psf) -> dict[str, Any]:
 
 
 def _psf(job: Job) -> dict[str, Any]:
-    design = job.design
+    design, verify = job.design, job.design.verify
     imaging = Imaging.of(design)
-    depths = calibration_depths(design, imaging)
-    options = {"window_px": design.verify.window_px, "target_error": design.verify.target_error}
-    tangents = optics.field_tangents(design, imaging)
-    written = optics.psf(
-        mask_source(job, mask_paths(job)[-1]), imaging, depths,
-        field_points=design.verify.field_points, field_tangents=tangents, progress=job.progress, **options,
-    )  # fmt: skip
+    point_spread_of = partial(
+        optics.psf,
+        imaging=imaging,
+        window_px=verify.window_px,
+        target_error=verify.target_error,
+        progress=job.progress,
+    )
+    written = point_spread_of(
+        mask_source(job, mask_paths(job)[-1]),
+        depths_m=calibration_depths(design, imaging),
+        field_points=verify.field_points,
+        field_tangents=optics.field_tangents(design, imaging),
+    )
     optics.save(written, job.folder / "psf.h5")
-    ideal = optics.psf(ideal_source(job), imaging, design.verify.depths_m, progress=job.progress, **options)
+    ideal = point_spread_of(ideal_source(job), depths_m=verify.depths_m)
     optics.save(ideal, job.folder / "ideal_psf.h5")
-    shown = np.isin(written.depth_m, design.verify.depths_m)
-    nodes = optics.without_depths(written, shown)
-    figures = psf_figures(written)
+    shown = np.isin(written.depth_m, verify.depths_m)
+    interpolated = optics.at_depths(optics.without_depths(written, shown), written.depth_m[shown])
     return {
-        **{name: value[shown] for name, value in figures.items() if isinstance(value, np.ndarray)},
+        **{name: value[shown] for name, value in psf_figures(written).items()},
         **{f"ideal_{name}": value for name, value in psf_figures(ideal).items() if name != "depth_m"},
-        "depth_interpolation_error": optics.relative_l2(
-            optics.at_depths(nodes, written.depth_m[shown]), written.psf[:, shown]
-        ),
+        "depth_interpolation_error": optics.relative_l2(interpolated, written.psf[:, shown]),
         "depths": written.depth_m.size,
         **written.details,
     }
