@@ -136,7 +136,9 @@ def sample(grid: SizeGrid, solve_sizes: SizeSolver, tolerance: float) -> Outcome
         estimate = factor * _estimate(grid, models.disagreement(grid.width_nm, grid.length_nm))
         open_error = np.where(_is_solved(grid, solved), 0.0, estimate).ravel()[grid.distinct]
         left = grid.distinct[open_error > tolerance]
-        if left.size <= LAST_ROUND and (float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size):
+        if left.size <= LAST_ROUND and (
+            float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size
+        ):
             solved |= solve_sizes(left, len(solved) + left.size)
             return Outcome(_sorted(solved), models.best, estimate, float(miss.max()), batch.size, rounds)
 
