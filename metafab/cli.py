@@ -219,14 +219,14 @@ def drc_command(
     json_: Json = False,
 ) -> None:
     """Check the design rules on a written file; exits with 2 if any is violated."""
-    from metafab import drc
-    from metafab.core.files import write_json
+    from metafab import drc, mask
     from metafab.spec import load_design
 
+    spec = load_design(design)
     with _progress() as progress:
-        result = drc.check(layout, load_design(design), engine=engine, workers=workers, progress=progress)
+        result = drc.check(layout, spec, engine=engine, workers=workers, progress=progress)
     if output is not None:
-        write_json(output, result)
+        drc.save([result], output, mask.top_name(spec.name))
     _show(result, json_)
     _exit_on_violations(sum(result.violations.values()))
 

@@ -17,7 +17,7 @@ import numpy as np
 from metafab import camera, decode, drc, layout, library, mask, optics, phase, report
 from metafab.core.conventions import FloatArray
 from metafab.core.executor import open_executor
-from metafab.core.files import file_sha256, write_json
+from metafab.core.files import file_sha256
 from metafab.library import Library
 from metafab.optics import Imaging, Psf
 from metafab.run import Job, Step
@@ -92,16 +92,19 @@ def mask_paths(job: Job) -> tuple[Path, ...]:
 
 
 def _drc(job: Job) -> dict[str, Any]:
-    reports = {
-        path.name: drc.check(path, job.design, workers=job.workers, progress=job.progress) for path in mask_paths(job)
+    reports = [drc.check(path, job.design, workers=job.workers, progress=job.progress) for path in mask_paths(job)]
+    drc.save(reports, job.folder, mask.top_name(job.design.name))
+    first = reports[0]
+    worst = {rule: max(report.violations[rule] for report in reports) for rule in first.violations}
+    counts = [report.pillars for report in reports]
+    worst["formats_differ"] = max(counts) - min(counts)
+    return {
+        "pillars": first.pillars,
+        "violations": worst,
+        "min_gap_nm": first.min_gap_nm,
+        "engine": first.engine,
+        "files": [report.file for report in reports],
     }
-    write_json(job.folder / "drc.json", reports)
-    first = next(iter(reports.values()))
-    worst = {rule: max(r.violations.get(rule, 0) for r in reports.values()) for rule in first.violations}
-    counts = {r.pillars for r in reports.values()}
-    if len(counts) != 1:
-        worst["formats_differ"] = max(counts) - min(counts)
-    return {"pillars": first.pillars, "violations": worst, "files": list(reports), "engine": first.engine}
 
 
 def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
@@ -236,7 +239,7 @@ STEPS = (
         lambda d: (d.name, d.rules, d.mask, d.device, d.numerics),
         lambda job: (*mask_paths(job), *_in_folder("layout.lyp", "layout.json")(job)), write_layout,
     ),
-    Step("drc", ("mask", "drc"), ("layout",), lambda d: (d.rules, d.mask, d.device), _in_folder("drc.json"), _drc),
+    Step("drc", ("mask", "drc"), ("layout",), lambda d: (d.rules, d.mask, d.device), _in_folder("drc.json", "drc.lyrdb"), _drc),
     Step(
         "psf", ("mask", "optics"), ("layout",),
         lambda d: (d.sensor, d.verify, d.scene.field_px, [item.depth_m for item in d.scene.objects]),

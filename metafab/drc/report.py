@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -68,12 +69,16 @@ class DrcReport:
         return not any(self.violations.values())
 
 
-def save(report: DrcReport, directory: Path, top_cell: str = "TOP") -> tuple[Path, Path]:
-    """Write ``drc.json`` and ``drc.lyrdb``, which KLayout opens at the violations."""
+def save(reports: Sequence[DrcReport], directory: Path, top_cell: str = "TOP") -> tuple[Path, Path]:
+    """Write ``drc.json``, every report by its file, and ``drc.lyrdb``, which KLayout opens at the violations.
+
+    The files of one mask hold the same pillars, so the database shows the one with the most violations.
+    """
     json_path, database_path = directory / "drc.json", directory / "drc.lyrdb"
-    write_json(json_path, report)
+    write_json(json_path, {report.file: report for report in reports})
+    worst = max(reports, key=lambda report: sum(report.violations.values()))
     with whole_file(database_path) as part:
-        part.write_text(report_database(report, top_cell), encoding="utf-8")
+        part.write_text(report_database(worst, top_cell), encoding="utf-8")
     return json_path, database_path
 
 

@@ -17,8 +17,9 @@
 In: a PillarMap and a Design. Out: files; from a file: a ReadBack, the pillars and everything that is none.
 """
 
+from metafab.mask.cells import top_name
 from metafab.mask.plan import plan
 from metafab.mask.read import Leftover, ReadBack, read
 from metafab.mask.write import WrittenFile, write
 
-__all__ = ["Leftover", "ReadBack", "WrittenFile", "plan", "read", "write"]
+__all__ = ["Leftover", "ReadBack", "WrittenFile", "plan", "read", "top_name", "write"]

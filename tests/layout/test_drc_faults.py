@@ -217,7 +217,7 @@ def test_reports_are_written_and_klayout_opens_them(plant: Plant, tiny_design: D
     path = tmp_path / "planted.oas"
     plant.layout.write(str(path))
     report = drc.check(path, tiny_design)
-    json_path, database_path = drc.save(report, tmp_path, "helix_small")
+    json_path, database_path = drc.save([report], tmp_path, "helix_small")
     stored = json.loads(json_path.read_text())
     assert stored["violations"]["min_gap"] == 1
     rdb = pytest.importorskip("klayout.rdb")
