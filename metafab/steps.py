@@ -239,7 +239,10 @@ STEPS = (
         lambda d: (d.name, d.rules, d.mask, d.device, d.numerics),
         lambda job: (*mask_paths(job), *_in_folder("layout.lyp", "layout.json")(job)), write_layout,
     ),
-    Step("drc", ("mask", "drc"), ("layout",), lambda d: (d.rules, d.mask, d.device), _in_folder("drc.json", "drc.lyrdb"), _drc),
+    Step(
+        "drc", ("mask", "drc"), ("layout",),
+        lambda d: (d.rules, d.mask, d.device), _in_folder("drc.json", "drc.lyrdb"), _drc,
+    ),
     Step(
         "psf", ("mask", "optics"), ("layout",),
         lambda d: (d.sensor, d.verify, d.scene.field_px, [item.depth_m for item in d.scene.objects]),
