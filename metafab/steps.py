@@ -57,7 +57,12 @@ def open_library(job: Job) -> Library:
 
 def _library(job: Job) -> dict[str, Any]:
     opened = open_library(job)
-    return {"file": str(library_path(job)), **library.quality(opened), **opened.details}
+    return {
+        "file": str(library_path(job)),
+        **library.quality(opened),
+        "index_phase_error_rad": library.index_phase_error_rad(opened),
+        **opened.details,
+    }
 
 
 # --- phase and layout --------------------------------------------------------------------------------------------
@@ -268,6 +273,8 @@ def error_budget(figures: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
              "the truncation plus interpolation, checked at held-out sizes"),
         _row("size snapping and finite library", written.get("phase_rms_error_rad"), "rad rms",
              "phase of the chosen size against the target, over all pillars"),
+        _row("index of the pillar", solved.get("index_phase_error_rad"), "rad rms",
+             "phases solved again with the index raised by its standard uncertainty, common phase taken out"),
         _row("local-period approximation", None, "complex t", "not measured by this run: needs full-wave supercells"),
         _row("pupil reduction and sampling", max(light["error"]), "relative L2", "PSF with blocks of half the size"),
         _row("depth interpolation", light["depth_interpolation_error"], "relative L2",

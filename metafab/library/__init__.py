@@ -17,12 +17,14 @@ Using:
 - ``lookup``      target phases -> size index: best field overlap over the (phi_x, phi_y) torus
 - ``quality``     coverage, holes, transmittance, sensitivity
 - ``check``       held-out sizes against a finer or another solver
+- ``index_error`` what the uncertainty of the pillar's index does to the phases
 
 In: a UnitCell and an executor. Out: a Library, which ``lookup`` turns into the table that a layout maps with.
 """
 
 from metafab.library.build import build
 from metafab.library.check import LibraryCheck, check
+from metafab.library.index_error import index_phase_error_rad
 from metafab.library.library import Library, SizeResponse
 from metafab.library.lookup import SizeTable, build_size_table, global_offsets
 from metafab.library.quality import coverage_rad, quality
@@ -41,6 +43,7 @@ __all__ = [
     "coverage_rad",
     "evaluate",
     "global_offsets",
+    "index_phase_error_rad",
     "is_current",
     "load",
     "quality",

@@ -15,12 +15,14 @@ from metafab.spec.fields import CONFIG, NonNegative, Positive, TargetError
 class Material:
     """A refractive index n + ik (time sign of the conventions: k > 0 absorbs).
 
-    ``n_y`` and ``k_y`` are given only where y polarisation sees another index: a uniaxial substrate whose
-    optic axis lies in the surface. ``record`` names an entry of the ``materials`` room in place of numbers.
+    ``n_error`` is the standard uncertainty of n; it enters the error budget, not the solution. ``n_y`` and ``k_y``
+    are given only where y polarisation sees another index: a uniaxial substrate whose optic axis lies in the
+    surface. ``record`` names an entry of the ``materials`` room in place of numbers.
     """
 
     n: Positive | None = None
     k: NonNegative = 0.0
+    n_error: NonNegative = 0.0
     n_y: Positive | None = None
     k_y: NonNegative | None = None
     record: str | None = None
