@@ -136,14 +136,7 @@ def library_build(
     spec = load_unit_cell(unit_cell)
     path = output or unit_cell.with_suffix(".h5")
     with _progress() as progress, measured() as cost, open_executor(workers, cluster) as executor:
-        built = library.build(
-            spec,
-            target_error=target_error,
-            executor=executor,
-            checkpoint=path.with_suffix(".partial"),
-            progress=progress,
-        )
-        library.save(built, path)
+        built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=progress)
     _show({"file": path, **library.quality(built), **built.details, "seconds": cost.seconds}, json_)
 
 

@@ -45,13 +45,7 @@ def open_library(job: Job) -> Library:
     path = library_path(job)
     if job.design.library.suffix != ".h5" and not library.is_current(path, job.design.unit_cell):
         with open_executor(job.workers, job.cluster) as executor:
-            built = library.build(
-                job.design.unit_cell,
-                executor=executor,
-                checkpoint=path.with_suffix(".partial"),
-                progress=job.progress,
-            )
-        library.save(built, path)
+            return library.build_file(job.design.unit_cell, path, executor=executor, progress=job.progress)
     return library.load(path)
 
 

@@ -7,7 +7,7 @@ Building, from the bottom up:
 - ``models``      all amplitudes, fitted in pairs whose disagreement shows the error
 - ``checkpoint``  solved sizes on disk as they arrive
 - ``rounds``      solve, fit, test on held-out sizes, and again
-- ``build``       UnitCell -> Library
+- ``build``       UnitCell -> Library, in memory or as a file
 
 Using:
 
@@ -22,7 +22,7 @@ Using:
 In: a UnitCell and an executor. Out: a Library, which ``lookup`` turns into the table that a layout maps with.
 """
 
-from metafab.library.build import build
+from metafab.library.build import build, build_file
 from metafab.library.check import LibraryCheck, check
 from metafab.library.index_error import index_phase_error_rad
 from metafab.library.library import Library, SizeResponse
@@ -38,6 +38,7 @@ __all__ = [
     "SizeTable",
     "Surface",
     "build",
+    "build_file",
     "build_size_table",
     "check",
     "coverage_rad",

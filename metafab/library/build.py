@@ -1,4 +1,4 @@
-"""Unit cell -> Library, to an asked error."""
+"""Unit cell -> Library, to an asked error; in memory, or as a file that a kill does not set back."""
 
 from __future__ import annotations
 
@@ -15,15 +15,14 @@ from metafab.cell import solve
 from metafab.cell.response import CellNumerics, CellSolver
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.executor import SerialExecutor
-from metafab.core.files import fingerprint
 from metafab.core.progress import Progress, silent
 from metafab.library.checkpoint import Checkpoint
-from metafab.library.library import Library
+from metafab.library.library import Library, inputs_of
 from metafab.library.quality import coverage_rad
 from metafab.library.rounds import Outcome, SizeSolver, sample
 from metafab.library.sampling import SizeGrid
-from metafab.spec import UnitCell, canonical_toml
-from metafab.spec.embedded import LIBRARY_FORMAT
+from metafab.library.store import is_current, load, save
+from metafab.spec import UnitCell
 
 #: Parts of the target error that the solver and the model may use; the rest is reserve.
 SOLVER_SHARE = 0.5
@@ -48,7 +47,7 @@ def build(
         target_error: largest error in any complex amplitude; replaces the one of ``unit_cell.sweep``.
         executor: where sizes are solved; this process when None.
         checkpoint: file that keeps solved sizes across a kill; the same call continues from it. It stays when
-            the build has ended: delete it once the library is saved.
+            the build has ended (:func:`build_file` removes its own once the library is saved).
         progress: called with the number of solved sizes and how many are foreseen.
         solver: solves one unit cell; must be importable by the workers.
 
@@ -59,22 +58,71 @@ def build(
     Raises:
         InputError: ``checkpoint`` belongs to another build.
     """
+    unit_cell = _asking(unit_cell, target_error)
+    with Checkpoint(checkpoint, inputs_of(unit_cell)) as record:
+        return _build(unit_cell, record, executor or SerialExecutor(), progress, solver)
+
+
+def build_file(
+    unit_cell: UnitCell,
+    path: Path,
+    *,
+    target_error: float | None = None,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+    solver: CellSolver = solve,
+) -> Library:
+    """Build a library and save it; a killed build goes on where it stopped.
+
+    Solved sizes are kept beside the file, under a name that holds the fingerprint of the build's inputs, until the
+    library is saved. Of two processes that build the same library, the later one waits and takes over the
+    other's file.
+
+    Args:
+        unit_cell: what is swept.
+        path: the library file; an earlier one is replaced when the new one is whole.
+        target_error: as in :func:`build`; likewise ``executor``, ``progress`` and ``solver``.
+        executor: see ``target_error``.
+        progress: see ``target_error``.
+        solver: see ``target_error``.
+
+    Returns:
+        The library, as saved.
+
+    Raises:
+        InputError: the checkpoint beside the file is damaged.
+    """
+    unit_cell = _asking(unit_cell, target_error)
+    inputs = inputs_of(unit_cell)
+    checkpoint = path.with_name(f"{path.stem}.{inputs[:8]}.partial")
+    with Checkpoint(checkpoint, inputs) as record:
+        if record.waited and is_current(path, unit_cell):
+            built = load(path)
+        else:
+            built = _build(unit_cell, record, executor or SerialExecutor(), progress, solver)
+            save(built, path)
+        record.remove()
+    return built
+
+
+def _asking(unit_cell: UnitCell, target_error: float | None) -> UnitCell:
+    if target_error is None:
+        return unit_cell
+    return replace(unit_cell, sweep=replace(unit_cell.sweep, target_error=target_error))
+
+
+def _build(
+    unit_cell: UnitCell, record: Checkpoint, executor: Executor, progress: Progress, solver: CellSolver
+) -> Library:
     started = perf_counter()
-    if target_error is not None:
-        unit_cell = replace(unit_cell, sweep=replace(unit_cell.sweep, target_error=target_error))
     grid = SizeGrid.of(unit_cell)
     asked = unit_cell.sweep.target_error
     numerics = CellNumerics(SOLVER_SHARE * asked, unit_cell.solver.name)
     # One thread for the fits: their rounding, and with it the choice of sizes, must not depend on the machine's.
-    with Checkpoint(checkpoint, inputs_of(unit_cell)) as record, threadpool_limits(1):
-        sizes = SizeSolver(unit_cell, grid, numerics, solver, executor or SerialExecutor(), record, progress)
+    with threadpool_limits(1):
+        sizes = SizeSolver(unit_cell, grid, numerics, solver, executor, record, progress)
         outcome = sample(grid, sizes, MODEL_SHARE * asked)
     return _library(unit_cell, grid, outcome, perf_counter() - started)
-
-
-def inputs_of(unit_cell: UnitCell) -> str:
-    """Fingerprint of all that a library depends on."""
-    return fingerprint(canonical_toml(unit_cell), LIBRARY_FORMAT)
 
 
 def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: float) -> Library:

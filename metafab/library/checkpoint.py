@@ -1,7 +1,8 @@
 """The solved points of a build that is still running: one line a point, written as it arrives.
 
 The file is JSON lines: a header with the fingerprint of the build's inputs, then one record a point. Numbers
-are written so that they read back exactly, and a line that a kill cut short is dropped on the next start.
+are written so that they read back exactly, and a line that a kill cut short is dropped on the next start. Whoever
+has it open holds a lock that dies with the process; a second build of the same library waits for it.
 """
 
 from __future__ import annotations
@@ -9,12 +10,18 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import IO
 
 from metafab.core.errors import InputError
+
+try:
+    import fcntl
+except ImportError:  # Windows, where an open file cannot be removed under another process either
+    fcntl = None  # type: ignore[assignment]
 
 _KIND = "metafab library checkpoint"
 
@@ -43,6 +50,10 @@ class Checkpoint:
         path: the file, created when missing and continued when present.
         inputs_sha256: fingerprint of the build; a file of another build is refused.
 
+    Attributes:
+        points: solved so far.
+        waited: whether another process had the file when it was opened.
+
     Raises:
         InputError: the file is not a checkpoint, or one of another unit cell or target error.
     """
@@ -52,16 +63,21 @@ class Checkpoint:
         self._inputs = inputs_sha256
         self._stream: IO[str] | None = None
         self.points: list[SolvedPoint] = []
+        self.waited = False
 
     def __enter__(self) -> Checkpoint:
         if self._path is None:
             return self
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        whole = self._read(self._path) if self._path.exists() else 0
-        self._stream = self._path.open("a", encoding="utf-8")
-        self._stream.truncate(whole)
-        if whole == 0:
-            self._write({"kind": _KIND, "inputs_sha256": self._inputs})
+        self._stream = self._open_alone(self._path)
+        try:
+            whole = self._read(self._path)
+            self._stream.truncate(whole)
+            if whole == 0:
+                self._write({"kind": _KIND, "inputs_sha256": self._inputs})
+        except BaseException:
+            self._stream.close()
+            raise
         return self
 
     def __exit__(
@@ -79,6 +95,30 @@ class Checkpoint:
         if self._stream is not None:
             self._stream.flush()
             os.fsync(self._stream.fileno())
+
+    def remove(self) -> None:
+        """Delete the file: its points are safe elsewhere."""
+        if self._path is not None:
+            self._path.unlink(missing_ok=True)
+
+    def _open_alone(self, path: Path) -> IO[str]:
+        """Open for appending once no other process has the file."""
+        while True:
+            stream = path.open("a", encoding="utf-8")
+            if fcntl is None:
+                return stream
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                self.waited = True
+                fcntl.flock(stream, fcntl.LOCK_EX)
+            except OSError:  # a file system without locks
+                return stream
+            # The one we waited for may have removed this file when it was done.
+            with suppress(FileNotFoundError):
+                if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
+                    return stream
+            stream.close()
 
     def _write(self, record: object) -> None:
         if self._stream is not None:

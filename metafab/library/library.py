@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from metafab import __version__
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
+from metafab.core.files import fingerprint
 from metafab.library.models import SizeModel
-from metafab.spec.cell import UnitCell
+from metafab.spec import UnitCell, canonical_toml
+from metafab.spec.embedded import LIBRARY_FORMAT
 
 if TYPE_CHECKING:
     from metafab.library.surface import Surface
@@ -83,6 +86,11 @@ class Library:
         row = _index(self.length_nm, np.asarray(length_nm, dtype=np.float64), "length_nm")
         error = np.broadcast_to(self.error, self.t_xx.shape)[0]
         return SizeResponse(self.t_xx[0, row, column], self.t_yy[0, row, column], error[row, column])
+
+
+def inputs_of(unit_cell: UnitCell) -> str:
+    """Fingerprint of all that a library depends on: the unit cell, the file's format and metafab's version."""
+    return fingerprint(canonical_toml(unit_cell), LIBRARY_FORMAT, __version__)
 
 
 def _index(grid_nm: FloatArray, size_nm: FloatArray, name: str) -> np.ndarray:

@@ -14,8 +14,7 @@ import numpy as np
 
 from metafab.core import hdf5
 from metafab.core.errors import InputError
-from metafab.library.build import inputs_of
-from metafab.library.library import Library
+from metafab.library.library import Library, inputs_of
 from metafab.library.models import SizeModel
 from metafab.library.rational import RationalModel, terms
 from metafab.spec import UnitCell, canonical_toml
@@ -94,7 +93,7 @@ def load(path: Path) -> Library:
 
 
 def is_current(path: Path, unit_cell: UnitCell) -> bool:
-    """Whether ``path`` is a library built from exactly this unit cell (and target error)."""
+    """Whether ``path`` is a library that this version built from exactly this unit cell (and target error)."""
     try:
         with hdf5.open_kind(path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, remedy=_REMEDY) as file:
             return str(file.attrs["inputs_sha256"]) == inputs_of(unit_cell)
