@@ -7,7 +7,8 @@ From one axis to the answer:
 - ``transverse``     coefficients of a symmetry class, paired and turned to TM and TE
 - ``factorisation``  Maxwell's equations of the layer as two matrices, by Li's rules
 - ``eigenmodes``     modes of the layer, plane waves of the half spaces
-- ``admittance``     one incident wave through the layer, stable for any height
+- ``doubling``       one incident wave through the layer by doubling thickness: the fast way, tested as it goes
+- ``admittance``     the same by modes, stable for any height
 - ``jones``          Jones matrices at one truncation
 - ``certificate``    truncation raised until the error is what was asked
 - ``derivatives``    dt, dr by width and length, by reciprocity

@@ -13,7 +13,16 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from metafab.cell.rcwa.admittance import LayerField, through_layer
-from metafab.cell.rcwa.basis import AxisBasis, AxisParity, Formulation, axis_basis, symmetric_axis, travelling_axis
+from metafab.cell.rcwa.basis import (
+    AxisBasis,
+    AxisParity,
+    Formulation,
+    Matrix,
+    axis_basis,
+    symmetric_axis,
+    travelling_axis,
+)
+from metafab.cell.rcwa.doubling import MOST_UNKNOWNS, Faces, through_by_doubling
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, plane_waves
 from metafab.cell.rcwa.factorisation import layer_matrices
 from metafab.cell.rcwa.transverse import TransverseBasis, transverse_basis
@@ -53,6 +62,17 @@ class SymmetryClass:
 
 
 @dataclass(frozen=True)
+class Layer:
+    """Matrices of the layer in one symmetry class, and the plane waves on either side."""
+
+    p: Matrix
+    q: Matrix
+    thickness_k0: float
+    incoming: PlaneWaves
+    outgoing: PlaneWaves
+
+
+@dataclass(frozen=True)
 class ClassSolution:
     """What :func:`solve_class` found: modes of the layer, waves outside, and the field."""
 
@@ -83,9 +103,10 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
     largest = 0
     with one_thread():
         for case in symmetry_classes(cell, axis_orders(cell, orders), formulation):
-            solution, incident = solve_class(cell, case), case.basis.zero_order()
-            t, r = t + incident.T @ solution.field.transmitted, r + incident.T @ solution.field.reflected
-            power = power + _powers(solution, incident)
+            layer, incident = _layer(cell, case), case.basis.zero_order()
+            faces = through_case(cell, case, layer, incident)
+            t, r = t + incident.T @ faces.transmitted, r + incident.T @ faces.reflected
+            power = power + _powers(layer, faces, incident)
             largest = max(largest, case.basis.size)
             if _polarisations_swap(cell):
                 t, r, power = t + t[::-1, ::-1], r + r[::-1, ::-1], power + power[:, ::-1]
@@ -111,14 +132,29 @@ def symmetry_classes(cell: PillarCell, orders: Orders, formulation: Formulation)
             yield SymmetryClass(transverse_basis(u, v), cell.n_in[0], cell.n_out[0])
 
 
-def solve_class(cell: PillarCell, case: SymmetryClass) -> ClassSolution:
+def through_case(cell: PillarCell, case: SymmetryClass, layer: Layer, incident: ComplexArray) -> Faces:
+    """Field at the faces of the layer, by whichever way is faster and can be trusted."""
+    if case.basis.size <= MOST_UNKNOWNS:
+        faces = through_by_doubling(layer.p, layer.q, layer.thickness_k0, layer.incoming, layer.outgoing, incident)
+        if faces is not None:
+            return faces
+    field = solve_class(cell, case, layer).field
+    return Faces(field.transmitted, field.reflected, 0.0)
+
+
+def solve_class(cell: PillarCell, case: SymmetryClass, layer: Layer | None = None) -> ClassSolution:
     """Modes and field of one symmetry class, for incident E_x = 1 and E_y = 1 (as far as the class holds them)."""
+    layer = layer or _layer(cell, case)
+    modes = layer_modes(layer.p, layer.q)
+    field = through_layer(modes, layer.thickness_k0, layer.incoming, layer.outgoing, case.basis.zero_order())
+    return ClassSolution(modes, layer.incoming, layer.outgoing, field)
+
+
+def _layer(cell: PillarCell, case: SymmetryClass) -> Layer:
     k0_per_nm = 2.0 * math.pi / cell.wavelength_nm
     p, q = layer_matrices(case.basis, k0_per_nm, permittivity(cell.n_pillar), permittivity(cell.n_ambient))
-    modes = layer_modes(p, q)
     incoming, outgoing = (plane_waves(case.basis, k0_per_nm, permittivity(n)) for n in (case.n_in, case.n_out))
-    field = through_layer(modes, k0_per_nm * cell.height_nm, incoming, outgoing, case.basis.zero_order())
-    return ClassSolution(modes, incoming, outgoing, field)
+    return Layer(p, q, k0_per_nm * cell.height_nm, incoming, outgoing)
 
 
 def permittivity(n: complex) -> complex:
@@ -131,17 +167,15 @@ def one_thread() -> AbstractContextManager[Any]:
     return cast("AbstractContextManager[Any]", _blas().limit(limits=1))
 
 
-def _powers(solution: ClassSolution, incident: ComplexArray) -> FloatArray:
+def _powers(layer: Layer, faces: Faces, incident: ComplexArray) -> FloatArray:
     """Power in all transmitted and all reflected orders, a row each, over the incident power (0 where none comes)."""
 
     def across(waves: PlaneWaves, field: ComplexArray) -> FloatArray:
         admittance = waves.h / np.where(waves.e == 0.0, np.inf, waves.e)
         return np.asarray(admittance.real @ np.abs(field) ** 2)
 
-    sent = across(solution.incoming, incident)
-    gone = np.stack(
-        [across(solution.outgoing, solution.field.transmitted), across(solution.incoming, solution.field.reflected)]
-    )
+    sent = across(layer.incoming, incident)
+    gone = np.stack([across(layer.outgoing, faces.transmitted), across(layer.incoming, faces.reflected)])
     return np.asarray(np.where(sent > 0.0, gone / np.where(sent > 0.0, sent, 1.0), 0.0))
 
 
