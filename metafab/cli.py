@@ -245,7 +245,7 @@ def psf_command(
     json_: Json = False,
 ) -> None:
     """PSF pair of a written mask over depth."""
-    from metafab import optics, steps
+    from metafab import steps
     from metafab.core.measure import measured
 
     if ideal == (layout is not None):
@@ -262,7 +262,7 @@ def psf_command(
             target_error=target_error or job.design.verify.target_error,
         )
     if output is not None:
-        optics.save(result, output)
+        steps.save_psf(job, result, layout, output)
     _show({**steps.psf_figures(result), "seconds": cost.seconds, "file": output}, json_)
 
 
@@ -275,14 +275,13 @@ def capture_command(
     json_: Json = False,
 ) -> None:
     """Raw frame of a scene."""
-    from metafab import camera, optics
+    from metafab import steps
     from metafab.core.measure import measured
     from metafab.spec import load_scene
 
     path = output or Path("raw.h5")
     with _progress() as progress, measured() as cost:
-        frame = camera.capture(load_scene(scene), optics.load(psf), seed=seed, progress=progress)
-        camera.save(frame, path)
+        frame = steps.expose(load_scene(scene), psf, path, seed=seed, progress=progress)
     shape, photons = frame.frame.shape, float(frame.frame.sum())
     _show({"shape": shape, "photons": photons, "seconds": cost.seconds, "file": path}, json_)
 
@@ -295,17 +294,12 @@ def decode_command(
     json_: Json = False,
 ) -> None:
     """4D image of a raw frame: both intensities, contrast and depth."""
-    from metafab import camera, decode, optics
-    from metafab.core.measure import measured
+    from metafab import steps
 
     path = output or Path("decoded.h5")
     with _progress() as progress:
-        calibration = optics.load(psf)
-        frame = camera.load_frame(raw, calibration)
-        with measured() as cost:
-            image = decode.decode(frame, calibration, progress=progress)
-        decode.save(image, path)
-    figures = {"seconds": cost.seconds, "segments": image.segments, "file": path, "details": image.details}
+        image = steps.restore(raw, psf, path, progress=progress)
+    figures = {**image.details, "segments": image.segments, "file": path}
     if image.nmae is not None:
         figures["nmae"] = image.nmae
     _show(figures, json_)
@@ -432,9 +426,12 @@ def _exit_on_violations(count: int) -> None:
         raise typer.Exit(2)
 
 
-def _terminate(number: int, frame: FrameType | None) -> NoReturn:
-    """SIGTERM unwinds like Ctrl-C, so that half-written files are removed."""
-    raise KeyboardInterrupt
+class _InterruptedError(BaseException):
+    """Ctrl-C or SIGTERM: unwinds everything, so that half-written files are removed; nobody swallows it."""
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    raise _InterruptedError
 
 
 def _spread_depths(arguments: list[str]) -> list[str]:
@@ -468,13 +465,14 @@ def _is_number(text: str) -> bool:
 
 def main() -> None:
     """Run the command line and translate errors into one clear message and an exit code."""
-    signal.signal(signal.SIGTERM, _terminate)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     try:
         app(_spread_depths(sys.argv[1:]))
     except MetafabError as error:
         print(f"metafab: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
+    except _InterruptedError:
         print("metafab: interrupted; nothing half-written was left behind", file=sys.stderr)
         sys.exit(1)
     except (OSError, MemoryError) as error:

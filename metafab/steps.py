@@ -15,13 +15,16 @@ from typing import Any
 import numpy as np
 
 from metafab import camera, decode, drc, layout, library, mask, optics, phase, report
+from metafab.camera import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.executor import open_executor
-from metafab.core.files import file_sha256
+from metafab.core.files import file_sha256, fingerprint
+from metafab.core.progress import Progress, silent
+from metafab.decode import Image4D
 from metafab.library import Library
 from metafab.optics import Imaging, Psf
 from metafab.run import Job, Step
-from metafab.spec import Design
+from metafab.spec import Design, Scene
 from metafab.spec.design import UserArray
 
 #: The decoder's calibration reaches beyond the scene by this share of its range of vergence.
@@ -153,6 +156,25 @@ def point_spread(
     return optics.concatenate(stacks)
 
 
+def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path) -> None:
+    """Keep a PSF pair with the fingerprint of the mask (None for target phases) and the design behind it."""
+    source = job.design.phase if mask_path is None else file_sha256(mask_path)
+    inputs = fingerprint(source, job.design.unit_cell, job.design.device, job.design.sensor, psf.depth_m)
+    optics.save(psf, path, inputs_sha256=inputs)
+
+
+def _field_interpolation_error(
+    written: Psf, point_spread_of: Callable[..., Psf], source: optics.Source
+) -> float | None:
+    """Interpolated PSFs in the middle of an outermost cell of field points against computed ones."""
+    if written.field is None:
+        return None
+    middle = written.depth_m.size // 2
+    t_x, t_y = (float(nodes[-2:].mean()) for nodes in (written.field.tangent_x, written.field.tangent_y))
+    computed = point_spread_of(source, depths_m=written.depth_m[middle : middle + 1], tangent=(t_x, t_y))
+    return optics.relative_l2(optics.at_tangent(written, (t_x, t_y))[:, middle : middle + 1], computed.psf)
+
+
 def psf_figures(psf: Psf) -> dict[str, FloatArray]:
     """The PSF pair's figures of merit, one array over depth each."""
     return {
@@ -175,21 +197,23 @@ def _psf(job: Job) -> dict[str, Any]:
         target_error=verify.target_error,
         progress=job.progress,
     )
+    source = mask_source(job, mask_paths(job)[-1])
     written = point_spread_of(
-        mask_source(job, mask_paths(job)[-1]),
+        source,
         depths_m=calibration_depths(design, imaging),
         field_points=verify.field_points,
         field_tangents=optics.field_tangents(design, imaging),
     )
-    optics.save(written, job.folder / "psf.h5")
+    save_psf(job, written, mask_paths(job)[-1], job.folder / "psf.h5")
     ideal = point_spread_of(ideal_source(job), depths_m=verify.depths_m)
-    optics.save(ideal, job.folder / "ideal_psf.h5")
+    save_psf(job, ideal, None, job.folder / "ideal_psf.h5")
     shown = np.isin(written.depth_m, verify.depths_m)
     interpolated = optics.at_depths(optics.without_depths(written, shown), written.depth_m[shown])
     return {
         **{name: value[shown] for name, value in psf_figures(written).items()},
         **{f"ideal_{name}": value for name, value in psf_figures(ideal).items() if name != "depth_m"},
         "depth_interpolation_error": optics.relative_l2(interpolated, written.psf[:, shown]),
+        "field_interpolation_error": _field_interpolation_error(written, point_spread_of, source),
         "depths": written.depth_m.size,
         **written.details,
     }
@@ -198,16 +222,31 @@ def _psf(job: Job) -> dict[str, Any]:
 # --- camera and decoder ----------------------------------------------------------------------------------------
 
 
+def expose(
+    scene: Scene, psf_path: Path, path: Path, *, seed: int | None = None, progress: Progress = silent
+) -> RawFrame:
+    """Photograph a scene through a stored PSF pair and keep the raw frame."""
+    frame = camera.capture(scene, optics.load(psf_path), seed=seed, progress=progress)
+    camera.save(frame, path, inputs_sha256=fingerprint(scene, seed, file_sha256(psf_path)))
+    return frame
+
+
+def restore(raw_path: Path, psf_path: Path, path: Path, *, progress: Progress = silent) -> Image4D:
+    """Decode a stored raw frame, ours or a camera's, by a stored PSF pair and keep the 4D image."""
+    calibration = optics.load(psf_path)
+    image = decode.decode(camera.load_frame(raw_path, calibration), calibration, progress=progress)
+    decode.save(image, path, inputs_sha256=fingerprint(file_sha256(raw_path), file_sha256(psf_path)))
+    return image
+
+
 def _capture(job: Job) -> dict[str, Any]:
-    frame = camera.capture(job.design.scene, optics.load(job.folder / "psf.h5"), progress=job.progress)
-    camera.save(frame, job.folder / "raw.h5")
+    frame = expose(job.design.scene, job.folder / "psf.h5", job.folder / "raw.h5", progress=job.progress)
     return {"shape": frame.frame.shape, "photons": float(frame.frame.sum())}
 
 
 def _decode(job: Job) -> dict[str, Any]:
-    frame = camera.load(job.folder / "raw.h5")
-    image = decode.decode(frame, optics.load(job.folder / "psf.h5"), progress=job.progress)
-    decode.save(image, job.folder / "decoded.h5")
+    folder = job.folder
+    image = restore(folder / "raw.h5", folder / "psf.h5", folder / "decoded.h5", progress=job.progress)
     return {"nmae": image.nmae, "segments": image.segments, **image.details}
 
 
@@ -273,6 +312,8 @@ def error_budget(figures: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
         _row("pupil reduction and sampling", max(light["error"]), "relative L2", "PSF with blocks of half the size"),
         _row("depth interpolation", light["depth_interpolation_error"], "relative L2",
              "PSFs computed at the verified depths against those interpolated from the other nodes"),
+        _row("field interpolation", light["field_interpolation_error"], "relative L2",
+             "PSF computed in the middle of an outermost cell of field points against the interpolated one"),
         _row("decoder", decoded.get("nmae"), "mean |dz|/z", "decoded against true depth of the simulated scene"),
     ]  # fmt: skip
 

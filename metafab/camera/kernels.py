@@ -11,25 +11,12 @@ from functools import cached_property
 
 import numpy as np
 import scipy.fft
-from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import make_interp_spline
+from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.optics.field import spline_weights
 from metafab.optics.point_spread import Psf
-
-
-def spline_weights(nodes: FloatArray, at: ArrayLike) -> FloatArray:
-    """Weights of the values at ``nodes`` in their interpolating spline at ``at``: shape (*at.shape, n_nodes).
-
-    Cubic, or of the highest order that the nodes allow; beyond the outer nodes, their values are kept.
-    """
-    points = np.asarray(at, dtype=np.float64)
-    if nodes.size == 1:
-        return np.ones((*points.shape, 1))
-    ascending = np.argsort(nodes)
-    spline = make_interp_spline(nodes[ascending], np.eye(nodes.size)[ascending], k=min(3, nodes.size - 1))
-    return np.asarray(spline(np.clip(points, nodes.min(), nodes.max())), dtype=np.float64)
 
 
 @dataclass(frozen=True)

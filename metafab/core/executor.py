@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
@@ -41,7 +42,8 @@ def default_workers() -> int:
 
 
 def _single_threaded() -> None:
-    """In a worker process: one BLAS thread each, all cores by processes."""
+    """In a worker process: one BLAS thread each, all cores by processes; Ctrl-C is the parent's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)

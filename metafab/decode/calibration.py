@@ -19,9 +19,10 @@ from scipy.ndimage import spline_filter1d
 from scipy.sparse import csr_matrix
 
 from metafab.camera.geometry import ImageMap
-from metafab.camera.kernels import PairKernels, spline_weights
+from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.decode.twins import TwinGrid
+from metafab.optics.field import spline_weights
 
 Transfer = NDArray[np.complex64]
 #: How much of itself (relative L2) the pair may change from the centre of a tile to its edge. What x and y change

@@ -8,6 +8,7 @@
 - ``window``       block sums -> field on a window: low-rank kernel and matrix Fourier transforms
 - ``stack``        :func:`psf`: the pair over depth and field, block size chosen by the error asked
 - ``lobe``         main lobe to a fraction of a pixel, orientation
+- ``field``        interpolation over the field of view
 - ``depth``        interpolation between depths, joining stacks
 - ``metrics``      efficiency through a pinhole, peaks, rotation, MTF, depth of field
 - ``point_spread`` Psf, PsfField: what goes out
@@ -21,6 +22,7 @@ In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.libra
 
 from metafab.optics import metrics
 from metafab.optics.depth import at_depths, concatenate, without_depths
+from metafab.optics.field import at_tangent
 from metafab.optics.fisher import PointSource, depth_crlb_m, point_information, twin_depth_information
 from metafab.optics.imaging import Imaging, depth_nodes, field_tangents
 from metafab.optics.lobe import main_lobe_px, orientation_deg
@@ -39,6 +41,7 @@ __all__ = [
     "Source",
     "WrittenField",
     "at_depths",
+    "at_tangent",
     "concatenate",
     "depth_crlb_m",
     "depth_nodes",

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.optics.field import spline_weights
 from metafab.optics.point_spread import Psf
 
 _FEWEST_NODES = 4
@@ -47,8 +47,8 @@ def at_depths(psf: Psf, depths_m: Sequence[float] | FloatArray) -> FloatArray:
             "PSF stack", "depths_m", f"{_FEWEST_NODES} depths or more to interpolate between",
             f"{psf.depth_m.size}", "compute more depths",
         )  # fmt: skip
-    nodes = 1.0 / psf.depth_m[::-1]
-    return np.asarray(CubicSpline(nodes, psf.psf[:, ::-1], axis=1)(np.clip(1.0 / wanted, nodes[0], nodes[-1])))
+    weights = spline_weights(1.0 / psf.depth_m, 1.0 / wanted)
+    return np.asarray(np.einsum("pdij,nd->pnij", psf.psf, weights, optimize=True))
 
 
 def without_depths(psf: Psf, left_out: NDArray[np.bool_]) -> Psf:

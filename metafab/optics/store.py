@@ -25,7 +25,7 @@ def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
         file.attrs["details"] = json.dumps(plain(psf.details))
         file.attrs["sensor_distance_um"] = psf.sensor_distance_um
         hdf5.put(file, "pixel_um", psf.pixel_um, units="um", description="sampling step on the sensor plane")
-        hdf5.put(file, "polarisation", [b"x", b"y"], units="", description="polarisation", dims=("polarisation",))
+        hdf5.put(file, "polarisation", [b"x", b"y"], units="1", description="polarisation", dims=("polarisation",))
         hdf5.put(
             file, "depth_m", psf.depth_m, units="m", description="object distance along the axis", dims=("depth_m",)
         )
@@ -42,9 +42,9 @@ def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
         )  # fmt: skip
         for name, units, description, dims in (
             ("phi_deg", "degree", "orientation of the main lobe of PSF_x", ("depth_m",)),
-            ("error", "", "relative L2 error of the irradiance", ("depth_m",)),
-            ("efficiency", "", "share of the power that falls into the window", ("polarisation", "depth_m")),
-            ("extinction_ratio", "", "wanted over unwanted power in x's window", ("depth_m",)),
+            ("error", "1", "relative L2 error of the irradiance", ("depth_m",)),
+            ("efficiency", "1", "share of the power that falls into the window", ("polarisation", "depth_m")),
+            ("extinction_ratio", "1", "wanted over unwanted power in x's window", ("depth_m",)),
         ):
             hdf5.put(file, name, getattr(psf, name), units=units, description=description, dims=dims)
         if psf.field is not None:
@@ -93,7 +93,7 @@ def _put_field(group: h5py.Group, field: PsfField) -> None:
             group,
             name,
             getattr(field, name),
-            units="",
+            units="1",
             description="object direction, tangent to the axis",
             dims=(name,),
         )

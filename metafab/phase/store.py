@@ -32,7 +32,7 @@ def save(profile: PhaseProfile, design: Design, path: Path, *, samples: int = _S
     with hdf5.create(path, kind=KIND, format_version=FORMAT, inputs_sha256=inputs) as file:
         hdf5.put(file, "x_um", axis_um, units="um", description="position from the axis", dims=("x_um",))
         hdf5.put(file, "y_um", axis_um, units="um", description="position from the axis", dims=("y_um",))
-        hdf5.put(file, "polarisation", list(POLARISATIONS), units="", description="x, y", dims=("polarisation",))
+        hdf5.put(file, "polarisation", list(POLARISATIONS), units="1", description="x, y", dims=("polarisation",))
         for name, what, description in (
             ("phase_rad", profile, "target phase, wrapped"),
             ("pupil_rad", pupil, "target phase without lens and split carriers, wrapped"),

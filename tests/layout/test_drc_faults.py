@@ -219,7 +219,7 @@ def test_reports_are_written_and_klayout_opens_them(plant: Plant, tiny_design: D
     report = drc.check(path, tiny_design)
     json_path, database_path = drc.save([report], tmp_path, "helix_small")
     stored = json.loads(json_path.read_text())
-    assert stored["violations"]["min_gap"] == 1
+    assert stored["planted.oas"]["violations"]["min_gap"] == 1
     rdb = pytest.importorskip("klayout.rdb")
     database = rdb.ReportDatabase("drc")
     database.load(str(database_path))

@@ -10,10 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from metafab.camera.geometry import ImageMap
-from metafab.camera.kernels import PairKernels, spline_weights
+from metafab.camera.kernels import PairKernels
 from metafab.camera.render import Renderer
 from metafab.camera.texture import make_texture
 from metafab.core.conventions import FloatArray
+from metafab.optics.field import spline_weights
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
