@@ -146,6 +146,7 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: flo
         error=error[None],
         inputs_sha256=inputs_of(unit_cell),
         model=outcome.model,
+        model_error=None if outcome.model is None else certificate + outcome.between_error,
     )
     degrees = outcome.model.x.degrees if outcome.model is not None else (0, 0)
     library.details.update(
@@ -155,6 +156,7 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: flo
         sizes_beyond_target=int(np.count_nonzero(error > unit_cell.sweep.target_error)),
         max_solver_error=float(certificate.max()),
         max_model_error=float(np.max(outcome.model_error, where=~is_solved, initial=0.0)),
+        max_between_error=float((certificate + outcome.between_error).max()),
         held_out_error=outcome.held_out_error,
         held_out=outcome.held_out,
         rounds=outcome.rounds,

@@ -50,6 +50,8 @@ class Library:
         inputs_sha256: fingerprint of what it was built from.
         details: figures of the build (points solved, seconds, held-out error, ...).
         model: the same amplitudes as continuous functions; None for a library that was not built by a model.
+        model_error: shape (n_length, n_width), error of the model around each size, solver's included; ``error``
+            is smaller where a size was solved and its neighbourhood is not as well known.
     """
 
     unit_cell: UnitCell
@@ -64,6 +66,7 @@ class Library:
     inputs_sha256: str = ""
     details: dict[str, float | str] = field(default_factory=dict)
     model: SizeModel | None = None
+    model_error: FloatArray | None = None
 
     @cached_property
     def surface(self) -> Surface:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.library.rational import Degrees, RationalModel, fit, terms
@@ -14,6 +15,8 @@ DENOMINATOR_DEGREES = (7, 10, 12)
 LARGEST_DEGREE = 16
 #: Unknowns that a fit may have for each equation; below 1 keeps noise and false poles away.
 FILLING = 0.7
+#: Sweeps with many guided modes (TiO2 in the visible) need more; these are tried once samples abound.
+MANY_MODES_DENOMINATOR, MANY_MODES_DEGREE, MANY_MODES_FILLING = 14, 22, 0.35
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,15 @@ class ModelPair:
         difference = self.best.on_grid(width_nm, length_nm) - self.rival.on_grid(width_nm, length_nm)
         return np.asarray(np.abs(difference).max(axis=0), dtype=np.float64)
 
+    def disagreement_around(self, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
+        """The same, but the largest up to half a step away, where a false pole can hide between the sizes."""
+        fine = self.disagreement(_with_middles(width_nm), _with_middles(length_nm))
+        return np.asarray(maximum_filter(fine, size=3, mode="nearest")[::2, ::2], dtype=np.float64)
+
+
+def _with_middles(axis_nm: FloatArray) -> FloatArray:
+    return np.linspace(axis_nm[0], axis_nm[-1], 2 * axis_nm.size - 1)
+
 
 def fit_models(
     samples: Samples, held_out: np.ndarray, span_nm: tuple[FloatArray, FloatArray], exchange: bool
@@ -105,11 +117,20 @@ def _equations(samples: Samples, exchange: bool) -> int:
 def _candidates(count: int) -> list[Degrees]:
     """Degrees (numerator, denominator) that ``count`` samples of two channels can determine."""
     found: list[Degrees] = []
-    for below in DENOMINATOR_DEGREES:
-        fitting = [p for p in range(1, LARGEST_DEGREE + 1) if 2 * terms(p) + terms(below) <= FILLING * 2 * count]
-        if fitting:
-            found += [(above, below) for above in sorted({fitting[-1], max(3 * fitting[-1] // 4, 1)})]
+    for below in (*DENOMINATOR_DEGREES, MANY_MODES_DENOMINATOR):
+        filling = FILLING if below <= DENOMINATOR_DEGREES[-1] else MANY_MODES_FILLING
+        top = _largest_numerator(below, LARGEST_DEGREE, filling * 2 * count)
+        if _largest_numerator(below, MANY_MODES_DEGREE, MANY_MODES_FILLING * 2 * count) == MANY_MODES_DEGREE:
+            found.append((MANY_MODES_DEGREE, below))
+        if top:
+            found += [(above, below) for above in sorted({top, max(3 * top // 4, 1)})]
     return found if len(found) > 1 else [(2, 0), (1, 0)]
+
+
+def _largest_numerator(below: int, largest: int, unknowns: float) -> int:
+    """Largest degree whose unknowns, with those of the denominator, are no more than these; 0 if none."""
+    fitting = [above for above in range(1, largest + 1) if 2 * terms(above) + terms(below) <= unknowns]
+    return fitting[-1] if fitting else 0
 
 
 def _fit(samples: Samples, degrees: Degrees, span_nm: tuple[FloatArray, FloatArray], exchange: bool) -> SizeModel:

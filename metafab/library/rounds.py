@@ -3,12 +3,14 @@
 Each round fits two rational models of unlike degrees to all sizes solved so far, and solves two kinds of new
 sizes: those where the two disagree most (the ridges of guided modes), and the next ones of an even sequence.
 Both kinds are predicted before they are solved, so every round is also a held-out test; its misses scale the
-disagreement up to an error estimate. It ends when that estimate and the misses are within the tolerance, at the
-latest when the grid is exhausted. Decisions are taken between rounds only: any number of workers decides alike.
+disagreement up to an error estimate. It ends when that estimate, at every size that was not solved, and the
+misses are within the tolerance, at the latest when the grid is exhausted. Decisions are taken between rounds
+only: any number of workers decides alike.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -33,6 +35,8 @@ FIRST_ROUND = 128
 LATER_ROUND = 48
 #: When no more than these stay above the tolerance, they are solved outright.
 LAST_ROUND = 96
+#: Sizes that a library usually takes: what is foreseen before the first round shows how fast errors fall.
+USUAL_POINTS = 400
 #: Sizes that a worker solves before it reports: more save messages, fewer lose less to a kill.
 CHUNK = 4
 #: Chunks in flight: enough to keep the workers of one machine busy.
@@ -100,7 +104,8 @@ class Outcome:
     Attributes:
         solved: number -> answer, in ascending order of the numbers.
         model: the continuous model; None where the grid is so small that every size was solved at once.
-        model_error: shape (n_length, n_width), estimate of the model's error.
+        model_error: shape (n_length, n_width), estimate of the model's error at each size.
+        between_error: the same shape, estimate of its error around each size, up to half a step away.
         held_out_error: the largest miss among the sizes of the last round, each predicted before it was solved.
         held_out: how many these were.
         rounds: rounds of solving.
@@ -109,6 +114,7 @@ class Outcome:
     solved: dict[int, SolvedPoint]
     model: SizeModel | None
     model_error: FloatArray
+    between_error: FloatArray
     held_out_error: float
     held_out: int
     rounds: int
@@ -117,16 +123,19 @@ class Outcome:
 def sample(grid: SizeGrid, solve_sizes: SizeSolver, tolerance: float) -> Outcome:
     """Solve sizes until the model's error estimate is within the tolerance at every other size."""
     batch = grid.even_order[:FIRST_ROUND]
-    solved = solve_sizes(batch, batch.size + LATER_ROUND)
+    solved = solve_sizes(batch, min(USUAL_POINTS, grid.distinct.size))
     if len(solved) == grid.distinct.size:
-        return Outcome(_sorted(solved), None, np.zeros((grid.length_nm.size, grid.width_nm.size)), 0.0, 0, 1)
+        zeros = np.zeros((grid.length_nm.size, grid.width_nm.size))
+        return Outcome(_sorted(solved), None, zeros, zeros, 0.0, 0, 1)
     models = _fit(grid, solved, batch[-(batch.size // 4) :])
     estimate = _estimate(grid, models.disagreement(grid.width_nm, grid.length_nm))
-    rounds = 1
+    left = _left(grid, estimate, solved, tolerance)
+    foreseen, rounds = min(USUAL_POINTS, grid.distinct.size), 1
     while True:
         rounds += 1
+        before = left.size
         batch = _next_batch(grid, estimate, solved)
-        new = solve_sizes(batch, len(solved) + batch.size)
+        new = solve_sizes(batch, foreseen)
         miss = _misses(grid, models.best, new)
         certificate = np.array([point.error for point in new.values()])
         # How far the estimate fell short at sizes that it could not know; the solver's own error is not the model's.
@@ -134,13 +143,30 @@ def sample(grid: SizeGrid, solve_sizes: SizeSolver, tolerance: float) -> Outcome
         solved |= new
         models = _fit(grid, solved, batch)
         estimate = factor * _estimate(grid, models.disagreement(grid.width_nm, grid.length_nm))
-        open_error = np.where(_is_solved(grid, solved), 0.0, estimate).ravel()[grid.distinct]
-        left = grid.distinct[open_error > tolerance]
-        if left.size <= LAST_ROUND and (
-            float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size
-        ):
+        left = _left(grid, estimate, solved, tolerance)
+        foreseen = _foreseen(grid, len(solved), before, left.size)
+        held = float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size
+        if held and 0 < left.size <= LAST_ROUND:
             solved |= solve_sizes(left, len(solved) + left.size)
-            return Outcome(_sorted(solved), models.best, estimate, float(miss.max()), batch.size, rounds)
+            models = _fit(grid, solved, batch)
+            estimate = factor * _estimate(grid, models.disagreement(grid.width_nm, grid.length_nm))
+            left = _left(grid, estimate, solved, tolerance)
+        if held and left.size == 0:
+            between = factor * _estimate(grid, models.disagreement_around(grid.width_nm, grid.length_nm))
+            return Outcome(_sorted(solved), models.best, estimate, between, float(miss.max()), batch.size, rounds)
+
+
+def _left(grid: SizeGrid, estimate: FloatArray, solved: dict[int, SolvedPoint], tolerance: float) -> IndexArray:
+    """Distinct sizes that were not solved and are not known well enough."""
+    open_error = np.where(_is_solved(grid, solved), 0.0, estimate).ravel()[grid.distinct]
+    return grid.distinct[open_error > tolerance]
+
+
+def _foreseen(grid: SizeGrid, solved: int, before: int, left: int) -> int:
+    """Sizes that the build may need in all, if those left above the tolerance go on falling as in this round."""
+    ratio = min(max(left / max(before, 1), 0.3), 0.9)
+    rounds = math.ceil(math.log(max(left, 1) / LAST_ROUND) / -math.log(ratio)) if left > LAST_ROUND else 0
+    return min(solved + rounds * LATER_ROUND + min(left, LAST_ROUND), grid.distinct.size)
 
 
 def _fit(grid: SizeGrid, solved: dict[int, SolvedPoint], held_out: IndexArray) -> ModelPair:

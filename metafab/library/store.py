@@ -53,6 +53,9 @@ def save(library: Library, path: Path) -> None:
         if library.model is not None:
             for axis in ("x", "y"):
                 _put_model(file.create_group(f"model/{axis}"), getattr(library.model, axis), axis)
+        if library.model_error is not None:
+            text = "error of the continuous model around each size: solver certificate plus interpolation"
+            hdf5.put(file, "model/error", library.model_error, units="1", description=text, compress=True)
 
 
 def load(path: Path) -> Library:
@@ -78,6 +81,9 @@ def load(path: Path) -> Library:
         }
         inputs = str(file.attrs["inputs_sha256"])
         model = SizeModel(_model(file["model/x"]), _model(file["model/y"])) if "model" in file else None
+        model_error = np.asarray(file["model/error"][()], dtype=np.float64) if "model/error" in file else None
+        if model_error is not None and model_error.shape != shape[1:]:
+            raise InputError.single(str(path), "model/error", f"shape {shape[1:]}", f"{model_error.shape}", _REMEDY)
     unit_cell = validate(UnitCell, tomllib.loads(text), str(path))
     return Library(
         unit_cell,
@@ -89,6 +95,7 @@ def load(path: Path) -> Library:
         inputs_sha256=inputs,
         details=details,
         model=model,
+        model_error=model_error,
     )
 
 

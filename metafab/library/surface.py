@@ -115,7 +115,8 @@ def evaluate(library: Library, width_nm: ArrayLike, length_nm: ArrayLike) -> Siz
 def _surface(
     library: Library, width_nm: FloatArray, length_nm: FloatArray, t: ComplexArray, missed: FloatArray
 ) -> Surface:
-    stated = np.broadcast_to(library.error, library.t_xx.shape)[0]
+    of_grid = np.broadcast_to(library.error, library.t_xx.shape)[0]
+    stated = of_grid if library.model_error is None else np.maximum(of_grid, library.model_error)
     # A node's error is that of the grid's nearest sizes, the larger where it lies between two.
     for axis, (fine, coarse) in enumerate(((length_nm, library.length_nm), (width_nm, library.width_nm))):
         place = (fine - coarse[0]) / (coarse[1] - coarse[0])
