@@ -1,16 +1,22 @@
 """Truncation raised until the error is what was asked, and the bound on that error.
 
-The truncations form a ladder. How much nearer to the truth a rung is than an earlier one was measured on 96 pillars of
-four materials, resonances among them, against references of 13 to 15 orders (benchmarks/cell.py repeats it for
-silicon); with d(M, k) the largest difference of any amplitude between M and k orders,
+The truncations form a ladder, and a target says which of its rungs are climbed. How much nearer to the truth a rung is
+than an earlier one was measured on pillars of four materials, resonances among them, against references of 13 to 15
+orders (benchmarks/cell.py repeats it for silicon). What was found are claims: with d(M, k) the largest difference of
+any amplitude between M and k orders,
 
-    error(M) <= max( floor(M), max over k of share(M, k) d(M, k) ).
+    error(M) <= max( floor, share(k) d(M, k) ... ),
 
-Differences see what is special about a pillar (a sharp resonance that the truncation shifts); the floor is what two
-truncations can agree on by accident. A last difference so large that the ladder has not begun to converge counts in
-full. Where the permittivity changes its sign (metals) the field at the corners has no limit that Fourier methods
-approach steadily; there every difference counts threefold.
-The largest error over bound found is 0.71; tests/physics/test_rcwa_certificate.py also looks far from these pillars.
+each with a margin of 1.4 over the worst pillar. A rung may have several claims, a low floor with a large share or the
+other way round; each holds by itself, so that the least of them is the bound. Differences see what is special about a
+pillar (a sharp resonance that the truncation shifts); the floor is what two truncations can agree on by accident. A
+last difference so large that the ladder has not begun to converge counts in full.
+
+Where nothing was measured, the last two differences count threefold. That is so for holes, light at an angle, pillars
+more than two wavelengths tall, cells more than two wavelengths wide inside the densest medium (which need more
+orders), indices that differ more than fourfold or absorb strongly, and metals, where the field at the corners has no
+limit that Fourier methods approach steadily.
+tests/physics/test_rcwa_certificate.py also looks far from the pillars that were measured.
 """
 
 from __future__ import annotations
@@ -27,50 +33,66 @@ from metafab.core.errors import SolverError
 
 
 @dataclass(frozen=True)
-class Rung:
-    """One truncation of the ladder.
+class Claim:
+    """A bound on the error at one truncation.
 
     Attributes:
-        orders: cosines along the longer period.
-        floor: least bound that is ever given here.
-        shares: (earlier orders, share of the difference to them that bounds the error), the nearest first.
+        floor: least bound that it ever gives.
+        shares: (earlier orders, share of the difference to them that bounds the error); all must be known.
     """
 
-    orders: int
     floor: float
     shares: tuple[tuple[int, float], ...]
 
 
-_LADDERS: dict[Formulation, tuple[Rung, ...]] = {
-    "adaptive": (
-        Rung(3, np.inf, ()),
-        Rung(5, 6e-4, ((3, 0.4),)),
-        Rung(6, 3e-4, ((5, 1.2), (3, 0.1))),
-        Rung(7, 1.2e-4, ((6, 1.0), (5, 0.4))),
-        Rung(8, 8e-5, ((7, 1.0), (6, 0.4), (5, 0.15))),
-        Rung(9, 6e-5, ((8, 1.0), (7, 0.4))),
-        Rung(10, 5e-5, ((9, 1.0), (8, 1.0))),
-        Rung(12, 3.5e-5, ((10, 1.0), (9, 1.0))),
-        Rung(14, 2e-5, ((12, 1.5), (10, 1.0))),
-        Rung(16, 1.2e-5, ((14, 1.5), (12, 1.0))),
-    ),
+#: For each truncation, by its cosines along the longer period, what bounds its error.
+_CLAIMS: dict[Formulation, dict[int, tuple[Claim, ...]]] = {
+    "adaptive": {
+        5: (Claim(6e-4, ((3, 0.67),)),),
+        6: (
+            Claim(3e-4, ((5, 1.9),)),
+            Claim(6e-4, ((5, 0.65),)),
+            Claim(3e-4, ((4, 0.26),)),
+            Claim(6e-4, ((4, 0.1),)),
+        ),
+        7: (
+            Claim(2e-4, ((6, 2.8),)),
+            Claim(3e-4, ((6, 0.65),)),
+            Claim(2e-4, ((4, 0.15),)),
+            Claim(3e-4, ((4, 0.05),)),
+        ),
+        8: (Claim(3e-5, ((7, 2.0),)), Claim(3e-5, ((6, 0.9),)), Claim(9.5e-5, ((6, 0.32),))),
+        9: (Claim(3e-5, ((6, 0.95),)), Claim(8.1e-5, ((8, 0.5),))),
+        10: (Claim(7e-5, ((9, 0.5), (8, 0.5))),),
+        12: (Claim(3.5e-5, ((10, 1.0), (9, 1.0))),),
+        14: (Claim(2e-5, ((12, 1.5), (10, 1.0))),),
+        16: (Claim(1.2e-5, ((14, 1.5), (12, 1.0))),),
+    },
     # Plain harmonics converge algebraically: half the orders are at least twice as far from the truth.
-    "fourier": (
-        Rung(3, np.inf, ()),
-        Rung(4, np.inf, ()),
-        Rung(6, 5e-2, ((3, 1.5), (4, 1.5))),
-        Rung(8, 2e-2, ((4, 1.5), (6, 1.5))),
-        Rung(12, 1e-2, ((6, 1.5), (8, 1.5))),
-        Rung(16, 5e-3, ((8, 1.5), (12, 1.5))),
-        Rung(24, 2e-3, ((12, 1.5), (16, 1.5))),
+    "fourier": {
+        6: (Claim(5e-2, ((3, 1.5), (4, 1.5))),),
+        8: (Claim(2e-2, ((4, 1.5), (6, 1.5))),),
+        12: (Claim(1e-2, ((6, 1.5), (8, 1.5))),),
+        16: (Claim(5e-3, ((8, 1.5), (12, 1.5))),),
+        24: (Claim(2e-3, ((12, 1.5), (16, 1.5))),),
+    },
+}
+#: (least target, truncations climbed for it): where an answer is likely in two steps.
+_CLIMBS: dict[Formulation, tuple[tuple[float, tuple[int, ...]], ...]] = {
+    "adaptive": (
+        (0.0, (6, 8, 9, 10, 12, 14, 16)),
+        (5e-4, (4, 6, 7, 8, 9, 10, 12, 14, 16)),
+        (4e-3, (3, 5, 6, 7, 8, 9, 10, 12, 14, 16)),
     ),
+    "fourier": ((0.0, (3, 4, 6, 8, 12, 16, 24)),),
 }
 #: Last differences above this are those of a ladder that has not begun to converge.
 _NOT_CONVERGING = 5e-2
-#: What a difference counts where the permittivity changes its sign.
-_UNSTEADY = 3.0
-#: Tighter targets than this leave out the rung of six orders, which could not meet them.
-_TIGHT = 2e-4
+#: Claims were measured on cells up to this wide in wavelengths inside the densest medium, this tall in wavelengths
+#: in vacuum, with indices up to this ratio and extinction up to this share of the index.
+_WIDEST, _TALLEST, _STEEPEST, _DIMMEST = 2.0, 2.0, 4.0, 0.05
+#: What a difference counts where none were.
+_UNMEASURED = 3.0
 
 
 def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResponse:  # noqa: B008 (frozen)
@@ -85,13 +107,9 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     """
     started = time.perf_counter()
     solved: dict[int, ZeroOrder] = {}
-    error, orders = np.inf, 0
-    for rung in _LADDERS[numerics.formulation]:
-        if (rung.orders > numerics.max_orders and solved) or _is_idle(rung, numerics):
-            continue
-        orders = rung.orders
+    for orders in climb(numerics):
         solved[orders] = zero_order(cell, orders, numerics.formulation)
-        error = bound(rung, solved, steady=not _is_metal(cell))
+        error = bound(orders, solved, numerics.formulation, measured=_is_measured(cell))
         if error <= numerics.target_error:
             break
     last = solved[orders]
@@ -121,21 +139,37 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     )
 
 
-def bound(rung: Rung, solved: dict[int, ZeroOrder], *, steady: bool = True) -> float:
-    """Bound on the error of ``solved[rung.orders]`` from the earlier solutions; infinite where there are none.
+def climb(numerics: CellNumerics) -> tuple[int, ...]:
+    """Truncations to try for the target, up to ``numerics.max_orders``: two at least, where so many are allowed."""
+    below: tuple[int, ...] = ()
+    for least_target, all_rungs in reversed(_CLIMBS[numerics.formulation]):
+        rungs = tuple(orders for orders in all_rungs if orders <= numerics.max_orders)
+        if len(rungs) >= 2 or not below:
+            below = rungs
+        if numerics.target_error >= least_target:
+            break
+    return below or _CLIMBS[numerics.formulation][-1][1][:1]
 
-    ``steady`` tells whether the permittivity keeps its sign, so that the measured shares apply.
+
+def bound(
+    orders: int, solved: dict[int, ZeroOrder], formulation: Formulation = "adaptive", *, measured: bool = True
+) -> float:
+    """Bound on the error of ``solved[orders]`` from the earlier solutions; infinite where they do not suffice.
+
+    ``measured`` tells whether the cell is of the kind that the claims were measured on.
     """
-    parts = [
-        (distance(solved[rung.orders], solved[earlier]), share) for earlier, share in rung.shares if earlier in solved
+    earlier = {count: distance(solved[orders], solution) for count, solution in solved.items() if count < orders}
+    claims = [
+        claim for claim in _CLAIMS[formulation].get(orders, ()) if all(count in earlier for count, _ in claim.shares)
     ]
-    if not parts:
+    if not claims:
         return float("inf")
-    if not steady:
-        return max(rung.floor, *(_UNSTEADY * difference for difference, _ in parts))
-    if parts[0][0] > _NOT_CONVERGING:
-        return parts[0][0]
-    return max(rung.floor, *(share * difference for difference, share in parts))
+    if not measured:
+        return max(claims[0].floor, *(_UNMEASURED * earlier[count] for count in sorted(earlier)[-2:]))
+    nearest = earlier[max(earlier)]
+    if nearest > _NOT_CONVERGING:
+        return nearest
+    return min(max(claim.floor, *(share * earlier[count] for count, share in claim.shares)) for claim in claims)
 
 
 def distance(one: ZeroOrder, other: ZeroOrder) -> float:
@@ -143,9 +177,13 @@ def distance(one: ZeroOrder, other: ZeroOrder) -> float:
     return float(max(np.abs(one.t - other.t).max(), np.abs(one.r - other.r).max()))
 
 
-def _is_metal(cell: PillarCell) -> bool:
-    return (complex(cell.n_pillar) ** 2).real * (complex(cell.n_ambient) ** 2).real < 0.0
-
-
-def _is_idle(rung: Rung, numerics: CellNumerics) -> bool:
-    return numerics.formulation == "adaptive" and rung.orders == 6 and numerics.target_error < _TIGHT
+def _is_measured(cell: PillarCell) -> bool:
+    pillar, around = complex(cell.n_pillar), complex(cell.n_ambient)
+    densest = max(n.real for n in (pillar, around, *map(complex, cell.n_substrate)))
+    return (
+        cell.angle_deg == 0.0
+        and around.real <= pillar.real <= _STEEPEST * around.real
+        and max(pillar.imag / pillar.real, around.imag / around.real) <= _DIMMEST
+        and max(cell.period_nm) * densest <= _WIDEST * cell.wavelength_nm
+        and cell.height_nm <= _TALLEST * cell.wavelength_nm
+    )
