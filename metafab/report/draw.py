@@ -76,6 +76,14 @@ def _bars(name: str, label: str, paint: Callable[[Axes], object], count: int) ->
     return Plan(name, label, paint, (4.6, 0.94 + 0.42 * count), BARS)
 
 
+def _image_map(name: str, label: str, paint: Callable[[Axes], object], shape: tuple[int, ...], side_in: float) -> Plan:
+    """A picture with its colour bar; the axes have the picture's proportions and ``side_in`` at the longer side."""
+    n_y, n_x = shape
+    scale = side_in / max(n_y, n_x)
+    left, right, bottom, top = MAP
+    return Plan(name, label, paint, (n_x * scale + left + right, n_y * scale + bottom + top), MAP)
+
+
 def _map(name: str, label: str, paint: Callable[[Axes], object]) -> Plan:
     return Plan(name, label, paint, (4.0, 3.1), MAP)
 
@@ -134,17 +142,16 @@ def _light(run: RunFolder) -> Iterator[Plan]:
 
 def _image(run: RunFolder) -> Iterator[Plan]:
     if run.raw is not None:
-        n_y, n_x = run.raw.frame.shape
-        size = (8.4, min(6.0, max(2.2, 6.7 * n_y / n_x + 0.9)))
-        yield Plan("raw_frame", "Raw frame", partial(figures.raw_frame, run.raw), size, MAP)
+        yield _image_map("raw_frame", "Raw frame", partial(figures.raw_frame, run.raw), run.raw.frame.shape, 6.7)
     decoded = run.decoded
     if decoded is not None:
+        image_map = partial(_image_map, shape=decoded.depth_m.shape, side_in=2.8)
         for p in POLARISATIONS:
             paint = partial(figures.intensity, decoded, polarisation=p)
-            yield _map(f"intensity_{p}", f"Decoded intensity of {p} polarisation", paint)
-        yield _map("contrast", "Polarisation contrast", partial(figures.contrast, decoded))
-        yield _map("depth", "Decoded depth", partial(figures.depth, decoded))
-        yield _map("confidence", "Confidence of the depth", partial(figures.confidence, decoded))
+            yield image_map(f"intensity_{p}", f"Decoded intensity of {p} polarisation", paint)
+        yield image_map("contrast", "Polarisation contrast", partial(figures.contrast, decoded))
+        yield image_map("depth", "Decoded depth", partial(figures.depth, decoded))
+        yield image_map("confidence", "Confidence of the depth", partial(figures.confidence, decoded))
     known = depths_against_truth(run)
     if known is not None:
         true_m, decoded_m, error_m = known

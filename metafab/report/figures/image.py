@@ -25,6 +25,12 @@ from metafab.report.style import (
 )
 
 
+def _few_ticks(axes: Axes) -> Axes:
+    """Four-figure coordinates need room along x."""
+    axes.locator_params(axis="x", nbins=5)
+    return axes
+
+
 def raw_frame(raw: RawFrame, axes: Axes) -> Axes:
     """What the sensor saw: two images side by side, y polarisation and x polarisation."""
     extent = extent_um(raw.frame.shape, raw.origin_um, raw.pixel_um)
@@ -39,7 +45,9 @@ def intensity(decoded: Image4D, axes: Axes, polarisation: Polarisation, top: flo
     values = decoded.intensity_x if polarisation == "x" else decoded.intensity_y
     image = show_map(axes, values, _extent(decoded), cmap="gray", vmin=0.0, vmax=top or _top(values))
     colour_bar(image, axes, "electrons")
-    return dress(axes, "x / µm", "y / µm", f"I_{polarisation}, all in focus", POLARISATION_COLOUR[polarisation])
+    return _few_ticks(
+        dress(axes, "x / µm", "y / µm", f"I_{polarisation}, all in focus", POLARISATION_COLOUR[polarisation])
+    )
 
 
 def contrast(decoded: Image4D, axes: Axes) -> Axes:
@@ -51,7 +59,7 @@ def contrast(decoded: Image4D, axes: Axes) -> Axes:
     bar = colour_bar(image, axes, "I_x / I_y", ticks=ticks)
     bar.ax.minorticks_off()
     bar.set_ticklabels([f"{tick:g}" for tick in ticks])
-    return dress(axes, "x / µm", "y / µm", "Polarisation contrast")
+    return _few_ticks(dress(axes, "x / µm", "y / µm", "Polarisation contrast"))
 
 
 def depth(decoded: Image4D, axes: Axes) -> Axes:
@@ -59,14 +67,14 @@ def depth(decoded: Image4D, axes: Axes) -> Axes:
     scale, unit = depth_unit(decoded.depth_m)
     image = show_map(axes, scale * decoded.depth_m, _extent(decoded), cmap=DEPTH_MAP)
     colour_bar(image, axes, f"depth / {unit}")
-    return dress(axes, "x / µm", "y / µm", "Depth")
+    return _few_ticks(dress(axes, "x / µm", "y / µm", "Depth"))
 
 
 def confidence(decoded: Image4D, axes: Axes) -> Axes:
     """How far the depth of each pixel can be trusted, 0 to 1; 0 where none is claimed."""
     image = show_map(axes, decoded.confidence, _extent(decoded), cmap=SHARE_MAP, vmin=0.0, vmax=1.0)
     colour_bar(image, axes, "confidence")
-    return dress(axes, "x / µm", "y / µm", "Confidence")
+    return _few_ticks(dress(axes, "x / µm", "y / µm", "Confidence"))
 
 
 def depth_against_truth(true_m: FloatArray, decoded_m: FloatArray, axes: Axes, error_m: FloatArray) -> Axes:
