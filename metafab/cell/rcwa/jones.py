@@ -42,7 +42,9 @@ class ZeroOrder:
         r: shape (2, 2), the same for reflection.
         transmitted_power: shape (2,), power in all transmitted orders for incident x and y, over the incident power.
         reflected_power: shape (2,), the same for reflection.
-        coefficients: size of the largest eigenvalue problem.
+        coefficients: unknowns of the largest symmetry class.
+        inconsistency: what rounding left of an identity of the layer (:mod:`metafab.cell.rcwa.doubling`), relative; 0
+            where the modes were used.
     """
 
     t: ComplexArray
@@ -50,6 +52,7 @@ class ZeroOrder:
     transmitted_power: FloatArray
     reflected_power: FloatArray
     coefficients: int
+    inconsistency: float
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,7 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
     """
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     power = np.zeros((2, 2))
-    largest = 0
+    largest, inconsistency = 0, 0.0
     with one_thread():
         for case in symmetry_classes(cell, axis_orders(cell, orders), formulation):
             layer, incident = _layer(cell, case), case.basis.zero_order()
@@ -108,10 +111,11 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
             t, r = t + incident.T @ faces.transmitted, r + incident.T @ faces.reflected
             power = power + _powers(layer, faces, incident)
             largest = max(largest, case.basis.size)
+            inconsistency = max(inconsistency, faces.inconsistency)
             if _polarisations_swap(cell):
                 t, r, power = t + t[::-1, ::-1], r + r[::-1, ::-1], power + power[:, ::-1]
                 break
-    return ZeroOrder(t, r, power[0], power[1], largest)
+    return ZeroOrder(t, r, power[0], power[1], largest, inconsistency)
 
 
 def symmetry_classes(cell: PillarCell, orders: Orders, formulation: Formulation) -> Iterator[SymmetryClass]:
