@@ -8,6 +8,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from scipy.ndimage import maximum_filter, median_filter
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
@@ -29,6 +30,8 @@ SOLVER_SHARE = 0.5
 MODEL_SHARE = 0.4
 #: The solver's error at a size that was not solved is the largest among this many solved neighbours.
 NEIGHBOURS = 4
+#: Steps of the grid across the neighbourhood with whose slope a size's own is compared.
+STEEPNESS_WINDOW = 9
 
 
 def build(
@@ -133,6 +136,7 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: flo
         values = np.where(is_solved, values, modelled)
     error = certificate + np.where(is_solved, 0.0, outcome.model_error)
     t_xx, t_yy, r_xx, r_yy = values[:, None]
+    between = certificate * _steepness(values) + outcome.between_error
     spent = np.array([point.seconds for point in outcome.solved.values()])
     library = Library(
         unit_cell=unit_cell,
@@ -146,7 +150,7 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: flo
         error=error[None],
         inputs_sha256=inputs_of(unit_cell),
         model=outcome.model,
-        model_error=None if outcome.model is None else certificate + outcome.between_error,
+        model_error=None if outcome.model is None else between,
     )
     degrees = outcome.model.x.degrees if outcome.model is not None else (0, 0)
     library.details.update(
@@ -156,7 +160,7 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: flo
         sizes_beyond_target=int(np.count_nonzero(error > unit_cell.sweep.target_error)),
         max_solver_error=float(certificate.max()),
         max_model_error=float(np.max(outcome.model_error, where=~is_solved, initial=0.0)),
-        max_between_error=float((certificate + outcome.between_error).max()),
+        max_between_error=float(between.max()),
         held_out_error=outcome.held_out_error,
         held_out=outcome.held_out,
         rounds=outcome.rounds,
@@ -167,6 +171,25 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: flo
         seconds=seconds,
     )
     return library
+
+
+def _steepness(values: ComplexArray) -> FloatArray:
+    """How much steeper the amplitudes are around a size than in its wider neighbourhood, at least 1.
+
+    A solver's error shifts a resonance by a little; on its flank that shows more than at the sizes beside it, whose
+    certificates stand for the sizes between.
+
+    Args:
+        values: shape (4, n_length, n_width).
+    """
+    slope = np.zeros(values.shape[1:])
+    for axis in (1, 2):
+        if values.shape[axis] > 1:
+            slope = np.hypot(slope, np.abs(np.gradient(values, axis=axis)).max(axis=0))
+    typical = np.maximum(median_filter(slope, size=STEEPNESS_WINDOW), np.median(slope))
+    steepest = maximum_filter(slope, size=3)
+    ratio = np.divide(steepest, typical, out=np.ones_like(slope), where=typical > 0.0)
+    return np.asarray(np.maximum(ratio, 1.0), dtype=np.float64)
 
 
 def _on_grid(grid: SizeGrid, outcome: Outcome) -> tuple[ComplexArray, FloatArray, np.ndarray]:
