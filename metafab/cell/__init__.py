@@ -8,6 +8,6 @@
 """
 
 from metafab.cell.problem import pillar_cell, solve, solve_many
-from metafab.cell.response import CellNumerics, CellResponse, CellSolver, PillarCell
+from metafab.cell.response import CellNumerics, CellResponse, CellSolver, PillarCell, Slice
 
-__all__ = ["CellNumerics", "CellResponse", "CellSolver", "PillarCell", "pillar_cell", "solve", "solve_many"]
+__all__ = ["CellNumerics", "CellResponse", "CellSolver", "PillarCell", "Slice", "pillar_cell", "solve", "solve_many"]

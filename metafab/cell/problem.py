@@ -74,7 +74,14 @@ def check(cell: PillarCell) -> None:
         faults.append(Fault("wavelength_nm", "a positive length", f"{cell.wavelength_nm:g}"))
     if not 0.0 <= cell.height_nm < float("inf"):
         faults.append(Fault("height_nm", "a length from 0", f"{cell.height_nm:g}"))
-    indices = {"n_pillar": (cell.n_pillar,), "n_substrate": cell.n_substrate, "n_ambient": (cell.n_ambient,)}
+    slices = {f"{side}[{i}]": each for side in ("under", "over") for i, each in enumerate(getattr(cell, side))}
+    faults.extend(
+        Fault(f"{name}.height_nm", "a length from 0", f"{each.height_nm:g}")
+        for name, each in slices.items()
+        if not 0.0 <= each.height_nm < float("inf")
+    )
+    indices: dict[str, tuple[complex, ...]] = {f"{name}.n": (s.n_inside, s.n_around) for name, s in slices.items()}
+    indices |= {"n_pillar": (cell.n_pillar,), "n_substrate": cell.n_substrate, "n_ambient": (cell.n_ambient,)}
     for name, values in indices.items():
         faults.extend(
             Fault(name, "a finite index with real part > 0 and imaginary part >= 0", f"{n}")
@@ -95,6 +102,8 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     """
     check(cell)
     if numerics.solver == "meep":
+        if cell.under or cell.over:
+            raise InputError.single("cell", "under, over", "empty for meep", "layers", "solve with rcwa")
         from metafab.cell import meep
 
         return meep.solve(cell, numerics)

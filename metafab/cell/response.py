@@ -13,6 +13,21 @@ from metafab.core.conventions import ComplexArray, FloatArray, Side
 
 
 @dataclass(frozen=True)
+class Slice:
+    """A further layer under or over the pillar, with the pillar's outline: a cap, a coating, a film.
+
+    Attributes:
+        height_nm: thickness.
+        n_inside: complex index within the outline.
+        n_around: complex index around it; the same for a closed film.
+    """
+
+    height_nm: float
+    n_inside: complex
+    n_around: complex
+
+
+@dataclass(frozen=True)
 class PillarCell:
     """One unit cell under a plane wave: what is solved.
 
@@ -28,6 +43,9 @@ class PillarCell:
         side: where the light comes from.
         angle_deg: polar angle of incidence inside the incident half space, 0 to < 90.
         azimuth_deg: azimuth of the plane of incidence, counter-clockwise from +x.
+        under: layers between substrate and pillar, from the substrate on (an antireflection film); rcwa only. The
+            planes of t and r are then those where the whole stack begins and ends.
+        over: layers on the pillar, from the pillar on (a residual cap); rcwa only.
     """
 
     period_nm: tuple[float, float]
@@ -41,6 +59,8 @@ class PillarCell:
     side: Side = "substrate"
     angle_deg: float = 0.0
     azimuth_deg: float = 0.0
+    under: tuple[Slice, ...] = ()
+    over: tuple[Slice, ...] = ()
 
     @property
     def n_in(self) -> tuple[complex, complex]:

@@ -9,6 +9,7 @@ From one axis to the answer:
 - ``eigenmodes``     modes of the layer, plane waves of the half spaces
 - ``doubling``       one incident wave through the layer by doubling thickness: the fast way, tested as it goes
 - ``admittance``     the same by modes, stable for any height
+- ``stack``          the same through several layers of one outline
 - ``jones``          Jones matrices at one truncation
 - ``certificate``    truncation raised until the error is what was asked
 - ``derivatives``    dt, dr by width and length, by reciprocity

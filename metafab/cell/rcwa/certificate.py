@@ -12,10 +12,10 @@ other way round; each holds by itself, so that the least of them is the bound. D
 pillar (a sharp resonance that the truncation shifts); the floor is what two truncations can agree on by accident. A
 last difference so large that the ladder has not begun to converge counts in full.
 
-Where nothing was measured, the last two differences count threefold. That is so for holes, light at an angle, pillars
-more than two wavelengths tall, cells more than two wavelengths wide inside the densest medium (which need more
-orders), indices that differ more than fourfold or absorb strongly, and metals, where the field at the corners has no
-limit that Fourier methods approach steadily.
+Where nothing was measured, the last two differences count threefold. That is so for holes, light at an angle, layers
+under or over the pillar, pillars more than two wavelengths tall, cells more than two wavelengths wide inside the
+densest medium (which need more orders), indices that differ more than fourfold or absorb strongly, and metals, where
+the field at the corners has no limit that Fourier methods approach steadily.
 tests/physics/test_rcwa_certificate.py also looks far from the pillars that were measured.
 """
 
@@ -184,6 +184,7 @@ def _is_measured(cell: PillarCell) -> bool:
     densest = max(n.real for n in (pillar, around, *map(complex, cell.n_substrate)))
     return (
         cell.angle_deg == 0.0
+        and not (cell.under or cell.over)
         and around.real <= pillar.real <= _STEEPEST * around.real
         and max(pillar.imag / pillar.real, around.imag / around.real) <= _DIMMEST
         and max(cell.period_nm) * densest <= _WIDEST * cell.wavelength_nm

@@ -66,7 +66,7 @@ def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adapt
         formulation: "adaptive" or "fourier".
 
     Raises:
-        InputError: the light comes at an angle, or the pillar has no walls along an axis.
+        InputError: the light comes at an angle, the pillar has no walls along an axis, or layers under or over it.
     """
     _check(cell)
     by_orders = axis_orders(cell, orders)
@@ -89,6 +89,8 @@ def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adapt
 def _check(cell: PillarCell) -> None:
     if cell.angle_deg != 0.0:
         raise InputError.single("cell", "angle_deg", "0 for derivatives", f"{cell.angle_deg:g}")
+    if cell.under or cell.over:
+        raise InputError.single("cell", "under, over", "empty for derivatives", "layers")
     for name, size, period in zip(
         ("width_nm", "length_nm"), (cell.width_nm, cell.length_nm), cell.period_nm, strict=True
     ):

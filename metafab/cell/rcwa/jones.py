@@ -25,6 +25,7 @@ from metafab.cell.rcwa.basis import (
 from metafab.cell.rcwa.doubling import MOST_UNKNOWNS, Faces, through_by_doubling
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, plane_waves
 from metafab.cell.rcwa.factorisation import layer_matrices
+from metafab.cell.rcwa.stack import StackLayer, through_stack
 from metafab.cell.rcwa.transverse import TransverseBasis, transverse_basis
 from metafab.cell.response import PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray
@@ -137,7 +138,9 @@ def symmetry_classes(cell: PillarCell, orders: Orders, formulation: Formulation)
 
 
 def through_case(cell: PillarCell, case: SymmetryClass, layer: Layer, incident: ComplexArray) -> Faces:
-    """Field at the faces of the layer, by whichever way is faster and can be trusted."""
+    """Field at the faces of the layer or stack, by whichever way is faster and can be trusted."""
+    if cell.under or cell.over:
+        return _through_slices(cell, case, layer, incident)
     if case.basis.size <= MOST_UNKNOWNS:
         faces = through_by_doubling(layer.p, layer.q, layer.thickness_k0, layer.incoming, layer.outgoing, incident)
         if faces is not None:
@@ -152,6 +155,24 @@ def solve_class(cell: PillarCell, case: SymmetryClass, layer: Layer | None = Non
     modes = layer_modes(layer.p, layer.q)
     field = through_layer(modes, layer.thickness_k0, layer.incoming, layer.outgoing, case.basis.zero_order())
     return ClassSolution(modes, layer.incoming, layer.outgoing, field)
+
+
+def _through_slices(cell: PillarCell, case: SymmetryClass, layer: Layer, incident: ComplexArray) -> Faces:
+    k0_per_nm = 2.0 * math.pi / cell.wavelength_nm
+    pillar = StackLayer(layer_modes(layer.p, layer.q), layer.thickness_k0)
+    under, over = (
+        [
+            StackLayer(
+                layer_modes(*layer_matrices(case.basis, k0_per_nm, permittivity(s.n_inside), permittivity(s.n_around))),
+                k0_per_nm * s.height_nm,
+            )
+            for s in slices
+        ]
+        for slices in (cell.under, cell.over)
+    )
+    upwards = [*under, pillar, *over]
+    layers = upwards if cell.side == "substrate" else upwards[::-1]
+    return through_stack(layers, layer.incoming, layer.outgoing, incident)
 
 
 def _layer(cell: PillarCell, case: SymmetryClass) -> Layer:
