@@ -12,12 +12,14 @@ From one axis to the answer:
 - ``stack``          the same through several layers of one outline
 - ``jones``          Jones matrices at one truncation
 - ``certificate``    truncation raised until the error is what was asked
+- ``cost``           seconds that an answer takes here, by a measured curve
 - ``derivatives``    dt, dr by width and length, by reciprocity
 """
 
 from metafab.cell.rcwa.basis import Formulation
 from metafab.cell.rcwa.certificate import solve
+from metafab.cell.rcwa.cost import seconds_estimate
 from metafab.cell.rcwa.derivatives import SizeDerivatives, derivatives
 from metafab.cell.rcwa.jones import ZeroOrder, zero_order
 
-__all__ = ["Formulation", "SizeDerivatives", "ZeroOrder", "derivatives", "solve", "zero_order"]
+__all__ = ["Formulation", "SizeDerivatives", "ZeroOrder", "derivatives", "seconds_estimate", "solve", "zero_order"]
