@@ -7,6 +7,7 @@ nothing else; progress goes to stderr, and only on a terminal.
 from __future__ import annotations
 
 import json
+import math
 import signal
 import sys
 from collections.abc import Iterator
@@ -47,7 +48,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on std
 Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="PATH", help="Where the result goes.")]
 Workers = Annotated[int | None, typer.Option("--workers", min=1, metavar="N", help="Processes [default: the cores].")]
 Cluster = Annotated[str | None, typer.Option("--cluster", metavar="ADDRESS", help="Dask scheduler to use instead.")]
-TargetError = Annotated[float | None, typer.Option("--target-error", metavar="E", help="Largest error wanted.")]
+TargetError = Annotated[
+    float | None,
+    typer.Option("--target-error", metavar="E", help="Largest error wanted.", min=1e-12, max=0.999),
+]
 
 
 # --- the whole job ---------------------------------------------------------------------------------------------
@@ -239,7 +243,9 @@ def psf_command(
         tuple[float, float] | None, typer.Option(metavar="X Y", help="Object's place beside the axis.")
     ] = None,
     pixel_um: Annotated[float | None, typer.Option(metavar="P", help="Sampling step [default: the sensor's].")] = None,
-    window_px: Annotated[int | None, typer.Option(min=4, metavar="N", help="Window [default: the design's].")] = None,
+    window_px: Annotated[
+        int | None, typer.Option(min=4, max=2048, metavar="N", help="Window [default: the design's].")
+    ] = None,
     target_error: TargetError = None,
     output: Output = None,
     json_: Json = False,
@@ -250,16 +256,19 @@ def psf_command(
 
     if ideal == (layout is not None):
         raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
+    _require_positive("--depths-m", *(depths_m or ()))
+    _require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
     with _progress() as progress, measured() as cost:
         job = _job(design, None, None, None, progress)
+        verify = job.design.verify
         result = steps.point_spread(
             job,
             layout,
-            depths_m=tuple(sorted(depths_m)) if depths_m else job.design.verify.depths_m,
+            depths_m=tuple(sorted(set(depths_m))) if depths_m else verify.depths_m,
             object_mm=object_mm or (0.0, 0.0),
             pixel_um=pixel_um,
-            window_px=window_px or job.design.verify.window_px,
-            target_error=target_error or job.design.verify.target_error,
+            window_px=verify.window_px if window_px is None else window_px,
+            target_error=verify.target_error if target_error is None else target_error,
         )
     if output is not None:
         steps.save_psf(job, result, layout, output)
@@ -357,6 +366,13 @@ def _job(design: Path, folder: Path | None, workers: int | None, cluster: str | 
 
     spec: Design = load_design(design)
     return Job(spec, folder or Path("runs") / spec.name, workers, cluster, progress)
+
+
+def _require_positive(option: str, *values: float) -> None:
+    """Refuse zero, negative, NaN and infinite values of an option."""
+    for value in values:
+        if not 0.0 < value < math.inf:
+            raise InputError.single(option, option.removeprefix("--"), "a number above zero", f"{value:g}")
 
 
 @contextmanager

@@ -1,18 +1,16 @@
 """The pipeline: which steps are stale, run those, collect the summary.
 
-A step is up to date when the fingerprint of everything that it depends on (its part of the design, the steps
-before it, the code of the rooms that it uses) is the one under which its files were made, and those files are
-still as it left them. ``steps.json`` in the run folder keeps that record.
+A step is up to date when the fingerprint of everything that it depends on (its part of the design and the files
+named there, the files of the steps before it, the code of the rooms that it uses) is the one under which its own
+files were made, and those files are still as it left them. ``steps.json`` in the run folder keeps that record.
 """
 
 from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
-from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ from metafab import __version__
 from metafab.core.files import file_sha256, fingerprint, plain, whole_file, write_json
 from metafab.core.measure import measured
 from metafab.core.progress import Progress, silent
+from metafab.core.provenance import code_sha256, contents_sha256
 from metafab.spec import Design, canonical_toml
 
 STEPS_FILE = "steps.json"
@@ -55,8 +54,9 @@ class Step:
         rooms: packages whose code decides the result.
         after: steps whose results it uses.
         inputs: the parts of the design that it depends on.
-        outputs: the files that it writes.
+        outputs: the files that it writes, or has written.
         work: does it, and returns the step's part of the summary.
+        pointless: why a design has no use for the step; None if it has.
     """
 
     name: str
@@ -65,6 +65,7 @@ class Step:
     inputs: Callable[[Design], Any]
     outputs: Callable[[Job], tuple[Path, ...]]
     work: Callable[[Job], dict[str, Any]]
+    pointless: Callable[[Design], str | None] = lambda design: None
 
 
 @dataclass
@@ -121,53 +122,80 @@ def run(
     Returns:
         The summary; it is also written to ``folder/summary.json`` and shown by ``folder/report.html``.
     """
-    from metafab.steps import STEPS, error_budget, write_report
+    from metafab.steps import REPORT, STEPS, error_budget, preflight
 
+    preflight(design)
     job = Job(design, folder, workers, cluster, progress)
     folder.mkdir(parents=True, exist_ok=True)
     with whole_file(folder / "design.toml") as part:
         part.write_text(canonical_toml(design), encoding="utf-8")
 
-    records = _read_records(folder)
-    prints: dict[str, str] = {}
-    skipped: list[dict[str, str]] = []
+    state = _State(job, _read_records(folder))
     for step in STEPS:
-        print_ = fingerprint(step.inputs(design), [prints[name] for name in step.after], code_sha256(step.rooms))
-        prints[step.name] = print_
-        record = records.get(step.name)
-        if record and record.inputs_sha256 == print_ and record.stands(folder):
-            skipped.append({"step": step.name, "why": "its inputs and its files are unchanged"})
-            continue
-        with measured() as cost:
-            result = step.work(job)
-        peak_mb = max(cost.peak_rss_mb, float(result.pop("worker_peak_rss_mb", 0.0)))
-        records[step.name] = Record(print_, _marks(step.outputs(job), folder), plain(result), cost.seconds, peak_mb)
-        _write_records(folder, records)
-
-    summary = _summary(design, {step.name: records[step.name] for step in STEPS}, skipped)
-    summary["error_budget"] = plain(error_budget({name: record.summary for name, record in records.items()}))
-    stale = not (folder / "report.html").is_file() or len(skipped) < len(STEPS)
-    with measured() as cost:
-        if stale:
-            write_json(folder / "summary.json", summary)
-            write_report(job)
-    if stale:
-        summary["seconds"]["report"] = cost.seconds
-        summary["peak_rss_mb"]["report"] = cost.peak_rss_mb
-    else:
-        skipped.append({"step": "report", "why": "nothing that it shows has changed"})
+        state.bring_up_to_date(step)
+    summary = state.summary()
+    summary["error_budget"] = plain(error_budget(summary))
+    # The page shows the summary, so it is written before the page is made and again with what the page cost.
+    if not state.stands(REPORT):
+        write_json(folder / "summary.json", summary)
+    state.bring_up_to_date(REPORT)
+    summary |= state.costs()
     write_json(folder / "summary.json", summary)
     return Outcome(summary, sum(summary["drc"]["violations"].values()))
 
 
-def _summary(design: Design, records: Mapping[str, Record], skipped: list[dict[str, str]]) -> dict[str, Any]:
-    summary: dict[str, Any] = {"name": design.name}
-    summary |= {name: record.summary for name, record in records.items()}
-    summary["seconds"] = {name: record.seconds for name, record in records.items()}
-    summary["peak_rss_mb"] = {name: record.peak_rss_mb for name, record in records.items()}
-    summary["skipped"] = skipped
-    summary["versions"] = versions()
-    return summary
+@dataclass
+class _State:
+    """The records of a folder, and what this run has done so far."""
+
+    job: Job
+    records: dict[str, Record]
+    used: dict[str, Record] = field(default_factory=dict)
+    skipped: list[dict[str, str]] = field(default_factory=list)
+
+    def bring_up_to_date(self, step: Step) -> None:
+        """Do a step unless it stands or has no point; its record is on disk before the next one begins."""
+        if why := step.pointless(self.job.design):
+            self.skipped.append({"step": step.name, "why": why})
+            return
+        if self.stands(step):
+            self.skipped.append({"step": step.name, "why": "its inputs and its files are unchanged"})
+        else:
+            with measured() as cost:
+                result = step.work(self.job)
+            marks = _marks(step.outputs(self.job), self.job.folder)
+            self.records[step.name] = Record(
+                self.fingerprint(step), marks, plain(result), cost.seconds, cost.peak_rss_mb
+            )
+            write_json(self.job.folder / STEPS_FILE, self.records)
+        self.used[step.name] = self.records[step.name]
+
+    def stands(self, step: Step) -> bool:
+        """Whether an earlier run's record of the step still holds."""
+        record = self.records.get(step.name)
+        return record is not None and record.inputs_sha256 == self.fingerprint(step) and record.stands(self.job.folder)
+
+    def fingerprint(self, step: Step) -> str:
+        """Of all that the step depends on; the files of earlier steps count by content."""
+        inputs = step.inputs(self.job.design)
+        earlier = [self.used[name] for name in step.after if name in self.used]
+        before = [[mark["sha256"] for mark in record.outputs.values()] for record in earlier]
+        return fingerprint(inputs, contents_sha256(inputs), before, code_sha256(step.rooms))
+
+    def costs(self) -> dict[str, Any]:
+        """What each step cost when it was done, and which this run skipped."""
+        return {
+            "seconds": {name: record.seconds for name, record in self.used.items()},
+            "peak_rss_mb": {name: record.peak_rss_mb for name, record in self.used.items()},
+            "skipped": self.skipped,
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Every step's part, {} for those without a point."""
+        from metafab.steps import STEPS
+
+        parts = {step.name: self.used[step.name].summary if step.name in self.used else {} for step in STEPS}
+        return {"name": self.job.design.name, **parts, **self.costs(), "versions": versions()}
 
 
 def versions() -> dict[str, str]:
@@ -179,18 +207,6 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-@cache
-def code_sha256(rooms: tuple[str, ...]) -> str:
-    """Hash of the source of some rooms and of what all rooms stand on: changed code makes its steps stale."""
-    package = Path(__file__).parent
-    digest = sha256(__version__.encode())
-    for room in ("core", *rooms):
-        for path in sorted((package / room).rglob("*.py")):
-            digest.update(path.relative_to(package).as_posix().encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 def _marks(paths: tuple[Path, ...], folder: Path) -> dict[str, dict[str, Any]]:
@@ -211,7 +227,3 @@ def _read_records(folder: Path) -> dict[str, Record]:
         return {name: Record(**entry) for name, entry in table.items()}
     except (OSError, ValueError, TypeError, AttributeError):
         return {}
-
-
-def _write_records(folder: Path, records: Mapping[str, Record]) -> None:
-    write_json(folder / STEPS_FILE, dict(records))

@@ -17,6 +17,7 @@ import numpy as np
 from metafab import camera, decode, drc, layout, library, mask, optics, phase, report
 from metafab.camera import RawFrame
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import Fault, InputError
 from metafab.core.executor import open_executor
 from metafab.core.files import file_sha256, fingerprint
 from metafab.core.progress import Progress, silent
@@ -25,10 +26,11 @@ from metafab.library import Library
 from metafab.optics import Imaging, Psf
 from metafab.run import Job, Step
 from metafab.spec import Design, Scene
-from metafab.spec.design import UserArray
 
 #: The decoder's calibration reaches beyond the scene by this share of its range of vergence.
 DEPTH_MARGIN = 0.08
+#: The same for a scene at one depth, as a share of its vergence.
+SMALLEST_MARGIN = 0.02
 
 
 # --- library ---------------------------------------------------------------------------------------------------
@@ -65,12 +67,6 @@ def _library(job: Job) -> dict[str, Any]:
 # --- phase and layout --------------------------------------------------------------------------------------------
 
 
-def user_phases(design: Design) -> list[str]:
-    """Fingerprints of the user's own phase files: their content counts, not their names."""
-    files = [term.file for term in design.phase if isinstance(term, UserArray)]
-    return [file_sha256(file) if file.is_file() else "missing" for file in files]
-
-
 def _phase(job: Job) -> dict[str, Any]:
     profile = phase.profile_of(job.design, progress=job.progress)
     phase.save(profile, job.design, job.folder / "phase.h5")
@@ -98,8 +94,8 @@ def _drc(job: Job) -> dict[str, Any]:
     drc.save(reports, job.folder, mask.top_name(job.design.name))
     first = reports[0]
     worst = {rule: max(report.violations[rule] for report in reports) for rule in first.violations}
-    counts = [report.pillars for report in reports]
-    worst["formats_differ"] = max(counts) - min(counts)
+    # Legal but unlike pillars in two formats would pass every other rule.
+    worst["formats_differ"] = len({report.pillars_sha256 for report in reports}) - 1
     return {
         "pillars": first.pillars,
         "violations": worst,
@@ -113,15 +109,33 @@ def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
     """Depths of the PSF stack: the verified ones, and nodes that carry the scene's range by interpolation."""
     depths = [*design.verify.depths_m, *(item.depth_m for item in design.scene.objects)]
     near, far = 1.0 / min(depths), 1.0 / max(depths)
-    margin = DEPTH_MARGIN * (near - far)
+    margin = max(DEPTH_MARGIN * (near - far), SMALLEST_MARGIN * near)
     nodes = optics.depth_nodes(imaging, 1.0 / (near + margin), 1.0 / (far - margin), design.verify.target_error)
     return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
 
 
 def mask_source(job: Job, path: Path) -> optics.Source:
-    """What light the pillars of a written file let through."""
-    pillars = mask.read(path, job.design, progress=job.progress).pillars
-    return optics.written_field(pillars, open_library(job))
+    """What light the pillars of a written file let through.
+
+    Raises:
+        InputError: the file cannot be read, or holds shapes that are no pillars of the lattice: nothing is dropped.
+    """
+    back = mask.read(path, job.design, progress=job.progress)
+    unplaced = {
+        "off the lattice": back.off_site.count,
+        "off the grid": back.off_grid.count,
+        "at a site that has one already": back.duplicates.count,
+        **{kind: left.count for kind, left in back.foreign.items()},
+    }
+    if any(unplaced.values()):
+        raise InputError.single(
+            str(path),
+            "pillars",
+            "rectangles at lattice sites and nothing else on the pillar layer",
+            ", ".join(f"{count} {what}" for what, count in unplaced.items() if count),
+            "their light cannot be simulated; `metafab drc` says where they are",
+        )
+    return optics.written_field(back.pillars, open_library(job))
 
 
 def ideal_source(job: Job) -> optics.Source:
@@ -158,9 +172,10 @@ def point_spread(
 
 def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path) -> None:
     """Keep a PSF pair with the fingerprint of the mask (None for target phases) and the design behind it."""
-    source = job.design.phase if mask_path is None else file_sha256(mask_path)
-    inputs = fingerprint(source, job.design.unit_cell, job.design.device, job.design.sensor, psf.depth_m)
-    optics.save(psf, path, inputs_sha256=inputs)
+    design = job.design
+    source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job))]
+    asked = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
+    optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, asked))
 
 
 def _field_interpolation_error(
@@ -250,9 +265,8 @@ def _decode(job: Job) -> dict[str, Any]:
     return {"nmae": image.nmae, "segments": image.segments, **image.details}
 
 
-def write_report(job: Job) -> Path:
-    """Draw the figures and the page from the files of the run folder."""
-    return report.write(job.folder, progress=job.progress)
+def _report(job: Job) -> dict[str, Any]:
+    return {"file": report.write(job.folder, progress=job.progress).name}
 
 
 # --- the order of things, and what they add up to -------------------------------------------------------------------
@@ -262,14 +276,26 @@ def _in_folder(*names: str) -> Callable[[Job], tuple[Path, ...]]:
     return lambda job: tuple(job.folder / name for name in names)
 
 
+def _no_pair(design: Design) -> str | None:
+    """A decoder needs two images side by side."""
+    if design.split_angle_deg == 0.0:
+        return "the design does not split polarisations, so there is no pair of images to decode"
+    return None
+
+
+def _report_files(job: Job) -> tuple[Path, ...]:
+    return (job.folder / "report.html", *sorted((job.folder / "figures").glob("*.png")))
+
+
 STEPS = (
     Step(
         "library", ("spec", "materials", "cell", "library"), (),
-        lambda d: d.unit_cell, lambda job: (library_path(job),), _library,
+        lambda d: (d.unit_cell, d.library if d.library.suffix == ".h5" else None),
+        lambda job: (library_path(job),), _library,
     ),
     Step(
         "phase", ("spec", "phase"), (),
-        lambda d: (d.phase, user_phases(d), d.device, d.sensor, d.unit_cell.illumination, d.verify, d.numerics),
+        lambda d: (d.phase, d.device, d.sensor, d.unit_cell.illumination, d.verify, d.numerics),
         _in_folder("phase.h5"), _phase,
     ),
     Step(
@@ -282,13 +308,55 @@ STEPS = (
         lambda d: (d.rules, d.mask, d.device), _in_folder("drc.json", "drc.lyrdb"), _drc,
     ),
     Step(
-        "psf", ("mask", "optics"), ("layout",),
+        "psf", ("mask", "optics"), ("library", "phase", "layout"),
         lambda d: (d.sensor, d.verify, d.scene.field_px, [item.depth_m for item in d.scene.objects]),
         _in_folder("psf.h5", "ideal_psf.h5"), _psf,
     ),
-    Step("capture", ("optics", "camera"), ("psf",), lambda d: d.scene, _in_folder("raw.h5"), _capture),
-    Step("decode", ("optics", "camera", "decode"), ("capture",), lambda d: None, _in_folder("decoded.h5"), _decode),
+    Step("capture", ("optics", "camera"), ("psf",), lambda d: d.scene, _in_folder("raw.h5"), _capture, _no_pair),
+    Step(
+        "decode", ("optics", "camera", "decode"), ("psf", "capture"),
+        lambda d: None, _in_folder("decoded.h5"), _decode, _no_pair,
+    ),
 )  # fmt: skip
+
+#: Shows the files of all other steps.
+REPORT = Step("report", ("report",), tuple(step.name for step in STEPS), lambda d: d.name, _report_files, _report)
+
+
+def preflight(design: Design) -> None:
+    """Everything that the design alone can tell about whether its steps will work, before the first of them.
+
+    Raises:
+        InputError: all that was found.
+    """
+    faults: list[Fault] = []
+    for look in (Imaging.of, layout.lattice_of, layout.field_sites):
+        try:
+            look(design)
+        except InputError as error:
+            faults += error.faults
+    focal_m = 1e-3 * design.device.focal_length_mm
+    depths = {f"verify.depths_m[{i}]": z for i, z in enumerate(design.verify.depths_m)}
+    depths |= {f"scene.objects[{i}].depth_m": item.depth_m for i, item in enumerate(design.scene.objects)}
+    faults += [
+        Fault(name, f"a depth beyond the focal length, {focal_m:g} m", f"{depth:g} m", "nearer objects have no image")
+        for name, depth in depths.items()
+        if depth <= focal_m
+    ]
+    if not faults and design.split_angle_deg > 0.0:
+        imaging = Imaging.of(design)
+        apart_px = 2.0 * abs(imaging.image_point_um(0, (0.0, 0.0))[0]) / imaging.pixel_um
+        if design.scene.field_px[1] >= apart_px:
+            faults.append(
+                Fault(
+                    "scene.field_px",
+                    f"fewer columns than the images are apart, {apart_px:.0f}",
+                    f"{design.scene.field_px[1]} columns",
+                    "narrow the field, or split by a larger angle",
+                )
+            )
+    if faults:
+        raise InputError(design.name, faults)
 
 
 def error_budget(figures: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:

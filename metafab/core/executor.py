@@ -62,7 +62,16 @@ def open_executor(workers: int | None = None, cluster: str | None = None) -> Ite
             import distributed
         except ImportError as error:
             raise MissingToolError("`--cluster` needs Dask: pip install 'metafab[cluster]'") from error
-        client: Any = distributed.Client(cluster)  # type: ignore[no-untyped-call]
+        try:
+            client: Any = distributed.Client(cluster)  # type: ignore[no-untyped-call]
+        except (OSError, ValueError) as error:
+            raise InputError.single(
+                "--cluster",
+                "address",
+                "the address of a running Dask scheduler",
+                f"{cluster} ({error})",
+                "start one with `dask scheduler` and give the address that it prints",
+            ) from error
         try:
             yield client.get_executor()
         finally:

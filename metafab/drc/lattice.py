@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +77,15 @@ def check_lattice(
         markers={rule: tuple(_markers(total.boxes_nm[rule])) for rule, count in total.counts.items() if count},
         min_gap_nm=float(total.smallest_gap_dbu * unit_nm) if np.isfinite(total.smallest_gap_dbu) else None,
         other_layers=read_back.other_layers,
+        pillars_sha256=_pillars_sha256(read_back.pillars.size_dbu, bands.size_index),
     )
+
+
+def _pillars_sha256(size_dbu: NDArray[np.int32], size_index: SizeIndexArray) -> str:
+    """Of sizes and their places; a read-back sorts its sizes, so equal masks have equal indices."""
+    digest = sha256(np.ascontiguousarray(size_dbu).data)
+    digest.update(np.ascontiguousarray(size_index).data)
+    return digest.hexdigest()
 
 
 def _markers(boxes_nm: list[FloatArray]) -> Iterator[Marker]:

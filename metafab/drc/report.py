@@ -51,6 +51,8 @@ class DrcReport:
         markers: up to :data:`MARKERS` places of each rule that is violated.
         min_gap_nm: smallest distance between neighbours that was found; None if the engine does not measure it.
         other_layers: shapes on other layers, which no rule concerns, by "layer/datatype".
+        pillars_sha256: hash of the size at every lattice site, equal for equal masks in either format; empty if
+            the engine does not know sites.
         seconds: wall clock, reading included.
     """
 
@@ -61,6 +63,7 @@ class DrcReport:
     markers: dict[str, tuple[Marker, ...]] = field(default_factory=dict)
     min_gap_nm: float | None = None
     other_layers: dict[str, int] = field(default_factory=dict)
+    pillars_sha256: str = ""
     seconds: float = 0.0
 
     @property

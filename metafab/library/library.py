@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from metafab import __version__
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.files import fingerprint
+from metafab.core.provenance import code_sha256, contents_sha256
 from metafab.library.models import SizeModel
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.embedded import LIBRARY_FORMAT
@@ -92,8 +92,9 @@ class Library:
 
 
 def inputs_of(unit_cell: UnitCell) -> str:
-    """Fingerprint of all that a library depends on: the unit cell, the file's format and metafab's version."""
-    return fingerprint(canonical_toml(unit_cell), LIBRARY_FORMAT, __version__)
+    """Fingerprint of all that a library depends on: the unit cell, its index tables, the format, and the code."""
+    code = code_sha256(("materials", "cell", "library"))
+    return fingerprint(canonical_toml(unit_cell), contents_sha256(unit_cell), LIBRARY_FORMAT, code)
 
 
 def _index(grid_nm: FloatArray, size_nm: FloatArray, name: str) -> np.ndarray:

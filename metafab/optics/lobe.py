@@ -57,7 +57,8 @@ def orientation_deg(psf: FloatArray) -> FloatArray:
         psf: shape (n, n_y, n_x).
 
     Returns:
-        Shape (n,), in (-180, 180]; without a main lobe beside the centre (an ordinary lens) it has no meaning.
+        Shape (n,), in (-180, 180], NaN for a dark image; without a main lobe beside the centre (an ordinary lens)
+        it has no meaning.
     """
-    places = [main_lobe_px(image) for image in psf]
+    places = [main_lobe_px(image) if image.any() else (math.nan, math.nan, 0.0) for image in psf]
     return np.array([math.degrees(math.atan2(y, x)) for x, y, _ in places])

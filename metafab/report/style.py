@@ -60,7 +60,7 @@ Margins = tuple[float, float, float, float]
 #: (left, right, low, high) of a picture, in the units of its axes.
 Extent = tuple[float, float, float, float]
 #: Left, right, bottom and top margins in inches: of a plot, of a map with its colour bar, of a picture without ticks.
-PLOT: Margins = (0.66, 0.22, 0.52, 0.36)
+PLOT: Margins = (0.74, 0.22, 0.52, 0.36)
 MAP: Margins = (0.74, 0.98, 0.52, 0.36)
 PICTURE: Margins = (0.10, 0.86, 0.10, 0.36)
 #: Of bars under their names, with room for values at their ends.

@@ -32,12 +32,11 @@ def write(run_dir: Path, progress: Progress = silent) -> Path:
         Path of the page.
 
     Raises:
-        InputError: ``run_dir`` is not a folder.
+        InputError: ``run_dir`` is no run folder.
     """
-    if not run_dir.is_dir():
-        raise InputError.single(
-            str(run_dir), "folder", "a run folder", "no folder at that path", "make one with `metafab run DESIGN.toml`"
-        )
+    if not (run_dir / "design.toml").is_file() and not (run_dir / "summary.json").is_file():
+        got = "a folder without design.toml and summary.json" if run_dir.is_dir() else "no folder at that path"
+        raise InputError.single(str(run_dir), "folder", "a run folder", got, "make one with `metafab run DESIGN.toml`")
     run = open_run(run_dir)
     drawn = draw(run, progress)
     page = run_dir / "report.html"

@@ -10,15 +10,18 @@ from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import Polarisation
 from metafab.spec.cell import UnitCell
-from metafab.spec.fields import CONFIG, Count, Index, Name, NonNegative, Positive, Real, TargetError
+from metafab.spec.fields import CONFIG, Index, Name, NonNegative, Positive, Real, TargetError
 from metafab.spec.scene import Scene
+
+#: Largest PSF window a side; beyond it the work grows without telling more.
+MAX_WINDOW_PX = 2048
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Device:
-    """The lens: outline, size (diameter or side) and focal length."""
+    """The lens: outline, size (diameter or side, at most a 300 mm wafer) and focal length."""
 
-    aperture_um: Positive
+    aperture_um: Annotated[float, Field(strict=True, gt=0.0, le=300_000.0)]
     focal_length_mm: Positive
     aperture_shape: Literal["circle", "square"] = "circle"
 
@@ -182,7 +185,7 @@ class Verify:
     """At which depths the written file is simulated, on which window, at how many points across the field."""
 
     depths_m: tuple[Positive, ...]
-    window_px: Count = 64
+    window_px: Annotated[int, Field(strict=True, ge=4, le=MAX_WINDOW_PX)] = 64
     field_points: Annotated[int, Field(strict=True, ge=1, le=33)] = 5
     target_error: TargetError = 1e-3
 
@@ -199,7 +202,6 @@ class Numerics:
 
     tile_sites: Annotated[int, Field(strict=True, ge=16, le=4096)] = 476
     seed: Annotated[int, Field(strict=True, ge=0)] = 1
-    library_target_error: TargetError | None = None
     iterations: NonNegative = 200
 
 

@@ -50,9 +50,6 @@ def load_design(path: Path) -> Design:
         table["scene"] = _collect(faults, "scene", lambda: load_scene(path.parent / table["scene"]))
     if isinstance(table.get("library"), str):
         table["library"] = str((path.parent / table["library"]).resolve())
-    for term in table.get("phase", ()) if isinstance(table.get("phase"), list) else ():
-        if isinstance(term, dict) and isinstance(term.get("file"), str):
-            term["file"] = str((path.parent / term["file"]).resolve())
     skip = {key for key in ("unit_cell", "scene") if table.get(key) is _FAULTY}
     try:
         design: Design | None = _adapter(Design).validate_python({k: v for k, v in table.items() if k not in skip})
@@ -100,9 +97,25 @@ def _adapter(spec: Any) -> TypeAdapter[Any]:
     return TypeAdapter(spec)
 
 
+#: Keys whose values are paths, relative to the file that they stand in.
+_FILE_KEYS = {"file", "texture_file"}
+
+
+def _resolved(value: Any, folder: Path, key: str = "") -> Any:
+    """The table with every path that it names made absolute; tables of an index (.csv) may stand for a record."""
+    if isinstance(value, dict):
+        return {name: _resolved(item, folder, name) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_resolved(item, folder, key) for item in value]
+    if isinstance(value, str) and (key in _FILE_KEYS or value.lower().endswith(".csv")):
+        return str((folder / value).resolve())
+    return value
+
+
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        table: dict[str, Any] = _resolved(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+        return table
     except FileNotFoundError:
         got, remedy = "no file at that path", "check the path"
     except (OSError, UnicodeDecodeError) as error:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from metafab import run as run_module
+from metafab.core.provenance import contents_sha256
 from metafab.run import Job, Record, Step, run
 from metafab.spec import Design
 
@@ -24,7 +26,7 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     def step(name: str, after: tuple[str, ...], inputs: Any) -> Step:
         def work(job: Job) -> dict[str, Any]:
             done.append(name)
-            (job.folder / f"{name}.txt").write_text(name)
+            (job.folder / f"{name}.txt").write_text(name + repr(inputs(job.design)))
             return {"violations": {}} if name == "drc" else {"value": name}
 
         return Step(name, (), after, inputs, lambda job: (job.folder / f"{name}.txt",), work)
@@ -35,21 +37,14 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         step("psf", ("layout",), lambda d: d.sensor),
     )
 
-    def report(job: Job) -> Path:
-        done.append("report")
-        path = job.folder / "report.html"
-        path.write_text("page")
-        return path
-
+    report = step("report", ("layout", "drc", "psf"), lambda d: d.name)
     monkeypatch.setattr(real, "STEPS", chain)
-    monkeypatch.setattr(real, "write_report", report)
+    monkeypatch.setattr(real, "REPORT", report)
     monkeypatch.setattr(real, "error_budget", lambda figures: [])
     return done
 
 
 def _changed(design: Design, **tables: Any) -> Design:
-    from dataclasses import replace
-
     return replace(design, **{name: replace(getattr(design, name), **keys) for name, keys in tables.items()})
 
 
@@ -69,6 +64,58 @@ def test_a_changed_input_reaches_its_step_and_no_other(tmp_path: Path, small_des
     assert steps == ["psf", "report"]
 
 
+def test_a_step_redone_with_the_same_result_disturbs_nobody(
+    tmp_path: Path, small_design: Design, steps: list[str]
+) -> None:
+    run(small_design, tmp_path)
+    steps.clear()
+    (tmp_path / "layout.txt").unlink()
+    run(small_design, tmp_path)
+    assert steps == ["layout"]
+
+
+def test_a_named_file_counts_by_its_content(tmp_path: Path, small_design: Design, steps: list[str]) -> None:
+    file = tmp_path / "phase.npy"
+    file.write_bytes(b"first")
+    assert contents_sha256({"phase": [file]}) != contents_sha256({"phase": []})
+    before = contents_sha256({"phase": [file]})
+    file.write_bytes(b"other")
+    assert contents_sha256({"phase": [file]}) != before
+    assert contents_sha256([str(tmp_path / "n.csv")]) == ["missing"]
+
+
+def test_a_step_without_a_point_is_skipped_with_its_reason(
+    tmp_path: Path, small_design: Design, steps: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import metafab.steps as real
+
+    *others, last = real.STEPS
+    monkeypatch.setattr(real, "STEPS", (*others, replace(last, pointless=lambda design: "nothing to see")))
+    outcome = run(small_design, tmp_path)
+    assert {"step": "psf", "why": "nothing to see"} in outcome.summary["skipped"]
+    assert outcome.summary["psf"] == {}
+
+
+def test_a_report_that_was_not_finished_is_made_again(
+    tmp_path: Path, small_design: Design, steps: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import metafab.steps as real
+
+    def killed(job: Job) -> dict[str, Any]:
+        raise KeyboardInterrupt
+
+    run(small_design, tmp_path)
+    whole = real.REPORT
+    monkeypatch.setattr(real, "REPORT", replace(whole, work=killed))
+    changed = _changed(small_design, sensor={"pixel_um": 3.0})
+    with pytest.raises(KeyboardInterrupt):
+        run(changed, tmp_path)
+    monkeypatch.setattr(real, "REPORT", whole)
+    steps.clear()
+    run(changed, tmp_path)
+    assert steps == ["report"]
+
+
 def test_a_changed_input_reaches_all_that_follows(tmp_path: Path, small_design: Design, steps: list[str]) -> None:
     run(small_design, tmp_path)
     steps.clear()
@@ -86,10 +133,10 @@ def test_a_file_that_is_not_as_it_was_left_is_made_again(
     if damage == "missing":
         victim.unlink()
     else:
-        victim.write_text("DRC" if damage == "same length" else "other")
+        victim.write_text(victim.read_text().swapcase() if damage == "same length" else "other")
         os.utime(victim, ns=(1, 1))
     run(small_design, tmp_path)
-    assert steps == ["drc", "report"]
+    assert steps == ["drc"]  # the same file again: the page shows nothing new
 
 
 def test_a_touched_file_with_the_same_bytes_still_stands(
@@ -130,7 +177,7 @@ def test_a_copied_folder_is_judged_by_its_own_files(tmp_path: Path, small_design
     (copy / "psf.txt").unlink()
     steps.clear()
     run(small_design, copy)
-    assert steps == ["psf", "report"]
+    assert steps == ["psf"]
 
 
 def test_a_record_without_files_stands(tmp_path: Path) -> None:

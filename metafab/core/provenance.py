@@ -1,0 +1,52 @@
+"""What a result depends on beyond its settings: the code that made it, and the content of files that were named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from metafab import __version__
+from metafab.core.files import file_sha256
+
+_PACKAGE = Path(__file__).parents[1]
+
+
+@cache
+def code_sha256(rooms: tuple[str, ...]) -> str:
+    """Hash of the source of some rooms, and of what all rooms stand on: changed code makes its results stale."""
+    digest = sha256(__version__.encode())
+    sources = [*(_PACKAGE / "core").rglob("*.py"), _PACKAGE / "steps.py"]
+    for room in rooms:
+        sources += (_PACKAGE / room).rglob("*.*")
+    for path in sorted(path for path in sources if path.suffix in {".py", ".csv", ".html", ".css", ".js"}):
+        digest.update(path.relative_to(_PACKAGE).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def contents_sha256(spec: Any) -> list[str]:
+    """Hashes of the files that a spec names (phase arrays, pictures, index tables), in the order of its fields.
+
+    Their content counts, not their names; a file that is not there counts as missing.
+    """
+    return [file_sha256(path) if path.is_file() else "missing" for path in _named_files(spec)]
+
+
+def _named_files(value: Any) -> Iterator[Path]:
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, str) and value.lower().endswith(".csv"):
+        yield Path(value)
+    elif is_dataclass(value) and not isinstance(value, type):
+        for item in fields(value):
+            yield from _named_files(getattr(value, item.name))
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            yield from _named_files(item)
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _named_files(item)
