@@ -8,6 +8,7 @@ import sys
 import time
 from pathlib import Path
 
+import gdstk
 import h5py
 import numpy as np
 import pytest
@@ -128,6 +129,45 @@ def test_report_makes_the_page_again(main_job: MainJob) -> None:
     assert Path(answer.json["file"]).name == "report.html"
 
 
+def test_psf_refuses_a_mask_whose_pillars_it_cannot_place(tmp_path: Path, main_job: MainJob) -> None:
+    library = gdstk.read_gds(main_job.folder / "layout.gds")
+    cell = next(cell for cell in library.cells if cell.polygons)
+    for polygon in cell.polygons[:3]:
+        polygon.translate(0.005, 0.0)
+    moved = tmp_path / "moved.gds"
+    library.write_gds(moved)
+    answer = metafab("psf", moved, "--design", SMALL, "--depths-m", "0.003")
+    assert answer.code == 2
+    assert "off the lattice" in answer.stderr
+    answer = metafab("drc", moved, "--design", SMALL, "--json")
+    assert answer.code == 2
+    assert answer.json["violations"]["lattice_site"] >= 3
+
+
+def test_a_changed_mask_changes_the_psf(tmp_path: Path, main_job: MainJob) -> None:
+    library = gdstk.read_gds(main_job.folder / "layout.gds")
+    cells = [cell for cell in library.cells if cell.polygons]
+    for cell in cells[: len(cells) // 2]:
+        cell.remove(*cell.polygons)
+    half = tmp_path / "half.gds"
+    library.write_gds(half)
+    arguments = ("--design", SMALL, "--depths-m", "0.003", "--json")
+    whole, cut = (metafab("psf", path, *arguments).json for path in (main_job.folder / "layout.gds", half))
+    assert cut["efficiency_x"][0] < 0.8 * whole["efficiency_x"][0]
+
+
+def test_what_the_design_alone_can_tell_is_said_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "wide.toml"
+    text = SMALL.read_text().replace("../unitcell_lib", str(UNIT_CELL.parent))
+    text = text.replace("field_px = [160, 128]", "field_px = [160, 512]").replace("499.8", "500.0")
+    path.write_text(text.replace("depths_m = [0.0025", "depths_m = [0.0005"))
+    answer = metafab("run", path, "-o", tmp_path / "out")
+    assert answer.code == 2
+    for name in ("mask.write_field_um", "verify.depths_m[0]"):
+        assert name in answer.stderr
+    assert not (tmp_path / "out").exists()
+
+
 # --- bad input: one clear message, exit code 2 ---------------------------------------------------------------------
 
 
@@ -153,6 +193,11 @@ BAD_CALLS = {
     "unknown solver": ["cell", str(UNIT_CELL), "--width-nm", "150", "--length-nm", "150", "--solver", "x"],
     "wider than the period": ["cell", str(UNIT_CELL), "--width-nm", "400", "--length-nm", "150"],
     "neither mask nor ideal": ["psf", "--design", str(SMALL)],
+    "depth zero": ["psf", "--ideal", "--design", str(SMALL), "--depths-m", "0"],
+    "depth not a number": ["psf", "--ideal", "--design", str(SMALL), "--depths-m", "nan"],
+    "pixel zero": ["psf", "--ideal", "--design", str(SMALL), "--pixel-um", "0"],
+    "window of a whole sensor": ["psf", "--ideal", "--design", str(SMALL), "--window-px", "4096"],
+    "no run folder": ["report", str(ROOT / "tests")],
     "unknown room": ["benchmark", "x"],
     "unknown command": ["fly"],
     "not a design": ["run", str(ROOT / "README.md")],
