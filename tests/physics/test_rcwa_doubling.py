@@ -35,7 +35,7 @@ CELLS = {
 AGREEMENT = 2e-9
 
 
-@pytest.mark.parametrize("orders", [3, 5])
+@pytest.mark.parametrize("orders", [3, 5, 6])
 @pytest.mark.parametrize("cell", CELLS.values(), ids=CELLS.keys())
 def test_doubling_equals_the_modes(cell: PillarCell, orders: int, monkeypatch: pytest.MonkeyPatch) -> None:
     either = zero_order(cell, orders)
