@@ -6,14 +6,13 @@ test also bounds them: a solver that states an error of one would agree with eve
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from metafab.cell import rcwa
-from metafab.cell.meep import MeepSettings, Pool, find, solve, solve_many
+from metafab.cell.meep import MeepSettings, Pool, solve, solve_many
 from metafab.cell.meep.deembedding import amplitudes
 from metafab.cell.meep.grid import family, plan
 from metafab.cell.response import CellNumerics, CellResponse, PillarCell
@@ -31,15 +30,6 @@ EMPTY = PillarCell(
     n_ambient=1.0 + 0j,
     wavelength_nm=800.0,
 )
-
-
-@pytest.fixture(scope="module")
-def pool() -> Iterator[Pool]:
-    """One worker for all tests of this file."""
-    if not any(candidate.found for candidate in find()):
-        pytest.skip("no interpreter with Meep")
-    with Pool(1, limit_s=600.0) as workers:
-        yield workers
 
 
 def _difference(a: CellResponse, b: CellResponse) -> float:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
-from metafab.cell.meep import Pool, find, solve_row
+from metafab.cell.meep import Pool, solve_row
 from metafab.cell.response import PillarCell
 from metafab.core.errors import InputError
 
@@ -24,15 +22,6 @@ CELL = PillarCell(
 )
 #: Coarse: the tests compare grids with themselves.
 PIXELS = 12
-
-
-@pytest.fixture(scope="module")
-def pool() -> Iterator[Pool]:
-    """One worker for all tests of this file."""
-    if not any(candidate.found for candidate in find()):
-        pytest.skip("no interpreter with Meep")
-    with Pool(1, limit_s=600.0) as workers:
-        yield workers
 
 
 @pytest.mark.meep
