@@ -182,7 +182,7 @@ def _field_interpolation_error(
     written: Psf, point_spread_of: Callable[..., Psf], source: optics.Source
 ) -> float | None:
     """Interpolated PSFs in the middle of an outermost cell of field points against computed ones."""
-    if written.field is None:
+    if written.field is None or min(written.field.tangent_x.size, written.field.tangent_y.size) == 1:
         return None
     middle = written.depth_m.size // 2
     t_x, t_y = (float(nodes[-2:].mean()) for nodes in (written.field.tangent_x, written.field.tangent_y))
@@ -216,7 +216,6 @@ def _psf(job: Job) -> dict[str, Any]:
     written = point_spread_of(
         source,
         depths_m=calibration_depths(design, imaging),
-        field_points=verify.field_points,
         field_tangents=optics.field_tangents(design, imaging),
     )
     save_psf(job, written, mask_paths(job)[-1], job.folder / "psf.h5")

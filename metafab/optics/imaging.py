@@ -139,11 +139,14 @@ def field_tangents(design: Design, imaging: Imaging) -> tuple[FloatArray, FloatA
     """Field points that span the scene's image: ``field_px`` = (rows, columns) about the axis.
 
     Returns:
-        (x/z, y/z) of shape (n,) each, n = ``verify.field_points``, ascending; one point means the axis alone.
+        (x/z, y/z) of shapes (n_x,) and (n_y,) = ``verify.field_points``, ascending; one point is the axis.
     """
-    count = design.verify.field_points
-    if count == 1:
-        return np.zeros(1), np.zeros(1)
     rows, columns = design.scene.field_px
-    half_x, half_y = (0.5 * n * imaging.pixel_um / imaging.sensor_distance_um for n in (columns, rows))
-    return np.linspace(-half_x, half_x, count), np.linspace(-half_y, half_y, count)
+    count_x, count_y = design.verify.field_points
+    return _axis(columns, count_x, imaging), _axis(rows, count_y, imaging)
+
+
+def _axis(pixels: int, count: int, imaging: Imaging) -> FloatArray:
+    """``count`` directions over ``pixels`` pixels about the axis; one alone is the axis."""
+    reach = 0.5 * pixels * imaging.pixel_um / imaging.sensor_distance_um if count > 1 else 0.0
+    return np.linspace(-reach, reach, count)

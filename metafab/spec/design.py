@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import Polarisation
 from metafab.spec.cell import UnitCell
 from metafab.spec.fields import CONFIG, Index, Name, NonNegative, Positive, Real, TargetError
 from metafab.spec.scene import Scene
+
+FieldPoints = Annotated[int, Field(strict=True, ge=1, le=65)]
 
 #: Largest PSF window a side; beyond it the work grows without telling more.
 MAX_WINDOW_PX = 2048
@@ -182,12 +184,20 @@ class Sensor:
 
 @dataclass(frozen=True, config=CONFIG)
 class Verify:
-    """At which depths the written file is simulated, on which window, at how many points across the field."""
+    """At which depths the written file is simulated, on which window, at how many field points.
+
+    ``field_points`` is [x, y], or one number for both; the pair changes fastest along the split.
+    """
 
     depths_m: tuple[Positive, ...]
     window_px: Annotated[int, Field(strict=True, ge=4, le=MAX_WINDOW_PX)] = 64
-    field_points: Annotated[int, Field(strict=True, ge=1, le=33)] = 5
+    field_points: tuple[FieldPoints, FieldPoints] = (5, 5)
     target_error: TargetError = 1e-3
+
+    @field_validator("field_points", mode="before")
+    @classmethod
+    def _both_axes(cls, value: object) -> object:
+        return (value, value) if isinstance(value, int) else value
 
     @model_validator(mode="after")
     def _increasing(self) -> Verify:

@@ -76,6 +76,6 @@ def test_field_tangents_span_the_images_rows_and_columns(small_design: Design) -
     imaging = Imaging.of(small_design)
     t_x, t_y = field_tangents(small_design, imaging)
     rows, columns = small_design.scene.field_px
-    assert t_x.size == t_y.size == small_design.verify.field_points
+    assert (t_x.size, t_y.size) == small_design.verify.field_points
     assert np.ptp(t_x) * imaging.sensor_distance_um == pytest.approx(columns * imaging.pixel_um)
     assert np.ptp(t_y) * imaging.sensor_distance_um == pytest.approx(rows * imaging.pixel_um)

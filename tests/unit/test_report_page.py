@@ -140,12 +140,13 @@ def test_a_missing_result_leaves_a_note(full_run: RunFolder, tmp_path: Path, mis
     assert text.rstrip().endswith("</html>")
 
 
-def test_an_empty_folder_gives_a_page(tmp_path: Path) -> None:
+def test_a_folder_without_results_gives_a_page_of_notes(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text("{}", encoding="utf-8")
     page = write(tmp_path)
     text = page.read_text(encoding="utf-8")
     assert page == tmp_path / "report.html"
     assert text.count('class="note"') >= 8
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["figures", "report.html"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["figures", "report.html", "summary.json"]
 
 
 def test_damaged_files_are_named(tmp_path: Path) -> None:
@@ -161,3 +162,5 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="run folder"):
         write(tmp_path / "nowhere")
+    with pytest.raises(InputError, match=r"without design\.toml"):
+        write(tmp_path)
