@@ -36,7 +36,9 @@ class Agreement:
     @property
     def correlation(self) -> FloatArray:
         """Normalised cross-correlation: blind to the polarisation contrast, 1 for equal twins without noise."""
-        return np.asarray(self.cross / np.sqrt(np.maximum(self.first * self.second, 1e-30)))
+        # Roots before the product: sums of squares of a bright frame are near the end of single precision.
+        norm = np.sqrt(np.maximum(self.first, 0.0)) * np.sqrt(np.maximum(self.second, 0.0))
+        return np.asarray(self.cross / np.maximum(norm, 1e-15))
 
 
 @dataclass(frozen=True)
