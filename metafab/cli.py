@@ -191,13 +191,13 @@ def layout_command(
     json_: Json = False,
 ) -> None:
     """Target phases to pillars to mask files."""
-    from metafab import mask, phase, steps
+    from metafab import mask, steps
     from metafab.core.measure import measured
 
     with _progress() as progress:
         job = _job(design, output, workers, cluster, progress)
         if plan:
-            _show(mask.plan(phase.profile_of(job.design), steps.open_library(job), job.design), json_)
+            _show(mask.plan(job.profile, steps.open_library(job), job.design), json_)
             return
         with measured() as cost:
             result = steps.write_layout(job)

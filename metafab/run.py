@@ -11,9 +11,10 @@ import json
 import platform
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from metafab import __version__
 from metafab.core.files import file_sha256, fingerprint, plain, whole_file, write_json
@@ -21,6 +22,9 @@ from metafab.core.measure import measured
 from metafab.core.progress import Progress, silent
 from metafab.core.provenance import code_sha256, contents_sha256
 from metafab.spec import Design, canonical_toml
+
+if TYPE_CHECKING:
+    from metafab.phase import PhaseProfile
 
 STEPS_FILE = "steps.json"
 _LIBRARIES = ("numpy", "scipy", "gdstk", "h5py", "shapely", "matplotlib", "pydantic", "numba", "klayout")
@@ -43,6 +47,13 @@ class Job:
     workers: int | None = None
     cluster: str | None = None
     progress: Progress = silent
+
+    @cached_property
+    def profile(self) -> PhaseProfile:
+        """The design's target phases, optimised once for all steps that need them."""
+        from metafab.phase import profile_of
+
+        return profile_of(self.design, progress=self.progress)
 
 
 @dataclass(frozen=True)

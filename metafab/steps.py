@@ -68,15 +68,13 @@ def _library(job: Job) -> dict[str, Any]:
 
 
 def _phase(job: Job) -> dict[str, Any]:
-    profile = phase.profile_of(job.design, progress=job.progress)
-    phase.save(profile, job.design, job.folder / "phase.h5")
-    return dict(profile.figures)
+    phase.save(job.profile, job.design, job.folder / "phase.h5")
+    return dict(job.profile.figures)
 
 
 def write_layout(job: Job) -> dict[str, Any]:
     """Map the target phases to pillars and write the mask files."""
-    profile = phase.profile_of(job.design, progress=job.progress)
-    assignment = layout.assign(profile, open_library(job), job.design, progress=job.progress)
+    assignment = layout.assign(job.profile, open_library(job), job.design, progress=job.progress)
     files = mask.write(assignment.pillars, job.folder, job.design, progress=job.progress)
     return {**assignment.figures, "files": [{"name": file.path.name, "bytes": file.bytes} for file in files]}
 
@@ -141,7 +139,7 @@ def mask_source(job: Job, path: Path) -> optics.Source:
 def ideal_source(job: Job) -> optics.Source:
     """What light the target phases would let through, without a mask."""
     lattice = layout.lattice_of(job.design)
-    return optics.ideal_field(phase.profile_of(job.design, progress=job.progress), lattice, job.design.device)
+    return optics.ideal_field(job.profile, lattice, job.design.device)
 
 
 def point_spread(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -98,8 +98,3 @@ def open_kind(path: Path, *, kind: str, format_version: int, remedy: str) -> Ite
             raise InputError.single(
                 str(path), "content", expected, f"an unreadable or missing dataset ({error})", remedy
             ) from error
-
-
-def provenance(file: h5py.File) -> Mapping[str, str]:
-    """The root attributes that say where a file came from."""
-    return {str(key): str(value) for key, value in file.attrs.items()}

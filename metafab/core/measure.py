@@ -21,12 +21,10 @@ class Cost:
     Attributes:
         seconds: wall clock.
         peak_rss_mb: largest resident set of this process inside the block (on Linux; elsewhere since its start).
-        worker_peak_rss_mb: largest resident set of any worker process that has ended so far.
     """
 
     seconds: float = 0.0
     peak_rss_mb: float = 0.0
-    worker_peak_rss_mb: float = 0.0
 
 
 @contextmanager
@@ -40,7 +38,6 @@ def measured() -> Iterator[Cost]:
     finally:
         cost.seconds = time.perf_counter() - start
         cost.peak_rss_mb = peak_rss_mb()
-        cost.worker_peak_rss_mb = _megabytes(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 
 
 def peak_rss_mb() -> float:
