@@ -13,7 +13,7 @@ import h5py
 import numpy as np
 import pytest
 
-from metafab.cli import _spread_depths
+from metafab.cli.arguments import spread_depths
 from tests.conftest import MainJob
 from tests.main_job import ROOT, SMALL, UNIT_CELL, metafab
 
@@ -249,6 +249,6 @@ def test_an_interrupted_run_leaves_no_half_written_file(tmp_path: Path, number: 
 
 def test_depths_may_stand_in_any_of_three_ways() -> None:
     wanted = ["--depths-m", "0.25", "--depths-m", "0.3", "--json"]
-    assert _spread_depths(["--depths-m", "0.25", "0.3", "--json"]) == wanted
-    assert _spread_depths(["--depths-m", "0.25,0.3", "--json"]) == wanted
-    assert _spread_depths(["--depths-m=0.25", "--depths-m", "0.3", "--json"]) == wanted
+    assert spread_depths(["--depths-m", "0.25", "0.3", "--json"]) == wanted
+    assert spread_depths(["--depths-m", "0.25,0.3", "--json"]) == wanted
+    assert spread_depths(["--depths-m=0.25", "--depths-m", "0.3", "--json"]) == wanted

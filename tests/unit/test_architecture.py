@@ -21,8 +21,8 @@ DOORS = {
     "matplotlib": "report/",
     "klayout": "drc/",
     "meep": "cell/meep_worker.py",
-    "typer": "cli.py",
-    "rich": "cli.py",
+    "typer": "cli/",
+    "rich": "cli/",
 }
 
 #: Upward imports that are allowed, each with its reason.

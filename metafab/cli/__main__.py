@@ -1,0 +1,5 @@
+"""``python -m metafab.cli`` is ``metafab``."""
+
+from metafab.cli import main
+
+main()

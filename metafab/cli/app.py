@@ -1,0 +1,59 @@
+"""The program itself, and the options that several commands take."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from metafab.core.errors import InputError
+
+if TYPE_CHECKING:
+    from metafab.core.progress import Progress
+    from metafab.run import Job
+    from metafab.spec import Design
+
+HELP = {"help_option_names": ["-h", "--help"]}
+app = typer.Typer(
+    help="From unit cell to mask to decoded image.",
+    context_settings=HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+library_app = typer.Typer(
+    help="Build, check and show phase libraries.", context_settings=HELP, no_args_is_help=True, rich_markup_mode=None
+)
+app.add_typer(library_app, name="library")
+
+DesignFile = Annotated[Path, typer.Argument(metavar="DESIGN.toml", help="Design file.")]
+DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN.toml", help="Design file.")]
+UnitCellFile = Annotated[Path, typer.Argument(metavar="UNITCELL.toml", help="Unit-cell file.")]
+LayoutFile = Annotated[Path, typer.Argument(metavar="LAYOUT", help="Written mask, .gds or .oas.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="PATH", help="Where the result goes.")]
+Workers = Annotated[int | None, typer.Option("--workers", min=1, metavar="N", help="Processes [default: the cores].")]
+Cluster = Annotated[str | None, typer.Option("--cluster", metavar="ADDRESS", help="Dask scheduler to use instead.")]
+TargetError = Annotated[
+    float | None,
+    typer.Option("--target-error", metavar="E", help="Largest error wanted.", min=1e-12, max=0.999),
+]
+
+
+def open_job(design: Path, folder: Path | None, workers: int | None, cluster: str | None, progress: Progress) -> Job:
+    """The job of a design file, in ``folder`` or in ``runs/NAME``."""
+    from metafab.run import Job
+    from metafab.spec import load_design
+
+    spec: Design = load_design(design)
+    return Job(spec, folder or Path("runs") / spec.name, workers, cluster, progress)
+
+
+def require_positive(option: str, *values: float) -> None:
+    """Refuse zero, negative, NaN and infinite values of an option."""
+    for value in values:
+        if not 0.0 < value < math.inf:
+            raise InputError.single(option, option.removeprefix("--"), "a number above zero", f"{value:g}")

@@ -1,0 +1,45 @@
+"""The entry point: errors and interrupts become one clear message and an exit code."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from typing import TYPE_CHECKING, NoReturn
+
+from metafab.cli.app import app
+from metafab.cli.arguments import spread_depths
+from metafab.core.errors import MetafabError
+
+# Each adds its commands, in the order that --help shows.
+# isort: off
+from metafab.cli import whole, cell, mask, light, showing  # noqa: F401
+
+# isort: on
+
+if TYPE_CHECKING:
+    from types import FrameType
+
+
+class _InterruptedError(BaseException):
+    """Ctrl-C or SIGTERM: unwinds everything, so that half-written files are removed; nobody swallows it."""
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    raise _InterruptedError
+
+
+def main() -> None:
+    """Run the command line and translate errors into one clear message and an exit code."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
+    try:
+        app(spread_depths(sys.argv[1:]))
+    except MetafabError as error:
+        print(f"metafab: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except _InterruptedError:
+        print("metafab: interrupted; nothing half-written was left behind", file=sys.stderr)
+        sys.exit(1)
+    except (OSError, MemoryError) as error:
+        print(f"metafab: {type(error).__name__}: {error}", file=sys.stderr)
+        sys.exit(1)

@@ -1,0 +1,95 @@
+"""Light: point-spread functions, raw frame, decoded image."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from metafab.cli.app import DesignOption, Json, Output, TargetError, app, open_job, require_positive
+from metafab.cli.console import progress_bars, show
+from metafab.core.errors import InputError
+
+
+@app.command("psf")
+def psf_command(
+    design: DesignOption,
+    layout: Annotated[Path | None, typer.Argument(metavar="LAYOUT", help="Written mask, .gds or .oas.")] = None,
+    ideal: Annotated[bool, typer.Option("--ideal", help="The target phases, without a mask.")] = False,
+    depths_m: Annotated[
+        list[float] | None, typer.Option(metavar="Z ...", help="Object depths [default: the design's].")
+    ] = None,
+    object_mm: Annotated[
+        tuple[float, float] | None, typer.Option(metavar="X Y", help="Object's place beside the axis.")
+    ] = None,
+    pixel_um: Annotated[float | None, typer.Option(metavar="P", help="Sampling step [default: the sensor's].")] = None,
+    window_px: Annotated[
+        int | None, typer.Option(min=4, max=2048, metavar="N", help="Window [default: the design's].")
+    ] = None,
+    target_error: TargetError = None,
+    output: Output = None,
+    json_: Json = False,
+) -> None:
+    """PSF pair of a written mask over depth."""
+    from metafab import steps
+    from metafab.core.measure import measured
+
+    if ideal == (layout is not None):
+        raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
+    require_positive("--depths-m", *(depths_m or ()))
+    require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
+    with progress_bars() as progress, measured() as cost:
+        job = open_job(design, None, None, None, progress)
+        verify = job.design.verify
+        result = steps.point_spread(
+            job,
+            layout,
+            depths_m=tuple(sorted(set(depths_m))) if depths_m else verify.depths_m,
+            object_mm=object_mm or (0.0, 0.0),
+            pixel_um=pixel_um,
+            window_px=verify.window_px if window_px is None else window_px,
+            target_error=verify.target_error if target_error is None else target_error,
+        )
+    if output is not None:
+        steps.save_psf(job, result, layout, output)
+    show({**steps.psf_figures(result), "seconds": cost.seconds, "file": output}, json_)
+
+
+@app.command("capture")
+def capture_command(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file, or a design with a scene.")],
+    psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="PSF pair over depth.")],
+    output: Output = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the noise [default: the scene's].")] = None,
+    json_: Json = False,
+) -> None:
+    """Raw frame of a scene."""
+    from metafab import steps
+    from metafab.core.measure import measured
+    from metafab.spec import load_scene
+
+    path = output or Path("raw.h5")
+    with progress_bars() as progress, measured() as cost:
+        frame = steps.expose(load_scene(scene), psf, path, seed=seed, progress=progress)
+    shape, photons = frame.frame.shape, float(frame.frame.sum())
+    show({"shape": shape, "photons": photons, "seconds": cost.seconds, "file": path}, json_)
+
+
+@app.command("decode")
+def decode_command(
+    raw: Annotated[Path, typer.Argument(metavar="RAW", help="Raw frame: .h5, .tif, .png or .npy.")],
+    psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="Calibration.")],
+    output: Output = None,
+    json_: Json = False,
+) -> None:
+    """4D image of a raw frame: both intensities, contrast and depth."""
+    from metafab import steps
+
+    path = output or Path("decoded.h5")
+    with progress_bars() as progress:
+        image = steps.restore(raw, psf, path, progress=progress)
+    figures = {**image.details, "segments": image.segments, "file": path}
+    if image.nmae is not None:
+        figures["nmae"] = image.nmae
+    show(figures, json_)

@@ -1,0 +1,51 @@
+"""Showing: the report, the benchmarks, what is installed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from metafab.cli.app import Json, Output, app
+from metafab.cli.console import progress_bars, show
+
+
+@app.command("report")
+def report_command(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Run folder.")], json_: Json = False
+) -> None:
+    """Make the HTML page of a run folder again."""
+    from metafab import report
+
+    with progress_bars() as progress:
+        path = report.write(folder, progress=progress)
+    show({"file": path}, json_)
+
+
+@app.command("benchmark")
+def benchmark_command(
+    room: Annotated[str, typer.Argument(help="cell, library, layout, drc, psf, decode, or all.")] = "all",
+    output: Output = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
+    json_: Json = False,
+) -> None:
+    """Error against time and memory: table, plot and JSON."""
+    from metafab import report
+    from metafab.benchmark import rows_of
+
+    with progress_bars() as progress:
+        rows = rows_of(room, quick=quick, progress=progress)
+    page = report.benchmark_page(rows, output or Path("runs") / "benchmark" / room)
+    show({"rows": rows, "files": page}, json_)
+
+
+@app.command("doctor")
+def doctor_command(json_: Json = False) -> None:
+    """What is installed, which Meep was found where, and a short self-test."""
+    from metafab.doctor import examine
+
+    findings = examine()
+    show(findings, json_)
+    if not all(findings["self_test"].values()):
+        raise typer.Exit(1)
