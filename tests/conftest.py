@@ -16,6 +16,9 @@ from tests.main_job import SMALL, Answer, metafab
 
 ROOT = Path(__file__).parent.parent
 
+# Tests neither use nor leave finished FDTD runs among the user's caches.
+os.environ["METAFAB_MEEP_JOBS"] = ""
+
 # The first call of a compiled kernel takes seconds; wall clock is no property of correctness.
 # In CI the same examples every time: new ones are found where people work, not while a change lands.
 settings.register_profile("metafab", deadline=None, derandomize="CI" in os.environ)

@@ -190,6 +190,7 @@ class _KnownAnswers(Pool):
             "incident": np.array([near, 0.0]),
             "tail": np.array(self.tail),
             "time": np.array([10.0]),
+            "seconds": np.array(0.5),
         }
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from metafab.cell.meep import Pool, finding
+from metafab.cell.meep.kept import own_folder
 from metafab.cell.meep.protocol import Job, Worker
 from metafab.core.errors import MissingToolError, SolverError
 
@@ -210,6 +211,65 @@ def test_a_pool_streams_over_several_workers_and_ends_them_on_failure(fake: Fake
     with Pool(2, command=fake(behaviour)) as pool, pytest.raises(SolverError):
         list(pool.stream(lambda n: pool.run(_job(n)), [4, 2]))
     assert time.monotonic() - start < 60.0, "nobody waits for the sleeping worker"
+
+
+def _jobs_run(pool: Pool, *jobs: Job) -> tuple[list[int], int]:
+    """The workers' processes that answered, and how many files are kept by then."""
+    answers = [int(pool.run(job)["answer"][1]) for job in jobs]
+    assert pool._keep is not None
+    return answers, len(list(pool._keep.iterdir()))
+
+
+def test_a_finished_job_is_kept_and_not_run_again(fake: Fake, tmp_path: Path) -> None:
+    command, folder = fake(_HONEST), tmp_path / "kept"
+    with Pool(1, command=command, keep=folder) as pool:
+        first, files = _jobs_run(pool, _job(4), _job(6), _job(4))
+        assert files == 2
+    # A later process has another worker; the answers are those of the first.
+    with Pool(1, command=command, keep=folder) as pool:
+        again, files = _jobs_run(pool, _job(4), _job(6))
+        assert not pool._all, "no worker was started"
+        assert again == first[:2]
+        new, files = _jobs_run(pool, _job(8))
+    assert files == 3
+    assert new[0] not in first
+    with Pool(1, command=[*command, "another version"], keep=folder) as pool:
+        other, _ = _jobs_run(pool, _job(4))
+    assert other[0] not in {*first, *new}
+
+
+def test_a_kill_leaves_the_finished_jobs_and_a_damaged_one_is_run_again(fake: Fake, tmp_path: Path) -> None:
+    behaviour = """
+        if job["n_x"] == 6 and not os.path.exists(sys.argv[0] + ".second"):
+            open(sys.argv[0] + ".second", "w").close()
+            os._exit(9)
+        say(id=name, done=True, seconds=0.0)
+    """
+    command, folder = fake(behaviour), tmp_path / "kept"
+    with Pool(1, command=command, keep=folder) as pool:
+        before, _ = _jobs_run(pool, _job(4))
+        with pytest.raises(SolverError, match="died"):
+            pool.run(_job(6))
+        after, files = _jobs_run(pool, _job(4), _job(6))
+        assert after[0] == before[0]
+        assert files == 2
+    for path in folder.iterdir():
+        path.write_bytes(path.read_bytes()[:100])
+    with Pool(1, command=command, keep=folder) as pool:
+        again, files = _jobs_run(pool, _job(4))
+        assert again[0] != before[0]
+        assert files == 2
+        assert _jobs_run(pool, _job(4))[0] == again
+
+
+def test_where_finished_jobs_are_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("METAFAB_MEEP_JOBS", str(tmp_path))
+    assert own_folder() == tmp_path
+    monkeypatch.setenv("METAFAB_MEEP_JOBS", "")
+    assert own_folder() is None
+    monkeypatch.delenv("METAFAB_MEEP_JOBS")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    assert own_folder() == tmp_path / "caches" / "metafab" / "meep"
 
 
 def _interpreter(tmp_path: Path, meep: str | None) -> Path:

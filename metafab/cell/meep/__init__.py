@@ -3,6 +3,7 @@
 - ``finding``        which interpreter has the FDTD Meep, proved by a probe; what to install
 - ``protocol``       one worker process: jobs, time limits, a sure end
 - ``pool``           long-lived workers, one a core
+- ``kept``           finished runs on disk by content hash, so that nothing is run twice
 - ``coordinates``    stretched axes that put every wall on nodes of the grid
 - ``grid``           a cell on such axes -> the worker's job
 - ``deembedding``    recorded fields -> t and r in the planes of the conventions

@@ -1,17 +1,24 @@
-"""Long-lived workers, one a core, replaced before their memory grows."""
+"""Long-lived workers, one a core, replaced before their memory grows; what they finished is not run again."""
 
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from functools import cache
 from multiprocessing.util import Finalize
+from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
+from metafab.cell.meep import finding
+from metafab.cell.meep.kept import KeptReplies, own_folder
 from metafab.cell.meep.protocol import Job, Reply, Worker
 from metafab.core.errors import InputError
 from metafab.core.executor import default_workers
+from metafab.core.files import file_sha256
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -27,6 +34,7 @@ class Pool:
         command: the worker's program; by default the first interpreter that has Meep.
         jobs_per_worker: a worker is replaced after so many jobs, as Meep does not give back all of its memory.
         limit_s: time limit of one job.
+        keep: folder of finished jobs; an equal job, this process' or an earlier one's, is answered from it.
     """
 
     def __init__(
@@ -36,6 +44,7 @@ class Pool:
         command: Sequence[str] | None = None,
         jobs_per_worker: int = 64,
         limit_s: float = 3600.0,
+        keep: Path | None = None,
     ) -> None:
         self.size = default_workers() if workers is None else workers
         if self.size < 1:
@@ -43,24 +52,37 @@ class Pool:
         self._command = command
         self._jobs_per_worker = jobs_per_worker
         self._limit_s = limit_s
+        self._keep = keep
+        self._kept: KeptReplies | None = None
         self._slots = threading.BoundedSemaphore(self.size)
         self._lock = threading.Lock()
         self._idle: list[Worker] = []
         self._all: set[Worker] = set()
 
     def run(self, job: Job, report: Callable[[float], None] | None = None) -> Reply:
-        """Run one job on a free worker, waiting for one if need be.
+        """Run one job on a free worker, waiting for one if need be, unless its reply was kept.
+
+        Returns:
+            The worker's arrays, and ``seconds``, what the run took when it was made.
 
         Raises:
             SolverError: as :meth:`Worker.run`.
             MissingToolError: no interpreter has Meep.
         """
         with self._slots:
+            kept = self._replies()
+            if kept is not None and (known := kept.find(job)) is not None:
+                return known
             worker = self._take()
+            start = time.perf_counter()
             try:
-                return worker.run(job, limit_s=self._limit_s, report=report)
+                reply = worker.run(job, limit_s=self._limit_s, report=report)
             finally:
                 self._give(worker)
+            reply["seconds"] = np.array(time.perf_counter() - start)
+            if kept is not None:
+                kept.keep(job, reply)
+            return reply
 
     def stream(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[tuple[Item, Result]]:
         """Apply ``function``, which calls :meth:`run`, to each item, as many at once as there are workers.
@@ -96,6 +118,15 @@ class Pool:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _replies(self) -> KeptReplies | None:
+        if self._keep is None:
+            return None
+        with self._lock:
+            if self._kept is None:
+                program = finding.best().version if self._command is None else " ".join(self._command)
+                self._kept = KeptReplies(self._keep, f"{program} {file_sha256(finding.WORKER)}")
+            return self._kept
+
     def _take(self) -> Worker:
         with self._lock:
             if self._idle:
@@ -116,8 +147,11 @@ class Pool:
 
 @cache
 def own_pool() -> Pool:
-    """The one worker of this process, for cells that are solved one by one; it ends with the process."""
-    pool = Pool(1)
+    """The one worker of this process, for cells that are solved one by one; it ends with the process.
+
+    It keeps what it finished in :func:`metafab.cell.meep.kept.own_folder`.
+    """
+    pool = Pool(1, keep=own_folder())
     # Unlike atexit, this also runs at the end of a process that multiprocessing started.
     Finalize(None, pool.close, exitpriority=100)
     return pool

@@ -71,7 +71,7 @@ def solve(
     grids = family(cell)
     pixels: list[float] = []
     values: list[ComplexArray] = []
-    tail = simulated = 0.0
+    tail = simulated = spent = 0.0
     for member in settings.members:
         found = []
         for polarisation in polarisations:
@@ -92,12 +92,13 @@ def solve(
             found.append(amplitudes(run, reply["limit"][:, 0, 0], reply["incident"]))
             tail = max(tail, float(reply["tail"]))
             simulated = max(simulated, float(reply["time"][-1]))
+            spent += float(reply["seconds"])
         pixels.append(run.job.pixel_um)
         values.append(np.array(found).T.ravel())
         if len(pixels) == 1:
             continue
         best = richardson(pixels, values)
-        error = best.error + best.gain * tail
+        error = float(best.error + best.gain * tail)
         if len(pixels) > 2 and error <= numerics.target_error:
             break
     t, r = best.value.reshape(2, -1)
@@ -113,9 +114,10 @@ def solve(
         details={
             "grids": float(len(pixels)),
             "pixels_per_period": float(run.job.n_x),
-            "error_resolution": best.error,
+            "error_resolution": float(best.error),
             "error_decay": best.gain * tail,
             "last_correction": float(np.max(np.abs(best.value - values[-1]))),
+            "fdtd_seconds": spent,
             "simulated_optical_periods": simulated / (cell.wavelength_nm * 1e-3),
         },
     )
