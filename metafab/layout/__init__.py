@@ -4,7 +4,8 @@
 - ``geometry``  a design's lattice, write fields and tiles in whole database units
 - ``aperture``  which sites carry a pillar
 - ``gaps``      distances between neighbours, diagonals included
-- ``mapping``   one tile: the best sizes and how well they do
+- ``figures``   how well chosen sizes follow their targets
+- ``mapping``   one tile: the best sizes
 - ``assign``    the whole lens
 
 In: a PhaseProfile, a Library and a Design. Out: an Assignment, the PillarMap and its figures.

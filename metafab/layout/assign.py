@@ -16,8 +16,9 @@ from metafab.core.conventions import power_transmittance
 from metafab.core.executor import default_workers, in_order
 from metafab.core.progress import Progress, silent
 from metafab.layout.aperture import Aperture
+from metafab.layout.figures import TileFigures
 from metafab.layout.geometry import tile_sites
-from metafab.layout.mapping import Mapping, TileFigures
+from metafab.layout.mapping import Mapping
 from metafab.layout.pillars import PillarMap, PillarTile
 from metafab.library import Library, SizeTable, build_size_table, global_offsets
 from metafab.phase.profile import PhaseProfile

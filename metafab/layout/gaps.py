@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.conventions import FloatArray
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.layout.pillars import Lattice, SizeIndexArray
 
@@ -61,9 +62,15 @@ def smallest_gap(
     if not HAS_NUMBA:
         return smallest_gap_vectorised(size_index, size_dbu, lattice, limit_dbu, rows)
     found = np.empty((LISTED, 2), dtype=np.int64)
-    square, below, overlapping = _scan(
-        np.ascontiguousarray(size_index), size_dbu.astype(np.int64), *lattice.period_dbu, limit_dbu, rows, found
+    block, size, limit_square = (
+        np.ascontiguousarray(size_index),
+        size_dbu.astype(np.float64),
+        limit_dbu * abs(limit_dbu),
     )
+    square = float(_smallest_square(block, size, *lattice.period_dbu, rows))
+    below, overlapping = 0, 0
+    if square < limit_square:
+        below, overlapping = _list_below(block, size, *lattice.period_dbu, limit_square, rows, found)
     listed = min(below, LISTED)
     return Gaps(_signed_root(square), below, overlapping, found[:listed, 0], found[:listed, 1])
 
@@ -105,18 +112,61 @@ def _signed_root(square: float) -> float:
 
 
 @compiled
-def _scan(
+def _square(gap_x: float, gap_y: float) -> float:
+    """As :func:`_signed_square`, of one pair."""
+    depth = max(gap_x, gap_y)
+    return -depth * depth if depth < 0.0 else max(gap_x, 0.0) * max(gap_x, 0.0) + max(gap_y, 0.0) * max(gap_y, 0.0)
+
+
+@compiled
+def _smallest_square(size_index: SizeIndexArray, size_dbu: FloatArray, p_x: int, p_y: int, rows: int) -> float:
+    """Smallest signed square over all pairs; columns keep their own minimum, so that a row is vectorised.
+
+    Sites without a pillar get a size of minus infinity, infinitely far from every neighbour.
+    """
+    n_y, n_x = size_index.shape
+    smallest = np.full(n_x, np.inf)
+    width, length = np.empty((2, n_x)), np.empty((2, n_x))
+    for row in range(min(rows + 1, n_y)):
+        here, above = (row + 1) % 2, row % 2  # `here` is the row before, `above` the one that is read now
+        for column in range(n_x):
+            size = size_index[row, column]
+            width[above, column] = 0.5 * size_dbu[size, 0] if size > 0 else -np.inf
+            length[above, column] = 0.5 * size_dbu[size, 1] if size > 0 else -np.inf
+        if row > 0:
+            for column in range(n_x):
+                gap_x = -width[here, column] - width[above, column]
+                gap_y = p_y - length[here, column] - length[above, column]
+                smallest[column] = min(smallest[column], _square(gap_x, gap_y))
+            for column in range(n_x - 1):
+                gap_x = p_x - width[here, column] - width[above, column + 1]
+                gap_y = p_y - length[here, column] - length[above, column + 1]
+                smallest[column] = min(smallest[column], _square(gap_x, gap_y))
+            for column in range(n_x - 1):
+                gap_x = p_x - width[here, column + 1] - width[above, column]
+                gap_y = p_y - length[here, column + 1] - length[above, column]
+                smallest[column] = min(smallest[column], _square(gap_x, gap_y))
+        if row < rows:
+            for column in range(n_x - 1):
+                gap_x = p_x - width[above, column] - width[above, column + 1]
+                gap_y = -length[above, column] - length[above, column + 1]
+                smallest[column] = min(smallest[column], _square(gap_x, gap_y))
+    return smallest.min() if n_x > 0 else np.inf
+
+
+@compiled
+def _list_below(
     size_index: SizeIndexArray,
-    size_dbu: NDArray[np.int64],
+    size_dbu: FloatArray,
     p_x: int,
     p_y: int,
-    limit: float,
+    limit_square: float,
     rows: int,
     found: NDArray[np.int64],
-) -> tuple[float, int, int]:
+) -> tuple[int, int]:
+    """Pairs below the limit and how many of them touch; the first are listed in ``found``."""
     n_y, n_x = size_index.shape
-    limit_square = limit * abs(limit)
-    smallest, count, overlapping = np.inf, 0, 0
+    count, overlapping = 0, 0
     for row in range(rows):
         for column in range(n_x):
             here = size_index[row, column]
@@ -132,13 +182,11 @@ def _scan(
                     continue
                 gap_x = abs(right) * p_x - 0.5 * (size_dbu[here, 0] + size_dbu[there, 0])
                 gap_y = down * p_y - 0.5 * (size_dbu[here, 1] + size_dbu[there, 1])
-                depth = max(gap_x, gap_y)
-                square = -depth * depth if depth < 0.0 else max(gap_x, 0.0) ** 2 + max(gap_y, 0.0) ** 2
-                smallest = min(smallest, square)
+                square = _square(gap_x, gap_y)
                 if square < limit_square:
                     if count < len(found):
                         found[count, 0] = row * n_x + column
                         found[count, 1] = pair
                     count += 1
                     overlapping += square <= 0.0
-    return smallest, count, overlapping
+    return count, overlapping

@@ -19,11 +19,16 @@ from scipy.spatial import cKDTree
 
 from metafab.core.conventions import ComplexArray, FloatArray, wrap_phase
 from metafab.core.errors import Fault, InputError
+from metafab.core.executor import default_workers
+from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.library.library import Library
 from metafab.materials import refractive_index
 from metafab.spec.cell import UnitCell
 
 _LARGEST_INDEX = np.iinfo(np.uint16).max
+
+# Rows of the table that are searched by all threads at once.
+_ROWS_AT_ONCE = 64
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,13 @@ class SizeTable:
         Returns:
             The broadcast shape, indices into ``size_dbu``.
         """
-        return self.size_index[self._cell(phase_y_rad), self._cell(phase_x_rad)]
+        phase_x, phase_y = np.broadcast_arrays(phase_x_rad, phase_y_rad)
+        if not HAS_NUMBA or phase_x.ndim == 0:
+            return self.size_index[self._cell(phase_y), self._cell(phase_x)]
+        wanted = [np.ascontiguousarray(phase, dtype=np.float64) for phase in (phase_x, phase_y)]
+        sizes = np.empty(phase_x.shape, dtype=np.uint16)
+        _look_up(wanted[0].ravel(), wanted[1].ravel(), self.size_index, sizes.ravel())
+        return sizes
 
     def phase_error_rad(
         self, size_index: NDArray[np.uint16], phase_x_rad: ArrayLike, phase_y_rad: ArrayLike
@@ -81,6 +92,18 @@ class SizeTable:
         """Nearest cell of a phase; the number of cells is a power of two, so a mask wraps the index."""
         scaled = np.multiply(phase_rad, self.cells / (2.0 * math.pi), dtype=np.float64)
         return np.rint(scaled).astype(np.int64) & (self.cells - 1)
+
+
+@compiled
+def _look_up(
+    phase_x_rad: FloatArray, phase_y_rad: FloatArray, size_index: NDArray[np.uint16], out: NDArray[np.uint16]
+) -> None:
+    """Nearest cell of each pair, as :meth:`SizeTable.sizes_for` without numba finds it."""
+    per_radian = len(size_index) / (2.0 * math.pi)
+    wrap = len(size_index) - 1
+    for i in range(out.size):
+        row = np.int64(np.rint(phase_y_rad[i] * per_radian)) & wrap
+        out[i] = size_index[row, np.int64(np.rint(phase_x_rad[i] * per_radian)) & wrap]
 
 
 def build_size_table(
@@ -242,9 +265,9 @@ def best_overlap(t: ComplexArray, cells: int) -> tuple[NDArray[np.uint16], Float
     cosine, sine = np.cos(phase), np.sin(phase)
     index = np.empty((cells, cells), dtype=np.uint16)
     overlap = np.empty((cells, cells))
-    for row in range(cells):
-        wanted = (cosine, sine, np.full(cells, cosine[row]), np.full(cells, sine[row]))
-        _, best = tree.query(np.stack([*wanted, np.zeros(cells)], axis=-1))
-        index[row] = best + 1
-        overlap[row] = sum(u[best, axis] * part for axis, part in enumerate(wanted))
+    for rows in np.array_split(np.arange(cells), -(-cells // _ROWS_AT_ONCE)):
+        wanted = np.broadcast_arrays(cosine, sine, cosine[rows, None], sine[rows, None])
+        _, best = tree.query(np.stack([*wanted, np.zeros((rows.size, cells))], axis=-1), workers=default_workers())
+        index[rows] = best + 1
+        overlap[rows] = sum(u[best, axis] * part for axis, part in enumerate(wanted))
     return index, overlap

@@ -17,7 +17,7 @@ def angle(values: ComplexArray) -> FloatArray:
     if not HAS_NUMBA:
         return np.asarray(np.angle(values), dtype=np.float64)
     out = np.empty(values.shape)
-    _angles(np.ascontiguousarray(values.real).ravel(), np.ascontiguousarray(values.imag).ravel(), out.ravel())
+    _angles(np.ascontiguousarray(values).ravel(), out.ravel())
     return out
 
 
@@ -35,10 +35,11 @@ _COEFFICIENTS = _coefficients()
 
 
 @compiled
-def _angles(real: FloatArray, imag: FloatArray, out: FloatArray) -> None:
+def _angles(values: ComplexArray, out: FloatArray) -> None:
     c = _COEFFICIENTS
-    for i in range(real.size):
-        across, along = abs(real[i]), abs(imag[i])
+    for i in range(out.size):
+        real, imag = values[i].real, values[i].imag
+        across, along = abs(real), abs(imag)
         # The smallest normal number keeps 0 / 0 out, and is lost in anything else.
         ratio = min(across, along) / (max(across, along) + 2.3e-308)
         q = ratio * ratio
@@ -49,6 +50,6 @@ def _angles(real: FloatArray, imag: FloatArray, out: FloatArray) -> None:
         turn = tail * ratio
         if along > across:
             turn = 0.5 * np.pi - turn
-        if real[i] < 0.0:
+        if real < 0.0:
             turn = np.pi - turn
-        out[i] = turn if imag[i] >= 0.0 else -turn
+        out[i] = turn if imag >= 0.0 else -turn

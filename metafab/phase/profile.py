@@ -39,8 +39,12 @@ class PhaseProfile:
         Returns:
             Shape (2, n_y, n_x), radians, not wrapped; first axis x and y polarisation.
         """
-        total = np.zeros((2, y_um.size, x_um.size))
+        if not self.terms:  # A lens alone, without its carrier.
+            return np.zeros((2, y_um.size, x_um.size))
+        total = np.empty((2, y_um.size, x_um.size))
+        first, *others = self.terms
         for index, polarisation in enumerate(POLARISATIONS):
-            for term in self.terms:
+            total[index] = first(x_um, y_um, polarisation)
+            for term in others:
                 total[index] += term(x_um, y_um, polarisation)
         return total

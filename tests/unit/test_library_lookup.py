@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from metafab.core.errors import InputError
 from metafab.library import Library, SizeTable, build_size_table, global_offsets
@@ -158,3 +159,15 @@ def test_phase_error_is_wrapped(table: SizeTable) -> None:
     assert np.all(np.abs(error) <= math.pi)
     # The fixture covers the torus, so a target is reached to within the size grid and a cell of 64.
     assert np.sqrt(np.mean(error**2)) < 0.2
+
+
+@given(
+    arrays(np.float64, (5, 7), elements=st.floats(-1e5, 1e5)),
+    arrays(np.float64, 7, elements=st.floats(-10.0, 10.0)),
+)
+def test_compiled_and_vectorised_look_up_agree(table: SizeTable, phase_x: np.ndarray, phase_y: np.ndarray) -> None:
+    """Also with shapes that broadcast; the compiled form must not differ in a single cell."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("metafab.library.lookup.HAS_NUMBA", False)
+        vectorised = table.sizes_for(phase_x, phase_y)
+    assert np.array_equal(table.sizes_for(phase_x, phase_y), vectorised)
