@@ -167,6 +167,7 @@ class _State:
     def bring_up_to_date(self, step: Step) -> None:
         """Do a step unless it stands or has no point; its record is on disk before the next one begins."""
         if why := step.pointless(self.job.design):
+            self.forget(step)
             self.skipped.append({"step": step.name, "why": why})
             return
         if self.stands(step):
@@ -180,6 +181,14 @@ class _State:
             )
             write_json(self.job.folder / STEPS_FILE, self.records)
         self.used[step.name] = self.records[step.name]
+
+    def forget(self, step: Step) -> None:
+        """Remove what an earlier variant of the design left of a step: the page would show it."""
+        record = self.records.pop(step.name, None)
+        if record is not None:
+            for name in record.outputs:
+                (self.job.folder / name).unlink(missing_ok=True)
+            write_json(self.job.folder / STEPS_FILE, self.records)
 
     def stands(self, step: Step) -> bool:
         """Whether an earlier run's record of the step still holds."""

@@ -104,9 +104,10 @@ def _drc(job: Job) -> dict[str, Any]:
 
 
 def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
-    """Depths of the PSF stack: the verified ones, and nodes that carry the scene's range by interpolation."""
-    depths = [*design.verify.depths_m, *(item.depth_m for item in design.scene.objects)]
-    near, far = 1.0 / min(depths), 1.0 / max(depths)
+    """Depths of the PSF stack: the verified ones, and nodes that carry a scene's range by interpolation."""
+    if design.scene is None:
+        return design.verify.depths_m
+    near, far = 1.0 / design.depths_m[0], 1.0 / design.depths_m[-1]
     margin = max(DEPTH_MARGIN * (near - far), SMALLEST_MARGIN * near)
     nodes = optics.depth_nodes(imaging, 1.0 / (near + margin), 1.0 / (far - margin), design.verify.target_error)
     return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
@@ -176,6 +177,14 @@ def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path) -> None:
     optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, asked))
 
 
+def _depth_interpolation_error(written: Psf, shown: np.ndarray) -> float | None:
+    """PSFs at the shown depths interpolated from the others, against the computed ones."""
+    if shown.all():
+        return None
+    interpolated = optics.at_depths(optics.without_depths(written, shown), written.depth_m[shown])
+    return optics.relative_l2(interpolated, written.psf[:, shown])
+
+
 def _field_interpolation_error(
     written: Psf, point_spread_of: Callable[..., Psf], source: optics.Source
 ) -> float | None:
@@ -220,11 +229,10 @@ def _psf(job: Job) -> dict[str, Any]:
     ideal = point_spread_of(ideal_source(job), depths_m=verify.depths_m)
     save_psf(job, ideal, None, job.folder / "ideal_psf.h5")
     shown = np.isin(written.depth_m, verify.depths_m)
-    interpolated = optics.at_depths(optics.without_depths(written, shown), written.depth_m[shown])
     return {
         **{name: value[shown] for name, value in psf_figures(written).items()},
         **{f"ideal_{name}": value for name, value in psf_figures(ideal).items() if name != "depth_m"},
-        "depth_interpolation_error": optics.relative_l2(interpolated, written.psf[:, shown]),
+        "depth_interpolation_error": _depth_interpolation_error(written, shown),
         "field_interpolation_error": _field_interpolation_error(written, point_spread_of, source),
         "depths": written.depth_m.size,
         **written.details,
@@ -252,6 +260,7 @@ def restore(raw_path: Path, psf_path: Path, path: Path, *, progress: Progress = 
 
 
 def _capture(job: Job) -> dict[str, Any]:
+    assert job.design.scene is not None  # Without one the step has no point.
     frame = expose(job.design.scene, job.folder / "psf.h5", job.folder / "raw.h5", progress=job.progress)
     return {"shape": frame.frame.shape, "photons": float(frame.frame.sum())}
 
@@ -273,8 +282,10 @@ def _in_folder(*names: str) -> Callable[[Job], tuple[Path, ...]]:
     return lambda job: tuple(job.folder / name for name in names)
 
 
-def _no_pair(design: Design) -> str | None:
-    """A decoder needs two images side by side."""
+def _nothing_to_decode(design: Design) -> str | None:
+    """A decoder needs two images of a scene side by side."""
+    if design.scene is None:
+        return "the design has no scene to photograph"
     if design.split_angle_deg == 0.0:
         return "the design does not split polarisations, so there is no pair of images to decode"
     return None
@@ -306,13 +317,16 @@ STEPS = (
     ),
     Step(
         "psf", ("mask", "optics"), ("library", "phase", "layout"),
-        lambda d: (d.sensor, d.verify, d.scene.field_px, [item.depth_m for item in d.scene.objects]),
+        lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m),
         _in_folder("psf.h5", "ideal_psf.h5"), _psf,
     ),
-    Step("capture", ("optics", "camera"), ("psf",), lambda d: d.scene, _in_folder("raw.h5"), _capture, _no_pair),
+    Step(
+        "capture", ("optics", "camera"), ("psf",),
+        lambda d: d.scene, _in_folder("raw.h5"), _capture, _nothing_to_decode,
+    ),
     Step(
         "decode", ("optics", "camera", "decode"), ("psf", "capture"),
-        lambda d: None, _in_folder("decoded.h5"), _decode, _no_pair,
+        lambda d: None, _in_folder("decoded.h5"), _decode, _nothing_to_decode,
     ),
 )  # fmt: skip
 
@@ -334,13 +348,14 @@ def preflight(design: Design) -> None:
             faults += error.faults
     focal_m = 1e-3 * design.device.focal_length_mm
     depths = {f"verify.depths_m[{i}]": z for i, z in enumerate(design.verify.depths_m)}
-    depths |= {f"scene.objects[{i}].depth_m": item.depth_m for i, item in enumerate(design.scene.objects)}
+    if design.scene is not None:
+        depths |= {f"scene.objects[{i}].depth_m": item.depth_m for i, item in enumerate(design.scene.objects)}
     faults += [
         Fault(name, f"a depth beyond the focal length, {focal_m:g} m", f"{depth:g} m", "nearer objects have no image")
         for name, depth in depths.items()
         if depth <= focal_m
     ]
-    if not faults and design.split_angle_deg > 0.0:
+    if not faults and design.scene is not None and design.split_angle_deg > 0.0:
         imaging = Imaging.of(design)
         apart_px = 2.0 * abs(imaging.image_point_um(0, (0.0, 0.0))[0]) / imaging.pixel_um
         if design.scene.field_px[1] >= apart_px:

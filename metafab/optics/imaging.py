@@ -135,12 +135,15 @@ def depth_nodes(imaging: Imaging, z_min_m: float, z_max_m: float, target_error: 
     return np.asarray(depths)
 
 
-def field_tangents(design: Design, imaging: Imaging) -> tuple[FloatArray, FloatArray]:
+def field_tangents(design: Design, imaging: Imaging) -> tuple[FloatArray, FloatArray] | None:
     """Field points that span the scene's image: ``field_px`` = (rows, columns) about the axis.
 
     Returns:
-        (x/z, y/z) of shapes (n_x,) and (n_y,) = ``verify.field_points``, ascending; one point is the axis.
+        (x/z, y/z) of shapes (n_x,) and (n_y,) = ``verify.field_points``, ascending; one point is the axis. None for
+        a design without a scene.
     """
+    if design.scene is None:
+        return None
     rows, columns = design.scene.field_px
     count_x, count_y = design.verify.field_points
     return _axis(columns, count_x, imaging), _axis(rows, count_y, imaging)

@@ -139,8 +139,8 @@ def _blind_helix(
 ) -> tuple[Term, dict[str, float]]:
     """The helix that tells most over the depths of ``[verify]`` and the scene, begun at the brightest one."""
     radius_um = 0.5 * design.device.aperture_um
-    depths_m = [*design.verify.depths_m, *(item.depth_m for item in design.scene.objects)]
-    vergence = np.linspace(1.0 / min(depths_m), 1.0 / max(depths_m), _BLIND_DEPTHS)
+    assert design.scene is not None  # The spec asks for one.
+    vergence = np.linspace(1.0 / design.depths_m[0], 1.0 / design.depths_m[-1], _BLIND_DEPTHS)
     defocus = rim_defocus_rad(1.0 / vergence, design.sensor.focus_depth_m, radius_um, design.wavelength_um)
     scene = design.scene
     texture = Texture(electrons=scene.photons_per_pixel, read_noise_e=scene.read_noise_e)

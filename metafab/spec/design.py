@@ -217,7 +217,10 @@ class Numerics:
 
 @dataclass(frozen=True, config=CONFIG)
 class Design:
-    """A design file (``layouts/NAME.toml``) with its unit cell and scene resolved."""
+    """A design file (``layouts/NAME.toml``) with its unit cell and scene resolved.
+
+    Without a scene, nothing is photographed or decoded, and the mask is verified on the axis alone.
+    """
 
     name: Name
     library: Path
@@ -228,8 +231,21 @@ class Design:
     mask: Mask
     sensor: Sensor
     verify: Verify
-    scene: Scene
+    scene: Scene | None = None
     numerics: Numerics = Field(default_factory=Numerics)
+
+    @model_validator(mode="after")
+    def _photons(self) -> Design:
+        informed = any(isinstance(term, SpiralZones) and term.optimise == "blind_information" for term in self.phase)
+        if informed and self.scene is None:
+            raise ValueError("`optimise` = 'blind_information' needs a `scene`: its photons and noise decide")
+        return self
+
+    @property
+    def depths_m(self) -> tuple[float, ...]:
+        """Every depth that matters, ascending: those to verify, and the scene's."""
+        objects = () if self.scene is None else self.scene.objects
+        return tuple(sorted({*self.verify.depths_m, *(item.depth_m for item in objects)}))
 
     @property
     def wavelength_um(self) -> float:

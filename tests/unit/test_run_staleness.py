@@ -96,6 +96,22 @@ def test_a_step_without_a_point_is_skipped_with_its_reason(
     assert outcome.summary["psf"] == {}
 
 
+def test_files_of_a_step_that_lost_its_point_are_removed(
+    tmp_path: Path, small_design: Design, steps: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import metafab.steps as real
+
+    run(small_design, tmp_path)
+    assert (tmp_path / "psf.txt").is_file()
+    *others, last = real.STEPS
+    monkeypatch.setattr(real, "STEPS", (*others, replace(last, pointless=lambda design: "nothing to see")))
+    steps.clear()
+    run(small_design, tmp_path)
+    assert not (tmp_path / "psf.txt").exists()
+    assert (tmp_path / "drc.txt").is_file()
+    assert steps == ["report"]
+
+
 def test_a_report_that_was_not_finished_is_made_again(
     tmp_path: Path, small_design: Design, steps: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

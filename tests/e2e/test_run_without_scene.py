@@ -1,0 +1,63 @@
+"""A lens that photographs nothing: the mask is made and verified on the axis, and no frame is taken."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from metafab import library, run
+from metafab.core.errors import InputError
+from metafab.optics import Imaging, depth_nodes, field_tangents
+from metafab.spec import Design, canonical_toml, load_design
+from metafab.spec.design import Lens
+from metafab.steps import calibration_depths, open_library
+from tests.main_job import SMALL
+
+
+@pytest.fixture
+def plain_lens() -> Design:
+    whole = load_design(SMALL)
+    return replace(
+        whole,
+        name="plain_lens",
+        scene=None,
+        phase=(Lens(),),
+        device=replace(whole.device, aperture_um=40.0),
+        verify=replace(whole.verify, depths_m=(0.003,)),
+        mask=replace(whole.mask, formats=("oas",)),
+    )
+
+
+def test_only_the_depths_asked_for_are_computed(plain_lens: Design) -> None:
+    imaging = Imaging.of(plain_lens)
+    assert field_tangents(plain_lens, imaging) is None
+    assert calibration_depths(plain_lens, imaging) == plain_lens.depths_m == (0.003,)
+    assert len(calibration_depths(load_design(SMALL), imaging)) > depth_nodes(imaging, 0.0025, 0.0034, 1e-3).size
+
+
+def test_what_needs_photons_asks_for_a_scene(tmp_path: Path) -> None:
+    text = SMALL.read_text(encoding="utf-8").split("[scene]")[0].replace('"peak"', '"blind_information"')
+    library_file = (SMALL.parent / "../unitcell_lib/sos_800nm.toml").resolve()
+    design = tmp_path / "design.toml"
+    design.write_text(text.replace("../unitcell_lib/sos_800nm.toml", str(library_file)), encoding="utf-8")
+    with pytest.raises(InputError, match="needs a `scene`"):
+        load_design(design)
+
+
+@pytest.mark.xdist_group("main_job")
+def test_a_lens_without_a_scene_runs_to_its_report(tmp_path: Path, plain_lens: Design) -> None:
+    assert "[scene]" not in canonical_toml(plain_lens)
+    summary = run.run(plain_lens, tmp_path).summary
+    assert {entry["step"]: entry["why"] for entry in summary["skipped"]} == dict.fromkeys(
+        ("capture", "decode"), "the design has no scene to photograph"
+    )
+    assert summary["capture"] == summary["decode"] == {}
+    # Stigmatic for parallel light, used at a finite depth: most of what the pillars let through is in the window.
+    transmitted = library.quality(open_library(run.Job(plain_lens, tmp_path)))["mean_transmittance"]
+    assert 0.5 * transmitted < summary["psf"]["efficiency_x"][0] <= 1.0
+    by_source = {row["source"]: row["value"] for row in summary["error_budget"]}
+    assert by_source["decoder"] is None
+    assert by_source["depth interpolation"] is None
+    assert (tmp_path / "report.html").is_file()
