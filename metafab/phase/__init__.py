@@ -37,7 +37,7 @@ from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
 from metafab.phase.profile import PhaseProfile, Term
 from metafab.phase.propose import Proposal, propose
 from metafab.phase.pupil import FocalPlane, Pupil, rim_defocus_per_dioptre_rad, rim_defocus_rad
-from metafab.phase.rotation import MainLobe, full_turn_dioptre, main_lobe, rotation_deg_per_dioptre
+from metafab.phase.rotation import MainLobe, full_turn_dioptre, main_lobe, ring_rotation, rotation_deg_per_dioptre
 from metafab.phase.sampled import SampledPhase, load_array
 from metafab.phase.store import load, save
 from metafab.phase.zernike import ZernikePhase
@@ -76,6 +76,7 @@ __all__ = [
     "pupil_field",
     "rim_defocus_per_dioptre_rad",
     "rim_defocus_rad",
+    "ring_rotation",
     "rotation_deg_per_dioptre",
     "save",
     "smear_um_per_nm",

@@ -16,7 +16,7 @@ from metafab.phase.information import Texture
 from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
 from metafab.phase.profile import PhaseProfile, Term
 from metafab.phase.pupil import Pupil, phasor, rim_defocus_rad
-from metafab.phase.rotation import main_lobe, rotation_deg_per_dioptre
+from metafab.phase.rotation import main_lobe, ring_rotation, rotation_deg_per_dioptre
 from metafab.phase.sampled import load_array
 from metafab.phase.zernike import ZernikePhase
 from metafab.spec import design as spec
@@ -44,7 +44,8 @@ def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
         at the points aimed at, what no mask can exceed there, and their ratio), ``blind_information_gain`` (over
         Eq. 2, where that was maximised), ``rotation_deg`` (turn of PSF_x's main lobe from the nearest to the farthest
         depth of ``[verify]``, positive counter-clockwise, by the paraxial pupil), ``rotation_deg_per_dioptre`` and
-        its theoretical value. Without spiral zones there are none.
+        its theoretical value: that of the plain spiral's rings where nothing is optimised, else the law that the
+        optimised lobe is steered by. Without spiral zones there are none.
 
     Raises:
         InputError: a user's array cannot be used, or more than one term has spiral zones for one polarisation.
@@ -164,6 +165,8 @@ def _rotation(design: Design, term: spec.SpiralZones, helix: Term, pupil: Pupil)
     radius_um = 0.5 * design.device.aperture_um
     nearest_m, farthest_m = design.verify.depths_m[0], design.verify.depths_m[-1]
     theory = rotation_deg_per_dioptre(term.zones, radius_um, design.wavelength_um)
+    if term.optimise == "none" and term.zones > 1:
+        theory *= -term.zones * ring_rotation(term.zones, term.exponent)[1]
     figures = {"rotation_deg_per_dioptre_theory": theory}
     if nearest_m == farthest_m or term.zones == 1:
         return {"rotation_deg": 0.0, **figures}

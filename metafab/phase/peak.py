@@ -31,7 +31,7 @@ from metafab.phase.rotation import MainLobe, full_turn_defocus_rad, main_lobe
 _NEAREST_LOBE = 0.7
 #: Samples a side of the pupil on which the lobe's radius and aim are found.
 _COARSE = 48
-_STEERING_ROUNDS = 5
+_STEERING_ROUNDS = 10
 
 #: What is made large: the mean of the peaks over depth, or the smallest.
 Goal: TypeAlias = Literal["mean", "worst"]
@@ -206,14 +206,16 @@ def _steered(
 ) -> FloatArray:
     """Orientations to aim at, so that the brightest point, which drifts from the aimed one, keeps to the law."""
     pupil = Pupil(_COARSE, shape)
-    aim_deg = phi_deg.copy()
+    aim_deg, best, smallest = phi_deg.copy(), phi_deg, math.inf
     for _ in range(_STEERING_ROUNDS):
         waves = _waves(pupil, defocus_rad, lobe_radius * _directions(aim_deg))
         amplitude = _solve(waves, goal, 40, seed)
         lobe = main_lobe(pupil, _mask(amplitude @ waves), defocus_rad, 2.0 * lobe_radius + 3.0)
         drift_deg = np.mod(lobe.phi_deg - phi_deg + 180.0, 360.0) - 180.0
-        aim_deg -= 0.7 * np.clip(drift_deg, -20.0, 20.0)
-    return aim_deg
+        if (size := float(np.abs(drift_deg).mean())) < smallest:
+            best, smallest = aim_deg, size
+        aim_deg = aim_deg - 0.7 * np.clip(drift_deg, -20.0, 20.0)
+    return best
 
 
 def _iterate(waves: ComplexArray, weights: FloatArray, amplitude: ComplexArray, iterations: int) -> ComplexArray:

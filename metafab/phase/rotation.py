@@ -1,8 +1,13 @@
 """Rotation of a helix: the theory of Eq. 2, and the main lobe as it is measured in a PSF.
 
-In Eq. 2 with exponent 1/2 the zone of charge l has the mean u^2 of l / L, so a rim defocus W adds W l / L to it:
-exp(i l (phi + W / L)) is the mask turned by -W / L, and the PSF turns with it. W falls with growing depth, so
-the main lobe turns counter-clockwise as the object recedes.
+In Eq. 2 with exponent 1/2 the mean u^2 of the zone of charge l is (l - 1/2) / L, so a rim defocus W adds W l / L to
+it, but for a constant: exp(i l (phi + W / L)) is the mask turned by -W / L, and the PSF turns with it. W falls with
+growing depth, so the main lobe turns counter-clockwise as the object recedes.
+
+That is the law of many narrow zones. Light of the zone l arrives at the radius v of the lobe with the amplitude A_l =
+2 integral J_l(v u) u du, so that the mean u^2 that counts is the one weighted with J_l(v u) u. In focus all A_l are
+positive and meet in phase on one ray; where they stay so, the lobe's orientation follows the weighted regression of
+those means on l (:func:`ring_rotation`): 3.4 % slower than the law for two zones, 0.5 % for four.
 """
 
 from __future__ import annotations
@@ -12,19 +17,51 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.optimize import minimize_scalar
+from scipy.special import jv
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.phase.helices import zone_radii
 from metafab.phase.pupil import FocalPlane, Pupil, rim_defocus_per_dioptre_rad
 
 
 def rotation_deg_per_dioptre(zones: int, aperture_radius_um: float, wavelength_um: float) -> float:
     """Turn of the main lobe per dioptre of the object's vergence (-225 / L for R = 1 mm at 800 nm).
 
-    Exact in the limit of many zones at exponent 1/2; one zone (a plain vortex) does not turn at all.
+    The law of many zones at exponent 1/2, which optimised helices are made to keep; the plain spiral turns by
+    :func:`ring_rotation`, and one zone (a plain vortex) not at all.
     """
     if zones == 1:
         return 0.0
     return -math.degrees(rim_defocus_per_dioptre_rad(aperture_radius_um, wavelength_um)) / zones
+
+
+def ring_rotation(zones: int, exponent: float) -> tuple[float, float]:
+    """The main lobe of Eq. 2 in focus, from one integral a zone, without any sampling of pupil or PSF.
+
+    Args:
+        zones: L, at least 2.
+        exponent: epsilon.
+
+    Returns:
+        Its radius in optical units, and its turn in rad per rad of rim defocus (-1 / L for many zones at 1/2).
+    """
+    charge = np.arange(1, zones + 1)
+    edges = np.concatenate([[0.0], zone_radii(zones, exponent)]) ** 2
+    node, share = np.polynomial.legendre.leggauss(48)
+    # u^2 and its weight at the nodes of every zone, shape (zones, 48).
+    square = 0.5 * (np.outer(np.diff(edges), node) + (edges[1:] + edges[:-1])[:, None])
+    weight = 0.5 * np.outer(np.diff(edges), share)
+
+    def amplitude(v: float) -> FloatArray:
+        return np.asarray(weight * jv(charge[:, None], v * np.sqrt(square)))
+
+    # Before the first zero of the outermost zone's Bessel function nothing cancels.
+    found = minimize_scalar(lambda v: -amplitude(v).sum(), bounds=(0.0, 2.0 * zones + 2.0), method="bounded")
+    light = amplitude(found.x)
+    strength, mean_square = light.sum(axis=1), (light * square).sum(axis=1) / light.sum(axis=1)
+    centred = charge - (strength @ charge) / strength.sum()
+    return float(found.x), -float((strength * centred) @ mean_square / (strength @ centred**2))
 
 
 def full_turn_dioptre(zones: int, aperture_radius_um: float, wavelength_um: float) -> float:
@@ -72,17 +109,19 @@ def main_lobe(pupil: Pupil, field: ComplexArray, defocus_rad: ArrayLike, half_wi
 
 
 def _refined_peak(psf: FloatArray, plane: FocalPlane) -> tuple[float, float, float]:
-    """(value, v_x, v_y) at the top of the parabolas through the largest sample and its neighbours."""
+    """(value, v_x, v_y) at the top of the quadratic surface through the largest sample and its eight neighbours.
+
+    The mixed derivative counts: lobes are crescents, longer along the turn than across it.
+    """
     row, column = np.unravel_index(int(psf[1:-1, 1:-1].argmax()), (psf.shape[0] - 2, psf.shape[1] - 2))
-    row, column = row + 1, column + 1
-    top = float(psf[row, column])
-    value, position = top, []
-    for low, high, index in (
-        (psf[row, column - 1], psf[row, column + 1], column),
-        (psf[row - 1, column], psf[row + 1, column], row),
-    ):
-        curvature = low - 2.0 * top + high
-        shift = float(np.clip(0.5 * (low - high) / curvature, -1.0, 1.0)) if curvature < 0.0 else 0.0
-        value -= 0.25 * float(low - high) * shift
-        position.append(float(plane.axis[index]) + shift * plane.step)
-    return value, position[0], position[1]
+    patch = psf[row : row + 3, column : column + 3]
+    top = float(patch[1, 1])
+    slope = 0.5 * np.array([patch[1, 2] - patch[1, 0], patch[2, 1] - patch[0, 1]])
+    mixed = 0.25 * (patch[2, 2] - patch[2, 0] - patch[0, 2] + patch[0, 0])
+    along_x, along_y = patch[1, 2] - 2.0 * top + patch[1, 0], patch[2, 1] - 2.0 * top + patch[0, 1]
+    shift = np.zeros(2)
+    if along_x < 0.0 and along_x * along_y > mixed**2:
+        curvature = np.array([[along_x, mixed], [mixed, along_y]])
+        shift = np.clip(np.linalg.solve(curvature, -slope), -1.0, 1.0)
+    v_x, v_y = plane.axis[column + 1] + plane.step * shift[0], plane.axis[row + 1] + plane.step * shift[1]
+    return top + 0.5 * float(slope @ shift), float(v_x), float(v_y)
