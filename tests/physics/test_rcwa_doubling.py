@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metafab.cell.rcwa import jones, zero_order
+from metafab.cell.rcwa import doubling, jones, zero_order
+from metafab.cell.rcwa.jones import ZeroOrder
 from metafab.cell.response import PillarCell
 
 SILICON = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
@@ -25,40 +26,64 @@ CELLS = {
     "tall": replace(SILICON, height_nm=50_000.0),
     "no height": replace(SILICON, height_nm=0.0),
     "film": replace(SILICON, width_nm=350.0, length_nm=350.0),
-    # A quarter of a wavelength of the film: cot(W d) = 0, a zero of F at the last doubling but for rounding.
+    # The film's half slab has cot(W d / 2) = 1, 0 or infinity: a regular point, a zero and a pole of F_half.
     "quarter-wave film": replace(SILICON, width_nm=350.0, length_nm=350.0, n_pillar=2.0, height_nm=100.0),
-    # Half a wavelength: F and G are infinite, and the modes must take over.
     "half-wave film": replace(SILICON, width_nm=350.0, length_nm=350.0, n_pillar=2.0, height_nm=200.0),
+    "full-wave film": replace(SILICON, width_nm=350.0, length_nm=350.0, n_pillar=2.0, height_nm=400.0),
+    "2 nm": replace(SILICON, width_nm=2.0, length_nm=2.0),
     "1 nm slits": replace(SILICON, width_nm=349.0, length_nm=349.0),
+    "hole": replace(SILICON, n_pillar=1.0, n_ambient=3.6941),
 }
 #: Amplitudes may differ by a hundred times the accepted inconsistency of 1e-10; these stay below.
 AGREEMENT = 2e-9
 
 
+def by_modes(cell: PillarCell, orders: int, monkeypatch: pytest.MonkeyPatch) -> ZeroOrder:
+    with monkeypatch.context() as patch:
+        patch.setattr(jones, "through_by_doubling", lambda *_: None)
+        return zero_order(cell, orders)
+
+
 @pytest.mark.parametrize("orders", [3, 5, 6])
 @pytest.mark.parametrize("cell", CELLS.values(), ids=CELLS.keys())
 def test_doubling_equals_the_modes(cell: PillarCell, orders: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    either = zero_order(cell, orders)
-    monkeypatch.setattr(jones, "MOST_UNKNOWNS", 0)
-    by_modes = zero_order(cell, orders)
-    assert by_modes.inconsistency == 0.0
-    np.testing.assert_allclose(either.t, by_modes.t, rtol=0.0, atol=AGREEMENT)
-    np.testing.assert_allclose(either.r, by_modes.r, rtol=0.0, atol=AGREEMENT)
+    either, modes = zero_order(cell, orders), by_modes(cell, orders, monkeypatch)
+    assert modes.inconsistency == 0.0
+    np.testing.assert_allclose(either.t, modes.t, rtol=0.0, atol=AGREEMENT)
+    np.testing.assert_allclose(either.r, modes.r, rtol=0.0, atol=AGREEMENT)
 
 
-def test_doubling_is_what_usually_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["lossy", "lossless", "resonant", "tall", "2 nm", "1 nm slits"])
+def test_doubling_equals_the_modes_with_many_unknowns(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # 221 unknowns, and wave numbers that differ by up to 1e4.
+    either, modes = zero_order(CELLS[name], 10), by_modes(CELLS[name], 10, monkeypatch)
+    np.testing.assert_allclose(either.t, modes.t, rtol=0.0, atol=AGREEMENT)
+    np.testing.assert_allclose(either.r, modes.r, rtol=0.0, atol=AGREEMENT)
+
+
+@pytest.mark.parametrize("name", ["lossy", "tall", "2 nm", "1 nm slits", "half-wave film", "metal"])
+def test_doubling_is_what_usually_runs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def no_modes(*_: object) -> None:
         raise AssertionError("modes were used")
 
     monkeypatch.setattr(jones, "layer_modes", no_modes)
-    solved = zero_order(SILICON, 6)
-    assert 0.0 < solved.inconsistency < 1e-10
+    assert 0.0 < zero_order(CELLS[name], 6).inconsistency < 1e-10
 
 
 def test_modes_take_over_where_rounding_would_show(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Slits of 1 nm need so many doublings at 7 orders that rounding grows to 1e-3: refused, not returned.
-    slits = CELLS["1 nm slits"]
-    either = zero_order(slits, 7)
-    monkeypatch.setattr(jones, "MOST_UNKNOWNS", 0)
-    np.testing.assert_array_equal(either.t, zero_order(slits, 7).t)
-    assert either.inconsistency == 0.0
+    modes = by_modes(SILICON, 5, monkeypatch)
+    monkeypatch.setattr(doubling, "_CONSISTENT", 1e-18)
+    refused = zero_order(SILICON, 5)
+    np.testing.assert_array_equal(refused.t, modes.t)
+    assert refused.inconsistency == 0.0
+
+
+@pytest.mark.parametrize("n_pillar", [1e3, 1e-3 + 1e3j])
+def test_rounding_does_not_show_at_a_million_to_one(n_pillar: complex, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Permittivities of +-1e6: doubling breaks reciprocity by up to 2e-5, and the modes take over.
+    cell = replace(SILICON, n_pillar=n_pillar)
+    for orders in (3, 5):
+        either, modes = zero_order(cell, orders), by_modes(cell, orders, monkeypatch)
+        np.testing.assert_allclose(either.t, modes.t, rtol=0.0, atol=AGREEMENT)
+        assert either.inconsistency < 1e-10

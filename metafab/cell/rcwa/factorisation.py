@@ -49,6 +49,17 @@ def layer_matrices(
     return basis.turn(p), basis.turn(q)
 
 
+def largest_eigenvalue(eps_pillar: complex, eps_around: complex) -> float:
+    """Bound on the real part of the eigenvalues of P Q: the larger permittivity; infinite where no bound is known.
+
+    No mode of a dielectric layer is slower than light in its denser part, whatever the truncation. Modes bound to the
+    surface of a metal may be.
+    """
+    eps = (complex(eps_pillar), complex(eps_around))
+    dielectric = all(abs(each.imag) <= each.real for each in eps)
+    return max(map(abs, eps)) if dielectric else float("inf")
+
+
 def layer_tangents(
     basis: TransverseBasis,
     d_u: AxisParity | None,

@@ -22,9 +22,9 @@ from metafab.cell.rcwa.basis import (
     symmetric_axis,
     travelling_axis,
 )
-from metafab.cell.rcwa.doubling import MOST_UNKNOWNS, Faces, through_by_doubling
+from metafab.cell.rcwa.doubling import Faces, through_by_doubling
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, plane_waves
-from metafab.cell.rcwa.factorisation import layer_matrices
+from metafab.cell.rcwa.factorisation import largest_eigenvalue, layer_matrices
 from metafab.cell.rcwa.stack import StackLayer, through_stack
 from metafab.cell.rcwa.transverse import TransverseBasis, transverse_basis
 from metafab.cell.response import PillarCell
@@ -44,8 +44,8 @@ class ZeroOrder:
         transmitted_power: shape (2,), power in all transmitted orders for incident x and y, over the incident power.
         reflected_power: shape (2,), the same for reflection.
         coefficients: unknowns of the largest symmetry class.
-        inconsistency: what rounding left of an identity of the layer (:mod:`metafab.cell.rcwa.doubling`), relative; 0
-            where the modes were used.
+        inconsistency: by how much rounding broke the layer's reciprocity (:mod:`metafab.cell.rcwa.doubling`), as an
+            amplitude; 0 where the modes were used.
     """
 
     t: ComplexArray
@@ -141,10 +141,12 @@ def through_case(cell: PillarCell, case: SymmetryClass, layer: Layer, incident: 
     """Field at the faces of the layer or stack, by whichever way is faster and can be trusted."""
     if cell.under or cell.over:
         return _through_slices(cell, case, layer, incident)
-    if case.basis.size <= MOST_UNKNOWNS:
-        faces = through_by_doubling(layer.p, layer.q, layer.thickness_k0, layer.incoming, layer.outgoing, incident)
-        if faces is not None:
-            return faces
+    largest_a = largest_eigenvalue(permittivity(cell.n_pillar), permittivity(cell.n_ambient))
+    faces = through_by_doubling(
+        layer.p, layer.q, layer.thickness_k0, layer.incoming, layer.outgoing, incident, largest_a
+    )
+    if faces is not None:
+        return faces
     field = solve_class(cell, case, layer).field
     return Faces(field.transmitted, field.reflected, 0.0)
 
