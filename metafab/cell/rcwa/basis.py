@@ -15,6 +15,7 @@ dual basis, so that the metric disappears from the equations (Weiss et al., Opt.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, TypeAlias
@@ -75,10 +76,16 @@ def axis_basis(period_nm: float, size_nm: float, orders: int, formulation: Formu
     """The basis of one axis, ``orders`` = M; see the module's docstring."""
     to_u = _map(period_nm, size_nm, orders, formulation)
     pillar, whole = to_u.cosine_integrals(2 * orders + 1)
+    return bases_over(period_nm, whole, [pillar], orders)[0]
+
+
+def bases_over(period_nm: float, whole: FloatArray, outlines: Iterable[FloatArray], orders: int) -> list[AxisBasis]:
+    """Bases of several outlines over one map: cosine integrals (2 M + 1,) of the period, and of each outline."""
     wavenumber, even, odd = _plane_waves(period_nm, whole, orders)
-    return AxisBasis(
-        wavenumber, _symmetric(even.T @ _even(pillar, orders) @ even), _symmetric(odd.T @ _odd(pillar, orders) @ odd)
-    )
+    return [
+        AxisBasis(wavenumber, _symmetric(even.T @ _even(o, orders) @ even), _symmetric(odd.T @ _odd(o, orders) @ odd))
+        for o in outlines
+    ]
 
 
 def axis_tangent(period_nm: float, size_nm: float, orders: int, formulation: Formulation) -> AxisBasis:
@@ -116,13 +123,11 @@ def _map(period_nm: float, size_nm: float, orders: int, formulation: Formulation
 
 def _plane_waves(period_nm: float, whole: FloatArray, orders: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Wave numbers of the empty cell, and its even and odd functions as columns over the harmonics."""
-    # NumPy's general solver, not SciPy's triangular one: on matrices this small the call itself is the cost.
-    lower_even, lower_odd = np.linalg.cholesky(_even(whole, orders)), np.linalg.cholesky(_odd(whole, orders))
-    derivative = np.zeros((orders + 1, orders))
-    derivative[1:] = np.diag(2.0 * np.pi / period_nm * np.arange(1, orders + 1))
+    # L^-1 itself, and not from SciPy's triangular solver: on matrices this small each call is the cost.
+    to_even, to_odd = (np.linalg.inv(np.linalg.cholesky(weight(whole, orders))) for weight in (_even, _odd))
     # L_even^-1 D L_odd^-T has the wave numbers as singular values and the constant as its left null vector.
-    reduced = np.linalg.solve(lower_odd, np.linalg.solve(lower_even, derivative).T).T
-    left, wavenumber, right_t = np.linalg.svd(reduced)
+    harmonics = 2.0 * np.pi / period_nm * np.arange(1, orders + 1)
+    left, wavenumber, right_t = np.linalg.svd((to_even[:, 1:] * harmonics) @ to_odd.T)
     order = np.argsort(wavenumber)
     left = np.concatenate([left[:, -1:], left[:, :-1][:, order]], axis=1)
     right = right_t[order].T
@@ -130,9 +135,7 @@ def _plane_waves(period_nm: float, whole: FloatArray, orders: int) -> tuple[Floa
     left[:, 0] *= np.sign(left[0, 0])
     sign = np.sign(right[np.argmax(np.abs(right), axis=0), np.arange(orders)])
     right, left[:, 1:] = right * sign, left[:, 1:] * sign
-    even = np.linalg.solve(lower_even.T, left)
-    odd = np.linalg.solve(lower_odd.T, right)
-    return wavenumber[order], even, odd
+    return wavenumber[order], to_even.T @ left, to_odd.T @ right
 
 
 def symmetric_axis(basis: AxisBasis, *, even_first: bool) -> AxisParity:
@@ -163,8 +166,8 @@ def travelling_axis(basis: AxisBasis, incident_per_nm: float) -> AxisParity:
 
 def _even(integral: FloatArray, orders: int) -> FloatArray:
     """Matrix of a weight between 1, sqrt(2) cos(m u): from its cosine integrals of order 0 .. 2 M."""
-    m = np.arange(orders + 1)
-    matrix = integral[np.abs(m[:, None] - m)] + integral[m[:, None] + m]
+    apart, together = _harmonics(orders)
+    matrix = integral[apart] + integral[together]
     matrix[0] /= np.sqrt(2.0)
     matrix[:, 0] /= np.sqrt(2.0)
     return np.asarray(matrix)
@@ -172,8 +175,15 @@ def _even(integral: FloatArray, orders: int) -> FloatArray:
 
 def _odd(integral: FloatArray, orders: int) -> FloatArray:
     """The same between sqrt(2) sin(m u), m = 1 .. M."""
-    m = np.arange(1, orders + 1)
-    return np.asarray(integral[np.abs(m[:, None] - m)] - integral[m[:, None] + m])
+    apart, together = _harmonics(orders)
+    return np.asarray(integral[apart[1:, 1:]] - integral[together[1:, 1:]])
+
+
+@lru_cache(maxsize=64)
+def _harmonics(orders: int) -> tuple[IntArray, IntArray]:
+    """Difference and sum of the numbers of two cosines, 0 .. ``orders``."""
+    m = np.arange(orders + 1)
+    return np.abs(m[:, None] - m), m[:, None] + m
 
 
 def _symmetric(matrix: FloatArray) -> FloatArray:

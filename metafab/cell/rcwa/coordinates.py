@@ -66,24 +66,28 @@ class AxisMap:
 
     def _integrals(self, count: int, fill: complex, wall: complex) -> tuple[Any, Any]:
         k = np.arange(count)
-        inside = np.zeros(count) if wall == 0.0 else _interval(k, 0.0, wall, fill, 1.0 - self.slope_inside)
+        inside = np.zeros(count) if wall == 0.0 else interval_integral(k, 0.0, wall, fill, 1.0 - self.slope_inside)
         if wall == 1.0:
             return inside, inside
-        return inside, inside + _interval(k, wall, 1.0, 1.0 - fill, self.slope_outside - 1.0)
+        return inside, inside + interval_integral(k, wall, 1.0, 1.0 - fill, self.slope_outside - 1.0)
 
 
-def _interval(k: Any, start: complex, end: complex, rise: complex, amplitude: float) -> Any:
-    """Integral of m [1 + amplitude cos(pi (u - start) / l)] cos(pi k u), l = end - start, m = rise / l."""
+def interval_integral(
+    k: Any, start: complex, end: complex, rise: complex, amplitude: float, upto: float | None = None
+) -> Any:
+    """Integral of m [1 + amplitude cos(pi (u - start) / l)] cos(pi k u), l = end - start, m = rise / l.
+
+    From ``start`` to ``end``, or to ``upto`` on the way there.
+    """
     length = end - start
+    passed = length if upto is None else upto - start
     phase = math.pi * k * start
 
-    def mean(harmonic: Any) -> Any:
-        # Mean over the interval of cos(pi harmonic s + phase), s from its start: a shifted sinc, smooth at 0.
-        half = 0.5 * harmonic * length
-        return np.sinc(half) * np.cos(math.pi * half + phase)
-
-    crossed = 0.5 * (mean(k + 1.0 / length) + mean(k - 1.0 / length))
-    return rise * (mean(k) + amplitude * crossed)
+    # Mean over the interval of cos(pi k s + phase), s from its start: a shifted sinc, smooth at 0. The cosine in the
+    # slope shifts k up and down.
+    half = 0.5 * passed * np.stack([k, k + 1.0 / length, k - 1.0 / length])
+    plain, up, down = np.sinc(half) * np.cos(math.pi * half + phase)
+    return (rise if upto is None else rise * (passed / length)) * (plain + 0.5 * amplitude * (up + down))
 
 
 def unstretched(period_nm: float, size_nm: float) -> AxisMap:

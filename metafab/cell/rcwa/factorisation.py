@@ -36,17 +36,20 @@ def layer_matrices(
     """
     u, v = basis.u, basis.v
     n_u = u.label_a.size * v.label_a.size
-    inverse = _inverse_rule
-    eps_u = _kron(inverse(u.a, eps_pillar, eps_around), v.a) + eps_around * _kron(np.eye(len(u.a)), _rest(v.a))
-    eps_v = _kron(u.b, inverse(v.b, eps_pillar, eps_around)) + eps_around * _kron(_rest(u.b), np.eye(len(v.b)))
+    contrast_u, contrast_v = (_inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
+    contrast_u[np.diag_indices(len(u.a))] -= eps_around
+    contrast_v[np.diag_indices(len(v.b))] -= eps_around
+    # In (TM, TE) E_z drives TM waves only and H_z TE waves only, each the one of its own wave vector.
+    q = np.zeros((basis.size, basis.size), dtype=contrast_u.dtype)
+    q[:n_u, :n_u] = _kron(contrast_u, v.a)
+    q[n_u:, n_u:] = _kron(u.b, contrast_v)
+    q = basis.turn(q)
+    q[np.diag_indices(basis.size)] += eps_around - np.where(basis.is_tm, 0.0, basis.k_squared / k0_per_nm**2)
     eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
-
-    from_e_z, from_h_z = _longitudinal(u, v, k0_per_nm)
-    p = np.eye(basis.size) - from_e_z @ eta_z @ from_e_z.T
-    q = (-from_h_z @ from_h_z.T).astype(eps_u.dtype)
-    q[:n_u, :n_u] += eps_u
-    q[n_u:, n_u:] += eps_v
-    return basis.turn(p), basis.turn(q)
+    k = basis.k_with_e_z / k0_per_nm
+    p = np.eye(basis.size, dtype=eta_z.dtype)
+    p[np.ix_(basis.with_e_z, basis.with_e_z)] -= k[:, None] * eta_z * k
+    return p, q
 
 
 def largest_eigenvalue(eps_pillar: complex, eps_around: complex) -> float:

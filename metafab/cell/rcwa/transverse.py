@@ -31,6 +31,8 @@ class TransverseBasis:
         is_tm: shape (n,), whether the coefficient is TM.
         pair_u, pair_v: shape (pairs,), coefficients of E_u and of E_v that share a wave vector.
         along: shape (2, pairs), the unit vector (u, v) along it.
+        with_e_z: shape (n_z,), the one coefficient that goes with each of E_z: a TM wave, or one of no wave vector.
+        k_with_e_z: shape (n_z,), the wave number that takes E_z to it, 1/nm; negative where it alone is and runs so.
     """
 
     u: AxisParity
@@ -40,6 +42,8 @@ class TransverseBasis:
     pair_u: IntArray
     pair_v: IntArray
     along: FloatArray
+    with_e_z: IntArray
+    k_with_e_z: FloatArray
 
     @property
     def size(self) -> int:
@@ -47,13 +51,13 @@ class TransverseBasis:
         return int(self.k_squared.size)
 
     def turn(self, matrix: Any) -> Any:
-        """``matrix``, shape (n, n), from (E_u, E_v) to (TM, TE): an orthogonal change of basis."""
-        return np.asarray(self.turn_rows(self.turn_rows(matrix).T).T)
+        """``matrix``, symmetric of shape (n, n), from (E_u, E_v) to (TM, TE): an orthogonal change of basis."""
+        return self.turn_rows(self.turn_rows(matrix).T)
 
     def turn_rows(self, columns: Any) -> Any:
         """``columns``, shape (n, any), from (E_u, E_v) to (TM, TE)."""
-        turned = columns.copy()
-        e_u, e_v = columns[self.pair_u], columns[self.pair_v]
+        turned = np.array(columns, order="C")
+        e_u, e_v = turned[self.pair_u], turned[self.pair_v]
         a_u, a_v = self.along[:, :, None]
         turned[self.pair_u] = a_u * e_u + a_v * e_v
         turned[self.pair_v] = a_u * e_v - a_v * e_u
@@ -72,7 +76,8 @@ class TransverseBasis:
 
 def transverse_basis(u: AxisParity, v: AxisParity) -> TransverseBasis:
     """The transverse basis of the symmetry class that ``u`` and ``v`` name."""
-    label, pair_u, pair_v = _pairs(u.label_a.tobytes(), u.label_b.tobytes(), v.label_a.tobytes(), v.label_b.tobytes())
+    labels = (axis.tobytes() for axis in (u.label_a, u.label_b, v.label_a, v.label_b))
+    label, pair_u, pair_v, with_e_z = _pairs(*labels)
     n_u = u.label_a.size * v.label_a.size
     k_u, k_v = u.wavenumber[label[0]], v.wavenumber[label[1]]
     k_squared = k_u**2 + k_v**2
@@ -82,20 +87,28 @@ def transverse_basis(u: AxisParity, v: AxisParity) -> TransverseBasis:
     along = np.stack([k_u[pair_u], k_v[pair_u]]) / np.where(resting, 1.0, norm)
     along[0, resting] = 1.0
 
-    is_tm = np.concatenate([k_u[:n_u] != 0.0, k_v[n_u:] != 0.0])
+    alone = np.concatenate([k_u[:n_u], k_v[n_u:]])
+    is_tm = alone != 0.0
     is_tm[pair_u] = True
     is_tm[pair_v] = False
-    return TransverseBasis(u, v, k_squared, is_tm, pair_u, pair_v, along)
+    alone[pair_u] = norm
+    return TransverseBasis(u, v, k_squared, is_tm, pair_u, pair_v, along, with_e_z, alone[with_e_z])
 
 
 @lru_cache(maxsize=64)
-def _pairs(u_a: bytes, u_b: bytes, v_a: bytes, v_b: bytes) -> tuple[IntArray, IntArray, IntArray]:
-    """Labels (2, n) of all coefficients, and those of E_u and E_v that share one; cached by the axes' labels."""
-    in_e_u, in_e_v = _grid(u_a, v_a), _grid(u_b, v_b)
+def _pairs(u_a: bytes, u_b: bytes, v_a: bytes, v_b: bytes) -> tuple[IntArray, IntArray, IntArray, IntArray]:
+    """Labels (2, n) of all coefficients, those of E_u and E_v that share one, and those that go with E_z.
+
+    Cached by the axes' labels.
+    """
+    in_e_u, in_e_v, in_e_z = _grid(u_a, v_a), _grid(u_b, v_b), _grid(u_b, v_a)
     stride = 1 + max(in_e_u.max(initial=0), in_e_v.max(initial=0))
-    flat_u, flat_v = in_e_u[0] * stride + in_e_u[1], in_e_v[0] * stride + in_e_v[1]
+    flat_u, flat_v, flat_z = (grid[0] * stride + grid[1] for grid in (in_e_u, in_e_v, in_e_z))
     _, pair_u, pair_v = np.intersect1d(flat_u, flat_v, return_indices=True)
-    return np.concatenate([in_e_u, in_e_v], axis=1), pair_u, pair_v + flat_u.size
+    # E_z drives E_u where both exist, and E_v where E_u does not.
+    place = {flat: i + flat_u.size for i, flat in enumerate(flat_v)} | {flat: i for i, flat in enumerate(flat_u)}
+    with_e_z = np.array([place[flat] for flat in flat_z], dtype=np.intp)
+    return np.concatenate([in_e_u, in_e_v], axis=1), pair_u, pair_v + flat_u.size, with_e_z
 
 
 def _grid(first: bytes, second: bytes) -> IntArray:
