@@ -1,20 +1,15 @@
-"""Frames and pictures that other programs wrote: TIFF and PNG of 8, 12 or 16 bit, and NumPy arrays."""
+"""Frames of a real camera: TIFF and PNG of 8, 12 or 16 bit, and NumPy arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from metafab.camera.frame import RawFrame
 from metafab.camera.store import load
-from metafab.core.conventions import FloatArray
-from metafab.core.errors import InputError
+from metafab.core.pictures import read_counts
 from metafab.optics.point_spread import Psf
-
-_SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy"}
-_REMEDY = "save the sensor's counts as a grey TIFF, PNG or .npy of shape (rows, columns)"
 
 
 def load_frame(path: Path, psf: Psf, *, read_noise_e: float = 0.0, first_row: str = "top") -> RawFrame:
@@ -35,66 +30,8 @@ def load_frame(path: Path, psf: Psf, *, read_noise_e: float = 0.0, first_row: st
     """
     if path.suffix.lower() in {".h5", ".hdf5"}:
         return load(path)
-    counts, saturation = _read(path)
+    counts, saturation = read_counts(path)
     frame = counts[::-1] if first_row == "top" else counts
     n_y, n_x = frame.shape
     origin_um = (-psf.pixel_um * (n_x // 2), -psf.pixel_um * (n_y // 2))
     return RawFrame(np.ascontiguousarray(frame), psf.pixel_um, origin_um, read_noise_e, saturation_e=saturation)
-
-
-def read_grey(path: Path) -> FloatArray:
-    """A picture's values as floats, shape (rows, columns), first row as in the file; colours are averaged."""
-    return _read(path, colours=True)[0]
-
-
-def _read(path: Path, *, colours: bool = False) -> tuple[FloatArray, float | None]:
-    """Values and the level at which the file type saturates (None for floats)."""
-    kind = _SUFFIXES.get(path.suffix.lower())
-    if kind is None:
-        raise InputError.single(str(path), "file", "a .h5, .tif, .tiff, .png or .npy file", repr(path.suffix), _REMEDY)
-    if not path.is_file():
-        raise InputError.single(str(path), "file", f"a {kind} file", "no file at that path", "check the path")
-    try:
-        values = _decoders()[kind](path)
-    except Exception as error:  # the image libraries raise whatever they meet in a broken file
-        got = f"a truncated or foreign file ({type(error).__name__}: {error})"
-        raise InputError.single(str(path), "file", f"a readable {kind} file", got, _REMEDY) from error
-    if values.ndim == 3 and colours:
-        values = values[..., :3].mean(axis=-1).astype(values.dtype)
-    if values.ndim != 2 or values.size == 0:
-        got = f"an array of shape {values.shape}"
-        raise InputError.single(str(path), "shape", "one grey frame (rows, columns)", got, _REMEDY)
-    if values.dtype.kind not in "buif":
-        raise InputError.single(str(path), "type", "real numbers", str(values.dtype), _REMEDY)
-    return values.astype(np.float64), _saturation(values)
-
-
-def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
-    def tiff(path: Path) -> np.ndarray:
-        import tifffile
-
-        return np.asarray(tifffile.imread(path))
-
-    def png(path: Path) -> np.ndarray:
-        from PIL import Image
-
-        with Image.open(path) as image:
-            image.load()
-            grey = image.convert("RGB") if image.mode in {"P", "RGBA", "LA", "PA"} else image
-            return np.asarray(grey)
-
-    def npy(path: Path) -> np.ndarray:
-        return np.asarray(np.load(path, allow_pickle=False))
-
-    return {"tiff": tiff, "png": png, "npy": npy}
-
-
-def _saturation(values: np.ndarray) -> float | None:
-    """The largest count of the sensor behind the file: 12-bit counts often come in 16-bit files."""
-    if values.dtype.kind not in "ui":
-        return None
-    bits = 8 * values.dtype.itemsize
-    peak = int(values.max(initial=0))
-    if bits == 16 and peak in {2**10 - 1, 2**12 - 1, 2**14 - 1}:
-        return float(peak)
-    return float(2**bits - 1)

@@ -9,8 +9,8 @@ import numpy as np
 import scipy.fft
 from scipy.ndimage import map_coordinates, spline_filter
 
-from metafab.camera.foreign import read_grey
 from metafab.core.conventions import FloatArray
+from metafab.core.pictures import read_grey
 from metafab.spec.scene import SceneObject
 
 Texture = Callable[[FloatArray, FloatArray], FloatArray]

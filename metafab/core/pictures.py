@@ -1,0 +1,87 @@
+"""Pictures that other programs wrote: TIFF and PNG of 8, 12 or 16 bit, and NumPy arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+
+_SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy"}
+_REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
+
+
+def read_grey(path: Path) -> FloatArray:
+    """A picture's values as floats, shape (rows, columns), first row as in the file; colours are averaged.
+
+    Raises:
+        InputError: the file cannot be read, or is no picture.
+    """
+    return read_counts(path, colours=True)[0]
+
+
+def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float | None]:
+    """A grey picture's values, and the level at which its file type saturates (None for floats).
+
+    Args:
+        path: .tif, .tiff, .png or .npy.
+        colours: whether colours are averaged; otherwise they are refused.
+
+    Returns:
+        Shape (rows, columns), first row as in the file; 12-bit counts are taken as they are.
+
+    Raises:
+        InputError: the file cannot be read, or is no grey picture.
+    """
+    kind = _SUFFIXES.get(path.suffix.lower())
+    if kind is None:
+        raise InputError.single(str(path), "file", "a .tif, .tiff, .png or .npy file", repr(path.suffix), _REMEDY)
+    if not path.is_file():
+        raise InputError.single(str(path), "file", f"a {kind} file", "no file at that path", "check the path")
+    try:
+        values = _decoders()[kind](path)
+    except Exception as error:  # the image libraries raise whatever they meet in a broken file
+        got = f"a truncated or foreign file ({type(error).__name__}: {error})"
+        raise InputError.single(str(path), "file", f"a readable {kind} file", got, _REMEDY) from error
+    if values.ndim == 3 and colours:
+        values = values[..., :3].mean(axis=-1).astype(values.dtype)
+    if values.ndim != 2 or values.size == 0:
+        got = f"an array of shape {values.shape}"
+        raise InputError.single(str(path), "shape", "one grey frame (rows, columns)", got, _REMEDY)
+    if values.dtype.kind not in "buif":
+        raise InputError.single(str(path), "type", "real numbers", str(values.dtype), _REMEDY)
+    return values.astype(np.float64), _saturation(values)
+
+
+def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
+    def tiff(path: Path) -> np.ndarray:
+        import tifffile
+
+        return np.asarray(tifffile.imread(path))
+
+    def png(path: Path) -> np.ndarray:
+        from PIL import Image
+
+        with Image.open(path) as image:
+            image.load()
+            grey = image.convert("RGB") if image.mode in {"P", "RGBA", "LA", "PA"} else image
+            return np.asarray(grey)
+
+    def npy(path: Path) -> np.ndarray:
+        return np.asarray(np.load(path, allow_pickle=False))
+
+    return {"tiff": tiff, "png": png, "npy": npy}
+
+
+def _saturation(values: np.ndarray) -> float | None:
+    """The largest count of the sensor behind the file: 12-bit counts often come in 16-bit files."""
+    if values.dtype.kind not in "ui":
+        return None
+    bits = 8 * values.dtype.itemsize
+    peak = int(values.max(initial=0))
+    if bits == 16 and peak in {2**10 - 1, 2**12 - 1, 2**14 - 1}:
+        return float(peak)
+    return float(2**bits - 1)
