@@ -28,7 +28,6 @@ given, and the modes are the way.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy.linalg import lapack
@@ -38,8 +37,8 @@ from metafab.cell.rcwa.eigenmodes import PlaneWaves
 from metafab.core.conventions import ComplexArray
 
 #: x cot x as a ratio of two polynomials in x^2, a row each: Lambert's continued fraction cut after nine partial
-#: quotients 1, 3, .., 17. For real x it is off by 1e-13 at 1.5. For x = i y it is off by a factor 1 + 2 q, with q = 4e-3
-#: at y = 16, 0.06 at 32 and 0.25 at 64, and each doubling squares q.
+#: quotients 1, 3, .., 17. For real x it is off by 1e-13 at 1.5. For x = i y it is off by a factor 1 - 2 q, with
+#: q = 4e-3 at y = 16, 0.06 at 32 and 0.25 at 64, and each doubling squares q.
 _LAMBERT = np.array(
     [
         [34459425.0, -16216200.0, 945945.0, -13860.0, 45.0],
