@@ -19,7 +19,7 @@ import numpy as np
 
 from metafab.cell import CellNumerics, PillarCell
 from metafab.cell.rcwa import Formulation, ZeroOrder, solve, zero_order
-from metafab.cell.rcwa.certificate import distance
+from metafab.cell.rcwa.jones import distance
 from metafab.core.conventions import ComplexArray
 
 RESONANT_NM = ((250.0, 250.0), (150.0, 210.0), (145.0, 245.0), (155.0, 185.0), (220.0, 195.0), (220.8, 244.6))

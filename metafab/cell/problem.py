@@ -14,6 +14,9 @@ from metafab.core.progress import Progress, silent
 from metafab.materials import refractive_index
 from metafab.spec.cell import UnitCell
 
+#: Walls further from upright are no pillars; cutting them into steps would need more than are tried.
+_FLATTEST_WALL_DEG = 60.0
+
 
 def pillar_cell(
     unit_cell: UnitCell,
@@ -50,6 +53,8 @@ def pillar_cell(
         side=unit_cell.illumination.side,
         angle_deg=float(angle_deg),
         azimuth_deg=float(azimuth_deg),
+        sidewall_angle_deg=unit_cell.cell.sidewall_angle_deg or 90.0,
+        sizes_at=unit_cell.cell.sizes_at or "middle",
     )
     check(cell)
     return cell
@@ -68,6 +73,13 @@ def check(cell: PillarCell) -> None:
         )
         if not 0.0 <= size <= period
     ]
+    if not _FLATTEST_WALL_DEG <= cell.sidewall_angle_deg <= 180.0 - _FLATTEST_WALL_DEG:
+        flattest = _FLATTEST_WALL_DEG
+        faults.append(
+            Fault("sidewall_angle_deg", f"{flattest:g} to {180.0 - flattest:g}", f"{cell.sidewall_angle_deg:g}")
+        )
+    elif not faults:
+        faults = _faults_of_ends(cell)
     if not 0.0 <= cell.angle_deg < 90.0:
         faults.append(Fault("angle_deg", "0 to below 90", f"{cell.angle_deg:g}"))
     if not 0.0 < cell.wavelength_nm < float("inf"):
@@ -80,6 +92,12 @@ def check(cell: PillarCell) -> None:
         for name, each in slices.items()
         if not 0.0 <= each.height_nm < float("inf")
     )
+    faults.extend(
+        Fault(f"{name}.{axis}_nm", f"0 to the period of {period:g} nm", f"{size:g} nm")
+        for name, each in slices.items()
+        for axis, size, period in zip(("width", "length"), (each.width_nm, each.length_nm), cell.period_nm, strict=True)
+        if size is not None and not 0.0 <= size <= period
+    )
     indices: dict[str, tuple[complex, ...]] = {f"{name}.n": (s.n_inside, s.n_around) for name, s in slices.items()}
     indices |= {"n_pillar": (cell.n_pillar,), "n_substrate": cell.n_substrate, "n_ambient": (cell.n_ambient,)}
     for name, values in indices.items():
@@ -90,6 +108,21 @@ def check(cell: PillarCell) -> None:
         )
     if faults:
         raise InputError("cell", faults)
+
+
+def _faults_of_ends(cell: PillarCell) -> list[Fault]:
+    """Ends of a sloped pillar that have vanished or touch their neighbours."""
+    return [
+        Fault(
+            f"{axis}_nm",
+            f"sizes of 0 to the period of {period:g} nm from the pillar's bottom to its top",
+            f"{size:g} nm at the {end} with a sidewall_angle_deg of {cell.sidewall_angle_deg:g}",
+            "sweep sizes further from 0 and from the period, or steepen the wall",
+        )
+        for end, share in (("bottom", 0.0), ("top", 1.0))
+        for axis, size, period in zip(("width", "length"), cell.sizes_nm(share), cell.period_nm, strict=True)
+        if cell.is_sloped and not 0.0 <= size <= period
+    ]
 
 
 def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResponse:  # noqa: B008 (frozen)
@@ -104,6 +137,9 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     if numerics.solver == "meep":
         if cell.under or cell.over:
             raise InputError.single("cell", "under, over", "empty for meep", "layers", "solve with rcwa")
+        if cell.is_sloped:
+            angle = f"{cell.sidewall_angle_deg:g}"
+            raise InputError.single("cell", "sidewall_angle_deg", "90 for meep", angle, "solve with rcwa")
         from metafab.cell import meep
 
         return meep.solve(cell, numerics)

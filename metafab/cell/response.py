@@ -11,20 +11,27 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray, Side
 
+#: Where a sloped pillar has the stated width and length.
+SizesAt = Literal["bottom", "middle", "top"]
+
 
 @dataclass(frozen=True)
 class Slice:
-    """A further layer under or over the pillar, with the pillar's outline: a cap, a coating, a film.
+    """A layer of one outline: a cap, a coating, a film; also one step of a sloped pillar.
 
     Attributes:
         height_nm: thickness.
         n_inside: complex index within the outline.
         n_around: complex index around it; the same for a closed film.
+        width_nm: size of the outline along x, 0 to the period; if not given, that of the pillar where they touch.
+        length_nm: size along y, likewise.
     """
 
     height_nm: float
     n_inside: complex
     n_around: complex
+    width_nm: float | None = None
+    length_nm: float | None = None
 
 
 @dataclass(frozen=True)
@@ -33,7 +40,7 @@ class PillarCell:
 
     Attributes:
         period_nm: (x, y) period.
-        width_nm: pillar size along x; 0 is an empty cell, the period a closed film.
+        width_nm: pillar size along x (at ``sizes_at``); 0 is an empty cell, the period a closed film.
         length_nm: pillar size along y.
         height_nm: pillar height.
         n_pillar: complex index of the pillar.
@@ -46,6 +53,9 @@ class PillarCell:
         under: layers between substrate and pillar, from the substrate on (an antireflection film); rcwa only. The
             planes of t and r are then those where the whole stack begins and ends.
         over: layers on the pillar, from the pillar on (a residual cap); rcwa only.
+        sidewall_angle_deg: between walls and substrate, inside the pillar: below 90 the pillar narrows upwards, above
+            90 downwards; rcwa only.
+        sizes_at: where on the pillar its width and length are those stated.
     """
 
     period_nm: tuple[float, float]
@@ -61,6 +71,21 @@ class PillarCell:
     azimuth_deg: float = 0.0
     under: tuple[Slice, ...] = ()
     over: tuple[Slice, ...] = ()
+    sidewall_angle_deg: float = 90.0
+    sizes_at: SizesAt = "middle"
+
+    @property
+    def is_sloped(self) -> bool:
+        """Whether the pillar's sizes change with height."""
+        return self.sidewall_angle_deg != 90.0
+
+    def sizes_nm(self, height_share: float) -> tuple[float, float]:
+        """(width, length) of the pillar at a share of its height, 0 at the substrate and 1 at its end."""
+        stated = {"bottom": 0.0, "middle": 0.5, "top": 1.0}[self.sizes_at]
+        grown = 0.0
+        if self.is_sloped:
+            grown = 2.0 * (stated - height_share) * self.height_nm / math.tan(math.radians(self.sidewall_angle_deg))
+        return self.width_nm + grown, self.length_nm + grown
 
     @property
     def n_in(self) -> tuple[complex, complex]:
@@ -82,12 +107,14 @@ class CellNumerics:
         solver: "rcwa", or "meep" for FDTD in a separate program.
         formulation: rcwa only: "adaptive" coordinates, or plain "fourier" harmonics as an independent check.
         max_orders: rcwa only: most cosines along the longer period before the solver gives up, from 3.
+        steps: rcwa only: how many steps a sloped pillar is cut into; if not given, as many as the target asks for.
     """
 
     target_error: float = 1e-3
     solver: Literal["rcwa", "meep"] = "rcwa"
     formulation: Literal["adaptive", "fourier"] = "adaptive"
     max_orders: int = 16
+    steps: int | None = None
 
 
 @dataclass(frozen=True)

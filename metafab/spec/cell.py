@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import Side
-from metafab.spec.fields import CONFIG, NonNegative, Positive, TargetError
+from metafab.spec.fields import CONFIG, NonNegative, Positive, Real, TargetError
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -40,11 +41,17 @@ def _material(value: object) -> object:
 
 @dataclass(frozen=True, config=CONFIG)
 class CellGeometry:
-    """The unit cell: a pillar of rectangular cross-section centred in a rectangular period."""
+    """The unit cell: a pillar of rectangular cross-section centred in a rectangular period.
+
+    ``sidewall_angle_deg`` is the angle between walls and substrate inside the pillar, 90 if not given; below 90 the
+    pillar narrows upwards. ``sizes_at`` says where on its height widths and lengths are meant, the middle if not given.
+    """
 
     period_nm: tuple[Positive, Positive]
     height_nm: Positive
     shape: Literal["rectangle"] = "rectangle"
+    sidewall_angle_deg: Annotated[float, Field(strict=True, ge=60.0, le=120.0)] | None = None
+    sizes_at: Literal["bottom", "middle", "top"] | None = None
 
     @field_validator("period_nm", mode="before")
     @classmethod
@@ -75,13 +82,53 @@ class Illumination:
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Axes:
+    """What a library covers beyond sizes, each as [lowest, highest] around the unit cell's own value; all optional.
+
+    ``wavelength_nm`` and ``height_nm`` contain the cell's own. ``cd_bias_nm`` is added to width and length alike,
+    ``pillar_n_shift`` to the real part of the pillar's index; both contain 0. ``angle_x_deg`` is the angle of
+    incidence in the x-z plane, inside the medium that the light comes from, from 0 on (t is even in it);
+    ``angle_y_deg`` likewise in the y-z plane. Light in any other plane mixes the polarisations, which a library does
+    not hold, so only one of the two can be asked.
+    """
+
+    wavelength_nm: tuple[Positive, Positive] | None = None
+    height_nm: tuple[Positive, Positive] | None = None
+    cd_bias_nm: tuple[Real, Real] | None = None
+    pillar_n_shift: tuple[Real, Real] | None = None
+    angle_x_deg: tuple[NonNegative, NonNegative] | None = None
+    angle_y_deg: tuple[NonNegative, NonNegative] | None = None
+
+    @property
+    def asked(self) -> dict[str, tuple[float, float]]:
+        """The axes that were asked for, in the order of the fields."""
+        spans = {item.name: getattr(self, item.name) for item in fields(self)}
+        return {name: span for name, span in spans.items() if span is not None}
+
+    @model_validator(mode="after")
+    def _sound(self) -> Axes:
+        for name, (low, high) in self.asked.items():
+            if not low < high:
+                raise ValueError(f"`{name}` must be [lowest, highest], got [{low}, {high}]")
+            if name.startswith("angle") and not (low == 0.0 and high < 90.0):
+                raise ValueError(f"`{name}` must be [0, largest], largest below 90, got [{low}, {high}]")
+        if self.angle_x_deg is not None and self.angle_y_deg is not None:
+            raise ValueError("give `angle_x_deg` or `angle_y_deg`, not both: between the planes polarisations mix")
+        return self
+
+
+@dataclass(frozen=True, config=CONFIG)
 class Sweep:
-    """The sizes that a library covers, and the largest error in complex t that it may have."""
+    """The sizes that a library covers, and the largest error in complex t that it may have.
+
+    ``axes`` names what else it covers (wavelength, height, ...); nothing if not given.
+    """
 
     width_nm: tuple[Positive, Positive]
     length_nm: tuple[Positive, Positive]
     size_grid_nm: Positive
     target_error: TargetError = 2e-3
+    axes: Axes | None = None
 
     @model_validator(mode="after")
     def _ordered(self) -> Sweep:
@@ -123,6 +170,29 @@ class UnitCell:
             if largest > period:
                 raise ValueError(f"`sweep.{name}` reaches {largest} nm, beyond `cell.period_nm` of {period} nm")
         return self
+
+    @model_validator(mode="after")
+    def _axes_around_the_cell(self) -> UnitCell:
+        asked = {} if self.sweep.axes is None else self.sweep.axes.asked
+        for name, (low, high) in asked.items():
+            if not low <= self.nominal(name) <= high:
+                raise ValueError(
+                    f"`sweep.axes.{name}` must contain the cell's own {self.nominal(name):g}, got [{low}, {high}]"
+                )
+        low, high = asked.get("cd_bias_nm", (0.0, 0.0))
+        for name, period in zip(("width_nm", "length_nm"), self.cell.period_nm, strict=True):
+            smallest, largest = getattr(self.sweep, name)
+            if smallest + low <= 0.0 or largest + high > period:
+                raise ValueError(
+                    f"`sweep.axes.cd_bias_nm` takes `sweep.{name}` to {smallest + low:g}..{largest + high:g} nm, "
+                    f"outside 0 to `cell.period_nm` of {period:g} nm"
+                )
+        return self
+
+    def nominal(self, axis: str) -> float:
+        """The cell's own value on an axis of :class:`Axes`."""
+        own = {"wavelength_nm": self.illumination.wavelength_nm, "height_nm": self.cell.height_nm}
+        return own.get(axis, 0.0)
 
     @property
     def is_square(self) -> bool:

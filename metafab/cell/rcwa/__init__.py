@@ -9,7 +9,9 @@ From one axis to the answer:
 - ``eigenmodes``     modes of the layer, plane waves of the half spaces
 - ``doubling``       one incident wave through the layer by doubling thickness: the fast way, tested as it goes
 - ``admittance``     the same by modes, stable for any height
-- ``stack``          the same through several layers of one outline
+- ``outlines``       one axis for layers of unlike outlines
+- ``stack``          the same through several layers
+- ``slicing``        steps of a sloped pillar, and their error
 - ``jones``          Jones matrices at one truncation
 - ``certificate``    truncation raised until the error is what was asked
 - ``cost``           seconds that an answer takes here, by a measured curve

@@ -12,10 +12,11 @@ other way round; each holds by itself, so that the least of them is the bound. D
 pillar (a sharp resonance that the truncation shifts); the floor is what two truncations can agree on by accident. A
 last difference so large that the ladder has not begun to converge counts in full.
 
-Where nothing was measured, the last two differences count threefold. That is so for holes, light at an angle, layers
-under or over the pillar, pillars more than two wavelengths tall, cells more than two wavelengths wide inside the
-densest medium (which need more orders), indices that differ more than fourfold or absorb strongly, and metals, where
-the field at the corners has no limit that Fourier methods approach steadily.
+Of a sloped pillar the error of its steps is added (:mod:`metafab.cell.rcwa.slicing`). Where nothing was measured, the
+last two differences count threefold. That is so for holes, light at an angle, sloped walls, layers under or over the
+pillar, pillars more than two wavelengths tall, cells more than two wavelengths wide inside the densest medium (which
+need more orders), indices that differ more than fourfold or absorb strongly, and metals, where the field at the
+corners has no limit that Fourier methods approach steadily.
 tests/physics/test_rcwa_certificate.py also looks far from the pillars that were measured.
 """
 
@@ -27,7 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.cell.rcwa.basis import Formulation
-from metafab.cell.rcwa.jones import ZeroOrder, axis_orders, zero_order
+from metafab.cell.rcwa.jones import ZeroOrder, axis_orders, distance, zero_order
+from metafab.cell.rcwa.slicing import slicing
 from metafab.cell.response import CellNumerics, CellResponse, PillarCell
 from metafab.core.errors import SolverError
 
@@ -107,10 +109,11 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
         SolverError: an amplitude is not a finite number.
     """
     started = time.perf_counter()
+    cut = slicing(cell, numerics)
     solved: dict[int, ZeroOrder] = {}
     for orders in climb(numerics):
-        solved[orders] = zero_order(cell, orders, numerics.formulation)
-        error = bound(orders, solved, numerics.formulation, measured=_is_measured(cell))
+        solved[orders] = zero_order(cell, orders, numerics.formulation, cut.steps)
+        error = bound(orders, solved, numerics.formulation, measured=_is_measured(cell)) + cut.error
         if error <= numerics.target_error:
             break
     last = solved[orders]
@@ -137,6 +140,7 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
             "transmitted_power_y": float(last.transmitted_power[1]),
             "reflected_power_x": float(last.reflected_power[0]),
             "reflected_power_y": float(last.reflected_power[1]),
+            **({"steps": cut.steps, "slicing_error": cut.error} if cell.is_sloped else {}),
         },
     )
 
@@ -174,17 +178,12 @@ def bound(
     return min(max(claim.floor, *(share * earlier[count] for count, share in claim.shares)) for claim in claims)
 
 
-def distance(one: ZeroOrder, other: ZeroOrder) -> float:
-    """Largest absolute difference of any amplitude."""
-    return float(max(np.abs(one.t - other.t).max(), np.abs(one.r - other.r).max()))
-
-
 def _is_measured(cell: PillarCell) -> bool:
     pillar, around = complex(cell.n_pillar), complex(cell.n_ambient)
     densest = max(n.real for n in (pillar, around, *map(complex, cell.n_substrate)))
     return (
         cell.angle_deg == 0.0
-        and not (cell.under or cell.over)
+        and not (cell.under or cell.over or cell.is_sloped)
         and around.real <= pillar.real <= _STEEPEST * around.real
         and max(pillar.imag / pillar.real, around.imag / around.real) <= _DIMMEST
         and max(cell.period_nm) * densest <= _WIDEST * cell.wavelength_nm

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, cast
 
@@ -18,16 +18,16 @@ from metafab.cell.rcwa.basis import (
     AxisParity,
     Formulation,
     Matrix,
-    axis_basis,
     symmetric_axis,
     travelling_axis,
 )
 from metafab.cell.rcwa.doubling import Faces, through_by_doubling
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, plane_waves
 from metafab.cell.rcwa.factorisation import largest_eigenvalue, layer_matrices
+from metafab.cell.rcwa.outlines import outline_bases
 from metafab.cell.rcwa.stack import StackLayer, through_stack
 from metafab.cell.rcwa.transverse import TransverseBasis, transverse_basis
-from metafab.cell.response import PillarCell
+from metafab.cell.response import PillarCell, Slice
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 
@@ -58,20 +58,30 @@ class ZeroOrder:
 
 @dataclass(frozen=True)
 class SymmetryClass:
-    """Fields of one symmetry, with the outer indices that their polarisation sees."""
+    """Fields of one symmetry, with the outer indices that their polarisation sees.
 
-    basis: TransverseBasis
+    Attributes:
+        bases: one for each layer from the substrate on; they differ in the layer's outline alone.
+        layers: what they hold, each with its sizes.
+        n_in: index of the half space that the light comes from.
+        n_out: index of the half space behind.
+    """
+
+    bases: tuple[TransverseBasis, ...]
+    layers: tuple[Slice, ...]
     n_in: complex
     n_out: complex
 
+    @property
+    def basis(self) -> TransverseBasis:
+        """What all layers share: coefficients and wave numbers (and the overlap of the first)."""
+        return self.bases[0]
+
 
 @dataclass(frozen=True)
-class Layer:
-    """Matrices of the layer in one symmetry class, and the plane waves on either side."""
+class Outside:
+    """Plane waves of the half space that the light comes from, and of the one behind."""
 
-    p: Matrix
-    q: Matrix
-    thickness_k0: float
     incoming: PlaneWaves
     outgoing: PlaneWaves
 
@@ -93,10 +103,11 @@ def axis_orders(cell: PillarCell, orders: int) -> Orders:
     return x, y
 
 
-def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adaptive") -> ZeroOrder:
+def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adaptive", steps: int = 1) -> ZeroOrder:
     """Jones matrices of ``cell`` with ``orders`` cosines beside the constant along the longer period.
 
-    One BLAS thread is used: on matrices of this size more threads cost time.
+    A sloped pillar is cut into ``steps`` of equal height, each as wide as the pillar is in the middle of it. One BLAS
+    thread is used: on matrices of this size more threads cost time.
 
     Raises:
         InputError: light at an angle meets a substrate whose index depends on polarisation, or comes out of an
@@ -106,11 +117,11 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
     power = np.zeros((2, 2))
     largest, inconsistency = 0, 0.0
     with one_thread():
-        for case in symmetry_classes(cell, axis_orders(cell, orders), formulation):
-            layer, incident = _layer(cell, case), case.basis.zero_order()
-            faces = through_case(cell, case, layer, incident)
+        for case in symmetry_classes(cell, axis_orders(cell, orders), formulation, steps):
+            outside, incident = _outside(cell, case), case.basis.zero_order()
+            faces = through_case(cell, case, outside, incident)
             t, r = t + incident.T @ faces.transmitted, r + incident.T @ faces.reflected
-            power = power + _powers(layer, faces, incident)
+            power = power + _powers(outside, faces, incident)
             largest = max(largest, case.basis.size)
             inconsistency = max(inconsistency, faces.inconsistency)
             if _polarisations_swap(cell):
@@ -119,69 +130,110 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
     return ZeroOrder(t, r, power[0], power[1], largest, inconsistency)
 
 
-def symmetry_classes(cell: PillarCell, orders: Orders, formulation: Formulation) -> Iterator[SymmetryClass]:
+def distance(one: ZeroOrder, other: ZeroOrder) -> float:
+    """Largest absolute difference of any amplitude."""
+    return float(max(np.abs(one.t - other.t).max(), np.abs(one.r - other.r).max()))
+
+
+def layers_of(cell: PillarCell, steps: int = 1) -> tuple[Slice, ...]:
+    """The cell's layers from the substrate on, each with its sizes; a sloped pillar in ``steps``."""
+    count = steps if cell.is_sloped else 1
+    pillar = [
+        Slice(cell.height_nm / count, cell.n_pillar, cell.n_ambient, *cell.sizes_nm((i + 0.5) / count))
+        for i in range(count)
+    ]
+    under, over = (
+        [
+            replace(
+                each,
+                width_nm=width if each.width_nm is None else each.width_nm,
+                length_nm=length if each.length_nm is None else each.length_nm,
+            )
+            for each in slices
+        ]
+        for slices, (width, length) in ((cell.under, cell.sizes_nm(0.0)), (cell.over, cell.sizes_nm(1.0)))
+    )
+    return (*under, *pillar, *over)
+
+
+def symmetry_classes(
+    cell: PillarCell, orders: Orders, formulation: Formulation, steps: int = 1
+) -> Iterator[SymmetryClass]:
     """The symmetry classes that incident light of either polarisation excites."""
-    x = axis_basis(cell.period_nm[0], cell.width_nm, orders[0], formulation)
-    y = axis_basis(cell.period_nm[1], cell.length_nm, orders[1], formulation)
+    layers = layers_of(cell, steps)
+    sizes = [(each.width_nm or 0.0, each.length_nm or 0.0) for each in layers]
+    x, y = (
+        outline_bases(cell.period_nm[axis], tuple(size[axis] for size in sizes), orders[axis], formulation)
+        for axis in (0, 1)
+    )
     if cell.angle_deg == 0.0:
         for i, even_first in enumerate((True, False)):
-            basis = transverse_basis(*(symmetric_axis(axis, even_first=even_first) for axis in (x, y)))
-            yield SymmetryClass(basis, cell.n_in[i], cell.n_out[i])
+            both = ([symmetric_axis(each, even_first=even_first) for each in axis] for axis in (x, y))
+            yield SymmetryClass(_over_outlines(*both), layers, cell.n_in[i], cell.n_out[i])
         return
     _check_oblique(cell)
     k_in = 2.0 * math.pi / cell.wavelength_nm * cell.n_in[0].real * math.sin(math.radians(cell.angle_deg))
     k_x, k_y = (k_in * part for part in _direction(cell.azimuth_deg))
     # With parity along one axis only, each of its two classes holds one polarisation.
-    for u in _families(x, k_x):
-        for v in _families(y, k_y):
-            yield SymmetryClass(transverse_basis(u, v), cell.n_in[0], cell.n_out[0])
+    for u in zip(*(_families(each, k_x) for each in x), strict=True):
+        for v in zip(*(_families(each, k_y) for each in y), strict=True):
+            yield SymmetryClass(_over_outlines(u, v), layers, cell.n_in[0], cell.n_out[0])
 
 
-def through_case(cell: PillarCell, case: SymmetryClass, layer: Layer, incident: ComplexArray) -> Faces:
+def _over_outlines(u: Sequence[AxisParity], v: Sequence[AxisParity]) -> tuple[TransverseBasis, ...]:
+    first = transverse_basis(u[0], v[0])
+    return (first, *(replace(first, u=of_x, v=of_y) for of_x, of_y in zip(u[1:], v[1:], strict=True)))
+
+
+def through_case(cell: PillarCell, case: SymmetryClass, outside: Outside, incident: ComplexArray) -> Faces:
     """Field at the faces of the layer or stack, by whichever way is faster and can be trusted."""
-    if cell.under or cell.over:
-        return _through_slices(cell, case, layer, incident)
+    if len(case.layers) > 1:
+        return _through_stack(cell, case, outside, incident)
+    p, q = _matrices(cell, case, 0)
     largest_a = largest_eigenvalue(permittivity(cell.n_pillar), permittivity(cell.n_ambient))
-    faces = through_by_doubling(
-        layer.p, layer.q, layer.thickness_k0, layer.incoming, layer.outgoing, incident, largest_a
-    )
+    thickness_k0 = _thickness_k0(cell, case, 0)
+    faces = through_by_doubling(p, q, thickness_k0, outside.incoming, outside.outgoing, incident, largest_a)
     if faces is not None:
         return faces
-    field = solve_class(cell, case, layer).field
+    field = solve_class(cell, case, outside).field
     return Faces(field.transmitted, field.reflected, 0.0)
 
 
-def solve_class(cell: PillarCell, case: SymmetryClass, layer: Layer | None = None) -> ClassSolution:
-    """Modes and field of one symmetry class, for incident E_x = 1 and E_y = 1 (as far as the class holds them)."""
-    layer = layer or _layer(cell, case)
-    modes = layer_modes(layer.p, layer.q)
-    field = through_layer(modes, layer.thickness_k0, layer.incoming, layer.outgoing, case.basis.zero_order())
-    return ClassSolution(modes, layer.incoming, layer.outgoing, field)
+def solve_class(cell: PillarCell, case: SymmetryClass, outside: Outside | None = None) -> ClassSolution:
+    """Modes and field of a class with one layer, for incident E_x = 1 and E_y = 1 (as far as the class holds them)."""
+    outside = outside or _outside(cell, case)
+    modes = layer_modes(*_matrices(cell, case, 0))
+    incident = case.basis.zero_order()
+    field = through_layer(modes, _thickness_k0(cell, case, 0), outside.incoming, outside.outgoing, incident)
+    return ClassSolution(modes, outside.incoming, outside.outgoing, field)
 
 
-def _through_slices(cell: PillarCell, case: SymmetryClass, layer: Layer, incident: ComplexArray) -> Faces:
-    k0_per_nm = 2.0 * math.pi / cell.wavelength_nm
-    pillar = StackLayer(layer_modes(layer.p, layer.q), layer.thickness_k0)
-    under, over = (
-        [
-            StackLayer(
-                layer_modes(*layer_matrices(case.basis, k0_per_nm, permittivity(s.n_inside), permittivity(s.n_around))),
-                k0_per_nm * s.height_nm,
-            )
-            for s in slices
-        ]
-        for slices in (cell.under, cell.over)
-    )
-    upwards = [*under, pillar, *over]
+def _through_stack(cell: PillarCell, case: SymmetryClass, outside: Outside, incident: ComplexArray) -> Faces:
+    upwards = [
+        StackLayer(layer_modes(*_matrices(cell, case, i)), _thickness_k0(cell, case, i))
+        for i in range(len(case.layers))
+    ]
     layers = upwards if cell.side == "substrate" else upwards[::-1]
-    return through_stack(layers, layer.incoming, layer.outgoing, incident)
+    return through_stack(layers, outside.incoming, outside.outgoing, incident)
 
 
-def _layer(cell: PillarCell, case: SymmetryClass) -> Layer:
-    k0_per_nm = 2.0 * math.pi / cell.wavelength_nm
-    p, q = layer_matrices(case.basis, k0_per_nm, permittivity(cell.n_pillar), permittivity(cell.n_ambient))
-    incoming, outgoing = (plane_waves(case.basis, k0_per_nm, permittivity(n)) for n in (case.n_in, case.n_out))
-    return Layer(p, q, k0_per_nm * cell.height_nm, incoming, outgoing)
+def _outside(cell: PillarCell, case: SymmetryClass) -> Outside:
+    return Outside(*(plane_waves(case.basis, _k0_per_nm(cell), permittivity(n)) for n in (case.n_in, case.n_out)))
+
+
+def _matrices(cell: PillarCell, case: SymmetryClass, index: int) -> tuple[Matrix, Matrix]:
+    layer = case.layers[index]
+    return layer_matrices(
+        case.bases[index], _k0_per_nm(cell), permittivity(layer.n_inside), permittivity(layer.n_around)
+    )
+
+
+def _thickness_k0(cell: PillarCell, case: SymmetryClass, index: int) -> float:
+    return _k0_per_nm(cell) * case.layers[index].height_nm
+
+
+def _k0_per_nm(cell: PillarCell) -> float:
+    return 2.0 * math.pi / cell.wavelength_nm
 
 
 def permittivity(n: complex) -> complex:
@@ -194,21 +246,22 @@ def one_thread() -> AbstractContextManager[Any]:
     return cast("AbstractContextManager[Any]", _blas().limit(limits=1))
 
 
-def _powers(layer: Layer, faces: Faces, incident: ComplexArray) -> FloatArray:
+def _powers(outside: Outside, faces: Faces, incident: ComplexArray) -> FloatArray:
     """Power in all transmitted and all reflected orders, a row each, over the incident power (0 where none comes)."""
 
     def across(waves: PlaneWaves, field: ComplexArray) -> FloatArray:
         admittance = waves.h / np.where(waves.e == 0.0, np.inf, waves.e)
         return np.asarray(admittance.real @ np.abs(field) ** 2)
 
-    sent = across(layer.incoming, incident)
-    gone = np.stack([across(layer.outgoing, faces.transmitted), across(layer.incoming, faces.reflected)])
+    sent = across(outside.incoming, incident)
+    gone = np.stack([across(outside.outgoing, faces.transmitted), across(outside.incoming, faces.reflected)])
     return np.asarray(np.where(sent > 0.0, gone / np.where(sent > 0.0, sent, 1.0), 0.0))
 
 
 def _polarisations_swap(cell: PillarCell) -> bool:
     """Whether x and y light see the same cell, turned by 90 degrees."""
-    same_sizes = cell.width_nm == cell.length_nm and cell.period_nm[0] == cell.period_nm[1]
+    same_sizes = all(each.width_nm == each.length_nm for each in layers_of(cell))
+    same_sizes = same_sizes and cell.period_nm[0] == cell.period_nm[1]
     return same_sizes and cell.angle_deg == 0.0 and cell.n_substrate[0] == cell.n_substrate[1]
 
 
