@@ -64,8 +64,8 @@ class GdsiiWriter:
             + record(0x0305, excess_64(unit_m / 1e-6) + excess_64(unit_m))
         )
 
-    def encode(self, tile: PillarTile) -> tuple[TileCell, bytes]:
-        """The structure of ``tile`` and its bytes; safe to call from several threads."""
+    def encode(self, tile: PillarTile) -> tuple[TileCell, memoryview]:
+        """The cell of ``tile`` and the bytes of its elements; safe to call from several threads."""
         cell = tile_cell(self._lattice, tile)
         fill = fill_boundaries if HAS_NUMBA else fill_boundaries_vectorised
         words = fill(
@@ -75,13 +75,15 @@ class GdsiiWriter:
             (cell.first_x_dbu, cell.first_y_dbu),
             self._template,
         )
-        return cell, b"".join((_begin(cell.name), words.tobytes(), record(0x0700)))
+        return cell, words.data.cast("B")
 
-    def add(self, encoded: tuple[TileCell, bytes]) -> None:
-        """Append what :meth:`encode` returned."""
-        cell, data = encoded
+    def add(self, encoded: tuple[TileCell, memoryview]) -> None:
+        """Append what :meth:`encode` returned as a structure."""
+        cell, elements = encoded
         self._placed.append(cell)
-        self._stream.write(data)
+        self._stream.write(_begin(cell.name))
+        self._stream.write(elements)  # not copied: a tile has tens of megabytes
+        self._stream.write(record(0x0700))
 
     def close(self, extra: bytes = b"") -> None:
         """Write the top structure, with ``extra`` elements in it, and the end of the library."""

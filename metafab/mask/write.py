@@ -69,7 +69,7 @@ def write(pillars: PillarMap, directory: Path, design: Design, progress: Progres
             return tile, [writer.encode(tile) for writer in writers]
 
         sites = pillars.lattice.shape[0] * pillars.lattice.shape[1]
-        for tile, encoded in in_order(threads, encode, _filled(pillars), ahead=4):
+        for tile, encoded in in_order(threads, encode, _filled(pillars), ahead=default_workers() + 1):
             for writer, cell in zip(writers, encoded, strict=True):
                 writer.add(cell)
             figures.add(tile)

@@ -15,7 +15,7 @@ from metafab.layout import Lattice, PillarTile
 from metafab.mask.cells import tile_cell
 from metafab.mask.gdsii_reader import rectangles_of, rectangles_vectorised
 from metafab.mask.gdsii_writer import boundary_template, fill_boundaries, fill_boundaries_vectorised
-from metafab.mask.oasis_writer import rectangle_records, rectangle_records_vectorised
+from metafab.mask.oasis_writer import rectangle_records, rectangle_records_vectorised, sorted_by_size_vectorised
 
 SIZES = np.array([[0, 0], [20, 30], [50, 20], [20, 50], [52, 50], [700, 64]], dtype=np.int64)
 TILES = arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.integers(0, 5))
@@ -26,6 +26,21 @@ def test_oasis_records(index: np.ndarray, row: int, periods: tuple[int, int]) ->
     lattice, tile = Lattice(periods, (400, 400), 0.5), PillarTile(row, 17, index)
     arguments = (tile, lattice, SIZES, tile_cell(lattice, tile), (1, 300))
     assert rectangle_records(*arguments) == rectangle_records_vectorised(*arguments)
+
+
+@pytest.mark.parametrize("shape", [(476, 300), (239, 714), (40, 238)])
+def test_oasis_records_of_tiles_wider_than_a_strip(shape: tuple[int, int]) -> None:
+    """Both axes may be the fast one; every pillar must be listed once, the last strip being narrower."""
+    rng = np.random.default_rng(7)
+    index = np.sort(rng.integers(0, 6, shape).astype(np.uint16), axis=int(shape[0] > shape[1]))
+    lattice, tile = Lattice((700, 600), (800, 800), 0.5), PillarTile(3, 17, index)
+    arguments = (tile, lattice, SIZES, tile_cell(lattice, tile), (1, 0))
+    records = rectangle_records(*arguments)
+    assert records == rectangle_records_vectorised(*arguments)
+    row, column, end_of = sorted_by_size_vectorised(index, len(SIZES), fast_along_y=shape[0] > shape[1])
+    assert np.array_equal(np.diff(end_of), np.bincount(index.ravel())[1:])
+    assert np.array_equal(np.sort(row * shape[1] + column), np.flatnonzero(index))
+    assert np.array_equal(index[row, column], np.repeat(np.arange(1, 6), np.diff(end_of)))
 
 
 @given(index=TILES, layer=st.integers(0, 255))
