@@ -80,12 +80,19 @@ class PillarCell:
         return self.sidewall_angle_deg != 90.0
 
     def sizes_nm(self, height_share: float) -> tuple[float, float]:
-        """(width, length) of the pillar at a share of its height, 0 at the substrate and 1 at its end."""
+        """(width, length) of the pillar at a share of its height, 0 at the substrate and 1 at its end.
+
+        An axis without walls (a size of the period) has no slope; nor has an empty cell.
+        """
+        if not self.is_sloped or 0.0 in (self.width_nm, self.length_nm):
+            return self.width_nm, self.length_nm
         stated = {"bottom": 0.0, "middle": 0.5, "top": 1.0}[self.sizes_at]
-        grown = 0.0
-        if self.is_sloped:
-            grown = 2.0 * (stated - height_share) * self.height_nm / math.tan(math.radians(self.sidewall_angle_deg))
-        return self.width_nm + grown, self.length_nm + grown
+        grown = 2.0 * (stated - height_share) * self.height_nm / math.tan(math.radians(self.sidewall_angle_deg))
+        width, length = (
+            size if size == period else size + grown
+            for size, period in zip((self.width_nm, self.length_nm), self.period_nm, strict=True)
+        )
+        return width, length
 
     @property
     def n_in(self) -> tuple[complex, complex]:

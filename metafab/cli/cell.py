@@ -25,6 +25,7 @@ def cell_command(
 ) -> None:
     """Solve one unit cell."""
     from metafab import cell
+    from metafab.cell import rcwa
     from metafab.spec import load_unit_cell
 
     spec = load_unit_cell(unit_cell)
@@ -34,6 +35,7 @@ def cell_command(
     )
     numerics = cell.CellNumerics(target_error=target_error or spec.sweep.target_error, solver=name)
     answer = cell.solve(problem, numerics)
+    diffracts = name == "rcwa" and rcwa.diffracts(problem)
     (t_xx, t_xy), (t_yx, t_yy) = answer.t
     transmittance_x, transmittance_y = answer.transmittance
     show(
@@ -53,6 +55,7 @@ def cell_command(
             "seconds": answer.seconds,
             "solver": name,
             "details": answer.details,
+            **({"diffraction": rcwa.diffraction(problem, numerics)} if diffracts else {}),
         },
         json_,
     )

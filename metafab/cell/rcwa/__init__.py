@@ -14,6 +14,7 @@ From one axis to the answer:
 - ``slicing``        steps of a sloped pillar, and their error
 - ``jones``          Jones matrices at one truncation
 - ``certificate``    truncation raised until the error is what was asked
+- ``diffraction``    efficiencies of single orders
 - ``cost``           seconds that an answer takes here, by a measured curve
 - ``derivatives``    dt, dr by width and length, by reciprocity
 """
@@ -22,6 +23,28 @@ from metafab.cell.rcwa.basis import Formulation
 from metafab.cell.rcwa.certificate import solve
 from metafab.cell.rcwa.cost import seconds_estimate
 from metafab.cell.rcwa.derivatives import SizeDerivatives, derivatives
+from metafab.cell.rcwa.diffraction import (
+    DiffractedOrder,
+    Diffraction,
+    diffraction,
+    diffracts,
+    efficiencies,
+    propagating_orders,
+)
 from metafab.cell.rcwa.jones import ZeroOrder, zero_order
 
-__all__ = ["Formulation", "SizeDerivatives", "ZeroOrder", "derivatives", "seconds_estimate", "solve", "zero_order"]
+__all__ = [
+    "DiffractedOrder",
+    "Diffraction",
+    "Formulation",
+    "SizeDerivatives",
+    "ZeroOrder",
+    "derivatives",
+    "diffraction",
+    "diffracts",
+    "efficiencies",
+    "propagating_orders",
+    "seconds_estimate",
+    "solve",
+    "zero_order",
+]

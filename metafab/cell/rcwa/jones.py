@@ -87,6 +87,23 @@ class Outside:
 
 
 @dataclass(frozen=True)
+class ClassFaces:
+    """One symmetry class and its field at the faces of the layer or stack.
+
+    Attributes:
+        case: the class.
+        outside: waves of both half spaces.
+        incident: shape (n, 2), the columns of incident E_x = 1 and E_y = 1; zero where the class does not hold them.
+        faces: transmitted and reflected field of both.
+    """
+
+    case: SymmetryClass
+    outside: Outside
+    incident: ComplexArray
+    faces: Faces
+
+
+@dataclass(frozen=True)
 class ClassSolution:
     """What :func:`solve_class` found: modes of the layer, waves outside, and the field."""
 
@@ -117,17 +134,42 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
     power = np.zeros((2, 2))
     largest, inconsistency = 0, 0.0
     with one_thread():
-        for case in symmetry_classes(cell, axis_orders(cell, orders), formulation, steps):
-            outside, incident = _outside(cell, case), case.basis.zero_order()
-            faces = through_case(cell, case, outside, incident)
+        for solved in solved_classes(cell, orders, formulation, steps):
+            incident, faces = solved.incident, solved.faces
             t, r = t + incident.T @ faces.transmitted, r + incident.T @ faces.reflected
-            power = power + _powers(outside, faces, incident)
-            largest = max(largest, case.basis.size)
+            power = power + np.stack([np.sum(each, axis=0) for each in shares_of_power(solved)])
+            largest = max(largest, solved.case.basis.size)
             inconsistency = max(inconsistency, faces.inconsistency)
             if _polarisations_swap(cell):
                 t, r, power = t + t[::-1, ::-1], r + r[::-1, ::-1], power + power[:, ::-1]
                 break
     return ZeroOrder(t, r, power[0], power[1], largest, inconsistency)
+
+
+def solved_classes(cell: PillarCell, orders: int, formulation: Formulation, steps: int = 1) -> Iterator[ClassFaces]:
+    """The symmetry classes of ``cell``, each solved when it is asked for; arguments as of :func:`zero_order`."""
+    for case in symmetry_classes(cell, axis_orders(cell, orders), formulation, steps):
+        outside, incident = _outside(cell, case), case.basis.zero_order()
+        yield ClassFaces(case, outside, incident, through_case(cell, case, outside, incident))
+
+
+def shares_of_power(solved: ClassFaces) -> tuple[FloatArray, FloatArray]:
+    """Power that each coefficient carries off, over the incident power (0 where none comes).
+
+    Returns:
+        Transmitted and reflected, each of shape (n, 2) for incident x and y. The two waves of one wave vector must be
+        taken together.
+    """
+
+    def across(waves: PlaneWaves, field: ComplexArray) -> FloatArray:
+        admittance = waves.h / np.where(waves.e == 0.0, np.inf, waves.e)
+        return np.asarray(admittance.real[:, None] * np.abs(field) ** 2)
+
+    outside = solved.outside
+    sent = np.sum(across(outside.incoming, solved.incident), axis=0)
+    over_sent = np.where(sent > 0.0, 1.0 / np.where(sent > 0.0, sent, 1.0), 0.0)
+    gone = across(outside.outgoing, solved.faces.transmitted), across(outside.incoming, solved.faces.reflected)
+    return gone[0] * over_sent, gone[1] * over_sent
 
 
 def distance(one: ZeroOrder, other: ZeroOrder) -> float:
@@ -172,12 +214,18 @@ def symmetry_classes(
             yield SymmetryClass(_over_outlines(*both), layers, cell.n_in[i], cell.n_out[i])
         return
     _check_oblique(cell)
-    k_in = 2.0 * math.pi / cell.wavelength_nm * cell.n_in[0].real * math.sin(math.radians(cell.angle_deg))
-    k_x, k_y = (k_in * part for part in _direction(cell.azimuth_deg))
+    k_x, k_y = in_plane_per_nm(cell)
     # With parity along one axis only, each of its two classes holds one polarisation.
     for u in zip(*(_families(each, k_x) for each in x), strict=True):
         for v in zip(*(_families(each, k_y) for each in y), strict=True):
             yield SymmetryClass(_over_outlines(u, v), layers, cell.n_in[0], cell.n_out[0])
+
+
+def in_plane_per_nm(cell: PillarCell) -> tuple[float, float]:
+    """Wave vector (k_x, k_y) of the incident light in the plane of the cell, rad/nm."""
+    k_in = _k0_per_nm(cell) * cell.n_in[0].real * math.sin(math.radians(cell.angle_deg))
+    cosine, sine = _direction(cell.azimuth_deg)
+    return k_in * cosine, k_in * sine
 
 
 def _over_outlines(u: Sequence[AxisParity], v: Sequence[AxisParity]) -> tuple[TransverseBasis, ...]:
@@ -244,18 +292,6 @@ def permittivity(n: complex) -> complex:
 def one_thread() -> AbstractContextManager[Any]:
     """One BLAS thread while it lasts."""
     return cast("AbstractContextManager[Any]", _blas().limit(limits=1))
-
-
-def _powers(outside: Outside, faces: Faces, incident: ComplexArray) -> FloatArray:
-    """Power in all transmitted and all reflected orders, a row each, over the incident power (0 where none comes)."""
-
-    def across(waves: PlaneWaves, field: ComplexArray) -> FloatArray:
-        admittance = waves.h / np.where(waves.e == 0.0, np.inf, waves.e)
-        return np.asarray(admittance.real @ np.abs(field) ** 2)
-
-    sent = across(outside.incoming, incident)
-    gone = np.stack([across(outside.outgoing, faces.transmitted), across(outside.incoming, faces.reflected)])
-    return np.asarray(np.where(sent > 0.0, gone / np.where(sent > 0.0, sent, 1.0), 0.0))
 
 
 def _polarisations_swap(cell: PillarCell) -> bool:

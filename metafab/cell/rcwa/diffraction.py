@@ -1,0 +1,160 @@
+"""Efficiencies of single diffraction orders, where cells are wide enough for more than the zero order to leave.
+
+The waves of the truncated basis stand for orders one by one: label m of an axis for order m (and -m, where a mirror
+plane binds the two with equal power). The efficiency of an order is the power along z of its TM and TE wave over that
+of the incident wave; with nothing absorbed, the efficiencies of all orders on both sides add up to 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.cell.rcwa.basis import AxisParity, Formulation
+from metafab.cell.rcwa.certificate import climb
+from metafab.cell.rcwa.jones import axis_orders, in_plane_per_nm, one_thread, shares_of_power, solved_classes
+from metafab.cell.rcwa.slicing import slicing
+from metafab.cell.response import CellNumerics, PillarCell
+from metafab.core.conventions import FloatArray
+
+Order = tuple[int, int]
+#: What the last two differences between truncations count, as for all cells that no claim was measured on.
+_SHARE = 3.0
+
+
+@dataclass(frozen=True)
+class DiffractedOrder:
+    """One order that leaves on one side.
+
+    Attributes:
+        order: (m, n): its wave vector in the plane is that of the incident light plus (m / period_x, n / period_y)
+            turns.
+        polar_deg: angle from the axis, in the medium that it leaves into.
+        azimuth_deg: direction of its wave vector in the plane, counter-clockwise from +x, in (-180, 180]; 0 on the
+            axis.
+        efficiency_x: its power over the incident power, for light with E along x in the plane of the cell.
+        efficiency_y: the same for y.
+    """
+
+    order: Order
+    polar_deg: float
+    azimuth_deg: float
+    efficiency_x: float
+    efficiency_y: float
+
+
+@dataclass(frozen=True)
+class Diffraction:
+    """All orders that leave a cell.
+
+    Attributes:
+        transmitted: by n, then m.
+        reflected: likewise.
+        error: estimate of the largest error of any efficiency.
+        converged: whether that is at most the target.
+        truncation: cosines along the longer period.
+    """
+
+    transmitted: tuple[DiffractedOrder, ...]
+    reflected: tuple[DiffractedOrder, ...]
+    error: float
+    converged: bool
+    truncation: int
+
+
+def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Diffraction:  # noqa: B008 (frozen)
+    """Efficiencies of every order that leaves ``cell``, to ``numerics.target_error`` where that can be reached.
+
+    Of an absorbing half space, those orders are listed that the real part of its index lets propagate, with their
+    power where the layer ends.
+
+    Raises:
+        InputError: as :func:`metafab.cell.rcwa.jones.zero_order`.
+    """
+    cut = slicing(cell, numerics)
+    solved: dict[int, FloatArray] = {}
+    sides = [propagating_orders(cell, index) for index in (cell.n_out, cell.n_in)]
+    farthest = max(abs(number) for side in sides for order in side for number in order)
+    error, orders = math.inf, 0
+    for orders in climb(numerics):
+        powers = efficiencies(cell, orders, numerics.formulation, cut.steps)
+        solved[orders] = np.array(
+            [powers[side].get(order, (0.0, 0.0)) for side in (0, 1) for order in sides[side]], dtype=np.float64
+        )
+        if len(solved) > 1 and min(axis_orders(cell, orders)) >= farthest:
+            earlier = sorted(solved)[-3:-1]
+            changes = [float(np.abs(solved[orders] - solved[count]).max()) for count in earlier]
+            error = _SHARE * max(changes) + 2.0 * cut.error
+        if error <= numerics.target_error:
+            break
+    values = iter(solved[orders])
+    transmitted, reflected = (
+        tuple(DiffractedOrder(order, *_direction(cell, order, index[0]), *map(float, next(values))) for order in side)
+        for side, index in zip(sides, (cell.n_out, cell.n_in), strict=True)
+    )
+    return Diffraction(transmitted, reflected, error, error <= numerics.target_error, orders)
+
+
+def diffracts(cell: PillarCell) -> bool:
+    """Whether orders beside the zero order leave ``cell``, on either side."""
+    return any(len(propagating_orders(cell, index)) > 1 for index in (cell.n_in, cell.n_out))
+
+
+def propagating_orders(cell: PillarCell, index: tuple[complex, complex]) -> tuple[Order, ...]:
+    """Orders (m, n) that propagate in a half space of ``index``, as x and y polarised light see it; by n, then m."""
+    reach = max(complex(n).real for n in index) / cell.wavelength_nm
+    start = np.array(in_plane_per_nm(cell)) / (2.0 * math.pi)
+    most = [math.ceil((reach + abs(at)) * period) for at, period in zip(start, cell.period_nm, strict=True)]
+    return tuple(
+        (m, n)
+        for n in range(-most[1], most[1] + 1)
+        for m in range(-most[0], most[0] + 1)
+        if math.hypot(start[0] + m / cell.period_nm[0], start[1] + n / cell.period_nm[1]) < reach
+    )
+
+
+def efficiencies(
+    cell: PillarCell, orders: int, formulation: Formulation = "adaptive", steps: int = 1
+) -> tuple[dict[Order, FloatArray], dict[Order, FloatArray]]:
+    """Efficiencies of every order of the basis at one truncation; 0 for those that die out.
+
+    Returns:
+        Transmitted and reflected: order -> shape (2,), for incident x and y.
+    """
+    sides: tuple[dict[Order, FloatArray], dict[Order, FloatArray]] = (
+        defaultdict(lambda: np.zeros(2)),
+        defaultdict(lambda: np.zeros(2)),
+    )
+    with one_thread():
+        for solved in solved_classes(cell, orders, formulation, steps):
+            basis = solved.case.basis
+            both = [(u, v) for u in _orders(basis.u, "a") for v in _orders(basis.v, "a")]
+            both += [(u, v) for u in _orders(basis.u, "b") for v in _orders(basis.v, "b")]
+            for side, powers in zip(sides, shares_of_power(solved), strict=True):
+                for (u, v), power in zip(both, powers, strict=True):
+                    for m in u:
+                        for n in v:
+                            side[m, n] = side[m, n] + power / (len(u) * len(v))
+    return dict(sides[0]), dict(sides[1])
+
+
+def _orders(axis: AxisParity, family: str) -> list[tuple[int, ...]]:
+    """Orders that each function of a family stands for: one if it travels, two of equal power if it has a parity."""
+    labels = axis.label_a if family == "a" else axis.label_b
+    count = (axis.wavenumber.size - 1) // 2
+    if axis.label_a.size == axis.label_b.size:
+        return [(int(label),) if label <= count else (int(count - label),) for label in labels]
+    return [(int(label), -int(label)) if label else (0,) for label in labels]
+
+
+def _direction(cell: PillarCell, order: Order, index: complex) -> tuple[float, float]:
+    """Polar angle and azimuth of an order in a medium of ``index``, degrees."""
+    k_x, k_y = (
+        start + 2.0 * math.pi * number / period
+        for start, number, period in zip(in_plane_per_nm(cell), order, cell.period_nm, strict=True)
+    )
+    across = math.hypot(k_x, k_y) * cell.wavelength_nm / (2.0 * math.pi * complex(index).real)
+    return math.degrees(math.asin(min(across, 1.0))), math.degrees(math.atan2(k_y, k_x)) if across else 0.0
