@@ -72,6 +72,19 @@ def _phase(job: Job) -> dict[str, Any]:
     return dict(job.profile.figures)
 
 
+def _study_inputs(design: Design) -> tuple[Any, ...]:
+    illumination = design.unit_cell.illumination
+    return (design.phase, design.device, design.sensor, illumination, design.depths_m, design.scene, design.optics)
+
+
+def _study(job: Job) -> dict[str, Any]:
+    found = phase.study(job.design, job.profile)
+    phase.save_study(
+        found, job.folder / "phase_study.h5", inputs_sha256=fingerprint(*_study_inputs(job.design), job.design.numerics)
+    )
+    return {} if found.bandwidth is None else {"bandwidth": phase.bandwidth_figures(found.bandwidth)}
+
+
 def write_layout(job: Job) -> dict[str, Any]:
     """Map the target phases to pillars and write the mask files."""
     assignment = layout.assign(job.profile, open_library(job), job.design, progress=job.progress)
@@ -305,6 +318,10 @@ STEPS = (
         "phase", ("spec", "phase"), (),
         lambda d: (d.phase, d.device, d.sensor, d.unit_cell.illumination, d.verify, d.numerics),
         _in_folder("phase.h5"), _phase,
+    ),
+    Step(
+        "study", ("spec", "phase"), ("phase",),
+        lambda d: (*_study_inputs(d), d.numerics), _in_folder("phase_study.h5"), _study,
     ),
     Step(
         "layout", ("layout", "mask"), ("library", "phase"),

@@ -13,31 +13,14 @@ mean)^2 / variance, exact for a large background or many electrons, a lower boun
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from metafab.core.conventions import FloatArray
-from metafab.phase.information import Texture, twin_information
+from metafab.phase.information import PointSource, Texture, twin_information
 
 __all__ = ["PointSource", "Texture", "depth_crlb_m", "depth_slope", "point_information", "twin_depth_information"]
-
-
-@dataclass(frozen=True)
-class PointSource:
-    """A point source and the noise of its image.
-
-    Attributes:
-        electrons: detected from each polarisation if the whole PSF is caught.
-        background_e: mean of a pixel without the source.
-        read_noise_e: standard deviation of the read noise.
-    """
-
-    electrons: float = 5000.0
-    background_e: float = 5.0
-    read_noise_e: float = 2.0
 
 
 def depth_slope(stack: FloatArray, depth_m: ArrayLike) -> FloatArray:

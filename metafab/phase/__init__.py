@@ -15,16 +15,28 @@
 - ``propose``   which [L, epsilon] suits a depth range and its noise
 - ``bandwidth`` what the width of the colour filter costs
 - ``build``     a design's terms -> PhaseProfile
+- ``compare``   what masks tell about depth at equal aperture and light
 - ``store``     ``phase.h5``: phases sampled over the aperture
+- ``study``     what a design's phases are worth: lobe, bounds of depth, cost of the filter
 
+- ``study_store``  ``phase_study.h5``: the study
 In: a Design (or plain numbers). Out: a PhaseProfile for the layout room; radians, not wrapped.
 """
 
-from metafab.phase.bandwidth import BandwidthTradeoff, bandwidth_tradeoff, smear_um_per_nm
+from metafab.phase.bandwidth import (
+    BandwidthBudget,
+    BandwidthTradeoff,
+    Remedy,
+    SplitImaging,
+    bandwidth_budget,
+    bandwidth_tradeoff,
+    smear_um_per_nm,
+)
 from metafab.phase.blind import BlindDesign, BlindInformation, optimise_blind
 from metafab.phase.build import profile_of, pupil_field
 from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.helices import (
+from metafab.phase.compare import DepthBounds, compare_masks, reference_masks
     DoubleHelixPhase,
     SpiralZonesPhase,
     VortexPhase,
@@ -32,7 +44,7 @@ from metafab.phase.helices import (
     zone_charges,
     zone_radii,
 )
-from metafab.phase.information import Texture, twin_information
+from metafab.phase.information import PointSource, Texture, twin_information
 from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
 from metafab.phase.profile import PhaseProfile, Term
 from metafab.phase.propose import Proposal, propose
@@ -42,46 +54,62 @@ from metafab.phase.sampled import SampledPhase, load_array
 from metafab.phase.store import load, save
 from metafab.phase.zernike import ZernikePhase
 
+from metafab.phase.study import LobeOverDepth, PhaseStudy, bandwidth_figures, study
+from metafab.phase.study_store import load_study, save_study
 __all__ = [
     "AxiconPhase",
     "BandwidthTradeoff",
     "BlindDesign",
+    "BandwidthBudget",
     "BlindInformation",
     "DoubleHelixPhase",
     "FocalPlane",
+    "DepthBounds",
     "GratingPhase",
     "LensPhase",
     "MainLobe",
     "PeakDesign",
+    "LobeOverDepth",
     "PhaseProfile",
     "Proposal",
     "Pupil",
     "SampledPhase",
+    "PhaseStudy",
+    "PointSource",
     "SpiralZonesPhase",
     "SplitLensPhase",
+    "Remedy",
     "Term",
     "Texture",
+    "SplitImaging",
     "VortexPhase",
     "WaveSumPhase",
     "ZernikePhase",
     "bandwidth_tradeoff",
     "full_turn_dioptre",
     "load",
+    "bandwidth_budget",
+    "bandwidth_figures",
     "load_array",
+    "compare_masks",
     "main_lobe",
     "optimise_blind",
     "optimise_peak",
     "profile_of",
+    "load_study",
     "propose",
     "pupil_field",
     "rim_defocus_per_dioptre_rad",
     "rim_defocus_rad",
     "ring_rotation",
     "rotation_deg_per_dioptre",
+    "reference_masks",
     "save",
     "smear_um_per_nm",
     "spiral_field",
     "twin_information",
     "zone_charges",
+    "save_study",
     "zone_radii",
 ]
+    "study",

@@ -129,3 +129,7 @@ class AxiconPhase:
             return np.zeros((y_um.size, x_um.size))
         slope = -2.0 * math.pi / self.wavelength_um * math.sin(math.radians(self.angle_deg))
         return np.asarray(slope * np.hypot(x_um, y_um[:, None]))
+
+
+#: Terms that say where light goes and not how its PSF turns.
+CARRIERS = (SplitLensPhase, LensPhase, GratingPhase, AxiconPhase)

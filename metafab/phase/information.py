@@ -52,6 +52,21 @@ class Texture:
         return np.asarray((self.electrons * self.contrast) ** 2 / variance * power / power.mean())
 
 
+@dataclass(frozen=True)
+class PointSource:
+    """A point source and the noise of its image.
+
+    Attributes:
+        electrons: detected from each polarisation if the whole PSF is caught.
+        background_e: mean of a pixel without the source.
+        read_noise_e: standard deviation of the read noise.
+    """
+
+    electrons: float = 5000.0
+    background_e: float = 5.0
+    read_noise_e: float = 2.0
+
+
 def twin_information(
     transfer: ComplexArray, slope: ComplexArray, signal_to_noise: FloatArray, *, contrast_known: bool = False
 ) -> float:

@@ -9,14 +9,13 @@ import numpy as np
 from metafab.core import hdf5
 from metafab.core.conventions import POLARISATIONS, FloatArray, wrap_phase
 from metafab.core.files import fingerprint
-from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
+from metafab.phase.carriers import CARRIERS
 from metafab.phase.profile import PhaseProfile
 from metafab.spec import Design
 
 KIND = "metafab phase"
 FORMAT = 1
 _SAMPLES = 401
-_CARRIERS = (SplitLensPhase, LensPhase, GratingPhase, AxiconPhase)
 
 
 def save(profile: PhaseProfile, design: Design, path: Path, *, samples: int = _SAMPLES) -> None:
@@ -27,7 +26,7 @@ def save(profile: PhaseProfile, design: Design, path: Path, *, samples: int = _S
     """
     half_side_um = 0.5 * design.device.aperture_um
     axis_um = np.linspace(-half_side_um, half_side_um, samples)
-    pupil = PhaseProfile(tuple(term for term in profile.terms if not isinstance(term, _CARRIERS)), {})
+    pupil = PhaseProfile(tuple(term for term in profile.terms if not isinstance(term, CARRIERS)), {})
     inputs = fingerprint(design.phase, design.device, design.unit_cell.illumination, design.numerics.seed)
     with hdf5.create(path, kind=KIND, format_version=FORMAT, inputs_sha256=inputs) as file:
         hdf5.put(file, "x_um", axis_um, units="um", description="position from the axis", dims=("x_um",))

@@ -47,7 +47,7 @@ def draw(run: RunFolder, progress: Progress) -> dict[str, str]:
     """Draw all figures of a run into ``figures/`` and return them as SVG by name; pictures of earlier runs go."""
     folder = run.path / "figures"
     folder.mkdir(exist_ok=True)
-    plans = [*_accounts(run), *_library(run), *_design(run), *_light(run), *_image(run)]
+    plans = [*_accounts(run), *_library(run), *_design(run), *_study(run), *_light(run), *_image(run)]
     drawn: dict[str, str] = {}
     for done, plan in enumerate(plans):
         progress("figures", done, len(plans))
@@ -126,6 +126,23 @@ def _design(run: RunFolder) -> Iterator[Plan]:
 
 
 def _light(run: RunFolder) -> Iterator[Plan]:
+def _study(run: RunFolder) -> Iterator[Plan]:
+    if run.study is None:
+        return
+    lobe, bounds, bandwidth = run.study.lobe, run.study.bounds, run.study.bandwidth
+    if lobe is not None:
+        yield Plan("lobe_peak", "Peak of the main lobe over one turn", partial(figures.lobe_peak, lobe))
+        yield Plan("lobe_orientation", "Orientation of the lobe over one turn", partial(figures.lobe_orientation, lobe))
+    if bounds is not None:
+        point, texture = (partial(figures.depth_bounds, bounds, of=of) for of in ("point", "texture"))
+        yield Plan("bounds_point", "Smallest error of depth from a known point source, four masks", point)
+        yield Plan("bounds_texture", "Smallest error of depth from unknown texture, four masks", texture)
+    if bandwidth is not None:
+        yield Plan("filter", "Error of depth against the filter's width", partial(figures.filter_tradeoff, bandwidth))
+        turned = partial(figures.filter_orientation, bandwidth)
+        yield Plan("filter_orientation", "Information kept against the direction of the split", turned)
+
+
     psf, ideal = run.psf, run.ideal_psf
     if psf is None:
         return

@@ -17,6 +17,7 @@ from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
 from metafab.optics.point_spread import Psf
 from metafab.spec import Design
+from metafab.phase import PhaseStudy
 
 Loaded = TypeVar("Loaded")
 
@@ -49,6 +50,7 @@ class RunFolder:
         library: the library that the summary names.
         phases: target phases sampled over the aperture.
         pillars: the pillars, read back from the written mask.
+        study: what the phases are worth.
         mask_file: name of the mask that ``pillars`` comes from.
         psf: PSF pair of the written mask.
         ideal_psf: PSF pair of the target phases.
@@ -65,6 +67,7 @@ class RunFolder:
     phases: AperturePhases | None = None
     pillars: PillarMap | None = None
     mask_file: str = ""
+    study: PhaseStudy | None = None
     psf: Psf | None = None
     ideal_psf: Psf | None = None
     raw: RawFrame | None = None
@@ -84,7 +87,7 @@ class RunFolder:
 
 def open_run(path: Path) -> RunFolder:
     """Open the files of a run folder; one that is missing or damaged leaves a note in place of a result."""
-    from metafab import camera, decode, library, mask, optics
+    from metafab import camera, decode, library, mask, optics, phase
     from metafab.spec import load_design
 
     notes: dict[str, str] = {}
@@ -111,6 +114,7 @@ def open_run(path: Path) -> RunFolder:
         mask_file=masks[0].name,
         psf=_attempt(notes, "psf", path / "psf.h5", optics.load),
         ideal_psf=_attempt(notes, "ideal_psf", path / "ideal_psf.h5", optics.load),
+        study=_attempt(notes, "study", path / "phase_study.h5", phase.load_study),
         raw=_attempt(notes, "raw", path / "raw.h5", camera.load),
         decoded=_attempt(notes, "decoded", path / "decoded.h5", decode.load),
         notes=notes,

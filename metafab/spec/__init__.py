@@ -10,7 +10,7 @@ In: paths. Out: frozen dataclasses whose public names carry their units.
 """
 
 from metafab.spec.cell import Illumination, Material, Solver, Sweep, UnitCell
-from metafab.spec.design import Design, Device, Mask, Numerics, PhaseTerm, Rules, Sensor, Verify
+from metafab.spec.design import Design, Device, Mask, Numerics, Optics, PhaseTerm, Rules, Sensor, Verify
 from metafab.spec.load import canonical_toml, load_design, load_scene, load_unit_cell
 from metafab.spec.scene import Scene, SceneObject
 
@@ -21,6 +21,7 @@ __all__ = [
     "Mask",
     "Material",
     "Numerics",
+    "Optics",
     "PhaseTerm",
     "Rules",
     "Scene",

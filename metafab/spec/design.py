@@ -201,6 +201,13 @@ class Verify:
 
     @model_validator(mode="after")
     def _increasing(self) -> Verify:
+@dataclass(frozen=True, config=CONFIG)
+class Optics:
+    """What stands before the sensor besides the lens: a colour filter of this full width about the wavelength."""
+
+    filter_fwhm_nm: Annotated[float, Field(strict=True, gt=0.0, le=100.0)]
+
+
         if not self.depths_m or any(b <= a for a, b in zip(self.depths_m, self.depths_m[1:], strict=False)):
             raise ValueError("`depths_m` must hold at least one depth, in increasing order")
         return self
@@ -252,6 +259,7 @@ class Design:
         """Vacuum wavelength, um."""
         return self.unit_cell.illumination.wavelength_nm * 1e-3
 
+    optics: Annotated[Optics | None, Field(description="omitted: one wavelength, and no budget of bandwidth")] = None
     @property
     def split_angle_deg(self) -> float:
         """Off-axis angle theta of the split lens, 0 for a design without one."""

@@ -10,6 +10,7 @@ from metafab.core.errors import InputError
 from metafab.phase import (
     BlindInformation,
     Pupil,
+    SplitImaging,
     Texture,
     bandwidth_tradeoff,
     propose,
@@ -72,10 +73,8 @@ def test_the_papers_carrier_spreads_3_8_um_a_nanometre() -> None:
 def test_smear_alone_multiplies_the_transfer_function_by_a_sinc() -> None:
     """With a lens of no power (infinite focal length) a flat filter is a box along the split."""
     field = spiral_field(PUPIL, 4, 0.5)
-    result = bandwidth_tradeoff(
-        PUPIL, field, DEFOCUS_RAD, fwhm_nm=5.0, angle_deg=[4.0, 8.0], aperture_um=2000.0, focal_length_mm=1e12,
-        sensor_distance_um=21220.0, wavelength_um=0.8,
-    )  # fmt: skip
+    imaging = SplitImaging(PUPIL, field, DEFOCUS_RAD, 2000.0, 1e12, 21220.0, 0.8)
+    result = bandwidth_tradeoff(imaging, fwhm_nm=5.0, angle_deg=[4.0, 8.0])
     problem = BlindInformation(PUPIL, DEFOCUS_RAD, Texture())
     transfer, slope = problem.transfer(field)
     snr = Texture().signal_to_noise((64, 64))
@@ -89,10 +88,8 @@ def test_smear_alone_multiplies_the_transfer_function_by_a_sinc() -> None:
 
 
 def test_information_falls_with_width_and_angle_and_returns_at_one_wavelength() -> None:
-    result = bandwidth_tradeoff(
-        PUPIL, spiral_field(PUPIL, 4, 0.5), DEFOCUS_RAD, fwhm_nm=[0.01, 1.0, 5.0, 10.0], angle_deg=[0.0, 4.0, 8.0],
-        aperture_um=2000.0, focal_length_mm=20.0, sensor_distance_um=21220.0, wavelength_um=0.8,
-    )  # fmt: skip
+    imaging = SplitImaging(PUPIL, spiral_field(PUPIL, 4, 0.5), DEFOCUS_RAD, 2000.0, 20.0, 21220.0, 0.8)
+    result = bandwidth_tradeoff(imaging, fwhm_nm=[0.01, 1.0, 5.0, 10.0], angle_deg=[0.0, 4.0, 8.0])
     np.testing.assert_allclose(result.kept[:, 0], 1.0, atol=1e-4)
     assert (np.diff(result.kept, axis=0) < 0.0)[:, 1:].all()
     assert (np.diff(result.kept, axis=1) < 0.0).all()

@@ -37,7 +37,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, smooth_library: Library, sm
 
 def test_everything_written_is_read(folder: Path, smooth_library: Library) -> None:
     run = open_run(folder)
-    assert set(run.notes) == {"phases"}, "phase.h5 was not written; all else was"
+    assert set(run.notes) == {"phases", "study"}, "phase.h5 and its study were not written; all else was"
     assert run.name == "helix_small"
     assert run.library is not None and run.pillars is not None and run.psf is not None
     assert run.raw is not None and run.decoded is not None and run.ideal_psf is not None

@@ -2,6 +2,7 @@
 
 - ``library``    maps of phase, transmittance and error over pillar size; coverage of both phases
 - ``phases``     phases over the aperture
+- ``study``      the lobe over a turn, bounds of depth, the cost of the filter, proposed helices
 - ``mask``       the written pillars at three zooms
 - ``psf``        the pair over depth and field, orientation, peak, modulation transfer
 - ``image``      raw frame, decoded intensities, contrast, depth, depth against truth
@@ -26,6 +27,14 @@ from metafab.report.figures.psf import (
 )
 
 __all__ = [
+from metafab.report.figures.study import (
+    depth_bounds,
+    filter_orientation,
+    filter_tradeoff,
+    lobe_orientation,
+    lobe_peak,
+    proposals,
+)
     "aperture_phase",
     "confidence",
     "contrast",
@@ -34,12 +43,17 @@ __all__ = [
     "depth_against_truth",
     "error_against_time",
     "error_budget",
+    "depth_bounds",
     "error_map",
     "fill_map",
     "intensity",
     "lit_half_px",
+    "filter_orientation",
+    "filter_tradeoff",
     "loss_chain",
     "modulation",
+    "lobe_orientation",
+    "lobe_peak",
     "orientation",
     "over_field",
     "pair_over_depth",
@@ -50,4 +64,5 @@ __all__ = [
     "seconds",
     "shown_depths",
     "transmittance_map",
+    "proposals",
 ]
