@@ -14,12 +14,12 @@
 - ``blind``     the helix that tells most: gradient ascent of that information
 - ``propose``   which [L, epsilon] suits a depth range and its noise
 - ``bandwidth`` what the width of the colour filter costs
-- ``build``     a design's terms -> PhaseProfile
 - ``compare``   what masks tell about depth at equal aperture and light
-- ``store``     ``phase.h5``: phases sampled over the aperture
+- ``build``     a design's terms -> PhaseProfile
 - ``study``     what a design's phases are worth: lobe, bounds of depth, cost of the filter
-
+- ``store``     ``phase.h5``: phases sampled over the aperture
 - ``study_store``  ``phase_study.h5``: the study
+
 In: a Design (or plain numbers). Out: a PhaseProfile for the layout room; radians, not wrapped.
 """
 
@@ -35,8 +35,8 @@ from metafab.phase.bandwidth import (
 from metafab.phase.blind import BlindDesign, BlindInformation, optimise_blind
 from metafab.phase.build import profile_of, pupil_field
 from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
-from metafab.phase.helices import (
 from metafab.phase.compare import DepthBounds, compare_masks, reference_masks
+from metafab.phase.helices import (
     DoubleHelixPhase,
     SpiralZonesPhase,
     VortexPhase,
@@ -52,64 +52,64 @@ from metafab.phase.pupil import FocalPlane, Pupil, rim_defocus_per_dioptre_rad, 
 from metafab.phase.rotation import MainLobe, full_turn_dioptre, main_lobe, ring_rotation, rotation_deg_per_dioptre
 from metafab.phase.sampled import SampledPhase, load_array
 from metafab.phase.store import load, save
-from metafab.phase.zernike import ZernikePhase
-
 from metafab.phase.study import LobeOverDepth, PhaseStudy, bandwidth_figures, study
 from metafab.phase.study_store import load_study, save_study
+from metafab.phase.zernike import ZernikePhase
+
 __all__ = [
     "AxiconPhase",
+    "BandwidthBudget",
     "BandwidthTradeoff",
     "BlindDesign",
-    "BandwidthBudget",
     "BlindInformation",
+    "DepthBounds",
     "DoubleHelixPhase",
     "FocalPlane",
-    "DepthBounds",
     "GratingPhase",
     "LensPhase",
+    "LobeOverDepth",
     "MainLobe",
     "PeakDesign",
-    "LobeOverDepth",
     "PhaseProfile",
-    "Proposal",
-    "Pupil",
-    "SampledPhase",
     "PhaseStudy",
     "PointSource",
-    "SpiralZonesPhase",
-    "SplitLensPhase",
+    "Proposal",
+    "Pupil",
     "Remedy",
+    "SampledPhase",
+    "SpiralZonesPhase",
+    "SplitImaging",
+    "SplitLensPhase",
     "Term",
     "Texture",
-    "SplitImaging",
     "VortexPhase",
     "WaveSumPhase",
     "ZernikePhase",
-    "bandwidth_tradeoff",
-    "full_turn_dioptre",
-    "load",
     "bandwidth_budget",
     "bandwidth_figures",
-    "load_array",
+    "bandwidth_tradeoff",
     "compare_masks",
+    "full_turn_dioptre",
+    "load",
+    "load_array",
+    "load_study",
     "main_lobe",
     "optimise_blind",
     "optimise_peak",
     "profile_of",
-    "load_study",
     "propose",
     "pupil_field",
+    "reference_masks",
     "rim_defocus_per_dioptre_rad",
     "rim_defocus_rad",
     "ring_rotation",
     "rotation_deg_per_dioptre",
-    "reference_masks",
     "save",
+    "save_study",
     "smear_um_per_nm",
     "spiral_field",
+    "study",
     "twin_information",
     "zone_charges",
-    "save_study",
     "zone_radii",
 ]
-    "study",

@@ -125,7 +125,6 @@ def _design(run: RunFolder) -> Iterator[Plan]:
         yield Plan("mask_close", "Single pillars with their sizes", paint, (4.0, 3.4))
 
 
-def _light(run: RunFolder) -> Iterator[Plan]:
 def _study(run: RunFolder) -> Iterator[Plan]:
     if run.study is None:
         return
@@ -143,6 +142,7 @@ def _study(run: RunFolder) -> Iterator[Plan]:
         yield Plan("filter_orientation", "Information kept against the direction of the split", turned)
 
 
+def _light(run: RunFolder) -> Iterator[Plan]:
     psf, ideal = run.psf, run.ideal_psf
     if psf is None:
         return

@@ -16,8 +16,8 @@ from metafab.decode.image import Image4D
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
 from metafab.optics.point_spread import Psf
-from metafab.spec import Design
 from metafab.phase import PhaseStudy
+from metafab.spec import Design
 
 Loaded = TypeVar("Loaded")
 
@@ -49,8 +49,8 @@ class RunFolder:
         design_table: the same file as plain TOML.
         library: the library that the summary names.
         phases: target phases sampled over the aperture.
-        pillars: the pillars, read back from the written mask.
         study: what the phases are worth.
+        pillars: the pillars, read back from the written mask.
         mask_file: name of the mask that ``pillars`` comes from.
         psf: PSF pair of the written mask.
         ideal_psf: PSF pair of the target phases.
@@ -65,9 +65,9 @@ class RunFolder:
     design_table: dict[str, Any] = field(default_factory=dict)
     library: Library | None = None
     phases: AperturePhases | None = None
+    study: PhaseStudy | None = None
     pillars: PillarMap | None = None
     mask_file: str = ""
-    study: PhaseStudy | None = None
     psf: Psf | None = None
     ideal_psf: Psf | None = None
     raw: RawFrame | None = None
@@ -110,11 +110,11 @@ def open_run(path: Path) -> RunFolder:
         design_table=_attempt(notes, "design_table", path / "design.toml", _read_toml) or {},
         library=_attempt(notes, "library", path / library_file, library.load) if library_file else None,
         phases=_attempt(notes, "phases", path / "phase.h5", _read_phases),
+        study=_attempt(notes, "study", path / "phase_study.h5", phase.load_study),
         pillars=pillars,
         mask_file=masks[0].name,
         psf=_attempt(notes, "psf", path / "psf.h5", optics.load),
         ideal_psf=_attempt(notes, "ideal_psf", path / "ideal_psf.h5", optics.load),
-        study=_attempt(notes, "study", path / "phase_study.h5", phase.load_study),
         raw=_attempt(notes, "raw", path / "raw.h5", camera.load),
         decoded=_attempt(notes, "decoded", path / "decoded.h5", decode.load),
         notes=notes,

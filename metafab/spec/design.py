@@ -183,6 +183,13 @@ class Sensor:
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Optics:
+    """What stands before the sensor besides the lens: a colour filter of this full width about the wavelength."""
+
+    filter_fwhm_nm: Annotated[float, Field(strict=True, gt=0.0, le=100.0)]
+
+
+@dataclass(frozen=True, config=CONFIG)
 class Verify:
     """At which depths the written file is simulated, on which window, at how many field points.
 
@@ -201,13 +208,6 @@ class Verify:
 
     @model_validator(mode="after")
     def _increasing(self) -> Verify:
-@dataclass(frozen=True, config=CONFIG)
-class Optics:
-    """What stands before the sensor besides the lens: a colour filter of this full width about the wavelength."""
-
-    filter_fwhm_nm: Annotated[float, Field(strict=True, gt=0.0, le=100.0)]
-
-
         if not self.depths_m or any(b <= a for a, b in zip(self.depths_m, self.depths_m[1:], strict=False)):
             raise ValueError("`depths_m` must hold at least one depth, in increasing order")
         return self
@@ -240,6 +240,7 @@ class Design:
     verify: Verify
     scene: Scene | None = None
     numerics: Numerics = Field(default_factory=Numerics)
+    optics: Annotated[Optics | None, Field(description="omitted: one wavelength, and no budget of bandwidth")] = None
 
     @model_validator(mode="after")
     def _photons(self) -> Design:
@@ -259,7 +260,6 @@ class Design:
         """Vacuum wavelength, um."""
         return self.unit_cell.illumination.wavelength_nm * 1e-3
 
-    optics: Annotated[Optics | None, Field(description="omitted: one wavelength, and no budget of bandwidth")] = None
     @property
     def split_angle_deg(self) -> float:
         """Off-axis angle theta of the split lens, 0 for a design without one."""

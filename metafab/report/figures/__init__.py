@@ -25,8 +25,6 @@ from metafab.report.figures.psf import (
     peak,
     shown_depths,
 )
-
-__all__ = [
 from metafab.report.figures.study import (
     depth_bounds,
     filter_orientation,
@@ -35,34 +33,36 @@ from metafab.report.figures.study import (
     lobe_peak,
     proposals,
 )
+
+__all__ = [
     "aperture_phase",
     "confidence",
     "contrast",
     "coverage",
     "depth",
     "depth_against_truth",
+    "depth_bounds",
     "error_against_time",
     "error_budget",
-    "depth_bounds",
     "error_map",
     "fill_map",
-    "intensity",
-    "lit_half_px",
     "filter_orientation",
     "filter_tradeoff",
-    "loss_chain",
-    "modulation",
+    "intensity",
+    "lit_half_px",
     "lobe_orientation",
     "lobe_peak",
+    "loss_chain",
+    "modulation",
     "orientation",
     "over_field",
     "pair_over_depth",
     "peak",
     "phase_map",
     "pillar_rectangles",
+    "proposals",
     "raw_frame",
     "seconds",
     "shown_depths",
     "transmittance_map",
-    "proposals",
 ]
