@@ -16,13 +16,13 @@ From one axis to the answer:
 - ``certificate``    truncation raised until the error is what was asked
 - ``diffraction``    efficiencies of single orders
 - ``cost``           seconds that an answer takes here, by a measured curve
-- ``derivatives``    dt, dr by width and length, by reciprocity
+- ``derivatives``    dt, dr by sizes, height and index, by reciprocity
 """
 
 from metafab.cell.rcwa.basis import Formulation
 from metafab.cell.rcwa.certificate import solve
 from metafab.cell.rcwa.cost import seconds_estimate
-from metafab.cell.rcwa.derivatives import SizeDerivatives, derivatives
+from metafab.cell.rcwa.derivatives import PillarDerivatives, derivatives
 from metafab.cell.rcwa.diffraction import (
     DiffractedOrder,
     Diffraction,
@@ -37,7 +37,7 @@ __all__ = [
     "DiffractedOrder",
     "Diffraction",
     "Formulation",
-    "SizeDerivatives",
+    "PillarDerivatives",
     "ZeroOrder",
     "derivatives",
     "diffraction",

@@ -1,37 +1,48 @@
-"""Derivatives of the Jones matrices by the pillar's width and length, from one solution and its reverse.
+"""Derivatives of the Jones matrices by what the pillar is, from one solution and its reverse.
 
-P and Q are symmetric, so that for a field (e, h) and a second one (a, b) of the same cell, lit from the other side,
+P and Q are symmetric, so that for a field (e, h) and a second one (a, b) of the same equations, lit from either side,
 d/dz (a^T dh - de^T b) = i (a^T dQ e - b^T dP h). Integrated over z this is the Lorentz reciprocity of the truncated
-equations: with n the index on the side that the second field is lit from,
+equations: with Y the admittance of the zero order on the side that the second field is lit from and its amplitude e_0,
 
-    2 n d(amplitude) = i int (a^T dQ e - b^T dP h) dz,
+    2 e_0^T Y d(amplitudes) = i int (a^T dQ e - b^T dP h) dz,
 
-exactly, for the change dP, dQ of the truncated matrices, the stretched coordinate included. Modes make the integral a
-closed form, so both derivatives cost a few matrix products beside the eigenvalue problem. In the half spaces
-only the evanescent waves of the stretched basis change; the zero order does not.
+exactly, for the change dP, dQ of the truncated matrices, the stretched coordinate included, and at any angle: the
+second field has the same wave vectors, and stands for light that comes back along the first. Modes make the integral a
+closed form, so each derivative costs a few matrix products beside the eigenvalue problem. In the half spaces only the
+evanescent waves of the stretched basis change; the zero order does not. A taller layer is the same layer with a sheet
+of P and Q more at its far face, where the integrand is known without an integral.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from metafab.cell.rcwa.admittance import LayerField, through_layer
-from metafab.cell.rcwa.basis import AxisBasis, AxisParity, Formulation, axis_tangent, symmetric_axis
+from metafab.cell.rcwa.basis import (
+    AxisBasis,
+    AxisParity,
+    Formulation,
+    Matrix,
+    axis_tangent,
+    symmetric_axis,
+    travelling_axis,
+)
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves
 from metafab.cell.rcwa.factorisation import layer_tangents
 from metafab.cell.rcwa.jones import (
     ClassSolution,
     SymmetryClass,
     axis_orders,
+    matrices,
     one_thread,
     permittivity,
     solve_class,
     symmetry_classes,
 )
-from metafab.cell.rcwa.transverse import TransverseBasis
 from metafab.cell.response import PillarCell
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
@@ -41,32 +52,40 @@ _SMALLEST = 1e-9
 
 
 @dataclass(frozen=True)
-class SizeDerivatives:
+class PillarDerivatives:
     """Jones matrices at one truncation and their derivatives.
 
     Attributes:
         t: shape (2, 2); ``r`` likewise, as in :class:`metafab.cell.rcwa.jones.ZeroOrder`.
-        t_per_width: shape (2, 2), d t / d width, 1/nm; likewise the other three.
+        t_per_width: shape (2, 2), d t / d width, 1/nm; likewise by length and height, and of r.
+        t_per_index: shape (2, 2), d t / d n_pillar; analytic, so that times i it is that by the extinction.
     """
 
     t: ComplexArray
     r: ComplexArray
     t_per_width: ComplexArray
     t_per_length: ComplexArray
+    t_per_height: ComplexArray
+    t_per_index: ComplexArray
     r_per_width: ComplexArray
     r_per_length: ComplexArray
+    r_per_height: ComplexArray
+    r_per_index: ComplexArray
 
 
-def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adaptive") -> SizeDerivatives:
-    """Jones matrices of ``cell`` at normal incidence, and their derivatives by both sizes.
+def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adaptive") -> PillarDerivatives:
+    """Jones matrices of ``cell`` and their derivatives by both sizes, height and index; any angle of incidence.
+
+    The direction of the light is held (its wave vector in the plane of the cell).
 
     Args:
-        cell: a pillar with walls: sizes above 0 and below the period.
+        cell: a pillar with upright walls: sizes above 0 and below the period.
         orders: cosines along the longer period.
         formulation: "adaptive" or "fourier".
 
     Raises:
-        InputError: the light comes at an angle, the pillar has no walls along an axis, or layers under or over it.
+        InputError: the pillar has no walls along an axis, sloped ones, or layers under or over it; or as
+            :func:`metafab.cell.rcwa.jones.zero_order`.
     """
     _check(cell)
     by_orders = axis_orders(cell, orders)
@@ -75,22 +94,22 @@ def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adapt
         for period, size, count in zip(cell.period_nm, (cell.width_nm, cell.length_nm), by_orders, strict=True)
     ]
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
-    d_t, d_r = np.zeros((2, 2, 2), dtype=np.complex128), np.zeros((2, 2, 2), dtype=np.complex128)
+    d_t, d_r = np.zeros((4, 2, 2), dtype=np.complex128), np.zeros((4, 2, 2), dtype=np.complex128)
     with one_thread():
-        for i, case in enumerate(symmetry_classes(cell, by_orders, formulation)):
+        for case in symmetry_classes(cell, by_orders, formulation):
             solution, incident = solve_class(cell, case), case.basis.zero_order()
             t += incident.T @ solution.field.transmitted
             r += incident.T @ solution.field.reflected
-            for axis in (0, 1):
-                d_t[axis, i, i], d_r[axis, i, i] = _amplitude_tangents(cell, case, solution, tangents[axis], axis, i)
-    return SizeDerivatives(t, r, d_t[0], d_t[1], d_r[0], d_r[1])
+            of_t, of_r = _amplitude_tangents(cell, case, solution, tangents)
+            d_t, d_r = d_t + of_t, d_r + of_r
+    return PillarDerivatives(t, r, *d_t, *d_r)
 
 
 def _check(cell: PillarCell) -> None:
-    if cell.angle_deg != 0.0:
-        raise InputError.single("cell", "angle_deg", "0 for derivatives", f"{cell.angle_deg:g}")
     if cell.under or cell.over:
         raise InputError.single("cell", "under, over", "empty for derivatives", "layers")
+    if cell.is_sloped:
+        raise InputError.single("cell", "sidewall_angle_deg", "90 for derivatives", f"{cell.sidewall_angle_deg:g}")
     for name, size, period in zip(
         ("width_nm", "length_nm"), (cell.width_nm, cell.length_nm), cell.period_nm, strict=True
     ):
@@ -98,37 +117,63 @@ def _check(cell: PillarCell) -> None:
             raise InputError.single("cell", name, f"above 0 and below the period of {period:g} nm", f"{size:g} nm")
 
 
-@dataclass(frozen=True)
-class _Change:
-    """dP and dQ of the layer and of a half space, in (TM, TE)."""
+class _Change(NamedTuple):
+    """dP and dQ of a layer or half space, in (TM, TE)."""
 
-    p: ComplexArray
-    q: ComplexArray
+    p: Matrix
+    q: Matrix
 
 
 def _amplitude_tangents(
-    cell: PillarCell, case: SymmetryClass, solution: ClassSolution, tangent: AxisBasis, axis: int, polarisation: int
-) -> tuple[complex, complex]:
+    cell: PillarCell, case: SymmetryClass, solution: ClassSolution, tangents: list[AxisBasis]
+) -> tuple[ComplexArray, ComplexArray]:
+    """Derivatives of t and r of one class, each of shape (4, 2, 2): by width, length, height and index."""
+    basis, incident = case.basis, case.basis.zero_order()
+    modes, incoming, outgoing = solution.modes, solution.incoming, solution.outgoing
     k0_per_nm = 2.0 * math.pi / cell.wavelength_nm
     thickness = k0_per_nm * cell.height_nm
-    modes, incoming, outgoing = solution.modes, solution.incoming, solution.outgoing
-    incident = case.basis.zero_order()
-    reverse = through_layer(modes, thickness, outgoing, incoming, incident)
-
-    d_axis = symmetric_axis(tangent, even_first=polarisation == 0)
+    first = solution.field
+    from_far = _reversed(through_layer(modes, thickness, outgoing, incoming, incident))
     eps = [permittivity(n) for n in (cell.n_pillar, cell.n_ambient, case.n_in, case.n_out)]
-    layer = _change(case.basis, d_axis, axis, k0_per_nm, eps[0], eps[1])
-    near = _change(case.basis, d_axis, axis, k0_per_nm, eps[2], eps[2])
-    far = _change(case.basis, d_axis, axis, k0_per_nm, eps[3], eps[3])
 
-    def reciprocity(second: LayerField) -> complex:
-        first, column = solution.field, polarisation
-        total = _layer_integral(modes, thickness, layer, first, second, column)
-        total += _half_space_integral(incoming, near, first.reflected[:, column], second.reflected[:, column])
-        total += _half_space_integral(outgoing, far, first.transmitted[:, column], second.transmitted[:, column])
-        return 0.5j * total
+    def change(axis: int, eps_inside: complex, eps_around: complex) -> _Change:
+        moved = _like((basis.u, basis.v)[axis], tangents[axis])
+        d_u, d_v = (moved, None) if axis == 0 else (None, moved)
+        return _Change(*layer_tangents(basis, d_u, d_v, k0_per_nm, eps_inside, eps_around))
 
-    return reciprocity(_reversed(reverse)) / case.n_out, reciprocity(solution.field) / case.n_in
+    totals: list[list[ComplexArray]] = []
+    for axis in (0, 1):
+        layer = _layer_kernel(modes, thickness, change(axis, eps[0], eps[1]))
+        near = _half_space_kernel(incoming, change(axis, eps[2], eps[2]))
+        far = _half_space_kernel(outgoing, change(axis, eps[3], eps[3]))
+        totals.append(
+            [
+                layer.total(first, second)
+                + second.reflected.T @ near @ first.reflected
+                + second.transmitted.T @ far @ first.transmitted
+                for second in (from_far, first)
+            ]
+        )
+
+    p, q = matrices(cell, case)
+    y_far = _admittance(outgoing)[:, None]
+    e, h = first.transmitted, y_far * first.transmitted
+    at_far = [
+        (incident + from_far.transmitted, y_far * (from_far.transmitted - incident)),
+        (first.transmitted, y_far * first.transmitted),
+    ]
+    totals.append([k0_per_nm * (a.T @ q @ e - b.T @ p @ h) for a, b in at_far])
+
+    d_eps = 2.0 * complex(cell.n_pillar)
+    by_index = _Change(*layer_tangents(basis, None, None, k0_per_nm, eps[0], eps[1], d_eps))
+    kernel = _layer_kernel(modes, thickness, by_index)
+    totals.append([kernel.total(first, second) for second in (from_far, first)])
+
+    sides = [
+        np.linalg.pinv(2.0 * incident.T @ (_admittance(waves)[:, None] * incident)) for waves in (outgoing, incoming)
+    ]
+    d_t, d_r = (np.stack([1j * side @ total[k] for total in totals]) for k, side in enumerate(sides))
+    return d_t, d_r
 
 
 def _reversed(field: LayerField) -> LayerField:
@@ -136,17 +181,27 @@ def _reversed(field: LayerField) -> LayerField:
     return LayerField(field.backward, field.forward, field.reflected, field.transmitted)
 
 
-def _change(
-    basis: TransverseBasis, tangent: AxisParity, axis: int, k0_per_nm: float, eps_pillar: complex, eps_around: complex
-) -> _Change:
-    d_u, d_v = (tangent, None) if axis == 0 else (None, tangent)
-    return _Change(*layer_tangents(basis, d_u, d_v, k0_per_nm, eps_pillar, eps_around))
+def _like(axis: AxisParity, tangent: AxisBasis) -> AxisParity:
+    """``tangent`` in the families of ``axis``; what is split off a travelling wave does not change."""
+    if axis.label_a.size == axis.label_b.size:
+        return travelling_axis(tangent, 0.0)
+    return symmetric_axis(tangent, even_first=bool(axis.label_a[0] == 0))
 
 
-def _layer_integral(
-    modes: LayerModes, thickness: float, change: _Change, first: LayerField, second: LayerField, column: int
-) -> complex:
-    """Integral of a^T dQ e - b^T dP h over the layer."""
+class _LayerKernel(NamedTuple):
+    """Integral over the layer of a^T dQ e - b^T dP h, between modes that run the same way and opposite ways."""
+
+    same: ComplexArray
+    opposite: ComplexArray
+
+    def total(self, first: LayerField, second: LayerField) -> ComplexArray:
+        """Shape (2, 2): [column of ``second``, column of ``first``]."""
+        same = second.forward.T @ self.same @ first.forward + second.backward.T @ self.same @ first.backward
+        opposite = second.forward.T @ self.opposite @ first.backward + second.backward.T @ self.opposite @ first.forward
+        return np.asarray(same + opposite)
+
+
+def _layer_kernel(modes: LayerModes, thickness: float, change: _Change) -> _LayerKernel:
     beta = modes.beta
     total, gap = beta[:, None] + beta, beta[:, None] - beta
     decay = np.exp(1j * beta * thickness)
@@ -155,23 +210,20 @@ def _layer_integral(
     # Two opposite waves of nearly the same beta: the first terms of the series in gap, else the difference.
     series = thickness * np.exp(0.5j * total * thickness) * (1.0 - (gap * thickness) ** 2 / 24.0)
     against = np.where(close, series, (decay[:, None] - decay) / (1j * np.where(close, 1.0, gap)))
-    c_plus, c_minus = first.forward[:, column], first.backward[:, column]
-    a_plus, a_minus = second.forward[:, column], second.backward[:, column]
-    same = (np.outer(a_plus, c_plus) + np.outer(a_minus, c_minus)) * along
-    mixed = (np.outer(a_plus, c_minus) + np.outer(a_minus, c_plus)) * against
-    from_q = np.sum((modes.e.T @ change.q @ modes.e) * (same + mixed))
-    from_p = np.sum((modes.h.T @ change.p @ modes.h) * (same - mixed))
-    return complex(from_q - from_p)
+    from_q, from_p = modes.e.T @ change.q @ modes.e, modes.h.T @ change.p @ modes.h
+    return _LayerKernel((from_q - from_p) * along, (from_q + from_p) * against)
 
 
-def _half_space_integral(waves: PlaneWaves, change: _Change, first: ComplexArray, second: ComplexArray) -> complex:
-    """The same over a half space, for outgoing waves of transverse E ``first`` and ``second``, each of shape (n,).
+def _half_space_kernel(waves: PlaneWaves, change: _Change) -> ComplexArray:
+    """The same over a half space, shape (n, n), between the transverse E of outgoing waves where it begins.
 
     The zero order, incident light included, drops out: nothing in dP and dQ touches it.
     """
-    admittance = waves.h / np.where(waves.e == 0.0, _SMALLEST, waves.e)
+    admittance = _admittance(waves)
     beta = np.where(waves.beta == 0.0, _SMALLEST, waves.beta)
     length = 1j / (beta[:, None] + beta)
-    from_q = np.outer(second, first) * change.q
-    from_p = np.outer(admittance * second, admittance * first) * change.p
-    return complex(np.sum((from_q - from_p) * length))
+    return np.asarray((change.q - admittance[:, None] * change.p * admittance) * length)
+
+
+def _admittance(waves: PlaneWaves) -> ComplexArray:
+    return np.asarray(waves.h / np.where(waves.e == 0.0, _SMALLEST, waves.e))

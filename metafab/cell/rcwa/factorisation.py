@@ -70,10 +70,12 @@ def layer_tangents(
     k0_per_nm: float,
     eps_pillar: complex,
     eps_around: complex,
+    d_eps_pillar: complex = 0.0,
 ) -> tuple[Matrix, Matrix]:
     """The changes dP and dQ of :func:`layer_matrices` for a change ``d_u`` or ``d_v`` of the axes (None: unchanged).
 
-    Equal permittivities give the change of a uniform medium: that of its wave numbers alone.
+    ``d_eps_pillar`` is a change of the pillar's permittivity. Equal permittivities give the change of a uniform medium:
+    that of its wave numbers alone.
     """
     u, v = basis.u, basis.v
     d_u, d_v = d_u or _unchanged(u), d_v or _unchanged(v)
@@ -81,12 +83,14 @@ def layer_tangents(
     step = eps_pillar - eps_around
     rule_u, rule_v = (_inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
     # eps_u = rule(u) (x) v + eps_around (1 (x) (1 - v)), and the same with u and v exchanged for eps_v.
-    d_eps_u = _kron(_inverse_rule_tangent(rule_u, d_u.a, eps_pillar, eps_around), v.a)
+    d_inverse = -d_eps_pillar / eps_pillar**2
+    d_eps_u = _kron(_inverse_rule_tangent(rule_u, d_u.a, eps_pillar, eps_around, d_inverse * u.a), v.a)
     d_eps_u = d_eps_u + _kron(rule_u - eps_around * np.eye(len(u.a)), d_v.a)
-    d_eps_v = _kron(u.b, _inverse_rule_tangent(rule_v, d_v.b, eps_pillar, eps_around))
+    d_eps_v = _kron(u.b, _inverse_rule_tangent(rule_v, d_v.b, eps_pillar, eps_around, d_inverse * v.b))
     d_eps_v = d_eps_v + _kron(d_u.b, rule_v - eps_around * np.eye(len(v.b)))
     eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
-    d_eta_z = -eta_z @ (step * (_kron(d_u.b, v.a) + _kron(u.b, d_v.a))) @ eta_z
+    d_eps_z = step * (_kron(d_u.b, v.a) + _kron(u.b, d_v.a)) + d_eps_pillar * _kron(u.b, v.a)
+    d_eta_z = -eta_z @ d_eps_z @ eta_z
 
     from_e_z, from_h_z = _longitudinal(u, v, k0_per_nm)
     d_from_e_z, d_from_h_z = _longitudinal(d_u, d_v, k0_per_nm)
@@ -111,8 +115,10 @@ def _unchanged(axis: AxisParity) -> AxisParity:
     return AxisParity(0.0 * axis.a, 0.0 * axis.b, axis.label_a, axis.label_b, 0.0 * axis.wavenumber)
 
 
-def _inverse_rule_tangent(rule: Matrix, d_overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
-    return np.asarray(-rule @ d_overlap @ rule * (1.0 / eps_pillar - 1.0 / eps_around))
+def _inverse_rule_tangent(
+    rule: Matrix, d_overlap: FloatArray, eps_pillar: complex, eps_around: complex, also: Matrix
+) -> Matrix:
+    return np.asarray(-rule @ (d_overlap * (1.0 / eps_pillar - 1.0 / eps_around) + also) @ rule)
 
 
 def _inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:

@@ -237,7 +237,7 @@ def through_case(cell: PillarCell, case: SymmetryClass, outside: Outside, incide
     """Field at the faces of the layer or stack, by whichever way is faster and can be trusted."""
     if len(case.layers) > 1:
         return _through_stack(cell, case, outside, incident)
-    p, q = _matrices(cell, case, 0)
+    p, q = matrices(cell, case)
     largest_a = largest_eigenvalue(permittivity(cell.n_pillar), permittivity(cell.n_ambient))
     thickness_k0 = _thickness_k0(cell, case, 0)
     faces = through_by_doubling(p, q, thickness_k0, outside.incoming, outside.outgoing, incident, largest_a)
@@ -250,7 +250,7 @@ def through_case(cell: PillarCell, case: SymmetryClass, outside: Outside, incide
 def solve_class(cell: PillarCell, case: SymmetryClass, outside: Outside | None = None) -> ClassSolution:
     """Modes and field of a class with one layer, for incident E_x = 1 and E_y = 1 (as far as the class holds them)."""
     outside = outside or _outside(cell, case)
-    modes = layer_modes(*_matrices(cell, case, 0))
+    modes = layer_modes(*matrices(cell, case))
     incident = case.basis.zero_order()
     field = through_layer(modes, _thickness_k0(cell, case, 0), outside.incoming, outside.outgoing, incident)
     return ClassSolution(modes, outside.incoming, outside.outgoing, field)
@@ -258,8 +258,7 @@ def solve_class(cell: PillarCell, case: SymmetryClass, outside: Outside | None =
 
 def _through_stack(cell: PillarCell, case: SymmetryClass, outside: Outside, incident: ComplexArray) -> Faces:
     upwards = [
-        StackLayer(layer_modes(*_matrices(cell, case, i)), _thickness_k0(cell, case, i))
-        for i in range(len(case.layers))
+        StackLayer(layer_modes(*matrices(cell, case, i)), _thickness_k0(cell, case, i)) for i in range(len(case.layers))
     ]
     layers = upwards if cell.side == "substrate" else upwards[::-1]
     return through_stack(layers, outside.incoming, outside.outgoing, incident)
@@ -269,7 +268,8 @@ def _outside(cell: PillarCell, case: SymmetryClass) -> Outside:
     return Outside(*(plane_waves(case.basis, _k0_per_nm(cell), permittivity(n)) for n in (case.n_in, case.n_out)))
 
 
-def _matrices(cell: PillarCell, case: SymmetryClass, index: int) -> tuple[Matrix, Matrix]:
+def matrices(cell: PillarCell, case: SymmetryClass, index: int = 0) -> tuple[Matrix, Matrix]:
+    """P and Q of one layer of a class, in (TM, TE)."""
     layer = case.layers[index]
     return layer_matrices(
         case.bases[index], _k0_per_nm(cell), permittivity(layer.n_inside), permittivity(layer.n_around)
