@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import power_transmittance
+from metafab.core.conventions import FloatArray, power_transmittance
 from metafab.core.executor import default_workers, in_order
 from metafab.core.progress import Progress, silent
 from metafab.layout.aperture import Aperture
 from metafab.layout.figures import TileFigures
 from metafab.layout.geometry import tile_sites
 from metafab.layout.mapping import Mapping
-from metafab.layout.pillars import PillarMap, PillarTile
+from metafab.layout.neighbours import JointSizes
+from metafab.layout.pillars import Lattice, PillarMap, PillarTile
 from metafab.library import Library, SizeTable, build_size_table, global_offsets
 from metafab.phase.profile import PhaseProfile
 from metafab.spec import Design
@@ -39,7 +40,8 @@ class Assignment:
         pillars: the map.
         figures: ``pillars``, ``distinct_sizes``, ``min_gap_nm``, ``phase_rms_error_rad`` (both polarisations,
             after the constant phases ``offsets_rad``), ``mean_transmittance`` (power), ``field_overlap`` =
-            |<target, t>|^2 / (<target, target> <t, t>), mean of both polarisations, and each with suffix _x, _y.
+            |<target, t>|^2 / (<target, target> <t, t>), ``efficiency`` (transmittance times overlap: power in the
+            wanted wave), means of both polarisations, and each with suffix _x, _y; ``offsets_rad``.
     """
 
     pillars: PillarMap
@@ -57,8 +59,9 @@ def assign(
     """Choose the size of every pillar.
 
     Each site inside the aperture (:mod:`metafab.layout.aperture`) gets the size whose field overlaps best with
-    its two target phases. Widths and lengths are limited to the period minus the smallest gap, so that no pair
-    of neighbours can come closer.
+    its two target phases. With ``rules.gap_rule`` "each", widths and lengths are limited to the period less the
+    smallest gap, so that no pair of neighbours can come closer; with "pairs", sizes are chosen jointly
+    (:mod:`metafab.layout.neighbours`), and the figures hold those of "each" as ``gap_rule_each``.
 
     Args:
         profile: target phases.
@@ -70,11 +73,8 @@ def assign(
     Raises:
         InputError: the library has no size that the rules allow, or lengths do not fit the database unit.
     """
-    table = allowed_sizes(library, design)
-    aperture = Aperture.of(design)
-    offsets = constant_phases(profile, table, aperture)
-    mapping = Mapping(profile, table, aperture, offsets, tile_sites(design))
-    lattice = aperture.lattice
+    mapping = mapping_of(profile, library, design)
+    table, lattice = mapping.table, mapping.aperture.lattice
     kept = lattice.shape[0] * lattice.shape[1] <= KEPT_SITES
     whole = np.zeros(lattice.shape if kept else (0, 0), dtype=np.uint16)
     total: list[TileFigures] = []
@@ -97,19 +97,55 @@ def assign(
                     yield tile
 
         pillars = PillarMap(lattice, table.size_dbu, tiles, mapping.tile_sites)
-    return Assignment(pillars, _summary(total[0], library, table, offsets))
+    summary = _summary(total[0], library, table)
+    if total[0].plain is not None:
+        summary["gap_rule_each"] = _summary(total[0].plain, library, table)
+    return Assignment(pillars, {**summary, "offsets_rad": mapping.offset_rad})
+
+
+def mapping_of(profile: PhaseProfile, library: Library, design: Design) -> Mapping:
+    """What maps a design's tiles, with the constant phases that suit the library best.
+
+    Raises:
+        InputError: as :func:`assign`.
+    """
+    table = allowed_sizes(library, design)
+    aperture = Aperture.of(design)
+    joint = _joint(library, design, table, aperture.lattice) if design.rules.gap_rule == "pairs" else None
+    offsets = constant_phases(profile, table, aperture)
+    return Mapping(profile, table if joint is None else joint.table, aperture, offsets, tile_sites(design), joint)
 
 
 def allowed_sizes(library: Library, design: Design) -> SizeTable:
-    """The look-up table of the sizes that the design's rules allow at every site."""
+    """The look-up table of the sizes that the design's rules allow at every site, whatever its neighbours."""
     p_x, p_y = design.unit_cell.cell.period_nm
+    gap_nm = design.rules.min_gap_nm
     return build_size_table(
         library,
         database_unit_nm=design.mask.database_unit_nm,
-        max_width_nm=p_x - design.rules.min_gap_nm,
-        max_length_nm=p_y - design.rules.min_gap_nm,
-        min_feature_nm=design.rules.min_feature_nm,
+        max_width_nm=p_x - gap_nm,
+        max_length_nm=p_y - gap_nm,
+        min_feature_nm=design.min_side_nm,
     )
+
+
+def _joint(library: Library, design: Design, plain: SizeTable, lattice: Lattice) -> JointSizes | None:
+    """The joint choice; None where the library has no size that needs it."""
+    gap_nm = design.rules.min_gap_nm
+    wide = build_size_table(
+        library,
+        database_unit_nm=design.mask.database_unit_nm,
+        # Beside the smallest pillar there is room for one this large, which must not leave its cell.
+        **{
+            name: min(period_nm, 2.0 * (period_nm - gap_nm) - design.min_side_nm)
+            for name, period_nm in zip(("max_width_nm", "max_length_nm"), design.unit_cell.cell.period_nm, strict=True)
+        },
+        min_feature_nm=design.min_side_nm,
+        cells=2,
+    )
+    if len(wide.size_dbu) == len(plain.size_dbu):
+        return None
+    return JointSizes.of(wide, plain, lattice, gap_nm / design.mask.database_unit_nm)
 
 
 def constant_phases(profile: PhaseProfile, table: SizeTable, aperture: Aperture) -> tuple[float, float]:
@@ -131,25 +167,28 @@ def _spread(count: int) -> NDArray[np.int64]:
     return np.unique((np.arange(1, _SAMPLED_LINES + 1) * golden % 1.0 * count).astype(np.int64))
 
 
-def _summary(sums: TileFigures, library: Library, table: SizeTable, offsets: tuple[float, float]) -> dict[str, Any]:
+def _summary(sums: TileFigures, library: Library, table: SizeTable) -> dict[str, Any]:
     from metafab.cell import pillar_cell
 
     cell = pillar_cell(library.unit_cell, 0.0, 0.0)
     overlap = np.abs(sums.overlap) ** 2 / (sums.pillars * sums.power)
-    transmittance = [
-        float(power_transmittance(np.sqrt(power / sums.pillars), n_in, n_out))
-        for power, n_in, n_out in zip(sums.power, cell.n_in, cell.n_out, strict=True)
-    ]
+    transmittance = np.array(
+        [
+            power_transmittance(np.sqrt(power / sums.pillars), n_in, n_out)
+            for power, n_in, n_out in zip(sums.power, cell.n_in, cell.n_out, strict=True)
+        ]
+    )
     return {
         "pillars": sums.pillars,
         "distinct_sizes": int(np.count_nonzero(sums.used[1:])),
         "min_gap_nm": sums.smallest_gap_dbu * table.database_unit_nm,
         "phase_rms_error_rad": float(np.sqrt(sums.square_error.sum() / (2 * sums.pillars))),
-        "mean_transmittance": float(np.mean(transmittance)),
-        "mean_transmittance_x": transmittance[0],
-        "mean_transmittance_y": transmittance[1],
-        "field_overlap": float(overlap.mean()),
-        "field_overlap_x": float(overlap[0]),
-        "field_overlap_y": float(overlap[1]),
-        "offsets_rad": offsets,
+        **_both("mean_transmittance", transmittance),
+        **_both("field_overlap", overlap),
+        **_both("efficiency", transmittance * overlap),
     }
+
+
+def _both(name: str, values: FloatArray) -> dict[str, float]:
+    """The mean of both polarisations and each of them."""
+    return {name: float(values.mean()), f"{name}_x": float(values[0]), f"{name}_y": float(values[1])}

@@ -24,6 +24,7 @@ class TileFigures:
         square_error: shape (2,), sum of (arg t - target)^2, each wrapped to (-pi, pi].
         used: shape (n_sizes + 1,), pillars of each size.
         smallest_gap_dbu: over all pairs with a pillar in the tile, neighbours in other tiles included.
+        plain: where sizes were chosen jointly, the figures of the plain choice.
     """
 
     pillars: int
@@ -32,6 +33,7 @@ class TileFigures:
     square_error: FloatArray
     used: NDArray[np.int64]
     smallest_gap_dbu: float
+    plain: TileFigures | None = None
 
     @classmethod
     def of(
@@ -51,6 +53,7 @@ class TileFigures:
             self.square_error + other.square_error,
             self.used + other.used,
             min(self.smallest_gap_dbu, other.smallest_gap_dbu),
+            self.plain + other.plain if self.plain and other.plain else None,
         )
 
 

@@ -89,7 +89,7 @@ def smallest_gap_vectorised(
         there = size_index[down : end + down, left + right : n_x + min(0, right)]
         gap_x = abs(right) * p_x - (size_dbu[here, 0] + size_dbu[there, 0]) / 2.0
         gap_y = down * p_y - (size_dbu[here, 1] + size_dbu[there, 1]) / 2.0
-        square = np.where((here > 0) & (there > 0), _signed_square(gap_x, gap_y), np.inf)
+        square = np.where((here > 0) & (there > 0), signed_square(gap_x, gap_y), np.inf)
         smallest = min(smallest, float(square.min(initial=np.inf)))
         row, column = np.nonzero(square < limit_dbu * abs(limit_dbu))
         overlapping += int(np.count_nonzero(square[row, column] <= 0.0))
@@ -100,7 +100,7 @@ def smallest_gap_vectorised(
     return Gaps(_signed_root(smallest), site.size, overlapping, site[order], neighbour[order])
 
 
-def _signed_square(gap_x: NDArray[np.float64], gap_y: NDArray[np.float64]) -> NDArray[np.float64]:
+def signed_square(gap_x: NDArray[np.float64], gap_y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Squared distance of two rectangles; minus the squared depth where they overlap."""
     apart = np.maximum(gap_x, 0.0) ** 2 + np.maximum(gap_y, 0.0) ** 2
     depth = np.maximum(gap_x, gap_y)
@@ -112,8 +112,8 @@ def _signed_root(square: float) -> float:
 
 
 @compiled
-def _square(gap_x: float, gap_y: float) -> float:
-    """As :func:`_signed_square`, of one pair."""
+def square_of_pair(gap_x: float, gap_y: float) -> float:
+    """As :func:`signed_square`, of one pair."""
     depth = max(gap_x, gap_y)
     return -depth * depth if depth < 0.0 else max(gap_x, 0.0) * max(gap_x, 0.0) + max(gap_y, 0.0) * max(gap_y, 0.0)
 
@@ -137,20 +137,20 @@ def _smallest_square(size_index: SizeIndexArray, size_dbu: FloatArray, p_x: int,
             for column in range(n_x):
                 gap_x = -width[here, column] - width[above, column]
                 gap_y = p_y - length[here, column] - length[above, column]
-                smallest[column] = min(smallest[column], _square(gap_x, gap_y))
+                smallest[column] = min(smallest[column], square_of_pair(gap_x, gap_y))
             for column in range(n_x - 1):
                 gap_x = p_x - width[here, column] - width[above, column + 1]
                 gap_y = p_y - length[here, column] - length[above, column + 1]
-                smallest[column] = min(smallest[column], _square(gap_x, gap_y))
+                smallest[column] = min(smallest[column], square_of_pair(gap_x, gap_y))
             for column in range(n_x - 1):
                 gap_x = p_x - width[here, column + 1] - width[above, column]
                 gap_y = p_y - length[here, column + 1] - length[above, column]
-                smallest[column] = min(smallest[column], _square(gap_x, gap_y))
+                smallest[column] = min(smallest[column], square_of_pair(gap_x, gap_y))
         if row < rows:
             for column in range(n_x - 1):
                 gap_x = p_x - width[above, column] - width[above, column + 1]
                 gap_y = -length[above, column] - length[above, column + 1]
-                smallest[column] = min(smallest[column], _square(gap_x, gap_y))
+                smallest[column] = min(smallest[column], square_of_pair(gap_x, gap_y))
     return smallest.min() if n_x > 0 else np.inf
 
 
@@ -182,7 +182,7 @@ def _list_below(
                     continue
                 gap_x = abs(right) * p_x - 0.5 * (size_dbu[here, 0] + size_dbu[there, 0])
                 gap_y = down * p_y - 0.5 * (size_dbu[here, 1] + size_dbu[there, 1])
-                square = _square(gap_x, gap_y)
+                square = square_of_pair(gap_x, gap_y)
                 if square < limit_square:
                     if count < len(found):
                         found[count, 0] = row * n_x + column

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from metafab.core.conventions import FloatArray
 from metafab.layout.aperture import Aperture
 from metafab.layout.figures import TileFigures
 from metafab.layout.gaps import smallest_gap
-from metafab.layout.pillars import PillarTile
+from metafab.layout.neighbours import REACH_SITES, JointSizes
+from metafab.layout.pillars import PillarTile, SizeIndexArray
 from metafab.library import SizeTable
 from metafab.phase.profile import PhaseProfile
 
@@ -24,6 +26,7 @@ class Mapping:
         aperture: which sites carry a pillar.
         offset_rad: constants added to the target phases of x and y polarisation.
         tile_sites: sites a side of a tile.
+        joint: chooses sizes jointly, from the look-up's on; None where every pillar keeps the gap by itself.
     """
 
     profile: PhaseProfile
@@ -31,6 +34,7 @@ class Mapping:
     aperture: Aperture
     offset_rad: tuple[float, float]
     tile_sites: int
+    joint: JointSizes | None = None
 
     def places(self) -> list[tuple[int, int]]:
         """(row, column) of every tile that holds a pillar, row by row."""
@@ -50,18 +54,29 @@ class Mapping:
     def __call__(self, place: tuple[int, int]) -> tuple[PillarTile, TileFigures]:
         """Map the tile at (row, column)."""
         lattice = self.aperture.lattice
-        bounds = [
-            (max(start - 1, 0), start, min(start + self.tile_sites, count), min(start + self.tile_sites + 1, count))
-            for start, count in zip(place, lattice.shape, strict=True)
-        ]
-        (halo_row, row, end_row, halo_end_row), (halo_column, column, end_column, halo_end_column) = bounds
-        target = self.profile(lattice.x_um()[halo_column:halo_end_column], lattice.y_um()[halo_row:halo_end_row])
+        halo = 1 if self.joint is None else 1 + REACH_SITES
+        first = [max(start - halo, 0) for start in place]
+        last = [min(start + self.tile_sites + halo, count) for start, count in zip(place, lattice.shape, strict=True)]
+        target = self.profile(lattice.x_um()[first[1] : last[1]], lattice.y_um()[first[0] : last[0]])
         target += np.reshape(self.offset_rad, (2, 1, 1))
-        with_halo = self.table.sizes_for(target[0], target[1])
-        with_halo *= self.aperture.inside(halo_row, halo_column, with_halo.shape)
-        gap_dbu = smallest_gap(with_halo, self.table.size_dbu, lattice).smallest_dbu
-        core = (slice(row - halo_row, end_row - halo_row), slice(column - halo_column, end_column - halo_column))
-        counted = np.zeros_like(with_halo)
-        counted[core] = with_halo[core]
-        figures = TileFigures.of(counted, target, self.table, gap_dbu)
-        return PillarTile(row, column, np.ascontiguousarray(with_halo[core])), figures
+        sizes = self.table.sizes_for(target[0], target[1])
+        sizes *= self.aperture.inside(first[0], first[1], sizes.shape)
+        if self.joint is None:
+            return self._tile(place, first, sizes, target)
+        _, plain = self._tile(place, first, sizes, target)
+        self.joint.improve(sizes, target, lattice, (first[0], first[1]))
+        tile, figures = self._tile(place, first, sizes, target)
+        return tile, replace(figures, plain=plain)
+
+    def _tile(
+        self, place: tuple[int, int], corner: list[int], sizes: SizeIndexArray, target_rad: FloatArray
+    ) -> tuple[PillarTile, TileFigures]:
+        """The tile at (row, column) and its figures, from a block with a halo whose first site is ``corner``."""
+        row, column = (start - shift for start, shift in zip(place, corner, strict=True))
+        core = np.s_[row : row + self.tile_sites, column : column + self.tile_sites]
+        beside = np.s_[max(row - 1, 0) : row + self.tile_sites + 1, max(column - 1, 0) : column + self.tile_sites + 1]
+        gap_dbu = smallest_gap(sizes[beside], self.table.size_dbu, self.aperture.lattice).smallest_dbu
+        counted = np.zeros_like(sizes)
+        counted[core] = sizes[core]
+        tile = PillarTile(*place, np.ascontiguousarray(sizes[core]))
+        return tile, TileFigures.of(counted, target_rad, self.table, gap_dbu)

@@ -7,10 +7,7 @@ import time
 from typing import Any
 
 from metafab.core.executor import default_workers
-from metafab.layout import Aperture
-from metafab.layout.assign import allowed_sizes, constant_phases
-from metafab.layout.geometry import tile_sites
-from metafab.layout.mapping import Mapping
+from metafab.layout.assign import mapping_of
 from metafab.library import Library
 from metafab.mask.cells import top_name
 from metafab.mask.write import WRITERS
@@ -36,9 +33,8 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
         ``bytes`` by format, ``workers``, and ``advice``, a list of sentences.
     """
     start = time.perf_counter()
-    table = allowed_sizes(library, design)
-    aperture = Aperture.of(design)
-    mapping = Mapping(profile, table, aperture, constant_phases(profile, table, aperture), tile_sites(design))
+    mapping = mapping_of(profile, library, design)
+    table, aperture = mapping.table, mapping.aperture
     places = mapping.places()
     # Evenly through the list: rim and centre, all rows of tiles alike. The first is mapped twice, to warm up.
     count = min(_SAMPLED_TILES, len(places))

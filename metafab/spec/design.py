@@ -151,10 +151,17 @@ PhaseTerm = Annotated[
 
 @dataclass(frozen=True, config=CONFIG)
 class Rules:
-    """What the process can make."""
+    """What the process can make.
+
+    With ``gap_rule`` "each", no pillar is wider or longer than the period less ``min_gap_nm``, whatever stands beside
+    it; with "pairs", a pillar may be larger where its neighbours leave the gap. ``max_aspect_ratio`` limits the
+    height over the shorter side.
+    """
 
     min_gap_nm: Positive = 100.0
     min_feature_nm: Positive = 100.0
+    max_aspect_ratio: Positive | None = None
+    gap_rule: Literal["each", "pairs"] = "each"
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -254,6 +261,13 @@ class Design:
         """Every depth that matters, ascending: those to verify, and the scene's."""
         objects = () if self.scene is None else self.scene.objects
         return tuple(sorted({*self.verify.depths_m, *(item.depth_m for item in objects)}))
+
+    @property
+    def min_side_nm(self) -> float:
+        """Smallest width and length that the process can make at this height, nm."""
+        ratio = self.rules.max_aspect_ratio
+        upright_nm = 0.0 if ratio is None else self.unit_cell.cell.height_nm / ratio
+        return max(self.rules.min_feature_nm, upright_nm)
 
     @property
     def wavelength_um(self) -> float:
