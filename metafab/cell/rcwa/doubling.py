@@ -88,11 +88,11 @@ def through_by_doubling(
         largest_a: bound on the real part of the eigenvalues of A, where one is known.
     """
     with np.errstate(all="ignore"):  # What is not finite is refused below.
-        f = _half_slab(p @ q, thickness_k0, largest_a)
+        f = _half_slab(p, q, thickness_k0, largest_a)
         if f is None:
             return None
         # Columns: the waves that are asked for, then the same amplitudes from the far side.
-        count = incident.shape[1]
+        n, count = incident.shape
         near_wave = np.divide(incident, incoming.e[:, None], out=np.zeros_like(incident), where=incident != 0.0)
         near_h, far_h = incoming.h[:, None] * near_wave, outgoing.h[:, None] * incident
         far_e = outgoing.e[:, None] * incident
@@ -100,15 +100,17 @@ def through_by_doubling(
         differences = p @ np.hstack([near_h, -far_h]) - 1j * (f @ np.hstack([incident, -far_e]))
         # With r and w the outgoing amplitudes, near and far:
         # (F^T H - i Q E) (r, w) = sums  and  (P H + i F E) (r, -w) = differences.
-        seen = _solve(
-            p * outgoing.h + 1j * (f * outgoing.e),
-            np.hstack([p * incoming.h + 1j * (f * incoming.e), differences]),
+        electric, magnetic = (
+            [first * waves.h + (1j * sign * waves.e) * second for waves in (incoming, outgoing)]
+            for first, second, sign in ((p, f, 1.0), (f.T, q, -1.0))
         )
+        seen = _solve(electric[1], np.hstack([electric[0], differences]))
         if seen is None:
             return None
-        turned = (f.T * outgoing.h - 1j * (q * outgoing.e)) @ seen
-        n = len(f)
-        r = _solve(f.T * incoming.h - 1j * (q * incoming.e) + turned[:, :n], sums + turned[:, n:])
+        turned = magnetic[1] @ seen
+        turned[:, :n] += magnetic[0]
+        turned[:, n:] += sums
+        r = _solve(turned[:, :n], turned[:, n:])
         if r is None:
             return None
         e_near, e_far = incoming.e[:, None] * r, outgoing.e[:, None] * (seen[:, :n] @ r - seen[:, n:])
@@ -120,10 +122,12 @@ def through_by_doubling(
     return Faces(e_far[:, :count], e_near[:, :count], inconsistency) if inconsistency <= _CONSISTENT else None
 
 
-def _half_slab(a: Matrix, thickness: float, largest_a: float) -> Matrix | None:
+def _half_slab(p: Matrix, q: Matrix, thickness: float, largest_a: float) -> Matrix | None:
     """F of half the layer; None where it cannot be had."""
-    a2 = a @ a
-    powers = np.stack([a, a2, a2 @ a, a2 @ a2])
+    powers = np.empty((4, *p.shape), dtype=np.result_type(p, q))
+    a = np.matmul(p, q, out=powers[0])
+    for k, (one, other) in enumerate(((0, 0), (1, 0), (1, 1)), start=1):
+        np.matmul(powers[one], powers[other], out=powers[k])
     # ||A^k||^(1/k) bounds what the series sees of A, and is nearer to its largest eigenvalue than ||A||.
     largest = max(float(np.abs(powers[k - 1]).sum(axis=0).max()) ** (1.0 / k) for k in (2, 3))
     steepest = np.sqrt(largest) * thickness
@@ -131,30 +135,34 @@ def _half_slab(a: Matrix, thickness: float, largest_a: float) -> Matrix | None:
         return None
     travelling = min(steepest, np.sqrt(largest_a) * thickness)
     halvings = max(1, int(np.ceil(max(0.5 * np.log2(steepest), np.log2(travelling / _THIN)))))
-    f = _thin_slab(powers, thickness / 2.0**halvings)
-    g = None
-    for _ in range(halvings - 1):
-        if f is None:
+    f, g = _thin_slab(powers, thickness / 2.0**halvings), a
+    for doubling in range(halvings - 1):
+        turned = None if f is None else _quotient(g, f)
+        if f is None or turned is None:
             return None
-        turned = _solve(f, a if g is None else g)
-        if turned is None:
-            return None
-        if g is None:
-            f, g = 0.5 * (f - turned), 0.5 * (f + turned)
-        else:
-            g = 0.5 * (g @ turned)
-            f = f - g
+        # G F^-1 G and no other order of the factors: rounding errors that do not commute would grow.
+        g = turned @ g if doubling else f + turned
+        g *= 0.5
+        f -= g
     return f
 
 
 def _thin_slab(powers: Matrix, thickness: float) -> Matrix | None:
     """F of a thin slab from ``powers`` 1 to 4 of A, shape (4, n, n)."""
     scaled = _LAMBERT * thickness ** (2.0 * np.arange(5))
+    scaled[1] *= thickness
     numerator, denominator = np.tensordot(scaled[:, 1:], powers, axes=1)
     diagonal = np.diag_indices(powers.shape[1])
     numerator[diagonal] += scaled[0, 0]
     denominator[diagonal] += scaled[1, 0]
-    return _solve(thickness * denominator, numerator)
+    return _quotient(numerator, denominator)
+
+
+def _quotient(numerator: Matrix, denominator: Matrix) -> Matrix | None:
+    """``numerator`` times the inverse of ``denominator``; None where that does not exist."""
+    # The transpose of a row-wise array is what LAPACK takes without reordering it.
+    quotient = _solve(denominator.T, numerator.T)
+    return None if quotient is None else quotient.T
 
 
 def _solve(matrix: Matrix, columns: Matrix) -> Matrix | None:
