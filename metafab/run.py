@@ -68,6 +68,7 @@ class Step:
         outputs: the files that it writes, or has written.
         work: does it, and returns the step's part of the summary.
         pointless: why a design has no use for the step; None if it has.
+        reads: files that other commands may have left in the run folder, and that it uses.
     """
 
     name: str
@@ -77,6 +78,7 @@ class Step:
     outputs: Callable[[Job], tuple[Path, ...]]
     work: Callable[[Job], dict[str, Any]]
     pointless: Callable[[Design], str | None] = lambda design: None
+    reads: tuple[str, ...] = ()
 
 
 @dataclass
@@ -133,7 +135,7 @@ def run(
     Returns:
         The summary; it is also written to ``folder/summary.json`` and shown by ``folder/report.html``.
     """
-    from metafab.steps import REPORT, STEPS, error_budget, preflight
+    from metafab.steps import REPORT, STEPS, error_budget, preflight, recorded_coupling
 
     preflight(design)
     job = Job(design, folder, workers, cluster, progress)
@@ -145,6 +147,8 @@ def run(
     for step in STEPS:
         state.bring_up_to_date(step)
     summary = state.summary()
+    if coupling := recorded_coupling(job):
+        summary["coupling"] = coupling
     summary["error_budget"] = plain(error_budget(summary))
     # The page shows the summary, so it is written before the page is made and again with what the page cost.
     if not state.stands(REPORT):
@@ -200,7 +204,8 @@ class _State:
         inputs = step.inputs(self.job.design)
         earlier = [self.used[name] for name in step.after if name in self.used]
         before = [[mark["sha256"] for mark in record.outputs.values()] for record in earlier]
-        return fingerprint(inputs, contents_sha256(inputs), before, code_sha256(step.rooms))
+        left = [file_sha256(path) for name in step.reads if (path := self.job.folder / name).is_file()]
+        return fingerprint(inputs, contents_sha256(inputs), before, left, code_sha256(step.rooms))
 
     def costs(self) -> dict[str, Any]:
         """What each step cost when it was done, and which this run skipped."""

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from metafab import camera, decode, drc, layout, library, mask, optics, phase, report
+from metafab import camera, decode, drc, fullwave, layout, library, mask, optics, phase, report
 from metafab.camera import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
@@ -348,7 +348,10 @@ STEPS = (
 )  # fmt: skip
 
 #: Shows the files of all other steps.
-REPORT = Step("report", ("report",), tuple(step.name for step in STEPS), lambda d: d.name, _report_files, _report)
+REPORT = Step(
+    "report", ("report",), tuple(step.name for step in STEPS), lambda d: d.name, _report_files, _report,
+    reads=("coupling.json", "patch.h5"),
+)  # fmt: skip
 
 
 def preflight(design: Design) -> None:
@@ -388,11 +391,24 @@ def preflight(design: Design) -> None:
         raise InputError(design.name, faults)
 
 
+def recorded_coupling(job: Job) -> dict[str, Any]:
+    """What ``metafab coupling`` found on a mask of this run, {} if nothing."""
+    found = fullwave.load_coupling(job.folder / "coupling.json")
+    if found is None or found.mask_sha256 not in {file_sha256(path) for path in mask_paths(job)}:
+        return {}
+    return {
+        "coupling_error": found.coupling_error,
+        "efficiency_ratio": found.efficiency_ratio,
+        "rows": len(found.rows),
+        "solvers": sorted({row.solver for row in found.rows}),
+    }
+
+
 def error_budget(figures: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
     """The measured contributions to the error of the whole, in the order of the pipeline.
 
     Args:
-        figures: each step's part of the summary.
+        figures: each step's part of the summary, and ``coupling``, where it was measured.
 
     Returns:
         One row a source: ``source``, ``value`` (None where this run did not measure it), ``unit``, ``how``.
@@ -405,7 +421,8 @@ def error_budget(figures: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
              "phase of the chosen size against the target, over all pillars"),
         _row("index of the pillar", solved.get("index_phase_error_rad"), "rad rms",
              "phases solved again with the index raised by its standard uncertainty, common phase taken out"),
-        _row("local-period approximation", None, "complex t", "not measured by this run: needs full-wave supercells"),
+        _row("local-period approximation", figures.get("coupling", {}).get("coupling_error"), "relative L2",
+             "field behind rows of one local period, full-wave, against the stitched library; `metafab coupling`"),
         _row("pupil reduction and sampling", max(light["error"]), "relative L2", "PSF with blocks of half the size"),
         _row("depth interpolation", light["depth_interpolation_error"], "relative L2",
              "PSFs computed at the verified depths against those interpolated from the other nodes"),

@@ -75,8 +75,8 @@ def run(job: Json, report: Any) -> Json:
 
     Returns:
         Arrays of the reply: ``time`` (n_samples,), ``amplitude`` (n_samples, n_monitors, n_components,
-        n_orders), ``limit`` (the same without samples), ``tail`` (largest change of the last limits),
-        ``incident`` (n_monitors,), and ``field`` (n_monitors, n_components, n_y, n_x) where asked for.
+        n_orders), ``limit`` (the same without samples), ``tail`` (largest change of the last limits)
+        and ``incident`` (n_monitors,).
     """
     import meep as mp
 
@@ -114,17 +114,14 @@ def run(job: Json, report: Any) -> Json:
         cell.run(until=step)
     if not limits:
         limits.append(np.ravel(samples[-1]))
-    reply = {
+    cell.reset_meep()
+    return {
         "time": np.array(times),
         "amplitude": np.array(samples),
         "limit": limits[-1].reshape(samples[-1].shape),
         "tail": np.array(tail),
         "incident": incident,
     }
-    if job.get("fields"):
-        reply["field"] = np.array([[_plane(mp, job, cell, m, c) for c in job["components"]] for m in monitors])
-    cell.reset_meep()
-    return reply
 
 
 def _medium(mp: Any, job: Json, epsilon: Any, mu: Any = (1.0, 1.0, 1.0)) -> Any:
@@ -177,7 +174,7 @@ def _simulation(mp: Any, job: Json, *, empty: bool) -> Any:
         component=mp.Ex if x_polarised else mp.Ey,
         center=mp.Vector3(z=_z(job, job["source_node"])),
         size=mp.Vector3(width, length),
-        amp_func=None if empty else weight,
+        amp_func=None if empty or len(set(job["weight"])) == 1 else weight,
     )
     return mp.Simulation(
         cell_size=mp.Vector3(width, length, job["n_z"] * pixel),
@@ -226,20 +223,21 @@ def _amplitudes(mp: Any, job: Json, simulation: Any, monitors: list[Any], *, emp
 
     The cell average over the grid points removes every other order exactly.
     """
-    orders = [(0, 0)] if empty else job["orders"]
+    orders = np.array([(0, 0)] if empty else job["orders"])
     shape = (2, 2) if empty else (job["n_x"], job["n_y"])
+    weight = np.ones(shape[1] if job["polarisation"] == "x" else shape[0]) if empty else np.asarray(job["weight"])
     result = np.empty((len(monitors), len(job["components"]), len(orders)), dtype=complex)
     for j, component in enumerate(job["components"]):
         # E_x lies half a pixel along x from the nodes, E_y along y; the first node is the cell's edge.
-        x = (np.arange(shape[0]) + (0.5 if component == "x" else 0.0)) / shape[0] - 0.5
-        y = (np.arange(shape[1]) + (0.5 if component == "y" else 0.0)) / shape[1] - 0.5
-        waves = np.array([np.exp(-2j * np.pi * (m * x[None, :] + n * y[:, None])) for m, n in orders])
-        if not empty:
-            weight = np.asarray(job["weight"])
-            waves = waves * (weight[:, None] if job["polarisation"] == "x" else weight[None, :])
+        along = []
+        for axis, name in enumerate("xy"):
+            place = (np.arange(shape[axis]) + (0.5 if component == name else 0.0)) / shape[axis] - 0.5
+            along.append(np.exp(-2j * np.pi * orders[:, axis, None] * place) / shape[axis])
+        weighted = 1 if job["polarisation"] == "x" else 0
+        along[weighted] = along[weighted] * weight
         for i, monitor in enumerate(monitors):
             field = _plane(mp, job, simulation, monitor, component, empty=empty)
-            result[i, j] = np.mean(waves * field, axis=(1, 2))
+            result[i, j] = np.sum((along[1] @ field) * along[0], axis=1)
     return result
 
 

@@ -10,9 +10,10 @@ nothing else; progress goes to stderr, and only on a terminal.
 
 and the commands, by what they make:
 
-- ``whole``      ``run``
+- ``whole``      ``new``, ``run``
 - ``cell``       ``cell``, ``library build``, ``library check``, ``library show``
 - ``mask``       ``layout``, ``drc``
+- ``fullwave``   ``coupling``, ``patch``
 - ``light``      ``psf``, ``capture``, ``decode``
 - ``showing``    ``report``, ``benchmark``, ``doctor``
 """

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -47,7 +48,7 @@ def draw(run: RunFolder, progress: Progress) -> dict[str, str]:
     """Draw all figures of a run into ``figures/`` and return them as SVG by name; pictures of earlier runs go."""
     folder = run.path / "figures"
     folder.mkdir(exist_ok=True)
-    plans = [*_accounts(run), *_library(run), *_design(run), *_study(run), *_light(run), *_image(run)]
+    plans = [*_accounts(run), *_library(run), *_design(run), *_fullwave(run), *_study(run), *_light(run), *_image(run)]
     drawn: dict[str, str] = {}
     for done, plan in enumerate(plans):
         progress("figures", done, len(plans))
@@ -140,6 +141,25 @@ def _study(run: RunFolder) -> Iterator[Plan]:
         yield Plan("filter", "Error of depth against the filter's width", partial(figures.filter_tradeoff, bandwidth))
         turned = partial(figures.filter_orientation, bandwidth)
         yield Plan("filter_orientation", "Information kept against the direction of the split", turned)
+
+
+def _fullwave(run: RunFolder) -> Iterator[Plan]:
+    patch = run.patch
+    if patch is None:
+        return
+    places = patch.x_um, patch.y_um
+    largest = float(max(np.abs(patch.full_wave).max(), np.abs(patch.library).max()))
+    for name, title, field in (("meep", "By Meep", patch.full_wave), ("library", "By the library", patch.library)):
+        phase = partial(figures.patch_phase, field, *places, title=title)
+        yield Plan(f"patch_phase_{name}", f"Phase behind a patch, {title.lower()}", phase, (4.0, 3.4), PICTURE)
+        share = partial(figures.patch_amplitude, field, *places, title=title, largest=largest)
+        yield Plan(f"patch_amplitude_{name}", f"Amplitude behind a patch, {title.lower()}", share, (4.0, 3.4), PICTURE)
+    for name, title, field in (
+        ("library", "Difference", patch.library),
+        ("coupling", "Difference to lone pillars on Meep's grid", patch.alone),
+    ):
+        paint = partial(figures.patch_amplitude, patch.full_wave - field, *places, title=title, largest=largest)
+        yield Plan(f"patch_difference_{name}", title, paint, (4.0, 3.4), PICTURE)
 
 
 def _light(run: RunFolder) -> Iterator[Plan]:

@@ -13,6 +13,7 @@ from metafab.camera.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import MetafabError
 from metafab.decode.image import Image4D
+from metafab.fullwave.patch import Patch
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
 from metafab.optics.point_spread import Psf
@@ -56,6 +57,7 @@ class RunFolder:
         ideal_psf: PSF pair of the target phases.
         raw: raw frame.
         decoded: 4D image.
+        patch: fields of a patch of the mask by Meep, where ``metafab patch`` left them.
         notes: section -> why it has nothing to show.
     """
 
@@ -72,6 +74,7 @@ class RunFolder:
     ideal_psf: Psf | None = None
     raw: RawFrame | None = None
     decoded: Image4D | None = None
+    patch: Patch | None = None
     notes: dict[str, str] = field(default_factory=dict)
 
     def part(self, step: str) -> dict[str, Any]:
@@ -87,7 +90,7 @@ class RunFolder:
 
 def open_run(path: Path) -> RunFolder:
     """Open the files of a run folder; one that is missing or damaged leaves a note in place of a result."""
-    from metafab import camera, decode, library, mask, optics, phase
+    from metafab import camera, decode, fullwave, library, mask, optics, phase
     from metafab.spec import load_design
 
     notes: dict[str, str] = {}
@@ -97,6 +100,7 @@ def open_run(path: Path) -> RunFolder:
     library_file = built.get("file") if isinstance(built, dict) else None
     if library_file is None:
         notes["library"] = "summary.json does not name a library"
+    patch_file = path / "patch.h5"
     masks = [path / name for name in _MASK_FILES if (path / name).is_file()] or [path / _MASK_FILES[0]]
     pillars = None
     if design is not None:
@@ -117,6 +121,8 @@ def open_run(path: Path) -> RunFolder:
         ideal_psf=_attempt(notes, "ideal_psf", path / "ideal_psf.h5", optics.load),
         raw=_attempt(notes, "raw", path / "raw.h5", camera.load),
         decoded=_attempt(notes, "decoded", path / "decoded.h5", decode.load),
+        # Not a step's: its absence is nothing to tell.
+        patch=_attempt(notes, "patch", patch_file, fullwave.load_patch) if patch_file.is_file() else None,
         notes=notes,
     )
 

@@ -182,6 +182,39 @@ def mask(run: RunFolder, drawn: Drawn) -> str:
     )
 
 
+def fullwave(run: RunFolder, drawn: Drawn) -> str:
+    """Fields of a patch by Meep beside the library's; nothing where no patch was simulated."""
+    if run.patch is None:
+        return ""
+    patch, found = run.patch, run.patch.figures()
+    kinds = ("phase_meep", "phase_library", "amplitude_meep", "amplitude_library", "difference_library")
+    names = [f"patch_{kind}" for kind in (*kinds, "difference_coupling")]
+    rows = [
+        [escape(what), *(html.number(found[f"{key}{figure}"]) for figure in _PATCH_FIGURES)]
+        for what, key in (
+            ("Meep against the library", ""),
+            ("Meep against each pillar alone on the same grid: coupling", "coupling_"),
+            ("each pillar alone on Meep's grid against the library: the grid", "grid_"),
+        )
+    ]
+    caption = (
+        f"{patch.x_um.size} x {patch.y_um.size} pillars of the mask about ({patch.x_um.mean():.1f}, "
+        f"{patch.y_um.mean():.1f}) um, {patch.polarisation} polarisation, {patch.pixels_per_period} pixels a period, "
+        f"{patch.padding_sites} neighbours around. Waves that travel, in the plane where the pillars end."
+    )
+    return html.section(
+        "fullwave",
+        "A patch of the mask by full-wave simulation",
+        html.grid(html.figure(drawn[n]) for n in names if n in drawn),
+        html.table(["", "amplitude rms", "phase rms / rad", "relative L2"], rows, ["", "n", "n", "n"]),
+        html.paragraph(escape(caption), "caption"),
+    )
+
+
+#: Figures of a patch that the page shows.
+_PATCH_FIGURES = ("amplitude_rms", "phase_rms_rad", "relative_l2")
+
+
 def _files(rows: list[list[str]]) -> str:
     return f"<div><h3>Files</h3>{html.table(['file', 'bytes'], rows, ['', 'n'])}</div>" if rows else ""
 

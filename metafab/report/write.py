@@ -53,6 +53,7 @@ def compose(run: RunFolder, drawn: dict[str, str]) -> str:
         sections.imaging(run, drawn),
         sections.phases(run, drawn),
         sections.mask(run, drawn),
+        sections.fullwave(run, drawn),
         sections.library(run, drawn),
         sections.cost(run, drawn),
         sections.provenance(run),

@@ -9,15 +9,26 @@
 - ``deembedding``    recorded fields -> t and r in the planes of the conventions
 - ``extrapolation``  several resolutions -> limit and error
 - ``solver``         all of it for one cell, or many
-- ``supercell``      a row of unlike pillars against the local-period approximation
+- ``supercell``      unlike pillars in one period, and each alone on the same grid
 
-In: a :class:`metafab.cell.response.PillarCell` at normal incidence. Out: its CellResponse. The program itself is
-``metafab/cell/meep_worker.py``, the only file that imports meep.
+In: a :class:`metafab.cell.response.PillarCell` at normal incidence, or a :class:`metafab.cell.supercell.Supercell`.
+Out: its CellResponse or SupercellResponse. The program itself is ``metafab/cell/meep_worker.py``, the only file that
+imports meep.
 """
 
 from metafab.cell.meep.finding import MeepCandidate, find
 from metafab.cell.meep.pool import Pool
 from metafab.cell.meep.solver import MeepSettings, solve, solve_many
-from metafab.cell.meep.supercell import RowResponse, solve_row
+from metafab.cell.meep.supercell import SupercellSettings, estimate, solve_supercell
 
-__all__ = ["MeepCandidate", "MeepSettings", "Pool", "RowResponse", "find", "solve", "solve_many", "solve_row"]
+__all__ = [
+    "MeepCandidate",
+    "MeepSettings",
+    "Pool",
+    "SupercellSettings",
+    "estimate",
+    "find",
+    "solve",
+    "solve_many",
+    "solve_supercell",
+]

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from metafab.cell.meep.grid import Plan
 
 
-def grid_wavenumber(n: float, wavelength_um: float, pixel_um: float, courant: float, across: float = 0.0) -> complex:
+def grid_wavenumber(
+    n: float, wavelength_um: float, pixel_um: float, courant: float, across: tuple[float, float] = (0.0, 0.0)
+) -> complex:
     """Wavenumber along z (rad/um) of a plane wave on the Yee grid; imaginary where it is evanescent.
 
     The sum of sin^2(k_i dx / 2) / dx^2 over the axes is n^2 sin^2(omega dt / 2) / dt^2 (Taflove and Hagness 2005,
@@ -22,10 +24,10 @@ def grid_wavenumber(n: float, wavelength_um: float, pixel_um: float, courant: fl
         wavelength_um: vacuum wavelength.
         pixel_um: grid spacing.
         courant: time step over grid spacing.
-        across: wavenumber along x or y, rad/um.
+        across: wavenumbers along x and y, rad/um.
     """
     total = n / courant * math.sin(math.pi * courant * pixel_um / wavelength_um)
-    along = cmath.sqrt(total**2 - math.sin(across * pixel_um / 2.0) ** 2)
+    along = cmath.sqrt(total**2 - sum(math.sin(k * pixel_um / 2.0) ** 2 for k in across))
     return 2.0 / pixel_um * cmath.asin(along)
 
 

@@ -72,7 +72,6 @@ class Job:
         decay: the run ends when extrapolated orders change by no more than this, relative to the incident wave.
         longest_time: it ends at this time (um / c) at the latest.
         courant: time step over grid spacing.
-        fields: whether to return the whole field of each monitor.
     """
 
     pixel_um: float
@@ -94,7 +93,6 @@ class Job:
     decay: float
     longest_time: float
     courant: float = 0.5
-    fields: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """The job as the worker reads it; complex numbers as [re, im]."""

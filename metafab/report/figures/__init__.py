@@ -6,12 +6,14 @@
 - ``mask``       the written pillars at three zooms
 - ``psf``        the pair over depth and field, orientation, peak, modulation transfer
 - ``image``      raw frame, decoded intensities, contrast, depth, depth against truth
+- ``fullwave``   fields of a patch: Meep's, the library's, and their difference
 - ``accounts``   loss chain, error budget, seconds, error against time
 
 In: results of the other rooms. Out: the axes that were drawn on.
 """
 
 from metafab.report.figures.accounts import error_against_time, error_budget, loss_chain, seconds
+from metafab.report.figures.fullwave import patch_amplitude, patch_phase
 from metafab.report.figures.image import confidence, contrast, depth, depth_against_truth, intensity, raw_frame
 from metafab.report.figures.library import coverage, error_map, phase_map, transmittance_map
 from metafab.report.figures.mask import fill_map, pillar_rectangles
@@ -57,6 +59,8 @@ __all__ = [
     "orientation",
     "over_field",
     "pair_over_depth",
+    "patch_amplitude",
+    "patch_phase",
     "peak",
     "phase_map",
     "pillar_rectangles",

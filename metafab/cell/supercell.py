@@ -1,0 +1,161 @@
+"""Unlike pillars in one period: what a solver is asked, what it answers, and what their own responses predict.
+
+The library solves every pillar among copies of itself (local-period approximation). A supercell holds n_y x n_x
+unlike ones, as they stand on a lens; its diffraction orders tell what the approximation misses: how neighbours couple.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.cell.response import PillarCell
+from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
+from metafab.core.errors import InputError
+
+IntArray = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Supercell:
+    """Pillars of many sizes in one period.
+
+    Attributes:
+        cell: period of one site, materials and illumination; its own pillar size is not looked at.
+        size_nm: shape (n_y, n_x, 2), (width, length) at each site, lowest y first; (0, 0) for no pillar.
+    """
+
+    cell: PillarCell
+    size_nm: FloatArray
+
+    def __post_init__(self) -> None:
+        shape = np.shape(self.size_nm)
+        if len(shape) != 3 or shape[2] != 2 or 0 in shape:
+            raise InputError.single("supercell", "size_nm", "shape (n_y, n_x, 2), at least one pillar", f"{shape}")
+        sizes = np.asarray(self.size_nm, dtype=np.float64)
+        if not (np.all(sizes >= 0.0) and np.all(sizes <= self.cell.period_nm)):
+            raise InputError.single(
+                "supercell", "size_nm", f"0 to the period of {self.cell.period_nm} nm", f"{sizes.max():g} nm"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Sites along (y, x)."""
+        return self.size_nm.shape[0], self.size_nm.shape[1]
+
+    @property
+    def period_um(self) -> tuple[float, float]:
+        """Of the supercell along (x, y)."""
+        n_y, n_x = self.shape
+        return n_x * self.cell.period_nm[0] * 1e-3, n_y * self.cell.period_nm[1] * 1e-3
+
+    def exchanged(self) -> Supercell:
+        """The same with x and y swapped; polarisations and orders swap with them."""
+        cell = self.cell
+        turned = replace(cell, period_nm=cell.period_nm[::-1], n_substrate=cell.n_substrate[::-1])
+        return Supercell(turned, np.ascontiguousarray(self.size_nm.transpose(1, 0, 2)[:, :, ::-1]))
+
+    def alone(self) -> dict[tuple[float, float], PillarCell]:
+        """Each distinct pillar in a cell of its own."""
+        sizes = np.unique(self.size_nm.reshape(-1, 2), axis=0)
+        return {
+            (float(w), float(length)): replace(self.cell, width_nm=float(w), length_nm=float(length))
+            for w, length in sizes
+        }
+
+    def propagating(self, polarisation: Polarisation) -> IntArray:
+        """Orders (m, n) along (x, y) that leave behind the pillars, shape (n_orders, 2), by n, then m."""
+        reach = self.cell.n_out[0 if polarisation == "x" else 1].real / (self.cell.wavelength_nm * 1e-3)
+        m, n = (np.arange(-math.floor(reach * p), math.floor(reach * p) + 1) for p in self.period_um)
+        orders = np.stack(np.meshgrid(m, n), axis=-1).reshape(-1, 2)
+        return np.asarray(orders[np.hypot(*(orders / self.period_um).T) < reach * (1.0 - 1e-9)], dtype=np.intp)
+
+    def across_per_um(self, orders: IntArray) -> FloatArray:
+        """(k_x, k_y) of orders, shape (n_orders, 2), rad/um."""
+        return np.asarray(2.0 * np.pi * orders / self.period_um, dtype=np.float64)
+
+    def flux(self, orders: IntArray, amplitude: ComplexArray, polarisation: Polarisation) -> FloatArray:
+        """Power of orders along z over that of an incident wave of unit amplitude, shape (n_orders,).
+
+        A wave of tangential field E carries k_z |E|^2 + |k.E|^2 / k_z, as E_z = -k.E / k_z belongs to it.
+
+        Args:
+            orders: shape (n_orders, 2), propagating.
+            amplitude: shape (n_orders, 2), E_x and E_y of each.
+            polarisation: of the incident wave.
+        """
+        axis = 0 if polarisation == "x" else 1
+        vacuum = 2.0 * math.pi / (self.cell.wavelength_nm * 1e-3)
+        k = self.across_per_um(orders)
+        k_z = np.sqrt((vacuum * self.cell.n_out[axis].real) ** 2 - np.sum(k**2, axis=-1))
+        carried = k_z * np.sum(np.abs(amplitude) ** 2, axis=-1) + np.abs(np.sum(k * amplitude, axis=-1)) ** 2 / k_z
+        return np.asarray(carried / (vacuum * self.cell.n_in[axis].real), dtype=np.float64)
+
+    def local_period(self, orders: IntArray, responses: ComplexArray) -> ComplexArray:
+        """Amplitudes of orders by the local-period approximation: one sample a site, shape (n_orders,).
+
+        Args:
+            orders: shape (n_orders, 2).
+            responses: shape (n_y, n_x), each pillar's own zero-order t.
+        """
+        n_y, n_x = self.shape
+        x, y = (((np.arange(count) + 0.5) / count - 0.5) for count in (n_x, n_y))
+        along_x = np.exp(-2j * np.pi * orders[:, :1] * x)
+        along_y = np.exp(-2j * np.pi * orders[:, 1:] * y)
+        return np.asarray(np.einsum("oy,yx,ox->o", along_y, responses, along_x, optimize=True) / (n_x * n_y))
+
+
+@dataclass(frozen=True)
+class SupercellResponse:
+    """Transmitted orders of a supercell, for one polarisation.
+
+    Attributes:
+        supercell: what was solved.
+        polarisation: of the incident wave.
+        order: shape (n_orders, 2), those that propagate behind the pillars.
+        amplitude: shape (n_orders, 2), E_x and E_y over incident E, planes of the conventions, phases from the middle
+            of the supercell.
+        responses: shape (n_y, n_x), each pillar's own zero-order t, by the same numerics.
+        error: estimate of the largest absolute error of an amplitude: truncation (rcwa), or what is left of the
+            decaying field (meep: the grid's own error is common to ``amplitude`` and ``responses``).
+        seconds: time that the solution took.
+    """
+
+    supercell: Supercell
+    polarisation: Polarisation
+    order: IntArray
+    amplitude: ComplexArray
+    responses: ComplexArray
+    error: float
+    seconds: float
+
+    @property
+    def co_polarised(self) -> ComplexArray:
+        """Amplitudes of the incident polarisation, shape (n_orders,)."""
+        return np.asarray(self.amplitude[:, 0 if self.polarisation == "x" else 1])
+
+    @property
+    def local_period(self) -> ComplexArray:
+        """The amplitudes that the pillars' own responses predict, shape (n_orders,)."""
+        return self.supercell.local_period(self.order, self.responses)
+
+    @property
+    def efficiency(self) -> FloatArray:
+        """Transmitted over incident power of each order, shape (n_orders,)."""
+        return self.supercell.flux(self.order, self.amplitude, self.polarisation)
+
+    @property
+    def local_period_efficiency(self) -> FloatArray:
+        """The same by the local-period approximation."""
+        axis = 0 if self.polarisation == "x" else 1
+        predicted = np.zeros_like(self.amplitude)
+        predicted[:, axis] = self.local_period
+        return self.supercell.flux(self.order, predicted, self.polarisation)
+
+    @property
+    def coupling_error(self) -> float:
+        """Root of the summed squared differences of all orders: rms of the field that the approximation misses."""
+        return float(np.sqrt(np.sum(np.abs(self.co_polarised - self.local_period) ** 2)))

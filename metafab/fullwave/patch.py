@@ -1,0 +1,241 @@
+"""A square patch of the written mask by Meep: the field behind its pillars beside the library's.
+
+The patch stands in one period together with a frame of its real neighbours, so that what the periodic images do to it
+dies out before its rim. Compared is the field that travels (all propagating orders of the period, no evanescent ones),
+traced back to the plane where the pillars end and taken at the sites: of Meep, of the library, and of each pillar
+alone on Meep's own grid. The last tells coupling from the error of the grid.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from metafab.cell.meep import Pool, SupercellSettings, estimate, solve_supercell
+from metafab.cell.supercell import IntArray, Supercell
+from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
+from metafab.core.errors import InputError
+from metafab.core.hdf5 import create, open_kind, put
+from metafab.core.progress import Progress, silent
+from metafab.fullwave.written import library_responses, supercell_at
+from metafab.layout import PillarMap
+from metafab.library import Library
+
+KIND = "metafab patch"
+FORMAT = 1
+#: Sites of neighbours on each side of the patch.
+PADDING_SITES = 3
+#: Of the extrapolated orders at the end: the grid's own error is far larger.
+PATCH_DECAY = 1e-2
+#: A grid on which 3 um take minutes on one core.
+QUICK = SupercellSettings(pixels_per_period=12, decay=PATCH_DECAY)
+
+
+@dataclass(frozen=True)
+class PatchPlan:
+    """What is simulated, and what it is expected to take.
+
+    Attributes:
+        supercell: the patch and its frame.
+        x_um: shape (n_x,), sites of the supercell; likewise ``y_um``.
+        y_um: see ``x_um``.
+        padding_sites: width of the frame.
+        settings: grid and decay.
+        pixels: of the simulated part.
+        seconds: expected on one core, a polarisation.
+        memory_mb: expected.
+    """
+
+    supercell: Supercell
+    x_um: FloatArray
+    y_um: FloatArray
+    padding_sites: int
+    settings: SupercellSettings
+    pixels: int
+    seconds: float
+    memory_mb: float
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Fields at the sites of a patch, in the plane where the pillars end, over incident E.
+
+    Attributes:
+        x_um: shape (n_x,), sites; likewise ``y_um``.
+        y_um: see ``x_um``.
+        polarisation: of the incident light and of the fields.
+        full_wave: shape (n_y, n_x), by Meep.
+        library: the same, stitched from the library, without evanescent waves.
+        alone: the same, stitched from each pillar alone on Meep's grid.
+        decay: what is left of the decaying field, relative to the incident wave.
+        seconds: time of the simulation.
+        pixels_per_period: of the grid.
+        padding_sites: neighbours simulated around the patch.
+    """
+
+    x_um: FloatArray
+    y_um: FloatArray
+    polarisation: Polarisation
+    full_wave: ComplexArray
+    library: ComplexArray
+    alone: ComplexArray
+    decay: float
+    seconds: float
+    pixels_per_period: int
+    padding_sites: int
+
+    def figures(self) -> dict[str, float]:
+        """Rms differences of amplitude and phase, against the library and against the pillars alone on the grid."""
+        found: dict[str, float] = {}
+        pairs = {"": (self.full_wave, self.library), "coupling_": (self.full_wave, self.alone)}
+        pairs["grid_"] = (self.alone, self.library)
+        for name, (ours, theirs) in pairs.items():
+            amplitude, phase, offset, relative = differences(ours, theirs)
+            found |= {
+                f"{name}amplitude_rms": amplitude,
+                f"{name}phase_rms_rad": phase,
+                f"{name}phase_offset_rad": offset,
+                f"{name}relative_l2": relative,
+            }
+        return found
+
+
+def differences(ours: ComplexArray, theirs: ComplexArray) -> tuple[float, float, float, float]:
+    """Amplitude rms, phase rms, mean phase, and relative rms difference of a field to another.
+
+    Amplitudes are in units of the other's rms. Phases are weighted with both amplitudes, as dark places have none, and
+    the rms is about their mean.
+    """
+    scale = float(np.sqrt(np.mean(np.abs(theirs) ** 2)))
+    product = ours * theirs.conj()
+    weight = np.abs(product)
+    offset = float(np.angle(product.sum()))
+    around = np.angle(product * np.exp(-1j * offset))
+    return (
+        float(np.sqrt(np.mean((np.abs(ours) - np.abs(theirs)) ** 2))) / scale,
+        float(np.sqrt(np.sum(weight * around**2) / weight.sum())),
+        offset,
+        float(np.sqrt(np.mean(np.abs(ours - theirs) ** 2))) / scale,
+    )
+
+
+def plan_patch(
+    pillars: PillarMap,
+    library: Library,
+    at_um: tuple[float, float],
+    size_um: float,
+    *,
+    padding_sites: int = PADDING_SITES,
+    settings: SupercellSettings = QUICK,
+) -> PatchPlan:
+    """What to simulate for a square patch, and what it will take.
+
+    Args:
+        pillars: read from a mask.
+        library: what the mask was made with.
+        at_um: (x, y) of the patch's middle.
+        size_um: side, rounded to whole sites.
+        padding_sites: neighbours on each side that are simulated and not compared.
+        settings: grid and decay.
+
+    Raises:
+        InputError: the place is off the lens, no pillar stands there, or the grid does not fit.
+    """
+    period_um = [p * 1e-3 for p in library.unit_cell.cell.period_nm]
+    n_x, n_y = (round(size_um / p) for p in period_um)
+    if min(n_x, n_y) < 1:
+        raise InputError.single("patch", "size_um", f"at least one site, {max(period_um):g} um", f"{size_um:g} um")
+    supercell, x, y = supercell_at(pillars, library, *at_um, (n_y + 2 * padding_sites, n_x + 2 * padding_sites))
+    inner = _inside(supercell.size_nm, padding_sites)
+    if not np.any(inner > 0.0):
+        raise InputError.single("patch", "at_um", "a place with pillars", f"none about {at_um[0]:g}, {at_um[1]:g} um")
+    cost = estimate(supercell, settings)
+    return PatchPlan(supercell, x, y, padding_sites, settings, cost.pixels, cost.seconds, cost.bytes / 2**20)
+
+
+def solve_patch(
+    plan: PatchPlan,
+    library: Library,
+    polarisation: Polarisation = "x",
+    pool: Pool | None = None,
+    progress: Progress = silent,
+) -> Patch:
+    """Simulate a planned patch.
+
+    Raises:
+        MissingToolError: no interpreter has Meep.
+        SolverError: the simulation failed.
+    """
+    supercell, padding = plan.supercell, plan.padding_sites
+    answer = solve_supercell(supercell, polarisation, plan.settings, pool, progress)
+    stored = library_responses(supercell, library)[POLARISATIONS.index(polarisation)]
+    fields = [
+        _inside(at_sites(supercell, answer.order, amplitude), padding)
+        for amplitude in (
+            answer.co_polarised,
+            supercell.local_period(answer.order, stored),
+            answer.local_period,
+        )
+    ]
+    return Patch(
+        x_um=plan.x_um[padding : plan.x_um.size - padding],
+        y_um=plan.y_um[padding : plan.y_um.size - padding],
+        polarisation=polarisation,
+        full_wave=fields[0],
+        library=fields[1],
+        alone=fields[2],
+        decay=answer.error,
+        seconds=answer.seconds,
+        pixels_per_period=plan.settings.pixels_per_period,
+        padding_sites=padding,
+    )
+
+
+def at_sites(supercell: Supercell, order: IntArray, amplitude: ComplexArray) -> ComplexArray:
+    """The sum of orders at the sites of a supercell, shape (n_y, n_x)."""
+    n_y, n_x = supercell.shape
+    x, y = (((np.arange(count) + 0.5) / count - 0.5) for count in (n_x, n_y))
+    along_x = np.exp(2j * math.pi * order[:, :1] * x)
+    along_y = np.exp(2j * math.pi * order[:, 1:] * y)
+    return np.asarray((along_y * amplitude[:, None]).T @ along_x)
+
+
+def save_patch(patch: Patch, path: Path, *, inputs_sha256: str) -> None:
+    """Write ``patch.h5``."""
+    with create(path, kind=KIND, format_version=FORMAT, inputs_sha256=inputs_sha256) as file:
+        file.attrs["polarisation"] = patch.polarisation
+        for name in ("decay", "seconds", "pixels_per_period", "padding_sites"):
+            file.attrs[name] = getattr(patch, name)
+        put(file, "x_um", patch.x_um, units="um", description="sites of the patch", dims=("x_um",))
+        put(file, "y_um", patch.y_um, units="um", description="sites of the patch", dims=("y_um",))
+        for name, what in (
+            ("full_wave", "field behind the pillars over incident field, by Meep"),
+            ("library", "the same, stitched from the library"),
+            ("alone", "the same, stitched from each pillar alone on the grid of Meep"),
+        ):
+            put(file, name, getattr(patch, name), units="1", description=what, dims=("y_um", "x_um"))
+
+
+def load_patch(path: Path) -> Patch:
+    """Read ``patch.h5``.
+
+    Raises:
+        InputError: the file is missing, damaged, or of another kind.
+    """
+    with open_kind(path, kind=KIND, format_version=FORMAT, remedy="make it with `metafab patch`") as file:
+        return Patch(
+            polarisation="y" if file.attrs["polarisation"] == "y" else "x",
+            decay=float(file.attrs["decay"]),
+            seconds=float(file.attrs["seconds"]),
+            pixels_per_period=int(file.attrs["pixels_per_period"]),
+            padding_sites=int(file.attrs["padding_sites"]),
+            **{name: file[name][()] for name in ("x_um", "y_um", "full_wave", "library", "alone")},
+        )
+
+
+def _inside(values: np.ndarray, padding: int) -> np.ndarray:
+    n_y, n_x = values.shape[:2]
+    return values[padding : n_y - padding, padding : n_x - padding]
