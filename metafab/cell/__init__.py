@@ -3,6 +3,7 @@
 - ``response``     what every solver is asked and answers
 - ``problem``      from a unit-cell spec to cells, and the calls that solve one or many
 - ``fresnel``      closed forms: interface and film, in the same planes and types
+- ``halfspace``    plane waves of a birefringent substrate
 - ``rcwa``         the Fourier modal method, certified
 - ``meep``         the real Meep (FDTD) as a separate program
 """

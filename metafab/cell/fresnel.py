@@ -11,8 +11,9 @@ import math
 
 import numpy as np
 
+from metafab.cell.halfspace import admittance
 from metafab.cell.response import PillarCell
-from metafab.core.conventions import ComplexArray
+from metafab.core.conventions import ComplexArray, Side
 
 
 def interface(admittance_in: complex, admittance_out: complex) -> tuple[complex, complex]:
@@ -51,6 +52,8 @@ def film_jones(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, Complex
     Returns:
         t and r, each of shape (2, 2), of the tangential field in the basis (x, y).
     """
+    if cell.is_birefringent:
+        return _film_on_tensor(cell, n_film)
     jones_t, jones_r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     polar, azimuth = math.radians(cell.angle_deg), math.radians(cell.azimuth_deg)
     along = np.array([math.cos(azimuth), math.sin(azimuth)])
@@ -65,3 +68,16 @@ def film_jones(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, Complex
         for jones, s, p in ((jones_t, t_s, t_p), (jones_r, r_s, r_p)):
             jones[:, i] = (s * np.outer(across, across) + p * np.outer(along, along))[:, i]
     return jones_t, jones_r
+
+
+def _film_on_tensor(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, ComplexArray]:
+    """The same between half spaces of which one is birefringent: admittances are matrices, the film's q is one."""
+    k = np.array(cell.in_plane)
+    far: Side = "ambient" if cell.side == "substrate" else "substrate"
+    y_in, y_out = (admittance(cell.tensor(side) or (complex(cell.n_ambient),) * 3, k) for side in (cell.side, far))
+    y_film = admittance((complex(n_film),) * 3, k)
+    turn = np.exp(2j * math.pi * np.sqrt(complex(n_film) ** 2 - k @ k) * cell.height_nm / cell.wavelength_nm)
+    back = np.linalg.solve(y_film + y_out, y_film - y_out)
+    echo, one = turn**2 * back, np.eye(2)
+    forward = np.linalg.solve(y_in @ (one + echo) + y_film @ (one - echo), 2.0 * y_in)
+    return np.asarray(turn * (one + back) @ forward), np.asarray((one + echo) @ forward - one)

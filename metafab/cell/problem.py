@@ -12,7 +12,7 @@ from metafab.core.errors import Fault, InputError
 from metafab.core.executor import SerialExecutor, stream
 from metafab.core.progress import Progress, silent
 from metafab.materials import refractive_index
-from metafab.spec.cell import UnitCell
+from metafab.spec.cell import Material, UnitCell
 
 #: Walls further from upright are no pillars; cutting them into steps would need more than are tried.
 _FLATTEST_WALL_DEG = 60.0
@@ -53,11 +53,18 @@ def pillar_cell(
         side=unit_cell.illumination.side,
         angle_deg=float(angle_deg),
         azimuth_deg=float(azimuth_deg),
+        n_substrate_z=_index_along_z(unit_cell.materials.substrate),
         sidewall_angle_deg=unit_cell.cell.sidewall_angle_deg or 90.0,
         sizes_at=unit_cell.cell.sizes_at or "middle",
     )
     check(cell)
     return cell
+
+
+def _index_along_z(substrate: Material) -> complex | None:
+    if substrate.n_z is None:
+        return None
+    return complex(substrate.n_z, substrate.k if substrate.k_z is None else substrate.k_z)
 
 
 def check(cell: PillarCell) -> None:
@@ -100,6 +107,8 @@ def check(cell: PillarCell) -> None:
     )
     indices: dict[str, tuple[complex, ...]] = {f"{name}.n": (s.n_inside, s.n_around) for name, s in slices.items()}
     indices |= {"n_pillar": (cell.n_pillar,), "n_substrate": cell.n_substrate, "n_ambient": (cell.n_ambient,)}
+    if cell.n_substrate_z is not None:
+        indices["n_substrate_z"] = (cell.n_substrate_z,)
     for name, values in indices.items():
         faults.extend(
             Fault(name, "a finite index with real part > 0 and imaginary part >= 0", f"{n}")
@@ -140,6 +149,9 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
         if cell.is_sloped:
             angle = f"{cell.sidewall_angle_deg:g}"
             raise InputError.single("cell", "sidewall_angle_deg", "90 for meep", angle, "solve with rcwa")
+        if cell.is_birefringent:
+            index = f"{cell.n_substrate_z}"
+            raise InputError.single("cell", "n_substrate_z", "not given for meep", index, "solve with rcwa")
         from metafab.cell import meep
 
         return meep.solve(cell, numerics)

@@ -9,6 +9,7 @@ from typing import Literal, Protocol
 
 import numpy as np
 
+from metafab.cell.halfspace import admittance
 from metafab.core.conventions import ComplexArray, FloatArray, Side
 
 #: Where a sloped pillar has the stated width and length.
@@ -48,11 +49,14 @@ class PillarCell:
         n_ambient: complex index around and above the pillar.
         wavelength_nm: vacuum wavelength.
         side: where the light comes from.
-        angle_deg: polar angle of incidence inside the incident half space, 0 to < 90.
+        angle_deg: polar angle of incidence inside the incident half space, 0 to < 90; in a birefringent one, of the
+            ordinary wave.
         azimuth_deg: azimuth of the plane of incidence, counter-clockwise from +x.
         under: layers between substrate and pillar, from the substrate on (an antireflection film); rcwa only. The
             planes of t and r are then those where the whole stack begins and ends.
         over: layers on the pillar, from the pillar on (a residual cap); rcwa only.
+        n_substrate_z: index of the substrate along z, for a birefringent one with principal axes x, y, z; its waves are
+            then treated rigorously. If not given, each polarisation sees its own index, with light along z only.
         sidewall_angle_deg: between walls and substrate, inside the pillar: below 90 the pillar narrows upwards, above
             90 downwards; rcwa only.
         sizes_at: where on the pillar its width and length are those stated.
@@ -71,6 +75,7 @@ class PillarCell:
     azimuth_deg: float = 0.0
     under: tuple[Slice, ...] = ()
     over: tuple[Slice, ...] = ()
+    n_substrate_z: complex | None = None
     sidewall_angle_deg: float = 90.0
     sizes_at: SizesAt = "middle"
 
@@ -93,6 +98,30 @@ class PillarCell:
             for size, period in zip((self.width_nm, self.length_nm), self.period_nm, strict=True)
         )
         return width, length
+
+    @property
+    def is_birefringent(self) -> bool:
+        """Whether the substrate is treated as a tensor."""
+        return self.n_substrate_z is not None and len({*self.n_substrate, self.n_substrate_z}) > 1
+
+    def tensor(self, side: Side) -> tuple[complex, complex, complex] | None:
+        """Principal indices of the half space on ``side``; None where it is not birefringent."""
+        if side == "ambient" or not self.is_birefringent or self.n_substrate_z is None:
+            return None
+        return (*self.n_substrate, self.n_substrate_z)
+
+    @property
+    def n_of_angle(self) -> complex:
+        """The index that ``angle_deg`` is meant in; of a birefringent half space the ordinary one."""
+        n_x, n_y = self.n_in
+        return n_x if n_x == n_y or self.side == "ambient" or self.n_substrate_z != n_y else n_y
+
+    @property
+    def in_plane(self) -> tuple[float, float]:
+        """Wave vector (k_x, k_y) of the incident light in the plane of the cell, over k0."""
+        k_in = complex(self.n_of_angle).real * math.sin(math.radians(self.angle_deg))
+        cosine, sine = _direction(self.azimuth_deg)
+        return k_in * cosine, k_in * sine
 
     @property
     def n_in(self) -> tuple[complex, complex]:
@@ -154,23 +183,34 @@ class CellResponse:
     @property
     def transmittance(self) -> tuple[float, float]:
         """Zero-order power transmittance of x and y polarised light (all outgoing polarisations)."""
+        near: Side = self.cell.side
+        far: Side = "ambient" if near == "substrate" else "substrate"
         x, y = (
-            _power_across(self.cell, self.t[:, i], self.cell.n_out)
-            / _power_across(self.cell, np.eye(2)[i], self.cell.n_in)
-            for i in (0, 1)
+            _power_across(self.cell, self.t[:, i], far) / _power_across(self.cell, np.eye(2)[i], near) for i in (0, 1)
         )
         return x, y
 
 
-def _power_across(cell: PillarCell, field: ComplexArray | FloatArray, n: tuple[complex, complex]) -> float:
-    """Power (in units of the vacuum's) that a zero order with tangential field (x, y) carries along z in ``n``."""
+def _power_across(cell: PillarCell, field: ComplexArray | FloatArray, side: Side) -> float:
+    """Power (in units of the vacuum's) that a zero order with tangential field (x, y) carries along z on ``side``."""
+    tensor = cell.tensor(side)
+    if tensor is not None:
+        return float(np.vdot(field, admittance(tensor, np.array(cell.in_plane)) @ field).real)
+    n = cell.n_in if side == cell.side else cell.n_out
     if cell.angle_deg == 0.0:
         return float(n[0].real * abs(field[0]) ** 2 + n[1].real * abs(field[1]) ** 2)
     azimuth = math.radians(cell.azimuth_deg)
     along = math.cos(azimuth) * field[0] + math.sin(azimuth) * field[1]
     across = math.cos(azimuth) * field[1] - math.sin(azimuth) * field[0]
-    q = cmath.sqrt(n[0] ** 2 - (cell.n_in[0] * math.sin(math.radians(cell.angle_deg))) ** 2)
+    q = cmath.sqrt(n[0] ** 2 - (cell.n_of_angle * math.sin(math.radians(cell.angle_deg))) ** 2)
     return float((n[0] ** 2 / q).real * abs(along) ** 2 + q.real * abs(across) ** 2)
+
+
+def _direction(azimuth_deg: float) -> tuple[float, float]:
+    """Cosine and sine, exact at multiples of 90 degrees, so that mirror planes are recognised."""
+    quarter, rest = divmod(azimuth_deg, 90.0)
+    c, s = (1.0, 0.0) if rest == 0.0 else (math.cos(math.radians(rest)), math.sin(math.radians(rest)))
+    return ((c, s), (-s, c), (-c, -s), (s, -c))[int(quarter) % 4]
 
 
 class CellSolver(Protocol):

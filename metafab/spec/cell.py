@@ -18,7 +18,8 @@ class Material:
 
     ``n_error`` is the standard uncertainty of n; it enters the error budget, not the solution. ``n_y`` and ``k_y``
     are given only where y polarisation sees another index: a uniaxial substrate whose optic axis lies in the
-    surface. ``record`` names an entry of the ``materials`` room in place of numbers.
+    surface. ``n_z`` and ``k_z`` are its index along z, which light at an angle sees too. ``record`` names an entry of
+    the ``materials`` room in place of numbers.
     """
 
     n: Positive | None = None
@@ -26,6 +27,8 @@ class Material:
     n_error: NonNegative = 0.0
     n_y: Positive | None = None
     k_y: NonNegative | None = None
+    n_z: Positive | None = None
+    k_z: NonNegative | None = None
     record: str | None = None
 
     @model_validator(mode="after")
@@ -71,6 +74,13 @@ class CellMaterials:
     @classmethod
     def _by_name(cls, value: object) -> object:
         return _material(value)
+
+    @model_validator(mode="after")
+    def _one_birefringent(self) -> CellMaterials:
+        for name in ("pillar", "ambient"):
+            if getattr(self, name).n_z is not None:
+                raise ValueError(f"`{name}.n_z`: only the substrate may be birefringent")
+        return self
 
 
 @dataclass(frozen=True, config=CONFIG)

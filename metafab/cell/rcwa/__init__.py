@@ -7,6 +7,7 @@ From one axis to the answer:
 - ``transverse``     coefficients of a symmetry class, paired and turned to TM and TE
 - ``factorisation``  Maxwell's equations of the layer as two matrices, by Li's rules
 - ``eigenmodes``     modes of the layer, plane waves of the half spaces
+- ``birefringence``  plane waves of a birefringent half space
 - ``doubling``       one incident wave through the layer by doubling thickness: the fast way, tested as it goes
 - ``admittance``     the same by modes, stable for any height
 - ``outlines``       one axis for layers of unlike outlines

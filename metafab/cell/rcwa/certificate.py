@@ -13,10 +13,10 @@ pillar (a sharp resonance that the truncation shifts); the floor is what two tru
 last difference so large that the ladder has not begun to converge counts in full.
 
 Of a sloped pillar the error of its steps is added (:mod:`metafab.cell.rcwa.slicing`). Where nothing was measured, the
-last two differences count threefold. That is so for holes, light at an angle, sloped walls, layers under or over the
-pillar, pillars more than two wavelengths tall, cells more than two wavelengths wide inside the densest medium (which
-need more orders), indices that differ more than fourfold or absorb strongly, and metals, where the field at the
-corners has no limit that Fourier methods approach steadily.
+last two differences count threefold. That is so for holes, light at an angle, birefringent substrates, sloped walls,
+layers under or over the pillar, pillars more than two wavelengths tall, cells more than two wavelengths wide inside the
+densest medium (which need more orders), indices that differ more than fourfold or absorb strongly, and metals, where
+the field at the corners has no limit that Fourier methods approach steadily.
 tests/physics/test_rcwa_certificate.py also looks far from the pillars that were measured.
 """
 
@@ -183,6 +183,7 @@ def _is_measured(cell: PillarCell) -> bool:
     densest = max(n.real for n in (pillar, around, *map(complex, cell.n_substrate)))
     return (
         cell.angle_deg == 0.0
+        and not cell.is_birefringent
         and not (cell.under or cell.over or cell.is_sloped)
         and around.real <= pillar.real <= _STEEPEST * around.real
         and max(pillar.imag / pillar.real, around.imag / around.real) <= _DIMMEST

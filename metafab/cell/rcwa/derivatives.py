@@ -84,8 +84,8 @@ def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adapt
         formulation: "adaptive" or "fourier".
 
     Raises:
-        InputError: the pillar has no walls along an axis, sloped ones, or layers under or over it; or as
-            :func:`metafab.cell.rcwa.jones.zero_order`.
+        InputError: the pillar has no walls along an axis, sloped ones, layers under or over it, or a birefringent
+            substrate; or as :func:`metafab.cell.rcwa.jones.zero_order`.
     """
     _check(cell)
     by_orders = axis_orders(cell, orders)
@@ -110,6 +110,8 @@ def _check(cell: PillarCell) -> None:
         raise InputError.single("cell", "under, over", "empty for derivatives", "layers")
     if cell.is_sloped:
         raise InputError.single("cell", "sidewall_angle_deg", "90 for derivatives", f"{cell.sidewall_angle_deg:g}")
+    if cell.is_birefringent:
+        raise InputError.single("cell", "n_substrate_z", "that of an isotropic substrate", f"{cell.n_substrate_z}")
     for name, size, period in zip(
         ("width_nm", "length_nm"), (cell.width_nm, cell.length_nm), cell.period_nm, strict=True
     ):

@@ -32,7 +32,8 @@ class DiffractedOrder:
     Attributes:
         order: (m, n): its wave vector in the plane is that of the incident light plus (m / period_x, n / period_y)
             turns.
-        polar_deg: angle from the axis, in the medium that it leaves into.
+        polar_deg: angle from the axis, in the medium that it leaves into; where that has several indices, by the one
+            along x.
         azimuth_deg: direction of its wave vector in the plane, counter-clockwise from +x, in (-180, 180]; 0 on the
             axis.
         efficiency_x: its power over the incident power, for light with E along x in the plane of the cell.

@@ -21,6 +21,7 @@ from metafab.cell.rcwa.basis import (
     symmetric_axis,
     travelling_axis,
 )
+from metafab.cell.rcwa.birefringence import TensorWaves, magnetic, tensor_waves
 from metafab.cell.rcwa.doubling import Faces, through_by_doubling
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, plane_waves
 from metafab.cell.rcwa.factorisation import largest_eigenvalue, layer_matrices
@@ -28,7 +29,7 @@ from metafab.cell.rcwa.outlines import outline_bases
 from metafab.cell.rcwa.stack import StackLayer, through_stack
 from metafab.cell.rcwa.transverse import TransverseBasis, transverse_basis
 from metafab.cell.response import PillarCell, Slice
-from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.conventions import ComplexArray, FloatArray, Side
 from metafab.core.errors import InputError
 
 Orders = tuple[int, int]
@@ -82,8 +83,8 @@ class SymmetryClass:
 class Outside:
     """Plane waves of the half space that the light comes from, and of the one behind."""
 
-    incoming: PlaneWaves
-    outgoing: PlaneWaves
+    incoming: PlaneWaves | TensorWaves
+    outgoing: PlaneWaves | TensorWaves
 
 
 @dataclass(frozen=True)
@@ -127,8 +128,8 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
     thread is used: on matrices of this size more threads cost time.
 
     Raises:
-        InputError: light at an angle meets a substrate whose index depends on polarisation, or comes out of an
-            absorbing medium.
+        InputError: light at an angle meets a birefringent substrate of unknown index along z, or comes out of a biaxial
+            or an absorbing one.
     """
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     power = np.zeros((2, 2))
@@ -161,9 +162,8 @@ def shares_of_power(solved: ClassFaces) -> tuple[FloatArray, FloatArray]:
         taken together.
     """
 
-    def across(waves: PlaneWaves, field: ComplexArray) -> FloatArray:
-        admittance = waves.h / np.where(waves.e == 0.0, np.inf, waves.e)
-        return np.asarray(admittance.real[:, None] * np.abs(field) ** 2)
+    def across(waves: PlaneWaves | TensorWaves, field: ComplexArray) -> FloatArray:
+        return np.asarray((np.conj(field) * magnetic(waves, field)).real)
 
     outside = solved.outside
     sent = np.sum(across(outside.incoming, solved.incident), axis=0)
@@ -223,9 +223,8 @@ def symmetry_classes(
 
 def in_plane_per_nm(cell: PillarCell) -> tuple[float, float]:
     """Wave vector (k_x, k_y) of the incident light in the plane of the cell, rad/nm."""
-    k_in = _k0_per_nm(cell) * cell.n_in[0].real * math.sin(math.radians(cell.angle_deg))
-    cosine, sine = _direction(cell.azimuth_deg)
-    return k_in * cosine, k_in * sine
+    k_x, k_y = cell.in_plane
+    return _k0_per_nm(cell) * k_x, _k0_per_nm(cell) * k_y
 
 
 def _over_outlines(u: Sequence[AxisParity], v: Sequence[AxisParity]) -> tuple[TransverseBasis, ...]:
@@ -235,12 +234,13 @@ def _over_outlines(u: Sequence[AxisParity], v: Sequence[AxisParity]) -> tuple[Tr
 
 def through_case(cell: PillarCell, case: SymmetryClass, outside: Outside, incident: ComplexArray) -> Faces:
     """Field at the faces of the layer or stack, by whichever way is faster and can be trusted."""
-    if len(case.layers) > 1:
+    incoming, outgoing = outside.incoming, outside.outgoing
+    if len(case.layers) > 1 or isinstance(incoming, TensorWaves) or isinstance(outgoing, TensorWaves):
         return _through_stack(cell, case, outside, incident)
     p, q = matrices(cell, case)
     largest_a = largest_eigenvalue(permittivity(cell.n_pillar), permittivity(cell.n_ambient))
     thickness_k0 = _thickness_k0(cell, case, 0)
-    faces = through_by_doubling(p, q, thickness_k0, outside.incoming, outside.outgoing, incident, largest_a)
+    faces = through_by_doubling(p, q, thickness_k0, incoming, outgoing, incident, largest_a)
     if faces is not None:
         return faces
     field = solve_class(cell, case, outside).field
@@ -250,10 +250,12 @@ def through_case(cell: PillarCell, case: SymmetryClass, outside: Outside, incide
 def solve_class(cell: PillarCell, case: SymmetryClass, outside: Outside | None = None) -> ClassSolution:
     """Modes and field of a class with one layer, for incident E_x = 1 and E_y = 1 (as far as the class holds them)."""
     outside = outside or _outside(cell, case)
+    incoming, outgoing = outside.incoming, outside.outgoing
+    if isinstance(incoming, TensorWaves) or isinstance(outgoing, TensorWaves):
+        raise TypeError("`cell`: expected isotropic half spaces, got a birefringent one; use `through_case`")
     modes = layer_modes(*matrices(cell, case))
-    incident = case.basis.zero_order()
-    field = through_layer(modes, _thickness_k0(cell, case, 0), outside.incoming, outside.outgoing, incident)
-    return ClassSolution(modes, outside.incoming, outside.outgoing, field)
+    field = through_layer(modes, _thickness_k0(cell, case, 0), incoming, outgoing, case.basis.zero_order())
+    return ClassSolution(modes, incoming, outgoing, field)
 
 
 def _through_stack(cell: PillarCell, case: SymmetryClass, outside: Outside, incident: ComplexArray) -> Faces:
@@ -265,7 +267,14 @@ def _through_stack(cell: PillarCell, case: SymmetryClass, outside: Outside, inci
 
 
 def _outside(cell: PillarCell, case: SymmetryClass) -> Outside:
-    return Outside(*(plane_waves(case.basis, _k0_per_nm(cell), permittivity(n)) for n in (case.n_in, case.n_out)))
+    far: Side = "ambient" if cell.side == "substrate" else "substrate"
+    near_waves, far_waves = (
+        plane_waves(case.basis, _k0_per_nm(cell), permittivity(n))
+        if tensor is None
+        else tensor_waves(case.basis, _k0_per_nm(cell), tensor)
+        for tensor, n in ((cell.tensor(cell.side), case.n_in), (cell.tensor(far), case.n_out))
+    )
+    return Outside(near_waves, far_waves)
 
 
 def matrices(cell: PillarCell, case: SymmetryClass, index: int = 0) -> tuple[Matrix, Matrix]:
@@ -307,25 +316,31 @@ def _families(axis: AxisBasis, incident_per_nm: float) -> list[AxisParity]:
     return [travelling_axis(axis, incident_per_nm)]
 
 
-def _direction(azimuth_deg: float) -> tuple[float, float]:
-    """Cosine and sine, exact at multiples of 90 degrees, so that mirror planes are recognised."""
-    quarter, rest = divmod(azimuth_deg, 90.0)
-    c, s = (1.0, 0.0) if rest == 0.0 else (math.cos(math.radians(rest)), math.sin(math.radians(rest)))
-    return ((c, s), (-s, c), (-c, -s), (s, -c))[int(quarter) % 4]
-
-
 def _check_oblique(cell: PillarCell) -> None:
-    if cell.n_substrate[0] != cell.n_substrate[1]:
+    n_x, n_y = cell.n_substrate
+    if n_x != n_y and cell.n_substrate_z is None:
         raise InputError.single(
             "cell",
             "angle_deg",
-            "0 where the substrate's index differs between x and y polarisation",
+            "0 where the substrate's index differs between x and y polarisation and that along z is not given",
             f"{cell.angle_deg:g}",
-            "give the substrate one index, or light along the axis",
+            "give the substrate's `n_z` too (sapphire with its axis in the surface: the ordinary index)",
         )
-    if cell.n_in[0].imag != 0.0:
+    if cell.side == "substrate" and n_x != n_y and cell.n_substrate_z not in (n_x, n_y):
         raise InputError.single(
-            "cell", "angle_deg", "0 where the light comes out of an absorbing medium", f"{cell.angle_deg:g}"
+            "cell",
+            "angle_deg",
+            "0 from within a biaxial substrate, where no wave is ordinary",
+            f"{cell.angle_deg:g}",
+            'light it from `side = "ambient"`',
+        )
+    if complex(cell.n_of_angle).imag != 0.0:
+        raise InputError.single(
+            "cell",
+            "angle_deg",
+            "0 where the light comes out of an absorbing medium",
+            f"{cell.angle_deg:g}",
+            "no plane wave of one angle has a steady amplitude along the surface there; drop its k",
         )
 
 

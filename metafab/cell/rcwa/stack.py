@@ -1,6 +1,7 @@
 """One incident wave through several layers by their modes, from the far side to the side of the light.
 
-Behind a face every outgoing field is e = U w, h = V w. For plane waves U and V are diagonal. In a layer with modes E, H
+Behind a face every outgoing field is e = U w, h = V w. For plane waves U and V are diagonal, or in pairs
+(:mod:`metafab.cell.rcwa.birefringence`). In a layer with modes E, H
 that decay by X from face to face, c+ taken where the layer begins and c- where it ends, the far face asks
 
     X c+ + c- = E^-1 U w,    X c+ - c- = H^-1 V w,
@@ -20,6 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from metafab.cell.rcwa.birefringence import TensorWaves, as_matrices
 from metafab.cell.rcwa.doubling import Faces
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves
 from metafab.core.conventions import ComplexArray
@@ -34,7 +36,10 @@ class StackLayer:
 
 
 def through_stack(
-    layers: Sequence[StackLayer], incoming: PlaneWaves, outgoing: PlaneWaves, incident: ComplexArray
+    layers: Sequence[StackLayer],
+    incoming: PlaneWaves | TensorWaves,
+    outgoing: PlaneWaves | TensorWaves,
+    incident: ComplexArray,
 ) -> Faces:
     """Field of the waves ``incident`` at the first and the last face.
 
@@ -44,7 +49,8 @@ def through_stack(
         outgoing: plane waves of the half space behind.
         incident: shape (n, p), transverse E of p incident waves where the first layer begins.
     """
-    e, h = np.diag(outgoing.e), np.diag(outgoing.h)
+    e_out, h_out = as_matrices(outgoing)
+    e, h = e_out, h_out
     passed = []
     for layer in reversed(layers):
         modes, decay = layer.modes, np.exp(1j * layer.modes.beta * layer.thickness_k0)
@@ -53,12 +59,11 @@ def through_stack(
         echo = decay[:, None] * (0.5 * (from_e - from_h) @ onward)
         e, h = modes.e + modes.e @ echo, modes.h - modes.h @ echo
         passed.append(onward)
-    # e w = e_inc + e_in r and h w = h_inc - h_in r, the incident wave as in doubling.
-    wave = np.divide(incident, incoming.e[:, None], out=np.zeros_like(incident), where=incident != 0.0)
-    amplitudes = np.linalg.solve(
-        incoming.h[:, None] * e + incoming.e[:, None] * h, 2.0 * (incoming.h * incoming.e)[:, None] * wave
-    )
+    # e w = E (a + r) and h w = H (a - r) for incident and reflected amplitudes a and r; H^T E is symmetric, so that
+    # (H^T e + E^T h) w = 2 H^T e_inc.
+    e_in, h_in = as_matrices(incoming)
+    amplitudes = np.linalg.solve(h_in.T @ e + e_in.T @ h, 2.0 * h_in.T @ incident)
     reflected = e @ amplitudes - incident
     for onward in reversed(passed):
         amplitudes = onward @ amplitudes
-    return Faces(outgoing.e[:, None] * amplitudes, reflected, 0.0)
+    return Faces(e_out @ amplitudes, reflected, 0.0)
