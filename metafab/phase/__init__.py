@@ -10,6 +10,7 @@
 - ``rotation``  the law of rotation, and the main lobe measured in a PSF
 - ``peak``      the main lobe made as bright as it can be while it turns (the paper's IFTA step)
 - ``bound``     how bright any mask's lobe can be, proven
+- ``side_lobes``  the brightest helix whose side lobes keep a limit
 - ``information``  what a twin image of unknown texture can tell about depth
 - ``blind``     the helix that tells most: gradient ascent of that information
 - ``propose``   which [L, epsilon] suits a depth range and its noise
@@ -51,6 +52,7 @@ from metafab.phase.propose import Proposal, propose
 from metafab.phase.pupil import FocalPlane, Pupil, rim_defocus_per_dioptre_rad, rim_defocus_rad
 from metafab.phase.rotation import MainLobe, full_turn_dioptre, main_lobe, ring_rotation, rotation_deg_per_dioptre
 from metafab.phase.sampled import SampledPhase, load_array
+from metafab.phase.side_lobes import SideLobeDesign, limit_side_lobes, measured_side_lobes
 from metafab.phase.store import load, save
 from metafab.phase.study import LobeOverDepth, PhaseStudy, bandwidth_figures, study
 from metafab.phase.study_store import load_study, save_study
@@ -77,6 +79,7 @@ __all__ = [
     "Pupil",
     "Remedy",
     "SampledPhase",
+    "SideLobeDesign",
     "SpiralZonesPhase",
     "SplitImaging",
     "SplitLensPhase",
@@ -90,10 +93,12 @@ __all__ = [
     "bandwidth_tradeoff",
     "compare_masks",
     "full_turn_dioptre",
+    "limit_side_lobes",
     "load",
     "load_array",
     "load_study",
     "main_lobe",
+    "measured_side_lobes",
     "optimise_blind",
     "optimise_peak",
     "profile_of",

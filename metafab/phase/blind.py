@@ -129,9 +129,7 @@ class BlindDesign:
 
     def term(self, radius_um: float, polarisation: Polarisation | None = None) -> SampledPhase:
         """The mask as a phase term; y is the point mirror of x, between samples the complex field is interpolated."""
-        grid = np.ones(self.pupil.inside.shape, dtype=np.complex128)
-        grid[self.pupil.inside] = phasor(self.phase_rad)
-        return SampledPhase(grid[None], 2.0 * radius_um / self.pupil.samples, polarisation)
+        return SampledPhase.of_pupil(self.pupil, self.phase_rad, radius_um, polarisation)
 
 
 def optimise_blind(

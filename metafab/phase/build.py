@@ -18,6 +18,7 @@ from metafab.phase.profile import PhaseProfile, Term
 from metafab.phase.pupil import Pupil, phasor, rim_defocus_rad
 from metafab.phase.rotation import main_lobe, ring_rotation, rotation_deg_per_dioptre
 from metafab.phase.sampled import load_array
+from metafab.phase.side_lobes import limit_side_lobes
 from metafab.phase.zernike import ZernikePhase
 from metafab.spec import design as spec
 from metafab.spec.design import Design
@@ -27,6 +28,8 @@ _ROTATION_DEPTHS = 49
 #: Depths and pupil samples of the search for information.
 _BLIND_DEPTHS = 10
 _BLIND_SAMPLES = 64
+#: Pupil samples of a helix with limited side lobes.
+_LIMITED_SAMPLES = 64
 
 
 def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
@@ -42,7 +45,8 @@ def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
         peak of the main lobe over the full turn against Eq. 2; 1 where nothing is optimised), ``peak_mean`` (Strehl
         ratio), ``target_reached``, ``target_bound`` and ``bound_fraction`` (mean or, for "worst_peak", smallest peak
         at the points aimed at, what no mask can exceed there, and their ratio), ``blind_information_gain`` (over
-        Eq. 2, where that was maximised), ``rotation_deg`` (turn of PSF_x's main lobe from the nearest to the farthest
+        Eq. 2, where that was maximised), ``side_lobe`` and ``side_lobe_without_limit`` (over the main lobe, where
+        they are limited), ``rotation_deg`` (turn of PSF_x's main lobe from the nearest to the farthest
         depth of ``[verify]``, positive counter-clockwise, by the paraxial pupil), ``rotation_deg_per_dioptre`` and
         its theoretical value: that of the plain spiral's rings where nothing is optimised, else the law that the
         optimised lobe is steered by. Without spiral zones there are none.
@@ -123,6 +127,8 @@ def _helix(design: Design, term: spec.SpiralZones, progress: Progress) -> tuple[
     )
     if term.optimise == "blind_information":
         return _blind_helix(design, term, best, progress)
+    if term.side_lobe_limit is not None:
+        return _limited_helix(design, term, best, progress)
     helix = best.term(radius_um, term.polarisation)
     figures = {
         "peak_gain": best.peak_gain,
@@ -131,6 +137,31 @@ def _helix(design: Design, term: spec.SpiralZones, progress: Progress) -> tuple[
         "target_reached": best.reached,
         "target_bound": best.bound.dual,
         "bound_fraction": best.bound_fraction,
+    }
+    return helix, figures | _rotation(design, term, helix, pupil)
+
+
+def _limited_helix(
+    design: Design, term: spec.SpiralZones, start: PeakDesign, progress: Progress
+) -> tuple[Term, dict[str, float]]:
+    """The brightest helix whose side lobes keep the limit."""
+    radius_um = 0.5 * design.device.aperture_um
+    limit, pupil = float(term.side_lobe_limit or 0.0), Pupil(_LIMITED_SAMPLES, design.device.aperture_shape)
+    try:
+        best = limit_side_lobes(
+            start, limit, over=term.side_lobe_over, pupil=pupil, exponent=term.exponent, progress=progress
+        )
+    except ValueError as error:
+        raise InputError.single(
+            design.name, "phase.side_lobe_limit", "a limit that some mask keeps", f"{limit:g}", str(error)
+        ) from error
+    helix = best.term(radius_um, term.polarisation)
+    figures = {
+        "peak_gain": best.peak_gain,
+        "worst_gain": best.worst_gain,
+        "peak_mean": float(best.lobe.peak.mean()),
+        "side_lobe": best.held,
+        "side_lobe_without_limit": best.held_at_start,
     }
     return helix, figures | _rotation(design, term, helix, pupil)
 

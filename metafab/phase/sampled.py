@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
 from metafab.phase.angle import angle
+from metafab.phase.pupil import Pupil, phasor
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,15 @@ class SampledPhase:
     field: ComplexArray
     pitch_um: float
     polarisation: Polarisation | None = None
+
+    @classmethod
+    def of_pupil(
+        cls, pupil: Pupil, phase_rad: FloatArray, radius_um: float, polarisation: Polarisation | None
+    ) -> SampledPhase:
+        """Phases of x polarisation at a pupil's samples, shape (n,), over an aperture of ``radius_um``; y mirrors x."""
+        grid = np.ones(pupil.inside.shape, dtype=np.complex128)
+        grid[pupil.inside] = phasor(phase_rad)
+        return cls(grid[None], 2.0 * radius_um / pupil.samples, polarisation)
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         """Phase on the grid of ``x_um`` (n_x,) and ``y_um`` (n_y,): shape (n_y, n_x), rad in [-pi, pi].

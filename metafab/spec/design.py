@@ -46,11 +46,17 @@ class SpiralZones(_Term):
     zones: Annotated[int, Field(strict=True, ge=1, le=64)] = 4
     exponent: Positive = 0.5
     optimise: Literal["none", "peak", "worst_peak", "blind_information"] = "none"
+    side_lobe_limit: Annotated[
+        float | None, Field(strict=True, gt=0.0, lt=1.0, description="largest side lobe over the main lobe")
+    ] = None
+    side_lobe_over: Annotated[Literal["worst", "mean"], Field(description="over the depths of a turn")] = "worst"
 
     @model_validator(mode="after")
     def _turns(self) -> SpiralZones:
         if self.zones == 1 and self.optimise != "none":
             raise ValueError("`zones` must be at least 2 to be optimised: a single zone does not turn with depth")
+        if self.side_lobe_limit is not None and self.optimise != "peak":
+            raise ValueError("`side_lobe_limit` goes with `optimise` = 'peak': the mean peak is maximised below it")
         return self
 
 

@@ -25,7 +25,7 @@ from metafab.phase import (
 )
 from metafab.phase.study import mask_field
 from metafab.spec import Design
-from metafab.spec.design import Optics
+from metafab.spec.design import Optics, SpiralZones
 
 PUPIL = Pupil(32)
 DEPTH_M = 1.0 / np.linspace(4.0, 3.0, 13)
@@ -34,7 +34,9 @@ NOISE = {"source": PointSource(), "texture": Texture()}
 
 
 def _plain(design: Design) -> Design:
-    return replace(design, phase=(replace(design.phase[0], optimise="none"), *design.phase[1:]))
+    spiral = design.phase[0]
+    assert isinstance(spiral, SpiralZones)
+    return replace(design, phase=(replace(spiral, optimise="none"), *design.phase[1:]))
 
 
 def test_bounds_at_the_pupil_are_those_of_a_sampled_stack() -> None:
@@ -74,7 +76,7 @@ def test_bounds_fall_with_light_and_grow_with_noise() -> None:
     def bound(**change: float) -> np.ndarray:
         source, texture = replace(PointSource(), **change), replace(Texture(), **change)
         masks = {"spiral": reference_masks(PUPIL, 4, 0.5)["plain spiral"]}
-        found = compare_masks(masks, PUPIL, DEPTH_M[:3], **SETTING, source=source, texture=texture)  # type: ignore[arg-type]
+        found = compare_masks(masks, PUPIL, DEPTH_M[:3], **SETTING, source=source, texture=texture)
         return np.stack([found.point_m, found.texture_m])
 
     assert (bound(electrons=1e5) < bound(electrons=1e4)).all()
