@@ -1,0 +1,105 @@
+"""A first design file of each kind of device, commented, with the samples that it needs to run at once."""
+
+from __future__ import annotations
+
+import os
+from importlib import resources
+from pathlib import Path
+from string import Template
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.core.files import whole_file
+
+_UNIT_CELL = Path("unitcell_lib") / "sos_800nm.toml"
+
+
+def kinds() -> dict[str, str]:
+    """Every kind of device and what it is, in one line."""
+    files = resources.files("metafab.spec") / "kinds"
+    texts = {item.name: item.read_text(encoding="utf-8") for item in files.iterdir() if item.name.endswith(".toml")}
+    return {name.removesuffix(".toml"): _title(texts[name]) for name in sorted(texts)}
+
+
+def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -> tuple[Path, ...]:
+    """Write ``folder/name.toml`` and the sample files that its kind needs.
+
+    Args:
+        name: of the design; letters, digits, ``_`` and ``-``.
+        kind: one of :func:`kinds`.
+        folder: where the files go; made if missing.
+        library: unit-cell file or built library; None for the paper's, looked for in ``unitcell_lib`` beside the
+            folder, above it, and beside the package.
+
+    Returns:
+        The files written, the design first.
+
+    Raises:
+        InputError: an unknown kind, an unfit name, no unit cell, or a file that is there already (nothing is
+            overwritten).
+    """
+    if kind not in kinds():
+        raise InputError.single("new", "kind", f"one of {', '.join(kinds())}", repr(kind))
+    if not name or not all(letter.isalnum() or letter in "_-" for letter in name):
+        raise InputError.single("new", "name", "letters, digits, _ and -", repr(name), "the file's ending is added")
+    unit_cell = _unit_cell(folder) if library is None else library
+    text = (resources.files("metafab.spec") / "kinds" / f"{kind}.toml").read_text(encoding="utf-8")
+    relative = Path(os.path.relpath(unit_cell.resolve(), folder.resolve())).as_posix()
+    sample = {"hologram": folder / f"{name}.png", "own_phase": folder / f"{name}.npy"}.get(kind)
+    design = folder / f"{name}.toml"
+    written = (design,) if sample is None else (design, sample)
+    for path in written:
+        if path.exists():
+            remedy = "choose another name, or move it away"
+            raise InputError.single(str(path), "file", "a name that is free", "a file", remedy)
+    if sample is not None:
+        with whole_file(sample) as part:
+            _write_picture(part) if kind == "hologram" else _write_phase(part)
+    with whole_file(design) as part:
+        part.write_text(Template(text).substitute(name=name, library=relative), encoding="utf-8")
+    return written
+
+
+def sample_picture(rows: int = 240) -> FloatArray:
+    """Rings, bars and a wedge of grey, shape (rows, rows), 0 to 1, first row at the top."""
+    y, x = np.meshgrid(*2 * [(np.arange(rows) + 0.5) / rows * 2.0 - 1.0], indexing="ij")
+    radius = np.hypot(x, y)
+    picture = np.where((radius > 0.8) & (radius < 0.92), 1.0, 0.0)
+    bars = (np.abs(y + 0.35) < 0.2) & (np.abs(x) < 0.5) & (np.floor(6.0 * (x + 0.5)) % 2 == 0)
+    wedge = (np.abs(y - 0.25) < 0.2) & (np.abs(x) < 0.6)
+    return np.where(bars, 1.0, np.where(wedge, 0.5 + x / 1.2, picture))
+
+
+def _write_picture(path: Path) -> None:
+    from PIL import Image
+
+    Image.fromarray(np.round(255.0 * sample_picture()).astype(np.uint8)).save(path, format="png")
+
+
+def _write_phase(path: Path) -> None:
+    """The cubic phase 30 (x^3 + y^3) rad over a square of 100 um (Dowski and Cathey, Appl. Opt. 34, 1859, 1995)."""
+    axis = np.linspace(-1.0, 1.0, 202)
+    with path.open("wb") as file:
+        np.save(file, 30.0 * (axis[:, None] ** 3 + axis**3))
+
+
+def _title(text: str) -> str:
+    """The comment lines at the top of a design file, up to the first full stop."""
+    lines = []
+    for line in text.splitlines():
+        if not line.startswith("#") or line.startswith("# Run it with"):
+            break
+        lines.append(line.removeprefix("#").strip())
+    return " ".join(lines).split(". ")[0].rstrip(".")
+
+
+def _unit_cell(folder: Path) -> Path:
+    here = folder.resolve()
+    for place in (here, *here.parents, Path(__file__).parents[2]):
+        if (place / _UNIT_CELL).is_file():
+            return place / _UNIT_CELL
+    raise InputError.single(
+        "new", "library", f"{_UNIT_CELL} in the folder or above it", "none", "name a unit-cell file with --library"
+    )
