@@ -1,11 +1,33 @@
-"""The whole job."""
+"""The whole job, and the design file that it starts from."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
+
+import typer
 
 from metafab.cli.app import Cluster, DesignFile, Json, Output, Workers, app
 from metafab.cli.console import exit_on_violations, progress_bars, show
+
+
+@app.command("new")
+def new_command(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="Of the design; the file is NAME.toml.")] = None,
+    kind: Annotated[str | None, typer.Option(metavar="KIND", help="What it is.")] = None,
+    library: Annotated[
+        Path | None, typer.Option(metavar="UNITCELL.toml", help="Unit cell or built library [default: the paper's].")
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Where the files go.")] = Path(),
+    json_: Json = False,
+) -> None:
+    """Write a commented design file to start from; without a kind, name the kinds."""
+    from metafab.spec import kinds, write_new
+
+    if name is None or kind is None:
+        show(kinds(), json_)
+        return
+    show({"files": write_new(name, kind, output, library)}, json_)
 
 
 @app.command("run")

@@ -8,9 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from metafab.core.conventions import FloatArray, sensor_distance_um
+from metafab.core.conventions import FloatArray, Polarisation, sensor_distance_um
 from metafab.core.errors import InputError
 from metafab.spec import Design
+from metafab.spec.design import Grating
 
 #: Relative L2 error of cubic interpolation between depths whose rim defocus differs by one radian; the measured
 #: error falls with the fourth power of the step (``tests/physics/test_optics_depth.py`` holds it as a bound).
@@ -30,6 +31,9 @@ class Imaging:
         pixel_um: sampling step on the sensor.
         aperture_um: diameter of a circle or side of a square.
         aperture_shape: outline through which light comes.
+        deflection: direction cosines (x, y) that gratings add, for x and for y polarisation.
+        inner_um: diameter of a ring's hole.
+        outline_um: (x, y) of a polygon's vertices.
     """
 
     wavelength_um: float
@@ -38,7 +42,10 @@ class Imaging:
     sensor_distance_um: float
     pixel_um: float
     aperture_um: float
-    aperture_shape: Literal["circle", "square"] = "circle"
+    aperture_shape: Literal["circle", "square", "ring", "polygon"] = "circle"
+    deflection: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    inner_um: float = 0.0
+    outline_um: tuple[tuple[float, float], ...] = ()
 
     @classmethod
     def of(cls, design: Design) -> Imaging:
@@ -65,6 +72,9 @@ class Imaging:
             sensor.pixel_um,
             device.aperture_um,
             device.aperture_shape,
+            (_deflection(design, "x"), _deflection(design, "y")),
+            device.inner_um,
+            device.outline_um,
         )
 
     @property
@@ -76,8 +86,9 @@ class Imaging:
         """Geometric image point on the sensor plane of an object in the direction ``tangent``.
 
         The ray through the lens' centre obeys the grating law with the gradient of Eq. 3 (or 4) there: the
-        direction cosines of the light become (-t_x, -t_y) / sqrt(1 + t^2) + (-+sin theta, 0). Images are
-        inverted: an object at +x has its image at -x of the on-axis image point.
+        direction cosines of the light become (-t_x, -t_y) / sqrt(1 + t^2) + (-+sin theta, 0), and those of the
+        design's gratings are added. Images are inverted: an object at +x has its image at -x of the on-axis image
+        point.
 
         Args:
             polarisation: 0 for x, 1 for y.
@@ -92,8 +103,9 @@ class Imaging:
         t_x, t_y = tangent
         secant = math.sqrt(1.0 + t_x * t_x + t_y * t_y)
         sign = -1.0 if polarisation == 0 else 1.0
-        s_x = -t_x / secant + sign * math.sin(math.radians(self.split_angle_deg))
-        s_y = -t_y / secant
+        add_x, add_y = self.deflection[polarisation]
+        s_x = -t_x / secant + sign * math.sin(math.radians(self.split_angle_deg)) + add_x
+        s_y = -t_y / secant + add_y
         transverse = s_x * s_x + s_y * s_y
         if transverse >= 1.0:
             raise InputError.single(
@@ -147,6 +159,17 @@ def field_tangents(design: Design, imaging: Imaging) -> tuple[FloatArray, FloatA
     rows, columns = design.scene.field_px
     count_x, count_y = design.verify.field_points
     return _axis(columns, count_x, imaging), _axis(rows, count_y, imaging)
+
+
+def _deflection(design: Design, polarisation: Polarisation) -> tuple[float, float]:
+    """Direction cosines that a design's gratings add to light of one polarisation."""
+    x = y = 0.0
+    for term in design.phase:
+        if isinstance(term, Grating) and term.polarisation in {None, polarisation}:
+            sine = math.sin(math.radians(term.angle_deg))
+            x += sine * math.cos(math.radians(term.azimuth_deg))
+            y += sine * math.sin(math.radians(term.azimuth_deg))
+    return x, y
 
 
 def _axis(pixels: int, count: int, imaging: Imaging) -> FloatArray:

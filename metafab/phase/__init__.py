@@ -6,6 +6,7 @@
 - ``angle``     angles of many complex numbers, fast
 - ``zernike``   Zernike polynomials
 - ``sampled``   phases given by samples: a user's file
+- ``hologram``  the phase that paints a picture
 - ``pupil``     the pupil in normalised coordinates, rim defocus, images on the focal plane
 - ``rotation``  the law of rotation, and the main lobe measured in a PSF
 - ``peak``      the main lobe made as bright as it can be while it turns (the paper's IFTA step)
@@ -45,6 +46,7 @@ from metafab.phase.helices import (
     zone_charges,
     zone_radii,
 )
+from metafab.phase.hologram import Hologram, design_hologram
 from metafab.phase.information import PointSource, Texture, twin_information
 from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
 from metafab.phase.profile import PhaseProfile, Term
@@ -68,6 +70,7 @@ __all__ = [
     "DoubleHelixPhase",
     "FocalPlane",
     "GratingPhase",
+    "Hologram",
     "LensPhase",
     "LobeOverDepth",
     "MainLobe",
@@ -92,6 +95,7 @@ __all__ = [
     "bandwidth_figures",
     "bandwidth_tradeoff",
     "compare_masks",
+    "design_hologram",
     "full_turn_dioptre",
     "limit_side_lobes",
     "load",

@@ -8,16 +8,18 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray, image_distance_mm
 from metafab.core.errors import InputError
+from metafab.core.pictures import read_grey
 from metafab.core.progress import Progress, silent
 from metafab.phase.blind import BlindInformation, optimise_blind
 from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase
+from metafab.phase.hologram import design_hologram
 from metafab.phase.information import Texture
 from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
 from metafab.phase.profile import PhaseProfile, Term
 from metafab.phase.pupil import Pupil, phasor, rim_defocus_rad
 from metafab.phase.rotation import main_lobe, ring_rotation, rotation_deg_per_dioptre
-from metafab.phase.sampled import load_array
+from metafab.phase.sampled import SampledPhase, load_array
 from metafab.phase.side_lobes import limit_side_lobes
 from metafab.phase.zernike import ZernikePhase
 from metafab.spec import design as spec
@@ -52,7 +54,8 @@ def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
         optimised lobe is steered by. Without spiral zones there are none.
 
     Raises:
-        InputError: a user's array cannot be used, or more than one term has spiral zones for one polarisation.
+        InputError: a user's array or picture cannot be used, or more than one term has spiral zones for one
+            polarisation.
     """
     _one_helix(design)
     terms: list[Term] = []
@@ -62,6 +65,10 @@ def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
             helix, gained = _helix(design, term, progress)
             terms.append(helix)
             figures.update(gained)
+        elif isinstance(term, spec.Picture):
+            painting, painted = _hologram(design, term, progress)
+            terms.append(painting)
+            figures.update(painted)
         else:
             terms.append(_plain_term(design, term))
     return PhaseProfile(tuple(terms), figures)
@@ -209,6 +216,26 @@ def _rotation(design: Design, term: spec.SpiralZones, helix: Term, pupil: Pupil)
         "rotation_deg_per_dioptre": float(np.polyfit(vergence, lobe.phi_deg, 1)[0]),
         **figures,
     }
+
+
+def _hologram(design: Design, term: spec.Picture, progress: Progress) -> tuple[Term, dict[str, float]]:
+    """The hologram of a picture, sampled at the lattice's sites."""
+    picture = read_grey(term.file)
+    if not np.isfinite(picture).all() or picture.min() < 0.0 or picture.max() == 0.0:
+        raise InputError.single(str(term.file), "values", "finite, none below zero, and some above", "others")
+    pitch_um = 1e-3 * min(design.unit_cell.cell.period_nm)
+    count = int(design.device.aperture_um / pitch_um + 1e-9)
+    found = design_hologram(
+        picture,
+        term.width_um,
+        inside=Pupil(count, design.device.aperture_shape).inside,
+        pitch_um=pitch_um,
+        wavelength_um=design.wavelength_um,
+        distance_um=_conjugates_um(design, design.sensor.focus_depth_m)[0],
+        progress=progress,
+    )
+    figures = {"hologram_efficiency": found.efficiency, "hologram_correlation": found.correlation}
+    return SampledPhase(np.stack([found.field, found.field]), pitch_um, term.polarisation), figures
 
 
 def pupil_field(term: Term, pupil: Pupil, radius_um: float) -> ComplexArray:

@@ -5,6 +5,7 @@
 - ``design``   Design: device, phase terms, rules, mask, sensor, verification
 - ``scene``    Scene: objects at depths, photons, noise
 - ``load``     TOML -> spec with all faults at once; spec -> canonical TOML
+- ``new``      a first design file of each kind of device (``kinds/``)
 
 In: paths. Out: frozen dataclasses whose public names carry their units.
 """
@@ -13,6 +14,8 @@ from metafab.spec.cell import Illumination, Material, Solver, Sweep, UnitCell
 from metafab.spec.design import Design, Device, Mask, Numerics, Optics, PhaseTerm, Rules, Sensor, Verify
 from metafab.spec.load import canonical_toml, load_design, load_scene, load_unit_cell
 from metafab.spec.scene import Scene, SceneObject
+from metafab.spec.mask import Chip, Dose, Exposure, Mask
+from metafab.spec.new import kinds, write_new
 
 __all__ = [
     "Design",
@@ -36,3 +39,5 @@ __all__ = [
     "load_scene",
     "load_unit_cell",
 ]
+    "kinds",
+    "write_new",

@@ -150,7 +150,7 @@ class UserArray(_Term):
 
 
 PhaseTerm = Annotated[
-    SpiralZones | SplitLens | Lens | Vortex | Grating | Axicon | DoubleHelix | Zernike | UserArray,
+    SpiralZones | SplitLens | Lens | Vortex | Grating | Axicon | DoubleHelix | Zernike | UserArray | Picture,
     Field(discriminator="term"),
 ]
 
@@ -172,6 +172,18 @@ class Rules:
 
 @dataclass(frozen=True, config=CONFIG)
 class Mask:
+@dataclass(frozen=True, config=CONFIG)
+class Picture(_Term):
+    """A hologram: the phase that, with a lens, paints a picture (.png, .tif, .npy) on the sensor.
+
+    ``width_um`` is the picture's width there; what is bright in the file becomes bright, its first row at the top.
+    """
+
+    file: Path = Field(kw_only=True)
+    width_um: Positive = Field(kw_only=True)
+    term: Literal["hologram"] = "hologram"
+
+
     """How the layout is written."""
 
     formats: tuple[Literal["gds", "oas"], ...] = ("gds", "oas")

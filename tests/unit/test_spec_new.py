@@ -1,0 +1,66 @@
+"""`metafab new`: every kind of device begins with a design file that loads and could run as it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.core.pictures import read_grey
+from metafab.spec import kinds, load_design, write_new
+from metafab.spec.new import sample_picture
+from metafab.steps import preflight
+
+UNIT_CELL = Path(__file__).parents[2] / "unitcell_lib" / "sos_800nm.toml"
+
+
+@pytest.mark.parametrize("kind", kinds())
+def test_a_new_design_passes_all_checks_that_come_before_the_work(tmp_path: Path, kind: str) -> None:
+    design_file, *samples = write_new("mine", kind, tmp_path)
+    design = load_design(design_file)
+    preflight(design)
+    assert design.name == "mine"
+    assert design.library == UNIT_CELL
+    assert {path.name for path in tmp_path.iterdir()} == {design_file.name, *(path.name for path in samples)}
+    assert kinds()[kind] in " ".join(
+        line.removeprefix("# ") for line in design_file.read_text(encoding="utf-8").splitlines()
+    )
+
+
+def test_the_unit_cell_is_named_as_seen_from_the_design(tmp_path: Path) -> None:
+    cell = tmp_path / "unitcell_lib" / "sos_800nm.toml"
+    cell.parent.mkdir()
+    cell.write_bytes(UNIT_CELL.read_bytes())
+    (found,) = write_new("near", "metalens", tmp_path / "layouts")
+    assert 'library = "../unitcell_lib/sos_800nm.toml"' in found.read_text(encoding="utf-8")
+    other = tmp_path / "other.toml"
+    other.write_bytes(UNIT_CELL.read_bytes())
+    (chosen,) = write_new("chosen", "metalens", tmp_path / "layouts", other)
+    assert load_design(chosen).library == other
+
+
+def test_nothing_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "mine.png").write_bytes(b"a picture")
+    with pytest.raises(InputError, match="a name that is free"):
+        write_new("mine", "hologram", tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.png"]
+    write_new("mine", "metalens", tmp_path)
+    with pytest.raises(InputError, match="a name that is free"):
+        write_new("mine", "vortex_lens", tmp_path)
+
+
+@pytest.mark.parametrize(("name", "kind"), [("a b", "metalens"), ("", "metalens"), ("../up", "metalens"), ("a", "x")])
+def test_unfit_names_and_unknown_kinds_are_refused(tmp_path: Path, name: str, kind: str) -> None:
+    with pytest.raises(InputError, match="expected"):
+        write_new(name, kind, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_sample_picture_survives_its_file(tmp_path: Path) -> None:
+    _, picture = write_new("mine", "hologram", tmp_path)
+    read = read_grey(picture) / 255.0
+    # One grey level of 255 is the file's resolution.
+    assert np.abs(read - sample_picture()).max() <= 0.5 / 255.0 + 1e-12
+    assert read[0, 0] == 0.0
