@@ -147,7 +147,8 @@ def mask_source(job: Job, path: Path) -> optics.Source:
             ", ".join(f"{count} {what}" for what, count in unplaced.items() if count),
             "their light cannot be simulated; `metafab drc` says where they are",
         )
-    return optics.written_field(back.pillars, open_library(job))
+    standing = mask.biased(back.pillars, -job.design.mask.bias_nm)
+    return optics.written_field(standing, open_library(job))
 
 
 def ideal_source(job: Job) -> optics.Source:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.executor import default_workers, in_order
 from metafab.core.progress import Progress, silent
-from metafab.drc.report import MARKERS, RULES, DrcReport, Marker
+from metafab.drc.report import MARKERS, RULES, DrcReport, Marker, upright_side_nm
 from metafab.layout import Aperture, smallest_gap
 from metafab.layout.gaps import PAIRS
 from metafab.layout.pillars import SizeIndexArray
@@ -41,8 +41,9 @@ class _Findings:
             self.boxes_nm[rule].append(boxes_nm[:MARKERS])
 
 
-def _nothing() -> _Findings:
-    return _Findings(dict.fromkeys(RULES, 0), {rule: [] for rule in RULES}, np.inf)
+def _nothing(design: Design) -> _Findings:
+    rules = [rule for rule in RULES if rule != "aspect_ratio" or design.rules.max_aspect_ratio is not None]
+    return _Findings(dict.fromkeys(rules, 0), {rule: [] for rule in rules}, np.inf)
 
 
 def check_lattice(
@@ -61,7 +62,7 @@ def check_lattice(
     n_y = bands.size_index.shape[0]
     with ThreadPoolExecutor(workers or default_workers()) as threads:
         for done, findings in enumerate(in_order(threads, bands.check, range(0, n_y, _BAND_ROWS)), start=1):
-            for rule in RULES:
+            for rule in total.counts:
                 total.counts[rule] += findings.counts[rule]
                 total.boxes_nm[rule] += findings.boxes_nm[rule]
             total.smallest_gap_dbu = min(total.smallest_gap_dbu, findings.smallest_gap_dbu)
@@ -96,7 +97,7 @@ def _markers(boxes_nm: list[FloatArray]) -> Iterator[Marker]:
 
 def _of_leftovers(read_back: ReadBack, design: Design) -> _Findings:
     """Violations that the reader has already set apart."""
-    found = _nothing()
+    found = _nothing(design)
     kinds = {"lattice_site": read_back.off_site, "grid": read_back.off_grid, "duplicate": read_back.duplicates}
     for rule, leftover in kinds.items():
         found.add(rule, leftover.count, leftover.boxes_nm)
@@ -120,14 +121,18 @@ class _Bands:
         self._size_dbu = pillars.size_dbu
         self._size_nm = pillars.size_nm()
         self._aperture = Aperture.of(design)
+        self._design = design
         unit_nm = pillars.lattice.database_unit_nm
         self._gap_dbu = design.rules.min_gap_nm / unit_nm - _SLACK_DBU
         too_small = self._size_dbu < design.rules.min_feature_nm / unit_nm - _SLACK_DBU
         self._too_small = {"min_width": too_small[:, 0], "min_length": too_small[:, 1]}
+        upright_nm = upright_side_nm(design)
+        if upright_nm is not None:
+            self._too_small["aspect_ratio"] = self._size_dbu.min(axis=1) < upright_nm / unit_nm - _SLACK_DBU
 
     def check(self, first_row: int) -> _Findings:
         """All rules for the rows of a band; pairs with the row above the band belong to it."""
-        found = _nothing()
+        found = _nothing(self._design)
         rows = min(_BAND_ROWS, self.size_index.shape[0] - first_row)
         band = self.size_index[first_row : first_row + rows]
         used = np.bincount(band.ravel(), minlength=len(self._size_dbu))

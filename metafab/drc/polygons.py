@@ -5,26 +5,29 @@ The only file of metafab that imports klayout (GPL, an optional extra).
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 from metafab.core.errors import InputError, MissingToolError
 from metafab.core.executor import default_workers
 from metafab.core.progress import Progress, silent
-from metafab.drc.report import MARKERS, DrcReport, Marker
+from metafab.drc.report import MARKERS, DrcReport, Marker, upright_side_nm
 from metafab.layout import lattice_of, tile_sites
 from metafab.mask.read import format_of
 from metafab.spec import Design
 
-# What is computed in each tile; `pillars` are raw shapes, so that overlaps stay visible to `merged`.
+# What is computed in each tile; `raw` are shapes as drawn, so that overlaps stay visible to `merged`. Nothing is cut
+# at the tile's edge: what two tiles see at their seam is then equal, and counted once.
 _SCRIPT = """
 var raw = pillars;
 raw.merged_semantics = false;
-_output(foreign, raw.non_rectangles, true);
-_output(overlap, raw.merged(false, 2), true);
-_output(grid, raw.grid_check(grid_dbu, grid_dbu), true);
-_output(narrow, raw.width_check(feature_dbu), true);
-_output(gaps, pillars.isolated_check(gap_dbu), true);
+_output(foreign, raw.non_rectangles, false);
+_output(overlap, raw.merged(false, 2), false);
+_output(grid, raw.grid_check(grid_dbu, grid_dbu), false);
+_output(narrow, raw.width_check(feature_dbu), false);
+_output(slender, raw.width_check(upright_dbu), false);
+_output(gaps, pillars.isolated_check(gap_dbu), false);
 """
 
 
@@ -47,7 +50,6 @@ def check_polygons(path: Path, design: Design, workers: int | None = None, progr
         raise MissingToolError("`--engine polygons` needs KLayout: pip install 'metafab[drc]'") from error
     format_of(path)
     layout = kdb.Layout()
-    layer = kdb.LayerInfo(design.mask.layer, design.mask.datatype)
     try:
         layout.read(str(path))
     except RuntimeError as error:
@@ -57,13 +59,16 @@ def check_polygons(path: Path, design: Design, workers: int | None = None, progr
     tops = layout.top_cells()
     if len(tops) != 1:
         raise InputError.single(str(path), "cells", "one top cell", str(len(tops)), "write the mask again")
-    found = _run(kdb, layout, tops[0], layout.layer(layer), design, workers or default_workers(), progress)
+    first, last = design.mask.datatypes
+    layers = [layout.layer(kdb.LayerInfo(design.mask.layer, datatype)) for datatype in range(first, last + 1)]
+    pillars = kdb.RecursiveShapeIterator(layout, tops[0], layers)
+    found = _run(kdb, layout, pillars, design, workers or default_workers(), progress)
     counts = {rule: len(boxes) for rule, boxes in found.items()}
     unit_nm = layout.dbu * 1e3
     return DrcReport(
         file=path.name,
         engine="polygons",
-        pillars=kdb.Region(tops[0].begin_shapes_rec(layout.layer(layer))).count(),
+        pillars=kdb.Region(pillars).count(),
         violations=counts,
         markers={
             rule: tuple(Marker(*(side * unit_nm for side in box)) for box in sorted(boxes)[:MARKERS])
@@ -74,44 +79,48 @@ def check_polygons(path: Path, design: Design, workers: int | None = None, progr
 
 
 def _run(
-    kdb: Any, layout: Any, top: Any, layer: int, design: Design, workers: int, progress: Progress
+    kdb: Any, layout: Any, pillars: Any, design: Design, workers: int, progress: Progress
 ) -> dict[str, set[tuple[int, int, int, int]]]:
     """Boxes of the violations of each rule; sets, because neighbouring tiles see those on their seam twice."""
     unit_nm = layout.dbu * 1e3
-    limits = {"gap": design.rules.min_gap_nm, "feature": design.rules.min_feature_nm}
-    outputs = {
-        "foreign": kdb.Region(),
-        "overlap": kdb.Region(),
-        "grid": kdb.EdgePairs(),
-        "narrow": kdb.EdgePairs(),
-        "gaps": kdb.EdgePairs(),
+    upright_nm = upright_side_nm(design)
+    limits = {"gap": design.rules.min_gap_nm, "feature": design.rules.min_feature_nm, "upright": upright_nm or 0.0}
+    found: dict[str, set[tuple[int, int, int, int]]] = {
+        rule: set() for rule in ("min_width", "min_length", "min_gap", "overlap", "grid", "foreign")
     }
+    if upright_nm is not None:
+        found["aspect_ratio"] = set()
     period = lattice_of(design).period_dbu[0] * design.mask.database_unit_nm / unit_nm
     side_um = tile_sites(design) * period * layout.dbu
-    processor = kdb.TilingProcessor()
-    processor.tile_size(side_um, side_um)
-    processor.tile_border(2e-3 * max(limits.values()), 2e-3 * max(limits.values()))
-    processor.threads = workers
-    processor.input("pillars", layout, top.cell_index(), layer)
-    for name, limit_nm in limits.items():
-        processor.var(f"{name}_dbu", round(limit_nm / unit_nm))
-    processor.var("grid_dbu", max(1, round(design.mask.database_unit_nm / unit_nm)))
-    for name, collection in outputs.items():
-        processor.output(name, collection)
-    processor.queue(_SCRIPT)
-    processor.execute("design rules")
-    width: set[tuple[int, int, int, int]] = set()
-    length: set[tuple[int, int, int, int]] = set()
-    for pair in outputs["narrow"].each():
-        (width if pair.first.dx() == 0 else length).add(_box(pair.bbox()))
-    return {
-        "min_width": width,
-        "min_length": length,
-        "min_gap": {_box(pair.bbox()) for pair in outputs["gaps"].each()},
-        "overlap": {_box(polygon.bbox()) for polygon in outputs["overlap"].each()},
-        "grid": {_box(pair.bbox()) for pair in outputs["grid"].each()},
-        "foreign": {_box(polygon.bbox()) for polygon in outputs["foreign"].each()},
-    }
+    box = kdb.Region(pillars).bbox().to_dtype(layout.dbu)
+    columns, rows = (max(1, math.ceil(length / side_um)) for length in (box.width(), box.height()))
+    for row in range(rows):
+        outputs = {name: kdb.Region() for name in ("foreign", "overlap")}
+        outputs |= {name: kdb.EdgePairs() for name in ("grid", "narrow", "slender", "gaps")}
+        processor = kdb.TilingProcessor()
+        processor.tile_size(side_um, side_um)
+        processor.tile_origin(box.left, box.bottom + row * side_um)
+        processor.tiles(columns, 1)
+        processor.tile_border(2e-3 * max(limits.values()), 2e-3 * max(limits.values()))
+        processor.threads = workers
+        processor.input("pillars", pillars)
+        for name, limit_nm in limits.items():
+            processor.var(f"{name}_dbu", max(1, round(limit_nm / unit_nm)))
+        processor.var("grid_dbu", max(1, round(design.mask.database_unit_nm / unit_nm)))
+        for name, collection in outputs.items():
+            processor.output(name, collection)
+        processor.queue(_SCRIPT)
+        processor.execute("design rules")
+        for pair in outputs["narrow"].each():
+            found["min_width" if pair.first.dx() == 0 else "min_length"].add(_box(pair.bbox()))
+        if upright_nm is not None:
+            found["aspect_ratio"] |= {_box(pair.bbox()) for pair in outputs["slender"].each()}
+        found["min_gap"] |= {_box(pair.bbox()) for pair in outputs["gaps"].each()}
+        found["grid"] |= {_box(pair.bbox()) for pair in outputs["grid"].each()}
+        found["overlap"] |= {_box(polygon.bbox()) for polygon in outputs["overlap"].each()}
+        found["foreign"] |= {_box(polygon.bbox()) for polygon in outputs["foreign"].each()}
+        progress("design rules", row + 1, rows)
+    return found
 
 
 def _box(box: Any) -> tuple[int, int, int, int]:

@@ -9,6 +9,7 @@ from typing import Literal
 from xml.sax.saxutils import escape
 
 from metafab.core.files import whole_file, write_json
+from metafab.spec import Design
 
 Engine = Literal["lattice", "polygons"]
 
@@ -18,6 +19,7 @@ MARKERS = 1000
 RULES = {
     "min_width": "a pillar narrower along x than `rules.min_feature_nm`",
     "min_length": "a pillar shorter along y than `rules.min_feature_nm`",
+    "aspect_ratio": "a pillar whose shorter side is below its height over `rules.max_aspect_ratio`",
     "min_gap": "two pillars nearer than `rules.min_gap_nm`, corners of diagonal neighbours included",
     "overlap": "two pillars that overlap or touch",
     "grid": "edges that are no whole number of database units",
@@ -27,6 +29,12 @@ RULES = {
     "missing": "a site inside the aperture without a pillar",
     "foreign": "a shape on the pillar layer that is no axis-parallel rectangle",
 }
+
+
+def upright_side_nm(design: Design) -> float | None:
+    """Shortest drawn side that `rules.max_aspect_ratio` allows, nm; None without that rule."""
+    ratio = design.rules.max_aspect_ratio
+    return None if ratio is None else design.unit_cell.cell.height_nm / ratio + design.mask.bias_nm
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,6 @@ In: a PillarMap and a Design. Out: files; from a file: a ReadBack, the pillars a
 from metafab.mask.cells import top_name
 from metafab.mask.plan import plan
 from metafab.mask.read import Leftover, ReadBack, read
-from metafab.mask.write import WrittenFile, write
+from metafab.mask.write import WrittenFile, biased, write
 
-__all__ = ["Leftover", "ReadBack", "WrittenFile", "plan", "read", "top_name", "write"]
+__all__ = ["Leftover", "ReadBack", "WrittenFile", "biased", "plan", "read", "top_name", "write"]

@@ -27,12 +27,12 @@ class TileCell:
     first_y_dbu: int
 
 
-def tile_cell(lattice: Lattice, tile: PillarTile) -> TileCell:
-    """Name and place of the cell of ``tile``."""
+def tile_cell(lattice: Lattice, tile: PillarTile, dose_class: int = 0) -> TileCell:
+    """Name and place of the cell of the pillars of ``tile`` in one dose class."""
     (p_x, p_y), (n_y, n_x) = lattice.period_dbu, lattice.shape
     centre_x = (2 * tile.column - (n_x - 1)) * p_x // 2
     centre_y = (2 * tile.row - (n_y - 1)) * p_y // 2
-    name = f"TILE_R{tile.row:06d}_C{tile.column:06d}"
+    name = f"TILE_R{tile.row:06d}_C{tile.column:06d}" + (f"_D{dose_class:02d}" if dose_class else "")
     return TileCell(name, centre_x - p_x // 2, centre_y - p_y // 2, p_x // 2, p_y // 2)
 
 

@@ -55,7 +55,7 @@ class GdsiiReader:
 
     Args:
         path: the file.
-        layer: (layer, datatype) whose shapes are wanted.
+        layer: (layer, first datatype, last datatype) whose shapes are wanted.
         progress: told about bytes indexed.
 
     Attributes:
@@ -66,7 +66,7 @@ class GdsiiReader:
         InputError: the file is truncated, damaged or foreign.
     """
 
-    def __init__(self, path: Path, layer: tuple[int, int], progress: Progress = silent) -> None:
+    def __init__(self, path: Path, layer: tuple[int, int, int], progress: Progress = silent) -> None:
         self._path = path
         self._layer = layer
         self.unit_nm = 0.0
@@ -125,7 +125,8 @@ class GdsiiReader:
             cell.references.append(self._reference(kind, fields, run))
         else:
             layer = _short(fields, {_LAYER}), _short(fields, _DATATYPES)
-            if layer == self._layer and kind != _TEXT:
+            wanted, first, last = self._layer
+            if layer[0] == wanted and first <= layer[1] <= last and kind != _TEXT:
                 cell.shape_count += run.count
                 runs.append(run)
             else:

@@ -7,6 +7,7 @@ Plain boundaries open several times faster in viewers than one reference a pilla
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable
 from typing import BinaryIO
 
 import numpy as np
@@ -16,6 +17,7 @@ from metafab.core.errors import InputError
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.layout.pillars import Lattice, PillarTile
 from metafab.mask.cells import TileCell, tile_cell
+from metafab.mask.hierarchy import IntArray
 
 BOUNDARY_WORDS = 16
 
@@ -43,18 +45,12 @@ class GdsiiWriter:
     ) -> None:
         reach = max(n * p for n, p in zip(lattice.shape[::-1], lattice.period_dbu, strict=True)) // 2 + 1
         if reach >= 2**31 or max(layer, datatype) >= 2**15:
-            raise InputError.single(
-                "mask",
-                "formats",
-                "coordinates of 32 bits and layers below 32768 for 'gds'",
-                f"{reach} database units, layer {layer}/{datatype}",
-                "write 'oas', which has no such limits",
-            )
+            raise self._beyond(reach, f"{layer}/{datatype}")
         self._stream = stream
         self._lattice = lattice
         self._size_dbu = size_dbu
         self._top = top
-        self._template = boundary_template(layer, datatype)
+        self._layer, self._datatype = layer, datatype
         self._placed: list[TileCell] = []
         unit_m = lattice.database_unit_nm * 1e-9
         stream.write(
@@ -64,16 +60,26 @@ class GdsiiWriter:
             + record(0x0305, excess_64(unit_m / 1e-6) + excess_64(unit_m))
         )
 
-    def encode(self, tile: PillarTile) -> tuple[TileCell, memoryview]:
-        """The cell of ``tile`` and the bytes of its elements; safe to call from several threads."""
-        cell = tile_cell(self._lattice, tile)
+    @staticmethod
+    def _beyond(reach: int, layer: str) -> InputError:
+        return InputError.single(
+            "mask",
+            "formats",
+            "coordinates of 32 bits and layers below 32768 for 'gds'",
+            f"{reach} database units, layer {layer}",
+            "write 'oas', which has no such limits",
+        )
+
+    def encode(self, tile: PillarTile, dose_class: int = 0) -> tuple[TileCell, memoryview]:
+        """The cell of the pillars of ``tile`` and the bytes of its elements; safe to call from several threads."""
+        cell = tile_cell(self._lattice, tile, dose_class)
         fill = fill_boundaries if HAS_NUMBA else fill_boundaries_vectorised
         words = fill(
             np.ascontiguousarray(tile.size_index),
             self._size_dbu,
             self._lattice.period_dbu,
             (cell.first_x_dbu, cell.first_y_dbu),
-            self._template,
+            boundary_template(self._layer, self._datatype + dose_class),
         )
         return cell, words.data.cast("B")
 
@@ -85,13 +91,26 @@ class GdsiiWriter:
         self._stream.write(elements)  # not copied: a tile has tens of megabytes
         self._stream.write(record(0x0700))
 
-    def close(self, extra: bytes = b"") -> None:
-        """Write the top structure, with ``extra`` elements in it, and the end of the library."""
+    def close(self, beside: Iterable[tuple[int, IntArray]] = ()) -> None:
+        """Write the top structure, with (layer, rectangles) ``beside`` the pillars, and the end of the library.
+
+        Raises:
+            InputError: a rectangle reaches beyond 32-bit coordinates.
+        """
         self._stream.write(_begin(self._top))
         for cell in self._placed:
             place = record(0x1003, struct.pack(">2i", cell.x_dbu, cell.y_dbu))
             self._stream.write(record(0x0A00) + record(0x1206, text(cell.name)) + place + record(0x1100))
-        self._stream.write(extra + record(0x0700) + record(0x0400))
+        for layer, rectangles in beside:
+            reach = int(np.abs(rectangles).sum(axis=1).max(initial=0))
+            if max(reach, layer << 16) >= 2**31:
+                raise self._beyond(reach, f"{layer}/0")
+            words = np.tile(boundary_template(layer, 0), (len(rectangles), 1))
+            low, high = rectangles[:, :2], rectangles[:, :2] + rectangles[:, 2:]
+            words[:, 5:15:2] = np.stack([low, high, high, low, low], axis=1)[:, :, 0]
+            words[:, 6:15:2] = np.stack([low, low, high, high, low], axis=1)[:, :, 1]
+            self._stream.write(words.byteswap().tobytes())
+        self._stream.write(record(0x0700) + record(0x0400))
 
 
 def record(kind: int, data: bytes = b"") -> bytes:

@@ -67,7 +67,7 @@ class OasisReader:
 
     Args:
         path: the file.
-        layer: (layer, datatype) whose shapes are wanted.
+        layer: (layer, first datatype, last datatype) whose shapes are wanted.
         progress: told about bytes indexed.
         skip_blocks: whether the index may skip blocks that begin with a rectangle.
 
@@ -80,7 +80,7 @@ class OasisReader:
     """
 
     def __init__(
-        self, path: Path, layer: tuple[int, int], progress: Progress = silent, *, skip_blocks: bool = True
+        self, path: Path, layer: tuple[int, int, int], progress: Progress = silent, *, skip_blocks: bool = True
     ) -> None:
         self.skip_blocks = skip_blocks
         self._path = path
@@ -103,8 +103,8 @@ class OasisReader:
             raise self._fault("no START record")
 
     @property
-    def layer(self) -> tuple[int, int]:
-        """The wanted layer and datatype."""
+    def layer(self) -> tuple[int, int, int]:
+        """The wanted layer and its first and last datatype."""
         return self._layer
 
     def _check_end(self) -> None:
@@ -386,7 +386,8 @@ class _Pass:
         shape, name = self._shape(kind, info)
         modal.geometry = self._place(info, modal.geometry, (0b1_0000, 0b1000))
         offsets = self._repetition(bool(info & 0b100))
-        if (modal.layer, modal.datatype) != self._reader.layer:
+        wanted, first, last = self._reader.layer
+        if modal.layer != wanted or not first <= modal.datatype <= last:
             if self._pillars_only:
                 raise MixedBlockError
             cell.other_layers[f"{modal.layer}/{modal.datatype}"] += len(offsets)
@@ -491,7 +492,7 @@ def _rectangles(
     data: NDArray[np.uint8],
     position: int,
     state: NDArray[np.int64],
-    wanted: tuple[int, int],
+    wanted: tuple[int, int, int],
     out: IntArray,
     capacity: int,
 ) -> tuple[int, int]:
@@ -506,7 +507,7 @@ def _rectangles(
         info = data[position + 1]
         now[:] = state
         here = _read_fields(data, position + 2, info, now)
-        if here < 0 or now[0] != wanted[0] or now[1] != wanted[1]:
+        if here < 0 or now[0] != wanted[0] or now[1] < wanted[1] or now[1] > wanted[2]:
             break
         copies, grid = 1, 1
         if info & 4:

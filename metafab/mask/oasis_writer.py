@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from collections.abc import Iterable
 from typing import BinaryIO
 
 import numpy as np
@@ -19,6 +20,7 @@ from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.layout.pillars import Lattice, PillarTile
 from metafab.mask import varints
 from metafab.mask.cells import TileCell, tile_cell
+from metafab.mask.hierarchy import IntArray
 
 MAGIC = b"%SEMI-OASIS\r\n"
 START, END, CELL, XYRELATIVE, PLACEMENT, RECTANGLE, CBLOCK = 1, 2, 14, 16, 17, 20, 34
@@ -60,10 +62,11 @@ class OasisWriter:
         self._crc = 0
         self._write(MAGIC + bytes([START]) + varints.string("1.0") + _real(1e3 / lattice.database_unit_nm) + bytes(13))
 
-    def encode(self, tile: PillarTile) -> tuple[TileCell, bytes]:
-        """The cell of ``tile`` and its bytes; safe to call from several threads."""
-        cell = tile_cell(self._lattice, tile)
-        records = rectangle_records(tile, self._lattice, self._size_dbu, cell, self._layer_datatype)
+    def encode(self, tile: PillarTile, dose_class: int = 0) -> tuple[TileCell, bytes]:
+        """The cell of the pillars of ``tile`` and its bytes; safe to call from several threads."""
+        cell = tile_cell(self._lattice, tile, dose_class)
+        layer, datatype = self._layer_datatype
+        records = rectangle_records(tile, self._lattice, self._size_dbu, cell, (layer, datatype + dose_class))
         packed = _deflate(records)
         block = bytes([CBLOCK, 0]) + varints.unsigned(len(records)) + varints.unsigned(len(packed)) + packed
         return cell, bytes([CELL]) + varints.string(cell.name) + bytes([XYRELATIVE]) + block
@@ -74,13 +77,19 @@ class OasisWriter:
         self._placed.append(cell)
         self._write(data)
 
-    def close(self, extra: bytes = b"") -> None:
-        """Write the top cell, with ``extra`` records in it, and the end of the file."""
+    def close(self, beside: Iterable[tuple[int, IntArray]] = ()) -> None:
+        """Write the top cell, with (layer, rectangles) ``beside`` the pillars in it, and the end of the file."""
         self._write(bytes([CELL]) + varints.string(self._top))
         for cell in self._placed:  # info byte CNXYRAAF: the cell by its name, x and y given
             place = varints.signed(cell.x_dbu) + varints.signed(cell.y_dbu)
             self._write(bytes([PLACEMENT, 0b1011_0000]) + varints.string(cell.name) + place)
-        self._write(extra)
+        for layer, rectangles in beside:
+            for x, y, width, height in rectangles.tolist():
+                size = (
+                    varints.unsigned(layer) + varints.unsigned(0) + varints.unsigned(width) + varints.unsigned(height)
+                )
+                info = _W | _H | _X | _Y | _DATATYPE_LAYER
+                self._write(bytes([RECTANGLE, info]) + size + varints.signed(x) + varints.signed(y))
         padding = _END_BYTES - 1 - 2 - 1 - 4  # id, length of the padding, scheme, CRC
         self._write(bytes([END]) + varints.unsigned(padding) + bytes(padding) + bytes([1]))
         self._stream.write(struct.pack("<I", self._crc))

@@ -90,7 +90,7 @@ def read(path: Path, design: Design, progress: Progress = silent) -> ReadBack:
             than the design has sites.
     """
     kind = format_of(path)
-    layer = (design.mask.layer, design.mask.datatype)
+    layer = (design.mask.layer, *design.mask.datatypes)
     if kind == "gds":
         return _recover(path, kind, GdsiiReader(path, layer, progress), design, progress)
     try:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,13 @@ from metafab.core.executor import default_workers, in_order
 from metafab.core.files import fingerprint, whole_file, write_json
 from metafab.core.progress import Progress, silent
 from metafab.layout import PillarMap, PillarTile, field_sites, lattice_of
+from metafab.layout.geometry import whole_dbu
 from metafab.mask.cells import top_name
+from metafab.mask.dose import DoseClasses
+from metafab.mask.exposure import write_time
 from metafab.mask.gdsii_writer import GdsiiWriter
 from metafab.mask.oasis_writer import OasisWriter
+from metafab.mask.surroundings import Surroundings, surroundings
 from metafab.mask.viewer import layer_properties
 from metafab.spec import Design
 
@@ -40,8 +44,11 @@ def write(pillars: PillarMap, directory: Path, design: Design, progress: Progres
 
     The same pillars and design give the same bytes. Memory stays that of a few tiles.
 
+    Pillars are drawn with ``mask.bias_nm``, on a datatype for each of the classes of ``mask.dose``; the top cell
+    holds what ``mask.chip`` and ``mask.tone`` add. Options that the design leaves out change no byte.
+
     Args:
-        pillars: what to write; sizes must be even in database units.
+        pillars: what shall stand; drawn sizes must be even in database units.
         directory: made if missing; files appear under their names only when whole.
         design: formats, layer, unit, write field, name.
         progress: told about pillars written.
@@ -53,7 +60,10 @@ def write(pillars: PillarMap, directory: Path, design: Design, progress: Progres
         InputError: edges would lie off the grid, or a format cannot hold the layout.
     """
     _check_grid(pillars, design)
-    figures = _Figures(pillars)
+    drawn = biased(pillars, design.mask.bias_nm)
+    beside = surroundings(design)
+    classes = DoseClasses(drawn, design.mask.dose)
+    figures = _Figures(drawn, design)
     files = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     with ExitStack() as stack:
         writers: list[GdsiiWriter | OasisWriter] = []
@@ -61,25 +71,27 @@ def write(pillars: PillarMap, directory: Path, design: Design, progress: Progres
             part = stack.enter_context(whole_file(path))
             stream = stack.enter_context(part.open("wb", buffering=_BUFFER_BYTES))
             arguments = (top_name(design.name), design.mask.layer, design.mask.datatype)
-            writers.append(WRITERS[suffix](stream, pillars.lattice, pillars.size_dbu, *arguments))
+            writers.append(WRITERS[suffix](stream, drawn.lattice, drawn.size_dbu, *arguments))
         threads = stack.enter_context(ThreadPoolExecutor(default_workers()))
 
-        def encode(tile: PillarTile) -> tuple[PillarTile, list[Any]]:
-            """One tile in every format."""
-            return tile, [writer.encode(tile) for writer in writers]
+        def encode(tile: PillarTile) -> tuple[PillarTile, list[list[Any]]]:
+            """One tile, every dose class in every format."""
+            parts = classes.split(tile)
+            return tile, [[writer.encode(part, number) for writer in writers] for number, part in parts]
 
-        sites = pillars.lattice.shape[0] * pillars.lattice.shape[1]
-        for tile, encoded in in_order(threads, encode, _filled(pillars), ahead=default_workers() + 1):
-            for writer, cell in zip(writers, encoded, strict=True):
-                writer.add(cell)
+        sites = drawn.lattice.shape[0] * drawn.lattice.shape[1]
+        for tile, parts in in_order(threads, encode, _filled(drawn), ahead=default_workers() + 1):
+            for encoded in parts:
+                for writer, cell in zip(writers, encoded, strict=True):
+                    writer.add(cell)
             figures.add(tile)
             progress("mask", figures.sites, sites)
         for writer in writers:
-            writer.close()
+            writer.close((kind.layer, kind.rectangles) for kind in beside)
         progress("mask", sites, sites)
-    _write_text(directory / "layout.lyp", layer_properties(design))
+    _write_text(directory / "layout.lyp", layer_properties(design, beside))
     written = {suffix: path.stat().st_size for suffix, path in files.items()}
-    write_json(directory / "layout.json", {**_provenance(design), **figures.summary(), "bytes": written})
+    write_json(directory / "layout.json", {**_provenance(design, beside), **figures.summary(), "bytes": written})
     paths = [*files.values(), directory / "layout.lyp", directory / "layout.json"]
     return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
 
@@ -87,30 +99,59 @@ def write(pillars: PillarMap, directory: Path, design: Design, progress: Progres
 class _Figures:
     """Counts and areas, added up while tiles pass."""
 
-    def __init__(self, pillars: PillarMap) -> None:
+    def __init__(self, pillars: PillarMap, design: Design) -> None:
         self._map = pillars
+        self._design = design
+        self._fields: set[tuple[int, int]] = set()
         self._used = np.zeros(len(pillars.size_dbu), dtype=np.int64)
         self.sites = 0
 
     def add(self, tile: PillarTile) -> None:
-        """Count the pillars of a tile."""
+        """Count the pillars of a tile; tiles lie within a write field."""
+        across, along = field_sites(self._design)
+        self._fields.add((tile.row // along, tile.column // across))
         self._used += np.bincount(tile.size_index.ravel(), minlength=self._used.size)
         self.sites += tile.size_index.size
 
     def summary(self) -> dict[str, Any]:
-        """Pillars, sizes, drawn area, and its share of the pillars' cells."""
+        """Pillars, sizes, drawn area, its share of the pillars' cells, and the write time where it is asked for."""
         pillars = int(self._used[1:].sum())
         lattice = self._map.lattice
         unit_um = lattice.database_unit_nm * 1e-3
         # Whole numbers of squared units: exact, whatever the order of the sum.
         area = int(self._used @ np.prod(self._map.size_dbu.astype(np.int64), axis=1))
         cell_um2 = lattice.period_dbu[0] * lattice.period_dbu[1] * unit_um**2
-        return {
+        figures: dict[str, Any] = {
             "pillars": pillars,
             "distinct_sizes": int(np.count_nonzero(self._used[1:])),
             "area_um2": area * unit_um**2,
             "density": area * unit_um**2 / (pillars * cell_um2) if pillars else 0.0,
         }
+        mask = self._design.mask
+        if mask.exposure is not None:
+            exposed_um2 = area * unit_um**2
+            if mask.tone == "positive":
+                exposed_um2 = lattice.shape[0] * lattice.shape[1] * cell_um2 - exposed_um2
+            figures["exposure"] = write_time(mask.exposure, exposed_um2, pillars, len(self._fields))
+        return figures
+
+
+def biased(pillars: PillarMap, bias_nm: float) -> PillarMap:
+    """The same pillars, ``bias_nm`` wider and longer (or narrower and shorter): as they are drawn, or as they stand.
+
+    Raises:
+        InputError: the bias is no even number of database units, or a size would vanish.
+    """
+    if bias_nm == 0.0:
+        return pillars
+    unit_nm = pillars.lattice.database_unit_nm
+    bias_dbu = whole_dbu(bias_nm, unit_nm, "mask.bias_nm", even=True)
+    size_dbu = pillars.size_dbu.copy()
+    size_dbu[1:] += bias_dbu
+    if np.any(size_dbu[1:] <= 0):
+        smallest = float(pillars.size_nm()[1:].min())
+        raise InputError.single("mask", "bias_nm", f"less than the smallest side, {smallest:g} nm", f"{bias_nm:g} nm")
+    return replace(pillars, size_dbu=size_dbu)
 
 
 def _filled(pillars: PillarMap) -> Iterator[PillarTile]:
@@ -138,8 +179,21 @@ def _check_grid(pillars: PillarMap, design: Design) -> None:
         )
 
 
-def _provenance(design: Design) -> dict[str, Any]:
+_TONES = {
+    "negative": "what is drawn is exposed and stays (negative resist): pillars",
+    "positive": "what is exposed goes (positive resist): expose the write field NOT the pillars",
+}
+
+
+def _provenance(design: Design, beside: Sequence[Surroundings]) -> dict[str, Any]:
     lattice = lattice_of(design)
+    options: dict[str, Any] = {}
+    if design.mask.bias_nm:
+        options["bias_nm"] = design.mask.bias_nm
+    if design.mask.dose is not None:
+        options["dose"] = design.mask.dose
+    if beside:
+        options["beside"] = {f"{kind.layer}/0": kind.name for kind in beside}
     return {
         "kind": "metafab mask",
         "format_version": 1,
@@ -149,12 +203,13 @@ def _provenance(design: Design) -> dict[str, Any]:
         "top_cell": top_name(design.name),
         "layer": design.mask.layer,
         "datatype": design.mask.datatype,
-        "tone": "what is drawn is exposed and stays (negative resist): pillars",
+        "tone": _TONES[design.mask.tone],
         "database_unit_nm": design.mask.database_unit_nm,
         "period_nm": design.unit_cell.cell.period_nm,
         "sites": {"rows": lattice.shape[0], "columns": lattice.shape[1]},
         "write_field_um": design.mask.write_field_um,
         "write_field_sites": field_sites(design),
+        **options,
     }
 
 

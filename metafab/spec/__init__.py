@@ -2,24 +2,28 @@
 
 - ``fields``   checked number types and the ``spec`` decorator
 - ``cell``     UnitCell: what one pillar's cell is made of, and the sweep of a library
-- ``design``   Design: device, phase terms, rules, mask, sensor, verification
+- ``design``   Design: device, phase terms, rules, sensor, verification
+- ``mask``     Mask: formats, layers, bias, tone, dose classes, chip, exposure
 - ``scene``    Scene: objects at depths, photons, noise
-- ``load``     TOML -> spec with all faults at once; spec -> canonical TOML
 - ``new``      a first design file of each kind of device (``kinds/``)
+- ``load``     TOML -> spec with all faults at once; spec -> canonical TOML
 
 In: paths. Out: frozen dataclasses whose public names carry their units.
 """
 
 from metafab.spec.cell import Illumination, Material, Solver, Sweep, UnitCell
-from metafab.spec.design import Design, Device, Mask, Numerics, Optics, PhaseTerm, Rules, Sensor, Verify
+from metafab.spec.design import Design, Device, Numerics, Optics, PhaseTerm, Rules, Sensor, Verify
 from metafab.spec.load import canonical_toml, load_design, load_scene, load_unit_cell
-from metafab.spec.scene import Scene, SceneObject
 from metafab.spec.mask import Chip, Dose, Exposure, Mask
 from metafab.spec.new import kinds, write_new
+from metafab.spec.scene import Scene, SceneObject
 
 __all__ = [
+    "Chip",
     "Design",
     "Device",
+    "Dose",
+    "Exposure",
     "Illumination",
     "Mask",
     "Material",
@@ -35,9 +39,9 @@ __all__ = [
     "UnitCell",
     "Verify",
     "canonical_toml",
+    "kinds",
     "load_design",
     "load_scene",
     "load_unit_cell",
-]
-    "kinds",
     "write_new",
+]

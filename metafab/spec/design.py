@@ -10,7 +10,8 @@ from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import Polarisation
 from metafab.spec.cell import UnitCell
-from metafab.spec.fields import CONFIG, Index, Name, NonNegative, Positive, Real, TargetError
+from metafab.spec.fields import CONFIG, Name, NonNegative, Positive, Real, TargetError
+from metafab.spec.mask import Mask
 from metafab.spec.scene import Scene
 
 FieldPoints = Annotated[int, Field(strict=True, ge=1, le=65)]
@@ -149,6 +150,18 @@ class UserArray(_Term):
     dataset: str = "phase_rad"
 
 
+@dataclass(frozen=True, config=CONFIG)
+class Picture(_Term):
+    """A hologram: the phase that, with a lens, paints a picture (.png, .tif, .npy) on the sensor.
+
+    ``width_um`` is the picture's width there; what is bright in the file becomes bright, its first row at the top.
+    """
+
+    file: Path = Field(kw_only=True)
+    width_um: Positive = Field(kw_only=True)
+    term: Literal["hologram"] = "hologram"
+
+
 PhaseTerm = Annotated[
     SpiralZones | SplitLens | Lens | Vortex | Grating | Axicon | DoubleHelix | Zernike | UserArray | Picture,
     Field(discriminator="term"),
@@ -168,35 +181,6 @@ class Rules:
     min_feature_nm: Positive = 100.0
     max_aspect_ratio: Positive | None = None
     gap_rule: Literal["each", "pairs"] = "each"
-
-
-@dataclass(frozen=True, config=CONFIG)
-class Mask:
-@dataclass(frozen=True, config=CONFIG)
-class Picture(_Term):
-    """A hologram: the phase that, with a lens, paints a picture (.png, .tif, .npy) on the sensor.
-
-    ``width_um`` is the picture's width there; what is bright in the file becomes bright, its first row at the top.
-    """
-
-    file: Path = Field(kw_only=True)
-    width_um: Positive = Field(kw_only=True)
-    term: Literal["hologram"] = "hologram"
-
-
-    """How the layout is written."""
-
-    formats: tuple[Literal["gds", "oas"], ...] = ("gds", "oas")
-    layer: Index = 1
-    datatype: Index = 0
-    database_unit_nm: Positive = 0.5
-    write_field_um: Positive = 499.8
-
-    @model_validator(mode="after")
-    def _formats(self) -> Mask:
-        if not self.formats or len(set(self.formats)) != len(self.formats):
-            raise ValueError("`formats` must name each of 'gds' and 'oas' at most once, and at least one of them")
-        return self
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -282,10 +266,15 @@ class Design:
 
     @property
     def min_side_nm(self) -> float:
-        """Smallest width and length that the process can make at this height, nm."""
+        """Smallest width and length that a pillar may have: it is drawn with ``mask.bias_nm`` and must stand, nm."""
         ratio = self.rules.max_aspect_ratio
         upright_nm = 0.0 if ratio is None else self.unit_cell.cell.height_nm / ratio
-        return max(self.rules.min_feature_nm, upright_nm)
+        return max(self.rules.min_feature_nm - self.mask.bias_nm, upright_nm)
+
+    @property
+    def min_spacing_nm(self) -> float:
+        """Smallest gap between pillars, so that those drawn with ``mask.bias_nm`` keep ``rules.min_gap_nm``, nm."""
+        return self.rules.min_gap_nm + self.mask.bias_nm
 
     @property
     def wavelength_um(self) -> float:

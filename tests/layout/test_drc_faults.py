@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -198,6 +198,26 @@ def test_edges_off_the_grid_are_found(plant: Plant, tiny_design: Design, tmp_pat
     for engine in ("lattice", "polygons"):
         assert drc.check(fine, tiny_design, engine=engine, workers=2).clean
         assert drc.check(path, tiny_design, engine=engine, workers=2).violations["grid"] >= 1
+
+
+def test_slender_pillars_are_found_where_the_rule_is_set(plant: Plant, tiny_design: Design, tmp_path: Path) -> None:
+    """600 nm high: 6 to 1 allows sides of 100 nm. 99 nm stand at 6.06 to 1; drawn with 10 nm more, at 6.74 to 1."""
+    plant.resize(40, 40, 300, 198)
+    path = tmp_path / "slender.oas"
+    plant.layout.write(str(path))
+    assert "aspect_ratio" not in drc.check(path, tiny_design).violations
+    rules = replace(tiny_design.rules, min_feature_nm=90.0, max_aspect_ratio=6.0)
+    for engine in ("lattice", "polygons"):
+        found = drc.check(path, replace(tiny_design, rules=rules), engine=engine, workers=2)
+        assert {rule: count for rule, count in found.violations.items() if count} == {"aspect_ratio": 1}
+        assert found.markers["aspect_ratio"][0].height_nm == 99.0
+    biased = replace(tiny_design, rules=rules, mask=replace(tiny_design.mask, bias_nm=10.0))
+    narrow = sum(min(size) < 220 for size in _drawn_sizes(plant))
+    assert drc.check(path, biased).violations["aspect_ratio"] == narrow > 1
+
+
+def _drawn_sizes(plant: Plant) -> list[tuple[int, int]]:
+    return [(shape.box.width(), shape.box.height()) for shape in plant.shapes.each()]
 
 
 def test_markers_stand_at_the_violation(plant: Plant, tiny_design: Design, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ def test_bytes_are_those_of_the_written_files(
     tiny_design: Design,
     tiny_files: dict[str, Path],
 ) -> None:
-    """All tiles are sampled: missing are the file's head and end (256 bytes in OASIS) and each tile's frame and place."""
+    """All tiles are sampled: missing are the file's head and end (256 bytes in OASIS), each tile's frame and place."""
     plan = mask.plan(profile, smooth_library, tiny_design)
     assert plan["pillars"] == tiny.figures["pillars"]
     assert plan["sampled_tiles"] == plan["tiles"] <= 16

@@ -1,0 +1,101 @@
+"""The mask file: formats, layers and units, what surrounds the lens, and how the shop exposes it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from metafab.spec.fields import CONFIG, Index, NonNegative, Positive, Real
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Dose:
+    """Dose classes on consecutive datatypes, ready for proximity-effect correction.
+
+    Class 0, on ``mask.datatype``, holds the smallest pillars ("size": by drawn area) or the emptiest surroundings
+    ("density": covered share of the ``block_um`` wide block around the pillar); the classes divide the range evenly.
+    """
+
+    by: Literal["size", "density"] = "size"
+    classes: Annotated[int, Field(strict=True, ge=2, le=32)] = 4
+    block_um: Positive = 20.0
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Chip:
+    """What is drawn around the lens, each kind on a layer of its own, datatype 0; a length of 0 leaves a kind out.
+
+    ``margin_um`` lies between the square that bounds the aperture and the frame; crosses of arms ``mark_um`` stand
+    at its four corners, the label and the scale bar below the lens, and the dicing street outside the frame.
+    """
+
+    margin_um: Positive = 100.0
+    mark_um: NonNegative = 60.0
+    mark_line_um: Positive = 4.0
+    frame_um: NonNegative = 10.0
+    street_um: NonNegative = 100.0
+    label: str | None = None
+    text_um: Positive = 40.0
+    scale_bar_um: NonNegative = 100.0
+    mark_layer: Index = 10
+    frame_layer: Index = 11
+    text_layer: Index = 12
+    street_layer: Index = 13
+
+    @property
+    def layers(self) -> tuple[int, ...]:
+        """All of its layers."""
+        return self.mark_layer, self.frame_layer, self.text_layer, self.street_layer
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Exposure:
+    """What the write time follows from: area dose, beam current, and settling for each shape and write field."""
+
+    dose_uc_per_cm2: Positive
+    beam_current_na: Positive
+    settle_shape_us: NonNegative = 0.0
+    settle_field_ms: NonNegative = 0.0
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Mask:
+    """How the layout is written.
+
+    ``bias_nm`` is added to the width and length of every drawn pillar (etch compensation); pillars stand without it,
+    while the gap and feature rules hold for what is drawn. ``tone`` "negative" exposes what stays; "positive" adds
+    the write field on ``field_layer``, and the shop exposes field NOT pillars.
+    """
+
+    formats: tuple[Literal["gds", "oas"], ...] = ("gds", "oas")
+    layer: Index = 1
+    datatype: Index = 0
+    database_unit_nm: Positive = 0.5
+    write_field_um: Positive = 499.8
+    bias_nm: Real = 0.0
+    tone: Literal["negative", "positive"] = "negative"
+    field_layer: Index = 2
+    dose: Annotated[Dose | None, Field(description="omitted: one dose")] = None
+    chip: Annotated[Chip | None, Field(description="omitted: the lens alone")] = None
+    exposure: Annotated[Exposure | None, Field(description="omitted: no write time is estimated")] = None
+
+    @property
+    def datatypes(self) -> tuple[int, int]:
+        """First and last datatype of the pillars: one, or one for each dose class."""
+        return self.datatype, self.datatype + (0 if self.dose is None else self.dose.classes - 1)
+
+    @model_validator(mode="after")
+    def _formats(self) -> Mask:
+        if not self.formats or len(set(self.formats)) != len(self.formats):
+            raise ValueError("`formats` must name each of 'gds' and 'oas' at most once, and at least one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _layers(self) -> Mask:
+        used = [self.layer, *((self.field_layer,) if self.tone == "positive" else ())]
+        used += self.chip.layers if self.chip is not None else ()
+        if len(set(used)) != len(used):
+            raise ValueError(f"pillars, field, marks, frame, text and street need layers of their own, got {used}")
+        return self

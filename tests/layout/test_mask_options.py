@@ -1,0 +1,190 @@
+"""What a process may ask of a mask: bias, dose classes, tone, marks, frame, label, street; none changes the pillars."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import drc, mask
+from metafab.core.errors import InputError
+from metafab.layout import Assignment
+from metafab.mask.surroundings import surroundings
+from metafab.spec import Chip, Design, Dose, Exposure, Mask
+from tests.layout.conftest import sizes_at_sites
+
+kdb = pytest.importorskip("klayout.db")
+
+FORMATS = ("gds", "oas")
+CHIP = Chip(
+    margin_um=12.0, mark_um=8.0, mark_line_um=1.0, frame_um=2.0, street_um=5.0,
+    label="L-1", text_um=4.2, scale_bar_um=5.0,
+)  # fmt: skip
+UNIT_UM = 5e-4
+
+
+def _with(design: Design, **options: object) -> Design:
+    return replace(design, mask=replace(design.mask, **options))
+
+
+def _layers(path: Path) -> dict[str, kdb.Region]:
+    """Everything in a file by layer, merged semantics off, as KLayout sees it; the layout is kept alive by copies."""
+    layout = kdb.Layout()
+    layout.read(str(path))
+    (top,) = layout.top_cells()
+    return {
+        str(layout.get_info(index)): kdb.Region([p.dup() for p in kdb.Region(top.begin_shapes_rec(index)).each()])
+        for index in layout.layer_indexes()
+    }
+
+
+def test_options_left_out_change_no_byte(
+    tiny: Assignment, tiny_design: Design, tiny_files: dict[str, Path], tmp_path: Path
+) -> None:
+    """An exposure asks for figures only, and a bias of nothing is none."""
+    design = _with(tiny_design, bias_nm=0.0, exposure=Exposure(1000.0, 1.0))
+    for file in mask.write(tiny.pillars, tmp_path, design):
+        if file.path.suffix != ".json":
+            assert file.path.read_bytes() == (tiny_files["gds"].parent / file.path.name).read_bytes()
+
+
+@pytest.mark.parametrize("bias_nm", [10.0, -6.0])
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_drawn_pillars_have_the_bias_and_made_ones_have_not(
+    bias_nm: float, suffix: str, tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    design = _with(tiny_design, bias_nm=bias_nm)
+    mask.write(tiny.pillars, tmp_path, design)
+    read_back = mask.read(tmp_path / f"layout.{suffix}", design)
+    drawn, stands = sizes_at_sites(read_back.pillars), sizes_at_sites(tiny.pillars)
+    filled = stands[..., 0] > 0
+    assert np.all(drawn[filled] == stands[filled] + round(bias_nm / 0.5))
+    assert np.array_equal(sizes_at_sites(mask.biased(read_back.pillars, -bias_nm)), stands)
+    assert json.loads((tmp_path / "layout.json").read_text())["bias_nm"] == bias_nm
+
+
+@pytest.mark.parametrize("bias_nm", [0.5, 0.3, -400.0])
+def test_a_bias_off_the_grid_or_beyond_the_pillar_is_refused(
+    bias_nm: float, tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="bias_nm"):
+        mask.write(tiny.pillars, tmp_path, _with(tiny_design, bias_nm=bias_nm))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("by", ["size", "density"])
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_dose_classes_divide_the_pillars_and_are_read_as_one_mask(
+    by: str, suffix: str, tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    design = _with(tiny_design, dose=Dose(by=by, classes=3, block_um=5.0), datatype=7)
+    mask.write(tiny.pillars, tmp_path, design)
+    path = tmp_path / f"layout.{suffix}"
+    layers = _layers(path)
+    assert set(layers) == {"1/7", "1/8", "1/9"}
+    assert sum(region.count() for region in layers.values()) == tiny.figures["pillars"]
+    if by == "size":
+        # Thirds of the range of areas in the table: an independent count, from the sizes alone.
+        area = np.prod(tiny.pillars.size_dbu.astype(float), axis=1)
+        edges = area[1:].min() + (area[1:].max() - area[1:].min()) * np.array([1, 2]) / 3
+        expected = np.bincount(np.digitize(area[tiny.pillars.to_array()[tiny.pillars.to_array() > 0]], edges))
+        assert [layers[f"1/{datatype}"].count() for datatype in (7, 8, 9)] == expected.tolist()
+    read_back = mask.read(path, design)
+    assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(tiny.pillars))
+    for engine in ("lattice", "polygons"):
+        report = drc.check(path, design, engine=engine, workers=1)
+        assert report.clean
+        assert report.pillars == tiny.figures["pillars"]
+
+
+def test_density_classes_do_not_depend_on_tiles(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
+    design = _with(tiny_design, dose=Dose(by="density", classes=3, block_um=5.0), formats=("oas",))
+    regions = []
+    for sites in (34, 51):
+        mask.write(replace(tiny.pillars, tiles=_retiled(tiny, sites), tile_sites=sites), tmp_path, design)
+        regions.append(_layers(tmp_path / "layout.oas"))
+    assert regions[0].keys() == regions[1].keys()
+    assert all((regions[0][layer] ^ regions[1][layer]).is_empty() for layer in regions[0])
+
+
+def _retiled(tiny: Assignment, sites: int) -> Callable[[], object]:
+    pillars = tiny.pillars
+    return type(pillars).from_array(pillars.lattice, pillars.size_dbu, pillars.to_array(), sites).tiles
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_chip_and_field_stand_beside_the_pillars(
+    suffix: str, tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    design = _with(tiny_design, chip=CHIP, tone="positive")
+    files = {file.path.name for file in mask.write(tiny.pillars, tmp_path, design)}
+    path = tmp_path / f"layout.{suffix}"
+    assert path.name in files
+    layers = _layers(path)
+    assert set(layers) == {"1/0", "2/0", "10/0", "11/0", "12/0", "13/0"}
+    # Areas in closed form; lens 40 um, margin 12, frame 2, street 5: half sides 20, 32, 34, 39.
+    area_um2 = {layer: region.area() * UNIT_UM**2 for layer, region in layers.items()}
+    assert area_um2["10/0"] == pytest.approx(4 * (2 * 8.0 - 1.0), rel=1e-12)
+    assert area_um2["11/0"] == pytest.approx(68.0**2 - 64.0**2, rel=1e-12)
+    assert area_um2["13/0"] == pytest.approx(78.0**2 - 68.0**2, rel=1e-12)
+    assert area_um2["2/0"] == pytest.approx((114 * 0.35) ** 2, rel=1e-12)
+    assert layers["13/0"].bbox() == kdb.Box(-78000, -78000, 78000, 78000)
+    # Nothing overlaps anything of its own layer, and only the field touches the pillars.
+    for layer, region in layers.items():
+        assert region.merged(False, 2).is_empty()
+        assert (region & layers["1/0"]).is_empty() == (layer not in {"1/0", "2/0"})
+    assert (layers["1/0"] - layers["2/0"]).is_empty()
+    read_back = mask.read(path, design)
+    assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(tiny.pillars))
+    assert sum(read_back.other_layers.values()) == sum(len(kind.rectangles) for kind in surroundings(design))
+    assert set(read_back.other_layers) == set(layers) - {"1/0"}
+    for engine in ("lattice", "polygons"):
+        assert drc.check(path, design, engine=engine, workers=1).clean
+
+
+def test_the_layer_file_names_what_is_drawn(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
+    design = _with(tiny_design, chip=CHIP, dose=Dose(classes=2))
+    mask.write(tiny.pillars, tmp_path, design)
+    lay = pytest.importorskip("klayout.lay")
+    view = lay.LayoutView()
+    view.load_layer_props(str(tmp_path / "layout.lyp"))
+    sources = {node.source: node.name for node in view.each_layer()}
+    assert set(sources) == {"1/0@1", "1/1@1", "10/0@1", "11/0@1", "12/0@1", "13/0@1"}
+    assert sources["1/1@1"].endswith("dose class 1")
+
+
+def test_write_time_is_dose_times_area_over_current(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
+    exposure = Exposure(dose_uc_per_cm2=800.0, beam_current_na=2.0, settle_shape_us=0.5, settle_field_ms=40.0)
+    totals = {}
+    for tone in ("negative", "positive"):
+        mask.write(tiny.pillars, tmp_path, _with(tiny_design, exposure=exposure, tone=tone))
+        totals[tone] = json.loads((tmp_path / "layout.json").read_text())
+    told, pillars = totals["negative"]["exposure"], tiny.figures["pillars"]
+    # 1 uC/cm2 over 1 um2 is 1e-8 uC; 2 nA is 2e-3 uC/s.
+    assert told["beam_seconds"] == pytest.approx(800.0 * totals["negative"]["area_um2"] * 1e-8 / 2e-3, rel=1e-12)
+    assert told["settling_seconds"] == pytest.approx(pillars * 0.5e-6 + 0.040, rel=1e-12)
+    assert told["fields"] == 1
+    whole = totals["positive"]["exposure"]["area_um2"] + told["area_um2"]
+    assert whole == pytest.approx((114 * 0.35) ** 2, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [({"mark_um": 13.0}, "mark_um"), ({"mark_line_um": 8.0}, "mark_line_um"), ({"text_um": 12.5}, "text_um"),
+     ({"label": "A LABEL THAT IS FAR TOO LONG"}, "label"), ({"label": "50 %"}, "label")],
+)  # fmt: skip
+def test_what_does_not_fit_is_refused_by_its_key(change: dict[str, object], key: str, tiny_design: Design) -> None:
+    with pytest.raises(InputError, match=key):
+        surroundings(_with(tiny_design, chip=replace(CHIP, **change)))
+
+
+def test_layers_must_differ() -> None:
+    with pytest.raises(ValueError, match="layers of their own"):
+        Mask(layer=10, chip=Chip())
+    with pytest.raises(ValueError, match="layers of their own"):
+        Mask(layer=2, tone="positive")
+    assert Mask(layer=2).datatypes == (0, 0)
