@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from metafab.cell.response import PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
-from metafab.core.errors import InputError
+from metafab.core.errors import Fault, InputError
 
 IntArray = NDArray[np.intp]
 
@@ -24,7 +24,8 @@ class Supercell:
     """Pillars of many sizes in one period.
 
     Attributes:
-        cell: period of one site, materials and illumination; its own pillar size is not looked at.
+        cell: period of one site, materials and illumination along the axis; its own pillar size is not looked at.
+            Pillars are upright, without layers, on a substrate whose waves do not mix.
         size_nm: shape (n_y, n_x, 2), (width, length) at each site, lowest y first; (0, 0) for no pillar.
     """
 
@@ -40,6 +41,20 @@ class Supercell:
             raise InputError.single(
                 "supercell", "size_nm", f"0 to the period of {self.cell.period_nm} nm", f"{sizes.max():g} nm"
             )
+        cell = self.cell
+        untreated = {
+            "angle_deg": cell.angle_deg != 0.0,
+            "under, over": bool(cell.under or cell.over),
+            "sidewall_angle_deg": cell.is_sloped,
+            "n_substrate_z": cell.is_birefringent,
+        }
+        faults = [
+            Fault(name, "the plain cell's for supercells", "another", "leave it out to see how neighbours couple")
+            for name, found in untreated.items()
+            if found
+        ]
+        if faults:
+            raise InputError("supercell", faults)
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -17,6 +17,19 @@ from metafab.library.library import Library
 
 #: The finer solver is asked for this part of the library's target error.
 FINER = 0.1
+#: Meep is asked for no less than this: finer grids would take it hours a size.
+MEEP_ERROR = 1e-2
+
+
+@dataclass(frozen=True)
+class CheckedSize:
+    """One size of a check: what was found, beside what both sides state."""
+
+    width_nm: float
+    length_nm: float
+    abs_error: float
+    stated_error: float
+    solver_error: float
 
 
 @dataclass(frozen=True)
@@ -29,6 +42,7 @@ class LibraryCheck:
         max_abs_error: largest |t - t_solver|.
         mean_abs_error: mean of it.
         max_phase_error_rad: largest phase error, where at least a tenth of the light's amplitude passes.
+        mean_phase_error_rad: mean of its magnitude there.
         max_stated_error: largest error that the library states for these sizes.
         max_solver_error: largest error that the judging solver states.
         beyond_stated: samples whose error exceeds what library and solver state together.
@@ -36,6 +50,7 @@ class LibraryCheck:
         worst_length_nm: see ``worst_width_nm``.
         solver_seconds: time in the solver.
         verdict: "holds" if no sample is beyond the stated errors, else "fails".
+        sizes: each sample, in the order of the draw.
     """
 
     against: Literal["rcwa", "meep"]
@@ -43,6 +58,7 @@ class LibraryCheck:
     max_abs_error: float
     mean_abs_error: float
     max_phase_error_rad: float
+    mean_phase_error_rad: float
     max_stated_error: float
     max_solver_error: float
     beyond_stated: int
@@ -50,6 +66,7 @@ class LibraryCheck:
     worst_length_nm: float
     solver_seconds: float
     verdict: Literal["holds", "fails"]
+    sizes: tuple[CheckedSize, ...]
 
 
 def check(
@@ -65,7 +82,8 @@ def check(
 
     Args:
         library: what is judged.
-        against: "rcwa" at a tenth of the library's target error, or "meep" at the target error itself.
+        against: "rcwa" at a tenth of the library's target error, or "meep" at the target error itself, but no less
+            than 1e-2. What Meep has finished is kept, so that a check that was stopped goes on where it was.
         samples: how many sizes.
         seed: of the draw.
         executor: where cells are solved; this process when None.
@@ -83,7 +101,8 @@ def check(
         stated = library.at_sizes(width_nm, length_nm)
     else:
         stated = library.surface(width_nm, length_nm)
-    asked = library.unit_cell.sweep.target_error * (FINER if against == "rcwa" else 1.0)
+    target = library.unit_cell.sweep.target_error
+    asked = FINER * target if against == "rcwa" else max(target, MEEP_ERROR)
     numbered = [
         (k, pillar_cell(library.unit_cell, float(w), float(length)))
         for k, (w, length) in enumerate(zip(width_nm, length_nm, strict=True))
@@ -99,12 +118,14 @@ def check(
     error = np.abs(held - found).max(axis=-1)
     beyond = int(np.count_nonzero(error > stated.error + solver_error))
     worst = int(np.argmax(error))
+    phase_error = np.abs(np.angle(held / found))[np.abs(found) >= 0.1]
     return LibraryCheck(
         against=against,
         samples=samples,
         max_abs_error=float(error.max()),
         mean_abs_error=float(error.mean()),
-        max_phase_error_rad=float(np.abs(np.angle(held / found)).max(where=np.abs(found) >= 0.1, initial=0.0)),
+        max_phase_error_rad=float(phase_error.max(initial=0.0)),
+        mean_phase_error_rad=float(phase_error.mean()) if phase_error.size else 0.0,
         max_stated_error=float(stated.error.max()),
         max_solver_error=float(solver_error.max()),
         beyond_stated=beyond,
@@ -112,6 +133,10 @@ def check(
         worst_length_nm=float(length_nm[worst]),
         solver_seconds=float(sum(answer.seconds for answer in answers.values())),
         verdict="fails" if beyond else "holds",
+        sizes=tuple(
+            CheckedSize(*map(float, row))
+            for row in zip(width_nm, length_nm, error, stated.error, solver_error, strict=True)
+        ),
     )
 
 

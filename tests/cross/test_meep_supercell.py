@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
+from metafab.cell.rcwa.row import RowNumerics, solve_row
 from metafab.cell.response import PillarCell
 from metafab.cell.supercell import Supercell
 from metafab.core.errors import InputError
@@ -68,6 +69,23 @@ def test_a_ramp_deflects_to_its_side_and_moves_with_its_phase(pool: Pool, polari
     turned = found.co_polarised * np.exp(-2j * np.pi * found.order[:, 0] / 3.0)
     # The same pillars a cell further right, on the same grid: only tails and absorbers can tell.
     np.testing.assert_allclose(moved.co_polarised, turned, atol=2e-3)
+
+
+@pytest.mark.meep
+@pytest.mark.slow
+def test_rcwa_finds_the_same_orders_and_the_same_coupling(pool: Pool) -> None:
+    """Walls on the nodes of both grids, so that errors fall by h^2 and extrapolate: 0.06 on the finer one.
+
+    What is left are the corners' h^1.5 (1e-2, from lone pillars on such grids) and what RCWA states.
+    """
+    row = _row((100.0, 150.0), (200.0, 200.0), (100.0, 150.0))
+    coarse, fine = (solve_supercell(row, "y", SupercellSettings(pixels, 1e-3), pool) for pixels in (14, 28))
+    reference = solve_row(row, "y", RowNumerics((4, 5), (5, 6)))
+    limit = fine.co_polarised + (fine.co_polarised - coarse.co_polarised) / 3.0
+    assert np.abs(fine.co_polarised - reference.co_polarised).max() < 6e-2
+    assert np.abs(limit - reference.co_polarised).max() < 1e-2 + reference.error
+    assert fine.coupling_error == pytest.approx(reference.coupling_error, rel=0.05)
+    assert reference.coupling_error > 0.1
 
 
 @pytest.mark.parametrize("pixels", [13, 6])

@@ -114,7 +114,6 @@ def test_refinement_settles() -> None:
     ("supercell", "field"),
     [
         (Supercell(CELL, np.full((2, 2, 2), 120.0)), "size_nm"),
-        (_row(*RAMP, cell=replace(CELL, angle_deg=3.0)), "cell"),
         (_row(*RAMP, cell=replace(CELL, period_nm=(350.0, 900.0))), "period_nm"),
     ],
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from metafab.cell.fresnel import interface
-from metafab.cell.response import PillarCell
+from metafab.cell.response import PillarCell, Slice
 from metafab.cell.supercell import Supercell, SupercellResponse
 from metafab.core.errors import InputError
 from metafab.fullwave.patch import at_sites
@@ -133,3 +133,17 @@ def test_an_empty_row_is_fresnels_interface() -> None:
 def test_blocks_that_are_none_are_refused(sizes: np.ndarray) -> None:
     with pytest.raises(InputError, match="size_nm"):
         Supercell(CELL, sizes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"angle_deg": 3.0}, "angle_deg"),
+        ({"over": (Slice(50.0, 1.4, 1.0),)}, "over"),
+        ({"sidewall_angle_deg": 88.0}, "sidewall_angle_deg"),
+        ({"n_substrate_z": 1.75 + 0j}, "n_substrate_z"),
+    ],
+)
+def test_cells_that_no_supercell_solver_treats_are_refused(changes: dict[str, object], field: str) -> None:
+    with pytest.raises(InputError, match=field):
+        Supercell(replace(CELL, **changes), np.full((1, 2, 2), 120.0))  # type: ignore[arg-type]

@@ -230,7 +230,7 @@ def _blocks(supercell: Supercell, pixel: float, n_z: int, begin: float) -> tuple
         half_x, half_y = supercell.size_nm[row, column] * 5e-4
         x = (column + 0.5 - columns / 2) * cell.period_nm[0] * 1e-3
         y = (row + 0.5 - rows / 2) * cell.period_nm[1] * 1e-3
-        corners = (x - half_x, y - half_y, low), (x + half_x, y + half_y, high)
-        blocks.append(Block(*(tuple(map(float, corner)) for corner in corners), pillar))  # type: ignore[arg-type]
+        near = float(x - half_x), float(y - half_y), low
+        blocks.append(Block(near, (float(x + half_x), float(y + half_y), high), pillar))
     blocks.append(slab(-beyond, start, cell.n_in) if cell.side == "substrate" else slab(end, beyond, cell.n_out))
     return tuple(blocks)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.cell.rcwa.admittance import through_layer
-from metafab.cell.rcwa.basis import AxisBasis, AxisParity, Matrix, symmetric_axis
+from metafab.cell.rcwa.basis import AxisBasis, AxisParity, IntArray, Matrix, symmetric_axis
 from metafab.cell.rcwa.certificate import solve
 from metafab.cell.rcwa.coordinates import stretched
 from metafab.cell.rcwa.eigenmodes import layer_modes, plane_waves
@@ -61,7 +61,7 @@ class _Interval:
     rise: float
     amplitude: float
 
-    def harmonics(self, k: FloatArray, period: float) -> ComplexArray:
+    def harmonics(self, k: IntArray, period: float) -> ComplexArray:
         """Integral of dx/du exp(-2 pi i k u / period) over the interval, over the period."""
         turns = k * self.length / period
         side = 0.5 * self.amplitude * (np.sinc(turns - 1.0) + np.sinc(turns + 1.0))
@@ -88,7 +88,7 @@ class RowAxis:
 
     wavenumber: FloatArray
     pillars: ComplexArray
-    order: np.ndarray
+    order: IntArray
     phase: ComplexArray
 
 
@@ -103,7 +103,7 @@ def solve_row(
         numerics: truncations.
 
     Raises:
-        InputError: more than one row, light at an angle, orders along y that propagate, or layers beside the pillars.
+        InputError: more than one row, or orders along y that propagate.
     """
     _check(supercell, polarisation)
     start = time.perf_counter()
@@ -129,7 +129,7 @@ def solve_row(
 
 
 def row_orders(
-    supercell: Supercell, polarisation: Polarisation, order: np.ndarray, orders_x: int, orders_y: int
+    supercell: Supercell, polarisation: Polarisation, order: IntArray, orders_x: int, orders_y: int
 ) -> ComplexArray:
     """Transmitted amplitudes (n,) of the orders (m, 0), E of the polarisation, at one truncation."""
     cell, axis = supercell.cell, 0 if polarisation == "x" else 1
@@ -218,7 +218,7 @@ def _intervals(fill: FloatArray, orders: int) -> tuple[list[_Interval], list[int
 
 
 def _phases(
-    intervals: list[_Interval], harmonic: np.ndarray, vector: ComplexArray, order: np.ndarray, count: int
+    intervals: list[_Interval], harmonic: IntArray, vector: ComplexArray, order: IntArray, count: int
 ) -> ComplexArray:
     """<basis function | plane wave of its order>, by Gauss-Legendre over each interval."""
     node, weight = np.polynomial.legendre.leggauss(_NODES * max(1, math.ceil(max(p.length for p in intervals))))
@@ -254,7 +254,8 @@ def _matrices(
         return np.linalg.inv(overlap / eps_pillar + rest / eps_around)
 
     one_u, one_a, one_b = np.eye(n), np.eye(len(v.a)), np.eye(len(v.b))
-    eps_u, below = 0.0, np.zeros_like(one_a)
+    eps_u: Matrix = np.zeros((n * len(v.a),) * 2, dtype=np.complex128)
+    below = np.zeros_like(one_a)
     for bound in np.unique(length_nm):
         up_to = parities[int(np.flatnonzero(length_nm == bound)[0])].a
         eps_u = eps_u + np.kron(inverse_rule(row.pillars[length_nm >= bound].sum(axis=0)), up_to - below)
@@ -286,8 +287,6 @@ def _check(supercell: Supercell, polarisation: Polarisation) -> None:
         raise InputError.single(
             "supercell", "size_nm", "one row along x for rcwa", f"{supercell.shape[0]} rows", "use meep"
         )
-    if cell.angle_deg != 0.0 or cell.under or cell.over:
-        raise InputError.single("supercell", "cell", "normal incidence and no further layers", "another cell")
     if np.any(supercell.propagating(polarisation)[:, 1] != 0):
         raise InputError.single(
             "supercell", "period_nm", "a y period without orders of its own behind the pillars", f"{cell.period_nm[1]}"
