@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from metafab import camera, decode, drc, fullwave, layout, library, mask, optics, phase, report
+from metafab import camera, decode, drc, fullwave, layout, library, mask, optics, phase
 from metafab.camera import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
@@ -286,6 +286,8 @@ def _decode(job: Job) -> dict[str, Any]:
 
 
 def _report(job: Job) -> dict[str, Any]:
+    from metafab import report  # With all of matplotlib: only when a page is drawn.
+
     return {"file": report.write(job.folder, progress=job.progress).name}
 
 

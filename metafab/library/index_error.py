@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from scipy.stats import qmc
 
 from metafab.cell import CellNumerics, CellResponse, PillarCell, pillar_cell, solve
 from metafab.core.conventions import ComplexArray
@@ -33,6 +32,8 @@ def index_phase_error_rad(library: Library, *, executor: Executor | None = None,
     Returns:
         rad rms; 0 where ``n_error`` is 0.
     """
+    from scipy.stats import qmc  # Half a second, which a run that finds all up to date does not spend.
+
     unit_cell = library.unit_cell
     n_error = unit_cell.materials.pillar.n_error
     if n_error == 0.0:
