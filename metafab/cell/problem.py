@@ -16,6 +16,8 @@ from metafab.spec.cell import Material, UnitCell
 
 #: Walls further from upright are no pillars; cutting them into steps would need more than are tried.
 _FLATTEST_WALL_DEG = 60.0
+#: Indices further apart leave nothing of double precision, whose share in an amplitude is the square of their ratio.
+_WIDEST_RANGE = 1e6
 
 
 def pillar_cell(
@@ -115,6 +117,10 @@ def check(cell: PillarCell) -> None:
             for n in map(complex, values)
             if not (0.0 <= n.imag < float("inf") and 0.0 < n.real < float("inf"))
         )
+    sizes = [abs(n) for values in indices.values() for n in map(complex, values)]
+    if not faults and max(sizes) > _WIDEST_RANGE * min(sizes):
+        expected = "indices of which none is more than a million to one of another"
+        faults.append(Fault("n_pillar, n_substrate, n_ambient", expected, f"{min(sizes):g} to {max(sizes):g}"))
     if faults:
         raise InputError("cell", faults)
 
