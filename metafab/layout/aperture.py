@@ -1,30 +1,38 @@
 """Which sites carry a pillar: those whose whole unit cell lies inside the aperture.
 
-The rule is decided in integers, so that mapping and design rules agree at every site of the rim: a cell centred
-at (x, y) with periods (p_x, p_y) is inside a circle of diameter D when (2|x| + p_x)^2 + (2|y| + p_y)^2 <= D^2,
-and inside a square of side D when 2|x| + p_x <= D and 2|y| + p_y <= D, all in database units.
+The rule is decided in integers, so that mapping and design rules agree at every site of the rim. For a cell
+centred at (x, y) with periods (p_x, p_y), all in database units:
+
+- circle of diameter D: its far corner is inside, (2|x| + p_x)^2 + (2|y| + p_y)^2 <= D^2;
+- ring: and its nearest point is outside the inner circle;
+- square of side D: 2|x| + p_x <= D and 2|y| + p_y <= D;
+- polygon: no edge passes through the open cell, and its centre is enclosed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.layout.geometry import aperture_dbu, lattice_of
+from metafab.layout.geometry import aperture_dbu, floor_dbu, lattice_of, nearest_dbu
 from metafab.layout.pillars import Lattice
 from metafab.spec import Design
+
+# Two ends of an edge, x and y of the lower one first.
+_Edge = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True)
 class Aperture:
-    """The sites inside, one run of columns a row.
+    """The sites inside, as runs of columns.
 
     Attributes:
         lattice: the lattice that it masks.
-        first: shape (n_y,), first column inside.
-        last: shape (n_y,), one past the last column inside; equal to ``first`` where a row is empty.
+        first: shape (n_runs, n_y), first column of each run of a row.
+        last: shape (n_runs, n_y), one past its last column; equal to ``first`` where a row has fewer runs.
     """
 
     lattice: Lattice
@@ -34,20 +42,28 @@ class Aperture:
     @classmethod
     def of(cls, design: Design) -> Aperture:
         """The aperture of ``design`` on its lattice."""
-        lattice = lattice_of(design)
-        n_y, n_x = lattice.shape
-        p_x, p_y = lattice.period_dbu
+        lattice, device = lattice_of(design), design.device
+        if device.aperture_shape == "polygon":
+            vertices = [(nearest_dbu(x, design), nearest_dbu(y, design)) for x, y in device.outline_um]
+            return cls(lattice, *_polygon_runs(lattice, vertices))
         side = aperture_dbu(design)
-        reach_y = np.abs(2 * np.arange(n_y, dtype=np.int64) - (n_y - 1)) * p_y + p_y
-        if design.device.aperture_shape == "square":
-            reach_x = np.full(n_y, side, dtype=np.int64)
+        reach_y = np.abs(_doubled(lattice, 0)) + lattice.period_dbu[1]
+        if device.aperture_shape == "square":
+            reach_x = np.where(reach_y <= side, side, 0)
         else:
             reach_x = _isqrt(np.maximum(side * side - reach_y * reach_y, 0))
-        # |2 i - (n_x - 1)| <= k is the rule above solved for column i.
-        k = np.where(reach_y <= side, (reach_x - p_x) // p_x, -1)
-        first = np.maximum(-((k - (n_x - 1)) // 2), 0)
-        last = np.minimum((n_x - 1 + k) // 2 + 1, n_x)
-        return cls(lattice, first, np.where(k < 0, first, np.maximum(first, last)))
+        first, last = _middle_columns(lattice, reach_x - lattice.period_dbu[0])
+        if device.aperture_shape != "ring":
+            return cls(lattice, first[None], last[None])
+        inner = floor_dbu(device.inner_um, design)
+        near_y = np.maximum(reach_y - 2 * lattice.period_dbu[1], 0)
+        # The largest |2x| - p_x that is still inside the inner circle: its square is below, not at, the limit.
+        near_x = _isqrt(np.maximum(inner * inner - near_y * near_y - 1, 0))
+        hole_first, hole_last = _middle_columns(
+            lattice, np.where(near_y < inner, near_x + lattice.period_dbu[0], -lattice.period_dbu[0])
+        )
+        hole_first, hole_last = np.clip(hole_first, first, last), np.clip(hole_last, first, last)
+        return cls(lattice, np.stack([first, hole_last]), np.stack([hole_first, last]))
 
     @property
     def count(self) -> int:
@@ -56,9 +72,36 @@ class Aperture:
 
     def inside(self, row: int, column: int, shape: tuple[int, int]) -> NDArray[np.bool_]:
         """Which sites of the block at (row, column) are inside; shape ``shape`` = (n_y, n_x)."""
-        columns = np.arange(column, column + shape[1])
-        rows = slice(row, row + shape[0])
-        return np.asarray((columns >= self.first[rows, None]) & (columns < self.last[rows, None]))
+        return self.at(np.arange(row, row + shape[0]), np.arange(column, column + shape[1]))
+
+    def at(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which sites of these rows and columns are inside, shape (rows, columns)."""
+        found = np.zeros((rows.size, columns.size), dtype=np.bool_)
+        for first, last in zip(self.first[:, rows, None], self.last[:, rows, None], strict=True):
+            if np.any(first < last):
+                found |= (columns >= first) & (columns < last)
+        return found
+
+    def meets(self, row: int, column: int, sites: int) -> bool:
+        """Whether any site of the square of ``sites`` a side at (row, column) is inside."""
+        first, last = self.first[:, row : row + sites], self.last[:, row : row + sites]
+        return bool(np.any(np.maximum(first, column) < np.minimum(last, column + sites)))
+
+
+def _doubled(lattice: Lattice, axis: int) -> NDArray[np.int64]:
+    """Twice the site centres along y (axis 0) or x (axis 1), whole numbers for every lattice."""
+    count, period = lattice.shape[axis], lattice.period_dbu[1 - axis]
+    return (2 * np.arange(count, dtype=np.int64) - (count - 1)) * period
+
+
+def _middle_columns(lattice: Lattice, reach: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First and one past the last column with |2x| <= ``reach``, shape (n_y,) each; equal where there is none."""
+    n_x = lattice.shape[1]
+    # |2 i - (n_x - 1)| <= k for column i; of the two parities only that of n_x - 1 counts.
+    k = np.where(reach >= 0, reach // lattice.period_dbu[0], -1)
+    first = np.maximum(-((k - (n_x - 1)) // 2), 0)
+    last = np.minimum((n_x - 1 + k) // 2 + 1, n_x)
+    return first, np.where(k < 0, first, np.maximum(first, last))
 
 
 def _isqrt(square: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -66,3 +109,47 @@ def _isqrt(square: NDArray[np.int64]) -> NDArray[np.int64]:
     root = np.sqrt(square.astype(np.float64)).astype(np.int64)
     root -= root * root > square
     return root + ((root + 1) * (root + 1) <= square)
+
+
+def _polygon_runs(lattice: Lattice, vertices: list[tuple[int, int]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Runs of the cells inside a polygon; lengths are doubled, since a cell's edges may lie on half units."""
+    edges: list[_Edge] = []
+    for (x_1, y_1), (x_2, y_2) in zip(vertices, vertices[1:] + vertices[:1], strict=True):
+        edge = (2 * x_1, 2 * y_1, 2 * x_2, 2 * y_2)
+        edges.append(edge if y_1 <= y_2 else (*edge[2:], *edge[:2]))
+    _, lowest, _, highest = np.array(edges, dtype=np.int64).T
+    (n_y, n_x), (p_x, p_y) = lattice.shape, lattice.period_dbu
+    runs: list[list[tuple[int, int]]] = []
+    for row in range(n_y):
+        low, high = (2 * row - n_y) * p_y, (2 * row - n_y + 2) * p_y
+        met = np.flatnonzero((highest > low) & (lowest < high))
+        columns = (
+            # Cells from (2 i - n_x) p_x to (2 i - n_x + 2) p_x that lie within the span.
+            (max(-(-(left + n_x * p_x) // (2 * p_x)), 0), min((right + n_x * p_x) // (2 * p_x), n_x))
+            for left, right in _free_spans([edges[k] for k in met], low, high)
+        )
+        runs.append([(first, last) for first, last in columns if first < last])
+    table = np.zeros((2, max(1, *map(len, runs)), n_y), dtype=np.int64)
+    for row, found in enumerate(runs):
+        if found:
+            table[:, : len(found), row] = np.transpose(found)
+    return table[0], table[1]
+
+
+def _free_spans(edges: list[_Edge], low: int, high: int) -> Iterator[tuple[int, int]]:
+    """Enclosed intervals (left, right) of x that no edge enters at low < y < high, shrunk to whole numbers."""
+    parts = []
+    for x_1, y_1, x_2, y_2 in edges:
+        if y_1 == y_2:
+            ends = [x_1, x_2]
+        else:
+            rises = [(x_2 - x_1) * (y - y_1) for y in (max(low, y_1), min(high, y_2))]
+            ends = [x_1 + rise // (y_2 - y_1) for rise in rises] + [x_1 - (-rise // (y_2 - y_1)) for rise in rises]
+        parts.append((min(ends), max(ends), y_1 <= (low + high) // 2 < y_2))
+    enclosed, free_from = False, 0
+    for left, right, crosses in sorted(parts):
+        if enclosed and free_from < left:
+            yield free_from, left
+        # Before the first crossing the bound is not used.
+        free_from = max(free_from, right) if enclosed else right
+        enclosed ^= crosses

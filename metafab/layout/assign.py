@@ -119,7 +119,7 @@ def mapping_of(profile: PhaseProfile, library: Library, design: Design) -> Mappi
 def allowed_sizes(library: Library, design: Design) -> SizeTable:
     """The look-up table of the sizes that the design's rules allow at every site, whatever its neighbours."""
     p_x, p_y = design.unit_cell.cell.period_nm
-    gap_nm = design.rules.min_gap_nm
+    gap_nm = design.min_spacing_nm
     return build_size_table(
         library,
         database_unit_nm=design.mask.database_unit_nm,
@@ -131,7 +131,7 @@ def allowed_sizes(library: Library, design: Design) -> SizeTable:
 
 def _joint(library: Library, design: Design, plain: SizeTable, lattice: Lattice) -> JointSizes | None:
     """The joint choice; None where the library has no size that needs it."""
-    gap_nm = design.rules.min_gap_nm
+    gap_nm = design.min_spacing_nm
     wide = build_size_table(
         library,
         database_unit_nm=design.mask.database_unit_nm,
@@ -156,7 +156,7 @@ def constant_phases(profile: PhaseProfile, table: SizeTable, aperture: Aperture)
     histogram = np.zeros(table.size_index.shape, dtype=np.int64)
     for block in np.array_split(rows, max(1, rows.size // 64)):
         target = profile(x_um, y_um[block])
-        inside = (columns >= aperture.first[block, None]) & (columns < aperture.last[block, None])
+        inside = aperture.at(block, columns)
         histogram += table.histogram(target[0][inside], target[1][inside])
     return global_offsets(table, histogram)
 

@@ -59,7 +59,17 @@ def lattice_of(design: Design) -> Lattice:
 
 def aperture_dbu(design: Design) -> int:
     """Diameter or side of the aperture in database units, rounded down."""
-    return math.floor(design.device.aperture_um * 1e3 / design.mask.database_unit_nm + 1e-6)
+    return floor_dbu(design.device.aperture_um, design)
+
+
+def floor_dbu(length_um: float, design: Design) -> int:
+    """A length in database units, rounded down but for a millionth of a unit."""
+    return math.floor(length_um * 1e3 / design.mask.database_unit_nm + 1e-6)
+
+
+def nearest_dbu(length_um: float, design: Design) -> int:
+    """A length in database units, rounded to the nearest."""
+    return round(length_um * 1e3 / design.mask.database_unit_nm)
 
 
 def field_sites(design: Design) -> tuple[int, int]:

@@ -40,16 +40,12 @@ class Mapping:
         """(row, column) of every tile that holds a pillar, row by row."""
         n_y, n_x = self.aperture.lattice.shape
         step = self.tile_sites
-        found = []
-        for row in range(0, n_y, step):
-            first = self.aperture.first[row : row + step]
-            last = self.aperture.last[row : row + step]
-            found += [
-                (row, column)
-                for column in range(0, n_x, step)
-                if np.any((first < column + step) & (last > np.maximum(first, column)))
-            ]
-        return found
+        return [
+            (row, column)
+            for row in range(0, n_y, step)
+            for column in range(0, n_x, step)
+            if self.aperture.meets(row, column, step)
+        ]
 
     def __call__(self, place: tuple[int, int]) -> tuple[PillarTile, TileFigures]:
         """Map the tile at (row, column)."""

@@ -29,7 +29,7 @@ class Imaging:
         split_angle_deg: theta of Eqs. 3 and 4; 0 for a lens without polarisation splitting.
         sensor_distance_um: distance of the sensor plane from the metasurface.
         pixel_um: sampling step on the sensor.
-        aperture_um: diameter of a circle or side of a square.
+        aperture_um: diameter of a circle or ring, side of a square or of the one that holds a polygon.
         aperture_shape: outline through which light comes.
         deflection: direction cosines (x, y) that gratings add, for x and for y polarisation.
         inner_um: diameter of a ring's hole.
@@ -136,7 +136,7 @@ def depth_nodes(imaging: Imaging, z_min_m: float, z_max_m: float, target_error: 
             "optics", "depths", "0 < nearest < farthest depth", f"{z_min_m:g} and {z_max_m:g} m", ""
         )
     near, far = 1.0 / z_min_m, 1.0 / z_max_m
-    corner = math.sqrt(2.0) if imaging.aperture_shape == "square" else 1.0
+    corner = math.sqrt(2.0) if imaging.aperture_shape in {"square", "polygon"} else 1.0
     rim_um = 0.5 * imaging.aperture_um * corner
     span_rad = 0.5 * imaging.wavenumber * rim_um**2 * (near - far) * 1e-6
     step_rad = (target_error / _CUBIC_ERROR_PER_RAD4) ** 0.25

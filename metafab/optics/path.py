@@ -97,15 +97,30 @@ def _gauss_legendre() -> tuple[FloatArray, FloatArray]:
 def power_at_aperture(imaging: Imaging, ray: Ray) -> float:
     """Integral of the squared incident amplitude over the aperture, um^2 (its area for distant objects).
 
-    Gauss-Legendre in r^2 and equidistant azimuths (a circle), or Gauss-Legendre twice (a square): exact to
-    1e-12 for objects further away than the aperture is wide.
+    Gauss-Legendre in r^2 and equidistant azimuths (a circle), or Gauss-Legendre twice (a square, or the triangles
+    from the axis to a polygon's edges, counted with their sign): exact to 1e-12 for objects further away than the
+    aperture is wide.
     """
     node, weight = _gauss_legendre()
     half = 0.5 * imaging.aperture_um
     if imaging.aperture_shape == "square":
         flux = ray.incident_amplitude(half * node[None, :], half * node[:, None]) ** 2
         return float(half**2 * weight @ flux @ weight)
+    if imaging.aperture_shape == "polygon":
+        vertices = np.array(imaging.outline_um)
+        along, outwards = 0.5 * (1.0 + node[None, :]), 0.5 * (1.0 + node[:, None])
+        power = 0.0
+        for start, end in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
+            x, y = (outwards * (start[axis] + along * (end[axis] - start[axis])) for axis in (0, 1))
+            flux = ray.incident_amplitude(x, y) ** 2 * outwards
+            power += 0.25 * float((start[0] * end[1] - start[1] * end[0]) * (weight @ flux @ weight))
+        return abs(power)
+    return _power_in_circle(half, ray) - _power_in_circle(0.5 * imaging.inner_um, ray)
+
+
+def _power_in_circle(radius_um: float, ray: Ray) -> float:
+    node, weight = _gauss_legendre()
     azimuth = 2.0 * np.pi * np.arange(48) / 48
-    radius = half * np.sqrt(0.5 * (1.0 + node))[:, None]
+    radius = radius_um * np.sqrt(0.5 * (1.0 + node))[:, None]
     flux = ray.incident_amplitude(radius * np.cos(azimuth), radius * np.sin(azimuth)) ** 2
-    return float(np.pi * half**2 * 0.5 * weight @ flux.mean(axis=1))
+    return float(np.pi * radius_um**2 * 0.5 * weight @ flux.mean(axis=1))

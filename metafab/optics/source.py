@@ -12,12 +12,13 @@ from typing import Protocol
 
 import numpy as np
 
-from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.conventions import ComplexArray
 from metafab.layout.pillars import Lattice, PillarMap, SizeIndexArray
 from metafab.library.library import Library
 from metafab.materials import refractive_index
 from metafab.phase.profile import PhaseProfile
 from metafab.spec import Device
+from metafab.spec.outline import encloses
 
 _IDEAL_TILE_SITES = 256
 
@@ -102,16 +103,10 @@ class IdealField:
         for row in range(0, y.size, _IDEAL_TILE_SITES):
             for column in range(0, x.size, _IDEAL_TILE_SITES):
                 tile_x, tile_y = x[column : column + _IDEAL_TILE_SITES], y[row : row + _IDEAL_TILE_SITES]
-                inside = self._inside(tile_x, tile_y)
+                inside = encloses(self.device, tile_x, tile_y)
                 if inside.any():
                     phase_rad = self.profile(tile_x, tile_y)
                     yield FieldTile(row, column, amplitudes=np.exp(1j * phase_rad) * inside)
-
-    def _inside(self, x_um: FloatArray, y_um: FloatArray) -> np.ndarray:
-        half = 0.5 * self.device.aperture_um
-        if self.device.aperture_shape == "square":
-            return (np.abs(y_um) <= half)[:, None] & (np.abs(x_um) <= half)
-        return y_um[:, None] ** 2 + x_um**2 <= half * half
 
 
 def written_field(pillars: PillarMap, library: Library) -> WrittenField:

@@ -23,7 +23,7 @@ from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.progress import Progress, silent
 from metafab.phase.bound import PeakBound, peak_bound, worst_peak_bound
 from metafab.phase.helices import SpiralZonesPhase, WaveSumPhase
-from metafab.phase.pupil import Pupil, phasor
+from metafab.phase.pupil import Outline, Pupil, phasor
 from metafab.phase.rotation import MainLobe, full_turn_defocus_rad, main_lobe
 
 #: The lobe may come this much nearer to the centre than the plain spiral's. Nearer still it would be brighter,
@@ -197,7 +197,7 @@ def _solve(waves: ComplexArray, goal: Goal, iterations: int, seed: int) -> Compl
 
 
 def _steered(
-    shape: Literal["circle", "square"],
+    shape: Outline,
     defocus_rad: FloatArray,
     phi_deg: FloatArray,
     lobe_radius: float,
@@ -251,7 +251,7 @@ def _level(waves: ComplexArray, amplitude: ComplexArray, iterations: int) -> Com
 
 
 def _brightest_radius(
-    shape: Literal["circle", "square"], defocus_rad: FloatArray, phi_deg: FloatArray, plain_radius: float, seed: int
+    shape: Outline, defocus_rad: FloatArray, phi_deg: FloatArray, plain_radius: float, seed: int
 ) -> float:
     """The lobe radius, from 0.7 to 1.1 of the plain spiral's, whose optimised mean peak is largest."""
     pupil = Pupil(_COARSE, shape)

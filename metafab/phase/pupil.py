@@ -12,12 +12,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
+
+Outline: TypeAlias = Literal["circle", "square", "ring", "polygon"]
 
 
 def rim_defocus_rad(
@@ -48,11 +50,12 @@ class Pupil:
 
     Attributes:
         samples: samples a side; centres at (2 i + 1) / samples - 1.
-        shape: outline of the aperture; a square's half side counts as its radius.
+        shape: outline of the aperture; a square's half side counts as its radius. Of rings and polygons the whole
+            circle of that diameter is taken.
     """
 
     samples: int = 128
-    shape: Literal["circle", "square"] = "circle"
+    shape: Outline = "circle"
 
     @cached_property
     def axis(self) -> FloatArray:

@@ -12,6 +12,7 @@ from metafab.core.files import fingerprint
 from metafab.phase.carriers import CARRIERS
 from metafab.phase.profile import PhaseProfile
 from metafab.spec import Design
+from metafab.spec.outline import encloses
 
 KIND = "metafab phase"
 FORMAT = 1
@@ -61,7 +62,5 @@ def load(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def _inside(design: Design, axis_um: FloatArray, phase_rad: FloatArray) -> FloatArray:
-    if design.device.aperture_shape == "circle":
-        outside = np.hypot(axis_um[None, :], axis_um[:, None]) > 0.5 * design.device.aperture_um
-        phase_rad[:, outside] = np.nan
+    phase_rad[:, ~encloses(design.device, axis_um, axis_um)] = np.nan
     return phase_rad

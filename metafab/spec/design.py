@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
+import shapely
 from pydantic import Field, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 
@@ -22,11 +23,32 @@ MAX_WINDOW_PX = 2048
 
 @dataclass(frozen=True, config=CONFIG)
 class Device:
-    """The lens: outline, size (diameter or side, at most a 300 mm wafer) and focal length."""
+    """The lens: outline, size (diameter or side, at most a 300 mm wafer) and focal length.
+
+    A "ring" is a circle without the inner circle of diameter ``inner_um``. A "polygon" is what ``outline_um``, at
+    least three (x, y) from the axis, encloses within the square of side ``aperture_um`` about the axis. Helices are
+    optimised for the full circle (or square), whatever is cut out of it.
+    """
 
     aperture_um: Annotated[float, Field(strict=True, gt=0.0, le=300_000.0)]
     focal_length_mm: Positive
-    aperture_shape: Literal["circle", "square"] = "circle"
+    aperture_shape: Literal["circle", "square", "ring", "polygon"] = "circle"
+    inner_um: NonNegative = 0.0
+    outline_um: tuple[tuple[Real, Real], ...] = ()
+
+    @model_validator(mode="after")
+    def _outline(self) -> Device:
+        if (self.aperture_shape == "ring") != (self.inner_um > 0.0) or self.inner_um >= self.aperture_um:
+            raise ValueError("`inner_um` must be between 0 and `aperture_um` for a ring, and not given otherwise")
+        if (self.aperture_shape == "polygon") != bool(self.outline_um):
+            raise ValueError("`outline_um` must be given for a polygon, and not otherwise")
+        if not self.outline_um:
+            return self
+        if len(self.outline_um) < 3 or not (polygon := shapely.Polygon(self.outline_um)).is_valid or not polygon.area:
+            raise ValueError("`outline_um` must be the vertices of one polygon whose edges do not cross or touch")
+        if max(abs(u) for vertex in self.outline_um for u in vertex) > 0.5 * self.aperture_um:
+            raise ValueError("`outline_um` must lie within the square of side `aperture_um` about the axis")
+        return self
 
 
 @dataclass(frozen=True, config=CONFIG)
