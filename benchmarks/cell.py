@@ -1,45 +1,56 @@
-"""The unit-cell solver on the paper's pillars: true error and time against the target error, certificate included.
+"""The unit-cell solver on the paper's pillars: true error and time against the target error, beside other solvers.
 
 ``error`` is the largest difference of any t or r from a reference of 16 orders (which a rise to 20 orders moves by
 less than 1e-5), over pillars drawn between 100 and 250 nm and those on guided-mode resonances; ``seconds`` is the
 processor time of one pillar with both polarisations and reflection, on one thread: the median over the set.
-A peer runs on a few of the pillars, against the same reference.
+
+Peers (``cell_peers.py``) run in the interpreter that METAFAB_PEERS_PYTHON names, this one if it names none, on
+``PEER_NM``, against the same references, as long as a pillar takes less than METAFAB_PEERS_SECONDS (20). Their errors
+are of t alone. In the row of a peer's smallest error, ``ours_faster`` and ``ours_certified_faster`` say how many times
+less our fastest single truncation, and our fastest certified answer, take to err less on the same pillars.
 """
 
 from __future__ import annotations
 
+import json
+import os
 import resource
+import runpy
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Sequence
-from importlib import import_module
-from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from metafab.cell import CellNumerics, PillarCell
 from metafab.cell.rcwa import Formulation, ZeroOrder, solve, zero_order
-from metafab.cell.rcwa.jones import distance
-from metafab.core.conventions import ComplexArray
+from metafab.cell.rcwa.certificate import distance
 
 RESONANT_NM = ((250.0, 250.0), (150.0, 210.0), (145.0, 245.0), (155.0, 185.0), (220.0, 195.0), (220.8, 244.6))
+#: Whole nanometres, so that a raster of 0.5 nm is exact: one plain pillar, one beside a resonance.
+PEER_NM = ((120.0, 180.0), (150.0, 210.0))
+PEERS_FILE = Path(__file__).with_name("cell_peers.py")
+TARGETS = (1e-2, 1e-3, 1e-4)
+TRUNCATIONS = (3, 4, 5, 6, 7, 8, 9)
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
     """A row for each target of the certified solver, and for single truncations of both formulations."""
     drawn = np.random.default_rng(3).uniform(100.0, 250.0, (2 if quick else 40, 2)).round(1)
     sizes_nm = [*(RESONANT_NM[1::4] if quick else RESONANT_NM), *map(tuple, drawn.tolist())]
-    cells = [
-        PillarCell((350.0, 350.0), width, length, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
-        for width, length in sizes_nm
-    ]
+    cells = [_cell(*size_nm) for size_nm in sizes_nm]
     references = [zero_order(cell, 12 if quick else 16) for cell in cells]
-    table = [_certified(target, cells, references) for target in (1e-2, 1e-3, 1e-4)]
-    truncations: list[tuple[Formulation, int]] = [("adaptive", m) for m in (3, 4, 5, 6, 7, 8, 9)]
-    truncations += [("fourier", m) for m in ((5, 8) if quick else (5, 9, 15))]
-    table += [_truncated(formulation, orders, cells, references) for formulation, orders in truncations]
-    shared = [i for i, cell in enumerate(cells) if (cell.width_nm % 2, cell.length_nm % 2) == (0.0, 0.0)][:3]
-    return table + _peers([cells[i] for i in shared], [references[i] for i in shared], quick)
+    table = [_certified(target, cells, references) for target in TARGETS]
+    table += [_truncated("adaptive", m, cells, references) for m in TRUNCATIONS]
+    table += [_truncated("fourier", m, cells, references) for m in ((5, 8) if quick else (5, 9, 15))]
+    return table + _peers(quick)
+
+
+def _cell(width_nm: float, length_nm: float) -> PillarCell:
+    return PillarCell((350.0, 350.0), width_nm, length_nm, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
 
 
 def _certified(target: float, cells: Sequence[PillarCell], references: Sequence[ZeroOrder]) -> dict[str, Any]:
@@ -51,7 +62,8 @@ def _certified(target: float, cells: Sequence[PillarCell], references: Sequence[
     ]
     worst = max(error / answer.error for error, answer in zip(errors, answers, strict=True))
     unmet = sum(not answer.converged for answer in answers)
-    return _row(f"rcwa, target {target:g}", max(errors), seconds, worst_error_over_bound=worst, targets_missed=unmet)
+    name = f"rcwa, target {target:g}"
+    return _row(name, "metafab, certified", max(errors), seconds, worst_error_over_bound=worst, targets_missed=unmet)
 
 
 def _truncated(
@@ -60,51 +72,69 @@ def _truncated(
     answers, seconds = _timed(lambda cell: zero_order(cell, orders, formulation), cells)
     errors = [distance(answer, reference) for answer, reference in zip(answers, references, strict=True)]
     name = f"rcwa, {formulation}, {(2 * orders + 1) ** 2} orders, no certificate"
-    return _row(name, max(errors), seconds, median_error=float(np.median(errors)))
+    series = {"adaptive": "metafab, one truncation", "fourier": "metafab, Li's rules"}[formulation]
+    return _row(name, series, max(errors), seconds, median_error=float(np.median(errors)))
 
 
-def _peers(cells: Sequence[PillarCell], references: Sequence[ZeroOrder], quick: bool) -> list[dict[str, Any]]:
-    """Rows of grcwa (github.com/weiliangjinca/grcwa) where it is installed, a row that says so where it is not."""
-    if find_spec("grcwa") is None:
-        return [
-            {"name": "grcwa", "error": np.nan, "seconds": np.nan, "peak_rss_mb": np.nan, "skipped": "not installed"}
-        ]
+def _peers(quick: bool) -> list[dict[str, Any]]:
+    """Rows of all peers; of one that is missing, a row that says so."""
+    cells = [_cell(*size_nm) for size_nm in PEER_NM]
+    references = [zero_order(cell, 12 if quick else 16) for cell in cells]
+    single = [_truncated("adaptive", m, cells, references) for m in TRUNCATIONS]
+    certified = [_certified(target, cells, references) for target in TARGETS]
+    truth = np.array([np.diag(reference.t) for reference in references])
+    longest_s = 0.1 if quick else float(os.environ.get("METAFAB_PEERS_SECONDS", "20"))
     table = []
-    for orders in (49, 121) if quick else (49, 121, 225, 361):
-        errors, seconds = [], []
-        for cell, reference in zip(cells, references, strict=True):
-            start = time.thread_time()
-            t = _grcwa_transmission(cell, orders)
-            seconds.append(time.thread_time() - start)
-            errors.append(float(np.abs(t - np.diag(reference.t)).max()))
-        name = f"grcwa, {orders} orders, t alone"
-        table.append(_row(name, max(errors), float(np.median(seconds)), pillars=float(len(errors))))
-    return table
+    for name in runpy.run_path(str(PEERS_FILE))["PEERS"]:
+        answers, complaint = ask_peer(name, cells, longest_s)
+        own = []
+        for answer in answers:
+            t = np.array(answer["t"])
+            error = float(np.abs(t[..., 0] + 1j * t[..., 1] - truth).max())
+            row = _row(f"{name}, {answer['orders']} orders, t alone", name, error, float(np.median(answer["seconds"])))
+            own.append(row | {"peak_rss_mb": answer["peak_rss_mb"]})
+        if own:
+            best = min(own, key=lambda row: row["error"])
+            best |= {"ours_faster": _ratio(best, single), "ours_certified_faster": _ratio(best, certified)}
+        else:
+            own = [_skipped(name, complaint)]
+        table += own
+    return [*table, _skipped("S4", "in no package registry (pip's S4 is another program); its source must be built")]
 
 
-def _grcwa_transmission(cell: PillarCell, orders: int) -> ComplexArray:
-    """t_xx and t_yy of light from the substrate.
+def ask_peer(name: str, cells: Sequence[PillarCell], longest_s: float) -> tuple[list[dict[str, Any]], str]:
+    """What a peer answered in an interpreter of its own, and the last line of its complaint if it ended early."""
+    pillars = [
+        {
+            "period_nm": cell.period_nm[0],
+            "width_nm": cell.width_nm,
+            "length_nm": cell.length_nm,
+            "height_nm": cell.height_nm,
+            "wavelength_nm": cell.wavelength_nm,
+            "n_pillar": [complex(cell.n_pillar).real, complex(cell.n_pillar).imag],
+            "n_substrate": complex(cell.n_substrate[0]).real,
+            "n_ambient": complex(cell.n_ambient).real,
+        }
+        for cell in cells
+    ]
+    one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    jax = {"JAX_PLATFORMS": "cpu", "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false"}
+    done = subprocess.run(
+        [os.environ.get("METAFAB_PEERS_PYTHON", sys.executable), str(PEERS_FILE)],
+        input=json.dumps({"peer": name, "pillars": pillars, "longest_s": longest_s}),
+        env=os.environ | one_thread | jax,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    answers = [json.loads(line) for line in done.stdout.splitlines()]
+    return answers, "" if done.returncode == 0 else (done.stderr.strip().splitlines() or ["no reason given"])[-1]
 
-    grcwa scales incident light by its index. Its permittivity is a raster, here of 1 nm: pillars of whole even sizes
-    are exact on it.
-    """
-    grcwa = import_module("grcwa")
-    period_um = cell.period_nm[0] / 1e3
-    layers = grcwa.obj(orders, [period_um, 0.0], [0.0, period_um], 1e3 / cell.wavelength_nm, 0.0, 0.0, verbose=0)
-    pixels = round(cell.period_nm[0])
-    layers.Add_LayerUniform(0.0, cell.n_substrate[0] ** 2)
-    layers.Add_LayerGrid(cell.height_nm / 1e3, pixels, pixels)
-    layers.Add_LayerUniform(0.0, cell.n_ambient**2)
-    layers.Init_Setup()
-    at_nm = np.arange(pixels) + 0.5 - pixels / 2
-    inside = (np.abs(at_nm)[:, None] < cell.width_nm / 2) & (np.abs(at_nm) < cell.length_nm / 2)
-    layers.GridLayer_geteps(np.where(inside, cell.n_pillar**2, cell.n_ambient**2).ravel())
-    amplitudes = []
-    for component, (p, s) in enumerate(((1.0, 0.0), (0.0, 1.0))):
-        layers.MakeExcitationPlanewave(p, 0.0, s, 0.0, order=0)
-        electric, _ = layers.Solve_FieldFourier(2, 0.0)
-        amplitudes.append(cell.n_substrate[0] * electric[component][0])
-    return np.array(amplitudes)
+
+def _ratio(peer: dict[str, Any], ours: Sequence[dict[str, Any]]) -> float | None:
+    """The peer's seconds over those of our fastest row that errs no more; None where there is none."""
+    seconds = [row["seconds"] for row in ours if row["error"] <= peer["error"]]
+    return peer["seconds"] / min(seconds) if seconds else None
 
 
 def _timed(call: Callable[[PillarCell], Any], cells: Sequence[PillarCell]) -> tuple[list[Any], float]:
@@ -117,6 +147,10 @@ def _timed(call: Callable[[PillarCell], Any], cells: Sequence[PillarCell]) -> tu
     return answers, float(np.median(seconds))
 
 
-def _row(name: str, error: float, seconds: float, **more: float) -> dict[str, Any]:
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-    return {"name": name, "error": error, "seconds": seconds, "peak_rss_mb": peak_mb, **more}
+def _row(name: str, series: str, error: float, seconds: float, **more: float) -> dict[str, Any]:
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+    return {"name": name, "series": series, "error": error, "seconds": seconds, "peak_rss_mb": peak_mb, **more}
+
+
+def _skipped(name: str, reason: str) -> dict[str, Any]:
+    return {"name": name, "series": name, "error": None, "seconds": None, "peak_rss_mb": None, "skipped": reason}

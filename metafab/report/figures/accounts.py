@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import NullFormatter
 
 from metafab.report.style import GOOD, INK, MUTED, X_COLOUR, Y_COLOUR, dress, legend
 
 _MARKERS = "osD^vP*X<>"
+#: Of series: inks of the house first, then hues that stay apart without red-green vision (after Okabe and Ito, 2008).
+_COLOURS = (X_COLOUR, Y_COLOUR, GOOD, INK, MUTED, "#b5568c", "#a67c00", "#3f9fd0", "#6b4fa0")
 
 
 def loss_chain(stages: Sequence[tuple[str, float]], axes: Axes) -> Axes:
@@ -43,19 +46,46 @@ def seconds(step_seconds: Mapping[str, float], axes: Axes) -> Axes:
 
 
 def error_against_time(rows: Sequence[Mapping[str, Any]], axes: Axes) -> Axes:
-    """Benchmark rows as points, both axes logarithmic: lower left is better. Rows without an error are left out."""
-    for index, row in enumerate(rows):
-        if not (row["error"] and row["error"] > 0.0 and row["seconds"] > 0.0):
-            continue
-        colour = (X_COLOUR, Y_COLOUR, GOOD, INK, MUTED)[index % 5]
-        marker = _MARKERS[index % len(_MARKERS)]
-        axes.plot(row["seconds"], row["error"], marker, color=colour, markersize=6, label=str(row["name"]))
+    """Benchmark rows, both axes logarithmic: lower left is better. Rows without an error or a time are left out.
+
+    Rows that name their ``series`` are joined to one line each, with its name beside; others are points in a legend.
+    """
+    shown = [row for row in rows if (row["error"] or 0.0) > 0.0 and (row["seconds"] or 0.0) > 0.0]
     axes.set(xscale="log", yscale="log")
+    series = list(dict.fromkeys(str(row["series"]) for row in shown if "series" in row))
+    for index, name in enumerate(series):
+        own = sorted((row for row in shown if row.get("series") == name), key=lambda row: float(row["seconds"]))
+        colour, marker = _COLOURS[index % len(_COLOURS)], _MARKERS[index % len(_MARKERS)]
+        axes.plot(
+            [row["seconds"] for row in own], [row["error"] for row in own], f"{marker}-", color=colour, markersize=4.5
+        )
+    for index, row in enumerate(row for row in shown if "series" not in row):
+        colour, marker = _COLOURS[index % len(_COLOURS)], _MARKERS[index % len(_MARKERS)]
+        axes.plot(row["seconds"], row["error"], marker, color=colour, markersize=6, label=str(row["name"]))
     dress(axes, "seconds", "error", "Error against time")
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
-    if axes.lines:
+    if series:
+        _name_lines(axes, series)
+    elif axes.lines:
         legend(axes, loc="center left", bbox_to_anchor=(1.02, 0.5))
     return axes
+
+
+def _name_lines(axes: Axes, names: Sequence[str]) -> None:
+    """Each line's name in the right margin, joined to the line's last point, in the order of these points."""
+    lines = sorted(zip(axes.lines, names, strict=False), key=lambda pair: float(np.asarray(pair[0].get_ydata())[-1]))
+    for place, (line, name) in enumerate(lines):
+        last = (float(np.asarray(line.get_xdata())[-1]), float(np.asarray(line.get_ydata())[-1]))
+        axes.annotate(
+            name,
+            last,
+            (1.05, (place + 0.5) / len(lines)),
+            textcoords="axes fraction",
+            va="center",
+            fontsize=8.5,
+            color=line.get_color(),
+            arrowprops={"arrowstyle": "-", "color": line.get_color(), "linewidth": 0.6, "alpha": 0.5},
+        )
 
 
 def _bars(names: Sequence[str], values: Sequence[float], axes: Axes, colour: str, labels: Sequence[str]) -> None:

@@ -1,0 +1,65 @@
+"""The benchmark page: every row in the table and the JSON, every series a line with its name."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from metafab.report import benchmark_page, figures
+from metafab.report.style import panel
+
+
+def _row(series: str, seconds: float | None, error: float | None) -> dict[str, Any]:
+    return {"room": "cell", "name": f"{series} {seconds}", "series": series, "error": error, "seconds": seconds}
+
+
+ROWS = [
+    _row("slow", 2.0, 1e-2),
+    _row("fast", 0.1, 1e-3),
+    _row("slow", 1.0, 5e-2),
+    _row("fast", 0.01, 2e-2),
+    _row("missing", None, None) | {"skipped": "not installed"},
+    _row("exact", 1.0, 0.0),
+]
+
+
+def test_a_series_is_one_line_in_order_of_time() -> None:
+    _, axes = panel()
+    figures.error_against_time(ROWS, axes)
+    drawn = [(list(line.get_xdata()), list(line.get_ydata())) for line in axes.lines]
+    assert drawn == [([1.0, 2.0], [5e-2, 1e-2]), ([0.01, 0.1], [2e-2, 1e-3])]
+    assert axes.get_xscale() == axes.get_yscale() == "log"
+
+
+def test_each_line_is_named_in_its_colour_and_no_name_covers_another() -> None:
+    _, axes = panel((7.2, 3.6), (0.7, 3.0, 0.52, 0.36))
+    many = [_row(f"solver {k}", seconds, 1e-2) for k in range(9) for seconds in (1.0, 2.0)]
+    figures.error_against_time(many, axes)
+    assert sorted(text.get_text() for text in axes.texts) == [f"solver {k}" for k in range(9)]
+    colour = {text.get_text(): text.get_color() for text in axes.texts}
+    assert [colour[f"solver {k}"] for k in range(9)] == [line.get_color() for line in axes.lines]
+    assert len({*colour.values()}) == 9
+    heights = sorted(text.get_position()[1] for text in axes.texts)
+    # A ninth of 2.72 inches is 21.8 points; text of 8.5 points needs less than half of it.
+    assert min(np.subtract(high, low) for low, high in pairwise(heights)) * 2.72 * 72.0 > 2 * 8.5
+
+
+def test_rows_without_a_series_stay_points_in_a_legend() -> None:
+    _, axes = panel()
+    figures.error_against_time([{"name": "a", "error": 0.1, "seconds": 1.0}], axes)
+    legend = axes.get_legend()
+    assert legend is not None
+    assert [text.get_text() for text in legend.get_texts()] == ["a"]
+    assert not axes.texts
+
+
+def test_a_skipped_row_reaches_table_and_json_with_its_reason(tmp_path: Path) -> None:
+    page, data, _ = benchmark_page(ROWS, tmp_path)
+    assert json.loads(data.read_text())["rows"] == ROWS
+    text = page.read_text(encoding="utf-8")
+    assert "not installed" in text
+    assert text.count("<tr>") == 1 + len(ROWS)
