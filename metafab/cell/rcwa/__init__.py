@@ -10,6 +10,7 @@ From one axis to the answer:
 - ``birefringence``  plane waves of a birefringent half space
 - ``doubling``       one incident wave through the layer by doubling thickness: the fast way, tested as it goes
 - ``admittance``     the same by modes, stable for any height
+- ``conditioning``   how ill-conditioned the modes are
 - ``outlines``       one axis for layers of unlike outlines
 - ``stack``          the same through several layers
 - ``slicing``        steps of a sloped pillar, and their error

@@ -12,7 +12,8 @@ other way round; each holds by itself, so that the least of them is the bound. D
 pillar (a sharp resonance that the truncation shifts); the floor is what two truncations can agree on by accident. A
 last difference so large that the ladder has not begun to converge counts in full.
 
-Of a sloped pillar the error of its steps is added (:mod:`metafab.cell.rcwa.slicing`). Where nothing was measured, the
+Of a sloped pillar the error of its steps is added (:mod:`metafab.cell.rcwa.slicing`), and no bound is below what
+rounding may come to in ill-conditioned modes (:mod:`metafab.cell.rcwa.conditioning`). Where nothing was measured, the
 last two differences count threefold. That is so for holes, light at an angle, birefringent substrates, sloped walls,
 layers under or over the pillar, pillars more than two wavelengths tall, cells more than two wavelengths wide inside the
 densest medium (which need more orders), indices that differ more than fourfold or absorb strongly, and metals, where
@@ -114,6 +115,7 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     for orders in climb(numerics):
         solved[orders] = zero_order(cell, orders, numerics.formulation, cut.steps)
         error = bound(orders, solved, numerics.formulation, measured=_is_measured(cell)) + cut.error
+        error = max(error, solved[orders].conditioning.rounding)
         if error <= numerics.target_error:
             break
     last = solved[orders]
@@ -136,6 +138,7 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
             "coefficients": last.coefficients,
             "truncations": len(solved),
             "inconsistency": last.inconsistency,
+            "condition": last.conditioning.condition,
             "transmitted_power_x": float(last.transmitted_power[0]),
             "transmitted_power_y": float(last.transmitted_power[1]),
             "reflected_power_x": float(last.reflected_power[0]),

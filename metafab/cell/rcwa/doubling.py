@@ -33,6 +33,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from metafab.cell.rcwa.basis import Matrix
+from metafab.cell.rcwa.conditioning import NO_MODES, Conditioning
 from metafab.cell.rcwa.eigenmodes import PlaneWaves
 from metafab.core.conventions import ComplexArray
 
@@ -60,11 +61,13 @@ class Faces:
         transmitted: shape (n, p), transverse E where the layer ends.
         reflected: shape (n, p), transverse E of the reflected waves where the layer begins.
         inconsistency: by how much rounding broke reciprocity, as an amplitude; 0 where the modes were used.
+        conditioning: of the worst layer's modes; 0 where none were used.
     """
 
     transmitted: ComplexArray
     reflected: ComplexArray
     inconsistency: float
+    conditioning: Conditioning = NO_MODES
 
 
 def through_by_doubling(

@@ -22,6 +22,7 @@ from metafab.cell.rcwa.basis import (
     travelling_axis,
 )
 from metafab.cell.rcwa.birefringence import TensorWaves, magnetic, tensor_waves
+from metafab.cell.rcwa.conditioning import NO_MODES, Conditioning, conditioning
 from metafab.cell.rcwa.doubling import Faces, through_by_doubling
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, plane_waves
 from metafab.cell.rcwa.factorisation import largest_eigenvalue, layer_matrices
@@ -47,6 +48,7 @@ class ZeroOrder:
         coefficients: unknowns of the largest symmetry class.
         inconsistency: by how much rounding broke the layer's reciprocity (:mod:`metafab.cell.rcwa.doubling`), as an
             amplitude; 0 where the modes were used.
+        conditioning: of the worst layer's modes; 0 where none were used.
     """
 
     t: ComplexArray
@@ -55,6 +57,7 @@ class ZeroOrder:
     reflected_power: FloatArray
     coefficients: int
     inconsistency: float
+    conditioning: Conditioning
 
 
 @dataclass(frozen=True)
@@ -133,18 +136,18 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
     """
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     power = np.zeros((2, 2))
-    largest, inconsistency = 0, 0.0
+    largest, inconsistency, worst = 0, 0.0, NO_MODES
     with one_thread():
         for solved in solved_classes(cell, orders, formulation, steps):
             incident, faces = solved.incident, solved.faces
             t, r = t + incident.T @ faces.transmitted, r + incident.T @ faces.reflected
             power = power + np.stack([np.sum(each, axis=0) for each in shares_of_power(solved)])
             largest = max(largest, solved.case.basis.size)
-            inconsistency = max(inconsistency, faces.inconsistency)
+            inconsistency, worst = max(inconsistency, faces.inconsistency), worst.worse(faces.conditioning)
             if _polarisations_swap(cell):
                 t, r, power = t + t[::-1, ::-1], r + r[::-1, ::-1], power + power[:, ::-1]
                 break
-    return ZeroOrder(t, r, power[0], power[1], largest, inconsistency)
+    return ZeroOrder(t, r, power[0], power[1], largest, inconsistency, worst)
 
 
 def solved_classes(cell: PillarCell, orders: int, formulation: Formulation, steps: int = 1) -> Iterator[ClassFaces]:
@@ -243,8 +246,8 @@ def through_case(cell: PillarCell, case: SymmetryClass, outside: Outside, incide
     faces = through_by_doubling(p, q, thickness_k0, incoming, outgoing, incident, largest_a)
     if faces is not None:
         return faces
-    field = solve_class(cell, case, outside).field
-    return Faces(field.transmitted, field.reflected, 0.0)
+    solution = solve_class(cell, case, outside)
+    return Faces(solution.field.transmitted, solution.field.reflected, 0.0, conditioning(solution.modes))
 
 
 def solve_class(cell: PillarCell, case: SymmetryClass, outside: Outside | None = None) -> ClassSolution:

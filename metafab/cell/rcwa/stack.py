@@ -18,10 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
 from metafab.cell.rcwa.birefringence import TensorWaves, as_matrices
+from metafab.cell.rcwa.conditioning import Conditioning, conditioning
 from metafab.cell.rcwa.doubling import Faces
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves
 from metafab.core.conventions import ComplexArray
@@ -66,4 +68,5 @@ def through_stack(
     reflected = e @ amplitudes - incident
     for onward in reversed(passed):
         amplitudes = onward @ amplitudes
-    return Faces(e_out @ amplitudes, reflected, 0.0)
+    worst = reduce(Conditioning.worse, (conditioning(layer.modes) for layer in layers))
+    return Faces(e_out @ amplitudes, reflected, 0.0, worst)
