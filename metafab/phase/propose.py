@@ -18,6 +18,8 @@ from metafab.phase.rotation import full_turn_dioptre, main_lobe, rotation_deg_pe
 
 #: Pupil samples a side; the information is that of a piece of texture of twice as many Nyquist pixels a side.
 _SAMPLES = 48
+#: Pupil samples a side for the lobe, whose orientation suffers from squared-off zones first.
+_LOBE_SAMPLES = 128
 
 
 @dataclass(frozen=True)
@@ -32,6 +34,7 @@ class Proposal:
         rotation_deg_per_dioptre: by theory (epsilon = 1/2).
         full_turn_dioptre: range of vergence after which the orientation repeats.
         depth_m: shape (n_depth,), depths, evenly spaced in vergence, ascending.
+        phi_deg: shape (n_depth,), orientation of the main lobe, measured at the pupil level, unwrapped.
         crlb_m: shape (n_depth,), smallest standard deviation of depth from the twin image of a piece of unknown
             texture of 96 x 96 Nyquist pixels of lambda s' / (4 R); goes with one over the root of the area.
     """
@@ -43,6 +46,7 @@ class Proposal:
     rotation_deg_per_dioptre: float
     full_turn_dioptre: float
     depth_m: FloatArray
+    phi_deg: FloatArray
     crlb_m: FloatArray
 
     @property
@@ -88,7 +92,7 @@ def propose(
     depth_m, focus_m = 1.0 / vergence, 2.0 / float(vergence[0] + vergence[-1])
     defocus = rim_defocus_rad(depth_m, focus_m, radius_um, wavelength_um)
     per_dioptre = rim_defocus_per_dioptre_rad(radius_um, wavelength_um)
-    pupil = Pupil(_SAMPLES)
+    pupil, fine = Pupil(_SAMPLES), Pupil(_LOBE_SAMPLES)
     problem = BlindInformation(pupil, defocus, texture or Texture())
     found = []
     for count in zones:
@@ -98,13 +102,15 @@ def propose(
         for exponent in exponents:
             field = spiral_field(pupil, count, exponent)
             track = np.linspace(defocus[0], defocus[-1], max(depths, 4 * math.ceil(abs(defocus[0]) / count) + 2))
-            phi_deg = main_lobe(pupil, field, track, 2.0 * count + 6.0).phi_deg
+            phi_deg = main_lobe(fine, spiral_field(fine, count, exponent), track, 2.0 * count + 6.0).phi_deg
             turn_deg = float(phi_deg[-1] - phi_deg[0])
             if np.any(np.diff(phi_deg) <= 0.0) or turn_deg > largest_turn_deg:
                 continue
             crlb_m = depth_m**2 / per_dioptre / np.sqrt(problem.of_field(field))
             repeat = full_turn_dioptre(count, radius_um, wavelength_um)
-            found.append(Proposal(count, exponent, focus_m, turn_deg, rate, repeat, depth_m, crlb_m))
+            # Defocus falls with depth, and so does the track; np.interp wants it rising.
+            at_depth = np.interp(-defocus, -track, phi_deg)
+            found.append(Proposal(count, exponent, focus_m, turn_deg, rate, repeat, depth_m, at_depth, crlb_m))
     if not found:
         span = float(vergence[0] - vergence[-1])
         needed = math.degrees(per_dioptre) * span / largest_turn_deg

@@ -11,6 +11,7 @@
 - ``sections``      the page's sections
 - ``write``         run folder -> ``figures/*.png`` and ``report.html``
 - ``library_page``  one library -> one picture
+- ``proposal_page``  proposed helices -> one picture
 - ``benchmark``     benchmark rows -> table, plots, JSON
 - ``page.html``, ``style.css``, ``page.js``  the page's template, style and script
 
@@ -19,6 +20,7 @@ In: the files of a run folder, a Library, benchmark rows. Out: PNG, HTML, JSON.
 
 from metafab.report.benchmark import benchmark_page
 from metafab.report.library_page import library_figure
+from metafab.report.proposal_page import proposal_figure
 from metafab.report.write import write
 
-__all__ = ["benchmark_page", "library_figure", "write"]
+__all__ = ["benchmark_page", "library_figure", "proposal_figure", "write"]

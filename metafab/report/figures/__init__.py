@@ -34,6 +34,7 @@ from metafab.report.figures.study import (
     lobe_orientation,
     lobe_peak,
     proposals,
+    proposed_orientation,
 )
 
 __all__ = [
@@ -65,6 +66,7 @@ __all__ = [
     "phase_map",
     "pillar_rectangles",
     "proposals",
+    "proposed_orientation",
     "raw_frame",
     "seconds",
     "shown_depths",

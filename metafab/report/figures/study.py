@@ -90,6 +90,16 @@ def proposals(found: Sequence[Proposal], axes: Axes) -> Axes:
     return _finished(axes)
 
 
+def proposed_orientation(found: Sequence[Proposal], axes: Axes) -> Axes:
+    """Turn of the main lobe from the nearest depth on, for the same choices."""
+    scale, unit = depth_unit(found[0].depth_m)
+    for rank, (proposal, ink) in enumerate(zip(found, _INKS, strict=False)):
+        line: dict[str, Any] = {"color": ink, "linewidth": 2.0 if rank == 0 else 1.2}
+        axes.plot(scale * proposal.depth_m, proposal.phi_deg - proposal.phi_deg[0], **line)
+    dress(axes, f"object depth / {unit}", "turn of the lobe / °", "The lobe turns once at most")
+    return _finished(axes)
+
+
 def _within(value: float, range_of: FloatArray) -> bool:
     return bool(range_of[0] <= value <= range_of[-1])
 
