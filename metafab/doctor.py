@@ -20,6 +20,7 @@ from metafab.run import versions
 def examine() -> dict[str, Any]:
     """Everything that ``metafab doctor`` shows; ``self_test`` holds one flag a check."""
     from metafab.cell import meep
+    from metafab.cell.meep import kept
 
     candidates = meep.find()
     best = next((candidate for candidate in candidates if candidate.found), None)
@@ -34,6 +35,7 @@ def examine() -> dict[str, Any]:
             "version": best.version if best else None,
             "python": str(best.interpreter) if best else None,
             "tried": candidates,
+            "finished_runs": kept.own_folder(),
         },
         "mpi": _first_line("mpirun", "--version"),
         "klayout": {"python": find_spec("klayout") is not None, "program": shutil.which("klayout")},

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.xdist_group("main_job")
 
 COMMANDS = [
     ["run"], ["cell"], ["library"], ["library", "build"], ["library", "check"], ["library", "show"], ["layout"],
-    ["drc"], ["psf"], ["capture"], ["decode"], ["report"], ["benchmark"], ["doctor"],
+    ["drc"], ["coupling"], ["patch"], ["psf"], ["capture"], ["decode"], ["report"], ["benchmark"], ["doctor"],
 ]  # fmt: skip
 
 
@@ -43,6 +43,30 @@ def test_cell_answers_with_the_contract_keys() -> None:
     re, im = answer.json["t_xx"]
     # |t|^2 n_out / n_in is the transmittance (conventions); n_in = 1.7601 is the sapphire of the file.
     assert answer.json["transmittance_x"] == pytest.approx((re**2 + im**2) / 1.7601, rel=1e-9)
+
+
+def test_a_patch_says_what_it_takes_and_refuses_too_much(main_job: MainJob, tmp_path: Path) -> None:
+    """Before anything is simulated: no Meep is needed for it."""
+    out = tmp_path / "patch.h5"
+    answer = metafab(
+        "patch", main_job.folder / "layout.oas", "--design", SMALL, "--at-um", "5", "-5", "--size-um", "12",
+        "-o", out, "--json",
+    )  # fmt: skip
+    assert answer.code == 2
+    assert answer.stdout == ""
+    first, *_ = answer.stderr.splitlines()
+    # 34 sites and 3 on either side.
+    assert first.startswith("metafab: 40 x 40 pillars, ")
+    assert "min and" in first and "MB" in first
+    assert "--force" in answer.stderr
+    assert not out.exists()
+
+
+def test_places_of_rows_are_two_numbers(main_job: MainJob) -> None:
+    mask = main_job.folder / "layout.oas"
+    answer = metafab("coupling", mask, "--design", SMALL, "--at-um", "5;3", "--json")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "two numbers X,Y" in answer.stderr
 
 
 def test_doctor_lists_what_is_there() -> None:
