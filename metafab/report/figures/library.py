@@ -10,6 +10,7 @@ from matplotlib.colors import LogNorm
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation, power_transmittance
 from metafab.library.library import Library
+from metafab.materials import refractive_index
 from metafab.report.style import (
     ERROR_MAP,
     INK,
@@ -79,12 +80,14 @@ def coverage(library: Library, axes: Axes) -> Axes:
 def transmittance(library: Library, polarisation: Polarisation) -> FloatArray:
     """Zero-order power transmittance at the design wavelength, shape (n_length, n_width)."""
     spec = library.unit_cell
-    substrate = spec.materials.substrate
-    n_substrate = (substrate.n_y if polarisation == "y" else None) or substrate.n or 1.0
-    n_ambient = spec.materials.ambient.n or 1.0
+    wavelength_nm = spec.illumination.wavelength_nm
+    n_substrate, n_ambient = (
+        refractive_index(material, wavelength_nm)[0 if polarisation == "x" else 1]
+        for material in (spec.materials.substrate, spec.materials.ambient)
+    )
     from_substrate = spec.illumination.side == "substrate"
     n_in, n_out = (n_substrate, n_ambient) if from_substrate else (n_ambient, n_substrate)
-    return power_transmittance(_t(library, polarisation), complex(n_in), complex(n_out))
+    return power_transmittance(_t(library, polarisation), n_in, n_out)
 
 
 def _t(library: Library, polarisation: Polarisation) -> ComplexArray:

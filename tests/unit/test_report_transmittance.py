@@ -1,0 +1,24 @@
+"""The transmittance that figures show is that of the solver, substrates given by the name of a record included."""
+
+from __future__ import annotations
+
+import pytest
+
+from metafab.cell import CellNumerics, pillar_cell, solve
+from metafab.library import load
+from metafab.report.figures.library import transmittance
+from tests.main_job import ROOT
+
+
+@pytest.mark.parametrize("name", ["tio2_532nm", "sos_800nm"])
+def test_shown_transmittance_is_the_solvers(name: str) -> None:
+    library = load(ROOT / "unitcell_lib" / f"{name}.h5")
+    row, column = 20, 50
+    cell = pillar_cell(library.unit_cell, float(library.width_nm[column]), float(library.length_nm[row]))
+    solved = solve(cell, CellNumerics(1e-3))
+    for polarisation, expected in zip(("x", "y"), solved.transmittance, strict=True):
+        shown = transmittance(library, polarisation)[row, column]  # type: ignore[arg-type]
+        # |t|^2 n_out / n_in is off by twice the error of t at most, times |t| and the ratio of indices (below 1.5).
+        tolerance = 3.0 * (solved.error + float(library.error.reshape(-1, *library.t_xx.shape[1:])[0, row, column]))
+        assert shown == pytest.approx(expected, abs=tolerance)
+        assert tolerance < 0.05
