@@ -9,6 +9,7 @@ import pytest
 
 from metafab.cell.fresnel import film_jones
 from metafab.cell.rcwa import Formulation, solve, zero_order
+from metafab.cell.rcwa.jones import axis_orders
 from metafab.cell.response import CellNumerics, PillarCell
 from metafab.core.conventions import Side
 
@@ -57,6 +58,12 @@ def test_turning_the_cell_by_90_degrees_swaps_the_polarisations(formulation: For
     one = zero_order(LOSSY, 5, formulation)
     other = zero_order(replace(LOSSY, width_nm=LOSSY.length_nm, length_nm=LOSSY.width_nm), 5, formulation)
     np.testing.assert_allclose(one.t, other.t[::-1, ::-1], rtol=0.0, atol=ROUNDING)
+
+
+def test_orders_follow_the_periods_and_not_their_rounding() -> None:
+    scaled = replace(LOSSY, period_nm=(0.37 * 345.125 / 2.0, 0.37 * 345.125))
+    # 3 p / p is above 3 in floating point for this period.
+    assert [axis_orders(scaled, orders) for orders in (3, 6, 8)] == [(2, 3), (3, 6), (4, 8)]
 
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 33.0])

@@ -128,14 +128,12 @@ def _plane_waves(period_nm: float, whole: FloatArray, orders: int) -> tuple[Floa
     # L_even^-1 D L_odd^-T has the wave numbers as singular values and the constant as its left null vector.
     harmonics = 2.0 * np.pi / period_nm * np.arange(1, orders + 1)
     left, wavenumber, right_t = np.linalg.svd((to_even[:, 1:] * harmonics) @ to_odd.T)
-    order = np.argsort(wavenumber)
-    left = np.concatenate([left[:, -1:], left[:, :-1][:, order]], axis=1)
-    right = right_t[order].T
+    # Singular values descend, and the null vector comes last.
+    left, wavenumber, right = left[:, ::-1], wavenumber[::-1], right_t[::-1].T
     # Signs that do not depend on rounding: the constant positive, and each sine's leading harmonic.
-    left[:, 0] *= np.sign(left[0, 0])
     sign = np.sign(right[np.argmax(np.abs(right), axis=0), np.arange(orders)])
-    right, left[:, 1:] = right * sign, left[:, 1:] * sign
-    return wavenumber[order], to_even.T @ left, to_odd.T @ right
+    left = left * np.concatenate([[np.sign(left[0, 0])], sign])
+    return wavenumber, to_even.T @ left, to_odd.T @ (right * sign)
 
 
 def symmetric_axis(basis: AxisBasis, *, even_first: bool) -> AxisParity:

@@ -37,18 +37,18 @@ def layer_matrices(
     u, v = basis.u, basis.v
     n_u = u.label_a.size * v.label_a.size
     contrast_u, contrast_v = (_inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
-    contrast_u[np.diag_indices(len(u.a))] -= eps_around
-    contrast_v[np.diag_indices(len(v.b))] -= eps_around
+    _diagonal(contrast_u)[:] -= eps_around
+    _diagonal(contrast_v)[:] -= eps_around
     # In (TM, TE) E_z drives TM waves only and H_z TE waves only, each the one of its own wave vector.
     q = np.zeros((basis.size, basis.size), dtype=contrast_u.dtype)
     q[:n_u, :n_u] = _kron(contrast_u, v.a)
     q[n_u:, n_u:] = _kron(u.b, contrast_v)
     q = basis.turn(q)
-    q[np.diag_indices(basis.size)] += eps_around - np.where(basis.is_tm, 0.0, basis.k_squared / k0_per_nm**2)
+    _diagonal(q)[:] += eps_around - np.where(basis.is_tm, 0.0, basis.k_squared / k0_per_nm**2)
     eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
     k = basis.k_with_e_z / k0_per_nm
     p = np.eye(basis.size, dtype=eta_z.dtype)
-    p[np.ix_(basis.with_e_z, basis.with_e_z)] -= k[:, None] * eta_z * k
+    p[basis.with_e_z[:, None], basis.with_e_z] -= k[:, None] * eta_z * k
     return p, q
 
 
@@ -122,7 +122,9 @@ def _inverse_rule_tangent(
 
 
 def _inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
-    return np.linalg.inv(overlap / eps_pillar + _rest(overlap) / eps_around)
+    mixed = overlap * (1.0 / eps_pillar - 1.0 / eps_around)
+    _diagonal(mixed)[:] += 1.0 / eps_around
+    return np.linalg.inv(mixed)
 
 
 def _inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
@@ -130,13 +132,14 @@ def _inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, e
     value_u, vector_u = np.linalg.eigh(u)
     value_v, vector_v = np.linalg.eigh(v)
     weight = 1.0 / (eps_around + (eps_pillar - eps_around) * value_u[:, None] * value_v)
-    outer_u, outer_v = (np.einsum("ia,ka->ika", x, x).reshape(-1, len(x)) for x in (vector_u, vector_v))
+    outer_u, outer_v = ((x[:, None] * x).reshape(-1, len(x)) for x in (vector_u, vector_v))
     product = (outer_u @ weight @ outer_v.T).reshape(len(u), len(u), len(v), len(v))
     return np.asarray(product.transpose(0, 2, 1, 3).reshape(len(u) * len(v), -1))
 
 
-def _rest(overlap: FloatArray) -> FloatArray:
-    return np.asarray(np.eye(len(overlap)) - overlap)
+def _diagonal(matrix: Matrix) -> Matrix:
+    """The diagonal of a row-wise square matrix, to be written to."""
+    return matrix.reshape(-1)[:: len(matrix) + 1]
 
 
 def _wavenumber(axis: AxisParity) -> FloatArray:

@@ -120,7 +120,8 @@ class ClassSolution:
 def axis_orders(cell: PillarCell, orders: int) -> Orders:
     """Cosines along x and y for ``orders`` cosines along the longer period; shorter periods need fewer."""
     longest = max(cell.period_nm)
-    x, y = (max(2, math.ceil(orders * period / longest)) for period in cell.period_nm)
+    # Less than a cosine by rounding alone is none: 3 p / p may come out above 3.
+    x, y = (max(2, math.ceil(orders * period / longest - 1e-9)) for period in cell.period_nm)
     return x, y
 
 
