@@ -9,7 +9,7 @@ import pytest
 
 from metafab.cell import CellNumerics, pillar_cell, solve, solve_many
 from metafab.core.errors import InputError
-from metafab.spec import UnitCell
+from metafab.spec import UnitCell, canonical_toml
 
 
 def test_cell_of_the_paper(unit_cell: UnitCell) -> None:
@@ -62,3 +62,27 @@ def test_many_cells_come_back_with_their_cells(unit_cell: UnitCell) -> None:
     assert seen[-1] == 3
     for response in responses:
         np.testing.assert_array_equal(response.t, solve(response.cell, CellNumerics(1e-2)).t)
+
+
+def test_slopes_leave_empty_cells_and_closed_axes_alone(unit_cell: UnitCell) -> None:
+    cell = replace(pillar_cell(unit_cell, 150.0, 350.0), sidewall_angle_deg=85.0)
+    assert cell.sizes_nm(0.5) == (150.0, 350.0)
+    assert cell.sizes_nm(0.0) == pytest.approx((150.0 + 600.0 * np.tan(np.radians(5.0)), 350.0))
+    assert replace(cell, width_nm=0.0, length_nm=0.0).sizes_nm(0.0) == (0.0, 0.0)
+
+
+def test_the_slope_comes_from_the_file(unit_cell: UnitCell) -> None:
+    sloped = replace(unit_cell, cell=replace(unit_cell.cell, sidewall_angle_deg=88.0, sizes_at="top"))
+    cell = pillar_cell(sloped, 150.0, 210.0)
+    assert cell.is_sloped
+    assert cell.sizes_nm(1.0) == pytest.approx((150.0, 210.0))
+    assert not pillar_cell(unit_cell, 150.0, 210.0).is_sloped
+    # An unlit site of a layout is an empty cell, slopes or not.
+    assert pillar_cell(sloped, 0.0, 0.0).n_in == (1.7601, 1.7601)
+    with pytest.raises(InputError, match="from the pillar's bottom"):
+        pillar_cell(sloped, 340.0, 210.0)
+
+
+def test_a_unit_cell_that_asks_for_nothing_new_is_written_as_before(unit_cell: UnitCell) -> None:
+    text = canonical_toml(unit_cell)
+    assert not any(key in text for key in ("sidewall", "sizes_at", "n_z", "k_z"))

@@ -1,0 +1,79 @@
+"""``metafab cell`` on unit cells with sloped walls, diffraction and birefringent substrates."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.main_job import metafab
+
+WIDE = """
+[cell]
+period_nm = [900.0, 350.0]
+height_nm = 600.0
+{geometry}
+[materials]
+pillar = {{ n = 2.4 }}
+substrate = {substrate}
+[illumination]
+wavelength_nm = 800.0
+[sweep]
+width_nm = [100.0, 250.0]
+length_nm = [100.0, 250.0]
+size_grid_nm = 2.0
+"""
+SIZES = ("--width-nm", "150", "--length-nm", "210", "--target-error", "5e-2", "--json")
+
+
+def _file(folder: Path, geometry: str = "", substrate: str = "{ n = 1.46 }") -> Path:
+    path = folder / "cell.toml"
+    path.write_text(WIDE.format(geometry=geometry, substrate=substrate), encoding="utf-8")
+    return path
+
+
+def test_a_wide_cell_lists_its_orders(tmp_path: Path) -> None:
+    answer = metafab("cell", _file(tmp_path), *SIZES)
+    assert answer.code == 0, answer.stderr
+    found = answer.json["diffraction"]
+    # sin(theta) = 800 / 900 in air; 800 / 900 / 1.46 in the substrate.
+    assert [each["order"] for each in found["transmitted"]] == [[-1, 0], [0, 0], [1, 0]]
+    assert [each["polar_deg"] for each in found["transmitted"]] == pytest.approx([62.734, 0.0, 62.734], abs=1e-3)
+    assert [each["azimuth_deg"] for each in found["reflected"]] == pytest.approx([180.0, 0.0, 0.0])
+    for polarisation in ("x", "y"):
+        every = found["transmitted"] + found["reflected"]
+        assert sum(each[f"efficiency_{polarisation}"] for each in every) == pytest.approx(1.0, abs=1e-9)
+        zero = found["transmitted"][1][f"efficiency_{polarisation}"]
+        assert zero == pytest.approx(answer.json[f"transmittance_{polarisation}"], abs=2.0 * found["error"])
+    assert "steps" not in answer.json["details"]
+
+
+def test_slopes_and_crystals_come_from_the_file(tmp_path: Path) -> None:
+    sloped = _file(tmp_path, 'sidewall_angle_deg = 89.5\nsizes_at = "top"')
+    answer = metafab("cell", sloped, *SIZES)
+    assert answer.code == 0, answer.stderr
+    assert answer.json["details"]["steps"] >= 4
+    assert 0.0 < answer.json["details"]["slicing_error"] < answer.json["error"] <= 5e-2
+    crystal = _file(tmp_path, substrate="{ n = 1.7601, n_y = 1.7522, n_z = 1.7601 }")
+    answer = metafab("cell", crystal, *SIZES, "--angle-deg", "5", "--azimuth-deg", "30")
+    assert answer.code == 0, answer.stderr
+    assert answer.json["details"]["condition"] > 1.0
+
+
+@pytest.mark.parametrize(
+    ("geometry", "substrate", "options", "said"),
+    [
+        ("sidewall_angle_deg = 45.0", "{ n = 1.46 }", (), "sidewall_angle_deg"),
+        ('sizes_at = "waist"', "{ n = 1.46 }", (), "sizes_at"),
+        ("sidewall_angle_deg = 70.0", "{ n = 1.46 }", (), "from the pillar's bottom to its top"),
+        ("", "{ n = 1.76, n_y = 1.75 }", ("--angle-deg", "5"), "n_z"),
+        ("sidewall_angle_deg = 89.0", "{ n = 1.46 }", ("--solver", "meep"), "solve with rcwa"),
+    ],
+)
+def test_what_cannot_be_solved_is_refused(
+    tmp_path: Path, geometry: str, substrate: str, options: tuple[str, ...], said: str
+) -> None:
+    answer = metafab("cell", _file(tmp_path, geometry, substrate), *SIZES, *options)
+    assert answer.code == 2
+    assert said in answer.stderr
+    assert not answer.stdout
