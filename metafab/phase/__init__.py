@@ -14,6 +14,7 @@
 - ``side_lobes``  the brightest helix whose side lobes keep a limit
 - ``information``  what a twin image of unknown texture can tell about depth
 - ``blind``     the helix that tells most: gradient ascent of that information
+- ``estimate``  depth read from simulated twin images, against the bound
 - ``propose``   which [L, epsilon] suits a depth range and its noise
 - ``bandwidth`` what the width of the colour filter costs
 - ``compare``   what masks tell about depth at equal aperture and light
@@ -38,6 +39,7 @@ from metafab.phase.blind import BlindDesign, BlindInformation, optimise_blind
 from metafab.phase.build import profile_of, pupil_field
 from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.compare import DepthBounds, compare_masks, reference_masks
+from metafab.phase.estimate import most_likely_defocus, twin_images
 from metafab.phase.helices import (
     DoubleHelixPhase,
     SpiralZonesPhase,
@@ -103,6 +105,7 @@ __all__ = [
     "load_study",
     "main_lobe",
     "measured_side_lobes",
+    "most_likely_defocus",
     "optimise_blind",
     "optimise_peak",
     "profile_of",
@@ -118,6 +121,7 @@ __all__ = [
     "smear_um_per_nm",
     "spiral_field",
     "study",
+    "twin_images",
     "twin_information",
     "zone_charges",
     "zone_radii",

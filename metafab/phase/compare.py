@@ -90,7 +90,8 @@ def compare_masks(
         for column, value in enumerate(defocus):
             psf, slope = _pair(pupil, field, float(value))
             variance = source.electrons * psf + source.background_e + source.read_noise_e**2
-            told[0, row, column] = ((source.electrons * slope) ** 2 / variance).sum()
+            # Where there is neither light nor noise, nothing changes either: 0 / 0 tells nothing.
+            told[0, row, column] = ((source.electrons * slope)[variance > 0.0] ** 2 / variance[variance > 0.0]).sum()
             told[1, row, column] = twin_information(fft.fft2(psf), fft.fft2(slope), snr)
     told[told < _ROUNDING * told.max(axis=(1, 2), keepdims=True)] = 0.0
     with np.errstate(divide="ignore"):

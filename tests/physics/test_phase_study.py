@@ -87,6 +87,13 @@ def test_bounds_fall_with_light_and_grow_with_noise() -> None:
     np.testing.assert_allclose(ratio, 0.1, rtol=1e-9)
 
 
+def test_pixels_without_light_and_noise_do_no_harm() -> None:
+    """A clear aperture of Nyquist samples has exact zeros; without any noise they are 0 / 0."""
+    quiet = {"source": PointSource(100.0, 0.0, 0.0), "texture": Texture(read_noise_e=0.0)}
+    found = compare_masks(reference_masks(PUPIL, 4, 0.5), PUPIL, DEPTH_M, **SETTING, **quiet)  # type: ignore[arg-type]
+    assert not np.isnan(found.point_m).any()
+
+
 @pytest.fixture(scope="module")
 def imaging() -> SplitImaging:
     defocus = rim_defocus_rad(1.0 / np.linspace(4.0, 1.0 / 0.34, 3), 0.30, 1000.0, 0.8)
