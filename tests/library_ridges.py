@@ -7,10 +7,12 @@ on the curve s = 0 and whose half width is g nanometres; t_yy is the same with w
 from __future__ import annotations
 
 import cmath
+from dataclasses import replace
 
 import numpy as np
 
 from metafab.cell import CellNumerics, CellResponse, PillarCell
+from metafab.cell.response import CellSolver
 from metafab.core.errors import SolverError
 
 #: Half widths of the two ridges, nm.
@@ -42,6 +44,19 @@ def solve(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
     )
 
 
+def solve_scaled(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+    """The same at any wavelength: a longer wave sees smaller pillars, as Maxwell's equations scale."""
+    scale = 800.0 / cell.wavelength_nm
+    return solve(replace(cell, width_nm=scale * cell.width_nm, length_nm=scale * cell.length_nm), numerics)
+
+
+def solve_shifted(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+    """Sizes that are off by 0.01 nm, as a truncation shifts resonances; certificates have a margin of 1.4."""
+    true = solve(cell, numerics)
+    off = solve(replace(cell, width_nm=cell.width_nm + 0.01, length_nm=cell.length_nm + 0.01), numerics)
+    return replace(off, cell=cell, error=1.4 * float(np.abs(off.t - true.t).max()))
+
+
 def solve_poorly_in_a_corner(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
     """The same, but unable to certify pillars beyond 240 nm in both sides."""
     answer = solve(cell, numerics)
@@ -52,12 +67,13 @@ def solve_poorly_in_a_corner(cell: PillarCell, numerics: CellNumerics) -> CellRe
 class DyingSolver:
     """Solves so many cells and then fails, as a killed program does."""
 
-    def __init__(self, lives: int) -> None:
+    def __init__(self, lives: int, solver: CellSolver = solve) -> None:
         self.lives = lives
+        self.solver = solver
         self.calls = 0
 
     def __call__(self, cell: PillarCell, numerics: CellNumerics) -> CellResponse:
         self.calls += 1
         if self.calls > self.lives:
             raise SolverError("out of lives")
-        return solve(cell, numerics)
+        return self.solver(cell, numerics)

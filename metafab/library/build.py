@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from scipy.ndimage import maximum_filter, median_filter
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
@@ -17,10 +17,14 @@ from metafab.cell.response import CellNumerics, CellSolver
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.executor import SerialExecutor
 from metafab.core.progress import Progress, silent
+from metafab.library.axes import CornerBox
+from metafab.library.certificate import NEIGHBOURS, steepness
 from metafab.library.checkpoint import Checkpoint
+from metafab.library.corner_rounds import CornerSequence, sample_corners
+from metafab.library.corners import Corners
 from metafab.library.library import Library, inputs_of
 from metafab.library.quality import coverage_rad
-from metafab.library.rounds import Outcome, SizeSolver, sample
+from metafab.library.rounds import Outcome, PointSolver, sample
 from metafab.library.sampling import SizeGrid
 from metafab.library.store import is_current, load, save
 from metafab.spec import UnitCell
@@ -28,10 +32,6 @@ from metafab.spec import UnitCell
 #: Parts of the target error that the solver and the model may use; the rest is reserve.
 SOLVER_SHARE = 0.5
 MODEL_SHARE = 0.4
-#: The solver's error at a size that was not solved is the largest among this many solved neighbours.
-NEIGHBOURS = 4
-#: Steps of the grid across the neighbourhood with whose slope a size's own is compared.
-STEEPNESS_WINDOW = 9
 
 
 def build(
@@ -123,12 +123,17 @@ def _build(
     numerics = CellNumerics(SOLVER_SHARE * asked, unit_cell.solver.name)
     # One thread for the fits: their rounding, and with it the choice of sizes, must not depend on the machine's.
     with threadpool_limits(1):
-        sizes = SizeSolver(unit_cell, grid, numerics, solver, executor, record, progress)
+        sizes = PointSolver(partial(grid.cell, unit_cell), numerics, solver, executor, record, progress)
         outcome = sample(grid, sizes, MODEL_SHARE * asked)
-    return _library(unit_cell, grid, outcome, perf_counter() - started)
+        corners = None
+        if (box := CornerBox.of(unit_cell)) is not None:
+            sequence = CornerSequence(unit_cell, box, first_number=grid.size)
+            solve_points = replace(sizes, cell_of=sequence.cell)
+            corners = sample_corners(grid, box, sequence, outcome.solved, solve_points, MODEL_SHARE * asked)
+    return _library(unit_cell, grid, outcome, corners, perf_counter() - started)
 
 
-def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: float) -> Library:
+def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, corners: Corners | None, seconds: float) -> Library:
     """Values of all sizes: the solver's where it was asked, the model's elsewhere."""
     values, certificate, is_solved = _on_grid(grid, outcome)
     if outcome.model is not None:
@@ -136,7 +141,8 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: flo
         values = np.where(is_solved, values, modelled)
     error = certificate + np.where(is_solved, 0.0, outcome.model_error)
     t_xx, t_yy, r_xx, r_yy = values[:, None]
-    between = certificate * _steepness(values) + outcome.between_error
+    steep = 1.0 if outcome.model is None else steepness(outcome.model, grid.width_nm, grid.length_nm)
+    between = certificate * steep + outcome.between_error
     spent = np.array([point.seconds for point in outcome.solved.values()])
     library = Library(
         unit_cell=unit_cell,
@@ -151,6 +157,7 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: flo
         inputs_sha256=inputs_of(unit_cell),
         model=outcome.model,
         model_error=None if outcome.model is None else between,
+        corners=corners,
     )
     degrees = outcome.model.x.degrees if outcome.model is not None else (0, 0)
     library.details.update(
@@ -169,27 +176,9 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, seconds: flo
         coverage_rad=coverage_rad(library),
         solver_ms_per_point=float(1e3 * spent.mean()),
         seconds=seconds,
+        **({} if corners is None else corners.details),
     )
     return library
-
-
-def _steepness(values: ComplexArray) -> FloatArray:
-    """How much steeper the amplitudes are around a size than in its wider neighbourhood, at least 1.
-
-    A solver's error shifts a resonance by a little; on its flank that shows more than at the sizes beside it, whose
-    certificates stand for the sizes between.
-
-    Args:
-        values: shape (4, n_length, n_width).
-    """
-    slope = np.zeros(values.shape[1:])
-    for axis in (1, 2):
-        if values.shape[axis] > 1:
-            slope = np.hypot(slope, np.abs(np.gradient(values, axis=axis)).max(axis=0))
-    typical = np.maximum(median_filter(slope, size=STEEPNESS_WINDOW), np.median(slope))
-    steepest = maximum_filter(slope, size=3)
-    ratio = np.divide(steepest, typical, out=np.ones_like(slope), where=typical > 0.0)
-    return np.asarray(np.maximum(ratio, 1.0), dtype=np.float64)
 
 
 def _on_grid(grid: SizeGrid, outcome: Outcome) -> tuple[ComplexArray, FloatArray, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from metafab.cell import pillar_cell, solve
+from metafab.cell import solve
 from metafab.cell.response import CellNumerics, CellResponse, CellSolver, PillarCell
 from metafab.core.executor import SerialExecutor, stream
 from metafab.core.progress import Progress, silent
@@ -104,7 +104,7 @@ def check(
     target = library.unit_cell.sweep.target_error
     asked = FINER * target if against == "rcwa" else max(target, MEEP_ERROR)
     numbered = [
-        (k, pillar_cell(library.unit_cell, float(w), float(length)))
+        (k, library.pillar(float(w), float(length)))
         for k, (w, length) in enumerate(zip(width_nm, length_nm, strict=True))
     ]
     answers: dict[int, CellResponse] = {}

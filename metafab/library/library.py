@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from metafab.cell import PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.files import fingerprint
 from metafab.core.provenance import code_sha256, contents_sha256
+from metafab.library.axes import Corner, corner_cell
 from metafab.library.models import SizeModel
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.embedded import LIBRARY_FORMAT
 
 if TYPE_CHECKING:
+    from metafab.library.corners import Corners
     from metafab.library.surface import Surface
 
 
@@ -52,6 +55,8 @@ class Library:
         model: the same amplitudes as continuous functions; None for a library that was not built by a model.
         model_error: shape (n_length, n_width), error of the model around each size, solver's included; ``error``
             is smaller where a size was solved and its neighbourhood is not as well known.
+        corners: what is known away from the unit cell's own wavelength, height, ...; None without ``sweep.axes``.
+        corner: the values of the axes that this library is for; empty for the unit cell's own.
     """
 
     unit_cell: UnitCell
@@ -67,6 +72,26 @@ class Library:
     details: dict[str, float | str] = field(default_factory=dict)
     model: SizeModel | None = None
     model_error: FloatArray | None = None
+    corners: Corners | None = None
+    corner: Corner = field(default_factory=dict)
+
+    def at(self, **axes: float) -> Library:
+        """The same sizes at other values of the library's axes: ``library.at(wavelength_nm=803.0, cd_bias_nm=2.0)``.
+
+        Returns:
+            A library of that corner, with the errors that it has there; the library itself if all values are the
+            unit cell's own.
+
+        Raises:
+            InputError: an axis is not in ``unit_cell.sweep.axes``, or a value lies outside its span.
+        """
+        from metafab.library.corners import library_at
+
+        return library_at(self, axes)
+
+    def pillar(self, width_nm: float, length_nm: float) -> PillarCell:
+        """The cell that the library's values for a size are the response of."""
+        return corner_cell(self.unit_cell, width_nm, length_nm, self.corner)
 
     @cached_property
     def surface(self) -> Surface:

@@ -35,7 +35,7 @@ class RationalModel:
         width_nm: smallest and largest width.
         length_nm: smallest and largest length.
         degrees: total degrees of the numerators and of the denominator.
-        numerator: shape (terms, n_channels), coefficients in the order of :func:`_exponents`.
+        numerator: shape (terms, n_channels), coefficients in the order of :func:`exponents`.
         denominator: shape (terms,).
     """
 
@@ -47,14 +47,14 @@ class RationalModel:
 
     def __call__(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
         """Values at scattered sizes: two arrays of shape (n,) -> shape (n, n_channels)."""
-        u, v = _scaled(width_nm, self.width_nm), _scaled(length_nm, self.length_nm)
+        u, v = scaled(width_nm, self.width_nm), scaled(length_nm, self.length_nm)
         below = _basis(u, v, self.degrees[1]) @ self.denominator
         above = _basis(u, v, self.degrees[0]) @ self.numerator
         return np.asarray(above / below[:, None], dtype=np.complex128)
 
     def on_grid(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
         """Values on the grid of two axes: shape (n_channels, n_length, n_width)."""
-        u, v = _scaled(width_nm, self.width_nm), _scaled(length_nm, self.length_nm)
+        u, v = scaled(width_nm, self.width_nm), scaled(length_nm, self.length_nm)
         below = _tensor(u, v, self.degrees[1], self.denominator[:, None])
         return np.asarray(_tensor(u, v, self.degrees[0], self.numerator) / below, dtype=np.complex128)
 
@@ -85,9 +85,23 @@ def fit(
         length_range_nm: see ``width_range_nm``.
         degrees: total degrees of the numerators and of the denominator.
     """
-    u, v = _scaled(width_nm, width_range_nm), _scaled(length_nm, length_range_nm)
-    above, below = _basis(u, v, degrees[0]), _basis(u, v, degrees[1])
-    weight = np.ones(u.size)
+    u, v = scaled(width_nm, width_range_nm), scaled(length_nm, length_range_nm)
+    numerator, denominator = fit_coefficients(_basis(u, v, degrees[0]), _basis(u, v, degrees[1]), values)
+    return RationalModel(width_range_nm, length_range_nm, degrees, numerator, denominator)
+
+
+def fit_coefficients(above: FloatArray, below: FloatArray, values: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Coefficients of numerators and denominator for any basis.
+
+    Args:
+        above: shape (n, terms), the numerators' basis functions at the samples.
+        below: shape (n, terms), the denominator's.
+        values: shape (n, n_channels).
+
+    Returns:
+        Shapes (terms, n_channels) and (terms,).
+    """
+    weight = np.ones(above.shape[0])
     denominator = np.zeros(below.shape[1], dtype=np.complex128)
     for _ in range(_ROUNDS):
         q = np.linalg.qr(above * weight[:, None])[0]
@@ -100,7 +114,7 @@ def fit(
         weight = 1.0 / np.maximum(size, np.median(size) / _LARGEST_WEIGHT)
     target = values * (weight * (below @ denominator))[:, None]
     numerator = np.linalg.lstsq(above * weight[:, None], target, rcond=None)[0]
-    return RationalModel(width_range_nm, length_range_nm, degrees, numerator.astype(np.complex128), denominator)
+    return numerator.astype(np.complex128), denominator
 
 
 def terms(degree: int) -> int:
@@ -108,7 +122,7 @@ def terms(degree: int) -> int:
     return (degree + 1) * (degree + 2) // 2
 
 
-def _scaled(size_nm: FloatArray, span_nm: Range) -> FloatArray:
+def scaled(size_nm: FloatArray, span_nm: Range) -> FloatArray:
     """Sizes mapped to [-1, 1]; a span of one size maps to 0."""
     low, high = span_nm
     if high == low:
@@ -116,27 +130,28 @@ def _scaled(size_nm: FloatArray, span_nm: Range) -> FloatArray:
     return np.asarray((2.0 * size_nm - (low + high)) / (high - low), dtype=np.float64)
 
 
-def _exponents(degree: int) -> tuple[list[int], list[int]]:
+def exponents(degree: int) -> tuple[list[int], list[int]]:
+    """The i and j of the products T_i(u) T_j(v) with i + j <= degree, in the order of the coefficients."""
     pairs = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
     return [i for i, _ in pairs], [j for _, j in pairs]
 
 
 def _transposed(degree: int) -> list[int]:
     """Where the term T_i(u) T_j(v) finds T_j(u) T_i(v)."""
-    pairs = list(zip(*_exponents(degree), strict=True))
+    pairs = list(zip(*exponents(degree), strict=True))
     place = {pair: index for index, pair in enumerate(pairs)}
     return [place[j, i] for i, j in pairs]
 
 
 def _basis(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
     """Shape (n, terms): T_i(u) T_j(v)."""
-    i, j = _exponents(degree)
+    i, j = exponents(degree)
     return np.asarray(chebyshev.chebvander(u, degree)[:, i] * chebyshev.chebvander(v, degree)[:, j], dtype=np.float64)
 
 
 def _tensor(u: FloatArray, v: FloatArray, degree: int, coefficients: ComplexArray) -> ComplexArray:
     """Sums of T_i(u) T_j(v) on a grid: shape (n_channels, n_v, n_u)."""
-    i, j = _exponents(degree)
+    i, j = exponents(degree)
     table = np.zeros((coefficients.shape[1], degree + 1, degree + 1), dtype=np.complex128)
     table[:, j, i] = coefficients.T
     grid = chebyshev.chebvander(v, degree) @ table @ chebyshev.chebvander(u, degree).T

@@ -11,24 +11,22 @@ only: any number of workers decides alike.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter
 
-from metafab.cell import pillar_cell
 from metafab.cell.response import CellNumerics, CellSolver, PillarCell
 from metafab.core.conventions import FloatArray
 from metafab.core.executor import SerialExecutor, stream
 from metafab.core.progress import Progress
+from metafab.library.certificate import spread
 from metafab.library.checkpoint import Checkpoint, SolvedPoint
 from metafab.library.models import ModelPair, Samples, SizeModel, fit_models
 from metafab.library.sampling import IndexArray, SizeGrid, worst_points
-from metafab.spec import UnitCell
 
 #: Sizes of the first round, and of each later one (half of them even, half where models disagree).
 FIRST_ROUND = 128
@@ -44,12 +42,11 @@ AHEAD = 32
 
 
 @dataclass(frozen=True)
-class SizeSolver:
-    """Solves sizes of a grid by their numbers, except those that the checkpoint holds.
+class PointSolver:
+    """Solves cells by their numbers, except those that the checkpoint holds.
 
     Attributes:
-        unit_cell: what is swept.
-        grid: its sizes.
+        cell_of: number -> cell.
         numerics: how each cell is solved.
         solver: solves one cell.
         executor: where.
@@ -57,8 +54,7 @@ class SizeSolver:
         progress: called after every chunk.
     """
 
-    unit_cell: UnitCell
-    grid: SizeGrid
+    cell_of: Callable[[int], PillarCell]
     numerics: CellNumerics
     solver: CellSolver
     executor: Executor
@@ -69,12 +65,7 @@ class SizeSolver:
         """Answers by number; ``foreseen`` is how many sizes the build may need in all."""
         known = {point.number: point for point in self.record.points}
         missing = [int(number) for number in numbers if int(number) not in known]
-        cells = [
-            (number, pillar_cell(self.unit_cell, float(width), float(length)))
-            for number, width, length in zip(
-                missing, *self.grid.sizes_nm(np.array(missing, dtype=np.intp)), strict=True
-            )
-        ]
+        cells = [(number, self.cell_of(number)) for number in missing]
         chunks = [tuple(cells[k : k + CHUNK]) for k in range(0, len(cells), CHUNK)]
         # In this process nothing runs ahead, so that a kill loses one chunk.
         ahead = 1 if isinstance(self.executor, SerialExecutor) else AHEAD
@@ -120,7 +111,7 @@ class Outcome:
     rounds: int
 
 
-def sample(grid: SizeGrid, solve_sizes: SizeSolver, tolerance: float) -> Outcome:
+def sample(grid: SizeGrid, solve_sizes: PointSolver, tolerance: float) -> Outcome:
     """Solve sizes until the model's error estimate is within the tolerance at every other size."""
     batch = grid.even_order[:FIRST_ROUND]
     solved = solve_sizes(batch, min(USUAL_POINTS, grid.distinct.size))
@@ -128,7 +119,7 @@ def sample(grid: SizeGrid, solve_sizes: SizeSolver, tolerance: float) -> Outcome
         zeros = np.zeros((grid.length_nm.size, grid.width_nm.size))
         return Outcome(_sorted(solved), None, zeros, zeros, 0.0, 0, 1)
     models = _fit(grid, solved, batch[-(batch.size // 4) :])
-    estimate = _estimate(grid, models.disagreement(grid.width_nm, grid.length_nm))
+    estimate = spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
     left = _left(grid, estimate, solved, tolerance)
     foreseen, rounds = min(USUAL_POINTS, grid.distinct.size), 1
     while True:
@@ -142,17 +133,17 @@ def sample(grid: SizeGrid, solve_sizes: SizeSolver, tolerance: float) -> Outcome
         factor = max(1.0, float(np.max(miss / (estimate.ravel()[batch] + certificate))))
         solved |= new
         models = _fit(grid, solved, batch)
-        estimate = factor * _estimate(grid, models.disagreement(grid.width_nm, grid.length_nm))
+        estimate = factor * spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
         left = _left(grid, estimate, solved, tolerance)
         foreseen = _foreseen(grid, len(solved), before, left.size)
         held = float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size
         if held and 0 < left.size <= LAST_ROUND:
             solved |= solve_sizes(left, len(solved) + left.size)
             models = _fit(grid, solved, batch)
-            estimate = factor * _estimate(grid, models.disagreement(grid.width_nm, grid.length_nm))
+            estimate = factor * spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
             left = _left(grid, estimate, solved, tolerance)
         if held and left.size == 0:
-            between = factor * _estimate(grid, models.disagreement_around(grid.width_nm, grid.length_nm))
+            between = factor * spread(models.disagreement_around(grid.width_nm, grid.length_nm), grid.exchange)
             return Outcome(_sorted(solved), models.best, estimate, between, float(miss.max()), batch.size, rounds)
 
 
@@ -174,17 +165,6 @@ def _fit(grid: SizeGrid, solved: dict[int, SolvedPoint], held_out: IndexArray) -
     amplitudes = np.array([solved[int(number)].amplitudes for number in numbers], dtype=np.complex128)
     samples = Samples(*grid.sizes_nm(numbers), amplitudes)
     return fit_models(samples, np.isin(numbers, held_out), (grid.width_nm, grid.length_nm), grid.exchange)
-
-
-def _estimate(grid: SizeGrid, disagreement: FloatArray) -> FloatArray:
-    """Disagreement as an error estimate: two surfaces may cross by chance, so each size takes its worst neighbour.
-
-    Nowhere is it below the median: smooth regions owe their agreement to all samples alike. With exchange, both
-    images of a size get the larger value.
-    """
-    spread = maximum_filter(disagreement, size=3, mode="nearest")
-    spread = np.maximum(spread, np.median(spread))
-    return np.maximum(spread, spread.T) if grid.exchange else spread
 
 
 def _next_batch(grid: SizeGrid, estimate: FloatArray, solved: dict[int, SolvedPoint]) -> IndexArray:

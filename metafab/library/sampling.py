@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.cell import PillarCell, pillar_cell
 from metafab.core.conventions import FloatArray
 from metafab.spec.cell import Sweep, UnitCell
 
@@ -76,6 +77,11 @@ class SizeGrid:
         """Width and length of points."""
         row, column = np.divmod(number, self.width_nm.size)
         return self.width_nm[column], self.length_nm[row]
+
+    def cell(self, unit_cell: UnitCell, number: int) -> PillarCell:
+        """The cell of a point."""
+        width_nm, length_nm = self.sizes_nm(np.array([number], dtype=np.intp))
+        return pillar_cell(unit_cell, float(width_nm[0]), float(length_nm[0]))
 
     def exchanged(self, number: IndexArray) -> IndexArray:
         """The points with width and length swapped (grids with ``exchange`` only)."""

@@ -14,6 +14,8 @@ import numpy as np
 
 from metafab.core import hdf5
 from metafab.core.errors import InputError
+from metafab.library.corner_model import CornerModel, Shape
+from metafab.library.corners import Corners
 from metafab.library.library import Library, inputs_of
 from metafab.library.models import SizeModel
 from metafab.library.rational import RationalModel, terms
@@ -56,6 +58,48 @@ def save(library: Library, path: Path) -> None:
         if library.model_error is not None:
             text = "error of the continuous model around each size: solver certificate plus interpolation"
             hdf5.put(file, "model/error", library.model_error, units="1", description=text, compress=True)
+        if library.corners is not None:
+            _put_corners(file.create_group("corners"), library.corners)
+
+
+def _put_corners(group: h5py.Group, corners: Corners) -> None:
+    group.attrs["factor"], group.attrs["floor"] = corners.factor, corners.floor
+    for name, value in corners.details.items():
+        group.attrs[f"detail_{name}"] = value
+    text = "solved cells as points of a cube -1..1: width and length as made, then the axes but the bias"
+    hdf5.put(group, "place", corners.place, units="1", description=text, compress=True)
+    text = "solver's error of each solved cell"
+    hdf5.put(group, "certificate", corners.certificate, units="1", description=text, compress=True)
+    for k, model in enumerate(corners.models):
+        part = group.create_group(f"model_{k}")
+        part.attrs["degrees"], part.attrs["axis_weight"] = model.shape.degrees, model.shape.weight
+        part.attrs["variables"] = model.shape.variables
+        for side in ("width_nm", "length_nm"):
+            text = f"smallest and largest {side.removesuffix('_nm')} as made"
+            hdf5.put(part, side, getattr(model, side), units="nm", description=text)
+        basis = "of T_i(u) T_j(v) T_k(axis)..., i + j + weight k up to the degree, k slowest, then i, then j"
+        text = f"coefficients by polarisation, term and (t, r) {basis}"
+        hdf5.put(part, "numerator", model.numerator, units="1", description=text, compress=True)
+        text = f"coefficients by polarisation and term {basis}"
+        hdf5.put(part, "denominator", model.denominator, units="1", description=text, compress=True)
+
+
+def _corners(group: h5py.Group) -> Corners:
+    models = []
+    for name in sorted(name for name in group if name.startswith("model_")):
+        part = group[name]
+        above, below = (int(degree) for degree in part.attrs["degrees"])
+        shape = Shape((above, below), int(part.attrs["axis_weight"]), int(part.attrs["variables"]))
+        width, length = (tuple(float(edge) for edge in part[side][()]) for side in ("width_nm", "length_nm"))
+        numerator, denominator = (
+            np.asarray(part[key][()], dtype=np.complex128) for key in ("numerator", "denominator")
+        )
+        if (numerator.shape, denominator.shape) != ((2, shape.terms[0], 2), (2, shape.terms[1])):
+            raise KeyError(f"coefficients of degrees {above}, {below} in {part.name}")
+        models.append(CornerModel((width[0], width[1]), (length[0], length[1]), shape, numerator, denominator))
+    place, certificate = (np.asarray(group[key][()], dtype=np.float64) for key in ("place", "certificate"))
+    factor, floor = (float(group.attrs[key]) for key in ("factor", "floor"))
+    return Corners(tuple(models), factor, floor, place, certificate, _details(group))
 
 
 def load(path: Path) -> Library:
@@ -75,27 +119,29 @@ def load(path: Path) -> Library:
             if values.shape != shape:
                 raise InputError.single(str(path), name, f"shape {shape}", f"shape {values.shape}", _REMEDY)
         text = str(file.attrs["unit_cell_toml"])
-        prefix = "detail_"
-        details = {
-            name.removeprefix(prefix): _plain(value) for name, value in file.attrs.items() if name.startswith(prefix)
-        }
+        details = _details(file)
         inputs = str(file.attrs["inputs_sha256"])
         model = SizeModel(_model(file["model/x"]), _model(file["model/y"])) if "model" in file else None
         model_error = np.asarray(file["model/error"][()], dtype=np.float64) if "model/error" in file else None
         if model_error is not None and model_error.shape != shape[1:]:
             raise InputError.single(str(path), "model/error", f"shape {shape[1:]}", f"{model_error.shape}", _REMEDY)
+        corners = _corners(file["corners"]) if "corners" in file else None
     unit_cell = validate(UnitCell, tomllib.loads(text), str(path))
     return Library(
         unit_cell,
         wavelength_nm,
         width_nm,
         length_nm,
-        **amplitudes,
+        t_xx=amplitudes["t_xx"],
+        t_yy=amplitudes["t_yy"],
+        r_xx=amplitudes["r_xx"],
+        r_yy=amplitudes["r_yy"],
         error=error,
         inputs_sha256=inputs,
         details=details,
         model=model,
         model_error=model_error,
+        corners=corners,
     )
 
 
@@ -106,6 +152,11 @@ def is_current(path: Path, unit_cell: UnitCell) -> bool:
             return str(file.attrs["inputs_sha256"]) == inputs_of(unit_cell)
     except InputError:
         return False
+
+
+def _details(group: h5py.Group) -> dict[str, float | str]:
+    prefix = "detail_"
+    return {name.removeprefix(prefix): _plain(value) for name, value in group.attrs.items() if name.startswith(prefix)}
 
 
 def _plain(value: object) -> float | str:

@@ -42,6 +42,9 @@ def _material(value: object) -> object:
     return {"record": value} if isinstance(value, str) else value
 
 
+SidewallAngle = Annotated[float, Field(strict=True, ge=60.0, le=120.0)]
+
+
 @dataclass(frozen=True, config=CONFIG)
 class CellGeometry:
     """The unit cell: a pillar of rectangular cross-section centred in a rectangular period.
@@ -53,7 +56,7 @@ class CellGeometry:
     period_nm: tuple[Positive, Positive]
     height_nm: Positive
     shape: Literal["rectangle"] = "rectangle"
-    sidewall_angle_deg: Annotated[float, Field(strict=True, ge=60.0, le=120.0)] | None = None
+    sidewall_angle_deg: SidewallAngle | None = None
     sizes_at: Literal["bottom", "middle", "top"] | None = None
 
     @field_validator("period_nm", mode="before")
@@ -95,15 +98,16 @@ class Illumination:
 class Axes:
     """What a library covers beyond sizes, each as [lowest, highest] around the unit cell's own value; all optional.
 
-    ``wavelength_nm`` and ``height_nm`` contain the cell's own. ``cd_bias_nm`` is added to width and length alike,
-    ``pillar_n_shift`` to the real part of the pillar's index; both contain 0. ``angle_x_deg`` is the angle of
-    incidence in the x-z plane, inside the medium that the light comes from, from 0 on (t is even in it);
-    ``angle_y_deg`` likewise in the y-z plane. Light in any other plane mixes the polarisations, which a library does
-    not hold, so only one of the two can be asked.
+    ``wavelength_nm``, ``height_nm`` and ``sidewall_angle_deg`` contain the cell's own. ``cd_bias_nm`` is added to
+    width and length alike, ``pillar_n_shift`` to the real part of the pillar's index; both contain 0.
+    ``angle_x_deg`` is the angle of incidence in the x-z plane, inside the medium that the light comes from, from 0 on
+    (t is even in it); ``angle_y_deg`` likewise in the y-z plane. Light in any other plane mixes the polarisations,
+    which a library does not hold, so only one of the two can be asked.
     """
 
     wavelength_nm: tuple[Positive, Positive] | None = None
     height_nm: tuple[Positive, Positive] | None = None
+    sidewall_angle_deg: tuple[SidewallAngle, SidewallAngle] | None = None
     cd_bias_nm: tuple[Real, Real] | None = None
     pillar_n_shift: tuple[Real, Real] | None = None
     angle_x_deg: tuple[NonNegative, NonNegative] | None = None
@@ -201,7 +205,11 @@ class UnitCell:
 
     def nominal(self, axis: str) -> float:
         """The cell's own value on an axis of :class:`Axes`."""
-        own = {"wavelength_nm": self.illumination.wavelength_nm, "height_nm": self.cell.height_nm}
+        own = {
+            "wavelength_nm": self.illumination.wavelength_nm,
+            "height_nm": self.cell.height_nm,
+            "sidewall_angle_deg": self.cell.sidewall_angle_deg or 90.0,
+        }
         return own.get(axis, 0.0)
 
     @property

@@ -113,3 +113,18 @@ def test_check_judges_against_the_solver(built: Library) -> None:
     judged = library.check(wrong, samples=60, solver=ridges.solve)
     assert judged.verdict == "fails"
     assert judged.max_abs_error == pytest.approx(0.01, abs=1e-4)
+
+
+def test_certificates_hold_on_the_flanks_of_ridges_off_the_grid(unit_cell: UnitCell) -> None:
+    """A solver whose resonances are all shifted by 0.01 nm: on a flank between two sizes that shows most.
+
+    The ridge of 1 nm half width turns t by up to 0.9 / nm, so the shift costs 1e-2 there and 1e-4 elsewhere: a
+    certificate taken over from the sizes beside it, as it is, would be wrong by up to that ratio.
+    """
+    built = library.build(unit_cell, solver=ridges.solve_shifted)
+    width_nm, length_nm = np.random.default_rng(12).uniform(100.0, 250.0, (2, 4000))
+    true = np.array([ridges.amplitude(w, h) for w, h in zip(width_nm, length_nm, strict=True)])
+    held = library.evaluate(built, width_nm, length_nm)
+    error = np.abs(held.t_xx - true)
+    assert error.max() > 5e-3
+    assert np.all(error <= held.error)

@@ -1,0 +1,111 @@
+"""A library with axes: each corner within what it states there, whatever the workers, and no byte for who asks none."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import library
+from metafab.core.errors import SolverError
+from metafab.library import Library
+from metafab.spec import UnitCell
+from metafab.spec.cell import Axes
+from tests import library_ridges as ridges
+
+
+@pytest.fixture(scope="module")
+def plain(unit_cell: UnitCell) -> UnitCell:
+    sweep = replace(unit_cell.sweep, width_nm=(100.0, 160.0), length_nm=(100.0, 160.0), size_grid_nm=5.0)
+    return replace(unit_cell, sweep=sweep)
+
+
+@pytest.fixture(scope="module")
+def cell(plain: UnitCell) -> UnitCell:
+    axes = Axes(wavelength_nm=(790.0, 810.0), cd_bias_nm=(-5.0, 5.0))
+    return replace(plain, sweep=replace(plain.sweep, axes=axes))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_rounds() -> Iterator[None]:
+    """The closed form is smooth here: rounds of a real build would spend their time on fits that it does not need."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("metafab.library.corner_rounds.FIRST_ROUND", 24)
+        patch.setattr("metafab.library.corner_rounds.SEQUENCE", 2048)
+        yield
+
+
+@pytest.fixture(scope="module")
+def built(cell: UnitCell) -> Library:
+    return library.build(cell, solver=ridges.solve_scaled)
+
+
+def test_every_corner_is_within_its_stated_error(built: Library) -> None:
+    """1200 sizes at 8 corners between and on the faces of the box, against the closed form itself."""
+    rng = np.random.default_rng(5)
+    inner = [(float(w), float(b)) for w, b in rng.uniform((790.0, -5.0), (810.0, 5.0), (6, 2))]
+    for wavelength_nm, bias_nm in [*inner, (790.0, 5.0), (810.0, -5.0)]:
+        width_nm, length_nm = rng.uniform(100.0, 160.0, (2, 150))
+        held = library.evaluate(built, width_nm, length_nm, wavelength_nm=wavelength_nm, cd_bias_nm=bias_nm)
+        made = 800.0 / wavelength_nm * (np.stack([width_nm, length_nm]) + bias_nm)
+        true_x = np.array([ridges.amplitude(w, h) for w, h in made.T])
+        true_y = np.array([ridges.amplitude(h, w) for w, h in made.T])
+        error = np.maximum(np.abs(held.t_xx - true_x), np.abs(held.t_yy - true_y))
+        assert np.all(error <= held.error), (wavelength_nm, bias_nm)
+        assert error.max() <= built.unit_cell.sweep.target_error
+
+
+def test_a_corner_is_a_library_of_its_own(built: Library) -> None:
+    corner = built.at(wavelength_nm=807.0, cd_bias_nm=-3.0)
+    assert corner.wavelength_nm[0] == corner.unit_cell.illumination.wavelength_nm == 807.0
+    assert corner.inputs_sha256 != built.inputs_sha256
+    assert (corner.pillar(120.0, 140.0).width_nm, corner.pillar(120.0, 140.0).wavelength_nm) == (117.0, 807.0)
+    table = library.build_size_table(corner, database_unit_nm=0.5, cells=16)
+    assert np.array_equal(table.t[1:, 0], corner.t_xx[0].ravel())
+    judged = library.check(corner, samples=40, solver=ridges.solve_scaled)
+    assert judged.verdict == "holds"
+    nominal = library.check(corner, samples=40, solver=ridges.solve)
+    assert nominal.verdict == "fails"  # the same sizes at 800 nm are other pillars
+
+
+def test_the_units_own_corner_is_the_library_itself(built: Library) -> None:
+    assert built.at() is built
+    assert built.at(wavelength_nm=800.0, cd_bias_nm=0.0) is built
+
+
+def test_exchange_holds_at_every_corner(built: Library) -> None:
+    corner = built.at(wavelength_nm=793.0, cd_bias_nm=2.0)
+    assert np.allclose(corner.t_yy[0], corner.t_xx[0].T, atol=1e-9)
+
+
+def test_axes_leave_the_nominal_library_as_it_was(built: Library, plain: UnitCell) -> None:
+    without = library.build(plain, solver=ridges.solve_scaled)
+    for name in ("t_xx", "t_yy", "r_xx", "r_yy", "error"):
+        assert np.array_equal(getattr(built, name), getattr(without, name)), name
+    assert without.corners is None
+    assert not any(name.startswith("corner") for name in without.details)
+
+
+def test_workers_and_kills_change_nothing(built: Library, cell: UnitCell, tmp_path: Path) -> None:
+    """Killed among the corners, taken up again by three workers, saved and loaded: the same to the last bit."""
+    checkpoint = tmp_path / "library.partial"
+    lives = int(float(built.details["points_solved"])) + 30
+    with pytest.raises(SolverError, match="out of lives"):
+        library.build(cell, solver=ridges.DyingSolver(lives, ridges.solve_scaled), checkpoint=checkpoint)
+    survivor = ridges.DyingSolver(10_000, ridges.solve_scaled)
+    with ThreadPoolExecutor(3) as executor:
+        again = library.build(cell, solver=survivor, checkpoint=checkpoint, executor=executor)
+    # A chunk of 4 goes down with the build.
+    total = float(built.details["points_solved"]) + float(built.details["corner_points_solved"])
+    assert total - lives <= survivor.calls <= total - lives + 4
+    library.save(again, tmp_path / "library.h5")
+    loaded = library.load(tmp_path / "library.h5")
+    one, other = (each.at(wavelength_nm=806.0, cd_bias_nm=1.0) for each in (built, loaded))
+    for name in ("t_xx", "t_yy", "r_xx", "r_yy", "error", "model_error"):
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    assert loaded.details == again.details
+    assert library.is_current(tmp_path / "library.h5", cell) == (again.inputs_sha256 == loaded.inputs_sha256)
