@@ -158,5 +158,7 @@ def test_impossible_slopes_are_refused() -> None:
         solve(replace(SILICON, sidewall_angle_deg=45.0))
     with pytest.raises(InputError, match="sidewall_angle_deg"):
         solve(replace(SILICON, sidewall_angle_deg=88.0), CellNumerics(solver="meep"))
+    with pytest.raises(InputError, match="steps"):
+        solve(replace(SILICON, sidewall_angle_deg=88.0), CellNumerics(steps=0))
     with pytest.raises(InputError, match=r"over\[0\].width_nm"):
         solve(replace(SILICON, over=(Slice(40.0, 1.41, 1.0, 351.0, 100.0),)))

@@ -3,7 +3,7 @@
 With n steps, each as wide as the pillar is in its middle, the amplitudes tend to those of the smooth wall as n^-1 to
 n^-2: second order as long as a step is thin against the field's decay length, less for its most evanescent part. The
 difference between n and 2 n is then at least the error of 2 n, and half the error of n. It is taken at a low
-truncation, which shifts resonances a little but not by how much steps blur them, and counts ``_MARGIN`` fold.
+truncation, which moves resonances a little but hardly changes what steps do to them, and counts ``_MARGIN`` fold.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from metafab.cell.rcwa.jones import ZeroOrder, distance, zero_order
 from metafab.cell.response import CellNumerics, PillarCell
+from metafab.core.errors import InputError
 
 #: Truncation at which the steps are counted.
 _ORDERS = 5
@@ -38,7 +39,12 @@ def slicing(cell: PillarCell, numerics: CellNumerics) -> Slicing:
     """The steps that ``numerics`` gives, or as many as keep to their share of its target error, and their error.
 
     Where ``MOST_STEPS`` do not keep to it, the error says so.
+
+    Raises:
+        InputError: ``numerics.steps`` is below 1; or as :func:`metafab.cell.rcwa.jones.zero_order`.
     """
+    if numerics.steps is not None and numerics.steps < 1:
+        raise InputError.single("numerics", "steps", "at least 1, or none for as many as needed", f"{numerics.steps}")
     if not cell.is_sloped:
         return Slicing(1, 0.0)
 
