@@ -37,21 +37,24 @@ def candidates(table: SizeTable, period_dbu: tuple[int, int], min_gap_dbu: float
     """
     u = np.concatenate([table.t.real, table.t.imag], axis=1)[1:]
     rung_x, rung_y = (_rung(table.size_dbu[1:, axis], period_dbu[axis], min_gap_dbu) for axis in (0, 1))
-    boxes = [np.flatnonzero((rung_x == a) & (rung_y == b)) for a in range(_LIMITS) for b in range(_LIMITS)]
+    box = rung_x * _LIMITS + rung_y
+    # Sizes box by box, so that each box is a slice.
+    order = np.argsort(box, kind="stable")
+    ends = np.searchsorted(box[order], np.arange(_LIMITS**2 + 1))
     phase = 2.0 * np.pi * np.arange(_CELLS) / _CELLS
     phase_y, phase_x = (axis.ravel() for axis in np.meshgrid(phase, phase, indexing="ij"))
     wanted = np.stack([np.cos(phase_x), np.cos(phase_y), np.sin(phase_x), np.sin(phase_y)], axis=1)
 
     def of_cells(first: int) -> SizeIndexArray:
         """The lists of some of the cells."""
-        overlap = wanted[first : first + _CELLS_AT_ONCE] @ u.T
-        best = np.full((len(overlap), len(boxes)), -np.inf)
+        overlap = wanted[first : first + _CELLS_AT_ONCE] @ u[order].T
+        best = np.full((len(overlap), _LIMITS**2), -np.inf)
         size = np.zeros(best.shape, dtype=np.uint16)
-        for box, members in enumerate(boxes):
-            if members.size:
-                found = members[overlap[:, members].argmax(axis=1)]
-                size[:, box] = found + 1
-                best[:, box] = overlap[np.arange(len(overlap)), found]
+        for k in range(_LIMITS**2):
+            if ends[k] < ends[k + 1]:
+                found = ends[k] + overlap[:, ends[k] : ends[k + 1]].argmax(axis=1)
+                size[:, k] = order[found] + 1
+                best[:, k] = overlap[np.arange(len(overlap)), found]
         return _lists(best, size)
 
     with ThreadPoolExecutor(default_workers()) as threads:

@@ -11,6 +11,7 @@ import pytest
 
 from metafab import layout
 from metafab.core.conventions import wrap_phase
+from metafab.core.errors import InputError
 from metafab.layout import Aperture, Assignment
 from metafab.layout.assign import allowed_sizes
 from metafab.library import Library
@@ -105,3 +106,40 @@ def test_sizes_are_the_librarys(tiny: Assignment, smooth_library: Library) -> No
     used = np.unique(size_nm[size_nm[:, 0] > 0], axis=0)
     assert len(used) == tiny.figures["distinct_sizes"]
     smooth_library.at_sizes(used[:, 0], used[:, 1])  # raises where a size is not in the library
+
+
+def test_tall_pillars_keep_the_aspect_ratio(
+    profile: PhaseProfile, smooth_library: Library, tiny_design: Design
+) -> None:
+    """600 nm at a ratio of 4 leave sides from 150 nm; 150 itself is on the grid of 2 nm and allowed."""
+    design = replace(tiny_design, rules=replace(tiny_design.rules, max_aspect_ratio=4.0))
+    size_nm = allowed_sizes(smooth_library, design).size_dbu[1:] * 0.5
+    assert size_nm.min() == 150.0
+    used_nm = sizes_at_sites(layout.assign(profile, smooth_library, design).pillars) * 0.5
+    assert used_nm[used_nm > 0].min() >= 150.0
+
+
+@pytest.mark.parametrize("rules", [{"max_aspect_ratio": 2.0}, {"min_gap_nm": 255.0}, {"min_feature_nm": 251.0}])
+@pytest.mark.parametrize("gap_rule", ["each", "pairs"])
+def test_rules_that_leave_no_size_are_refused(
+    rules: dict[str, float], gap_rule: str, profile: PhaseProfile, smooth_library: Library, tiny_design: Design
+) -> None:
+    design = replace(tiny_design, rules=replace(tiny_design.rules, gap_rule=gap_rule, **rules))
+    with pytest.raises(InputError, match="sizes that the rules allow"):
+        layout.assign(profile, smooth_library, design)
+
+
+def test_without_numba_the_map_is_the_same(
+    tiny: Assignment,
+    profile: PhaseProfile,
+    smooth_library: Library,
+    tiny_design: Design,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for module in ("layout.gaps", "layout.figures", "library.lookup"):
+        monkeypatch.setattr(f"metafab.{module}.HAS_NUMBA", False)
+    plain = layout.assign(profile, smooth_library, tiny_design)
+    assert np.array_equal(plain.pillars.to_array(), tiny.pillars.to_array())
+    # Sums in another order, of terms to 1e-12.
+    for name in ("phase_rms_error_rad", "field_overlap", "mean_transmittance", "min_gap_nm"):
+        assert plain.figures[name] == pytest.approx(tiny.figures[name], rel=1e-10)
