@@ -29,8 +29,8 @@ from metafab.core.progress import Progress, silent
 #: z = 0 lies off the nodes by this part of a pixel, where no face of a pixel meets it.
 _OFFSET = 0.25
 _COURANT = 0.5
-#: Measured with Meep 1.25 on one core, patches of 0.2 to 5 million pixels: pixel updates a second, bytes a pixel.
-_UPDATES_PER_S = 1.6e7
+#: Measured with Meep 1.25 on one core: pixel updates a second (4e7 on small cells), bytes a pixel.
+_UPDATES_PER_S = 3e7
 _BYTES_PER_PIXEL = 200.0
 #: Optical periods that a run lasts at the usual decay of 1e-2 to 1e-3.
 _USUAL_PERIODS = 75.0
