@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.core.conventions import FloatArray, Polarisation
+from metafab.core.numerics import HAS_NUMBA, compiled
 
 
 def _acts(only: Polarisation | None, polarisation: Polarisation) -> bool:
@@ -75,12 +76,35 @@ def _converging(
     wavelength_um: float, image_um: float, object_um: float, sine: float, x_um: FloatArray, y_um: FloatArray
 ) -> FloatArray:
     """-k (path from the surface to the image, and from the object to the surface, less those of the centre)."""
+    path = (_path_compiled if HAS_NUMBA else path_vectorised)(image_um, object_um, sine, x_um, y_um)
+    path *= -2.0 * math.pi / wavelength_um
+    return path
+
+
+def path_vectorised(image_um: float, object_um: float, sine: float, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
+    """The path in NumPy alone, shape (n_y, n_x), um."""
     radius_squared = (y_um * y_um)[:, None] + x_um * x_um
-    excess = radius_squared + (2.0 * image_um * sine) * x_um if sine else radius_squared
-    path = excess / (np.sqrt(excess + image_um**2) + image_um)
+    excess = radius_squared + (2.0 * image_um * sine) * x_um
+    path = np.asarray(excess / (np.sqrt(excess + image_um**2) + image_um))
     if math.isfinite(object_um):
         path += radius_squared / (np.sqrt(radius_squared + object_um**2) + object_um)
-    path *= -2.0 * math.pi / wavelength_um
+    return path
+
+
+@compiled
+def _path_compiled(image_um: float, object_um: float, sine: float, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
+    """As :func:`path_vectorised`, in one pass."""
+    path = np.empty((y_um.size, x_um.size))
+    shift = 2.0 * image_um * sine
+    for row in range(y_um.size):
+        y_squared = y_um[row] * y_um[row]
+        for column in range(x_um.size):
+            excess = y_squared + x_um[column] * x_um[column] + shift * x_um[column]
+            path[row, column] = excess / (np.sqrt(excess + image_um * image_um) + image_um)
+        if math.isfinite(object_um):
+            for column in range(x_um.size):
+                square = y_squared + x_um[column] * x_um[column]
+                path[row, column] += square / (np.sqrt(square + object_um * object_um) + object_um)
     return path
 
 

@@ -27,6 +27,7 @@ from metafab.phase import (
     VortexPhase,
     WaveSumPhase,
     ZernikePhase,
+    carriers,
     load_array,
 )
 
@@ -231,3 +232,17 @@ def test_arrays_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     for name in ("broken.h5", "phase.txt", "missing.csv"):
         with pytest.raises(InputError, match=r"\.npy, \.csv or \.h5"):
             load_array(tmp_path / name, 10.0, "phase_rad", 10.0)
+
+
+@pytest.mark.parametrize("object_um", [math.inf, 3e5])
+@pytest.mark.parametrize("sine", [0.0, 0.139, -0.139])
+def test_compiled_and_vectorised_paths_are_the_same(object_um: float, sine: float) -> None:
+    """To the last bit: the same operations in the same order."""
+    x_um, y_um = np.linspace(-900.0, 1000.0, 37), np.linspace(-1000.0, 700.0, 23)
+    vectorised = carriers.path_vectorised(2e4, object_um, sine, x_um, y_um)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(carriers, "HAS_NUMBA", False)
+        plain = carriers.SplitLensPhase(0.8, 2e4, math.degrees(math.asin(sine)), object_um)(x_um, y_um, "x")
+    compiled = carriers.SplitLensPhase(0.8, 2e4, math.degrees(math.asin(sine)), object_um)(x_um, y_um, "x")
+    assert np.array_equal(compiled, plain)
+    assert compiled == pytest.approx(-2.0 * math.pi / 0.8 * vectorised, rel=1e-12)
