@@ -37,7 +37,7 @@ def steps(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         step("psf", ("layout",), lambda d: d.sensor),
     )
 
-    report = step("report", ("layout", "drc", "psf"), lambda d: d.name)
+    report = replace(step("report", ("layout", "drc", "psf"), lambda d: d.name), reads=("left.json",))
     monkeypatch.setattr(real, "STEPS", chain)
     monkeypatch.setattr(real, "REPORT", report)
     monkeypatch.setattr(real, "error_budget", lambda figures: [])
@@ -55,6 +55,19 @@ def test_nothing_changed_nothing_done(tmp_path: Path, small_design: Design, step
     outcome = run(small_design, tmp_path)
     assert steps == []
     assert [entry["step"] for entry in outcome.summary["skipped"]] == ["layout", "drc", "psf", "report"]
+
+
+def test_a_file_that_another_command_left_reaches_the_step_that_reads_it(
+    tmp_path: Path, small_design: Design, steps: list[str]
+) -> None:
+    run(small_design, tmp_path)
+    for text in ("first", "second"):
+        (tmp_path / "left.json").write_text(text)
+        steps.clear()
+        run(small_design, tmp_path)
+        assert steps == ["report"]
+        run(small_design, tmp_path)
+        assert steps == ["report"], "and only once"
 
 
 def test_a_changed_input_reaches_its_step_and_no_other(tmp_path: Path, small_design: Design, steps: list[str]) -> None:

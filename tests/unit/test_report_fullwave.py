@@ -1,0 +1,68 @@
+"""A patch that Meep simulated, in the report of its run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import fullwave, report
+from metafab.report import figures
+from metafab.report.style import panel
+
+
+@pytest.fixture
+def patch() -> fullwave.Patch:
+    """Six by four sites; Meep's field is the library's, turned by a tenth of a radian and a little brighter."""
+    rng = np.random.default_rng(5)
+    library = np.exp(2j * np.pi * rng.random((4, 6)))
+    return fullwave.Patch(
+        x_um=0.35 * np.arange(6) + 600.0,
+        y_um=0.35 * np.arange(4) - 2.0,
+        polarisation="y",
+        full_wave=1.05 * np.exp(0.1j) * library,
+        library=library,
+        alone=1.05 * library,
+        decay=1e-3,
+        seconds=12.0,
+        pixels_per_period=12,
+        padding_sites=3,
+    )
+
+
+def test_the_page_shows_both_fields_and_their_differences(patch: fullwave.Patch, tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text("{}")
+    without = report.write(tmp_path).read_text(encoding="utf-8")
+    assert 'id="fullwave"' not in without
+    assert "patch.h5" not in without, "what was not asked for is not missed"
+    fullwave.save_patch(patch, tmp_path / "patch.h5", inputs_sha256="abc")
+    text = report.write(tmp_path).read_text(encoding="utf-8")
+    assert 'id="fullwave"' in text
+    assert "6 x 4 pillars of the mask about (600.9, -1.5) um, y polarisation" in text
+    drawn = {path.stem for path in (tmp_path / "figures").glob("patch_*.png")}
+    assert drawn == {
+        "patch_phase_meep", "patch_phase_library", "patch_amplitude_meep", "patch_amplitude_library",
+        "patch_difference_library", "patch_difference_coupling",
+    }  # fmt: skip
+    # Amplitudes: 0.05 brighter than the library, as bright as the lone pillars.
+    assert patch.figures()["amplitude_rms"] == pytest.approx(0.05)
+    assert "0.05" in text
+
+
+def test_a_damaged_patch_leaves_the_page_whole(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text("{}")
+    (tmp_path / "patch.h5").write_bytes(b"no HDF5")
+    assert 'id="fullwave"' not in report.write(tmp_path).read_text(encoding="utf-8")
+
+
+def test_pictures_show_the_sites_where_they_are(patch: fullwave.Patch) -> None:
+    axes = figures.patch_phase(patch.full_wave, patch.x_um, patch.y_um, panel()[1], "By Meep")
+    (image,) = axes.images
+    np.testing.assert_allclose(image.get_extent(), (599.825, 601.925, -2.175, -0.775))
+    np.testing.assert_allclose(image.get_array(), np.angle(patch.full_wave))
+    assert image.get_clim() == pytest.approx((-np.pi, np.pi))
+    axes = figures.patch_amplitude(patch.library, patch.x_um, patch.y_um, panel()[1], "By the library", largest=1.2)
+    (image,) = axes.images
+    assert image.get_clim() == (0.0, 1.2)
+    np.testing.assert_allclose(image.get_array(), 1.0)
