@@ -1,4 +1,4 @@
-"""Design rules on a written mask: the lattice engine and KLayout's polygons. ``error`` counts violations found."""
+"""Design rules on a written mask by all three engines: lattice, rectangles, polygons. ``error`` counts violations."""
 
 from __future__ import annotations
 
@@ -23,9 +23,11 @@ def rows(quick: bool) -> list[dict[str, Any]]:
     with TemporaryDirectory() as name:
         folder = Path(name)
         for warm in mask.write(layout.assign(profile, library, small).pillars, folder, small)[:2]:
-            drc.check(warm.path, small)
+            for engine in ("lattice", "rectangles"):
+                drc.check(warm.path, small, engine=engine)
         files = mask.write(layout.assign(profile, library, design).pillars, folder, design)
-        cases = [(file.path, "lattice") for file in files[:2]] + [(folder / "layout.oas", "polygons")]
+        cases = [(file.path, engine) for engine in ("lattice", "rectangles") for file in files[:2]]
+        cases.append((folder / "layout.oas", "polygons"))
         for path, engine in cases:
             with measured() as cost:
                 report = drc.check(path, design, engine=engine)

@@ -38,7 +38,8 @@ def drc_command(
     layout: LayoutFile,
     design: DesignOption,
     engine: Annotated[
-        Literal["lattice", "polygons"], typer.Option(help="On the lattice, or by KLayout's polygon engine.")
+        Literal["lattice", "rectangles", "polygons"],
+        typer.Option(help="On the lattice, on the file's rectangles, or by KLayout's polygon engine."),
     ] = "lattice",
     output: Output = None,
     workers: Workers = None,

@@ -1,9 +1,10 @@
 """Design rules on a written file.
 
-- ``report``    DrcReport: counts, places; JSON and KLayout's report database
-- ``lattice``   all rules on the pillars read back, exact
-- ``polygons``  the geometric rules by KLayout, independent of lattices
-- ``check``     either engine on a file
+- ``report``      DrcReport: counts, places; JSON and KLayout's report database
+- ``lattice``     all rules on the pillars read back, exact
+- ``rectangles``  the geometric rules on the file's rectangles, whatever lattice they came from
+- ``polygons``    the geometric rules by KLayout, independent of lattices
+- ``check``       any engine on a file
 
 In: a mask file and a Design. Out: a DrcReport.
 """

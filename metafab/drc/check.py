@@ -9,6 +9,7 @@ from pathlib import Path
 from metafab.core.errors import InputError
 from metafab.core.progress import Progress, silent
 from metafab.drc.lattice import check_lattice
+from metafab.drc.rectangles import check_rectangles
 from metafab.drc.report import DrcReport
 from metafab.mask import read
 from metafab.spec import Design
@@ -27,8 +28,9 @@ def check(
     Args:
         path: the file; nothing but the file is looked at.
         design: rules, lattice, aperture, layer.
-        engine: ``lattice`` knows where pillars should be and checks every rule exactly; ``polygons`` is
-            KLayout's, knows only shapes, and checks width, gap, overlap, grid and foreign shapes.
+        engine: ``lattice`` knows where pillars should be and checks every rule exactly; ``rectangles`` knows the
+            file's rectangles and no lattice; ``polygons`` is KLayout's and knows only shapes. The last two check
+            width, aspect ratio, gap, overlap, grid and foreign shapes.
         workers: threads; the cores unless given.
         progress: told about rows or tiles.
 
@@ -39,10 +41,12 @@ def check(
     start = time.perf_counter()
     if engine == "lattice":
         report = check_lattice(read(path, design, progress), design, workers, progress)
+    elif engine == "rectangles":
+        report = check_rectangles(path, design, workers, progress)
     elif engine == "polygons":
         from metafab.drc.polygons import check_polygons
 
         report = check_polygons(path, design, workers, progress)
     else:
-        raise InputError.single("--engine", "engine", "'lattice' or 'polygons'", repr(engine))
+        raise InputError.single("--engine", "engine", "'lattice', 'rectangles' or 'polygons'", repr(engine))
     return replace(report, seconds=time.perf_counter() - start)

@@ -24,11 +24,11 @@ var raw = pillars;
 raw.merged_semantics = false;
 _output(foreign, raw.non_rectangles, false);
 _output(overlap, raw.merged(false, 2), false);
-_output(grid, raw.grid_check(grid_dbu, grid_dbu), false);
 _output(narrow, raw.width_check(feature_dbu), false);
-_output(slender, raw.width_check(upright_dbu), false);
 _output(gaps, pillars.isolated_check(gap_dbu), false);
 """
+_GRID = "_output(grid, raw.grid_check(grid_dbu, grid_dbu), false);"
+_SLENDER = "_output(slender, raw.width_check(upright_dbu), false);"
 
 
 def check_polygons(path: Path, design: Design, workers: int | None = None, progress: Progress = silent) -> DrcReport:
@@ -94,6 +94,9 @@ def _run(
     side_um = tile_sites(design) * period * layout.dbu
     box = kdb.Region(pillars).bbox().to_dtype(layout.dbu)
     columns, rows = (max(1, math.ceil(length / side_um)) for length in (box.width(), box.height()))
+    grid = max(1, round(design.mask.database_unit_nm / unit_nm))
+    # Whole numbers of units are on a grid of one unit, whatever they are.
+    script = _SCRIPT + (_GRID if grid > 1 else "") + (_SLENDER if upright_nm is not None else "")
     for row in range(rows):
         outputs = {name: kdb.Region() for name in ("foreign", "overlap")}
         outputs |= {name: kdb.EdgePairs() for name in ("grid", "narrow", "slender", "gaps")}
@@ -106,10 +109,10 @@ def _run(
         processor.input("pillars", pillars)
         for name, limit_nm in limits.items():
             processor.var(f"{name}_dbu", max(1, round(limit_nm / unit_nm)))
-        processor.var("grid_dbu", max(1, round(design.mask.database_unit_nm / unit_nm)))
+        processor.var("grid_dbu", grid)
         for name, collection in outputs.items():
             processor.output(name, collection)
-        processor.queue(_SCRIPT)
+        processor.queue(script)
         processor.execute("design rules")
         for pair in outputs["narrow"].each():
             found["min_width" if pair.first.dx() == 0 else "min_length"].add(_box(pair.bbox()))

@@ -11,7 +11,7 @@ from xml.sax.saxutils import escape
 from metafab.core.files import whole_file, write_json
 from metafab.spec import Design
 
-Engine = Literal["lattice", "polygons"]
+Engine = Literal["lattice", "rectangles", "polygons"]
 
 #: Places that are kept for each rule; violations are counted without limit.
 MARKERS = 1000
@@ -53,7 +53,7 @@ class DrcReport:
 
     Attributes:
         file: the checked file's name.
-        engine: ``lattice`` or ``polygons``.
+        engine: ``lattice``, ``rectangles`` or ``polygons``.
         pillars: rectangles found on the pillar layer.
         violations: count by rule, zero included; the rules that this engine can see.
         markers: up to :data:`MARKERS` places of each rule that is violated.

@@ -4,6 +4,10 @@
 - ``varints``       OASIS integers
 - ``oasis_writer``  OASIS by streaming
 - ``gdsii_writer``  GDSII by streaming
+- ``font``          letters as rectangles
+- ``surroundings``  write field, marks, frame, label, dicing street
+- ``dose``          dose classes by size or density
+- ``exposure``      write time
 - ``viewer``        layer properties for KLayout
 - ``write``         all files of a mask in one pass
 - ``plan``          what a layout will cost, from a sample of tiles
@@ -12,14 +16,25 @@
 - ``oasis_stream``  the elements of OASIS records
 - ``oasis_reader``  OASIS -> cells
 - ``recover``       rectangles -> sizes at lattice sites, and leftovers
-- ``read``          a file -> ReadBack
+- ``read``          a file -> ReadBack, or its bare shapes
 
 In: a PillarMap and a Design. Out: files; from a file: a ReadBack, the pillars and everything that is none.
 """
 
 from metafab.mask.cells import top_name
 from metafab.mask.plan import plan
-from metafab.mask.read import Leftover, ReadBack, read
+from metafab.mask.read import Leftover, ReadBack, Shapes, read, read_shapes
 from metafab.mask.write import WrittenFile, biased, write
 
-__all__ = ["Leftover", "ReadBack", "WrittenFile", "biased", "plan", "read", "top_name", "write"]
+__all__ = [
+    "Leftover",
+    "ReadBack",
+    "Shapes",
+    "WrittenFile",
+    "biased",
+    "plan",
+    "read",
+    "read_shapes",
+    "top_name",
+    "write",
+]

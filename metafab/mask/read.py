@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
@@ -97,6 +97,40 @@ def read(path: Path, design: Design, progress: Progress = silent) -> ReadBack:
         return _recover(path, kind, OasisReader(path, layer, progress), design, progress)
     except MixedBlockError:
         return _recover(path, kind, OasisReader(path, layer, progress, skip_blocks=False), design, progress)
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """What is drawn on the pillar layer of a file, whatever lattice it came from.
+
+    Attributes:
+        unit_nm: database unit of the file.
+        other_layers: shapes and texts on other layers, counted by "layer/datatype".
+        chunks: opens the stream of shapes, in file units; each time from the start.
+    """
+
+    unit_nm: float
+    other_layers: dict[str, int]
+    chunks: Callable[[], Iterator[Chunk]]
+
+
+def read_shapes(path: Path, design: Design, progress: Progress = silent) -> Shapes:
+    """Open a GDSII or OASIS file as rectangles and others, without a lattice.
+
+    Raises:
+        InputError: as :func:`read`.
+    """
+    layer = (design.mask.layer, *design.mask.datatypes)
+    # Blocks are not skipped: a stream cannot be begun again once it is found to hold more than pillars.
+    reader = (
+        GdsiiReader(path, layer, progress)
+        if format_of(path) == "gds"
+        else OasisReader(path, layer, progress, skip_blocks=False)
+    )
+    hierarchy = Hierarchy(reader.cells, str(path))
+    if hierarchy.count() > 2**31:
+        raise _too_many(path, lattice_of(design), hierarchy.count())
+    return Shapes(reader.unit_nm, hierarchy.other_layers(), lambda: _chunks(hierarchy))
 
 
 def _recover(

@@ -159,6 +159,60 @@ def test_a_planted_fault_is_found(fault: str, suffix: str, plant: Plant, tiny_de
     assert set(report.markers) == set(found)
 
 
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_the_rectangles_engine_counts_what_needs_no_lattice(
+    fault: str, suffix: str, plant: Plant, tiny_design: Design, tmp_path: Path
+) -> None:
+    """What stands on sites is counted as the lattice engine counts it."""
+    act, _, _ = FAULTS[fault]
+    act(plant)
+    path = tmp_path / f"planted.{suffix}"
+    plant.layout.write(str(path))
+    report = drc.check(path, tiny_design, engine="rectangles", workers=2)
+    on_lattice = drc.check(path, tiny_design)
+    assert report.pillars == on_lattice.pillars
+    found = {rule: count for rule, count in report.violations.items() if count}
+    needs_lattice = {"missing", "lattice_site", "aperture"}
+    # Off its site, a rectangle is no pillar that has neighbours to the lattice engine.
+    if fault == "twice":
+        assert found == {"min_gap": 1, "overlap": 1, "duplicate": 1}
+    elif fault == "shifted":
+        assert found == {}
+    elif fault == "too large":
+        assert set(found) == {"min_gap"}
+    else:
+        on_sites = {rule: count for rule, count in on_lattice.violations.items() if count}
+        assert found == {rule: count for rule, count in on_sites.items() if rule not in needs_lattice}
+        assert report.min_gap_nm == pytest.approx(on_lattice.min_gap_nm, abs=1e-9)
+    assert set(report.markers) == set(found)
+
+
+def test_rectangles_of_any_lattice_against_all_pairs(tiny_design: Design, tmp_path: Path) -> None:
+    """Random rectangles in no order, some larger than a row, against a plain comparison of all pairs."""
+    rng = np.random.default_rng(3)
+    corner, size = rng.integers(-9000, 9000, (400, 2)), rng.integers(150, 600, (400, 2))
+    size[:3] = [[5000, 210], [300, 4000], [1500, 1500]]
+    corner[10], size[10] = corner[11], size[11]
+    layout = kdb.Layout()
+    layout.dbu = 0.0005
+    shapes = layout.create_cell("ANY").shapes(layout.layer(1, 0))
+    for (x, y), (width, length) in zip(corner.tolist(), size.tolist(), strict=True):
+        shapes.insert(kdb.Box(x, y, x + width, y + length))
+    path = tmp_path / "any.gds"
+    layout.write(str(path))
+    report = drc.check(path, tiny_design, engine="rectangles", workers=2)
+    low, high = corner, corner + size
+    gap = np.maximum(low[:, None] - high[None, :], low[None, :] - high[:, None])
+    distance = np.sqrt(np.sum(np.maximum(gap, 0) ** 2, axis=-1))
+    pair = np.triu(np.ones((400, 400), dtype=bool), 1)
+    assert report.violations["min_gap"] == np.count_nonzero(pair & (distance < 200))
+    assert report.violations["overlap"] == np.count_nonzero(pair & (gap.max(axis=-1) <= 0))
+    assert report.violations["duplicate"] == 1
+    assert report.violations["min_width"] == np.count_nonzero(size[:, 0] < 200)
+    assert report.violations["min_length"] == np.count_nonzero(size[:, 1] < 200)
+
+
 @pytest.mark.parametrize("fault", [name for name, (_, _, seen) in FAULTS.items() if seen])
 def test_klayout_agrees_where_it_can_see(fault: str, plant: Plant, tiny_design: Design, tmp_path: Path) -> None:
     act, _, seen = FAULTS[fault]
@@ -173,7 +227,7 @@ def test_klayout_agrees_where_it_can_see(fault: str, plant: Plant, tiny_design: 
 def test_the_mask_itself_is_clean(
     suffix: str, tiny: Assignment, tiny_design: Design, tiny_files: dict[str, Path]
 ) -> None:
-    for engine in ("lattice", "polygons"):
+    for engine in ("lattice", "rectangles", "polygons"):
         report = drc.check(tiny_files[suffix], tiny_design, engine=engine, workers=2)
         assert report.clean
         assert report.violations.keys() <= drc.RULES.keys()
@@ -195,7 +249,7 @@ def test_edges_off_the_grid_are_found(plant: Plant, tiny_design: Design, tmp_pat
     (shape,) = shapes.each_touching(kdb.Box(x, y, x, y))
     shape.box = shape.box.enlarged(1, 0)
     layout.write(str(path))
-    for engine in ("lattice", "polygons"):
+    for engine in ("lattice", "rectangles", "polygons"):
         assert drc.check(fine, tiny_design, engine=engine, workers=2).clean
         assert drc.check(path, tiny_design, engine=engine, workers=2).violations["grid"] >= 1
 
@@ -207,7 +261,7 @@ def test_slender_pillars_are_found_where_the_rule_is_set(plant: Plant, tiny_desi
     plant.layout.write(str(path))
     assert "aspect_ratio" not in drc.check(path, tiny_design).violations
     rules = replace(tiny_design.rules, min_feature_nm=90.0, max_aspect_ratio=6.0)
-    for engine in ("lattice", "polygons"):
+    for engine in ("lattice", "rectangles", "polygons"):
         found = drc.check(path, replace(tiny_design, rules=rules), engine=engine, workers=2)
         assert {rule: count for rule, count in found.violations.items() if count} == {"aspect_ratio": 1}
         assert found.markers["aspect_ratio"][0].height_nm == 99.0

@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metafab import drc, mask
+from metafab import drc, layout, mask
 from metafab.core.errors import InputError
 from metafab.layout import Assignment
+from metafab.library import Library
 from metafab.mask.surroundings import surroundings
+from metafab.phase.profile import PhaseProfile
 from metafab.spec import Chip, Design, Dose, Exposure, Mask
 from tests.layout.conftest import sizes_at_sites
 
@@ -33,12 +35,12 @@ def _with(design: Design, **options: object) -> Design:
 
 def _layers(path: Path) -> dict[str, kdb.Region]:
     """Everything in a file by layer, merged semantics off, as KLayout sees it; the layout is kept alive by copies."""
-    layout = kdb.Layout()
-    layout.read(str(path))
-    (top,) = layout.top_cells()
+    opened = kdb.Layout()
+    opened.read(str(path))
+    (top,) = opened.top_cells()
     return {
-        str(layout.get_info(index)): kdb.Region([p.dup() for p in kdb.Region(top.begin_shapes_rec(index)).each()])
-        for index in layout.layer_indexes()
+        str(opened.get_info(index)): kdb.Region([p.dup() for p in kdb.Region(top.begin_shapes_rec(index)).each()])
+        for index in opened.layer_indexes()
     }
 
 
@@ -65,6 +67,22 @@ def test_drawn_pillars_have_the_bias_and_made_ones_have_not(
     assert np.all(drawn[filled] == stands[filled] + round(bias_nm / 0.5))
     assert np.array_equal(sizes_at_sites(mask.biased(read_back.pillars, -bias_nm)), stands)
     assert json.loads((tmp_path / "layout.json").read_text())["bias_nm"] == bias_nm
+
+
+@pytest.mark.parametrize("bias_nm", [30.0, -20.0])
+def test_the_mapping_leaves_room_for_the_bias(
+    bias_nm: float, profile: PhaseProfile, smooth_library: Library, tiny_design: Design, tmp_path: Path
+) -> None:
+    """Drawn pillars keep the gap of 100 nm and the feature of 100 nm: standing ones 130 and 100, or 80 and 120."""
+    design = _with(tiny_design, bias_nm=bias_nm, formats=("oas",))
+    pillars = layout.assign(profile, smooth_library, design).pillars
+    mask.write(pillars, tmp_path, design)
+    report = drc.check(tmp_path / "layout.oas", design)
+    assert report.clean
+    assert report.min_gap_nm is not None and report.min_gap_nm >= 100.0
+    side = pillars.size_nm()[1:]
+    assert side.min() >= max(100.0, 100.0 - bias_nm)
+    assert side.max() <= min(250.0, 350.0 - (100.0 + bias_nm))
 
 
 @pytest.mark.parametrize("bias_nm", [0.5, 0.3, -400.0])
