@@ -88,7 +88,7 @@ def _study(job: Job) -> dict[str, Any]:
 def write_layout(job: Job) -> dict[str, Any]:
     """Map the target phases to pillars and write the mask files."""
     assignment = layout.assign(job.profile, open_library(job), job.design, progress=job.progress)
-    files = mask.write(assignment.pillars, job.folder, job.design, progress=job.progress)
+    files = mask.write(assignment.pillars, job.folder, job.design, progress=job.progress, mapping=assignment.figures)
     return {**assignment.figures, "files": [{"name": file.path.name, "bytes": file.bytes} for file in files]}
 
 

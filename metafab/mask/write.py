@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -39,7 +39,13 @@ class WrittenFile:
     bytes: int
 
 
-def write(pillars: PillarMap, directory: Path, design: Design, progress: Progress = silent) -> tuple[WrittenFile, ...]:
+def write(
+    pillars: PillarMap,
+    directory: Path,
+    design: Design,
+    progress: Progress = silent,
+    mapping: Mapping[str, Any] | None = None,
+) -> tuple[WrittenFile, ...]:
     """Write ``layout.gds`` and ``layout.oas`` (as ``mask.formats`` asks), ``layout.lyp`` and ``layout.json``.
 
     The same pillars and design give the same bytes. Memory stays that of a few tiles.
@@ -52,6 +58,7 @@ def write(pillars: PillarMap, directory: Path, design: Design, progress: Progres
         directory: made if missing; files appear under their names only when whole.
         design: formats, layer, unit, write field, name.
         progress: told about pillars written.
+        mapping: how well the pillars follow their targets, for ``layout.json``.
 
     Returns:
         The files in the order of their names above.
@@ -91,7 +98,8 @@ def write(pillars: PillarMap, directory: Path, design: Design, progress: Progres
         progress("mask", sites, sites)
     _write_text(directory / "layout.lyp", layer_properties(design, beside))
     written = {suffix: path.stat().st_size for suffix, path in files.items()}
-    write_json(directory / "layout.json", {**_provenance(design, beside), **figures.summary(), "bytes": written})
+    sidecar = {**_provenance(design, beside), **figures.summary(), "bytes": written}
+    write_json(directory / "layout.json", sidecar if mapping is None else {**sidecar, "mapping": dict(mapping)})
     paths = [*files.values(), directory / "layout.lyp", directory / "layout.json"]
     return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from metafab import layout
+from metafab import drc, layout, mask
 from metafab.core.numerics import HAS_NUMBA
 from metafab.layout import Lattice, neighbours
 from metafab.layout.gaps import smallest_gap_vectorised
@@ -154,15 +156,22 @@ def test_tiling_and_workers_change_nothing(
 
 
 def test_the_gain_over_the_plain_rule_is_told(
-    profile: PhaseProfile, wide_library: Library, pairs_design: Design
+    profile: PhaseProfile, wide_library: Library, pairs_design: Design, tmp_path: Path
 ) -> None:
-    pairs = layout.assign(profile, wide_library, pairs_design).figures
+    assignment = layout.assign(profile, wide_library, pairs_design)
+    pairs = assignment.figures
     each = replace(pairs_design, rules=replace(pairs_design.rules, gap_rule="each"))
     plain = layout.assign(profile, wide_library, each).figures
     told = pairs["gap_rule_each"]
     assert {name: plain[name] for name in told} == pytest.approx(told, rel=1e-12)
     assert pairs["efficiency"] > plain["efficiency"]
     assert pairs["phase_rms_error_rad"] < plain["phase_rms_error_rad"]
+    mask.write(assignment.pillars, tmp_path, pairs_design, mapping=pairs)
+    sidecar = json.loads((tmp_path / "layout.json").read_text())
+    assert sidecar["mapping"]["gap_rule_each"] == told
+    report = drc.check(tmp_path / "layout.oas", pairs_design)
+    assert report.clean
+    assert report.min_gap_nm == pairs["min_gap_nm"]
 
 
 def test_a_library_without_larger_sizes_is_mapped_as_ever(
