@@ -13,6 +13,7 @@ from metafab.camera.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import MetafabError
 from metafab.decode.image import Image4D
+from metafab.fullwave.coupling import Coupling
 from metafab.fullwave.patch import Patch
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
@@ -57,6 +58,7 @@ class RunFolder:
         ideal_psf: PSF pair of the target phases.
         raw: raw frame.
         decoded: 4D image.
+        coupling: rows of one local period by full-wave solvers, where ``metafab coupling`` left them.
         patch: fields of a patch of the mask by Meep, where ``metafab patch`` left them.
         notes: section -> why it has nothing to show.
     """
@@ -74,6 +76,7 @@ class RunFolder:
     ideal_psf: Psf | None = None
     raw: RawFrame | None = None
     decoded: Image4D | None = None
+    coupling: Coupling | None = None
     patch: Patch | None = None
     notes: dict[str, str] = field(default_factory=dict)
 
@@ -121,7 +124,8 @@ def open_run(path: Path) -> RunFolder:
         ideal_psf=_attempt(notes, "ideal_psf", path / "ideal_psf.h5", optics.load),
         raw=_attempt(notes, "raw", path / "raw.h5", camera.load),
         decoded=_attempt(notes, "decoded", path / "decoded.h5", decode.load),
-        # Not a step's: its absence is nothing to tell.
+        # No step's: their absence is nothing to tell.
+        coupling=fullwave.load_coupling(path / "coupling.json"),
         patch=_attempt(notes, "patch", patch_file, fullwave.load_patch) if patch_file.is_file() else None,
         notes=notes,
     )

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from metafab import fullwave, report
+from metafab.fullwave.coupling import CouplingRow
 from metafab.report import figures
 from metafab.report.style import panel
 
@@ -48,6 +49,17 @@ def test_the_page_shows_both_fields_and_their_differences(patch: fullwave.Patch,
     # Amplitudes: 0.05 brighter than the library, as bright as the lone pillars.
     assert patch.figures()["amplitude_rms"] == pytest.approx(0.05)
     assert "0.05" in text
+
+
+def test_rows_are_shown_if_they_are_of_this_mask(tmp_path: Path) -> None:
+    row = CouplingRow(600.0, -20.0, "x", "y", "rcwa", 21, 1, 6.2, 0.812, 0.934, 0.03, 0.125, 0.01, 2.0)
+    fullwave.save_coupling(fullwave.Coupling("abc", (row,)), tmp_path / "coupling.json")
+    (tmp_path / "summary.json").write_text("{}")
+    assert 'id="fullwave"' not in report.write(tmp_path).read_text(encoding="utf-8")
+    (tmp_path / "summary.json").write_text('{"coupling": {"coupling_error": 0.125}}')
+    text = report.write(tmp_path).read_text(encoding="utf-8")
+    for cell in ("600, -20 along x", "rcwa", "21", "0.812", "0.934", "0.125"):
+        assert cell in text
 
 
 def test_a_damaged_patch_leaves_the_page_whole(tmp_path: Path) -> None:
