@@ -11,7 +11,7 @@
 In: paths. Out: frozen dataclasses whose public names carry their units.
 """
 
-from metafab.spec.cell import Illumination, Material, Solver, Sweep, UnitCell
+from metafab.spec.cell import Axes, Illumination, Material, Solver, Sweep, UnitCell
 from metafab.spec.design import Design, Device, Numerics, Optics, PhaseTerm, Rules, Sensor, Verify
 from metafab.spec.load import canonical_toml, load_design, load_scene, load_unit_cell
 from metafab.spec.mask import Chip, Dose, Exposure, Mask
@@ -19,6 +19,7 @@ from metafab.spec.new import kinds, write_new
 from metafab.spec.scene import Scene, SceneObject
 
 __all__ = [
+    "Axes",
     "Chip",
     "Design",
     "Device",

@@ -1,6 +1,6 @@
 """Figure functions: each takes results and axes, draws, and returns the axes. Nothing is computed or shown here.
 
-- ``library``    maps of phase, transmittance and error over pillar size; coverage of both phases
+- ``library``    maps of phase, transmittance, sensitivity and error over pillar size; coverage of both phases
 - ``phases``     phases over the aperture
 - ``study``      the lobe over a turn, bounds of depth, the cost of the filter, proposed helices
 - ``mask``       the written pillars at three zooms
@@ -15,7 +15,7 @@ In: results of the other rooms. Out: the axes that were drawn on.
 from metafab.report.figures.accounts import error_against_time, error_budget, loss_chain, seconds
 from metafab.report.figures.fullwave import patch_amplitude, patch_phase
 from metafab.report.figures.image import confidence, contrast, depth, depth_against_truth, intensity, raw_frame
-from metafab.report.figures.library import coverage, error_map, phase_map, transmittance_map
+from metafab.report.figures.library import coverage, error_map, phase_map, sensitivity_map, transmittance_map
 from metafab.report.figures.mask import fill_map, pillar_rectangles
 from metafab.report.figures.phases import aperture_phase
 from metafab.report.figures.psf import (
@@ -69,6 +69,7 @@ __all__ = [
     "proposed_orientation",
     "raw_frame",
     "seconds",
+    "sensitivity_map",
     "shown_depths",
     "transmittance_map",
 ]

@@ -7,9 +7,12 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.ticker import NullFormatter
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation, power_transmittance
 from metafab.library.library import Library
+from metafab.library.lookup import phase_slope_per_nm
+from metafab.library.quality import CD_BIAS_NM, quality
 from metafab.materials import refractive_index
 from metafab.report.style import (
     ERROR_MAP,
@@ -18,6 +21,7 @@ from metafab.report.style import (
     PHASE_MAP,
     POLARISATION_COLOUR,
     SHARE_MAP,
+    X_COLOUR,
     Extent,
     colour_bar,
     dress,
@@ -56,12 +60,23 @@ def error_map(library: Library, axes: Axes) -> Axes:
     low = min(float(positive.min()) if positive.size else high, 0.1 * high)  # at least a decade, for readable ticks
     norm = LogNorm(low, high)
     image = show_map(axes, np.maximum(error, low), _extent(library), cmap=ERROR_MAP, norm=norm)
-    colour_bar(image, axes, "absolute error of t")
+    bar = colour_bar(image, axes, "absolute error of t")
+    bar.ax.yaxis.set_minor_formatter(NullFormatter())
     return _dress_map(axes, "Error of every point")
 
 
+def sensitivity_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
+    """How far the phase turns when width and length grow together by 5 nm, to first order; clipped at pi."""
+    slope = phase_slope_per_nm(library)[..., 0 if polarisation == "x" else 1]
+    turn = np.minimum(np.abs(CD_BIAS_NM * slope), math.pi)
+    image = show_map(axes, turn, _extent(library), cmap=ERROR_MAP, vmin=0.0, vmax=math.pi)
+    bar = colour_bar(image, axes, "phase turn / rad", ticks=(0.0, math.pi / 2, math.pi))
+    bar.set_ticklabels(["0", "π/2", "≥ π"])
+    return _dress_map(axes, f"Turn by ±{CD_BIAS_NM:g} nm of CD, {polarisation} polarisation", polarisation)
+
+
 def coverage(library: Library, axes: Axes) -> Axes:
-    """Every size as a point on the torus of both phases, coloured by the smaller transmittance."""
+    """Every size as a point on the torus of both phases, coloured by the smaller transmittance; a ring at the hole."""
     phase_x, phase_y = (np.angle(_t(library, p)).ravel() for p in ("x", "y"))
     share = np.minimum(transmittance(library, "x"), transmittance(library, "y")).ravel()
     order = np.argsort(share)  # well transmitting sizes on top
@@ -69,7 +84,10 @@ def coverage(library: Library, axes: Axes) -> Axes:
         phase_x[order], phase_y[order], c=share[order], s=5, cmap=SHARE_MAP, vmin=0.0, vmax=1.0, lw=0, rasterized=True
     )
     colour_bar(points, axes, "smaller transmittance")
-    dress(axes, "phase of x / rad", "phase of y / rad", "Reach: one point a pillar size")
+    reached = quality(library)
+    hole = (reached["worst_hole_phase_x_rad"], reached["worst_hole_phase_y_rad"])
+    axes.plot(*hole, "o", mfc="none", mec=X_COLOUR, mew=1.4, ms=11)
+    dress(axes, "phase of x / rad", "phase of y / rad", "Reach, and its worst hole")
     axes.set_xticks(_PI_TICKS, _PI_LABELS)
     axes.set_yticks(_PI_TICKS, _PI_LABELS)
     axes.set(xlim=(-math.pi, math.pi), ylim=(-math.pi, math.pi), aspect="equal")
