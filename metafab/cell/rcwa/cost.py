@@ -1,8 +1,7 @@
 """What a solution costs: a measured curve over the number of orders, scaled by this machine's speed.
 
 The curve holds the processor time of one truncation with both polarisations (normal incidence, absorbing pillar, one
-thread), relative to five cosines. It bends where the modes take over from doubling. The speed is measured once a
-process, in some ten milliseconds.
+thread), relative to five cosines. The speed is measured once a process, in some ten milliseconds.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from metafab.cell.rcwa.jones import zero_order
 from metafab.cell.response import CellNumerics, PillarCell
 
 #: Cosines along the period: seconds over those of five.
-_CURVE = {3: 0.37, 4: 0.65, 5: 1.0, 6: 2.0, 7: 4.0, 8: 9.3, 9: 11.4, 10: 17.9, 12: 55.0, 14: 103.0}
+_CURVE = {3: 0.43, 4: 0.59, 5: 1.0, 6: 1.7, 7: 3.6, 8: 6.7, 9: 11.9, 10: 20.1, 12: 57.0, 14: 134.0}
 _SAMPLE = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
 
 
