@@ -12,6 +12,8 @@ import pytest
 from metafab import library
 from metafab.core.errors import InputError
 from metafab.library import Library
+from metafab.library.models import SizeModel
+from metafab.library.rational import RationalModel
 from metafab.library.surface import _evaluate_plain
 from metafab.materials import refractive_index
 from metafab.spec import load_unit_cell
@@ -80,3 +82,46 @@ def test_the_unit_cells_on_offer_are_complete(path: Path) -> None:
     if path.stem != "sos_800nm":
         assert max(cell.cell.period_nm) * index.real < wavelength_nm
     assert cell.sweep.width_nm[1] <= cell.cell.period_nm[0] - 80.0
+
+
+def test_coverage_and_the_worst_hole_are_those_of_a_full_search(smooth_library: Library) -> None:
+    """Every 8th size, some of them dark: each of the 128 x 128 pairs of phases against all sizes that pass half."""
+    some = replace(
+        smooth_library,
+        width_nm=smooth_library.width_nm[::8],
+        length_nm=smooth_library.length_nm[::8],
+        t_xx=0.85 * smooth_library.t_xx[:, ::8, ::8],
+        t_yy=0.85 * smooth_library.t_yy[:, ::8, ::8],
+    )
+    t = np.stack([some.t_xx[0].ravel(), some.t_yy[0].ravel()], axis=-1)
+    passing = np.angle(t[np.all(np.abs(t) ** 2 / 1.7601 >= 0.5, axis=-1)])
+    assert 0 < passing.shape[0] < t.shape[0]
+    cells = 2.0 * math.pi * np.arange(128) / 128
+    apart_x, apart_y = (np.abs(np.angle(np.exp(1j * (cells[:, None] - passing[:, k])))) for k in (0, 1))
+    nearest = np.array([np.maximum(apart_x, row).min(axis=1) for row in apart_y])  # indexed [phi_y, phi_x]
+    figures = library.quality(some)
+    assert figures["torus_coverage"] == pytest.approx(np.mean(nearest <= 0.1), abs=1e-12)
+    assert figures["worst_hole_rad"] == pytest.approx(nearest.max(), abs=1e-12)
+    hole = [round(figures[f"worst_hole_phase_{axis}_rad"] % (2.0 * math.pi) / (2.0 * math.pi) * 128) for axis in "yx"]
+    assert nearest[hole[0] % 128, hole[1] % 128] == pytest.approx(nearest.max(), abs=1e-12)
+
+
+def test_a_spline_states_what_it_misses_at_a_ridge_beside_the_edge(smooth_library: Library) -> None:
+    """A pole 1.5 nm off a side of 5 nm steps: nothing beyond the edge tells how sharp it is, only the model does."""
+    span = (100.0, 250.0)
+    numerator = np.array([[1.0, 0.1], [0.0, 0.0], [0.4, 0.04]], dtype=np.complex128)
+    # 1 / (u - 1.02 - 0.01i): the terms are 1, T_1(v), T_1(u).
+    denominator = np.array([-1.02 - 0.01j, 0.0, 1.0])
+    sharp = RationalModel(span, span, (1, 1), numerator, denominator)
+    model = SizeModel(sharp, sharp.exchanged())
+    side = np.linspace(100.0, 250.0, 31)
+    t_xx, t_yy, r_xx, r_yy = model.on_grid(side, side)[:, None]
+    known = np.full((31, 31), 1e-9)
+    built = replace(
+        smooth_library, width_nm=side, length_nm=side, t_xx=t_xx, t_yy=t_yy, r_xx=r_xx, r_yy=r_yy,
+        error=known, model=model, model_error=known,
+    )  # fmt: skip
+    width_nm = np.random.default_rng(6).uniform(240.0, 250.0, 2000)
+    length_nm = np.full(2000, 170.0)
+    held = built.surface(width_nm, length_nm)
+    assert np.all(np.abs(held.t_xx - model(width_nm, length_nm)[:, 0]) <= held.error)
