@@ -7,6 +7,7 @@ low-rank terms and normalisation of the fast path at once.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import shapely
@@ -20,7 +21,7 @@ from metafab.optics.source import Source
 def direct_irradiance(
     source: Source,
     imaging: Imaging,
-    depth_m: float,
+    depth_m: float | Sequence[float],
     tangent: tuple[float, float],
     x_um: FloatArray,
     y_um: FloatArray,
@@ -31,31 +32,40 @@ def direct_irradiance(
     Args:
         source: amplitudes of the sites.
         imaging: wavelength, sensor distance and aperture.
-        depth_m: finite object depth.
+        depth_m: finite object depth, or several: the way from lens to sensor is then evaluated once for all.
         tangent: object direction.
         x_um: shape (n,), sensor points.
         y_um: shape (n,).
         polarisation: 0 for x, 1 for y.
 
     Returns:
-        Shape (n,). Each site is a point source of strength amplitude times cell area.
+        Shape (n,), or (n_depth, n) for several depths. Each site is a point source of strength amplitude times cell
+        area.
     """
-    field = np.zeros(x_um.size, dtype=np.complex128)
+    depth_um = 1e6 * np.atleast_1d(np.asarray(depth_m, dtype=np.float64))
+    objects = [(tangent[0] * z, tangent[1] * z, z) for z in depth_um.tolist()]
+    points = [np.asarray(axis, dtype=np.float64) for axis in (x_um, y_um)]
+    field = np.zeros((depth_um.size, points[0].size), dtype=np.complex128)
     site_x, site_y = source.lattice.x_um(), source.lattice.y_um()
-    depth_um = 1e6 * depth_m
-    object_x, object_y = tangent[0] * depth_um, tangent[1] * depth_um
     for tile in source.tiles():
-        amplitude = np.ascontiguousarray(tile.amplitude(polarisation))
+        amplitude = tile.amplitude(polarisation)
         n_y, n_x = amplitude.shape
-        _accumulate(
-            field, np.asarray(x_um, dtype=np.float64), np.asarray(y_um, dtype=np.float64), amplitude,
-            site_x[tile.column : tile.column + n_x], site_y[tile.row : tile.row + n_y],
-            object_x, object_y, depth_um, imaging.sensor_distance_um, imaging.wavenumber,
-        )  # fmt: skip
+        x, y = site_x[tile.column : tile.column + n_x], site_y[tile.row : tile.row + n_y]
+        lit = np.array([amplitude * _incident_wave(*point, x, y, imaging.wavenumber) for point in objects])
+        _accumulate(field, *points, lit, x, y, imaging.sensor_distance_um, imaging.wavenumber)
     period_x, period_y = source.lattice.period_dbu
     cell_um2 = period_x * period_y * (1e-3 * source.lattice.database_unit_nm) ** 2
-    incident = _incident_power(imaging, object_x, object_y, depth_um)
-    return np.asarray(np.abs(field * cell_um2) ** 2 / incident)
+    incident = np.array([_incident_power(imaging, *point) for point in objects])
+    irradiance = np.asarray(np.abs(field * cell_um2) ** 2 / incident[:, None])
+    return irradiance[0] if np.ndim(depth_m) == 0 else irradiance
+
+
+def _incident_wave(
+    object_x: float, object_y: float, depth_um: float, x_um: FloatArray, y_um: FloatArray, wavenumber: float
+) -> ComplexArray:
+    """Square root of the flux z / R^3 of a spherical wave through the lens plane, with its phase, shape (n_y, n_x)."""
+    distance = np.sqrt((x_um[None, :] - object_x) ** 2 + (y_um[:, None] - object_y) ** 2 + depth_um**2)
+    return np.asarray(np.sqrt(depth_um / distance) / distance * np.exp(1j * wavenumber * distance))
 
 
 def _incident_power(imaging: Imaging, object_x: float, object_y: float, depth_um: float) -> float:
@@ -84,30 +94,25 @@ def _accumulate(
     field: ComplexArray,
     x_um: FloatArray,
     y_um: FloatArray,
-    amplitude: ComplexArray,
+    lit: ComplexArray,
     site_x: FloatArray,
     site_y: FloatArray,
-    object_x: float,
-    object_y: float,
-    depth_um: float,
     sensor_um: float,
     wavenumber: float,
 ) -> None:
-    """Add h(R) a to each sensor point, h = (z / R) (1/R - ik) exp(ikR) / (2 pi R)."""
-    for point in prange(field.size):
-        total = 0.0 + 0.0j
+    """Add h(R) a to each sensor point, h = (z / R) (1/R - ik) exp(ikR) / (2 pi R); field (n_depth, n_point)."""
+    for point in prange(x_um.size):
+        total = np.zeros(lit.shape[0], dtype=np.complex128)
         for row in range(site_y.size):
             for column in range(site_x.size):
-                a = amplitude[row, column]
-                if a == 0.0:
+                if lit[0, row, column] == 0.0:
                     continue
-                dx, dy = site_x[column] - object_x, site_y[row] - object_y
-                source = math.sqrt(dx * dx + dy * dy + depth_um * depth_um)
                 ex, ey = x_um[point] - site_x[column], y_um[point] - site_y[row]
                 image = math.sqrt(ex * ex + ey * ey + sensor_um * sensor_um)
-                phase = wavenumber * (source + image)
+                phase = wavenumber * image
                 wave = math.cos(phase) + 1j * math.sin(phase)
-                flux = math.sqrt(depth_um / source) / source
-                kernel = sensor_um / (2.0 * math.pi * image * image) * (1.0 / image - 1j * wavenumber)
-                total += a * flux * kernel * wave
-        field[point] += total
+                kernel = wave * (sensor_um / (2.0 * math.pi * image * image) * (1.0 / image - 1j * wavenumber))
+                for depth in range(lit.shape[0]):
+                    total[depth] += lit[depth, row, column] * kernel
+        for depth in range(lit.shape[0]):
+            field[depth, point] += total[depth]
