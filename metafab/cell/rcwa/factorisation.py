@@ -138,8 +138,8 @@ def _inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, e
 
 
 def _diagonal(matrix: Matrix) -> Matrix:
-    """The diagonal of a row-wise square matrix, to be written to."""
-    return matrix.reshape(-1)[:: len(matrix) + 1]
+    """The diagonal of a square matrix, to be written to."""
+    return np.asarray(np.einsum("ii->i", matrix))
 
 
 def _wavenumber(axis: AxisParity) -> FloatArray:
