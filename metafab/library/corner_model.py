@@ -28,7 +28,7 @@ LARGEST_DEGREE = 18
 MODELS = 3
 #: Unknowns that a fit may have for each equation.
 FILLING = 0.7
-#: Models of few unknowns for the samples are not tried: they are done in no time, and never the best.
+#: Models with fewer unknowns than this for each equation are not tried: the samples can tell more.
 LEAST_FILLING = 0.25
 
 
