@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -47,6 +47,12 @@ def show(result: Any, as_json: bool) -> None:
         return
     for line in _lines(table):
         print(line)
+
+
+def announce(sentences: Iterable[str]) -> None:
+    """Say on stderr what is worth knowing before the work begins."""
+    for sentence in sentences:
+        print(f"metafab: {sentence}", file=sys.stderr)
 
 
 def exit_on_violations(count: int) -> None:

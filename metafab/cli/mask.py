@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from metafab.cli.app import Cluster, DesignFile, DesignOption, Json, LayoutFile, Output, Workers, app, open_job
-from metafab.cli.console import exit_on_violations, progress_bars, show
+from metafab.cli.console import announce, exit_on_violations, progress_bars, show
 
 
 @app.command("layout")
@@ -28,6 +28,7 @@ def layout_command(
         if plan:
             show(mask.plan(job.profile, steps.open_library(job), job.design), json_)
             return
+        announce(mask.announcement(job.design))
         with measured() as cost:
             result = steps.write_layout(job)
     show({**result, "seconds": cost.seconds, "peak_rss_mb": cost.peak_rss_mb}, json_)

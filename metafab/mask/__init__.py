@@ -22,7 +22,7 @@ In: a PillarMap and a Design. Out: files; from a file: a ReadBack, the pillars a
 """
 
 from metafab.mask.cells import top_name
-from metafab.mask.plan import plan
+from metafab.mask.plan import announcement, plan
 from metafab.mask.read import Leftover, ReadBack, Shapes, read, read_shapes
 from metafab.mask.write import WrittenFile, biased, write
 
@@ -31,6 +31,7 @@ __all__ = [
     "ReadBack",
     "Shapes",
     "WrittenFile",
+    "announcement",
     "biased",
     "plan",
     "read",

@@ -7,9 +7,11 @@ import time
 from typing import Any
 
 from metafab.core.executor import default_workers
+from metafab.layout import Aperture
 from metafab.layout.assign import mapping_of
 from metafab.library import Library
 from metafab.mask.cells import top_name
+from metafab.mask.gdsii_writer import BOUNDARY_WORDS
 from metafab.mask.write import WRITERS
 from metafab.phase.profile import PhaseProfile
 from metafab.spec import Design
@@ -67,6 +69,16 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
         "workers": default_workers(),
         "advice": _advice(sizes),
     }
+
+
+def announcement(design: Design) -> list[str]:
+    """What is to be said before a mask is written: that its GDSII would be larger than many readers take.
+
+    Every pillar is a BOUNDARY of 64 bytes, so that nothing needs to be mapped to know it.
+    """
+    if "gds" not in design.mask.formats:
+        return []
+    return _advice({"gds": Aperture.of(design).count * BOUNDARY_WORDS * 4})
 
 
 def _advice(sizes: dict[str, int]) -> list[str]:

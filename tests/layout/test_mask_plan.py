@@ -42,3 +42,17 @@ def test_a_centimetre_lens_is_planned_from_a_few_tiles_and_oasis_proposed(
     assert plan["bytes"]["gds"] == pytest.approx(64 * plan["pillars"], rel=1e-2)
     assert plan["sampled_tiles"] == 16
     assert "write 'oas'" in plan["advice"][0]
+
+
+def test_a_large_gdsii_is_announced_from_its_size_alone(small_design: Design) -> None:
+    """2^31 bytes are 33.5 million pillars of 64 bytes: a circle of 2.29 mm at 350 nm."""
+
+    def of(aperture_um: float, *formats: str) -> list[str]:
+        device = replace(small_design.device, aperture_um=aperture_um)
+        return mask.announcement(replace(small_design, device=device, mask=replace(small_design.mask, formats=formats)))
+
+    assert of(2280.0, "gds", "oas") == []
+    (sentence,) = of(2300.0, "gds", "oas")
+    assert "2.2 GB" in sentence
+    assert "write 'oas'" in sentence
+    assert of(8000.0, "oas") == []
