@@ -4,6 +4,7 @@
 - ``geometry``  a design's lattice, write fields and tiles in whole database units
 - ``aperture``  which sites carry a pillar
 - ``gaps``      distances between neighbours, diagonals included
+- ``candidates``, ``neighbours``  sizes chosen jointly, where pairs of neighbours must keep the gap
 - ``figures``   how well chosen sizes follow their targets
 - ``mapping``   one tile: the best sizes
 - ``assign``    the whole lens
