@@ -29,6 +29,7 @@ _REMEDY = "the file is damaged or not OASIS: write or export it again"
 _END_BYTES = 256
 _LARGEST_CHUNK = 1 << 21
 _LARGEST_BLOCK = 1 << 31
+_REGULAR = 3  # copies at equal steps, no list
 _SHAPES = {RECTANGLE, 21, 22, 23, 24, 25, 26, 27, 33}
 _ORIGIN = np.zeros((1, 2), dtype=np.int64)
 
@@ -471,7 +472,8 @@ class _Pass:
             [modal.layer, modal.datatype, *modal.geometry, modal.width, modal.height, -1, modal.relative],
             dtype=np.int64,
         )
-        capacity = min(stream.data.size - stream.position, _LARGEST_CHUNK)
+        # A list has a byte at least for each copy; regular arrays have more copies than bytes.
+        capacity = min(max(stream.data.size - stream.position, 1 << 17), _LARGEST_CHUNK)
         out = np.empty((0 if self._indexing else capacity, 4), dtype=np.int64)
         end, count = _rectangles(stream.data, stream.position, state, self._reader.layer, out, capacity)
         if end == stream.position:
@@ -498,8 +500,8 @@ def _rectangles(
 ) -> tuple[int, int]:
     """RECTANGLE records from ``position`` on -> (position behind the last taken, rectangles).
 
-    Stops at any other record, at another layer, at repetitions other than lists of displacements, when ``out``
-    is full, and where the data end; ``state`` is then as before the record that was not taken.
+    Stops at any other record, at another layer, at a repetition that repeats an earlier one, when ``out`` is full,
+    and where the data end; ``state`` is then as before the record that was not taken.
     """
     count = 0
     now = state.copy()
@@ -509,22 +511,27 @@ def _rectangles(
         here = _read_fields(data, position + 2, info, now)
         if here < 0 or now[0] != wanted[0] or now[1] < wanted[1] or now[1] > wanted[2]:
             break
-        copies, grid = 1, 1
+        copies, columns, grid, form = 1, 1, 1, _REGULAR
+        fast_x, fast_y, slow_x, slow_y = 0, 0, 0, 0
         if info & 4:
             now[6] = here
-            copies, grid, here = _read_list_head(data, here)
+            copies, columns, grid, form, fast_x, fast_y, slow_x, slow_y, here = _read_repetition(data, here)
         if here < 0 or count + copies > capacity:
             break
         x, y = now[2], now[3]
-        for copy in range(count, count + copies):
-            if copy > count:
-                step_x, step_y, here = read_displacement(data, here, 2)
+        for copy in range(copies):
+            if form == _REGULAR:
+                x = now[2] + copy % columns * fast_x + copy // columns * slow_x
+                y = now[3] + copy % columns * fast_y + copy // columns * slow_y
+            elif copy:
+                step_x, step_y, here = read_displacement(data, here, form)
                 if here < 0:
                     return position, count
                 x += grid * step_x
                 y += grid * step_y
             if len(out):
-                out[copy, 0], out[copy, 1], out[copy, 2], out[copy, 3] = x, y, now[4], now[5]
+                place = count + copy
+                out[place, 0], out[place, 1], out[place, 2], out[place, 3] = x, y, now[4], now[5]
         count += copies
         position = here
         state[:] = now
@@ -548,13 +555,35 @@ def _read_fields(data: NDArray[np.uint8], here: int, info: int, state: NDArray[n
 
 
 @compiled
-def _read_list_head(data: NDArray[np.uint8], here: int) -> tuple[int, int, int]:
-    """Copies, grid and position behind the head of a list of displacements; -1 for other repetitions."""
-    grid = 1
+def _read_repetition(data: NDArray[np.uint8], here: int) -> tuple[int, int, int, int, int, int, int, int, int]:
+    """What a repetition says of its copies, up to where a list begins.
+
+    Returns:
+        Copies, columns, grid, form of a list's displacements (as :func:`read_displacement`) or ``_REGULAR``, the
+        steps (x, y) along and between columns, and the position behind; that is -1 where the data end, where the
+        repetition is an earlier one's, and where it has more copies than a chunk holds.
+    """
     kind, here = read_unsigned(data, here)
-    if here < 0 or kind not in (10, 11):
-        return 1, 1, -1
-    copies, here = read_unsigned(data, here)
-    if here >= 0 and kind == 11:
-        grid, here = read_unsigned(data, here)
-    return copies + 2, grid, here
+    first, second, grid = 0, 0, 1
+    if kind < 1 or kind > 11:
+        return 1, 1, 1, _REGULAR, 0, 0, 0, 0, -1
+    if here >= 0:
+        first, here = read_unsigned(data, here)
+    columns, rows = first + 2, 1
+    if here >= 0 and kind in (1, 8):
+        second, here = read_unsigned(data, here)
+        rows = second + 2
+    if columns > _LARGEST_CHUNK or rows > _LARGEST_CHUNK:
+        return 1, 1, 1, _REGULAR, 0, 0, 0, 0, -1
+    if kind in (4, 5, 6, 7, 10, 11):
+        if here >= 0 and kind in (5, 7, 11):
+            grid, here = read_unsigned(data, here)
+        form = 2 if kind >= 10 else kind // 6
+        return columns, columns, grid, form, 0, 0, 0, 0, here
+    form = 0 if kind in (1, 2) else 1 if kind == 3 else 2
+    fast_x, fast_y, slow_x, slow_y = 0, 0, 0, 0
+    if here >= 0:
+        fast_x, fast_y, here = read_displacement(data, here, form)
+    if here >= 0 and rows > 1:
+        slow_x, slow_y, here = read_displacement(data, here, 1 if kind == 1 else 2)
+    return columns * rows, columns, 1, _REGULAR, fast_x, fast_y, slow_x, slow_y, here
