@@ -38,7 +38,8 @@ def patch_amplitude(
     image = show_map(axes, np.abs(field), extent, cmap=SHARE_MAP, vmin=0.0, vmax=largest)
     colour_bar(image, axes, "field over incident field")
     bare(axes, title)
-    scale_bar(axes, extent, INK)
+    # Ink that shows on the dark end of the scale.
+    scale_bar(axes, extent, "#ffffff")
     return axes
 
 
