@@ -22,10 +22,12 @@ class UncoupledPillars(Pool):
 
     Args:
         planted: added to the amplitude of each order (m, n) of a supercell of several pillars.
+        tail: what every reply says is left of its field.
     """
 
-    def __init__(self, planted: dict[tuple[int, int], complex] | None = None) -> None:
+    def __init__(self, planted: dict[tuple[int, int], complex] | None = None, tail: float = 1e-4) -> None:
         super().__init__(1)
+        self.tail = tail
         self.planted = planted or {}
         self.jobs: list[Job] = []
 
@@ -62,7 +64,7 @@ class UncoupledPillars(Pool):
         return {
             "limit": limit,
             "incident": np.array([source * wave(n_in, near - begin, np.zeros(2)), 0.0]),
-            "tail": np.array(1e-4),
+            "tail": np.array(self.tail),
             "time": np.array([50.0]),
             "seconds": np.array(0.1),
         }

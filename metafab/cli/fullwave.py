@@ -12,6 +12,9 @@ from metafab.cli.app import DesignOption, Json, LayoutFile, Output, app, open_jo
 from metafab.cli.console import progress_bars, show
 from metafab.core.errors import InputError
 
+#: A simulation that takes so many times as long as was foreseen is ended.
+_PATIENCE = 20.0
+
 Polarisations = Annotated[Literal["x", "y", "both"], typer.Option(help="Of the incident light.")]
 
 
@@ -75,7 +78,8 @@ def patch_command(
     In a run folder, ``-o DIR/patch.h5`` puts the fields into its report.
     """
     from metafab import fullwave, mask, steps
-    from metafab.cell.meep import SupercellSettings
+    from metafab.cell.meep import Pool, SupercellSettings
+    from metafab.cell.meep.kept import own_folder
     from metafab.core.files import file_sha256, fingerprint
 
     require_positive("--size-um", size_um)
@@ -99,7 +103,8 @@ def patch_command(
                 "patch", "size_um", f"at most {limit_min:g} min and {limit_mb:g} MB", cost,
                 "make it smaller or its grid coarser, raise the limits, or give --force",
             )  # fmt: skip
-        patch = fullwave.solve_patch(plan, opened, polarisation, progress=progress)
+        with Pool(1, limit_s=max(3600.0, _PATIENCE * plan.seconds), keep=own_folder()) as pool:
+            patch = fullwave.solve_patch(plan, opened, polarisation, pool, progress)
     fullwave.save_patch(patch, path, inputs_sha256=fingerprint(file_sha256(layout), at_um, size_um, polarisation))
     show(
         {

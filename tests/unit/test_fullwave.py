@@ -12,7 +12,7 @@ import pytest
 from metafab import fullwave
 from metafab.cell.meep import SupercellSettings
 from metafab.cell.rcwa.row import RowNumerics
-from metafab.core.errors import InputError
+from metafab.core.errors import InputError, SolverError
 from metafab.fullwave.coupling import CouplingRow
 from metafab.fullwave.patch import differences
 from metafab.fullwave.written import library_responses, sizes_at
@@ -189,6 +189,12 @@ def test_planted_coupling_of_a_patch_is_found(pillars: PillarMap, ramp_library: 
     np.testing.assert_allclose(patch.full_wave - patch.alone, 0.1, atol=1e-12)
     scale = np.sqrt(np.mean(np.abs(patch.alone) ** 2))
     assert patch.figures()["coupling_relative_l2"] == pytest.approx(0.1 / scale)
+
+
+def test_a_patch_that_does_not_settle_has_no_field(pillars: PillarMap, ramp_library: Library) -> None:
+    plan = fullwave.plan_patch(pillars, ramp_library, (1.0, -2.0), 1.05, padding_sites=0, settings=QUICK)
+    with pytest.raises(SolverError, match="longest_periods"):
+        fullwave.solve_patch(plan, ramp_library, "x", UncoupledPillars(tail=np.inf))
 
 
 def test_waves_that_do_not_travel_are_left_out_of_both_fields(pillars: PillarMap, ramp_library: Library) -> None:

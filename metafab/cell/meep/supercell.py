@@ -23,7 +23,7 @@ from metafab.cell.meep.solver import refuse_untreated
 from metafab.cell.response import PillarCell
 from metafab.cell.supercell import IntArray, Supercell, SupercellResponse
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
-from metafab.core.errors import InputError
+from metafab.core.errors import InputError, SolverError
 from metafab.core.progress import Progress, silent
 
 #: z = 0 lies off the nodes by this part of a pixel, where no face of a pixel meets it.
@@ -99,7 +99,7 @@ def solve_supercell(
     Raises:
         InputError: the cell lies outside what this solver treats, or the grid does not fit.
         MissingToolError: no interpreter has Meep.
-        SolverError: a worker failed.
+        SolverError: a worker failed, or the fields did not decay.
     """
     refuse_untreated(replace(supercell.cell, width_nm=0.0, length_nm=0.0))
     start = time.perf_counter()
@@ -145,6 +145,10 @@ def _run(pool: Pool, plan: _Plan, progress: Progress = silent) -> tuple[ComplexA
     job = plan.job
     longest = job.longest_time / job.wavelength_um
     reply = pool.run(job, lambda done: progress("supercell by FDTD", done / job.wavelength_um, longest))
+    if not np.isfinite(reply["tail"]):
+        raise SolverError(
+            f"Meep: the fields had not begun to decay after {longest:g} optical periods; give more by `longest_periods`"
+        )
     arriving = complex(reply["incident"][0]) * cmath.exp(-1j * plan.k_in * plan.near_um)
     back = np.array([cmath.exp(-1j * k * plan.far_um) for k in plan.k_out])
     return np.asarray(reply["limit"][1].T * back[:, None] / arriving), float(reply["tail"])
