@@ -90,7 +90,7 @@ def _text(design: Design, chip: Chip, lens: int, margin: int) -> IntArray:
     square = _dbu(design, chip.text_um) // ROWS
     if square < 1 or ROWS * square > margin:
         raise _no_room(design, "text_um", f"at most the margin of {chip.margin_um:g} um", f"{chip.text_um:g} um")
-    # Marks end half a margin inside the lens' square.
+    # Marks reach inwards to the lens' square at most; text keeps half a margin from them.
     left, right = -lens + margin // 2, lens - margin // 2
     bottom = -lens - margin // 2 - ROWS * square // 2
     found = [_moved(text_rectangles(label, square), left, bottom)]
