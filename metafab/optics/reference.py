@@ -44,15 +44,15 @@ def direct_irradiance(
     """
     depth_um = 1e6 * np.atleast_1d(np.asarray(depth_m, dtype=np.float64))
     objects = [(tangent[0] * z, tangent[1] * z, z) for z in depth_um.tolist()]
-    points = [np.asarray(axis, dtype=np.float64) for axis in (x_um, y_um)]
-    field = np.zeros((depth_um.size, points[0].size), dtype=np.complex128)
+    u, v = (np.asarray(axis, dtype=np.float64) for axis in (x_um, y_um))
+    field = np.zeros((depth_um.size, u.size), dtype=np.complex128)
     site_x, site_y = source.lattice.x_um(), source.lattice.y_um()
     for tile in source.tiles():
         amplitude = tile.amplitude(polarisation)
         n_y, n_x = amplitude.shape
         x, y = site_x[tile.column : tile.column + n_x], site_y[tile.row : tile.row + n_y]
         lit = np.array([amplitude * _incident_wave(*point, x, y, imaging.wavenumber) for point in objects])
-        _accumulate(field, *points, lit, x, y, imaging.sensor_distance_um, imaging.wavenumber)
+        _accumulate(field, u, v, lit, x, y, imaging.sensor_distance_um, imaging.wavenumber)
     period_x, period_y = source.lattice.period_dbu
     cell_um2 = period_x * period_y * (1e-3 * source.lattice.database_unit_nm) ** 2
     incident = np.array([_incident_power(imaging, *point) for point in objects])
