@@ -11,6 +11,7 @@ The rooms, in the order in which data flows:
 - ``mask``       PillarMap -> GDSII / OASIS, and back from the file
 - ``drc``        design rules on a written file
 - ``optics``     PillarMap + Library -> Psf
+- ``fullwave``   pieces of a written mask by full-wave solvers, against the library
 - ``camera``     scene + Psf -> raw frame
 - ``decode``     raw frame + Psf -> Image4D
 - ``report``     figures and the HTML page
@@ -28,7 +29,7 @@ __version__ = "0.1.0"
 
 _ROOMS = (
     "spec", "materials", "cell", "library", "phase", "layout", "mask",
-    "drc", "optics", "camera", "decode", "report", "run",
+    "drc", "optics", "fullwave", "camera", "decode", "report", "run",
 )  # fmt: skip
 
 __all__ = ["__version__"]
