@@ -30,9 +30,10 @@ def main() -> None:
     epsilon = n_pillar**2
     silicon = mp.Medium(epsilon=epsilon.real, D_conductivity=2 * math.pi / wavelength * epsilon.imag / epsilon.real)
     geometry = [
+        # Not beyond the cell: Meep would let the rest come in again at the other end.
         mp.Block(
-            size=mp.Vector3(mp.inf, mp.inf, size_z),
-            center=mp.Vector3(z=foot - 0.5 * size_z),
+            size=mp.Vector3(mp.inf, mp.inf, foot + 0.5 * size_z),
+            center=mp.Vector3(z=0.5 * (foot - 0.5 * size_z)),
             material=mp.Medium(index=n_in),
         ),
         mp.Block(
