@@ -4,6 +4,7 @@
 - ``problem``      from a unit-cell spec to cells, and the calls that solve one or many
 - ``fresnel``      closed forms: interface and film, in the same planes and types
 - ``halfspace``    plane waves of a birefringent substrate
+- ``supercell``    unlike pillars in one period: what is asked, answered, and predicted from each alone
 - ``rcwa``         the Fourier modal method, certified
 - ``meep``         the real Meep (FDTD) as a separate program
 """

@@ -17,6 +17,7 @@ From one axis to the answer:
 - ``jones``          Jones matrices at one truncation
 - ``certificate``    truncation raised until the error is what was asked
 - ``diffraction``    efficiencies of single orders
+- ``row``            a row of unlike pillars, by one map over all their walls
 - ``cost``           seconds that an answer takes here, by a measured curve
 - ``derivatives``    dt, dr by sizes, height and index, by reciprocity
 """
