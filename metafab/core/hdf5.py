@@ -1,7 +1,13 @@
-"""HDF5 as metafab writes it: every dataset with units and a description, every file with its provenance."""
+"""HDF5 as metafab writes it: every dataset with units and a description, every file with its provenance.
+
+Behind the last byte that HDF5 knows of stands a checksum of all before it. The HDF5 library trusts what it reads, and
+a damaged file can keep it busy for ever; so damage is found first. Programs that change a file by HDF5 drop the
+checksum as they close it, and files without one open as ever.
+"""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -27,12 +33,15 @@ def create(path: Path, *, kind: str, format_version: int, inputs_sha256: str) ->
         inputs_sha256: fingerprint of everything that the content depends on.
     """
     # Without tracked times, the same content gives the same bytes.
-    with whole_file(path) as part, h5py.File(part, "w", libver=("v110", "v110"), track_order=True) as file:
-        file.attrs["kind"] = kind
-        file.attrs["format_version"] = format_version
-        file.attrs["inputs_sha256"] = inputs_sha256
-        file.attrs["metafab_version"] = __version__
-        yield file
+    with whole_file(path) as part:
+        with h5py.File(part, "w", libver=("v110", "v110"), track_order=True) as file:
+            file.attrs["kind"] = kind
+            file.attrs["format_version"] = format_version
+            file.attrs["inputs_sha256"] = inputs_sha256
+            file.attrs["metafab_version"] = __version__
+            yield file
+        with part.open("ab") as stream:
+            stream.write(_seal(part, part.stat().st_size))
 
 
 def put(
@@ -78,23 +87,53 @@ def open_kind(path: Path, *, kind: str, format_version: int, remedy: str) -> Ite
     if not path.is_file():
         raise InputError.single(str(path), "file", expected, "nothing at that path", remedy)
     try:
+        if _damaged(path):
+            got = "a damaged file (its bytes are not those that were written)"
+            raise InputError.single(str(path), "file", expected, got, remedy)
         file = h5py.File(path, "r")
-    except OSError as error:
+    except (OSError, RuntimeError) as error:
         reason = "a truncated or foreign file" if path.stat().st_size else "an empty file"
         raise InputError.single(str(path), "file", expected, f"{reason} ({error})", remedy) from error
     with file:
-        found = file.attrs.get("kind")
-        if found != kind:
-            got = f"an HDF5 file of kind {found!r}" if found else "an HDF5 file that metafab did not write"
-            raise InputError.single(str(path), "kind", expected, got, remedy)
-        version = int(file.attrs.get("format_version", 0))
-        if version > format_version:
-            raise InputError.single(
-                str(path), "format_version", expected, f"format {version}", "update metafab to read this file"
-            )
         try:
+            found = file.attrs.get("kind")
+            if not isinstance(found, str) or found != kind:
+                got = f"an HDF5 file of kind {found!r}" if found else "an HDF5 file that metafab did not write"
+                raise InputError.single(str(path), "kind", expected, got, remedy)
+            version = int(file.attrs.get("format_version", 0))
+            if version > format_version:
+                raise InputError.single(
+                    str(path), "format_version", expected, f"format {version}", "update metafab to read this file"
+                )
             yield file
-        except (KeyError, OSError) as error:
+        except _UNREADABLE as error:
             raise InputError.single(
-                str(path), "content", expected, f"an unreadable or missing dataset ({error})", remedy
+                str(path), "content", expected, f"unreadable or missing content ({error})", remedy
             ) from error
+
+
+#: What h5py, NumPy and JSON raise on content that is not what its place promises.
+_UNREADABLE = (LookupError, OSError, ValueError, TypeError, AttributeError, RuntimeError, MemoryError)
+_SEAL = b"\nmetafab crc32 "
+#: Bytes of the checksum at the end of a file.
+SEAL_BYTES = len(_SEAL) + 9
+
+
+def _seal(path: Path, size: int) -> bytes:
+    """The checksum of the first ``size`` bytes, as it stands at the end of a file."""
+    value, left = 0, size
+    with path.open("rb") as stream:
+        while left > 0 and (chunk := stream.read(min(left, 1 << 20))):
+            value, left = zlib.crc32(chunk, value), left - len(chunk)
+    return _SEAL + f"{value:08x}\n".encode()
+
+
+def _damaged(path: Path) -> bool:
+    """Whether a file carries a checksum that is not its own."""
+    size = path.stat().st_size - SEAL_BYTES
+    if size < 0:
+        return False
+    with path.open("rb") as stream:
+        stream.seek(size)
+        found = stream.read(SEAL_BYTES)
+    return found.startswith(_SEAL) and found != _seal(path, size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
@@ -60,6 +61,8 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
     def tiff(path: Path) -> np.ndarray:
         import tifffile
 
+        # What it logs of a file's oddities would come beside our one message; cameras' own tags are none of ours.
+        logging.getLogger("tifffile").setLevel(logging.CRITICAL)
         return np.asarray(tifffile.imread(path))
 
     def png(path: Path) -> np.ndarray:

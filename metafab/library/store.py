@@ -118,7 +118,7 @@ def load(path: Path) -> Library:
         for name, values in {**amplitudes, "error": error}.items():
             if values.shape != shape:
                 raise InputError.single(str(path), name, f"shape {shape}", f"shape {values.shape}", _REMEDY)
-        text = str(file.attrs["unit_cell_toml"])
+        table = tomllib.loads(str(file.attrs["unit_cell_toml"]))
         details = _details(file)
         inputs = str(file.attrs["inputs_sha256"])
         model = SizeModel(_model(file["model/x"]), _model(file["model/y"])) if "model" in file else None
@@ -126,7 +126,7 @@ def load(path: Path) -> Library:
         if model_error is not None and model_error.shape != shape[1:]:
             raise InputError.single(str(path), "model/error", f"shape {shape[1:]}", f"{model_error.shape}", _REMEDY)
         corners = _corners(file["corners"]) if "corners" in file else None
-    unit_cell = validate(UnitCell, tomllib.loads(text), str(path))
+    unit_cell = validate(UnitCell, table, str(path))
     return Library(
         unit_cell,
         wavelength_nm,

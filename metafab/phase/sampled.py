@@ -112,5 +112,5 @@ def _read(file: Path, dataset: str) -> NDArray[np.generic]:
             return np.loadtxt(file, delimiter=",", ndmin=2)
         with h5py.File(file, "r") as source:
             return np.asarray(source[dataset])
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except Exception as error:  # the readers raise whatever they meet in a broken file
         raise InputError.single(str(file), "file", expected, f"an unreadable one ({error})") from error

@@ -22,5 +22,5 @@ def unit_cell_of_library(path: Path) -> UnitCell:
 
     remedy = "build it with `metafab library build UNITCELL.toml`"
     with hdf5.open_kind(path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, remedy=remedy) as file:
-        text = str(file.attrs["unit_cell_toml"])
-    return validate(UnitCell, tomllib.loads(text), str(path))
+        table = tomllib.loads(str(file.attrs["unit_cell_toml"]))
+    return validate(UnitCell, table, str(path))
