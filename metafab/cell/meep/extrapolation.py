@@ -10,8 +10,9 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
 
-#: Of h in the error of a field that is singular at a dielectric corner; smooth fields have h^2.
-_SLOWEST_POWER = 1.5
+#: Of h in the error of a field that is singular at a right-angled corner, 2 alpha for a field r^(alpha - 1) with
+#: alpha > 2/3 at any dielectric; smooth fields have h^2.
+_SLOWEST_POWER = 4.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -34,7 +35,7 @@ def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Ext
 
     The three finest grids give both coefficients, two give the first only. The error is what the limit of second
     order from the two finest grids would still lack if the step to it from the one before were all due to a
-    term in h^1.5, the slowest that the corners of a pillar add. With two grids it is the whole correction.
+    term in h^(4/3), the slowest that the corners of a pillar add. With two grids it is the whole correction.
 
     Args:
         pixel_um: at least two grid spacings, coarse to fine.
