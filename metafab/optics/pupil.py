@@ -11,15 +11,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
+from metafab.core.executor import default_workers
+from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.core.progress import Progress, silent
-from metafab.layout.pillars import SizeIndexArray
 from metafab.optics.path import Ray, path_um
 from metafab.optics.source import FieldTile, Source
 
@@ -103,10 +105,16 @@ def reduce_field(
         lattice.period_dbu[1] * lattice.database_unit_nm * 1e-3,
     )
     pupils = [_empty_pupil(carrier, wavenumber, pitch, x, y) for carrier in carriers]
-    for tile in source.tiles():
-        for pupil in pupils:
-            _add_tile(pupil, tile, x, y)
-        progress("pupil", min(tile.row * x.size + tile.column, x.size * y.size), x.size * y.size)
+    pending: list[Future[None]] = []
+    # Carriers in parallel, never tiles (which may share blocks); the source makes a tile while the last is summed.
+    with ThreadPoolExecutor(default_workers()) as threads:
+        for tile in source.tiles():
+            for job in pending:
+                job.result()
+            pending = [threads.submit(_add_tile if HAS_NUMBA else add_tile_exactly, p, tile, x, y) for p in pupils]
+            progress("pupil", min(tile.row * x.size + tile.column, x.size * y.size), x.size * y.size)
+        for job in pending:
+            job.result()
     progress("pupil", x.size * y.size, x.size * y.size)
     return pupils
 
@@ -123,15 +131,12 @@ def _empty_pupil(
 
 
 def _add_tile(pupil: Pupil, tile: FieldTile, x_um: FloatArray, y_um: FloatArray) -> None:
-    if HAS_NUMBA and tile.size_index is not None and tile.table is not None:
-        ray = pupil.carrier.ray
-        _sum_blocks(
-            pupil.sums, pupil.power, tile.size_index, tile.table[:, pupil.carrier.polarisation].copy(),
-            tile.row, tile.column, pupil.carrier.block_sites, pupil.x_um, pupil.y_um, *pupil.pitch_um,
-            pupil.wavenumber, ray.vergence_per_um, *ray.tangent, *ray.target_um,
-        )  # fmt: skip
-        return
-    add_tile_exactly(pupil, tile, x_um, y_um)
+    ray = pupil.carrier.ray
+    _sum_blocks(
+        pupil.sums, pupil.power, *tile.indexed(pupil.carrier.polarisation), tile.row, tile.column,
+        pupil.carrier.block_sites, pupil.x_um, pupil.y_um, *pupil.pitch_um, pupil.wavenumber,
+        ray.vergence_per_um, *ray.tangent, *ray.target_um,
+    )  # fmt: skip
 
 
 def add_tile_exactly(pupil: Pupil, tile: FieldTile, x_um: FloatArray, y_um: FloatArray) -> None:
@@ -156,11 +161,11 @@ def _block_sums(values: Any, rows: np.ndarray, columns: np.ndarray) -> Any:
     return np.add.reduceat(np.add.reduceat(values, first_row, axis=0), first_column, axis=1)
 
 
-@compiled_parallel
+@compiled
 def _sum_blocks(
     sums: ComplexArray,
     power: FloatArray,
-    size_index: SizeIndexArray,
+    size_index: NDArray[np.unsignedinteger],
     table: ComplexArray,
     row: int,
     column: int,
@@ -185,7 +190,7 @@ def _sum_blocks(
     n_y, n_x = size_index.shape
     intensity = np.abs(table) ** 2
     first, last = row // block, (row + n_y - 1) // block
-    for block_row in prange(first, last + 1):
+    for block_row in range(first, last + 1):
         along_x = np.empty(block, dtype=np.complex128)
         top, bottom = max(row, block_row * block), min(row + n_y, (block_row + 1) * block)
         for block_column in range(column // block, (column + n_x - 1) // block + 1):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray
 from metafab.layout.pillars import Lattice, PillarMap, SizeIndexArray
@@ -47,6 +48,14 @@ class FieldTile:
             assert self.amplitudes is not None
             return np.asarray(self.amplitudes[polarisation])
         return np.asarray(self.table[self.size_index, polarisation])
+
+    def indexed(self, polarisation: int) -> tuple[NDArray[np.unsignedinteger], ComplexArray]:
+        """The same as an index, shape (n_y, n_x), into amplitudes, shape (n,): what the compiled pass reads."""
+        if self.size_index is None or self.table is None:
+            amplitude = self.amplitude(polarisation)
+            sites = np.arange(amplitude.size).reshape(amplitude.shape)
+            return sites.astype(np.uint16 if amplitude.size <= 1 << 16 else np.uint32), amplitude.ravel()
+        return self.size_index, np.ascontiguousarray(self.table[:, polarisation])
 
 
 class Source(Protocol):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from metafab.core.numerics import HAS_NUMBA
 from metafab.optics.path import Ray, power_at_aperture
 from metafab.optics.pupil import Carrier, Pupil, add_tile_exactly, mixed_phase_rad, reduce_field
-from metafab.optics.source import Source
+from metafab.optics.source import FieldTile, Source
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()
@@ -29,9 +31,10 @@ def _exact(source: Source, carrier: Carrier) -> Pupil:
 
 @pytest.mark.skipif(not HAS_NUMBA, reason="nothing compiled to compare with")
 @pytest.mark.parametrize("block", [1, 3, 8])
-def test_the_compiled_pass_is_the_plain_one(block: int) -> None:
+@pytest.mark.parametrize("make", [lens.written, lens.ideal])
+def test_the_compiled_pass_is_the_plain_one(block: int, make: Callable[..., Source]) -> None:
     """They differ by the mixed curvature, which ``mixed_phase_rad`` bounds, and by third order (less here)."""
-    source = lens.written(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
+    source = make(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
     carrier = Carrier(0, _ray(), block)
     (fast,) = reduce_field(source, [carrier], K)
     exact = _exact(source, carrier)
@@ -50,12 +53,20 @@ def test_tiles_leave_no_trace() -> None:
 
 def test_halving_is_the_same_as_larger_blocks() -> None:
     source = lens.ideal(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
-    ray = _ray()
-    fine, coarse = reduce_field(source, [Carrier(0, ray, 3), Carrier(0, ray, 6)], K)
+    fine, coarse = (_exact(source, Carrier(0, _ray(), block)) for block in (3, 6))
     halved = fine.halved()
     assert halved.x_um == pytest.approx(coarse.x_um) and halved.y_um == pytest.approx(coarse.y_um)
     assert np.abs(halved.sums - coarse.sums).max() < 1e-10 * np.abs(coarse.sums).max()
     assert halved.power == pytest.approx(coarse.power)
+
+
+def test_a_tile_of_amplitudes_is_an_index_into_them() -> None:
+    """Tiles above 2^16 sites need a longer index; both give back what they were made of."""
+    for shape in ((3, 5), (300, 300)):
+        amplitudes = np.arange(2.0 * shape[0] * shape[1]).reshape(2, *shape) * (1.0 - 2.0j)
+        tile = FieldTile(0, 0, amplitudes=amplitudes)
+        index, table = tile.indexed(1)
+        assert np.array_equal(table[index], tile.amplitude(1))
 
 
 def test_all_light_through_an_ideal_aperture_arrives() -> None:
