@@ -15,7 +15,7 @@ from metafab.cell.rcwa import Formulation, zero_order
 from metafab.cell.rcwa.basis import AxisBasis, axis_basis
 from metafab.cell.rcwa.jones import distance
 from metafab.cell.rcwa.outlines import outline_bases
-from metafab.cell.rcwa.slicing import slicing
+from metafab.cell.rcwa.slicing import slicing, smooth
 from metafab.core.conventions import Side
 from metafab.core.errors import InputError
 
@@ -80,9 +80,10 @@ def test_sloped_pillars_conserve_power_and_are_reciprocal(formulation: Formulati
         np.testing.assert_allclose(np.diag(up.t), 1.46 * np.diag(down.t), rtol=0.0, atol=ROUNDING)
 
 
-def test_adapted_and_plain_staircases_meet() -> None:
+@pytest.mark.parametrize("angle_deg", [86.0, 94.0])
+def test_adapted_and_plain_staircases_meet(angle_deg: float) -> None:
     # The same two steps, by one map for both walls and by plain harmonics, which converge algebraically.
-    cell = replace(TITANIA, sidewall_angle_deg=86.0)
+    cell = replace(TITANIA, sidewall_angle_deg=angle_deg)
     adapted = zero_order(cell, 8, steps=2)
     fine, coarse = (zero_order(cell, orders, "fourier", steps=2) for orders in (12, 7))
     assert distance(fine, coarse) < 2e-2
@@ -131,12 +132,68 @@ def test_the_pillar_stands_on_the_substrate_whatever_the_side_of_the_light(side:
 def test_steps_are_as_fine_as_they_claim(size_nm: tuple[float, float], angle_deg: float) -> None:
     cell = replace(TITANIA, width_nm=size_nm[0], length_nm=size_nm[1], sidewall_angle_deg=angle_deg)
     cut = slicing(cell, CellNumerics(8e-3))
-    smooth = zero_order(cell, 4, steps=64)
+    limit = smooth(cell, 4, "adaptive", 64)
     assert cut.error <= 4e-3
-    assert distance(zero_order(cell, 4, steps=cut.steps), smooth) <= cut.error
+    assert distance(smooth(cell, 4, "adaptive", cut.steps), limit) <= cut.error
     few = slicing(cell, CellNumerics(8e-3, steps=2))
     assert few.steps == 2
-    assert distance(zero_order(cell, 4, steps=2), smooth) <= few.error
+    assert distance(smooth(cell, 4, "adaptive", 2), limit) <= few.error
+
+
+def test_extrapolation_takes_the_second_order_away_and_keeps_the_power() -> None:
+    cell = replace(TITANIA, sidewall_angle_deg=86.0)
+    limit = smooth(cell, 4, "adaptive", 64)
+    cut, extrapolated = zero_order(cell, 4, steps=16), smooth(cell, 4, "adaptive", 16)
+    assert distance(extrapolated, limit) < 0.2 * distance(cut, limit)
+    np.testing.assert_allclose(
+        extrapolated.transmitted_power + extrapolated.reflected_power, 1.0, rtol=0.0, atol=ROUNDING
+    )
+    assert distance(smooth(TITANIA, 4, "adaptive", 8), zero_order(TITANIA, 4)) == 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size_nm", [(150.0, 210.0), (120.0, 180.0)])
+def test_steps_counted_at_a_low_truncation_serve_a_higher_one(size_nm: tuple[float, float]) -> None:
+    # Resonant silicon, where the evanescent field that more cosines resolve makes each step count for more.
+    cell = replace(SILICON, width_nm=size_nm[0], length_nm=size_nm[1], sidewall_angle_deg=88.0)
+    cut = slicing(cell, CellNumerics(4e-2))
+    assert 0.0 < cut.error <= 2e-2
+    assert distance(smooth(cell, 7, "adaptive", cut.steps), smooth(cell, 7, "adaptive", 64)) <= cut.error
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize("angle_deg", [86.0, 94.0])
+def test_a_pillar_upside_down_is_one_that_leans_the_other_way(angle_deg: float, formulation: Formulation) -> None:
+    # Written out from its top on and lit from the other end, between exchanged half spaces: the same t and r. Below 90
+    # degrees a pillar narrows upwards, above 90 downwards: 600 nm / tan(angle) less on either side from end to end.
+    cell = replace(SILICON, sidewall_angle_deg=angle_deg, width_nm=160.0)
+    lean = 2.0 * 600.0 / np.tan(np.radians(angle_deg))
+    # The ends, of no height, set the same coordinates.
+    steps = [(0.0, -0.5), (150.0, -0.375), (150.0, -0.125), (150.0, 0.125), (150.0, 0.375), (0.0, 0.5)]
+    from_the_top = [
+        Slice(height, cell.n_pillar, 1.0, 160.0 + lean * share, 210.0 + lean * share) for height, share in steps
+    ]
+    turned = replace(
+        SILICON,
+        height_nm=0.0,
+        width_nm=160.0,
+        n_substrate=(1.0, 1.0),
+        n_ambient=1.7601,
+        under=tuple(from_the_top),
+        side="ambient",
+    )
+    assert distance(zero_order(cell, 4, formulation, steps=4), zero_order(turned, 4, formulation)) < ROUNDING
+
+
+@pytest.mark.parametrize("angle_deg", [86.0, 94.0])
+def test_light_through_leaning_walls_is_reciprocal(angle_deg: float) -> None:
+    # In a medium that is the same on both sides, upside down is lit from the other end: t of the one is t of the other.
+    lying = replace(TITANIA, n_substrate=(1.0, 1.0), sidewall_angle_deg=angle_deg)
+    leaning_back = replace(lying, sidewall_angle_deg=180.0 - angle_deg)
+    one, other = (smooth(cell, 5, "adaptive", 8) for cell in (lying, leaning_back))
+    np.testing.assert_allclose(one.t, other.t, rtol=0.0, atol=ROUNDING)
+    # Reflection tells the two apart.
+    assert np.abs(one.r - other.r).max() > 1e-3
 
 
 def test_bound_of_a_sloped_pillar_holds_its_steps_and_its_truncation() -> None:
@@ -144,7 +201,7 @@ def test_bound_of_a_sloped_pillar_holds_its_steps_and_its_truncation() -> None:
     response = solve(cell, CellNumerics(2e-2))
     assert response.converged
     assert response.error > response.details["slicing_error"] > 0.0
-    finer = zero_order(cell, 8, steps=2 * int(response.details["steps"]))
+    finer = smooth(cell, 8, "adaptive", 2 * int(response.details["steps"]))
     assert np.abs(response.t - finer.t).max() <= response.error
     assert np.abs(response.r - finer.r).max() <= response.error
     assert "steps" not in solve(TITANIA, CellNumerics(1e-2)).details
@@ -158,7 +215,8 @@ def test_impossible_slopes_are_refused() -> None:
         solve(replace(SILICON, sidewall_angle_deg=45.0))
     with pytest.raises(InputError, match="sidewall_angle_deg"):
         solve(replace(SILICON, sidewall_angle_deg=88.0), CellNumerics(solver="meep"))
-    with pytest.raises(InputError, match="steps"):
-        solve(replace(SILICON, sidewall_angle_deg=88.0), CellNumerics(steps=0))
+    for steps in (0, 1, 3):
+        with pytest.raises(InputError, match="steps"):
+            solve(replace(SILICON, sidewall_angle_deg=88.0), CellNumerics(steps=steps))
     with pytest.raises(InputError, match=r"over\[0\].width_nm"):
         solve(replace(SILICON, over=(Slice(40.0, 1.41, 1.0, 351.0, 100.0),)))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from metafab.cell import CellNumerics, PillarCell, Slice, solve
-from metafab.cell.rcwa import derivatives, zero_order
+from metafab.cell.fresnel import film_jones
+from metafab.cell.rcwa import derivatives, doubling, stack, zero_order
 from metafab.core.conventions import Side
 from metafab.core.errors import InputError
 
@@ -60,6 +62,68 @@ def test_coated_pillars_conserve_power_and_are_reciprocal(orders: int) -> None:
     up, down = (zero_order(replace(cell, side=side), orders) for side in ("substrate", "ambient"))
     np.testing.assert_allclose(up.transmitted_power + up.reflected_power, 1.0, rtol=0.0, atol=ROUNDING)
     np.testing.assert_allclose(np.diag(up.t), 1.7601 * np.diag(down.t), rtol=0.0, atol=ROUNDING)
+
+
+STACKS = {
+    "film and cap": replace(SILICON, under=(FILM,), over=(CAP,)),
+    "lossless": replace(SILICON, n_pillar=3.6941, under=(FILM,), over=(CAP,)),
+    "from the ambient": replace(SILICON, under=(FILM,), over=(CAP,), side="ambient"),
+    "oblique": replace(SILICON, under=(FILM,), over=(CAP,), angle_deg=20.0),
+    "out of plane": replace(SILICON, under=(FILM,), over=(CAP,), angle_deg=20.0, azimuth_deg=33.0),
+    "birefringent": replace(
+        SILICON, over=(CAP,), n_substrate=(1.7601, 1.7522), n_substrate_z=1.7601, angle_deg=20.0, azimuth_deg=33.0
+    ),
+    "Rayleigh anomaly": replace(SILICON, under=(FILM,), over=(CAP,), period_nm=(800.0, 800.0)),
+    "sloped": replace(SILICON, sidewall_angle_deg=88.0),
+    "metal on top": replace(SILICON, over=(Slice(30.0, 0.15 + 3.5j, 1.0),)),
+    "0.1 nm of oxide": replace(SILICON, over=(Slice(0.1, 1.45, 1.0),)),
+    "tall": replace(SILICON, over=(Slice(50_000.0, 1.41, 1.0),)),
+    "half-wave film": replace(SILICON, under=(Slice(200.0, 2.0, 2.0),)),
+    "no height": replace(SILICON, under=(FILM,), height_nm=0.0),
+    "nothing but an interface": replace(SILICON, under=(Slice(0.0, 2.0, 2.0),), height_nm=0.0),
+}
+
+
+@pytest.mark.parametrize("name", STACKS)
+def test_slabs_and_modes_agree(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Two ways through the same matrices; of a result by modes the condition is known.
+    orders, steps = (2 if "plane" in name or "bire" in name else 4), 4
+    by_slabs = zero_order(STACKS[name], orders, steps=steps)
+    with monkeypatch.context() as patch:
+        patch.setattr(stack, "by_slabs", lambda *_: None)
+        by_modes = zero_order(STACKS[name], orders, steps=steps)
+    # A film of half a wave has no admittance between its faces.
+    assert (by_slabs.conditioning.condition == 0.0) == (name != "half-wave film")
+    assert by_slabs.inconsistency < 1e-10
+    # What eigenvectors of up to 41 unknowns leave to rounding.
+    np.testing.assert_allclose(by_slabs.t, by_modes.t, rtol=0.0, atol=2e-9)
+    np.testing.assert_allclose(by_slabs.r, by_modes.r, rtol=0.0, atol=2e-9)
+    np.testing.assert_allclose(by_slabs.transmitted_power, by_modes.transmitted_power, rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("off_nm", [1e-9, 1e-6, 1e-3, 0.1])
+def test_films_of_nearly_half_a_wave(off_nm: float) -> None:
+    # Near the pole of the slab's admittance digits are lost without any loss of reciprocity.
+    film = replace(SILICON, width_nm=0.0, length_nm=0.0, height_nm=0.0, under=(Slice(200.0 + off_nm, 2.0, 2.0),))
+    exact_t, exact_r = film_jones(replace(film, under=(), height_nm=200.0 + off_nm), 2.0)
+    solved = zero_order(film, 3)
+    np.testing.assert_allclose(solved.t, exact_t, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(solved.r, exact_r, rtol=0.0, atol=1e-11)
+
+
+def test_slabs_that_lose_reciprocity_are_not_believed(monkeypatch: pytest.MonkeyPatch) -> None:
+    # A planted fault: slabs that are not symmetric. The modes take over.
+    cell = STACKS["film and cap"]
+    true = zero_order(cell, 4)
+
+    def spoilt(*arguments: Any) -> tuple[Any, Any] | None:
+        found = doubling.slab(*arguments)
+        return None if found is None else (found[0], np.triu(found[1]))
+
+    monkeypatch.setattr(stack, "slab", spoilt)
+    other = zero_order(cell, 4)
+    assert other.conditioning.condition > 1.0
+    np.testing.assert_allclose(other.t, true.t, rtol=0.0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("thickness_nm", [5_000.0, 50_000.0])

@@ -29,8 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.cell.rcwa.basis import Formulation
-from metafab.cell.rcwa.jones import ZeroOrder, axis_orders, distance, zero_order
-from metafab.cell.rcwa.slicing import slicing
+from metafab.cell.rcwa.jones import ZeroOrder, axis_orders, distance
+from metafab.cell.rcwa.slicing import slicing, smooth
 from metafab.cell.response import CellNumerics, CellResponse, PillarCell
 from metafab.core.errors import SolverError
 
@@ -113,7 +113,7 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     cut = slicing(cell, numerics)
     solved: dict[int, ZeroOrder] = {}
     for orders in climb(numerics):
-        solved[orders] = zero_order(cell, orders, numerics.formulation, cut.steps)
+        solved[orders] = smooth(cell, orders, numerics.formulation, cut.steps)
         error = bound(orders, solved, numerics.formulation, measured=_is_measured(cell)) + cut.error
         error = max(error, solved[orders].conditioning.rounding)
         if error <= numerics.target_error:

@@ -9,14 +9,16 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from metafab.cell.rcwa.basis import AxisParity, Formulation
 from metafab.cell.rcwa.certificate import climb
 from metafab.cell.rcwa.jones import axis_orders, in_plane_per_nm, one_thread, shares_of_power, solved_classes
-from metafab.cell.rcwa.slicing import slicing
+from metafab.cell.rcwa.slicing import slicing, smooth_array
 from metafab.cell.response import CellNumerics, PillarCell
 from metafab.core.conventions import FloatArray
 
@@ -81,10 +83,7 @@ def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Di
     farthest = max(abs(number) for side in sides for order in side for number in order)
     error, orders = math.inf, 0
     for orders in climb(numerics):
-        powers = efficiencies(cell, orders, numerics.formulation, cut.steps)
-        solved[orders] = np.array(
-            [powers[side].get(order, (0.0, 0.0)) for side in (0, 1) for order in sides[side]], dtype=np.float64
-        )
+        solved[orders] = smooth_array(cell, cut.steps, partial(_listed, cell, orders, numerics.formulation, sides))
         if len(solved) > 1 and min(axis_orders(cell, orders)) >= farthest:
             earlier = sorted(solved)[-3:-1]
             changes = [float(np.abs(solved[orders] - solved[count]).max()) for count in earlier]
@@ -140,6 +139,14 @@ def efficiencies(
                         for n in v:
                             side[m, n] = side[m, n] + power / (len(u) * len(v))
     return dict(sides[0]), dict(sides[1])
+
+
+def _listed(
+    cell: PillarCell, orders: int, formulation: Formulation, sides: Sequence[Sequence[Order]], steps: int
+) -> FloatArray:
+    """Shape (all orders of both ``sides``, 2): their efficiencies, 0 for what the basis does not hold."""
+    powers = efficiencies(cell, orders, formulation, steps)
+    return np.array([power.get(order, (0.0, 0.0)) for power, side in zip(powers, sides, strict=True) for order in side])
 
 
 def _orders(axis: AxisParity, family: str) -> list[tuple[int, ...]]:

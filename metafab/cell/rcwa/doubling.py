@@ -51,7 +51,7 @@ _LAMBERT = np.array(
 _THIN = 1.5
 #: Largest violation of reciprocity, as an amplitude, that is accepted. Amplitudes were found within a hundred times
 #: this of those from the modes.
-_CONSISTENT = 1e-10
+CONSISTENT = 1e-10
 
 
 @dataclass(frozen=True)
@@ -92,9 +92,10 @@ def through_by_doubling(
         largest_a: bound on the real part of the eigenvalues of A, where one is known.
     """
     with np.errstate(all="ignore"):  # What is not finite is refused below.
-        f = _half_slab(p, q, thickness_k0, largest_a)
-        if f is None:
+        half = _doubled(p, q, thickness_k0, largest_a, last=1)
+        if half is None:
             return None
+        f, _ = half
         # Columns: the waves that are asked for, then the same amplitudes from the far side.
         n, count = incident.shape
         near_wave = np.divide(incident, incoming.e[:, None], out=np.zeros_like(incident), where=incident != 0.0)
@@ -123,11 +124,26 @@ def through_by_doubling(
         scale = max(np.abs(near_h).max(), np.abs(far_h).max())
         inconsistency = float(np.abs(there - back).max() / scale)
     # A value that is not a number fails the comparison too.
-    return Faces(e_far[:, :count], e_near[:, :count], inconsistency) if inconsistency <= _CONSISTENT else None
+    return Faces(e_far[:, :count], e_near[:, :count], inconsistency) if inconsistency <= CONSISTENT else None
 
 
-def _half_slab(p: Matrix, q: Matrix, thickness: float, largest_a: float) -> Matrix | None:
-    """F of half the layer; None where it cannot be had."""
+def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -> tuple[Matrix, Matrix] | None:
+    """P^-1 F and P^-1 G of a layer, both symmetric; None where they cannot be had.
+
+    Args:
+        p: shape (n, n), P of the layer.
+        q: shape (n, n), Q of the layer.
+        thickness_k0: thickness times k0.
+        largest_a: bound on the real part of the eigenvalues of A, where one is known.
+    """
+    with np.errstate(all="ignore"):  # What is not finite shows in the answer.
+        found = _doubled(p, q, thickness_k0, largest_a, last=0)
+        both = None if found is None else _solve(p, np.hstack(found))
+    return None if both is None else (both[:, : len(p)], both[:, len(p) :])
+
+
+def _doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: int) -> tuple[Matrix, Matrix] | None:
+    """F and G of the layer by doublings, the ``last`` ones left out (G only after one); None where they fail."""
     _keep_freed_memory()
     powers = np.empty((4, *p.shape), dtype=np.result_type(p, q))
     a = np.matmul(p, q, out=powers[0])
@@ -141,7 +157,7 @@ def _half_slab(p: Matrix, q: Matrix, thickness: float, largest_a: float) -> Matr
     travelling = min(steepest, np.sqrt(largest_a) * thickness)
     halvings = max(1, int(np.ceil(max(0.5 * np.log2(steepest), np.log2(travelling / _THIN)))))
     f, g = _thin_slab(powers, thickness / 2.0**halvings), a
-    for doubling in range(halvings - 1):
+    for doubling in range(halvings - last):
         turned = None if f is None else _quotient(g, f)
         if f is None or turned is None:
             return None
@@ -149,7 +165,7 @@ def _half_slab(p: Matrix, q: Matrix, thickness: float, largest_a: float) -> Matr
         g = turned @ g if doubling else f + turned
         g *= 0.5
         f -= g
-    return f
+    return None if f is None else (f, g)
 
 
 @cache

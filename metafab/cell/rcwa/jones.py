@@ -208,10 +208,13 @@ def symmetry_classes(
     """The symmetry classes that incident light of either polarisation excites."""
     layers = layers_of(cell, steps)
     sizes = [(each.width_nm or 0.0, each.length_nm or 0.0) for each in layers]
+    # A sloped pillar's ends, whatever the steps, so that more of them change the steps and not the coordinates.
+    ends = [cell.sizes_nm(0.0), cell.sizes_nm(1.0)] if cell.is_sloped else []
     x, y = (
-        outline_bases(cell.period_nm[axis], tuple(size[axis] for size in sizes), orders[axis], formulation)
+        outline_bases(cell.period_nm[axis], tuple(size[axis] for size in sizes + ends), orders[axis], formulation)
         for axis in (0, 1)
     )
+    x, y = x[: len(sizes)], y[: len(sizes)]
     if cell.angle_deg == 0.0:
         for i, even_first in enumerate((True, False)):
             both = ([symmetric_axis(each, even_first=even_first) for each in axis] for axis in (x, y))
@@ -242,7 +245,7 @@ def through_case(cell: PillarCell, case: SymmetryClass, outside: Outside, incide
     if len(case.layers) > 1 or isinstance(incoming, TensorWaves) or isinstance(outgoing, TensorWaves):
         return _through_stack(cell, case, outside, incident)
     p, q = matrices(cell, case)
-    largest_a = largest_eigenvalue(permittivity(cell.n_pillar), permittivity(cell.n_ambient))
+    largest_a = _largest_eigenvalue(case.layers[0])
     thickness_k0 = _thickness_k0(cell, case, 0)
     faces = through_by_doubling(p, q, thickness_k0, incoming, outgoing, incident, largest_a)
     if faces is not None:
@@ -264,10 +267,15 @@ def solve_class(cell: PillarCell, case: SymmetryClass, outside: Outside | None =
 
 def _through_stack(cell: PillarCell, case: SymmetryClass, outside: Outside, incident: ComplexArray) -> Faces:
     upwards = [
-        StackLayer(layer_modes(*matrices(cell, case, i)), _thickness_k0(cell, case, i)) for i in range(len(case.layers))
+        StackLayer(*matrices(cell, case, i), _thickness_k0(cell, case, i), _largest_eigenvalue(case.layers[i]))
+        for i in range(len(case.layers))
     ]
     layers = upwards if cell.side == "substrate" else upwards[::-1]
     return through_stack(layers, outside.incoming, outside.outgoing, incident)
+
+
+def _largest_eigenvalue(layer: Slice) -> float:
+    return largest_eigenvalue(permittivity(layer.n_inside), permittivity(layer.n_around))
 
 
 def _outside(cell: PillarCell, case: SymmetryClass) -> Outside:

@@ -1,17 +1,25 @@
-"""How many steps a sloped pillar is cut into, and what that costs in accuracy.
+"""A sloped pillar as the limit of thin steps, how many of them it takes, and what that costs in accuracy.
 
-With n steps, each as wide as the pillar is in its middle, the amplitudes tend to those of the smooth wall as n^-1 to
-n^-2: second order as long as a step is thin against the field's decay length, less for its most evanescent part. The
-difference between n and 2 n is then at least the error of 2 n, and half the error of n. It is taken at a low
-truncation, which moves resonances a little but hardly changes what steps do to them, and counts ``_MARGIN`` fold.
+Cut into n steps, each as wide as the pillar is in its middle, the amplitudes S_n tend to those of the smooth wall by
+second order as soon as a step is thin against the field's decay length, and more slowly in its most evanescent part.
+Richardson's extrapolation takes the second order away,
+
+    R_n = S_n + (S_n - S_(n/2)) / 3,
+
+and what is left falls at least as fast as S_n does, so that the change from R_(n/2) to R_n is more than the error of
+R_n. It is taken at a low truncation and counts ``_MARGIN`` fold: steps cost more where more of the evanescent field is
+resolved, on resonant silicon up to 2.4 times as much with 8 cosines as with 5.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
+from metafab.cell.rcwa.basis import Formulation, Matrix
 from metafab.cell.rcwa.jones import ZeroOrder, distance, zero_order
 from metafab.cell.response import CellNumerics, PillarCell
+from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 
 #: Truncation at which the steps are counted.
@@ -27,12 +35,29 @@ class Slicing:
     """Steps of a sloped pillar.
 
     Attributes:
-        steps: how many, of equal height.
+        steps: how many, of equal height, in the finer of the two cuts that are extrapolated; 1 for upright walls.
         error: bound on what they change in any amplitude; 0 for upright walls.
     """
 
     steps: int
     error: float
+
+
+def smooth(cell: PillarCell, orders: int, formulation: Formulation, steps: int) -> ZeroOrder:
+    """Jones matrices of ``cell`` at one truncation, extrapolated from ``steps`` / 2 and ``steps``; R + T stays exact.
+
+    An upright pillar is solved once. Arguments and errors as of :func:`metafab.cell.rcwa.jones.zero_order`.
+    """
+    if not cell.is_sloped:
+        return zero_order(cell, orders, formulation)
+    return _extrapolated(*(zero_order(cell, orders, formulation, count) for count in (steps // 2, steps)))
+
+
+def smooth_array(cell: PillarCell, steps: int, stepped: Callable[[int], FloatArray]) -> FloatArray:
+    """The same of ``stepped``, any figures as a function of the number of steps."""
+    if not cell.is_sloped:
+        return stepped(1)
+    return _richardson(stepped(steps // 2), stepped(steps))
 
 
 def slicing(cell: PillarCell, numerics: CellNumerics) -> Slicing:
@@ -41,24 +66,44 @@ def slicing(cell: PillarCell, numerics: CellNumerics) -> Slicing:
     Where ``MOST_STEPS`` do not keep to it, the error says so.
 
     Raises:
-        InputError: ``numerics.steps`` is below 1; or as :func:`metafab.cell.rcwa.jones.zero_order`.
+        InputError: ``numerics.steps`` is odd or below 2; or as :func:`metafab.cell.rcwa.jones.zero_order`.
     """
-    if numerics.steps is not None and numerics.steps < 1:
-        raise InputError.single("numerics", "steps", "at least 1, or none for as many as needed", f"{numerics.steps}")
+    steps = numerics.steps
+    if steps is not None and (steps < 2 or steps % 2):
+        raise InputError.single("numerics", "steps", "an even number from 2, or none for as many as needed", f"{steps}")
     if not cell.is_sloped:
         return Slicing(1, 0.0)
 
-    def cut(steps: int) -> ZeroOrder:
-        return zero_order(cell, min(_ORDERS, numerics.max_orders), numerics.formulation, steps)
+    def cut(count: int) -> ZeroOrder:
+        return zero_order(cell, min(_ORDERS, numerics.max_orders), numerics.formulation, count)
 
-    if numerics.steps is not None:
-        return Slicing(numerics.steps, 2.0 * _MARGIN * distance(cut(numerics.steps), cut(2 * numerics.steps)))
-    steps, coarse, earlier = 2, cut(2), distance(cut(1), cut(2))
+    if steps is not None:
+        halves = cut(steps // 2), cut(steps), cut(2 * steps)
+        coarse, fine = _extrapolated(*halves[:2]), _extrapolated(*halves[1:])
+        # What is left at 2 n is no more than the change, so that at n it is no more than twice.
+        return Slicing(steps, 2.0 * _MARGIN * distance(coarse, fine))
+    steps, last = 2, cut(2)
+    limit, earlier = _extrapolated(cut(1), last), float("inf")
     while True:
-        steps, fine = 2 * steps, cut(2 * steps)
-        change = distance(coarse, fine)
-        # Two solutions may agree by accident, so that the difference before counts as well, as if by second order.
+        steps, before, last = 2 * steps, last, cut(2 * steps)
+        coarse, limit = limit, _extrapolated(before, last)
+        change = distance(coarse, limit)
+        # Two limits may agree by accident, so that the change before counts as well, as if by second order.
         error = _MARGIN * max(change, 0.25 * earlier)
         if error <= _SHARE * numerics.target_error or 2 * steps > MOST_STEPS:
             return Slicing(steps, error)
-        coarse, earlier = fine, change
+        earlier = change
+
+
+def _extrapolated(coarse: ZeroOrder, fine: ZeroOrder) -> ZeroOrder:
+    return replace(
+        fine,
+        t=_richardson(coarse.t, fine.t),
+        r=_richardson(coarse.r, fine.r),
+        transmitted_power=_richardson(coarse.transmitted_power, fine.transmitted_power),
+        reflected_power=_richardson(coarse.reflected_power, fine.reflected_power),
+    )
+
+
+def _richardson(coarse: Matrix, fine: Matrix) -> Matrix:
+    return fine + (fine - coarse) / 3.0
