@@ -56,13 +56,23 @@ def test_commands_parse(words: list[str]) -> None:
     command.make_context("metafab", words)
 
 
+def _holds_tables_alone(value: Any) -> bool:
+    return isinstance(value, dict) and all(isinstance(item, dict) for item in value.values())
+
+
 @pytest.mark.parametrize("block", _blocks("toml"))
 def test_toml_is_accepted(block: str, tmp_path: Path) -> None:
-    """A table of a page takes the place of the same table in the small design, or in its unit cell."""
+    """A table of a page takes the place of the same table in the small design, or in its unit cell.
+
+    A table inside a table (``[sweep.axes]``) is added to the outer one.
+    """
     tables = tomllib.loads(block)
     known_to_cell = set(tables) <= set(tomllib.loads(UNIT_CELL))
     base = tomllib.loads(UNIT_CELL if known_to_cell else DESIGN)
-    merged = {**base, **tables}
+    merged = {
+        name: {**base[name], **table} if name in base and _holds_tables_alone(table) else table
+        for name, table in {**base, **tables}.items()
+    }
     if not known_to_cell:
         merged["library"] = str(ROOT / "unitcell_lib" / "sos_800nm.toml")
     path = tmp_path / "from_page.toml"
@@ -77,7 +87,7 @@ def test_toml_is_accepted(block: str, tmp_path: Path) -> None:
 def test_python_compiles_and_imports(block: str) -> None:
     """Blocks that need no run are executed; the others import what they say and compile."""
     code = compile(block, "documentation", "exec")
-    if "runs/" in block or "load_unit_cell" in block:
+    if "runs/" in block or "unitcell_lib" in block:
         imports = [line for line in block.splitlines() if re.match(r"(from|import) ", line)]
         code = compile("\n".join(imports), "documentation", "exec")
     exec(code, {})
