@@ -2,9 +2,13 @@
 
 - ``image``        Image4D
 - ``twins``        where both images stand in a frame, brought onto one grid
+- ``resample``     the map that brings them there
 - ``levels``       brightness, noise and texture of a frame
-- ``calibration``  tiles of the grid and their transfer functions at any depth
-- ``align``        agreement of the twins at a candidate depth
+- ``calibration``  the PSF pair on that grid, at any tile and depth
+- ``tiles``        a window cut into tiles with margins, and put together again
+- ``reduce``       every few pixels of an image, and back
+- ``filters``      what makes the twins equal at a candidate depth
+- ``volume``       agreement of the twins over place and depth
 - ``depth``        depth of each pixel, with its error
 - ``segment``      segments, and the depth of each
 - ``restore``      all-in-focus images

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt, uniform_filter
+from scipy.ndimage import binary_dilation, distance_transform_edt, uniform_filter
 
 from metafab.camera.frame import RawFrame
 from metafab.camera.geometry import ImageMap
@@ -17,22 +15,29 @@ from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.progress import Progress, silent
 from metafab.decode import segment as segments
-from metafab.decode.align import Aligner
-from metafab.decode.calibration import Calibration, Transfer
+from metafab.decode.calibration import Calibration
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth, pixel_depth
+from metafab.decode.filters import CrossFilters
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
 from metafab.decode.levels import Levels
-from metafab.decode.restore import composed, sharpened
+from metafab.decode.reduce import enlarged, reduced, repeated
+from metafab.decode.restore import Restorer
 from metafab.decode.twins import TwinGrid, Twins, extract
+from metafab.decode.volume import Volume
 from metafab.optics.point_spread import Psf
 
-_CANDIDATES = 25
-_WINDOW_PX = 25
-#: How far around a window light is let in: the reach of the pair's main parts, and as much again to fade out.
+#: Between so few candidates the agreement is smooth enough for a parabola to find its peak.
+_CANDIDATES = 13
+#: Layers of the scene are told apart from this share of the calibrated range of vergence.
+_LAYER_SHARE = 1.0 / 24.0
+#: Side of the narrowest window that says a depth, and how far around a pixel light is let in.
+_WINDOW_PX = 28
 _MARGIN_PX = 40
-_WHITENING_PIXELS = 0.75  # windows reach across outlines
-_WHITENING_SEGMENTS = 0.25  # segments keep away from them
+#: How far from an outline a window, through the pair's main parts, still sees it.
+_OUTLINE_REACH_PX = 40
+#: Share of the twins' power that they do not have in common, noise taken off, from which the calibration is doubted.
+_LARGEST_MISMATCH = 0.25
 
 
 def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D:
@@ -73,10 +78,14 @@ class Decoder:
     """A decoder for frames of one shape: what depends on the calibration alone is computed once.
 
     Attributes:
-        calibration: transfer functions of the pair on the grid of the x image.
+        calibration: the pair on the grid of the x image.
+        filters: what makes the twins equal at each candidate depth.
+        restorer: what makes them sharp.
     """
 
     calibration: Calibration
+    filters: CrossFilters
+    restorer: Restorer
 
     @classmethod
     def of(
@@ -97,110 +106,208 @@ class Decoder:
         kernels, image_map = PairKernels(psf), ImageMap.from_psf(psf)
         place = (image_map, frame_shape, origin_um, psf.pixel_um, _MARGIN_PX)
         grid = TwinGrid.find(*place) if x_window is None else TwinGrid.at(*place, x_window)
-        return None if grid is None else cls(Calibration.of(kernels, grid, image_map))
+        if grid is None:
+            return None
+        calibration = Calibration(kernels, grid, image_map)
+        vergences = np.linspace(1.0 / psf.depth_m.max(), 1.0 / psf.depth_m.min(), _CANDIDATES)
+        return cls(calibration, CrossFilters.of(calibration, vergences), Restorer.of(calibration))
 
-    @cached_property
-    def vergences_per_m(self) -> FloatArray:
-        """Candidate depths, equally spaced in vergence over the calibrated range."""
-        depth_m = self.calibration.kernels.psf.depth_m
-        return np.linspace(1.0 / depth_m.max(), 1.0 / depth_m.min(), _CANDIDATES)
+    @property
+    def nbytes(self) -> int:
+        """Memory of what is computed once."""
+        grid = self.calibration.grid
+        maps = grid.tangent_x.nbytes * 5 + grid.resampler.nbytes
+        return self.calibration.stack.nbytes + self.filters.nbytes + self.restorer.nbytes + maps
+
+    def depth_map(self, frame: RawFrame, *, progress: Progress = silent) -> FloatArray:
+        """The depth of each pixel by itself, m, and nothing else: NaN where none is claimed."""
+        seen = self._look(frame)
+        if isinstance(seen, str):
+            return np.full(self.calibration.grid.shape, np.nan)
+        pixels = self._pixels(seen, self.filters.volume(seen.small, seen.levels, seen.lit, progress))
+        return self._full_depth_m(pixels)
 
     def __call__(self, frame: RawFrame, *, progress: Progress = silent) -> Image4D:
         """Decode one frame."""
         started = time.perf_counter()
+        seen = self._look(frame)
+        if isinstance(seen, str):
+            return _empty(self.calibration.grid.shape, frame, seen, started, self.calibration.grid)
+        volume = self.filters.volume(seen.small, seen.levels, seen.lit, progress)
+        pixels = self._pixels(seen, volume)
+        return self._finish(frame, seen, volume, pixels, started)
+
+    def _look(self, frame: RawFrame) -> _Seen | str:
+        """The twins and what is to be seen of them at once, or why there is nothing."""
         twins = extract(frame, self.calibration.grid)
-        levels = Levels.of(twins.image, frame.read_noise_e)
-        if levels.signal <= 0.0 or twins.bad.all():
-            reason = "all pixels are saturated or invalid" if twins.bad.all() else "there is no light in the frame"
-            return _empty(self.calibration.grid.shape, frame, reason, started, self.calibration.grid)
-        tiling = self.calibration.tiling
-        spectra = np.stack([scipy.fft.rfft2(tiling.cut(image)) for image in twins.image])
-        pixels = self._pixels(twins, spectra, levels, progress)
-        return self._finish(frame, twins, spectra, levels, pixels, started)
+        if twins.bad.all():
+            return "all pixels are saturated or invalid"
+        every, margin = self.filters.every, self.calibration.grid.margin // self.filters.every
+        small = np.stack([reduced(image, every) for image in twins.image])
+        levels = Levels.of(small, frame.read_noise_e)
+        if levels.signal <= 0.0:
+            return "there is no light in the frame"
+        rows, columns = self.filters.tiling.shape
+        inner = small[:, margin : margin + rows, margin : margin + columns]
+        return _Seen(twins, levels, small, inner, inner.sum(axis=0) > _floor(levels))
 
-    def _pixels(self, twins: Twins, spectra: Transfer, levels: Levels, progress: Progress) -> PixelDepth:
-        aligner = Aligner.of(spectra, self.calibration, levels, _WHITENING_PIXELS)
-        inner = (slice(None), *twins.grid.inner)
-        mean = np.stack([uniform_filter(image, _WINDOW_PX) for image in twins.image])[inner]
-        variance = np.maximum(mean, 0.0) + levels.read_noise_e**2 + 1e-9 * levels.noise_variance
-        pixels = pixel_depth(aligner, self.vergences_per_m, _WINDOW_PX, variance, progress)
-        return PixelDepth(pixels.vergence_per_m, pixels.relative_error, pixels.claimed & ~twins.bad)
+    def _pixels(self, seen: _Seen, volume: Volume) -> PixelDepth:
+        window = round(_WINDOW_PX / self.filters.every) | 1
+        mean = np.stack([uniform_filter(image, window) for image in seen.inner])
+        variance = np.maximum(mean, 0.0) + seen.levels.read_noise_e**2 + 1e-9 * seen.levels.noise_variance
+        pixels = pixel_depth(volume, window, variance)
+        reach = _OUTLINE_REACH_PX // self.filters.every
+        # The outline of a uniform object has no texture either: what lies behind it would be mixed in.
+        kept = segments.textured_parts(seen.lit, pixels.claimed, reach)
+        near = distance_transform_edt(~kept) <= window // 2 if kept.any() else kept
+        return PixelDepth(pixels.vergence_per_m, pixels.relative_error, pixels.claimed & near)
 
-    def _finish(
-        self, frame: RawFrame, twins: Twins, spectra: Transfer, levels: Levels, pixels: PixelDepth, started: float
-    ) -> Image4D:
-        candidates = self.vergences_per_m
-        step = float(candidates[1] - candidates[0])
-        layers = segments.depth_layers(pixels, step)
-        usable = layers if layers.size else np.array([float(np.median(candidates))])
-        aligner = Aligner.of(spectra, self.calibration, levels, _WHITENING_PIXELS)
-        layer = segments.assign(aligner, usable, pixels, step)
-        sharp = {i + 1: sharpened(spectra, self.calibration, levels, float(v)) for i, v in enumerate(usable)}
-        images = composed(sharp, layer)
-        lit = _lit(images, levels) & ~twins.bad
-        segment = np.zeros(layer.shape, dtype=np.int32)
+    def _full_depth_m(self, pixels: PixelDepth) -> FloatArray:
+        """Depth on the frame's pixels, NaN where none is claimed."""
+        shape, every = self.calibration.grid.shape, self.filters.every
+        vergence = enlarged(pixels.vergence_per_m.astype(np.float32), every, shape)
+        depth_m = 1.0 / np.maximum(vergence, 1e-12).astype(np.float64)
+        depth_m[~repeated(pixels.claimed, every, shape)] = np.nan
+        return depth_m
+
+    def _finish(self, frame: RawFrame, seen: _Seen, volume: Volume, pixels: PixelDepth, started: float) -> Image4D:
+        every, shape = self.filters.every, self.calibration.grid.shape
+        candidates = volume.vergences_per_m
+        separation = float(candidates[-1] - candidates[0]) * _LAYER_SHARE
+        layers = segments.depth_layers(pixels, separation)
+        found: list[segments.SegmentDepth] = []
+        small = np.zeros(volume.parts.shape[-2:], dtype=np.int32)
+        unseen = np.zeros(small.shape, dtype=bool)
         if layers.size:
-            segment = segments.grown(segments.split(layer, lit), lit, _WINDOW_PX)
-        aligner = Aligner.of(spectra, self.calibration, levels, _WHITENING_SEGMENTS)
-        limits = float(candidates[0]), float(candidates[-1])
-        depth_m, rows = np.full(layer.shape, np.nan), []
-        confidence = 1.0 / (1.0 + (pixels.relative_error / HALF_CONFIDENCE) ** 2)
-        textured = distance_transform_edt(~pixels.claimed) <= _WINDOW_PX if pixels.claimed.any() else pixels.claimed
-        for number in range(1, int(segment.max(initial=0)) + 1):
-            mask = segment == number
-            start = float(usable[np.bincount(layer[mask]).argmax() - 1])
-            found = segments.segment_depth(aligner, mask, start, step, limits)
-            if not found.relative_error < 4.0 * HALF_CONFIDENCE or found.correlation <= 0.0:
-                segment[mask] = 0
-                continue
-            depth_m[mask & textured] = 1.0 / found.vergence_per_m
-            confidence[mask] = np.maximum(
-                confidence[mask], 1.0 / (1.0 + (found.relative_error / HALF_CONFIDENCE) ** 2) * textured[mask]
-            )
-            layer_image = sharpened(spectra, self.calibration, levels, found.vergence_per_m)
-            np.copyto(images, np.maximum(layer_image, 0.0), where=mask)
-            inner = segments.interior(mask)
-            rows.append(
-                {
-                    "number": float(number),
-                    "pixels": float(mask.sum()),
-                    "depth_m": 1.0 / found.vergence_per_m,
-                    "error_m": found.relative_error / found.vergence_per_m,
-                    "contrast": float(images[0][inner].sum() / max(images[1][inner].sum(), 1e-30)),
-                    "correlation": found.correlation,
-                }
-            )
-        pixel_m = np.where(pixels.claimed & lit, 1.0 / np.maximum(pixels.vergence_per_m, 1e-12), np.nan)
-        contrast = np.full(layer.shape, np.nan)
+            layer = segments.assign(volume, layers, pixels, separation, every)
+            parts = segments.split(layer, seen.lit, _WINDOW_PX, every)
+            for number in range(1, int(parts.max(initial=0)) + 1):
+                mask = parts == number
+                depth = segments.segment_depth(volume, mask, every)
+                textured = segments.textured(mask, pixels.claimed, _OUTLINE_REACH_PX // every)
+                if textured and depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0:
+                    found.append(depth)
+                    small[mask] = len(found)
+                elif not textured:
+                    unseen |= mask
+        near = segments.grown(small, _WINDOW_PX / every)
+        if unseen.any():
+            away = distance_transform_edt(~unseen)
+            near[(away <= _WINDOW_PX / every) & (small == 0)] = 0
+        segment = repeated(near, every, shape)
+        wide = segments.grown(small, float(sum(small.shape))) if found else np.ones_like(small)
+        wide = np.where(binary_dilation(seen.lit, iterations=2), wide, 0)
+        vergences = np.array([depth.vergence_per_m for depth in found] or [float(np.median(candidates))])
+        images = self.restorer(seen.twins.image, seen.levels, repeated(wide, every, shape), vergences)
+        lit = _lit(images, seen.levels) & ~seen.twins.bad
+        segment = np.where(lit, segment, 0).astype(np.int32)
+        claimed = pixels.claimed & (near > 0)
+        about = distance_transform_edt(~claimed) <= _WINDOW_PX / every if claimed.any() else claimed
+        known = (segment > 0) & repeated(about, every, shape)
+        by_segment = np.array([np.nan, *(1.0 / vergences if found else [])])
+        depth_m = np.where(known, by_segment[segment], np.nan)
+        error = repeated(np.where(claimed, pixels.relative_error, np.inf), every, shape)
+        if found:
+            error = np.minimum(error, np.array([np.inf, *(depth.relative_error for depth in found)])[segment])
+        confidence = np.where(known, 1.0 / (1.0 + (error / HALF_CONFIDENCE) ** 2), 0.0)
+        pixel_m = self._full_depth_m(PixelDepth(pixels.vergence_per_m, pixels.relative_error, claimed))
+        pixel_m[~lit] = np.nan
+        contrast = np.full(shape, np.nan)
         np.divide(images[0], images[1], out=contrast, where=lit & (images[1] > 0.0))
-        claimed = np.isfinite(depth_m)
+        mismatch = _mismatch(volume, seen, small, found)
+        details: dict[str, float | str] = {
+            "layers": float(layers.size),
+            "tiles": float(self.filters.tiling.n_tiles),
+            "step_px": float(every),
+            "pixels": float(lit.size),
+            "pixels_without_signal": float((~lit).sum()),
+            "pixels_without_texture": float((lit & ~known).sum()),
+            "pixels_broken": float(seen.twins.bad.sum()),
+        }
+        if mismatch is not None:
+            details["twin_mismatch"] = mismatch
+            if mismatch > _LARGEST_MISMATCH:
+                details["warning"] = (
+                    f"the twins differ by {mismatch:.0%} of their power at best: is this the camera's calibration?"
+                )
         image = Image4D(
-            images[0],
-            images[1],
+            images[0].astype(np.float64),
+            images[1].astype(np.float64),
             contrast,
             depth_m,
-            np.where(claimed, confidence, 0.0),
+            confidence,
             segment,
-            twins.grid.origin_um,
+            seen.twins.grid.origin_um,
             frame.pixel_um,
-            tuple(rows),
+            tuple(_row(number, depth, segment, small, images, every) for number, depth in enumerate(found, start=1)),
             pixel_m,
-            details={
-                "layers": float(layers.size),
-                "tiles": float(len(self.calibration.tiling.starts)),
-                "pixels": float(layer.size),
-                "pixels_without_signal": float((~lit).sum()),
-                "pixels_without_texture": float((lit & ~claimed).sum()),
-                "pixels_broken": float(twins.bad.sum()),
-            },
+            details=details,
         )
         return judged(image, frame, seconds=time.perf_counter() - started)
 
 
-def _lit(images: FloatArray, levels: Levels) -> NDArray[np.bool_]:
+@dataclass(frozen=True)
+class _Seen:
+    """A frame at first sight.
+
+    Attributes:
+        twins: both images.
+        levels: their noise and texture.
+        small: every few pixels of them, with margin.
+        inner: the same without margin.
+        lit: where there is light, shape of ``inner``.
+    """
+
+    twins: Twins
+    levels: Levels
+    small: NDArray[np.float32]
+    inner: NDArray[np.float32]
+    lit: NDArray[np.bool_]
+
+
+def _row(
+    number: int,
+    depth: segments.SegmentDepth,
+    segment: NDArray[np.int32],
+    small: NDArray[np.int32],
+    images: NDArray[np.float32],
+    every: int,
+) -> dict[str, float]:
+    inner = repeated(segments.interior(small == number, every), every, segment.shape) & (segment == number)
+    return {
+        "number": float(number),
+        "pixels": float((segment == number).sum()),
+        "depth_m": 1.0 / depth.vergence_per_m,
+        "error_m": depth.relative_error / depth.vergence_per_m,
+        "contrast": float(images[0][inner].sum() / max(float(images[1][inner].sum()), 1e-30)),
+        "correlation": depth.correlation,
+    }
+
+
+def _mismatch(
+    volume: Volume, seen: _Seen, small: NDArray[np.int32], found: list[segments.SegmentDepth]
+) -> float | None:
+    """Share of the twins' power that is neither common to both nor noise, over all segments; None without any."""
+    if not found:
+        return None
+    inside = small > 0
+    mean = np.maximum(seen.inner[:, inside], 0.0).mean(axis=1) + seen.levels.read_noise_e**2
+    noise = volume.noise_gain * float(np.sqrt(mean[0] * mean[1]))
+    weights = np.array([float((small == number).sum()) for number in range(1, len(found) + 1)])
+    common = float(np.average([depth.correlation * depth.power for depth in found], weights=weights))
+    power = float(np.average([depth.power for depth in found], weights=weights))
+    return max(0.0, 1.0 - common / max(power - noise, 1e-30)) if power > noise else 1.0
+
+
+def _floor(levels: Levels) -> float:
+    """Light of both polarisations below which a pixel is dark, electrons."""
+    return max(0.35 * levels.signal, 6.0 * levels.read_noise_e)
+
+
+def _lit(images: NDArray[np.float32], levels: Levels) -> NDArray[np.bool_]:
     """Pixels with light of either polarisation."""
     total = uniform_filter(images.sum(axis=0), 3, mode="nearest")
-    return np.asarray(total > max(0.35 * levels.signal, 6.0 * levels.read_noise_e))
+    return np.asarray(total > _floor(levels))
 
 
 def _empty(

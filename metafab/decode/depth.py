@@ -1,4 +1,4 @@
-"""Depth of each pixel from the agreement of the twins in a window about it, with its error."""
+"""Depth of each pixel from the agreement of the twins in windows about it, with its error."""
 
 from __future__ import annotations
 
@@ -8,14 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.progress import Progress
-from metafab.decode.align import Aligner, doubled
+from metafab.decode.reduce import enlarged
+from metafab.decode.volume import Volume, correlation
 
 #: Correlation of the twins, in standard deviations of what pure noise gives, from which there is texture.
 _SIGNIFICANT = 5.0
 #: Relative standard error at which the confidence is one half; no depth is claimed from four times as much.
 HALF_CONFIDENCE = 0.01
 _LARGEST_ERROR = 4.0 * HALF_CONFIDENCE
+#: Each window is twice as wide as the one before.
+_WINDOWS = 3
+#: A wider window is trusted while it stays within this many standard errors of the narrower one.
+_SAME_DEPTH = 1.5
 
 
 @dataclass(frozen=True)
@@ -33,43 +37,46 @@ class PixelDepth:
     claimed: NDArray[np.bool_]
 
 
-def pixel_depth(
-    aligner: Aligner, vergences_per_m: FloatArray, window_px: int, noise_variance: FloatArray, progress: Progress
-) -> PixelDepth:
-    """The best of the candidates, refined by a parabola.
+def pixel_depth(volume: Volume, window: int, noise_variance: FloatArray) -> PixelDepth:
+    """Depth from the widest window that shows no other depth than the narrower ones in it.
 
     Args:
-        aligner: the twins.
-        vergences_per_m: candidates, equally spaced, at least three.
-        window_px: side of the window.
-        noise_variance: shape (2, n_y, n_x), variance of both images' pixels.
-        progress: called after each candidate.
+        volume: agreement of the twins; at least three candidates.
+        window: side of the narrowest window, in pixels of the volume.
+        noise_variance: shape (2, n_y, n_x), variance of a pixel of the frame, of both images.
     """
-    count = vergences_per_m.size
-    shape = aligner.tiling.shape
-    volume = np.empty((count, *shape), dtype=np.float32)
-    cross = np.full(shape, -np.inf, dtype=np.float32)
-    for index, vergence in enumerate(vergences_per_m):
-        agreement = aligner.windows(float(vergence), window_px)
-        volume[index] = agreement.correlation
-        np.maximum(cross, agreement.cross, out=cross)
-        progress("decode", index + 1, count)
-    best = volume.argmax(axis=0)
+    shape = volume.parts.shape[-2], volume.parts.shape[-1]
+    parts = volume.pooled(window)
+    vergence, error, inside = _best(volume, correlation(parts), window)
+    noise = volume.noise_gain * np.sqrt(noise_variance[0] * noise_variance[1])
+    significant = parts[0].max(axis=0) > _SIGNIFICANT * noise / np.sqrt(window**2 * volume.samples)
+    claimed = significant & inside & (error < _LARGEST_ERROR)
+    agreed = claimed
+    for level in range(1, _WINDOWS):
+        if min(volume.parts.shape[-2:]) < 2 * window:
+            break
+        volume = volume.halved()
+        wider, its_error, its_inside = _best(volume, correlation(volume.pooled(window)), window)
+        wider, its_error = (enlarged(values, 2**level, shape) for values in (wider, its_error))
+        inside = enlarged(its_inside.astype(np.float32), 2**level, shape) == 1.0
+        agreed = agreed & inside & (np.abs(wider / vergence - 1.0) < _SAME_DEPTH * error) & (its_error < error)
+        vergence, error = np.where(agreed, wider, vergence), np.where(agreed, its_error, error)
+    return PixelDepth(vergence, np.where(claimed, error, np.inf), claimed)
+
+
+def _best(
+    volume: Volume, agreement: NDArray[np.float32], window: int
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """The best of the candidates refined by a parabola, its relative standard error, and whether it is a maximum."""
+    count = volume.vergences_per_m.size
+    best = agreement.argmax(axis=0)
     inner = np.clip(best, 1, count - 2)
-    below, at, above = (np.take_along_axis(volume, (inner + d)[None], axis=0)[0].astype(np.float64) for d in (-1, 0, 1))
+    below, at, above = (np.take_along_axis(agreement, (inner + d)[None], axis=0)[0] for d in (-1, 0, 1))
     shift, peak, curvature = parabola(below, at, above)
-    step = float(vergences_per_m[1] - vergences_per_m[0])
-    vergence = vergences_per_m[inner] + step * np.clip(shift, -1.0, 1.0)
-    samples = window_px**2 * aligner.bandwidth
-    error = standard_error(peak, curvature / step**2, samples) / np.abs(vergence)
-    noise = aligner.noise_gain * np.sqrt(noise_variance[0] * noise_variance[1])[::2, ::2]
-    significant = cross > _SIGNIFICANT * noise / np.sqrt(samples)
+    vergence = volume.vergences_per_m[inner] + volume.step_per_m * np.clip(shift, -1.0, 1.0)
+    error = standard_error(peak, curvature / volume.step_per_m**2, window**2 * volume.samples) / np.abs(vergence)
     # At an end of the range the true depth may lie beyond it.
-    open_ended = (best == 0) | (best == count - 1)
-    error = np.where(significant & ~open_ended, error, np.inf)
-    full = noise_variance.shape[1], noise_variance.shape[2]
-    error = np.repeat(np.repeat(error, 2, axis=0), 2, axis=1)[: full[0], : full[1]]
-    return PixelDepth(doubled(vergence, full), error, error < _LARGEST_ERROR)
+    return vergence, error, (best > 0) & (best < count - 1)
 
 
 def parabola(below: FloatArray, at: FloatArray, above: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 
@@ -33,7 +35,7 @@ class Levels:
     read_noise_e: float
 
     @classmethod
-    def of(cls, images: FloatArray, read_noise_e: float) -> Levels:
+    def of(cls, images: NDArray[np.floating[Any]], read_noise_e: float) -> Levels:
         """Measure the levels of both images, shape (2, n_y, n_x)."""
         brightest = float(np.percentile(images, 99.0)) if images.size else 0.0
         floor = max(0.2 * brightest, 5.0 * read_noise_e)

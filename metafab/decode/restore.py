@@ -1,35 +1,118 @@
-"""All-in-focus images: each depth's blur undone by a Wiener filter, and composed by what depth a pixel has."""
+"""All-in-focus images: each segment's blur undone by a Wiener filter for its depth, where it is."""
 
 from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.decode.calibration import Calibration, Transfer
+from metafab.decode.calibration import Calibration
 from metafab.decode.levels import Levels
+from metafab.decode.tiles import Tiling
+
+#: How much of itself (relative L2) the pair may change from the centre of a tile to its edge.
+_TILE_CHANGE = 0.1
+_CORES_PX = (32.0, 256.0)
+#: Transfer functions are kept for this many depths, the last used.
+_KEPT_DEPTHS = 6
+#: Their depths are a grid of this many steps over the calibrated range: less than a degree of the pair's turn.
+_DEPTH_STEPS = 96
 
 
-def sharpened(spectra: Transfer, calibration: Calibration, levels: Levels, vergence_per_m: float) -> FloatArray:
-    """Both images as if all of them were at one depth: shape (2, n_y, n_x), electrons, not clipped.
+@dataclass(frozen=True)
+class Restorer:
+    """Wiener filters of one calibration, tile by tile, and the transfer functions last used.
 
-    The filter H* / (|H|^2 + noise / texture) is the best linear one for a texture with the spectrum of
-    :meth:`Levels.texture_spectrum` in white noise; it keeps the mean.
+    Attributes:
+        calibration: kernels on the grid.
+        tiling: tiles of the window.
     """
-    tiling = calibration.tiling
-    ky, kx = scipy.fft.fftfreq(tiling.size[0])[:, None], scipy.fft.rfftfreq(tiling.size[1])[None, :]
-    noise_to_signal = levels.noise_variance / np.maximum(levels.texture_spectrum(ky * ky + kx * kx), 1e-300)
-    noise_to_signal[0, 0] = 0.0
-    transfer = calibration.transfer(vergence_per_m)
-    filters = np.conj(transfer) / (np.abs(transfer) ** 2 + noise_to_signal.astype(np.float32))
-    tiles = scipy.fft.irfft2(spectra * filters, tiling.size)
-    return np.stack([tiling.join(part) for part in tiles]).astype(np.float64)
 
+    calibration: Calibration
+    tiling: Tiling
+    _kept: OrderedDict[int, NDArray[np.complex64]] = field(default_factory=OrderedDict, repr=False)
 
-def composed(layers: dict[int, FloatArray], label: NDArray[np.int32]) -> FloatArray:
-    """One image pair from those of each label: shape (2, n_y, n_x), never negative."""
-    images = np.zeros((2, *label.shape))
-    for number, layer in layers.items():
-        np.copyto(images, layer, where=label == number)
-    return np.maximum(images, 0.0)
+    @classmethod
+    def of(cls, calibration: Calibration) -> Restorer:
+        """Tiles where the pair varies over the field, one tile where it does not."""
+        smallest, largest = _CORES_PX
+        core = [
+            np.inf if px > 16 * largest else min(max(px, smallest), largest) for px in calibration.core_px(_TILE_CHANGE)
+        ]
+        grid = calibration.grid
+        return cls(calibration, Tiling.over(grid.shape, grid.margin, (core[0], core[1])))
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the transfer functions that are kept."""
+        return sum(transfer.nbytes for transfer in self._kept.values())
+
+    def __call__(
+        self, images: NDArray[np.float32], levels: Levels, label: NDArray[np.int32], vergences_per_m: FloatArray
+    ) -> NDArray[np.float32]:
+        """Both images, sharp where ``label`` says at which depth they are; 0 where it is 0, never negative.
+
+        The filter H* / (|H|^2 + noise / texture) is the best linear one for a texture with the spectrum of
+        :meth:`Levels.texture_spectrum` in white noise; it keeps the mean.
+
+        Args:
+            images: shape (2, n_y + 2 margin, n_x + 2 margin), electrons a pixel.
+            levels: noise and texture of the frame.
+            label: shape (n_y, n_x), number of each pixel's depth from 1.
+            vergences_per_m: 1/depth of each number.
+
+        Returns:
+            Shape (2, n_y, n_x), electrons.
+        """
+        tiling = self.tiling
+        ky, kx = scipy.fft.fftfreq(tiling.size[0])[:, None], scipy.fft.rfftfreq(tiling.size[1])[None, :]
+        noise_to_signal = levels.noise_variance / np.maximum(levels.texture_spectrum(ky * ky + kx * kx), 1e-300)
+        noise_to_signal[0, 0] = 0.0
+        ratio = noise_to_signal.astype(np.float32)
+        lit = tiling.touched(label > 0)
+        place = np.zeros(tiling.n_tiles, dtype=np.intp)
+        place[lit] = np.arange(lit.size)
+        spectra = np.stack([scipy.fft.rfft2(tiling.cut(image, lit), workers=2) for image in images])
+        sharp = np.zeros((2, *tiling.shape), dtype=np.float32)
+        for number, vergence in enumerate(vergences_per_m, start=1):
+            mask = label == number
+            tiles = tiling.touched(mask)
+            if not tiles.size:
+                continue
+            transfer = self._transfer(float(vergence))[:, tiles]
+            power = transfer.real**2 + transfer.imag**2
+            power += ratio
+            np.conjugate(transfer, out=transfer)
+            transfer /= power
+            transfer *= spectra[:, place[tiles]]
+            layer = tiling.join(scipy.fft.irfft2(transfer, tiling.size, workers=2, overwrite_x=True), tiles)
+            np.copyto(sharp, layer, where=mask)
+        return np.maximum(sharp, 0.0, out=sharp)
+
+    def _transfer(self, vergence_per_m: float) -> NDArray[np.complex64]:
+        """Transfer functions at the nearest depth of the grid: shape (2, n_tiles, n_ky, n_kx)."""
+        inverse = 1.0 / self.calibration.kernels.psf.depth_m
+        low, high = float(inverse.min()), float(inverse.max())
+        step = round((vergence_per_m - low) / (high - low) * _DEPTH_STEPS)
+        if step in self._kept:
+            self._kept.move_to_end(step)
+            return self._kept[step]
+        nodes = np.tensordot(
+            self.calibration.depth_weights(low + step * (high - low) / _DEPTH_STEPS),
+            self.calibration.stack,
+            axes=(0, 1),
+        )
+        n_y, n_x = nodes.shape[-2:]
+        weights = self.calibration.tile_weights(self.tiling, 1)
+        kernels = (weights @ nodes.reshape(2, nodes.shape[1], n_y * n_x)).reshape(2, -1, n_y, n_x)
+        place = np.zeros((2, weights.shape[0], *self.tiling.size), dtype=np.float32)
+        place[..., :n_y, :n_x] = kernels
+        place = np.roll(place, (-(n_y // 2), -(n_x // 2)), axis=(-2, -1))
+        self._kept[step] = np.asarray(scipy.fft.rfft2(place, workers=2), dtype=np.complex64)
+        if len(self._kept) > _KEPT_DEPTHS:
+            self._kept.popitem(last=False)
+        return self._kept[step]

@@ -1,4 +1,7 @@
-"""Segments: connected pixels of one depth, their outline, and their depth from all of their pixels at once."""
+"""Segments: connected pixels of one depth, their outline, and their depth from all of their pixels at once.
+
+All of this is done on the volume's own grid of every few pixels.
+"""
 
 from __future__ import annotations
 
@@ -6,19 +9,23 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import binary_erosion, binary_opening, distance_transform_edt, gaussian_filter1d, uniform_filter
 from scipy.ndimage import label as connected
 
 from metafab.core.conventions import FloatArray
-from metafab.decode.align import Aligner, doubled
 from metafab.decode.depth import PixelDepth, parabola, standard_error
+from metafab.decode.volume import Volume, correlation
 
 #: Half a window: less cannot be told from the mixture of depths along an outline.
-_FEWEST_PIXELS = 300
+_FEWEST_PX = 300
 _SMALLEST_SHARE = 0.01
 #: Pixels next to an outline see the blur of what lies beyond it.
 _EDGE_PX = 8
 _OUTLINE_WINDOW_PX = 13
+#: Share of a textured region's inside that must show its texture; 5 standard deviations leave noise none.
+_LEAST_TEXTURED = 0.05
+_FINE = 32  # points a candidate at which the agreement's spline is read
 
 
 @dataclass(frozen=True)
@@ -29,11 +36,13 @@ class SegmentDepth:
         vergence_per_m: 1/depth.
         relative_error: standard error of depth over depth; inf if the twins do not agree at any depth.
         correlation: of the twins at that depth.
+        power: mean square of the aligned twins there, geometric mean of both, electrons squared.
     """
 
     vergence_per_m: float
     relative_error: float
     correlation: float
+    power: float
 
 
 def depth_layers(pixels: PixelDepth, step_per_m: float) -> FloatArray:
@@ -41,7 +50,7 @@ def depth_layers(pixels: PixelDepth, step_per_m: float) -> FloatArray:
 
     Args:
         pixels: the depth of each pixel.
-        step_per_m: spacing of the candidates; layers nearer to each other than this are one.
+        step_per_m: layers nearer to each other than 1.5 of this are one.
     """
     claimed = pixels.claimed
     if not claimed.any():
@@ -65,77 +74,112 @@ def depth_layers(pixels: PixelDepth, step_per_m: float) -> FloatArray:
     return np.array(kept)
 
 
-def assign(aligner: Aligner, layers_per_m: FloatArray, pixels: PixelDepth, step_per_m: float) -> NDArray[np.int32]:
-    """Which layer each pixel belongs to: shape (n_y, n_x), from 1.
+def assign(volume: Volume, layers: FloatArray, pixels: PixelDepth, step_per_m: float, every: int) -> NDArray[np.int32]:
+    """The layer (from 1) whose depth makes the twins agree best about each pixel.
 
-    In a small window the twins decide between the few layers only; far from any texture, the nearest texture does.
+    Args:
+        volume: agreement of the twins.
+        layers: vergences of the layers.
+        pixels: the depth of each pixel by itself.
+        step_per_m: difference of vergence that counts.
+        every: pixels of the frame a pixel of the volume.
     """
+    window = _OUTLINE_WINDOW_PX // every | 1
     scores = []
-    for vergence in layers_per_m:
-        agreement = aligner.windows(float(vergence), _OUTLINE_WINDOW_PX)
-        # Agreement of two twins of equal power: 1 - |a - b|^2 / (|a|^2 + |b|^2) after matching their contrast.
-        score = doubled(agreement.correlation, pixels.claimed.shape)
-        score = score - 0.05 * np.minimum(np.abs(pixels.vergence_per_m - vergence) / step_per_m, 4.0)
-        scores.append(uniform_filter(score, 5, mode="nearest"))
+    for vergence in layers:
+        parts = np.stack([uniform_filter(part, window, mode="reflect") for part in volume.at(float(vergence))])
+        score = correlation(parts) - 0.05 * np.minimum(np.abs(pixels.vergence_per_m - vergence) / step_per_m, 4.0)
+        scores.append(uniform_filter(score, 3, mode="nearest"))
     label = (np.argmax(scores, axis=0) + 1).astype(np.int32)
     near = pixels.claimed
     if near.any() and not near.all():
         away, (row, column) = distance_transform_edt(~near, return_indices=True)
-        label = np.where(away > _OUTLINE_WINDOW_PX, label[row, column], label).astype(np.int32)
+        label = np.where(away * every > _OUTLINE_WINDOW_PX, label[row, column], label).astype(np.int32)
     return np.asarray(label)
 
 
-def split(layer: NDArray[np.int32], lit: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Connected lit pixels of one layer, numbered from 1; specks are left out (0)."""
+def split(layer: NDArray[np.int32], lit: NDArray[np.bool_], window_px: int, every: int) -> NDArray[np.int32]:
+    """Connected lit pixels of one layer, numbered from 1; specks are left out (0).
+
+    A part smaller than a window beside a larger one is the mixture of depths along an outline: left out, too.
+    """
     segment = np.zeros(layer.shape, dtype=np.int32)
     number = 0
     for index in range(1, int(layer.max(initial=0)) + 1):
-        mask = binary_opening((layer == index) & lit, iterations=2)
+        mask = binary_opening((layer == index) & lit, iterations=max(1, 2 // every))
         parts, count = connected(mask)
-        sizes = np.bincount(parts.ravel(), minlength=count + 1)
+        sizes = np.bincount(parts.ravel(), minlength=count + 1) * every**2
         for part in range(1, count + 1):
-            if sizes[part] >= _FEWEST_PIXELS:
+            if sizes[part] >= _FEWEST_PX:
                 number += 1
                 segment[parts == part] = number
-    return segment
+    sizes = np.bincount(segment.ravel(), minlength=number + 1) * every**2
+    large = sizes >= window_px**2
+    large[0] = False
+    beside = (
+        distance_transform_edt(~large[segment]) * every <= window_px if large.any() else np.zeros(layer.shape, bool)
+    )
+    renumbered = np.zeros(number + 1, dtype=np.int32)
+    kept = [k for k in range(1, number + 1) if large[k] or not beside[segment == k].any()]
+    renumbered[kept] = np.arange(1, len(kept) + 1)
+    return np.asarray(renumbered[segment])
 
 
-def grown(segment: NDArray[np.int32], lit: NDArray[np.bool_], reach_px: float) -> NDArray[np.int32]:
-    """Lit pixels without a segment join the nearest one within ``reach_px``."""
+def grown(segment: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
+    """Pixels without a segment join the nearest one within ``reach`` pixels."""
     if not segment.any():
         return segment
     away, (row, column) = distance_transform_edt(segment == 0, return_indices=True)
-    return np.where(lit & (away <= reach_px), segment[row, column], 0).astype(np.int32)
+    return np.where(away <= reach, segment[row, column], 0).astype(np.int32)
 
 
-def segment_depth(
-    aligner: Aligner, mask: NDArray[np.bool_], start_per_m: float, step_per_m: float, limits_per_m: tuple[float, float]
-) -> SegmentDepth:
-    """The vergence at which a segment's twins agree best, by parabolas of shrinking width from ``start_per_m``."""
-    inner = interior(mask)
-    samples = max(float(inner.sum()) * aligner.bandwidth, 1.0)
-    low, high = limits_per_m
-    vergence, step = float(np.clip(start_per_m, low, high)), step_per_m
-    peak, curvature, error = 0.0, 0.0, np.inf
-    for _ in range(3):
-        middle = float(np.clip(vergence, low + step, high - step)) if high - low > 2.0 * step else 0.5 * (low + high)
-        below, at, above = (aligner.segment(middle + d * step, inner).correlation for d in (-1, 0, 1))
-        if not np.isfinite(below + at + above) or max(below, at, above) <= 0.0:
-            return SegmentDepth(vergence, np.inf, 0.0)
-        if at >= max(below, above):
-            shift, peak, curvature = (float(value) for value in parabola(below, at, above))
-            vergence = middle + step * shift
-            error = float(standard_error(np.array(peak), np.array(curvature / step**2), samples)) / abs(vergence)
-            step *= 0.4
-        else:
-            vergence = float(np.clip(middle + (step if above > below else -step), low, high))
-    return SegmentDepth(vergence, error, peak)
+def segment_depth(volume: Volume, mask: NDArray[np.bool_], every: int) -> SegmentDepth:
+    """The vergence at which a segment's twins agree best: the peak of a spline through all candidates."""
+    inner = interior(mask, every)
+    sums = volume.over(inner)
+    agreement = correlation(sums)
+    nodes = volume.vergences_per_m
+    if not np.isfinite(agreement).all() or agreement.max() <= 0.0:
+        return SegmentDepth(float(nodes[nodes.size // 2]), np.inf, 0.0, 0.0)
+    spline = make_interp_spline(nodes, agreement, k=min(5, nodes.size - 1) | 1 if nodes.size > 3 else 2)
+    fine = np.linspace(nodes[0], nodes[-1], _FINE * (nodes.size - 1) + 1)
+    values = spline(fine)
+    best = int(np.clip(values.argmax(), 1, fine.size - 2))
+    shift, peak, curvature = parabola(values[best - 1], values[best], values[best + 1])
+    step = fine[1] - fine[0]
+    vergence = float(fine[best] + step * np.clip(shift, -1.0, 1.0))
+    samples = max(float(inner.sum()) * volume.samples, 1.0)
+    error = float(standard_error(np.array(peak), np.array(curvature / step**2), samples)) / abs(vergence)
+    nearest = int(np.abs(nodes - vergence).argmin())
+    power = float(np.sqrt(sums[1, nearest] * sums[2, nearest])) / max(float(inner.sum()), 1.0)
+    return SegmentDepth(vergence, error, float(peak), power)
 
 
-def interior(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def interior(mask: NDArray[np.bool_], every: int) -> NDArray[np.bool_]:
     """The pixels away from the outline, as far as a fifth of them remain."""
-    for away in range(_EDGE_PX, 0, -2):
+    for away in range(_EDGE_PX // every, 0, -1):
         inner = binary_erosion(mask, iterations=away)
-        if inner.sum() >= max(0.2 * _FEWEST_PIXELS, 0.2 * mask.sum()):
+        if inner.sum() * every**2 >= max(0.2 * _FEWEST_PX, 0.2 * every**2 * mask.sum()):
             return np.asarray(inner)
     return mask
+
+
+def textured(region: NDArray[np.bool_], claimed: NDArray[np.bool_], reach: int) -> bool:
+    """Whether a region shows texture away from its outline; True for one too small to have an inside.
+
+    Args:
+        region: lit pixels that belong together.
+        claimed: where windows show texture.
+        reach: how far a window sees an outline, pixels.
+    """
+    inner = binary_erosion(region, iterations=reach)
+    return not inner.any() or float(claimed[inner].mean()) > _LEAST_TEXTURED
+
+
+def textured_parts(lit: NDArray[np.bool_], claimed: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """The connected parts of what is lit that show texture away from their outlines."""
+    parts, count = connected(lit)
+    keep = np.zeros(count + 1, dtype=bool)
+    for part in range(1, count + 1):
+        keep[part] = textured(parts == part, claimed, reach)
+    return np.asarray(keep[parts])

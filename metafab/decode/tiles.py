@@ -1,0 +1,101 @@
+"""A window cut into tiles with margins, and put together again."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.fft
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+
+#: Share of the margin over which a tile fades out.
+_FADE = 0.75
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """Tiles over a window with margin.
+
+    Attributes:
+        shape: (n_y, n_x) of the window without margin.
+        margin: pixels all around that tiles may reach into.
+        core: (n_y, n_x) of what each tile delivers.
+        size: (n_y, n_x) of a tile's transform: core and margins, rounded up to a fast length.
+        counts: tiles along y and x.
+    """
+
+    shape: tuple[int, int]
+    margin: int
+    core: tuple[int, int]
+    size: tuple[int, int]
+    counts: tuple[int, int]
+
+    @classmethod
+    def over(cls, shape: tuple[int, int], margin: int, core_px: tuple[float, float]) -> Tiling:
+        """Equal tiles of about ``core_px`` (rows, columns) at most."""
+        counts = [max(1, math.ceil(n / px)) for n, px in zip(shape, core_px, strict=True)]
+        core = tuple(math.ceil(n / count) for n, count in zip(shape, counts, strict=True))
+        size = tuple(2 * scipy.fft.next_fast_len(math.ceil((n + 2 * margin) / 2), real=True) for n in core)
+        return cls(shape, margin, (core[0], core[1]), (size[0], size[1]), (counts[0], counts[1]))
+
+    @property
+    def n_tiles(self) -> int:
+        """How many there are; they are numbered row by row."""
+        return self.counts[0] * self.counts[1]
+
+    @cached_property
+    def middles(self) -> NDArray[np.intp]:
+        """Row and column of each tile's centre in the window, inside of it: shape (n_tiles, 2)."""
+        rows, columns = (
+            np.minimum(np.arange(count) * core + core // 2, n - 1)
+            for count, core, n in zip(self.counts, self.core, self.shape, strict=True)
+        )
+        return np.stack([axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij")], axis=1)
+
+    def cut(self, image: FloatArray, tiles: NDArray[np.intp]) -> NDArray[np.float32]:
+        """Tiles with margins of an image with margin: shape (tiles.size, *size); beyond the image, its edge value."""
+        need = [(n - 1) * core + size for n, core, size in zip(self.counts, self.core, self.size, strict=True)]
+        extra = [(0, max(0, n - have)) for n, have in zip(need, image.shape, strict=True)]
+        padded = np.pad(image, extra, mode="edge") if any(e[1] for e in extra) else image
+        views = sliding_window_view(padded, self.size)[:: self.core[0], :: self.core[1]]
+        row, column = np.divmod(tiles, self.counts[1])
+        cut = np.asarray(views[row, column], dtype=np.float32)
+        level = cut.mean(axis=(-2, -1), keepdims=True)
+        cut -= level
+        cut *= self._fade
+        cut += level
+        return cut
+
+    @cached_property
+    def _fade(self) -> NDArray[np.float32]:
+        """1 in the core, falling to 0 over the outer part of the margin, shape ``size``.
+
+        A step where a tile wraps round would agree with itself in both images and pull the depth.
+        """
+        fades = []
+        for core, size in zip(self.core, self.size, strict=True):
+            away = np.maximum(-np.arange(size) + self.margin, np.arange(size) - (self.margin + core - 1))
+            share = np.clip((self.margin - away) / (_FADE * self.margin), 0.0, 1.0)
+            fades.append(0.5 - 0.5 * np.cos(np.pi * share))
+        return np.asarray(fades[0][:, None] * fades[1][None, :], dtype=np.float32)
+
+    def join(self, values: NDArray[np.float32], tiles: NDArray[np.intp]) -> NDArray[np.float32]:
+        """The window from tiles with margins, shape (..., tiles.size, *size); 0 where no tile is given."""
+        (rows, columns), (n_y, n_x), m = self.counts, self.core, self.margin
+        cores = np.zeros((*values.shape[:-3], self.n_tiles, n_y, n_x), dtype=np.float32)
+        cores[..., tiles, :, :] = values[..., m : m + n_y, m : m + n_x]
+        cores = cores.reshape(*values.shape[:-3], rows, columns, n_y, n_x)
+        whole = np.moveaxis(cores, -2, -3).reshape(*values.shape[:-3], rows * n_y, columns * n_x)
+        return whole[..., : self.shape[0], : self.shape[1]]
+
+    def touched(self, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Numbers of the tiles whose cores hold a pixel of ``mask`` (the window's shape)."""
+        (rows, columns), (n_y, n_x) = self.counts, self.core
+        whole = np.zeros((rows * n_y, columns * n_x), dtype=bool)
+        whole[: self.shape[0], : self.shape[1]] = mask
+        return np.flatnonzero(whole.reshape(rows, n_y, columns, n_x).any(axis=(1, 3)))

@@ -1,0 +1,71 @@
+"""Agreement of the twins over place and depth, pooled over windows or segments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from metafab.core.conventions import FloatArray
+from metafab.optics.field import spline_weights
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Products of the aligned images a and b at each candidate depth.
+
+    Attributes:
+        vergences_per_m: shape (n,), 1/depth, equally spaced.
+        parts: shape (3, n, n_y, n_x): a b, a^2 and b^2.
+        samples: independent samples a pixel.
+        noise_gain: variance of an aligned image per variance of a pixel of the frame.
+    """
+
+    vergences_per_m: FloatArray
+    parts: NDArray[np.float32]
+    samples: float
+    noise_gain: float
+
+    @property
+    def step_per_m(self) -> float:
+        """Spacing of the candidates."""
+        return float(self.vergences_per_m[1] - self.vergences_per_m[0])
+
+    def pooled(self, window: int) -> NDArray[np.float32]:
+        """Means over a square window about each pixel: as ``parts``."""
+        return np.asarray(
+            uniform_filter1d(uniform_filter1d(self.parts, window, axis=-1), window, axis=-2), dtype=np.float32
+        )
+
+    def halved(self) -> Volume:
+        """Every second pixel, a mean of what lies about it."""
+        smooth = self.parts
+        for axis in (-2, -1):
+            values = np.moveaxis(smooth, axis, 0)
+            after = np.concatenate([values[1:], values[-1:]])
+            before = np.concatenate([values[:1], values[:-1]])
+            mean = 0.5 * values[::2] + 0.25 * (after[::2] + before[::2])
+            smooth = np.moveaxis(mean, 0, axis)
+        return Volume(self.vergences_per_m, np.ascontiguousarray(smooth), 4.0 * self.samples, self.noise_gain)
+
+    def at(self, vergence_per_m: float) -> NDArray[np.float32]:
+        """The products at any depth, interpolated between the candidates: shape (3, n_y, n_x)."""
+        weights = spline_weights(self.vergences_per_m, vergence_per_m).astype(np.float32)
+        return np.asarray(np.tensordot(weights, self.parts, axes=(0, 1)))
+
+    def over(self, mask: NDArray[np.bool_]) -> FloatArray:
+        """Sums over the pixels of a mask: shape (3, n)."""
+        return np.asarray(self.parts[:, :, mask].sum(axis=-1, dtype=np.float64))
+
+
+def correlation(parts: np.ndarray) -> np.ndarray:
+    """Normalised cross-correlation: blind to the polarisation contrast, 1 for equal twins without noise.
+
+    Args:
+        parts: shape (3, ...): sums or means of a b, a^2 and b^2.
+    """
+    # Roots before the product: sums of squares of a bright frame are near the end of single precision.
+    norm = np.sqrt(np.maximum(parts[1], 0.0)) * np.sqrt(np.maximum(parts[2], 0.0))
+    return np.asarray(parts[0] / np.maximum(norm, 1e-15))
