@@ -12,10 +12,11 @@ From one axis to the answer:
 - ``admittance``     the same by modes, stable for any height
 - ``conditioning``   how ill-conditioned the modes are
 - ``outlines``       one axis for layers of unlike outlines
-- ``stack``          the same through several layers
-- ``slicing``        steps of a sloped pillar, and their error
+- ``stack``          the same through several layers, by doubled slabs or by modes
+- ``slicing``        a sloped pillar as the limit of thin steps, and its error
 - ``jones``          Jones matrices at one truncation
 - ``certificate``    truncation raised until the error is what was asked
+- ``extrapolation``  the limit of plain harmonics: an independent check
 - ``diffraction``    efficiencies of single orders
 - ``row``            a row of unlike pillars, by one map over all their walls
 - ``cost``           seconds that an answer takes here, by a measured curve
@@ -34,18 +35,21 @@ from metafab.cell.rcwa.diffraction import (
     efficiencies,
     propagating_orders,
 )
+from metafab.cell.rcwa.extrapolation import FourierLimit, fourier_limit
 from metafab.cell.rcwa.jones import ZeroOrder, zero_order
 
 __all__ = [
     "DiffractedOrder",
     "Diffraction",
     "Formulation",
+    "FourierLimit",
     "PillarDerivatives",
     "ZeroOrder",
     "derivatives",
     "diffraction",
     "diffracts",
     "efficiencies",
+    "fourier_limit",
     "propagating_orders",
     "seconds_estimate",
     "solve",
