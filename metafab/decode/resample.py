@@ -51,6 +51,12 @@ class Resampler:
         on_rows = np.empty((needed.size, row.shape[1]), dtype=np.float32)
         for j in range(row.shape[1]):
             on_rows[:, j] = np.interp(needed, row[:, j], column[:, j])
+        if row.shape[0] > 1:  # the filter reaches beyond the first and the last row: go on as there
+            for edge, beside in ((0, 1), (-1, -2)):
+                slope = (column[edge] - column[beside]) / (row[edge] - row[beside])
+                beyond = needed[:, None] - row[edge]
+                beyond = np.minimum(beyond, 0.0) if edge == 0 else np.maximum(beyond, 0.0)
+                on_rows += (beyond * slope).astype(np.float32)
         return cls(first, np.asarray(row - first, dtype=np.float32), on_rows)
 
     @property
