@@ -8,6 +8,7 @@ Building, from the bottom up:
 - ``certificate`` from disagreement and the solver's errors to the error that is stated at every size
 - ``checkpoint``  solved sizes on disk as they arrive
 - ``rounds``      solve, fit, test on held-out sizes, and again
+- ``between``     the same off the grid, where a resonance, true or false, is narrower than a step
 - ``axes``        what else a sweep covers (wavelength, height, walls, bias, index, angle), and the cells there
 - ``corner_model``  one rational model over sizes and axes
 - ``corner_rounds`` the same rounds for it, only where axes are asked

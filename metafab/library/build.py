@@ -9,6 +9,7 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
@@ -18,16 +19,19 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.executor import SerialExecutor
 from metafab.core.progress import Progress, silent
 from metafab.library.axes import CornerBox
+from metafab.library.between import Between, FineGrid, sample_between
 from metafab.library.certificate import NEIGHBOURS, steepness
 from metafab.library.checkpoint import Checkpoint
 from metafab.library.corner_rounds import CornerSequence, sample_corners
 from metafab.library.corners import Corners
 from metafab.library.library import Library, inputs_of
 from metafab.library.quality import coverage_rad
-from metafab.library.rounds import Outcome, PointSolver, sample
+from metafab.library.rounds import Outcome, PointSolver, amplitudes_of, sample
 from metafab.library.sampling import SizeGrid
 from metafab.library.store import is_current, load, save
 from metafab.spec import UnitCell
+
+BoolArray = NDArray[np.bool_]
 
 #: Parts of the target error that the solver and the model may use; the rest is reserve.
 SOLVER_SHARE = 0.5
@@ -122,28 +126,41 @@ def _build(
     asked = unit_cell.sweep.target_error
     numerics = CellNumerics(SOLVER_SHARE * asked, unit_cell.solver.name)
     # One thread for the fits: their rounding, and with it the choice of sizes, must not depend on the machine's.
+    fine = FineGrid.of(grid)
     with threadpool_limits(1):
         sizes = PointSolver(partial(grid.cell, unit_cell), numerics, solver, executor, record, progress)
         outcome = sample(grid, sizes, MODEL_SHARE * asked)
+        solve_points = replace(sizes, cell_of=partial(fine.cell, unit_cell))
+        between = sample_between(grid, fine, outcome, solve_points, MODEL_SHARE * asked)
         corners = None
         if (box := CornerBox.of(unit_cell)) is not None:
-            sequence = CornerSequence(unit_cell, box, first_number=grid.size)
+            sequence = CornerSequence(unit_cell, box, first_number=fine.end_number)
             solve_points = replace(sizes, cell_of=sequence.cell)
             corners = sample_corners(grid, box, sequence, outcome.solved, solve_points, MODEL_SHARE * asked)
-    return _library(unit_cell, grid, outcome, corners, perf_counter() - started)
+    return _library(unit_cell, grid, fine, outcome, between, corners, perf_counter() - started)
 
 
-def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, corners: Corners | None, seconds: float) -> Library:
+def _library(
+    unit_cell: UnitCell,
+    grid: SizeGrid,
+    fine: FineGrid,
+    outcome: Outcome,
+    between: Between,
+    corners: Corners | None,
+    seconds: float,
+) -> Library:
     """Values of all sizes: the solver's where it was asked, the model's elsewhere."""
-    values, certificate, is_solved = _on_grid(grid, outcome)
-    if outcome.model is not None:
-        modelled = outcome.model.on_grid(grid.width_nm, grid.length_nm)
-        values = np.where(is_solved, values, modelled)
-    error = certificate + np.where(is_solved, 0.0, outcome.model_error)
+    model = None if between.models is None else between.models.best
+    values, is_solved = _on_grid(grid, outcome)
+    certificate = _certificate(grid, fine, outcome, between)
+    if model is not None:
+        values = np.where(is_solved, values, model.on_grid(grid.width_nm, grid.length_nm))
+    error = certificate + np.where(is_solved, 0.0, between.model_error)
     t_xx, t_yy, r_xx, r_yy = values[:, None]
-    steep = 1.0 if outcome.model is None else steepness(outcome.model, grid.width_nm, grid.length_nm)
-    between = certificate * steep + outcome.between_error
-    spent = np.array([point.seconds for point in outcome.solved.values()])
+    steep = 1.0 if model is None else steepness(model, grid.width_nm, grid.length_nm)
+    around = certificate * steep + between.between_error
+    points = [*outcome.solved.values(), *between.solved.values()]
+    spent = np.array([point.seconds for point in points])
     library = Library(
         unit_cell=unit_cell,
         wavelength_nm=np.array([unit_cell.illumination.wavelength_nm]),
@@ -155,21 +172,22 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, corners: Cor
         r_yy=r_yy,
         error=error[None],
         inputs_sha256=inputs_of(unit_cell),
-        model=outcome.model,
-        model_error=None if outcome.model is None else between,
+        model=model,
+        model_error=None if model is None else around,
         corners=corners,
     )
-    degrees = outcome.model.x.degrees if outcome.model is not None else (0, 0)
+    degrees = model.x.degrees if model is not None else (0, 0)
     library.details.update(
-        points_solved=len(outcome.solved),
+        points_solved=len(points),
+        points_between=len(between.solved),
         points_total=grid.size,
         max_error=float(error.max()),
         sizes_beyond_target=int(np.count_nonzero(error > unit_cell.sweep.target_error)),
         max_solver_error=float(certificate.max()),
-        max_model_error=float(np.max(outcome.model_error, where=~is_solved, initial=0.0)),
-        max_between_error=float(between.max()),
+        max_model_error=float(np.max(between.model_error, where=~is_solved, initial=0.0)),
+        max_between_error=float(around.max()),
         held_out_error=outcome.held_out_error,
-        held_out=outcome.held_out,
+        held_out=outcome.held_out.size,
         rounds=outcome.rounds,
         numerator_degree=degrees[0],
         denominator_degree=degrees[1],
@@ -181,24 +199,33 @@ def _library(unit_cell: UnitCell, grid: SizeGrid, outcome: Outcome, corners: Cor
     return library
 
 
-def _on_grid(grid: SizeGrid, outcome: Outcome) -> tuple[ComplexArray, FloatArray, np.ndarray]:
-    """Solved amplitudes (4, n_length, n_width), the solver's error at every size, and which were solved."""
-    points = outcome.solved.values()
-    number = np.array([point.number for point in points])
-    amplitudes = np.array([point.amplitudes for point in points], dtype=np.complex128)
-    error = np.array([point.error for point in points])
+def _on_grid(grid: SizeGrid, outcome: Outcome) -> tuple[ComplexArray, BoolArray]:
+    """Solved amplitudes (4, n_length, n_width), zero elsewhere, and which were solved."""
+    number = np.array(list(outcome.solved), dtype=np.intp)
+    amplitudes = amplitudes_of(list(outcome.solved.values()))
     if grid.exchange:
         number = np.concatenate([number, grid.exchanged(number)])
         amplitudes = np.concatenate([amplitudes, amplitudes[:, [1, 0, 3, 2]]])
-        error = np.concatenate([error, error])
     shape = (grid.length_nm.size, grid.width_nm.size)
     values = np.zeros((4, grid.size), dtype=np.complex128)
     values[:, number] = amplitudes.T
     is_solved = np.zeros(grid.size, dtype=bool)
     is_solved[number] = True
-    tree = cKDTree(np.stack(grid.sizes_nm(number), axis=-1))
-    count = min(NEIGHBOURS, number.size)
-    near = tree.query(np.stack(grid.sizes_nm(np.arange(grid.size)), axis=-1), k=count)[1].reshape(grid.size, count)
-    certificate = error[near].max(axis=-1)
-    certificate[number] = error
-    return values.reshape(4, *shape), certificate.reshape(shape), is_solved.reshape(shape)
+    return values.reshape(4, *shape), is_solved.reshape(shape)
+
+
+def _certificate(grid: SizeGrid, fine: FineGrid, outcome: Outcome, between: Between) -> FloatArray:
+    """The solver's error at every size, its neighbours' where it was not solved: shape (n_length, n_width)."""
+    solved, off_grid = (np.array(list(each), dtype=np.intp) for each in (outcome.solved, between.solved))
+    error = np.array([point.error for point in (*outcome.solved.values(), *between.solved.values())])
+    sizes_nm = np.concatenate([grid.sizes_nm(solved), fine.grid.sizes_nm(off_grid)], axis=1)
+    own = np.full(grid.size, np.nan)
+    own[solved] = error[: solved.size]
+    if grid.exchange:
+        own[grid.exchanged(solved)] = error[: solved.size]
+        sizes_nm, error = np.concatenate([sizes_nm, sizes_nm[::-1]], axis=1), np.tile(error, 2)
+    count = min(NEIGHBOURS, error.size)
+    places = np.stack(grid.sizes_nm(np.arange(grid.size)), axis=-1)
+    near = cKDTree(sizes_nm.T).query(places, k=count)[1].reshape(grid.size, count)
+    shape = (grid.length_nm.size, grid.width_nm.size)
+    return np.asarray(np.where(np.isnan(own), error[near].max(axis=-1), own), dtype=np.float64).reshape(shape)

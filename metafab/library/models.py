@@ -36,6 +36,14 @@ class Samples:
     def __getitem__(self, which: np.ndarray) -> Samples:
         return Samples(self.width_nm[which], self.length_nm[which], self.amplitudes[which])
 
+    def joined(self, more: Samples) -> Samples:
+        """These samples, then ``more``."""
+        return Samples(
+            np.concatenate([self.width_nm, more.width_nm]),
+            np.concatenate([self.length_nm, more.length_nm]),
+            np.concatenate([self.amplitudes, more.amplitudes]),
+        )
+
 
 @dataclass(frozen=True)
 class SizeModel:

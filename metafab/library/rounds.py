@@ -4,8 +4,8 @@ Each round fits two rational models of unlike degrees to all sizes solved so far
 sizes: those where the two disagree most (the ridges of guided modes), and the next ones of an even sequence.
 Both kinds are predicted before they are solved, so every round is also a held-out test; its misses scale the
 disagreement up to an error estimate. It ends when that estimate, at every size that was not solved, and the
-misses are within the tolerance, at the latest when the grid is exhausted. Decisions are taken between rounds
-only: any number of workers decides alike.
+misses are within the tolerance, at the latest when the grid is exhausted; ``between`` then looks between the sizes.
+Decisions are taken between rounds only: any number of workers decides alike.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.cell.response import CellNumerics, CellSolver, PillarCell
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.executor import SerialExecutor, stream
 from metafab.core.progress import Progress
 from metafab.library.certificate import spread
@@ -33,8 +33,8 @@ FIRST_ROUND = 128
 LATER_ROUND = 48
 #: When no more than these stay above the tolerance, they are solved outright.
 LAST_ROUND = 96
-#: Sizes that a library usually takes: what is foreseen before the first round shows how fast errors fall.
-USUAL_POINTS = 400
+#: How the sizes left above the tolerance usually fall from round to round, as long as nothing tells better.
+USUAL_RATIO = 0.8
 #: Sizes that a worker solves before it reports: more save messages, fewer lose less to a kill.
 CHUNK = 4
 #: Chunks in flight: enough to keep the workers of one machine busy.
@@ -94,57 +94,87 @@ class Outcome:
 
     Attributes:
         solved: number -> answer, in ascending order of the numbers.
-        model: the continuous model; None where the grid is so small that every size was solved at once.
-        model_error: shape (n_length, n_width), estimate of the model's error at each size.
-        between_error: the same shape, estimate of its error around each size, up to half a step away.
-        held_out_error: the largest miss among the sizes of the last round, each predicted before it was solved.
-        held_out: how many these were.
+        models: the continuous model and its rival; None where the grid is so small that every size was solved at once.
+        factor: how far their disagreement fell short of misses at sizes that they could not know, at least 1.
+        held_out: the sizes of the last round, each predicted before it was solved.
+        held_out_error: the largest miss among them.
         rounds: rounds of solving.
     """
 
     solved: dict[int, SolvedPoint]
-    model: SizeModel | None
-    model_error: FloatArray
-    between_error: FloatArray
+    models: ModelPair | None
+    factor: float
+    held_out: IndexArray
     held_out_error: float
-    held_out: int
     rounds: int
 
 
 def sample(grid: SizeGrid, solve_sizes: PointSolver, tolerance: float) -> Outcome:
     """Solve sizes until the model's error estimate is within the tolerance at every other size."""
     batch = grid.even_order[:FIRST_ROUND]
-    solved = solve_sizes(batch, min(USUAL_POINTS, grid.distinct.size))
+    solved = solve_sizes(batch, batch.size)
     if len(solved) == grid.distinct.size:
-        zeros = np.zeros((grid.length_nm.size, grid.width_nm.size))
-        return Outcome(_sorted(solved), None, zeros, zeros, 0.0, 0, 1)
-    models = _fit(grid, solved, batch[-(batch.size // 4) :])
-    estimate = spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
-    left = _left(grid, estimate, solved, tolerance)
-    foreseen, rounds = min(USUAL_POINTS, grid.distinct.size), 1
+        return Outcome(_sorted(solved), None, 1.0, batch[:0], 0.0, 1)
+    models = fit_solved(grid, solved, batch[-(batch.size // 4) :])
+    disagreement = spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
+    left = _left(grid, disagreement, solved, tolerance)
+    foreseen, rounds = _foreseen(grid, len(solved), 0, left.size), 1
     while True:
         rounds += 1
         before = left.size
-        batch = _next_batch(grid, estimate, solved)
+        batch = _next_batch(grid, disagreement, solved)
         new = solve_sizes(batch, foreseen)
-        miss = _misses(grid, models.best, new)
-        certificate = np.array([point.error for point in new.values()])
-        # How far the estimate fell short at sizes that it could not know; the solver's own error is not the model's.
-        factor = max(1.0, float(np.max(miss / (estimate.ravel()[batch] + certificate))))
+        miss, certificate = misses(models.best, grid, new)
+        factor = shortfall(miss, certificate, disagreement.ravel()[batch])
         solved |= new
-        models = _fit(grid, solved, batch)
-        estimate = factor * spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
-        left = _left(grid, estimate, solved, tolerance)
+        models = fit_solved(grid, solved, batch)
+        disagreement = spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
+        left = _left(grid, factor * disagreement, solved, tolerance)
         foreseen = _foreseen(grid, len(solved), before, left.size)
         held = float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size
         if held and 0 < left.size <= LAST_ROUND:
-            solved |= solve_sizes(left, len(solved) + left.size)
-            models = _fit(grid, solved, batch)
-            estimate = factor * spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
-            left = _left(grid, estimate, solved, tolerance)
+            new = solve_sizes(left, len(solved) + left.size)
+            # These were predicted as well: what they show counts for the sizes that stay unsolved.
+            factor = max(factor, shortfall(*misses(models.best, grid, new), disagreement.ravel()[left]))
+            solved |= new
+            models = fit_solved(grid, solved, batch)
+            disagreement = spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
+            left = _left(grid, factor * disagreement, solved, tolerance)
         if held and left.size == 0:
-            between = factor * spread(models.disagreement_around(grid.width_nm, grid.length_nm), grid.exchange)
-            return Outcome(_sorted(solved), models.best, estimate, between, float(miss.max()), batch.size, rounds)
+            return Outcome(_sorted(solved), models, factor, batch, float(miss.max()), rounds)
+
+
+def fit_solved(
+    grid: SizeGrid, solved: dict[int, SolvedPoint], held_out: IndexArray, more: Samples | None = None
+) -> ModelPair:
+    """Models of solved sizes, and of ``more`` samples off the grid, chosen by those and the sizes ``held_out``."""
+    numbers = np.array(sorted(solved), dtype=np.intp)
+    samples = Samples(*grid.sizes_nm(numbers), amplitudes_of([solved[int(number)] for number in numbers]))
+    judges = np.isin(numbers, held_out)
+    if more is not None:
+        samples, judges = samples.joined(more), np.append(judges, np.ones(more.width_nm.size, dtype=bool))
+    return fit_models(samples, judges, (grid.width_nm, grid.length_nm), grid.exchange)
+
+
+def misses(model: SizeModel, grid: SizeGrid, new: dict[int, SolvedPoint]) -> tuple[FloatArray, FloatArray]:
+    """Largest error of any amplitude that the model predicted for each new size, and the solver's own."""
+    predicted = model(*grid.sizes_nm(np.array(list(new), dtype=np.intp)))
+    miss = np.abs(predicted - amplitudes_of(list(new.values()))).max(axis=-1)
+    return np.asarray(miss, dtype=np.float64), np.array([point.error for point in new.values()])
+
+
+def shortfall(miss: FloatArray, certificate: FloatArray, disagreement: FloatArray) -> float:
+    """The factor by which disagreement falls short of misses, at least 1; the solver's error is not the model's.
+
+    The disagreement is the models' own, before any factor of an earlier round: a factor on top of a factor would
+    make the next one look small.
+    """
+    return max(1.0, float(np.max(miss / (disagreement + certificate))))
+
+
+def amplitudes_of(points: Sequence[SolvedPoint]) -> ComplexArray:
+    """Shape (n, 4): t_xx, t_yy, r_xx, r_yy."""
+    return np.array([point.amplitudes for point in points], dtype=np.complex128).reshape(-1, 4)
 
 
 def _left(grid: SizeGrid, estimate: FloatArray, solved: dict[int, SolvedPoint], tolerance: float) -> IndexArray:
@@ -155,16 +185,9 @@ def _left(grid: SizeGrid, estimate: FloatArray, solved: dict[int, SolvedPoint], 
 
 def _foreseen(grid: SizeGrid, solved: int, before: int, left: int) -> int:
     """Sizes that the build may need in all, if those left above the tolerance go on falling as in this round."""
-    ratio = min(max(left / max(before, 1), 0.3), 0.9)
+    ratio = min(max(left / before, 0.3), 0.9) if before else USUAL_RATIO
     rounds = math.ceil(math.log(max(left, 1) / LAST_ROUND) / -math.log(ratio)) if left > LAST_ROUND else 0
     return min(solved + rounds * LATER_ROUND + min(left, LAST_ROUND), grid.distinct.size)
-
-
-def _fit(grid: SizeGrid, solved: dict[int, SolvedPoint], held_out: IndexArray) -> ModelPair:
-    numbers = np.array(sorted(solved), dtype=np.intp)
-    amplitudes = np.array([solved[int(number)].amplitudes for number in numbers], dtype=np.complex128)
-    samples = Samples(*grid.sizes_nm(numbers), amplitudes)
-    return fit_models(samples, np.isin(numbers, held_out), (grid.width_nm, grid.length_nm), grid.exchange)
 
 
 def _next_batch(grid: SizeGrid, estimate: FloatArray, solved: dict[int, SolvedPoint]) -> IndexArray:
@@ -175,13 +198,6 @@ def _next_batch(grid: SizeGrid, estimate: FloatArray, solved: dict[int, SolvedPo
     taken[worst] = True
     even = grid.even_order[~taken[grid.even_order]][: LATER_ROUND - worst.size]
     return np.concatenate([worst, even])
-
-
-def _misses(grid: SizeGrid, model: SizeModel, new: dict[int, SolvedPoint]) -> FloatArray:
-    """Largest error of any amplitude that the model predicted for each new size."""
-    predicted = model(*grid.sizes_nm(np.array(list(new), dtype=np.intp)))
-    answers = np.array([point.amplitudes for point in new.values()])
-    return np.asarray(np.abs(predicted - answers).max(axis=-1), dtype=np.float64)
 
 
 def _is_solved(grid: SizeGrid, solved: dict[int, SolvedPoint]) -> NDArray[np.bool_]:
