@@ -114,7 +114,7 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     solved: dict[int, ZeroOrder] = {}
     for orders in climb(numerics):
         solved[orders] = smooth(cell, orders, numerics.formulation, cut.steps)
-        error = bound(orders, solved, numerics.formulation, measured=_is_measured(cell)) + cut.error
+        error = bound(orders, solved, numerics.formulation, measured=is_measured(cell)) + cut.error
         error = max(error, solved[orders].conditioning.rounding)
         if error <= numerics.target_error:
             break
@@ -181,7 +181,8 @@ def bound(
     return min(max(claim.floor, *(share * earlier[count] for count, share in claim.shares)) for claim in claims)
 
 
-def _is_measured(cell: PillarCell) -> bool:
+def is_measured(cell: PillarCell) -> bool:
+    """Whether ``cell`` is of the kind that the claims were measured on."""
     pillar, around = complex(cell.n_pillar), complex(cell.n_ambient)
     densest = max(n.real for n in (pillar, around, *map(complex, cell.n_substrate)))
     return (

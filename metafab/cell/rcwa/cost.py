@@ -6,13 +6,15 @@ thread), relative to five cosines. The speed is measured once a process, in some
 
 from __future__ import annotations
 
+import math
 import time
 from functools import cache
 
 import numpy as np
 
-from metafab.cell.rcwa.certificate import climb
-from metafab.cell.rcwa.jones import zero_order
+from metafab.cell.rcwa.certificate import climb, is_measured
+from metafab.cell.rcwa.jones import axis_orders, layers_of, polarisations_swap, zero_order
+from metafab.cell.rcwa.slicing import slicing
 from metafab.cell.response import CellNumerics, PillarCell
 
 #: Cosines along the period: seconds over those of five.
@@ -20,20 +22,39 @@ _CURVE = {3: 0.43, 4: 0.59, 5: 1.0, 6: 1.7, 7: 3.6, 8: 6.7, 9: 11.9, 10: 20.1, 1
 _SAMPLE = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
 
 
-def seconds_of_truncation(orders: int) -> float:
+def seconds_of_truncation(orders: int, cell: PillarCell = _SAMPLE, steps: int = 1) -> float:
     """Processor time of one truncation of ``orders`` cosines (from 3) on this machine, within a factor of two.
 
-    For a square period and light along z; a square pillar takes half. Beyond the curve the time grows as the sixth
-    power of the orders, the third of the unknowns.
+    A symmetry class takes what the curve has at as many unknowns, once for every layer; each mirror plane that slanting
+    light breaks doubles the unknowns. Of a sloped pillar both cuts are counted, into ``steps`` and half as many. Beyond
+    the curve the time grows as the sixth power of the orders, the third of the unknowns.
     """
+    x, y = axis_orders(cell, orders)
+    broken = sum(k != 0.0 for k in cell.in_plane)
+    unknowns = ((x + 1) * (y + 1) + x * y) * 2**broken
+    # The number of cosines of a square period at which (M + 1)^2 + M^2 are as many.
+    equivalent = 0.5 * (math.sqrt(2.0 * unknowns - 1.0) - 1.0)
     most = max(_CURVE)
-    within = float(np.interp(np.log(min(orders, most)), np.log(list(_CURVE)), np.log(list(_CURVE.values()))))
-    return float(np.exp(within) * max(1.0, orders / most) ** 6 * _seconds_of_five())
+    within = float(np.interp(np.log(min(equivalent, most)), np.log(list(_CURVE)), np.log(list(_CURVE.values()))))
+    of_classes = 0.5 if broken == 2 or polarisations_swap(cell) else 1.0
+    layers = sum(each.height_nm > 0.0 for each in layers_of(cell, steps))
+    if cell.is_sloped:
+        layers += sum(each.height_nm > 0.0 for each in layers_of(cell, steps // 2))
+    seconds = math.exp(within) * max(1.0, equivalent / most) ** 6 * _seconds_of_five()
+    return of_classes * max(1, layers) * seconds
 
 
-def seconds_estimate(target_error: float) -> float:
-    """Processor time of one certified pillar: the first two truncations of its climb, which serve most pillars."""
-    return sum(seconds_of_truncation(orders) for orders in climb(CellNumerics(target_error))[:2])
+def seconds_estimate(target_error: float, cell: PillarCell = _SAMPLE) -> float:
+    """Processor time of one certified pillar of the kind of ``cell``.
+
+    That of the first two truncations of its climb, which serve most pillars, or of the first four where the certificate
+    has no measured claims. The steps of a sloped pillar are counted on ``cell`` itself, at a low truncation. Resonant
+    pillars of a high index take up to five times as long.
+    """
+    numerics = CellNumerics(target_error)
+    steps = slicing(cell, numerics).steps
+    rungs = climb(numerics)[: 2 if is_measured(cell) else 4]
+    return sum(seconds_of_truncation(orders, cell, steps) for orders in rungs)
 
 
 @cache

@@ -145,7 +145,7 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
             power = power + np.stack([np.sum(each, axis=0) for each in shares_of_power(solved)])
             largest = max(largest, solved.case.basis.size)
             inconsistency, worst = max(inconsistency, faces.inconsistency), worst.worse(faces.conditioning)
-            if _polarisations_swap(cell):
+            if polarisations_swap(cell):
                 t, r, power = t + t[::-1, ::-1], r + r[::-1, ::-1], power + power[:, ::-1]
                 break
     return ZeroOrder(t, r, power[0], power[1], largest, inconsistency, worst)
@@ -315,7 +315,7 @@ def one_thread() -> AbstractContextManager[Any]:
     return cast("AbstractContextManager[Any]", _blas().limit(limits=1))
 
 
-def _polarisations_swap(cell: PillarCell) -> bool:
+def polarisations_swap(cell: PillarCell) -> bool:
     """Whether x and y light see the same cell, turned by 90 degrees."""
     same_sizes = all(each.width_nm == each.length_nm for each in layers_of(cell))
     same_sizes = same_sizes and cell.period_nm[0] == cell.period_nm[1]
