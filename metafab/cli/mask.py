@@ -42,6 +42,7 @@ def drc_command(
         Literal["lattice", "rectangles", "polygons"],
         typer.Option(help="On the lattice, on the file's rectangles, or by KLayout's polygon engine."),
     ] = "lattice",
+    copy: Annotated[int, typer.Option(help="Which lens of mask.copies the lattice engine checks, from 1.")] = 1,
     output: Output = None,
     workers: Workers = None,
     json_: Json = False,
@@ -52,7 +53,7 @@ def drc_command(
 
     spec = load_design(design)
     with progress_bars() as progress:
-        result = drc.check(layout, spec, engine=engine, workers=workers, progress=progress)
+        result = drc.check(layout, spec, engine=engine, workers=workers, progress=progress, copy=copy)
     if output is not None:
         drc.save([result], output, mask.top_name(spec.name))
     show(result, json_)

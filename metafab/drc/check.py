@@ -22,6 +22,7 @@ def check(
     engine: str = "lattice",
     workers: int | None = None,
     progress: Progress = silent,
+    copy: int = 1,
 ) -> DrcReport:
     """Check a GDSII or OASIS file.
 
@@ -33,6 +34,8 @@ def check(
             width, aspect ratio, gap, overlap, grid and foreign shapes.
         workers: threads; the cores unless given.
         progress: told about rows or tiles.
+        copy: the lens of ``mask.copies`` that ``lattice`` checks, counted from 1; the others are counted. The two
+            engines that know no lattice check all of them.
 
     Raises:
         InputError: the file cannot be read as a mask, or the engine is unknown.
@@ -40,7 +43,7 @@ def check(
     """
     start = time.perf_counter()
     if engine == "lattice":
-        report = check_lattice(read(path, design, progress), design, workers, progress)
+        report = check_lattice(read(path, design, progress, copy), design, workers, progress)
     elif engine == "rectangles":
         report = check_rectangles(path, design, workers, progress)
     elif engine == "polygons":

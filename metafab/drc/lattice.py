@@ -59,6 +59,9 @@ def check_lattice(
     """
     bands = _Bands(read_back, design)
     total = _of_leftovers(read_back, design)
+    # Of the other copies nothing but the count is looked at: every site inside the aperture has a pillar.
+    sites = Aperture.of(design).count if read_back.other_copies else 0
+    total.counts["missing"] += sum(max(0, sites - count) for count in read_back.other_copies.values())
     n_y = bands.size_index.shape[0]
     with ThreadPoolExecutor(workers or default_workers()) as threads:
         for done, findings in enumerate(in_order(threads, bands.check, range(0, n_y, _BAND_ROWS)), start=1):
@@ -78,6 +81,7 @@ def check_lattice(
         markers={rule: tuple(_markers(total.boxes_nm[rule])) for rule, count in total.counts.items() if count},
         min_gap_nm=float(total.smallest_gap_dbu * unit_nm) if np.isfinite(total.smallest_gap_dbu) else None,
         other_layers=read_back.other_layers,
+        other_copies=read_back.other_copies,
         pillars_sha256=_pillars_sha256(read_back.pillars.size_dbu, bands.size_index),
     )
 
@@ -118,6 +122,7 @@ class _Bands:
         pillars = read_back.pillars
         self.size_index: SizeIndexArray = pillars.to_array()
         self._lattice = pillars.lattice
+        self._at_nm = np.array(read_back.at_nm)
         self._size_dbu = pillars.size_dbu
         self._size_nm = pillars.size_nm()
         self._aperture = Aperture.of(design)
@@ -173,5 +178,5 @@ class _Bands:
         size = self._size_nm[self.size_index[row, column]]
         period = np.multiply(self._lattice.period_dbu, self._lattice.database_unit_nm, dtype=np.float64)
         size = np.where(size > 0, size, period)
-        centre = np.stack([self._lattice.x_um()[column], self._lattice.y_um()[row]], axis=1) * 1e3
+        centre = np.stack([self._lattice.x_um()[column], self._lattice.y_um()[row]], axis=1) * 1e3 + self._at_nm
         return np.concatenate([centre - size / 2.0, size], axis=1)

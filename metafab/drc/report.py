@@ -39,7 +39,7 @@ def upright_side_nm(design: Design) -> float | None:
 
 @dataclass(frozen=True)
 class Marker:
-    """One violation's place: the box around it, nm from the optical axis."""
+    """One violation's place: the box around it, nm, in the coordinates of the file."""
 
     x_nm: float
     y_nm: float
@@ -59,6 +59,7 @@ class DrcReport:
         markers: up to :data:`MARKERS` places of each rule that is violated.
         min_gap_nm: smallest distance between neighbours that was found; None if the engine does not measure it.
         other_layers: shapes on other layers, which no rule concerns, by "layer/datatype".
+        other_copies: pillars of the other copies of the lens, by number from 1, where one copy was checked.
         pillars_sha256: hash of the size at every lattice site, equal for equal masks in either format; empty if
             the engine does not know sites.
         seconds: wall clock, reading included.
@@ -71,6 +72,7 @@ class DrcReport:
     markers: dict[str, tuple[Marker, ...]] = field(default_factory=dict)
     min_gap_nm: float | None = None
     other_layers: dict[str, int] = field(default_factory=dict)
+    other_copies: dict[int, int] = field(default_factory=dict)
     pillars_sha256: str = ""
     seconds: float = 0.0
 

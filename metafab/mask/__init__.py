@@ -1,6 +1,7 @@
 """PillarMap -> mask files, and back again from the file.
 
 - ``cells``         names and places of the cells
+- ``copies``        several lenses on a chip
 - ``varints``       OASIS integers
 - ``oasis_writer``  OASIS by streaming
 - ``gdsii_writer``  GDSII by streaming

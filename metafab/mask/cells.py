@@ -27,13 +27,24 @@ class TileCell:
     first_y_dbu: int
 
 
-def tile_cell(lattice: Lattice, tile: PillarTile, dose_class: int = 0) -> TileCell:
-    """Name and place of the cell of the pillars of ``tile`` in one dose class."""
+def tile_cell(lattice: Lattice, tile: PillarTile, dose_class: int = 0, bias_dbu: int = 0) -> TileCell:
+    """Name and place, in its lens, of the cell of the pillars of ``tile`` in one dose class, drawn with one bias."""
     (p_x, p_y), (n_y, n_x) = lattice.period_dbu, lattice.shape
     centre_x = (2 * tile.column - (n_x - 1)) * p_x // 2
     centre_y = (2 * tile.row - (n_y - 1)) * p_y // 2
     name = f"TILE_R{tile.row:06d}_C{tile.column:06d}" + (f"_D{dose_class:02d}" if dose_class else "")
+    name += _bias_tag(bias_dbu)
     return TileCell(name, centre_x - p_x // 2, centre_y - p_y // 2, p_x // 2, p_y // 2)
+
+
+def lens_name(bias_dbu: int, top: str) -> str:
+    """The cell of a lens that the chip holds several copies of; never that of the top cell."""
+    name = f"LENS{_bias_tag(bias_dbu)}"
+    return f"{name}_" if name == top else name
+
+
+def _bias_tag(bias_dbu: int) -> str:
+    return f"_{'P' if bias_dbu > 0 else 'M'}{abs(bias_dbu):05d}" if bias_dbu else ""
 
 
 def top_name(design_name: str) -> str:

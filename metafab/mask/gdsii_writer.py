@@ -7,7 +7,7 @@ Plain boundaries open several times faster in viewers than one reference a pilla
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import BinaryIO
 
 import numpy as np
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from metafab.core.errors import InputError
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.layout.pillars import Lattice, PillarTile
-from metafab.mask.cells import TileCell, tile_cell
+from metafab.mask.cells import TileCell, lens_name, tile_cell
+from metafab.mask.copies import LensCopy, biases_dbu
 from metafab.mask.hierarchy import IntArray
 
 BOUNDARY_WORDS = 16
@@ -35,15 +36,24 @@ class GdsiiWriter:
         top: name of the top structure.
         layer: layer of the pillars.
         datatype: datatype of the pillars.
+        copies: lenses to place where there are several; without any, the top structure is the lens.
 
     Raises:
         InputError: the layout reaches beyond 32-bit coordinates.
     """
 
     def __init__(
-        self, stream: BinaryIO, lattice: Lattice, size_dbu: NDArray[np.int32], top: str, layer: int, datatype: int
+        self,
+        stream: BinaryIO,
+        lattice: Lattice,
+        size_dbu: NDArray[np.int32],
+        top: str,
+        layer: int,
+        datatype: int,
+        copies: Sequence[LensCopy] = (),
     ) -> None:
         reach = max(n * p for n, p in zip(lattice.shape[::-1], lattice.period_dbu, strict=True)) // 2 + 1
+        reach += max((max(abs(copy.x_dbu), abs(copy.y_dbu)) for copy in copies), default=0)
         if reach >= 2**31 or max(layer, datatype) >= 2**15:
             raise self._beyond(reach, f"{layer}/{datatype}")
         self._stream = stream
@@ -51,7 +61,8 @@ class GdsiiWriter:
         self._size_dbu = size_dbu
         self._top = top
         self._layer, self._datatype = layer, datatype
-        self._placed: list[TileCell] = []
+        self._copies = copies
+        self._placed: dict[int, list[TileCell]] = {bias: [] for bias in biases_dbu(copies) or (0,)}
         unit_m = lattice.database_unit_nm * 1e-9
         stream.write(
             record(0x0002, struct.pack(">h", 600))
@@ -70,23 +81,26 @@ class GdsiiWriter:
             "write 'oas', which has no such limits",
         )
 
-    def encode(self, tile: PillarTile, dose_class: int = 0) -> tuple[TileCell, memoryview]:
-        """The cell of the pillars of ``tile`` and the bytes of its elements; safe to call from several threads."""
-        cell = tile_cell(self._lattice, tile, dose_class)
+    def encode(self, tile: PillarTile, dose_class: int = 0, bias_dbu: int = 0) -> tuple[int, TileCell, memoryview]:
+        """The bias, the cell of the pillars of ``tile`` drawn with it, and the bytes of its elements.
+
+        Safe to call from several threads.
+        """
+        cell = tile_cell(self._lattice, tile, dose_class, bias_dbu)
         fill = fill_boundaries if HAS_NUMBA else fill_boundaries_vectorised
         words = fill(
             np.ascontiguousarray(tile.size_index),
-            self._size_dbu,
+            self._size_dbu + np.int32(bias_dbu),
             self._lattice.period_dbu,
             (cell.first_x_dbu, cell.first_y_dbu),
             boundary_template(self._layer, self._datatype + dose_class),
         )
-        return cell, words.data.cast("B")
+        return bias_dbu, cell, words.data.cast("B")
 
-    def add(self, encoded: tuple[TileCell, memoryview]) -> None:
+    def add(self, encoded: tuple[int, TileCell, memoryview]) -> None:
         """Append what :meth:`encode` returned as a structure."""
-        cell, elements = encoded
-        self._placed.append(cell)
+        bias_dbu, cell, elements = encoded
+        self._placed[bias_dbu].append(cell)
         self._stream.write(_begin(cell.name))
         self._stream.write(elements)  # not copied: a tile has tens of megabytes
         self._stream.write(record(0x0700))
@@ -97,10 +111,16 @@ class GdsiiWriter:
         Raises:
             InputError: a rectangle reaches beyond 32-bit coordinates.
         """
+        if self._copies:
+            for bias_dbu in self._placed:
+                self._stream.write(_begin(lens_name(bias_dbu, self._top)))
+                self._place_tiles(bias_dbu)
+                self._stream.write(record(0x0700))
         self._stream.write(_begin(self._top))
-        for cell in self._placed:
-            place = record(0x1003, struct.pack(">2i", cell.x_dbu, cell.y_dbu))
-            self._stream.write(record(0x0A00) + record(0x1206, text(cell.name)) + place + record(0x1100))
+        if not self._copies:
+            self._place_tiles(0)
+        for copy in self._copies:
+            self._place(lens_name(copy.bias_dbu, self._top), copy.x_dbu, copy.y_dbu)
         for layer, rectangles in beside:
             reach = int(np.abs(rectangles).sum(axis=1).max(initial=0))
             if max(reach, layer << 16) >= 2**31:
@@ -111,6 +131,14 @@ class GdsiiWriter:
             words[:, 6:15:2] = np.stack([low, low, high, high, low], axis=1)[:, :, 1]
             self._stream.write(words.byteswap().tobytes())
         self._stream.write(record(0x0700) + record(0x0400))
+
+    def _place_tiles(self, bias_dbu: int) -> None:
+        for cell in self._placed[bias_dbu]:
+            self._place(cell.name, cell.x_dbu, cell.y_dbu)
+
+    def _place(self, name: str, x_dbu: int, y_dbu: int) -> None:
+        place = record(0x1003, struct.pack(">2i", x_dbu, y_dbu))
+        self._stream.write(record(0x0A00) + record(0x1206, text(name)) + place + record(0x1100))
 
 
 def record(kind: int, data: bytes = b"") -> bytes:

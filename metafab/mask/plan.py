@@ -11,6 +11,7 @@ from metafab.layout import Aperture
 from metafab.layout.assign import mapping_of
 from metafab.library import Library
 from metafab.mask.cells import top_name
+from metafab.mask.copies import biases_dbu, lens_copies
 from metafab.mask.gdsii_writer import BOUNDARY_WORDS
 from metafab.mask.write import WRITERS
 from metafab.phase.profile import PhaseProfile
@@ -50,15 +51,17 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
     mapping_seconds += time.perf_counter()
     share = sum(figures.pillars for _, figures in tiles) / aperture.count
     seconds = {"preparing": prepared, "mapping": mapping_seconds / share / default_workers()}
+    # Copies of one bias share their cells; those of another are encoded again.
+    share_encoded = share / len(biases_dbu(lens_copies(design)))
     sizes: dict[str, int] = {}
     for suffix in design.mask.formats:
         names = (top_name(design.name), design.mask.layer, design.mask.datatype)
         writer = WRITERS[suffix](io.BytesIO(), aperture.lattice, table.size_dbu, *names)
         writer.encode(tiles[0][0])
         encoding = time.perf_counter()
-        encoded = sum(len(writer.encode(tile)[1]) for tile, _ in tiles)
-        seconds[suffix] = (time.perf_counter() - encoding) / share / default_workers()
-        sizes[suffix] = round(encoded / share)
+        encoded = sum(len(writer.encode(tile)[-1]) for tile, _ in tiles)
+        seconds[suffix] = (time.perf_counter() - encoding) / share_encoded / default_workers()
+        sizes[suffix] = round(encoded / share_encoded)
     return {
         "pillars": aperture.count,
         "tiles": len(places),
@@ -74,11 +77,12 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
 def announcement(design: Design) -> list[str]:
     """What is to be said before a mask is written: that its GDSII would be larger than many readers take.
 
-    Every pillar is a BOUNDARY of 64 bytes, so that nothing needs to be mapped to know it.
+    Every pillar, once for each bias of `mask.copies`, is a BOUNDARY of 64 bytes, so that nothing needs to be mapped to know it.
     """
     if "gds" not in design.mask.formats:
         return []
-    return _advice({"gds": Aperture.of(design).count * BOUNDARY_WORDS * 4})
+    drawn = Aperture.of(design).count * len(biases_dbu(lens_copies(design)))
+    return _advice({"gds": drawn * BOUNDARY_WORDS * 4})
 
 
 def _advice(sizes: dict[str, int]) -> list[str]:

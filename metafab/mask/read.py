@@ -17,6 +17,7 @@ from metafab.core.errors import InputError
 from metafab.core.executor import default_workers, in_order
 from metafab.core.progress import Progress, silent
 from metafab.layout import Lattice, PillarMap, lattice_of, tile_sites
+from metafab.mask.copies import OtherCopies, lens_copies, lens_copy
 from metafab.mask.gdsii_reader import GdsiiReader
 from metafab.mask.hierarchy import Chunk, Hierarchy, Other, Part
 from metafab.mask.oasis_reader import MixedBlockError, OasisReader
@@ -49,10 +50,14 @@ class Leftover:
 class ReadBack:
     """What a mask file holds; nothing in it is left out.
 
+    Places of what is no pillar are those in the file, whatever copy of the lens was read.
+
     Attributes:
         path: the file.
         format: which of the two formats.
         pillars: rectangles centred on sites of the design's lattice, no larger than its cells.
+        at_nm: where the centre of that lattice stands in the file, (x, y).
+        other_copies: rectangles in the squares of the other copies of ``mask.copies``, by number from 1.
         off_site: rectangles elsewhere, or larger.
         off_grid: rectangles whose edges are no whole number of the design's database units.
         duplicates: rectangles at sites that hold one already (the first in the file is in ``pillars``).
@@ -65,6 +70,8 @@ class ReadBack:
     path: Path
     format: Format
     pillars: PillarMap
+    at_nm: tuple[float, float]
+    other_copies: dict[int, int]
     off_site: Leftover
     off_grid: Leftover
     duplicates: Leftover
@@ -74,7 +81,7 @@ class ReadBack:
     database_unit_nm: float
 
 
-def read(path: Path, design: Design, progress: Progress = silent) -> ReadBack:
+def read(path: Path, design: Design, progress: Progress = silent, copy: int = 1) -> ReadBack:
     """Read the pillars of ``design`` from a GDSII or OASIS file, told apart by its first bytes.
 
     The file may be metafab's own or have been through other software: flat or hierarchical, with arrays and
@@ -84,19 +91,20 @@ def read(path: Path, design: Design, progress: Progress = silent) -> ReadBack:
         path: the file.
         design: whose lattice, layer and unit the pillars are read for.
         progress: told about bytes indexed and shapes read.
+        copy: which lens of ``mask.copies``, counted from 1; rectangles of the others are counted, not placed.
 
     Raises:
         InputError: the file is missing, empty, truncated, damaged or of another kind, or holds far more shapes
-            than the design has sites.
+            than the design has sites; or the design has no such copy.
     """
     kind = format_of(path)
     layer = (design.mask.layer, *design.mask.datatypes)
     if kind == "gds":
-        return _recover(path, kind, GdsiiReader(path, layer, progress), design, progress)
+        return _recover(path, kind, GdsiiReader(path, layer, progress), design, progress, copy)
     try:
-        return _recover(path, kind, OasisReader(path, layer, progress), design, progress)
+        return _recover(path, kind, OasisReader(path, layer, progress), design, progress, copy)
     except MixedBlockError:
-        return _recover(path, kind, OasisReader(path, layer, progress, skip_blocks=False), design, progress)
+        return _recover(path, kind, OasisReader(path, layer, progress, skip_blocks=False), design, progress, copy)
 
 
 @dataclass(frozen=True)
@@ -134,21 +142,22 @@ def read_shapes(path: Path, design: Design, progress: Progress = silent) -> Shap
 
 
 def _recover(
-    path: Path, kind: Format, reader: GdsiiReader | OasisReader, design: Design, progress: Progress
+    path: Path, kind: Format, reader: GdsiiReader | OasisReader, design: Design, progress: Progress, copy: int
 ) -> ReadBack:
     """Put the shapes of all cells at their sites."""
-    lattice = lattice_of(design)
+    lattice, place, ratio = lattice_of(design), lens_copy(design, copy), _ratio(reader.unit_nm, design)
+    others = OtherCopies(design, copy, ratio)
     hierarchy = Hierarchy(reader.cells, str(path))
     total = hierarchy.count()
-    limit = 16 * lattice.shape[0] * lattice.shape[1] + 1_000_000
+    limit = 16 * len(lens_copies(design)) * lattice.shape[0] * lattice.shape[1] + 1_000_000
     if total > limit:
         raise _too_many(path, lattice, total)
-    recovery = Recovery(lattice, _ratio(reader.unit_nm, design), str(path))
+    recovery = Recovery(lattice, ratio, str(path), (place.x_dbu, place.y_dbu))
     foreign: Counter[str] = Counter()
     boxes: dict[str, list[Other]] = {}
     done = 0
     for chunk in _chunks(hierarchy):
-        recovery.add(chunk.rectangles, chunk.shift)
+        recovery.add(others.without(chunk.rectangles, chunk.shift), chunk.shift)
         for other in chunk.others:
             foreign[other.kind] += other.count
             if other.box is not None and len(boxes.setdefault(other.kind, [])) < KEPT:
@@ -170,6 +179,8 @@ def _recover(
         path=path,
         format=kind,
         pillars=PillarMap.from_array(lattice, size_dbu, recovery.size_index, tile_sites(design)),
+        at_nm=(place.x_dbu * design.mask.database_unit_nm, place.y_dbu * design.mask.database_unit_nm),
+        other_copies=others.counts,
         off_site=leftover(OFF_SITE),
         off_grid=leftover(OFF_GRID),
         duplicates=leftover(DUPLICATE),

@@ -40,17 +40,18 @@ class Recovery:
         lattice: where pillars are expected.
         unit_ratio: file units in database units of the lattice.
         source: file, for messages.
+        at_dbu: where the centre of the lattice stands in the file, (x, y).
 
     Attributes:
         size_index: shape ``lattice.shape``; indices into :meth:`size_dbu` once :meth:`finish` has sorted them.
     """
 
-    def __init__(self, lattice: Lattice, unit_ratio: Fraction, source: str) -> None:
+    def __init__(self, lattice: Lattice, unit_ratio: Fraction, source: str, at_dbu: tuple[int, int]) -> None:
         self._lattice = lattice
         self._ratio = np.array([unit_ratio.numerator, unit_ratio.denominator], dtype=np.int64)
         self._source = source
         p_x, p_y = lattice.period_dbu
-        self._origin = np.array([lattice.x_dbu()[0], lattice.y_dbu()[0]], dtype=np.int64)
+        self._origin = np.array([lattice.x_dbu()[0] + at_dbu[0], lattice.y_dbu()[0] + at_dbu[1]], dtype=np.int64)
         self._period = np.array([p_x, p_y], dtype=np.int64)
         # Index of every (width, length) up to the period, filled in the order of appearance.
         self._index_of = np.zeros((p_x + 1, p_y + 1), dtype=np.uint16)

@@ -1,7 +1,8 @@
-"""What is drawn beside the pillars: write field, alignment marks, frame, label, scale bar and dicing street."""
+"""What is drawn beside the pillars of one lens or several: write fields, marks, frame, labels, scale bar and street."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.layout import lattice_of
 from metafab.layout.geometry import aperture_dbu
+from metafab.mask.copies import LensCopy, lens_copies
 from metafab.mask.font import ROWS, text_rectangles, width_squares
 from metafab.mask.hierarchy import IntArray
 from metafab.spec import Chip, Design
@@ -35,31 +37,48 @@ def surroundings(design: Design) -> tuple[Surroundings, ...]:
     Raises:
         InputError: marks, label or scale bar do not fit where they belong.
     """
-    found = []
+    found, copies = [], lens_copies(design)
     if design.mask.tone == "positive":
         lattice = lattice_of(design)
         width, height = (n * p for n, p in zip(lattice.shape[::-1], lattice.period_dbu, strict=True))
-        field = np.array([[-(width // 2), -(height // 2), width, height]], dtype=np.int64)
+        corners = [(copy.x_dbu - width // 2, copy.y_dbu - height // 2) for copy in copies]
+        field = np.array([[x, y, width, height] for x, y in corners], dtype=np.int64)
         found.append(Surroundings("write field: expose field NOT pillars", design.mask.field_layer, field))
     if design.mask.chip is not None:
-        found += _chip(design, design.mask.chip)
+        found += _chip(design, design.mask.chip, copies)
     return tuple(kind for kind in found if len(kind.rectangles))
 
 
-def _chip(design: Design, chip: Chip) -> list[Surroundings]:
+@dataclass(frozen=True)
+class _Box:
+    """A rectangle by its sides, database units."""
+
+    left: int
+    bottom: int
+    right: int
+    top: int
+
+    def grown(self, by: int) -> _Box:
+        return _Box(self.left - by, self.bottom - by, self.right + by, self.top + by)
+
+
+def _chip(design: Design, chip: Chip, copies: Sequence[LensCopy]) -> list[Surroundings]:
     lens, margin = aperture_dbu(design) // 2, _dbu(design, chip.margin_um)
-    inner = lens + margin
-    outer = inner + _dbu(design, chip.frame_um)
+    across, along = [copy.x_dbu for copy in copies], [copy.y_dbu for copy in copies]
+    lenses = _Box(min(across), min(along), max(across), max(along)).grown(lens)
+    inner = lenses.grown(margin)
+    outer = inner.grown(_dbu(design, chip.frame_um))
+    text = np.concatenate([_text(design, chip, lenses, margin), *_copy_labels(design, chip, copies, lens)])
     return [
-        Surroundings("alignment marks", chip.mark_layer, _marks(design, chip, lens + margin // 2)),
+        Surroundings("alignment marks", chip.mark_layer, _marks(design, chip, lenses.grown(margin // 2))),
         Surroundings("frame", chip.frame_layer, _ring(inner, outer)),
-        Surroundings("label and scale bar", chip.text_layer, _text(design, chip, lens, margin)),
-        Surroundings("dicing street", chip.street_layer, _ring(outer, outer + _dbu(design, chip.street_um))),
+        Surroundings("label and scale bar", chip.text_layer, text),
+        Surroundings("dicing street", chip.street_layer, _ring(outer, outer.grown(_dbu(design, chip.street_um)))),
     ]
 
 
-def _marks(design: Design, chip: Chip, centre: int) -> IntArray:
-    """Crosses centred at (+-centre, +-centre), three rectangles each, so that none overlap."""
+def _marks(design: Design, chip: Chip, centres: _Box) -> IntArray:
+    """Crosses centred at the corners of ``centres``, three rectangles each, so that none overlap."""
     if chip.mark_um > chip.margin_um:
         raise _no_room(design, "mark_um", f"at most the margin of {chip.margin_um:g} um", f"{chip.mark_um:g} um")
     arm, line = _dbu(design, chip.mark_um), _dbu(design, chip.mark_line_um)
@@ -69,30 +88,54 @@ def _marks(design: Design, chip: Chip, centre: int) -> IntArray:
         raise _no_room(design, "mark_line_um", f"less than `mark_um`, {chip.mark_um:g} um", f"{chip.mark_line_um:g} um")
     half, rest = arm // 2, (arm - line) // 2
     cross = [(-half, -line // 2, arm, line), (-line // 2, -half, line, rest), (-line // 2, line // 2, line, rest)]
-    corners = [(x, y, 0, 0) for y in (-centre, centre) for x in (-centre, centre)]
+    corners = [(x, y, 0, 0) for y in (centres.bottom, centres.top) for x in (centres.left, centres.right)]
     return np.concatenate([np.array(cross) + corner for corner in np.array(corners, dtype=np.int64)])
 
 
-def _ring(inner: int, outer: int) -> IntArray:
-    """The square ring between two half sides, as four rectangles that do not overlap."""
-    line = outer - inner
+def _ring(inner: _Box, outer: _Box) -> IntArray:
+    """The ring between two boxes, as four rectangles that do not overlap."""
+    line = outer.right - inner.right
     if line == 0:
         return np.empty((0, 4), dtype=np.int64)
-    whole, rest = 2 * outer, 2 * inner
-    sides = [(-outer, -outer, whole, line), (-outer, inner, whole, line)]
-    sides += [(-outer, -inner, line, rest), (inner, -inner, line, rest)]
+    whole, rest = outer.right - outer.left, inner.top - inner.bottom
+    sides = [(outer.left, outer.bottom, whole, line), (outer.left, inner.top, whole, line)]
+    sides += [(outer.left, inner.bottom, line, rest), (inner.right, inner.bottom, line, rest)]
     return np.array(sides, dtype=np.int64)
 
 
-def _text(design: Design, chip: Chip, lens: int, margin: int) -> IntArray:
-    """The label at the left and the scale bar, its length written above it, at the right; both below the lens."""
+def _copy_labels(design: Design, chip: Chip, copies: Sequence[LensCopy], lens: int) -> Iterator[IntArray]:
+    """The label of each copy that has one, close above the square of its lens and no wider.
+
+    Raises:
+        InputError: it is wider than its lens, or lies on another one.
+    """
+    square = _dbu(design, chip.text_um) // ROWS
+    for number, copy in enumerate(copies, start=1):
+        if copy.label is None:
+            continue
+        key, width = f"mask.copies[{number}].label", width_squares(copy.label) * square
+        if width > 2 * lens:
+            um = width * design.mask.database_unit_nm * 1e-3
+            expected = f"at most the lens' {design.device.aperture_um:g} um"
+            raise InputError.single(design.name, key, expected, f"{um:g} um", "shorten it, or `mask.chip.text_um`")
+        left, bottom = copy.x_dbu - lens, copy.y_dbu + lens + square
+        for other in copies:
+            aside = left >= other.x_dbu + lens or left + width <= other.x_dbu - lens
+            if not (aside or bottom >= other.y_dbu + lens or bottom + ROWS * square <= other.y_dbu - lens):
+                expected, got = "room above the lens", f"a lens at {other.x_dbu}, {other.y_dbu} database units there"
+                raise InputError.single(design.name, key, expected, got, "move the copies apart")
+        yield _moved(text_rectangles(copy.label, square), left, bottom)
+
+
+def _text(design: Design, chip: Chip, lenses: _Box, margin: int) -> IntArray:
+    """The label at the left and the scale bar, its length written above it, at the right; both below all lenses."""
     label = design.name if chip.label is None else chip.label
     square = _dbu(design, chip.text_um) // ROWS
-    if square < 1 or ROWS * square > margin:
+    if square < 1 or (ROWS + 2 * bool(design.mask.copies)) * square > margin:
         raise _no_room(design, "text_um", f"at most the margin of {chip.margin_um:g} um", f"{chip.text_um:g} um")
-    # Marks reach inwards to the lens' square at most; text keeps half a margin from them.
-    left, right = -lens + margin // 2, lens - margin // 2
-    bottom = -lens - margin // 2 - ROWS * square // 2
+    # Marks reach inwards to the box around the lenses at most; text keeps half a margin from them.
+    left, right = lenses.left + margin // 2, lenses.right - margin // 2
+    bottom = lenses.bottom - margin // 2 - ROWS * square // 2
     found = [_moved(text_rectangles(label, square), left, bottom)]
     used = width_squares(label) * square
     if chip.scale_bar_um:

@@ -19,6 +19,7 @@ from metafab.core.progress import Progress, silent
 from metafab.layout import PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.geometry import whole_dbu
 from metafab.mask.cells import top_name
+from metafab.mask.copies import biases_dbu, lens_copies
 from metafab.mask.dose import DoseClasses
 from metafab.mask.exposure import write_time
 from metafab.mask.gdsii_writer import GdsiiWriter
@@ -51,7 +52,8 @@ def write(
     The same pillars and design give the same bytes. Memory stays that of a few tiles.
 
     Pillars are drawn with ``mask.bias_nm``, on a datatype for each of the classes of ``mask.dose``; the top cell
-    holds what ``mask.chip`` and ``mask.tone`` add. Options that the design leaves out change no byte.
+    holds what ``mask.chip`` and ``mask.tone`` add, and the lens as often as ``mask.copies`` lists it. A pillar has
+    the same dose class in every copy, whatever their bias. Options that the design leaves out change no byte.
 
     Args:
         pillars: what shall stand; drawn sizes must be even in database units.
@@ -68,6 +70,9 @@ def write(
     """
     _check_grid(pillars, design)
     drawn = biased(pillars, design.mask.bias_nm)
+    for copy in design.mask.copies:
+        biased(drawn, copy.bias_nm)  # refused now rather than after an hour
+    biases = biases_dbu(lens_copies(design))
     beside = surroundings(design)
     classes = DoseClasses(drawn, design.mask.dose)
     figures = _Figures(drawn, design)
@@ -77,14 +82,15 @@ def write(
         for suffix, path in files.items():
             part = stack.enter_context(whole_file(path))
             stream = stack.enter_context(part.open("wb", buffering=_BUFFER_BYTES))
-            arguments = (top_name(design.name), design.mask.layer, design.mask.datatype)
-            writers.append(WRITERS[suffix](stream, drawn.lattice, drawn.size_dbu, *arguments))
+            names = (top_name(design.name), design.mask.layer, design.mask.datatype)
+            copies = lens_copies(design) if design.mask.copies else ()
+            writers.append(WRITERS[suffix](stream, drawn.lattice, drawn.size_dbu, *names, copies))
         threads = stack.enter_context(ThreadPoolExecutor(default_workers()))
 
         def encode(tile: PillarTile) -> tuple[PillarTile, list[list[Any]]]:
-            """One tile, every dose class in every format."""
-            parts = classes.split(tile)
-            return tile, [[writer.encode(part, number) for writer in writers] for number, part in parts]
+            """One tile, every dose class with every bias in every format."""
+            parts = [(part, number, bias) for number, part in classes.split(tile) for bias in biases]
+            return tile, [[writer.encode(*part) for writer in writers] for part in parts]
 
         sites = drawn.lattice.shape[0] * drawn.lattice.shape[1]
         for tile, parts in in_order(threads, encode, _filled(drawn), ahead=default_workers() + 1):
@@ -122,12 +128,15 @@ class _Figures:
         self.sites += tile.size_index.size
 
     def summary(self) -> dict[str, Any]:
-        """Pillars, sizes, drawn area, its share of the pillars' cells, and the write time where it is asked for."""
+        """Pillars, sizes, drawn area, its share of the pillars' cells, all of one lens; copies and write time if asked.
+
+        Where ``mask.copies`` lists several lenses, the write time is that of all of them.
+        """
         pillars = int(self._used[1:].sum())
         lattice = self._map.lattice
         unit_um = lattice.database_unit_nm * 1e-3
         # Whole numbers of squared units: exact, whatever the order of the sum.
-        area = int(self._used @ np.prod(self._map.size_dbu.astype(np.int64), axis=1))
+        area = self._area_dbu(0)
         cell_um2 = lattice.period_dbu[0] * lattice.period_dbu[1] * unit_um**2
         figures: dict[str, Any] = {
             "pillars": pillars,
@@ -135,13 +144,24 @@ class _Figures:
             "area_um2": area * unit_um**2,
             "density": area * unit_um**2 / (pillars * cell_um2) if pillars else 0.0,
         }
-        mask = self._design.mask
+        mask, copies = self._design.mask, lens_copies(self._design)
+        areas_um2 = [self._area_dbu(copy.bias_dbu) * unit_um**2 for copy in copies]
+        if mask.copies:
+            figures["copies"] = [
+                {"at_um": copy.at_um, "bias_nm": copy.bias_nm, "label": copy.label, "area_um2": area_um2}
+                for copy, area_um2 in zip(mask.copies, areas_um2, strict=True)
+            ]
         if mask.exposure is not None:
-            exposed_um2 = area * unit_um**2
+            exposed_um2 = sum(areas_um2)
             if mask.tone == "positive":
-                exposed_um2 = lattice.shape[0] * lattice.shape[1] * cell_um2 - exposed_um2
-            figures["exposure"] = write_time(mask.exposure, exposed_um2, pillars, len(self._fields))
+                exposed_um2 = len(copies) * lattice.shape[0] * lattice.shape[1] * cell_um2 - exposed_um2
+            shapes, fields = len(copies) * pillars, len(copies) * len(self._fields)
+            figures["exposure"] = write_time(mask.exposure, exposed_um2, shapes, fields)
         return figures
+
+    def _area_dbu(self, bias_dbu: int) -> int:
+        """Drawn area of one lens with a bias, squared units; index 0 means no pillar and is never counted."""
+        return int(self._used[1:] @ np.prod(self._map.size_dbu[1:].astype(np.int64) + bias_dbu, axis=1))
 
 
 def biased(pillars: PillarMap, bias_nm: float) -> PillarMap:

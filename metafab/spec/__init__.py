@@ -3,7 +3,7 @@
 - ``fields``   checked number types and the ``spec`` decorator
 - ``cell``     UnitCell: what one pillar's cell is made of, and the sweep of a library
 - ``design``   Design: device, phase terms, rules, sensor, verification
-- ``mask``     Mask: formats, layers, bias, tone, dose classes, chip, exposure
+- ``mask``     Mask: formats, layers, bias, tone, dose classes, chip, copies, exposure
 - ``scene``    Scene: objects at depths, photons, noise
 - ``new``      a first design file of each kind of device (``kinds/``)
 - ``load``     TOML -> spec with all faults at once; spec -> canonical TOML
@@ -14,13 +14,14 @@ In: paths. Out: frozen dataclasses whose public names carry their units.
 from metafab.spec.cell import Axes, Illumination, Material, Solver, Sweep, UnitCell
 from metafab.spec.design import Design, Device, Numerics, Optics, PhaseTerm, Rules, Sensor, Verify
 from metafab.spec.load import canonical_toml, load_design, load_scene, load_unit_cell
-from metafab.spec.mask import Chip, Dose, Exposure, Mask
+from metafab.spec.mask import Chip, Copy, Dose, Exposure, Mask
 from metafab.spec.new import kinds, write_new
 from metafab.spec.scene import Scene, SceneObject
 
 __all__ = [
     "Axes",
     "Chip",
+    "Copy",
     "Design",
     "Device",
     "Dose",

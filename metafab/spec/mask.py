@@ -51,6 +51,19 @@ class Chip:
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Copy:
+    """One lens of several on a chip, centred at ``at_um`` = (x, y).
+
+    ``bias_nm`` is added to ``mask.bias_nm``, for corner variants: the mapping does not leave room for it, so that
+    design rules may not hold for a wider copy. ``label`` is drawn above the lens, on the text layer of the chip.
+    """
+
+    at_um: tuple[Real, Real]
+    bias_nm: Real = 0.0
+    label: str | None = None
+
+
+@dataclass(frozen=True, config=CONFIG)
 class Exposure:
     """What the write time follows from: area dose, beam current, and settling for each shape and write field."""
 
@@ -79,6 +92,7 @@ class Mask:
     field_layer: Index = 2
     dose: Annotated[Dose | None, Field(description="omitted: one dose")] = None
     chip: Annotated[Chip | None, Field(description="omitted: the lens alone")] = None
+    copies: Annotated[tuple[Copy, ...], Field(description="omitted: one lens in the middle")] = ()
     exposure: Annotated[Exposure | None, Field(description="omitted: no write time is estimated")] = None
 
     @property
@@ -90,6 +104,12 @@ class Mask:
     def _formats(self) -> Mask:
         if not self.formats or len(set(self.formats)) != len(self.formats):
             raise ValueError("`formats` must name each of 'gds' and 'oas' at most once, and at least one of them")
+        return self
+
+    @model_validator(mode="after")
+    def _labels(self) -> Mask:
+        if self.chip is None and any(copy.label is not None for copy in self.copies):
+            raise ValueError("labels of `copies` need [mask.chip], which says their size and layer")
         return self
 
     @model_validator(mode="after")
