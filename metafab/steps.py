@@ -6,7 +6,7 @@ The verification steps (``drc``, ``psf``) open the written mask; they never see 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -126,13 +126,13 @@ def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
     return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
 
 
-def mask_source(job: Job, path: Path) -> optics.Source:
-    """What light the pillars of a written file let through.
+def mask_source(job: Job, path: Path, copy: int = 1) -> optics.Source:
+    """What light the pillars of a written file let through; of several lenses, those of one, counted from 1.
 
     Raises:
         InputError: the file cannot be read, or holds shapes that are no pillars of the lattice: nothing is dropped.
     """
-    back = mask.read(path, job.design, progress=job.progress)
+    back = mask.read(path, job.design, progress=job.progress, copy=copy)
     unplaced = {
         "off the lattice": back.off_site.count,
         "off the grid": back.off_grid.count,
@@ -157,6 +157,10 @@ def ideal_source(job: Job) -> optics.Source:
     return optics.ideal_field(job.profile, lattice, job.design.device)
 
 
+def _filter_fwhm_nm(design: Design) -> float | None:
+    return None if design.optics is None else design.optics.filter_fwhm_nm
+
+
 def point_spread(
     job: Job,
     path: Path | None,
@@ -166,17 +170,19 @@ def point_spread(
     pixel_um: float | None,
     window_px: int,
     target_error: float,
+    copy: int = 1,
 ) -> Psf:
-    """PSF pair of a written file, or of the target phases where ``path`` is None."""
+    """PSF pair of a written file's lens ``copy``, or of the target phases where ``path`` is None."""
     imaging = Imaging.of(job.design)
     if pixel_um is not None:
         imaging = replace(imaging, pixel_um=pixel_um)
-    source = ideal_source(job) if path is None else mask_source(job, path)
+    source = ideal_source(job) if path is None else mask_source(job, path, copy)
     x_mm, y_mm = object_mm
     stacks = [
         optics.psf(
             source, imaging, (depth,), tangent=(1e-3 * x_mm / depth, 1e-3 * y_mm / depth),
-            window_px=window_px, target_error=target_error, progress=job.progress,
+            window_px=window_px, target_error=target_error, filter_fwhm_nm=_filter_fwhm_nm(job.design),
+            progress=job.progress,
         )
         for depth in depths_m
     ]  # fmt: skip
@@ -187,7 +193,9 @@ def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path) -> None:
     """Keep a PSF pair with the fingerprint of the mask (None for target phases) and the design behind it."""
     design = job.design
     source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job))]
-    asked = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
+    asked: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
+    if design.optics is not None:
+        asked.append(design.optics)
     optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, asked))
 
 
@@ -231,6 +239,7 @@ def _psf(job: Job) -> dict[str, Any]:
         imaging=imaging,
         window_px=verify.window_px,
         target_error=verify.target_error,
+        filter_fwhm_nm=_filter_fwhm_nm(design),
         progress=job.progress,
     )
     source = mask_source(job, mask_paths(job)[-1])
@@ -271,6 +280,15 @@ def restore(raw_path: Path, psf_path: Path, path: Path, *, progress: Progress = 
     image = decode.decode(camera.load_frame(raw_path, calibration), calibration, progress=progress)
     decode.save(image, path, inputs_sha256=fingerprint(file_sha256(raw_path), file_sha256(psf_path)))
     return image
+
+
+def calibrate(frames: Sequence[Path], depths_path: Path, psf_path: Path, path: Path) -> decode.CameraFit:
+    """Calibration of a camera from photographs of a point at the depths of a table."""
+    predicted = optics.load(psf_path)
+    depths_m = decode.read_depths(depths_path, frames)
+    calibrated, fit = decode.calibrate([camera.load_frame(f, predicted) for f in frames], depths_m, predicted)
+    optics.save(calibrated, path, inputs_sha256=fingerprint(file_sha256(psf_path), *map(file_sha256, frames)))
+    return fit
 
 
 def _capture(job: Job) -> dict[str, Any]:
@@ -337,7 +355,7 @@ STEPS = (
     ),
     Step(
         "psf", ("mask", "optics"), ("library", "phase", "layout"),
-        lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m),
+        lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m, d.optics),
         _in_folder("psf.h5", "ideal_psf.h5"), _psf,
     ),
     Step(
@@ -364,7 +382,7 @@ def preflight(design: Design) -> None:
         InputError: all that was found.
     """
     faults: list[Fault] = []
-    for look in (Imaging.of, layout.lattice_of, layout.field_sites):
+    for look in (Imaging.of, layout.lattice_of, layout.field_sites, mask.lens_copies):
         try:
             look(design)
         except InputError as error:

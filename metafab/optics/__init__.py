@@ -7,6 +7,7 @@
 - ``chebyshev``    interpolation between Chebyshev points
 - ``window``       block sums -> field on a window: low-rank kernel and matrix Fourier transforms
 - ``stack``        :func:`psf`: the pair over depth and field, block size chosen by the error asked
+- ``band``         the pair in the light of a filter: few wavelengths, shifted and added
 - ``lobe``         main lobe to a fraction of a pixel, orientation
 - ``field``        interpolation over the field of view
 - ``depth``        interpolation between depths, joining stacks

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +16,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.executor import default_workers
 from metafab.core.progress import Progress, silent
+from metafab.optics.band import band_irradiance
 from metafab.optics.imaging import Imaging
 from metafab.optics.lobe import orientation_deg
 from metafab.optics.path import Ray, power_at_aperture
@@ -67,25 +68,50 @@ class _Window:
         changes slowly with depth; over the field only the first and the last depth are judged.
         """
         rays = [Ray.towards_image(self.imaging, polarisation, depth, tangent) for depth in depths_m]
+        k = self.imaging.wavenumber
         used = pupils[:1] if pupils[0].carrier.block_sites == 1 else pupils[:2]
         kernel = self.kernel(used, rays[0].target_um)
         transforms = [WindowTransform.build(pupil, kernel) for pupil in used]
         images, errors = [], []
         for index, ray in enumerate(rays):
-            fine = np.abs(transforms[0].field(refocus(used[0], ray)).astype(np.complex128)) ** 2
+            fine = np.abs(transforms[0].field(refocus(used[0], ray, k)).astype(np.complex128)) ** 2
             images.append(fine * self._per_unit_power(pupils[0], ray))
             if judge_all or index in {0, len(rays) - 1}:
-                coarse = np.abs(transforms[1].field(refocus(used[1], ray))) ** 2 if len(used) > 1 else fine
+                coarse = np.abs(transforms[1].field(refocus(used[1], ray, k))) ** 2 if len(used) > 1 else fine
                 errors.append(relative_l2(coarse, fine) / 3.0 + 2.0 * self.tolerance + _SINGLE_PRECISION_ERROR)
         return np.array(images), np.array(errors)
+
+    def band_irradiance(
+        self,
+        pupils: Sequence[Pupil],
+        polarisation: int,
+        tangent: Tangent,
+        depths_m: Sequence[float],
+        filter_fwhm_nm: float,
+        target_error: float,
+        *,
+        judge_all: bool = True,
+    ) -> tuple[FloatArray, FloatArray]:
+        """As :meth:`irradiance`, in the light of a filter."""
+
+        def monochromatic(imaging: Imaging, side_px: int) -> tuple[FloatArray, FloatArray]:
+            there = replace(self, imaging=imaging, window_px=side_px)
+            return there.irradiance(pupils, polarisation, tangent, depths_m, judge_all=judge_all)
+
+        return band_irradiance(
+            monochromatic, self.imaging, polarisation, tangent, filter_fwhm_nm, self.window_px, target_error
+        )[:2]
 
     def stray_irradiance(
         self, pupil: Pupil, polarisation: int, tangent: Tangent, depths_m: Sequence[float]
     ) -> FloatArray:
         """Irradiance of ``pupil``'s light in the window of ``polarisation``, shape (n_depth, n, n)."""
         rays = [Ray.towards_image(self.imaging, polarisation, depth, tangent) for depth in depths_m]
+        k = self.imaging.wavenumber
         transform = WindowTransform.build(pupil, self.kernel([pupil], rays[0].target_um))
-        images = [np.abs(transform.field(refocus(pupil, ray))) ** 2 * self._per_unit_power(pupil, ray) for ray in rays]
+        images = [
+            np.abs(transform.field(refocus(pupil, ray, k))) ** 2 * self._per_unit_power(pupil, ray) for ray in rays
+        ]
         return np.array(images)
 
     def _per_unit_power(self, pupil: Pupil, ray: Ray) -> float:
@@ -103,6 +129,7 @@ def psf(
     target_error: float = 1e-3,
     field_points: int = 1,
     field_tangents: tuple[FloatArray, FloatArray] | None = None,
+    filter_fwhm_nm: float | None = None,
     progress: Progress = silent,
 ) -> Psf:
     """Point-spread functions of both polarisations behind a metasurface.
@@ -117,6 +144,7 @@ def psf(
         field_points: points a side of the grid over the field of view; 1 for none.
         field_tangents: the grid's (x/z, y/z), shapes (n_x,) and (n_y,); without them ``field_points`` points
             span the field whose twin images just touch, -tan(theta) to tan(theta).
+        filter_fwhm_nm: full width of a filter with a flat top about the wavelength; None for one wavelength.
         progress: called as tiles and windows are done.
 
     Returns:
@@ -124,7 +152,8 @@ def psf(
         the light went that is not in the windows.
 
     Raises:
-        InputError: depths that are not positive and ascending, or an object whose light does not reach the sensor.
+        InputError: depths that are not positive and ascending, an object whose light does not reach the sensor, or
+            pixels too coarse to add a filter's wavelengths.
     """
     begun = time.perf_counter()
     depths = _checked_depths(depths_m)
@@ -137,11 +166,14 @@ def psf(
         tasks += [(p, (float(t_x), float(t_y))) for p in (0, 1) for t_y in grid[1] for t_x in grid[0]]
     images: list[FloatArray] = []
     errors: list[FloatArray] = []
+
+    def light(p: int, t: Tangent, judge_all: bool) -> tuple[FloatArray, FloatArray]:
+        if filter_fwhm_nm is None:
+            return window.irradiance(pupils[p], p, t, depths, judge_all=judge_all)
+        return window.band_irradiance(pupils[p], p, t, depths, filter_fwhm_nm, target_error, judge_all=judge_all)
+
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(default_workers()) as threads:
-        jobs = [
-            threads.submit(window.irradiance, pupils[p], p, t, depths, judge_all=index < 2)
-            for index, (p, t) in enumerate(tasks)
-        ]
+        jobs = [threads.submit(light, p, t, index < 2) for index, (p, t) in enumerate(tasks)]
         for done, job in enumerate(jobs):
             image, error = job.result()
             images.append(image if done < 2 else image.astype(np.float32))
@@ -158,6 +190,7 @@ def psf(
         "block_sites": float(pupils[0][0].carrier.block_sites),
         "blocks": float(pupils[0][0].power.size),
         "field_error": float(max(error.max() for error in errors[2:])) if grid is not None else float("nan"),
+        **({} if filter_fwhm_nm is None else {"filter_fwhm_nm": filter_fwhm_nm}),
         **_power_budget(imaging, pupils, tangent, depths, efficiency),
         "seconds": time.perf_counter() - begun,
     }

@@ -35,6 +35,7 @@ class WindowKernel:
     """Propagation from Chebyshev points of the lens to one window, whatever the blocks are.
 
     Attributes:
+        wavenumber: k, rad/um; that of the blocks, or another wavelength's.
         target_um: (x, y, z) of the window's centre point.
         offsets_um: shape (n,), window points along x and y from the centre.
         lens_um: ((lowest, highest) x, (lowest, highest) y) of the lens points.
@@ -44,6 +45,7 @@ class WindowKernel:
         over_lens: shape (rank, q_y, q_x), B_m.
     """
 
+    wavenumber: float
     target_um: tuple[float, float, float]
     offsets_um: FloatArray
     lens_um: tuple[Span, Span]
@@ -87,6 +89,7 @@ class WindowKernel:
         along_x, _, _ = _changes_um(target_um, x[:, None], 0.0, offsets[None, :], 0.0)
         _, along_y, _ = _changes_um(target_um, 0.0, y[None, :], 0.0, offsets[:, None])
         return cls(
+            k,
             target_um,
             offsets,
             lens_um,
@@ -126,7 +129,7 @@ class WindowTransform:
         (x, y, z), block, n = kernel.target_um, pupil.carrier.block_sites, kernel.offsets_um.size
         distance = math.hypot(x, y, z)
         slope_x, slope_y = (
-            -pupil.wavenumber * (1.0 - (c / distance) ** 2) / distance * kernel.offsets_um for c in (x, y)
+            -kernel.wavenumber * (1.0 - (c / distance) ** 2) / distance * kernel.offsets_um for c in (x, y)
         )
         diffraction = np.outer(
             _dirichlet(slope_y * pupil.pitch_um[1], block), _dirichlet(slope_x * pupil.pitch_um[0], block)
@@ -166,10 +169,10 @@ class WindowTransform:
         return np.array(blocks, dtype=np.complex64)
 
 
-def refocus(pupil: Pupil, ray: Ray) -> SingleComplexArray:
+def refocus(pupil: Pupil, ray: Ray, wavenumber: float) -> SingleComplexArray:
     """Sums and moments behind another ray than the carrier: its path instead, and its incident amplitude.
 
-    The change of phase is followed to second order in the block's size.
+    The change of phase is followed to second order in the block's size. ``wavenumber`` is the ray's, rad/um.
 
     Returns:
         Shape (3, n_y, n_x), or (1, n_y, n_x) for blocks of one site.
@@ -181,22 +184,22 @@ def refocus(pupil: Pupil, ray: Ray) -> SingleComplexArray:
     kernel = _refocus_compiled if HAS_NUMBA else _refocus_plain
     old, blocks = pupil.carrier.ray, np.empty((orders, *pupil.power.shape), dtype=np.complex64)
     kernel(
-        blocks, pupil.sums, pupil.x_um, pupil.y_um, pupil.wavenumber, spread_x, spread_y,
+        blocks, pupil.sums, pupil.x_um, pupil.y_um, wavenumber, pupil.wavenumber, spread_x, spread_y,
         ray.vergence_per_um, *ray.tangent, *ray.target_um, old.vergence_per_um, *old.tangent, *old.target_um,
     )  # fmt: skip
     return blocks
 
 
 def _refocus_plain(
-    blocks: Any, sums: Any, x: Any, y: Any, k: float, spread_x: float, spread_y: float,
+    blocks: Any, sums: Any, x: Any, y: Any, k: float, old_k: float, spread_x: float, spread_y: float,
     w: float, t_x: float, t_y: float, c_x: float, c_y: float, c_z: float,
     old_w: float, old_t_x: float, old_t_y: float, old_x: float, old_y: float, old_z: float,
 ) -> None:  # fmt: skip
     x, y = x[None, :], y[:, None]
     path, along_x, along_y = path_and_slopes(x, y, w, t_x, t_y, c_x, c_y, c_z)
     old_path, old_along_x, old_along_y = path_and_slopes(x, y, old_w, old_t_x, old_t_y, old_x, old_y, old_z)
-    slope_x, slope_y = k * (along_x - old_along_x), k * (along_y - old_along_y)
-    wave = np.exp(1j * k * (path - old_path)) * incident_amplitude(x, y, w, t_x, t_y)
+    slope_x, slope_y = k * along_x - old_k * old_along_x, k * along_y - old_k * old_along_y
+    wave = np.exp(1j * (k * path - old_k * old_path)) * incident_amplitude(x, y, w, t_x, t_y)
     second = 1.0 - 0.5 * (slope_x**2 * spread_x + slope_y**2 * spread_y)
     blocks[0] = wave * (second * sums[0] + 1j * (slope_x * sums[1] + slope_y * sums[2]))
     if blocks.shape[0] == 3:
@@ -206,7 +209,7 @@ def _refocus_plain(
 
 @compiled
 def _refocus_compiled(
-    blocks: Any, sums: Any, x: Any, y: Any, k: float, spread_x: float, spread_y: float,
+    blocks: Any, sums: Any, x: Any, y: Any, k: float, old_k: float, spread_x: float, spread_y: float,
     w: float, t_x: float, t_y: float, c_x: float, c_y: float, c_z: float,
     old_w: float, old_t_x: float, old_t_y: float, old_x: float, old_y: float, old_z: float,
 ) -> None:  # fmt: skip
@@ -217,7 +220,8 @@ def _refocus_compiled(
                 continue
             path, along_x, along_y = path_and_slopes(x[j], y[i], w, t_x, t_y, c_x, c_y, c_z)
             old = path_and_slopes(x[j], y[i], old_w, old_t_x, old_t_y, old_x, old_y, old_z)
-            phase, slope_x, slope_y = k * (path - old[0]), k * (along_x - old[1]), k * (along_y - old[2])
+            phase = k * path - old_k * old[0]
+            slope_x, slope_y = k * along_x - old_k * old[1], k * along_y - old_k * old[2]
             amplitude = incident_amplitude(x[j], y[i], w, t_x, t_y)
             wave = amplitude * math.cos(phase) + 1j * (amplitude * math.sin(phase))
             s, s_x, s_y = sums[0, i, j], sums[1, i, j], sums[2, i, j]
