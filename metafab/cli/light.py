@@ -93,3 +93,23 @@ def decode_command(
     if image.nmae is not None:
         figures["nmae"] = image.nmae
     show(figures, json_)
+
+
+@app.command("calibrate")
+def calibrate_command(
+    frames: Annotated[
+        list[Path], typer.Argument(metavar="FRAMES...", help="A point on the axis: .h5, .tif, .png, .npy.")
+    ],
+    psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="Prediction from the mask.")],
+    depths: Annotated[Path, typer.Option("--depths", metavar="DEPTHS.csv", help="Lines `frame, depth in m`.")],
+    output: Output = None,
+    json_: Json = False,
+) -> None:
+    """Calibration of a camera from photographs of a point at known depths."""
+    from dataclasses import asdict
+
+    from metafab import steps
+
+    path = output or Path("calibrated.h5")
+    fit = steps.calibrate(frames, depths, psf, path)
+    show({**asdict(fit), "frames": len(frames), "file": path}, json_)

@@ -13,6 +13,7 @@
 - ``segment``      segments, and the depth of each
 - ``restore``      all-in-focus images
 - ``decoder``      all of it: ``decode`` and, for many frames, ``Decoder``
+- ``pinhole``      calibration of a camera from photographs of a point
 - ``judge``        errors against the truth
 - ``store``        decoded.h5
 
@@ -21,6 +22,7 @@ In: a RawFrame and a Psf. Out: an Image4D. No frame raises.
 
 from metafab.decode.decoder import Decoder, decode
 from metafab.decode.image import Image4D
+from metafab.decode.pinhole import CameraFit, calibrate, read_depths
 from metafab.decode.store import load, save
 
-__all__ = ["Decoder", "Image4D", "decode", "load", "save"]
+__all__ = ["CameraFit", "Decoder", "Image4D", "calibrate", "decode", "load", "read_depths", "save"]

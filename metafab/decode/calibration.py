@@ -62,7 +62,7 @@ class Calibration:
             for i, tangent_x in enumerate(self.kernels.tangent_x):
                 stretch = self._stretch(tangent_x, tangent_y)
                 if np.abs(stretch - np.eye(2)).max() > 1e-6:
-                    nodes[1, :, j, i] = _stretched(nodes[1, :, j, i], stretch)
+                    nodes[1, :, j, i] = stretched(nodes[1, :, j, i], stretch)
         return nodes.reshape(*nodes.shape[:2], -1, *nodes.shape[-2:])
 
     def _stretch(self, tangent_x: float, tangent_y: float) -> FloatArray:
@@ -93,7 +93,7 @@ def _change_per_tangent(kernels: PairKernels) -> tuple[float, float]:
     return rates[0], rates[1]
 
 
-def _stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.float32]:
+def stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.float32]:
     """h(J r) |J| for a stack of kernels (n, n_y, n_x), by a quintic spline; zero outside of the window."""
     n_y, n_x = kernels.shape[-2:]
     coefficients = spline_filter1d(kernels, order=5, axis=-1, mode="mirror", output=np.float32)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from metafab.core import hdf5
-from metafab.core.files import plain
+from metafab.core.files import plain, untimed
 from metafab.decode.image import Image4D
 
 DECODED_KIND = "metafab decoded image"
@@ -39,7 +39,7 @@ def save(image: Image4D, path: Path, *, inputs_sha256: str = "") -> None:
         file.attrs["origin_um"] = image.origin_um
         file.attrs["pixel_um"] = image.pixel_um
         file.attrs["segments"] = json.dumps(plain(image.segments))
-        file.attrs["details"] = json.dumps(plain(image.details))
+        file.attrs["details"] = json.dumps(plain(untimed(image.details)))
         if image.nmae is not None:
             file.attrs["nmae"] = image.nmae
 

@@ -1,0 +1,293 @@
+"""Calibration of a camera from photographs of a point on the axis at known depths (the procedure of Fig. 2g).
+
+The prediction from the mask is fitted to each image of the point: where it stands, and the vergence at which it looks
+like this. From all of them together follow the camera's misalignments:
+
+- the vergence offset, from a wrong distance of the sensor or another wavelength, which the axis cannot tell apart;
+- its difference between the two images, from a sensor that is tilted about the y axis;
+- rotation, magnification and shift of the sensor plane, from the places.
+
+The calibrated stack is the prediction with these, so that it covers the field of view without a photograph of it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from metafab.camera.frame import RawFrame
+from metafab.camera.kernels import PairKernels
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import Fault, InputError
+from metafab.decode.calibration import stretched
+from metafab.optics.field import spline_weights
+from metafab.optics.point_spread import Psf
+
+#: How far from its predicted place an image of the point may stand, pixels.
+_SEARCH_PX = 64
+_ROUNDS = 3
+#: Vergences over the calibrated range that the search for the image tries.
+_TRIALS = 9
+
+
+@dataclass(frozen=True)
+class CameraFit:
+    """A camera against the prediction from its mask.
+
+    Attributes:
+        vergence_offset_per_m: what the camera adds to 1/depth, mean of both images.
+        tilt_per_m: half the difference of the y and the x image's offset.
+        rotation_deg: of the pair in the frame, counter-clockwise.
+        magnification: of the sensor plane.
+        shift_um: (x, y) of the axis in the frame.
+        place_rms_px: residual of the places of the point's images.
+        vergence_rms_per_m: residual of their vergences.
+    """
+
+    vergence_offset_per_m: float
+    tilt_per_m: float
+    rotation_deg: float
+    magnification: float
+    shift_um: tuple[float, float]
+    place_rms_px: float
+    vergence_rms_per_m: float
+
+    @property
+    def turn(self) -> FloatArray:
+        """Places in the frame from predicted ones, without the shift: shape (2, 2) over (x, y)."""
+        c, s = math.cos(math.radians(self.rotation_deg)), math.sin(math.radians(self.rotation_deg))
+        return self.magnification * np.array([[c, -s], [s, c]])
+
+    @property
+    def back(self) -> FloatArray:
+        """The inverse of ``turn``."""
+        return np.asarray(np.linalg.inv(self.turn), dtype=np.float64)
+
+    def offset_per_m(self, polarisation: int) -> float:
+        """Vergence offset of one image, 0 for x and 1 for y."""
+        return self.vergence_offset_per_m + (self.tilt_per_m if polarisation else -self.tilt_per_m)
+
+
+_AS_PREDICTED = CameraFit(0.0, 0.0, 0.0, 1.0, (0.0, 0.0), 0.0, 0.0)
+
+
+def calibrate(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: Psf) -> tuple[Psf, CameraFit]:
+    """Fit a prediction to photographs of a point on the axis.
+
+    Args:
+        frames: at least two, each with both images of the point.
+        depths_m: depth of the point in each, inside the range of ``predicted``.
+        predicted: the pair from the mask, of at least four depths.
+
+    Returns:
+        The calibrated pair over the depths that the prediction covers with the fitted offsets, and the fit. The pair's
+        ``details`` hold the fit's figures; ``phi_deg`` is turned with it, and ``error`` stays the prediction's.
+
+    Raises:
+        InputError: too few frames, depths outside the range, another pixel, or no image of a point in a frame.
+    """
+    _check(frames, depths_m, predicted)
+    vergence = 1.0 / np.asarray(depths_m, dtype=np.float64)
+    fit = _AS_PREDICTED
+    for _ in range(_ROUNDS):
+        kernels = PairKernels(_turned(predicted, fit))
+        found = np.array(
+            [[_find(frame, v, p, kernels, fit) for p in (0, 1)] for frame, v in zip(frames, vergence, strict=True)]
+        )
+        fit = _fit(found, vergence, predicted)
+    return _calibrated(predicted, fit), fit
+
+
+def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
+    """The depths of frames from a table of lines "file name, depth in m"; a line that starts with # is left out.
+
+    Raises:
+        InputError: the table cannot be read, a depth is not a positive number, or a frame is not in it.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError.single(str(path), "file", "a readable table of depths", str(error)) from error
+    table: dict[str, float] = {}
+    faults = []
+    for number, line in enumerate(lines, start=1):
+        name, _, depth = (part.strip() for part in line.partition(","))
+        if not name or name.startswith("#"):
+            continue
+        try:
+            table[name] = float(depth)
+        except ValueError:
+            table[name] = math.nan
+        if not (math.isfinite(table[name]) and table[name] > 0.0):
+            faults.append(Fault(f"line {number}", "a file name and a depth in m", line))
+    faults += [Fault(frame.name, "a line with its depth", "none") for frame in frames if frame.name not in table]
+    if faults:
+        raise InputError(str(path), faults)
+    return [table[frame.name] for frame in frames]
+
+
+def _check(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: Psf) -> None:
+    low, high = float(predicted.depth_m.min()), float(predicted.depth_m.max())
+    if len(frames) != len(depths_m) or len(set(depths_m)) < 2:
+        got = f"{len(frames)} frames and {len(set(depths_m))} depths"
+        raise InputError.single("calibration", "frames", "frames at two depths or more, each with its depth", got)
+    if predicted.depth_m.size < 4:
+        raise InputError.single(
+            "calibration", "psf", "a prediction at four depths or more", f"{predicted.depth_m.size}"
+        )
+    for frame, depth_m in zip(frames, depths_m, strict=True):
+        if not low <= depth_m <= high:
+            raise InputError.single(
+                "calibration", "depth_m", f"a depth that the prediction covers, {low:g} to {high:g} m", f"{depth_m:g}",
+                "predict the pair over a wider range (`metafab psf --depths-m ...`)",
+            )  # fmt: skip
+        if abs(frame.pixel_um / predicted.pixel_um - 1.0) > 1e-6:
+            raise InputError.single(
+                "calibration", "pixel_um", f"{predicted.pixel_um:g} um as the prediction", f"{frame.pixel_um:g} um",
+                "predict the pair on the camera's pixels (`metafab psf --pixel-um P`)",
+            )  # fmt: skip
+
+
+def _turned(psf: Psf, fit: CameraFit) -> Psf:
+    """The stack on the axis with the sensor's rotation and magnification; neither places nor depths are moved."""
+    n_y, n_x = psf.psf.shape[-2:]
+    flat = stretched(psf.psf.reshape(-1, n_y, n_x).astype(np.float32), fit.back)
+    return dataclasses.replace(psf, psf=flat.reshape(psf.psf.shape).astype(np.float64), field=None)
+
+
+def _find(
+    frame: RawFrame, vergence_per_m: float, polarisation: int, kernels: PairKernels, fit: CameraFit
+) -> tuple[float, float, float]:
+    """Vergence at which the point's image looks like this, and its place (x, y) on the sensor in um."""
+    psf = kernels.psf
+    middle = psf.centre_um[polarisation, psf.depth_m.size // 2]
+    place_um = fit.turn @ middle + np.array(fit.shift_um)
+    n_y, n_x = kernels.shape
+    column, row = (round((place_um[axis] - frame.origin_um[axis]) / frame.pixel_um) for axis in (0, 1))
+    half_y, half_x = n_y // 2 + _SEARCH_PX, n_x // 2 + _SEARCH_PX
+    top, left = max(0, row - half_y), max(0, column - half_x)
+    part = np.asarray(frame.frame, dtype=np.float64)[top : row + half_y, left : column + half_x]
+    if part.shape[0] < n_y or part.shape[1] < n_x or not np.isfinite(part).all():
+        raise _no_point(vergence_per_m, polarisation)
+    part = part - np.median(part)
+    nodes = 1.0 / psf.depth_m
+    start, at = _coarse(part, kernels, polarisation, nodes)
+    cut = part[at[0] : at[0] + n_y, at[1] : at[1] + n_x]
+    if cut.max() <= 6.0 * (frame.read_noise_e + np.median(np.abs(part))):
+        raise _no_point(vergence_per_m, polarisation)
+    deviation = np.sqrt(np.maximum(cut, 0.0) + frame.read_noise_e**2 + 1.0)
+    ky, kx = scipy.fft.fftfreq(n_y)[:, None], scipy.fft.rfftfreq(n_x)[None, :]
+    basis = kernels.nodes[polarisation, :, 0, 0].astype(np.float64)
+
+    def residual(unknown: FloatArray) -> FloatArray:
+        kernel = np.tensordot(spline_weights(nodes, nodes.min() + unknown[0] * np.ptp(nodes)), basis, axes=(0, 0))
+        moved = scipy.fft.rfft2(kernel) * np.exp(-2j * np.pi * (ky * unknown[1] + kx * unknown[2]))
+        model = scipy.fft.irfft2(moved, (n_y, n_x)) / deviation
+        data, one = cut / deviation, 1.0 / deviation
+        # Brightness and background follow from the rest.
+        design = np.stack([model.ravel(), one.ravel()], axis=1)
+        share, *_ = np.linalg.lstsq(design, data.ravel(), rcond=None)
+        return np.asarray(data.ravel() - design @ share)
+
+    bounds = ([0.0, -8.0, -8.0], [1.0, 8.0, 8.0])
+    first = [float(np.clip((start - nodes.min()) / np.ptp(nodes), 0.02, 0.98)), 0.0, 0.0]
+    found = least_squares(residual, first, bounds=bounds, x_scale=(0.05, 0.3, 0.3)).x
+    x_um = frame.origin_um[0] + frame.pixel_um * (left + at[1] + n_x // 2 + found[2])
+    y_um = frame.origin_um[1] + frame.pixel_um * (top + at[0] + n_y // 2 + found[1])
+    return float(nodes.min() + found[0] * np.ptp(nodes)), float(x_um), float(y_um)
+
+
+def _coarse(
+    part: FloatArray, kernels: PairKernels, polarisation: int, nodes: FloatArray
+) -> tuple[float, tuple[int, int]]:
+    """The trial vergence and the whole pixel (first of the window) whose kernel the picture is most like."""
+    n_y, n_x = kernels.shape
+    spectrum = scipy.fft.rfft2(part)
+    best: tuple[float, float, tuple[int, int]] = (-np.inf, 0.0, (0, 0))
+    for trial in np.linspace(nodes.min(), nodes.max(), _TRIALS):
+        kernel = kernels.at_depth(float(1.0 / trial))[polarisation, 0, 0]
+        match = scipy.fft.irfft2(spectrum * np.conj(scipy.fft.rfft2(kernel, part.shape)), part.shape)
+        match = match[: part.shape[0] - n_y + 1, : part.shape[1] - n_x + 1] / np.linalg.norm(kernel)
+        row, column = np.unravel_index(int(match.argmax()), match.shape)
+        if match[row, column] > best[0]:
+            best = (float(match[row, column]), float(trial), (int(row), int(column)))
+    return best[1], best[2]
+
+
+def _fit(found: FloatArray, vergence: FloatArray, predicted: Psf) -> CameraFit:
+    """Misalignments from (vergence, x, y) of each frame and image: shape (n_frames, 2, 3)."""
+    offset = found[..., 0] - vergence[:, None]
+    by_image = np.median(offset, axis=0)
+    centre = predicted.centre_um[:, predicted.depth_m.size // 2]
+    want = np.broadcast_to(centre[None], (vergence.size, 2, 2)).reshape(-1, 2)
+    got = found[..., 1:].reshape(-1, 2)
+    # Similarity transform of the plane as complex numbers: got = factor want + shift.
+    z, w = want[:, 0] + 1j * want[:, 1], got[:, 0] + 1j * got[:, 1]
+    (factor, shift), *_ = np.linalg.lstsq(np.stack([z, np.ones_like(z)], axis=1), w, rcond=None)
+    away_um = np.abs(factor * z + shift - w)
+    return CameraFit(
+        float(by_image.mean()),
+        float(0.5 * (by_image[1] - by_image[0])),
+        math.degrees(math.atan2(factor.imag, factor.real)),
+        float(abs(factor)),
+        (float(shift.real), float(shift.imag)),
+        float(np.sqrt(np.mean(away_um**2))) / predicted.pixel_um,
+        float(np.sqrt(np.mean((offset - by_image) ** 2))),
+    )
+
+
+def _calibrated(predicted: Psf, fit: CameraFit) -> Psf:
+    """The prediction as the fitted camera sees it, at those of its depths that stay inside its range."""
+    nodes = 1.0 / predicted.depth_m
+    offsets = [fit.offset_per_m(p) for p in (0, 1)]
+    keep = np.all([(nodes + d >= nodes.min()) & (nodes + d <= nodes.max()) for d in offsets], axis=0)
+    depth_m = predicted.depth_m[keep]
+    weights = [spline_weights(nodes, nodes[keep] + d) for d in offsets]
+
+    def moved(stack: NDArray[np.floating], centre: FloatArray) -> tuple[NDArray[np.float32], FloatArray]:
+        """Both with axes (polarisation, depth, ...)."""
+        new = np.stack([np.tensordot(weights[p], stack[p], axes=(1, 0)) for p in (0, 1)])
+        n_y, n_x = new.shape[-2:]
+        turned = stretched(new.reshape(-1, n_y, n_x).astype(np.float32), fit.back).reshape(new.shape)
+        places = np.stack([np.tensordot(weights[p], centre[p], axes=(1, 0)) for p in (0, 1)])
+        return turned, places @ fit.turn.T + np.array(fit.shift_um)
+
+    psf, centre_um = moved(predicted.psf, predicted.centre_um)
+    field = predicted.field
+    if field is not None:
+        over_field, centres = moved(field.psf, field.centre_um)
+        field = dataclasses.replace(field, psf=over_field, centre_um=centres)
+    figures = {k: v for k, v in dataclasses.asdict(fit).items() if isinstance(v, float)}
+    mean = spline_weights(nodes, nodes[keep] + fit.vergence_offset_per_m)
+    phi_deg = np.degrees(np.unwrap(np.radians(predicted.phi_deg)))
+    return dataclasses.replace(
+        predicted,
+        depth_m=depth_m,
+        psf=psf.astype(np.float64),
+        centre_um=centre_um,
+        phi_deg=(mean @ phi_deg + fit.rotation_deg + 180.0) % 360.0 - 180.0,
+        error=predicted.error[keep],
+        efficiency=predicted.efficiency[:, keep],
+        extinction_ratio=predicted.extinction_ratio[keep],
+        sensor_distance_um=predicted.sensor_distance_um * fit.magnification,
+        field=field,
+        details={**predicted.details, **figures},
+    )
+
+
+def _no_point(vergence_per_m: float, polarisation: int) -> InputError:
+    return InputError.single(
+        "calibration",
+        f"frame at {1.0 / vergence_per_m:g} m",
+        f"the {'xy'[polarisation]} image of a point within {_SEARCH_PX} pixels of its predicted place, unsaturated",
+        "none",
+        "leave the frame out, or expose longer",
+    )

@@ -1,0 +1,161 @@
+"""A camera is calibrated from photographs of a point: planted misalignments come back.
+
+The photographs are made by a direct transform of the pupil at each pixel of the misaligned sensor: nothing of the
+calibration's resampling or interpolation is in them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import camera, optics
+from metafab.camera import RawFrame, capture
+from metafab.core.errors import InputError
+from metafab.decode import calibrate, decode, read_depths
+from metafab.optics.point_spread import Psf
+from metafab.spec import Scene, SceneObject
+from tests.conjugate_pair import FOCUS_DEPTH_M, PIXEL_UM, RADIUS_UM, WAVELENGTH_UM, helix_psf
+from tests.main_job import metafab
+
+DEPTHS_M = 1.0 / np.linspace(1 / 0.0024, 1 / 0.0036, 13)
+POINTS_M = (0.0027, 0.0029, 0.0032)
+ZONES = 4
+
+
+@pytest.fixture(scope="module")
+def predicted() -> Psf:
+    return helix_psf(DEPTHS_M)
+
+
+def photograph(
+    predicted: Psf,
+    depth_m: float,
+    offsets_per_m: tuple[float, float],
+    rotation_deg: float = 0.0,
+    magnification: float = 1.0,
+    shift_um: tuple[float, float] = (0.0, 0.0),
+    electrons: float = 2e5,
+    seed: int = 0,
+) -> RawFrame:
+    """A point on the axis, seen by a sensor that is turned, magnified and shifted, in photon noise."""
+    shape, origin = (150, 330), (-395.0, -178.0)
+    frame = np.zeros(shape)
+    turn = magnification * np.exp(1j * math.radians(rotation_deg))
+    count = 57
+    u = np.linspace(-1.0, 1.0, count)
+    px, py = np.meshgrid(u, u)
+    radius = np.hypot(px, py)
+    for polarisation in (0, 1):
+        centre = predicted.centre_um[polarisation, DEPTHS_M.size // 2]
+        place = turn * (centre[0] + 1j * centre[1]) + complex(*shift_um)
+        column, row = round((place.real - origin[0]) / PIXEL_UM), round((place.imag - origin[1]) / PIXEL_UM)
+        rows, columns = np.arange(row - 24, row + 24), np.arange(column - 24, column + 24)
+        x, y = np.meshgrid(origin[0] + PIXEL_UM * columns, origin[1] + PIXEL_UM * rows)
+        away = ((x + 1j * y) - place) / turn
+        azimuth = np.arctan2(-py, -px) if polarisation else np.arctan2(py, px)
+        vergence = 1.0 / depth_m + offsets_per_m[polarisation] - 1.0 / FOCUS_DEPTH_M
+        defocus = math.pi / WAVELENGTH_UM * (RADIUS_UM * radius) ** 2 * vergence * 1e-6
+        phase = np.ceil(ZONES * np.clip(radius, 1e-9, 1.0) ** 2) * azimuth + defocus
+        inside = radius <= 1.0
+        k = 2.0 * math.pi * RADIUS_UM / (WAVELENGTH_UM * predicted.sensor_distance_um)
+        path = np.outer(away.real.ravel(), px[inside]) + np.outer(away.imag.ravel(), py[inside])
+        field = np.exp(-1j * k * path) @ np.exp(1j * phase[inside])
+        spot = np.abs(field.reshape(48, 48)) ** 2
+        frame[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += electrons * spot / spot.sum()
+    noisy = np.random.default_rng(seed).poisson(frame).astype(float)
+    return RawFrame(noisy, PIXEL_UM, origin, 0.0)
+
+
+def photographs(predicted: Psf, **camera: object) -> list[RawFrame]:
+    return [photograph(predicted, z, seed=i, **camera) for i, z in enumerate(POINTS_M)]  # type: ignore[arg-type]
+
+
+def test_an_aligned_camera_is_found_aligned(predicted: Psf) -> None:
+    calibrated, fit = calibrate(photographs(predicted, offsets_per_m=(0.0, 0.0)), POINTS_M, predicted)
+    # The range spans 139 per metre; 2e5 electrons leave far less than the pixel's own blur (0.1 % of kernels).
+    assert abs(fit.vergence_offset_per_m) < 0.7
+    assert abs(fit.rotation_deg) < 0.02
+    assert fit.magnification == pytest.approx(1.0, abs=3e-4)
+    assert calibrated.depth_m.size >= DEPTHS_M.size - 2
+
+
+def test_planted_misalignments_come_back(predicted: Psf) -> None:
+    offset, tilt, rotation, magnification, shift = 6.0, 1.5, 0.8, 1.004, (7.3, -4.1)
+    frames = photographs(
+        predicted,
+        offsets_per_m=(offset - tilt, offset + tilt),
+        rotation_deg=rotation,
+        magnification=magnification,
+        shift_um=shift,
+    )
+    calibrated, fit = calibrate(frames, POINTS_M, predicted)
+    # 0.7 per metre is 0.2 % of the depth: half of what the paper's decoder errs by.
+    assert fit.vergence_offset_per_m == pytest.approx(offset, abs=0.7)
+    assert fit.tilt_per_m == pytest.approx(tilt, abs=0.7)
+    # A twentieth of a pixel over the 174 pixels between the images.
+    assert fit.rotation_deg == pytest.approx(rotation, abs=0.02)
+    assert fit.magnification == pytest.approx(magnification, abs=3e-4)
+    assert fit.shift_um == pytest.approx(shift, abs=0.05 * PIXEL_UM)
+    assert fit.place_rms_px < 0.05
+    want = np.array(fit.turn @ predicted.centre_um[0, 0]) + np.array(fit.shift_um)
+    np.testing.assert_allclose(calibrated.centre_um[0, 0], want)
+
+
+def test_a_calibrated_camera_decodes_what_the_prediction_misreads(predicted: Psf) -> None:
+    """The camera's own pictures carry its offset: 8 per metre are 2.3 % of the depth."""
+    offset = 8.0
+    frames = photographs(predicted, offsets_per_m=(offset, offset))
+    calibrated, _ = calibrate(frames, POINTS_M, predicted)
+    moved = 1.0 / (1.0 / DEPTHS_M + offset)
+    camera = dataclasses.replace(helix_psf(moved), depth_m=DEPTHS_M)
+    scene = Scene(objects=(SceneObject(depth_m=0.0029, size=(0.15, 0.15)),), seed=3)
+    frame = capture(scene, camera)
+    wrong, right = decode(frame, predicted), decode(frame, calibrated)
+    assert right.nmae is not None
+    assert wrong.nmae is not None
+    assert right.nmae < 0.006
+    assert wrong.nmae > 0.015
+
+
+def test_what_cannot_be_a_calibration_is_refused(predicted: Psf) -> None:
+    good = photograph(predicted, 0.003, (0.0, 0.0))
+    dark = dataclasses.replace(good, frame=np.zeros_like(good.frame))
+    with pytest.raises(InputError, match="two depths"):
+        calibrate([good], [0.003], predicted)
+    with pytest.raises(InputError, match="covers"):
+        calibrate([good, good], [0.003, 0.3], predicted)
+    with pytest.raises(InputError, match="image of a point"):
+        calibrate([good, dark], [0.003, 0.0029], predicted)
+    with pytest.raises(InputError, match="pixel"):
+        calibrate([good, dataclasses.replace(good, pixel_um=3.0)], [0.003, 0.0029], predicted)
+
+
+def test_the_command_writes_a_calibration_that_decodes(predicted: Psf, tmp_path: Path) -> None:
+    frames = photographs(predicted, offsets_per_m=(5.0, 5.0))
+    optics.save(predicted, tmp_path / "psf.h5")
+    names = [tmp_path / f"point{i}.h5" for i in range(len(frames))]
+    for name, frame in zip(names, frames, strict=True):
+        camera.save(frame, name)
+    table = "".join(f"{name.name}, {z}\n" for name, z in zip(names, POINTS_M, strict=True))
+    (tmp_path / "depths.csv").write_text("# frame, depth / m\n" + table)
+    answer = metafab(
+        "calibrate", *names, "--psf", tmp_path / "psf.h5", "--depths", tmp_path / "depths.csv",
+        "-o", tmp_path / "cal.h5", "--json",
+    )  # fmt: skip
+    assert answer.code == 0, answer.stderr
+    assert answer.json["vergence_offset_per_m"] == pytest.approx(5.0, abs=0.7)
+    assert optics.load(tmp_path / "cal.h5").details["vergence_offset_per_m"] == answer.json["vergence_offset_per_m"]
+
+
+def test_a_table_of_depths_names_all_its_faults(tmp_path: Path) -> None:
+    (tmp_path / "depths.csv").write_text("a.tif, 0.3\nb.tif, far\n\nc.tif, -1\n")
+    with pytest.raises(InputError) as refused:
+        read_depths(tmp_path / "depths.csv", [Path("a.tif"), Path("d.tif")])
+    assert [fault.field for fault in refused.value.faults] == ["line 2", "line 4", "d.tif"]
+    with pytest.raises(InputError, match="readable"):
+        read_depths(tmp_path / "none.csv", [])
