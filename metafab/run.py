@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from metafab import __version__
-from metafab.core.files import file_sha256, fingerprint, plain, whole_file, write_json
+from metafab.core.files import clear_parts, file_sha256, fingerprint, plain, whole_file, write_json
 from metafab.core.measure import measured
 from metafab.core.progress import Progress, silent
 from metafab.core.provenance import code_sha256, contents_sha256
@@ -140,6 +140,8 @@ def run(
     preflight(design)
     job = Job(design, folder, workers, cluster, progress)
     folder.mkdir(parents=True, exist_ok=True)
+    for place in (folder, folder / "figures"):
+        clear_parts(place)
     with whole_file(folder / "design.toml") as part:
         part.write_text(canonical_toml(design), encoding="utf-8")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -29,6 +30,33 @@ def whole_file(path: Path) -> Iterator[Path]:
         beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
+
+
+_PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part")
+
+
+def clear_parts(folder: Path) -> None:
+    """Remove the temporary files that processes of this machine left in ``folder`` when they were killed."""
+    for path in folder.glob(".*.part"):
+        match = _PART.fullmatch(path.name)
+        if match is not None and not _alive(int(match[1])):
+            path.unlink(missing_ok=True)
+
+
+def _alive(pid: int) -> bool:
+    """Whether a process of this number runs; of another user's, too."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:
+        pass
+    return True
+
+
+def untimed(details: Mapping[str, Any]) -> dict[str, Any]:
+    """Figures of a result as its file keeps them: without their time, so that equal results have equal bytes."""
+    return {name: value for name, value in details.items() if name != "seconds"}
 
 
 def plain(value: Any) -> Any:

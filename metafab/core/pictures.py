@@ -12,6 +12,8 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 
 _SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy"}
+#: No sensor has more.
+_LONGEST_SIDE_PX = 1 << 16
 _REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
 
 
@@ -63,7 +65,12 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
 
         # What it logs of a file's oddities would come beside our one message; cameras' own tags are none of ours.
         logging.getLogger("tifffile").setLevel(logging.CRITICAL)
-        return np.asarray(tifffile.imread(path))
+        with tifffile.TiffFile(path) as file:
+            page = file.pages.first
+            # A damaged size field claims more strips than could be walked through in a day.
+            if max(page.imagewidth, page.imagelength) > _LONGEST_SIDE_PX:
+                raise ValueError(f"{page.imagelength} x {page.imagewidth} pixels, more than {_LONGEST_SIDE_PX} a side")
+            return np.asarray(file.asarray())
 
     def png(path: Path) -> np.ndarray:
         from PIL import Image

@@ -10,7 +10,7 @@ import numpy as np
 
 from metafab.core import hdf5
 from metafab.core.errors import Fault, InputError
-from metafab.core.files import plain
+from metafab.core.files import plain, untimed
 from metafab.optics.point_spread import Psf, PsfField
 
 PSF_KIND = "metafab psf"
@@ -22,7 +22,7 @@ _REMEDY = "write it with `metafab psf LAYOUT --design DESIGN.toml -o PSF.h5`"
 def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
     """Write ``psf`` to ``path``, whole or not at all."""
     with hdf5.create(path, kind=PSF_KIND, format_version=PSF_FORMAT, inputs_sha256=inputs_sha256) as file:
-        file.attrs["details"] = json.dumps(plain(psf.details))
+        file.attrs["details"] = json.dumps(plain(untimed(psf.details)))
         file.attrs["sensor_distance_um"] = psf.sensor_distance_um
         hdf5.put(file, "pixel_um", psf.pixel_um, units="um", description="sampling step on the sensor plane")
         hdf5.put(file, "polarisation", [b"x", b"y"], units="1", description="polarisation", dims=("polarisation",))
