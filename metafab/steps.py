@@ -189,10 +189,10 @@ def point_spread(
     return optics.concatenate(stacks)
 
 
-def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path) -> None:
-    """Keep a PSF pair with the fingerprint of the mask (None for target phases) and the design behind it."""
+def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int = 1) -> None:
+    """Keep a PSF pair with the fingerprint of the mask's lens (None for target phases) and the design behind it."""
     design = job.design
-    source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job))]
+    source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job)), copy]
     asked: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
     if design.optics is not None:
         asked.append(design.optics)

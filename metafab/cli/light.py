@@ -28,6 +28,7 @@ def psf_command(
         int | None, typer.Option(min=4, max=2048, metavar="N", help="Window [default: the design's].")
     ] = None,
     target_error: TargetError = None,
+    copy: Annotated[int, typer.Option(metavar="N", help="Which lens of mask.copies, from 1.")] = 1,
     output: Output = None,
     json_: Json = False,
 ) -> None:
@@ -50,9 +51,10 @@ def psf_command(
             pixel_um=pixel_um,
             window_px=verify.window_px if window_px is None else window_px,
             target_error=verify.target_error if target_error is None else target_error,
+            copy=copy,
         )
     if output is not None:
-        steps.save_psf(job, result, layout, output)
+        steps.save_psf(job, result, layout, output, copy)
     show({**steps.psf_figures(result), "seconds": cost.seconds, "file": output}, json_)
 
 

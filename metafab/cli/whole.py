@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from metafab.cli.app import Cluster, DesignFile, Json, Output, Workers, app
-from metafab.cli.console import exit_on_violations, progress_bars, show
+from metafab.cli.console import announce, exit_on_violations, progress_bars, show
 
 
 @app.command("new")
@@ -35,10 +35,12 @@ def run_command(
     design: DesignFile, output: Output = None, workers: Workers = None, cluster: Cluster = None, json_: Json = False
 ) -> None:
     """Unit cell to report: every step, skipping what is up to date."""
+    from metafab import mask
     from metafab.run import run
     from metafab.spec import load_design
 
     spec = load_design(design)
+    announce(mask.announcement(spec))
     with progress_bars() as progress:
         outcome = run(spec, output or Path("runs") / spec.name, workers=workers, cluster=cluster, progress=progress)
     show(outcome.summary, json_)

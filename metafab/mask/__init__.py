@@ -23,6 +23,7 @@ In: a PillarMap and a Design. Out: files; from a file: a ReadBack, the pillars a
 """
 
 from metafab.mask.cells import top_name
+from metafab.mask.copies import lens_copies
 from metafab.mask.plan import announcement, plan
 from metafab.mask.read import Leftover, ReadBack, Shapes, read, read_shapes
 from metafab.mask.write import WrittenFile, biased, write
@@ -34,6 +35,7 @@ __all__ = [
     "WrittenFile",
     "announcement",
     "biased",
+    "lens_copies",
     "plan",
     "read",
     "read_shapes",

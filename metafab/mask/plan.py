@@ -77,7 +77,8 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
 def announcement(design: Design) -> list[str]:
     """What is to be said before a mask is written: that its GDSII would be larger than many readers take.
 
-    Every pillar, once for each bias of `mask.copies`, is a BOUNDARY of 64 bytes, so that nothing needs to be mapped to know it.
+    Every pillar is a BOUNDARY of 64 bytes, once for each bias of ``mask.copies``, so that nothing needs to be mapped
+    to know it.
     """
     if "gds" not in design.mask.formats:
         return []

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import gdstk
 import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from metafab import drc, mask
 from metafab.core.errors import InputError
@@ -16,6 +18,7 @@ from metafab.layout import Assignment
 from metafab.mask.copies import lens_copies
 from metafab.mask.surroundings import surroundings
 from metafab.spec import Chip, Copy, Design, Dose, Exposure, Mask
+from metafab.spec.load import canonical_toml
 from tests.layout.conftest import sizes_at_sites
 
 kdb = pytest.importorskip("klayout.db")
@@ -83,6 +86,7 @@ def test_klayout_and_gdstk_see_every_copy_where_it_belongs(
     assert (seen ^ drawn).is_empty()
     library = gdstk.read_gds(files["gds"]) if suffix == "gds" else gdstk.read_oas(files["oas"])
     (gdstk_top,) = library.top_level()
+    assert isinstance(gdstk_top, gdstk.Cell)
     boxes = np.array([p.bounding_box() for p in gdstk_top.get_polygons() if p.layer == 1])
     corners = np.rint(boxes.reshape(-1, 4) * (library.unit / 0.5e-9)).astype(np.int64)
     corners[:, 2:] -= corners[:, :2]
@@ -211,6 +215,44 @@ def test_copies_that_cannot_be_are_refused_before_anything_is_written(
     with pytest.raises(InputError, match=key):
         mask.write(tiny.pillars, tmp_path, design)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_copy_may_stand_beside_the_middle_and_alone(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
+    """One copy aside is the plain lens moved: the same rectangles, shifted."""
+    design = replace(tiny_design, mask=replace(tiny_design.mask, copies=(Copy((123.0, -45.5)),)))
+    mask.write(tiny.pillars, tmp_path, design)
+    for suffix in FORMATS:
+        back = mask.read(tmp_path / f"layout.{suffix}", design)
+        assert np.array_equal(sizes_at_sites(back.pillars), sizes_at_sites(tiny.pillars))
+        assert back.other_copies == {}
+        # Without the table the same file holds nothing where the lens should be, and says so.
+        lost = mask.read(tmp_path / f"layout.{suffix}", tiny_design)
+        assert lost.off_site.count == tiny.figures["pillars"]
+
+
+def test_the_table_survives_the_canonical_design_file(chip: Design) -> None:
+    table = tomllib.loads(canonical_toml(chip.mask))
+    assert TypeAdapter(Mask).validate_python(_tuples(table)) == chip.mask
+
+
+def _tuples(value: object) -> object:
+    """Arrays of a TOML table as the tuples of a spec."""
+    if isinstance(value, dict):
+        return {key: _tuples(item) for key, item in value.items()}
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+def test_a_large_gdsii_is_announced_once_for_each_bias(tiny_design: Design) -> None:
+    """1.7 mm hold 18.5 million pillars: one bias is 1.2 GB, two are 2.4 GB, however many copies there are."""
+
+    def of(*biases_nm: float) -> list[str]:
+        copies = tuple(Copy((1800.0 * k, 0.0), bias_nm=bias) for k, bias in enumerate(biases_nm))
+        device = replace(tiny_design.device, aperture_um=1700.0)
+        return mask.announcement(replace(tiny_design, device=device, mask=replace(tiny_design.mask, copies=copies)))
+
+    assert of() == of(0.0, 0.0, 0.0) == []
+    (sentence,) = of(0.0, 10.0, 10.0)
+    assert "2.4 GB" in sentence
 
 
 def test_labels_need_a_chip_and_numbers_a_copy(chip: Design, files: dict[str, Path]) -> None:
