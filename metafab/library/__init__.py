@@ -19,6 +19,7 @@ Using:
 - ``library``     Library: values on the grid of sizes, and where they come from
 - ``corners``     the library at other values of its axes: ``library.at(wavelength_nm=803.0)``
 - ``store``       save, load (HDF5)
+- ``spline``      bicubic B-splines on tiles, each as fine as it must be
 - ``surface``     continuous evaluation at millions of sizes a second
 - ``lookup``      target phases -> size index: best field overlap over the (phi_x, phi_y) torus
 - ``quality``     coverage, holes, transmittance, sensitivity
