@@ -158,11 +158,13 @@ def fit_corner_models(
 
 def _candidates(equations: int, variables: int) -> list[Shape]:
     """Shapes that so many samples of two channels can determine, the largest numerator for each denominator."""
-    found = []
+    largest = []
     for weight, below in product(WEIGHTS if variables else WEIGHTS[:1], DENOMINATOR_DEGREES):
         fitting = [Shape((above, below), weight, variables) for above in range(1, LARGEST_DEGREE + 1)]
-        fitting = [shape for shape in fitting if shape.unknowns <= FILLING * 2 * equations]
-        found += [shape for shape in fitting[-1:] if shape.unknowns >= LEAST_FILLING * 2 * equations]
+        largest += [shape for shape in fitting if shape.unknowns <= FILLING * 2 * equations][-1:]
+    rich = [shape for shape in largest if shape.unknowns >= LEAST_FILLING * 2 * equations]
+    # Without variables (a bias alone) samples abound, and even the largest shapes have few unknowns for each.
+    found = rich if len(rich) > 1 else largest
     return found if len(found) > 1 else [Shape((2, 0), 2, variables), Shape((1, 0), 2, variables)]
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from metafab import library
+from metafab.cell import CellNumerics, CellResponse, PillarCell
 from metafab.core.errors import SolverError
 from metafab.library import Library
 from metafab.spec import UnitCell
@@ -109,3 +110,36 @@ def test_workers_and_kills_change_nothing(built: Library, cell: UnitCell, tmp_pa
         assert np.array_equal(getattr(one, name), getattr(other, name)), name
     assert loaded.details == again.details
     assert library.is_current(tmp_path / "library.h5", cell) == (again.inputs_sha256 == loaded.inputs_sha256)
+
+
+def test_a_bias_alone_is_no_variable_but_a_margin_of_the_sizes(plain: UnitCell) -> None:
+    """Only widths and lengths matter then: the model of the wider sweep serves every bias."""
+    cell = replace(plain, sweep=replace(plain.sweep, axes=Axes(cd_bias_nm=(-5.0, 5.0))))
+    built = library.build(cell, solver=ridges.solve)
+    assert built.details["corner_target"] == "reached"
+    width_nm, length_nm = np.random.default_rng(8).uniform(100.0, 160.0, (2, 300))
+    for bias_nm in (-5.0, 0.7, 5.0):
+        held = library.evaluate(built, width_nm, length_nm, cd_bias_nm=bias_nm)
+        true = np.array([ridges.amplitude(w + bias_nm, h + bias_nm) for w, h in zip(width_nm, length_nm, strict=True)])
+        error = np.abs(held.t_xx - true)
+        assert np.all(error <= held.error), bias_nm
+        assert error.max() <= built.unit_cell.sweep.target_error
+
+
+def test_an_axis_out_of_reach_ends_and_says_so(cell: UnitCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A response that jumps from cell to cell away from 800 nm: no model can hold, and the errors say how far off."""
+
+    def jumping(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+        answer = ridges.solve_scaled(cell, numerics)
+        if cell.wavelength_nm == 800.0:
+            return answer
+        jump = 0.05 if int(1e6 * cell.wavelength_nm) % 2 else -0.05
+        return replace(answer, t=answer.t + jump * np.eye(2))
+
+    monkeypatch.setattr("metafab.library.corner_rounds.MOST_SAMPLES", 40)
+    built = library.build(cell, solver=jumping)
+    most = 40 * 3  # width, length and wavelength
+    assert most <= float(built.details["corner_points_solved"]) <= 1.5 * most
+    assert str(built.details["corner_target"]).startswith("not reached in")
+    assert built.at(wavelength_nm=795.0).error.min() > 0.02
+    assert built.error.max() <= built.unit_cell.sweep.target_error

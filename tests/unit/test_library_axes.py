@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from metafab.cell import pillar_cell
 from metafab.core.errors import InputError
+from metafab.library import corner_model
 from metafab.library.axes import CornerBox, corner_cell, corner_unit_cell
 from metafab.library.corner_model import CornerSamples, fit_corner_models
 from metafab.library.library import Library
@@ -174,3 +175,15 @@ def test_rational_functions_are_found_and_contracted_exactly(exchange: bool) -> 
     # A bias of 4 nm: the size drawn as 150 is made as 154.
     drawn = new - 4.0
     assert np.allclose(best.at(place[0], bias_nm=4.0)(*drawn), best(*new, place), atol=1e-9)
+
+
+@pytest.mark.parametrize("equations", [200, 600, 4000])
+@pytest.mark.parametrize("variables", [0, 1, 2])
+def test_more_samples_never_mean_poorer_shapes(equations: int, variables: int) -> None:
+    """However many samples there are, shapes with poles are tried, and none has more unknowns than they determine."""
+    shapes = corner_model._candidates(equations, variables)
+    assert len(shapes) > 1
+    assert all(shape.degrees[1] >= 7 for shape in shapes)
+    assert all(shape.unknowns <= 0.7 * 2 * equations for shape in shapes)
+    fewer = corner_model._candidates(equations // 2, variables)
+    assert max(shape.degrees[0] for shape in shapes) >= max(shape.degrees[0] for shape in fewer)
