@@ -12,8 +12,9 @@ import pytest
 
 from metafab import library
 from metafab.cell import CellNumerics, CellResponse, PillarCell
-from metafab.cell.meep import Pool, solver
+from metafab.cell.meep import Pool, finding, kept, solver
 from metafab.core.errors import SolverError
+from metafab.core.executor import open_executor
 from metafab.library import Library
 from metafab.spec import UnitCell
 from tests import library_ridges as ridges
@@ -88,6 +89,40 @@ def test_a_killed_build_goes_on_with_what_was_finished(small_sweep: UnitCell, fa
     assert [runs.count(run) for run in dict.fromkeys(runs)].count(2) == 1
     assert len(runs) == len(set(runs)) + 1
     np.testing.assert_array_equal(library.load(path).t_xx, built.t_xx)
+
+
+@pytest.mark.slow
+def test_a_cluster_runs_meep_in_its_own_processes(
+    small_sweep: UnitCell, fake_pool: Pool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two processes over Dask, each with a worker of its own, share one folder of finished runs.
+
+    The process that asks keeps its runs elsewhere: what this folder holds, the cluster has run.
+    """
+    distributed = pytest.importorskip("distributed")
+    here = library.build(small_sweep)
+    runs = _runs(tmp_path)
+    interpreter, finished = tmp_path / "python", tmp_path / "finished"
+    answer = '{"found": true, "version": "1", "python": "3", "reason": ""}'
+    interpreter.write_text(
+        f"#!/bin/sh\nif [ \"$3\" = --probe ]; then echo '{answer}'; exit; fi\n"
+        f'exec "{sys.executable}" "{tmp_path / "worker.py"}" "{tmp_path}"\n'
+    )
+    interpreter.chmod(0o755)
+    monkeypatch.setenv(finding.VARIABLE, str(interpreter))
+    monkeypatch.setenv(kept.VARIABLE, str(finished))
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
+        ) as cluster,
+        open_executor(cluster=cluster.scheduler_address) as executor,
+    ):
+        there = library.build(small_sweep, executor=executor)
+    np.testing.assert_array_equal(there.t_xx, here.t_xx)
+    np.testing.assert_array_equal(there.error, here.error)
+    assert len(list(finished.glob("*.npz"))) == len(runs)
+    # The same runs as here, each of them once.
+    assert sorted(_runs(tmp_path)) == sorted(2 * runs)
 
 
 class _Biased:
