@@ -13,6 +13,7 @@
 - ``depth``        interpolation between depths, joining stacks
 - ``metrics``      efficiency through a pinhole, peaks, rotation, MTF, depth of field
 - ``point_spread`` Psf, PsfField: what goes out
+- ``fabrication``  corners of fabrication: moved, missing and mis-sized pillars in one table
 - ``fisher``       Fisher information about depth in PSF stacks, and the Cramer-Rao bound
 - ``store``        ``psf.h5``
 - ``reference``    the direct Rayleigh-Sommerfeld sum over all sites that checks the rest
@@ -23,6 +24,7 @@ In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.libra
 
 from metafab.optics import metrics
 from metafab.optics.depth import at_depths, concatenate, without_depths
+from metafab.optics.fabrication import ThinnedField, ToleranceRow, library_corners, misplaced, stitched, tolerance
 from metafab.optics.field import at_tangent
 from metafab.optics.fisher import PointSource, depth_crlb_m, point_information, twin_depth_information
 from metafab.optics.imaging import Imaging, depth_nodes, field_tangents
@@ -40,6 +42,8 @@ __all__ = [
     "Psf",
     "PsfField",
     "Source",
+    "ThinnedField",
+    "ToleranceRow",
     "WrittenField",
     "at_depths",
     "at_tangent",
@@ -49,14 +53,18 @@ __all__ = [
     "direct_irradiance",
     "field_tangents",
     "ideal_field",
+    "library_corners",
     "load",
     "main_lobe_px",
     "metrics",
+    "misplaced",
     "orientation_deg",
     "point_information",
     "psf",
     "relative_l2",
     "save",
+    "stitched",
+    "tolerance",
     "twin_depth_information",
     "without_depths",
     "written_field",
