@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 from functools import partial
 
 from metafab.cell import rcwa
-from metafab.cell.response import CellNumerics, CellResponse, PillarCell
+from metafab.cell.response import CellNumerics, CellResponse, PillarCell, Slice
 from metafab.core.errors import Fault, InputError
 from metafab.core.executor import SerialExecutor, stream
 from metafab.core.progress import Progress, silent
@@ -43,6 +43,11 @@ def pillar_cell(
         InputError: a size or an angle is out of range, or a material is not known at the wavelength.
     """
     wavelength = unit_cell.illumination.wavelength_nm if wavelength_nm is None else wavelength_nm
+    n_ambient = refractive_index(unit_cell.materials.ambient, wavelength)[0]
+    films, caps = (
+        [(layer.height_nm, refractive_index(layer.material, wavelength)[0]) for layer in layers or ()]
+        for layers in (unit_cell.cell.film, unit_cell.cell.cap)
+    )
     cell = PillarCell(
         period_nm=unit_cell.cell.period_nm,
         width_nm=float(width_nm),
@@ -50,11 +55,13 @@ def pillar_cell(
         height_nm=unit_cell.cell.height_nm,
         n_pillar=refractive_index(unit_cell.materials.pillar, wavelength)[0],
         n_substrate=refractive_index(unit_cell.materials.substrate, wavelength),
-        n_ambient=refractive_index(unit_cell.materials.ambient, wavelength)[0],
+        n_ambient=n_ambient,
         wavelength_nm=float(wavelength),
         side=unit_cell.illumination.side,
         angle_deg=float(angle_deg),
         azimuth_deg=float(azimuth_deg),
+        under=tuple(Slice(height_nm, n, n) for height_nm, n in films),
+        over=tuple(Slice(height_nm, n, n_ambient) for height_nm, n in caps),
         n_substrate_z=_index_along_z(unit_cell.materials.substrate),
         sidewall_angle_deg=unit_cell.cell.sidewall_angle_deg or 90.0,
         sizes_at=unit_cell.cell.sizes_at or "middle",

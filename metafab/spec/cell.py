@@ -46,11 +46,32 @@ SidewallAngle = Annotated[float, Field(strict=True, ge=60.0, le=120.0)]
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Layer:
+    """A uniform layer of one isotropic material."""
+
+    height_nm: Positive
+    material: Material
+
+    @field_validator("material", mode="before")
+    @classmethod
+    def _by_name(cls, value: object) -> object:
+        return _material(value)
+
+    @model_validator(mode="after")
+    def _isotropic(self) -> Layer:
+        if self.material.n_y is not None or self.material.n_z is not None:
+            raise ValueError("`material`: only the substrate may be birefringent")
+        return self
+
+
+@dataclass(frozen=True, config=CONFIG)
 class CellGeometry:
     """The unit cell: a pillar of rectangular cross-section centred in a rectangular period.
 
     ``sidewall_angle_deg`` is the angle between walls and substrate inside the pillar, 90 if not given; below 90 the
     pillar narrows upwards. ``sizes_at`` says where on its height widths and lengths are meant, the middle if not given.
+    ``film`` lists closed films between substrate and pillars, from the substrate on, and ``cap`` layers on each pillar,
+    from the pillar on, with its outline and the ambient around them; none if not given.
     """
 
     period_nm: tuple[Positive, Positive]
@@ -58,6 +79,8 @@ class CellGeometry:
     shape: Literal["rectangle"] = "rectangle"
     sidewall_angle_deg: SidewallAngle | None = None
     sizes_at: Literal["bottom", "middle", "top"] | None = None
+    film: tuple[Layer, ...] | None = None
+    cap: tuple[Layer, ...] | None = None
 
     @field_validator("period_nm", mode="before")
     @classmethod

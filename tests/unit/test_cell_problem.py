@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from metafab.cell import CellNumerics, pillar_cell, solve, solve_many
+from metafab.cell import CellNumerics, Slice, pillar_cell, solve, solve_many
 from metafab.core.errors import InputError
-from metafab.spec import UnitCell, canonical_toml
+from metafab.library.library import inputs_of
+from metafab.spec import UnitCell, canonical_toml, load_unit_cell
 
 
 def test_cell_of_the_paper(unit_cell: UnitCell) -> None:
@@ -86,3 +88,46 @@ def test_the_slope_comes_from_the_file(unit_cell: UnitCell) -> None:
 def test_a_unit_cell_that_asks_for_nothing_new_is_written_as_before(unit_cell: UnitCell) -> None:
     text = canonical_toml(unit_cell)
     assert not any(key in text for key in ("sidewall", "sizes_at", "n_z", "k_z"))
+
+
+def test_caps_and_films_of_a_file_are_layers_of_its_cells(unit_cell: UnitCell, tmp_path: Path) -> None:
+    plain_text = canonical_toml(unit_cell)
+    assert "cap" not in plain_text
+    assert "film" not in plain_text
+    head, rest = plain_text.split("[materials", 1)
+    layers = (
+        "[[cell.cap]]\nheight_nm = 40.0\nmaterial = { n = 1.41 }\n"
+        '[[cell.cap]]\nheight_nm = 5.0\nmaterial = "SiO2/Malitson"\n'
+        "[[cell.film]]\nheight_nm = 100.0\nmaterial = { n = 1.33, k = 0.01 }\n"
+    )
+    path = tmp_path / "capped.toml"
+    path.write_text(f"{head}{layers}[materials{rest}")
+    capped = load_unit_cell(path)
+    cell = pillar_cell(capped, 150.0, 210.0)
+    assert cell.under == (Slice(100.0, 1.33 + 0.01j, 1.33 + 0.01j),)
+    assert [layer.height_nm for layer in cell.over] == [40.0, 5.0]
+    assert [layer.n_around for layer in cell.over] == [1.0, 1.0]
+    assert cell.over[1].n_inside == pytest.approx(1.4533, abs=1e-3)
+    # What a library is built from tells the two apart, and a copy holds all of it.
+    assert inputs_of(capped) != inputs_of(unit_cell)
+    path.write_text(canonical_toml(capped))
+    assert load_unit_cell(path) == capped
+    # They change the answer by more than both errors.
+    bare = solve(pillar_cell(unit_cell, 150.0, 210.0), CellNumerics(1e-2))
+    assert np.abs(solve(cell, CellNumerics(1e-2)).t - bare.t).max() > 2e-2
+
+
+@pytest.mark.parametrize(
+    "layer",
+    [
+        "height_nm = -1.0\nmaterial = { n = 1.41 }",
+        "height_nm = 40.0\nmaterial = { n = 1.41, n_y = 1.5 }",
+        'height_nm = 40.0\nmaterial = { n = 1.41 }\noutline = "closed"',
+    ],
+)
+def test_impossible_layers_are_refused(unit_cell: UnitCell, tmp_path: Path, layer: str) -> None:
+    head, rest = canonical_toml(unit_cell).split("[materials", 1)
+    path = tmp_path / "bad.toml"
+    path.write_text(f"{head}[[cell.cap]]\n{layer}\n[materials{rest}")
+    with pytest.raises(InputError, match="cap"):
+        load_unit_cell(path)
