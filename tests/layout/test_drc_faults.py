@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from metafab import drc
-from metafab.layout import Assignment
+from metafab.layout import Assignment, tile_sites
 from metafab.spec import Design
 
 kdb = pytest.importorskip("klayout.db")
@@ -304,3 +304,30 @@ def test_reports_are_written_and_klayout_opens_them(plant: Plant, tiny_design: D
     box = value.box()
     # The box spans both pillars: 350 nm from centre to centre and half a width of 251 nm at either end.
     assert box.width() == pytest.approx(0.601, abs=1e-9)
+
+
+@pytest.mark.parametrize(("rule", "along_x"), [("min_gap", True), ("min_gap", False), ("overlap", True)])
+def test_a_violation_on_a_seam_of_klayouts_tiles_is_counted_once(
+    rule: str, along_x: bool, tiny_design: Design, tmp_path: Path
+) -> None:
+    """The same fault in the middle of a tile, on a seam and on a corner of four: one violation each time."""
+    sites = tile_sites(tiny_design)
+    counts = []
+    for row, column in ((sites // 2, sites // 2), (sites - 1, sites - 1), (2 * sites - 1, sites - 1)):
+        layout = kdb.Layout()
+        layout.dbu = 0.5e-3
+        shapes = layout.create_cell("TOP").shapes(layout.layer(1, 0))
+        for i in range(3 * sites):
+            for j in range(3 * sites):
+                # Edges at the edges of cells, so that the engine's tiles begin at the first pillar's cell.
+                shapes.insert(kdb.Box(j * PERIOD, i * PERIOD, j * PERIOD + 300, i * PERIOD + 300))
+        here = kdb.Box(column * PERIOD, row * PERIOD, column * PERIOD + 300, row * PERIOD + 300)
+        (shape,) = [s for s in shapes.each_touching(here) if s.bbox() == here]
+        grown = {"min_gap": PERIOD - 150, "overlap": PERIOD + 50}[rule]
+        across, along = (grown, 300) if along_x else (300, grown)
+        shape.box = kdb.Box(here.left, here.bottom, here.left + across, here.bottom + along)
+        layout.write(str(tmp_path / "seam.oas"))
+        report = drc.check(tmp_path / "seam.oas", tiny_design, engine="polygons", workers=1)
+        counts.append({name: count for name, count in report.violations.items() if count})
+    assert counts[0][rule] == 1
+    assert counts == [counts[0]] * 3
