@@ -1,6 +1,10 @@
 """The paper's library, really built: both phases over the whole circle, well transmitted, as well known as was asked.
 
-Shen et al. 2023, Fig. 2c: silicon on sapphire, height 600 nm, period 350 nm, width and length 100 to 250 nm, 800 nm.
+Shen et al. 2023, Fig. 2c: silicon on sapphire, height 600 nm, period 350 nm, width and length 100 to 250 nm, 800 nm;
+"independent control of the phase of x- and y-polarized incident light over a full 2 pi range with near-unity
+transmittance". We hold the library to that claim but for a wedge of phase pairs that both need more silicon than gaps
+of 100 nm leave: a square of 1.5 rad, which is the only allowance below. "Near-unity" is taken as no worse than the
+bare face of the sapphire.
 """
 
 from __future__ import annotations
@@ -17,6 +21,14 @@ from metafab.library import Library, build_size_table
 from metafab.spec import UnitCell
 
 pytestmark = pytest.mark.slow
+
+#: Side of the wedge, and its share of all pairs of phases.
+WEDGE_RAD = 1.5
+WEDGE = (WEDGE_RAD / (2.0 * math.pi)) ** 2
+#: Distance to which a phase counts as reached.
+REACH_RAD = 0.1
+#: Power that a bare face of sapphire passes: 4 n / (1 + n)^2.
+BARE = 4.0 * 1.7601 / 2.7601**2
 
 
 @pytest.fixture(scope="session")
@@ -40,30 +52,35 @@ def test_both_phases_cover_the_circle(paper_library: Library) -> None:
 
 
 def test_pairs_of_phases_are_covered_but_for_a_wedge(paper_library: Library) -> None:
-    """Arbitrary pairs within 0.1 rad for 95 % of the torus; the farthest pair lies 0.33 rad off (measured)."""
+    """All pairs outside the wedge; nothing in an empty square is farther from its edge than half a side."""
     figures = library.quality(paper_library)
-    assert figures["torus_coverage"] > 0.95
-    assert figures["worst_hole_rad"] < 0.35
+    assert figures["torus_coverage"] >= 1.0 - WEDGE
+    assert figures["worst_hole_rad"] <= 0.5 * WEDGE_RAD
 
 
 def test_transmission_is_high_where_phases_are_chosen(paper_library: Library) -> None:
-    """Sizes of the best overlap pass 89 % of both polarisations' power on average (measured 0.893)."""
+    """As good as the bare face on average, even if nothing passed for pairs in the wedge."""
     figures = library.quality(paper_library)
-    assert figures["mean_transmittance"] > 0.88
-    assert figures["mean_overlap"] > 0.93
+    assert figures["mean_transmittance"] >= (1.0 - WEDGE) * BARE
+    # The overlap is of amplitudes, and a phase off by the reach costs its cosine.
+    assert figures["mean_overlap"] >= (1.0 - WEDGE) * math.sqrt(BARE) * math.cos(REACH_RAD)
 
 
 def test_high_transmission_does_not_hold_for_every_size(paper_library: Library) -> None:
-    """Guided-mode resonances cross the plane of sizes: somewhere |t| nearly vanishes."""
+    """Guided-mode resonances cross the plane of sizes: somewhere less than a hundredth of the power passes."""
     assert np.abs(paper_library.t_xx).min() < 0.1
 
 
 def test_mapped_phases_are_near_their_targets(paper_library: Library) -> None:
-    """Random targets: the rms phase error of the chosen sizes is 0.10 rad (measured), the wedge included."""
+    """Random targets: off by the reach at most outside the wedge, and by the way to its edge inside.
+
+    In a square of side s, the square of the distance to the nearest edge is s^2 / 24 on average.
+    """
     table = build_size_table(paper_library, database_unit_nm=0.5)
     targets = np.random.default_rng(2).uniform(-math.pi, math.pi, (2, 20_000))
     error_rad = wrap_phase(table.phase_error_rad(table.sizes_for(*targets), *targets))
-    assert np.sqrt(np.mean(error_rad**2)) < 0.12
+    bound_rad = math.sqrt((1.0 - WEDGE) * REACH_RAD**2 + WEDGE * WEDGE_RAD**2 / 24.0)
+    assert np.sqrt(np.mean(error_rad**2)) <= bound_rad
 
 
 def test_every_size_is_known_to_the_asked_error(paper_library: Library) -> None:
