@@ -8,6 +8,7 @@ has it open holds a lock that dies with the process; a second build of the same 
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 from collections.abc import Sequence
 from contextlib import suppress
@@ -110,6 +111,9 @@ class Checkpoint:
             try:
                 fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
+                if getattr(multiprocessing.current_process(), "_inheriting", False):
+                    stream.close()
+                    raise _unguarded(path) from None
                 self.waited = True
                 fcntl.flock(stream, fcntl.LOCK_EX)
             except OSError:  # a file system without locks
@@ -146,6 +150,15 @@ def _point(record: list[float]) -> SolvedPoint:
     number, *parts, error, seconds = record
     t_xx, t_yy, r_xx, r_yy = (complex(*parts[k : k + 2]) for k in range(0, 8, 2))
     return SolvedPoint(int(number), (t_xx, t_yy, r_xx, r_yy), error, seconds)
+
+
+def _unguarded(path: Path) -> InputError:
+    """A worker that runs its parent's script again, which multiprocessing itself tells by the same mark.
+
+    It would wait for its parent, and the parent for it.
+    """
+    got, remedy = "a script that its workers run again", 'put its statements under `if __name__ == "__main__":`'
+    return InputError.single(str(path), "checkpoint", "one process at a time", got, remedy)
 
 
 def _refused(path: Path, got: str) -> InputError:

@@ -136,6 +136,26 @@ def test_builds_to_other_targets_do_not_meet(coarse: UnitCell, tmp_path: Path) -
     assert library.load(path).unit_cell.sweep.target_error == 1e-2
 
 
+@pytest.mark.slow
+def test_a_script_without_a_guard_is_told_so_and_does_not_hang(coarse: UnitCell, tmp_path: Path) -> None:
+    """Its workers run it again, to the very checkpoint that their parent holds open: they must not wait for it."""
+    (tmp_path / "cell.toml").write_text(canonical_toml(coarse))
+    script = tmp_path / "unguarded.py"
+    script.write_text(
+        "from pathlib import Path\n"
+        "from metafab import library\n"
+        "from metafab.core.executor import open_executor\n"
+        "from metafab.spec import load_unit_cell\n"
+        "with open_executor(2) as executor:\n"
+        "    library.build_file(load_unit_cell(Path('cell.toml')), Path('library.h5'), executor=executor)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode != 0
+    assert "__main__" in done.stderr
+
+
 def test_libraries_of_another_solver_are_not_current(
     coarse: UnitCell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
