@@ -24,7 +24,7 @@ from metafab.library.rational import Degrees, Range, RationalModel, exponents, f
 WEIGHTS = (2, 3)
 DENOMINATOR_DEGREES = (7, 10, 12)
 LARGEST_DEGREE = 18
-#: Models that are kept: two may agree by chance where few samples are, as in the corners of the box.
+#: Models that are kept at most: two may agree by chance where few samples are, as in the corners of the box.
 MODELS = 3
 #: Unknowns that a fit may have for each equation.
 FILLING = 0.7
@@ -138,7 +138,7 @@ class CornerModel:
 def fit_corner_models(
     samples: CornerSamples, held_out: NDArray[np.bool_], spans_nm: tuple[Range, Range], exchange: bool
 ) -> tuple[CornerModel, ...]:
-    """Try several shapes without the held-out samples, then fit the three best to all, the very best first.
+    """Try several shapes without the held-out samples, then fit the two or three best to all, the very best first.
 
     Args:
         samples: solved cells.
@@ -153,7 +153,9 @@ def fit_corner_models(
         return float(np.sqrt(np.mean(np.abs(predicted - unseen.amplitudes) ** 2)))
 
     ranked = sorted(_candidates(known.width_nm.size * (2 if exchange else 1), samples.axes.shape[1]), key=miss)
-    return tuple(_fit(samples, shape, spans_nm, exchange) for shape in ranked[:MODELS])
+    # The poorest of all is no judge of the best.
+    kept = ranked[: max(2, min(MODELS, len(ranked) - 1))]
+    return tuple(_fit(samples, shape, spans_nm, exchange) for shape in kept)
 
 
 def _candidates(equations: int, variables: int) -> list[Shape]:
