@@ -45,10 +45,15 @@ def library_path(job: Job) -> Path:
     return built if os.access(source.parent, os.W_OK) else job.folder / built.name
 
 
+def library_stands(job: Job) -> bool:
+    """Whether the design's library is there; if not, it is built before anything that needs it."""
+    return job.design.library.suffix == ".h5" or library.is_current(library_path(job), job.design.unit_cell)
+
+
 def open_library(job: Job) -> Library:
     """The design's library, built first when it is missing or was built from another unit cell."""
     path = library_path(job)
-    if job.design.library.suffix != ".h5" and not library.is_current(path, job.design.unit_cell):
+    if not library_stands(job):
         with open_executor(job.workers, job.cluster) as executor:
             return library.build_file(job.design.unit_cell, path, executor=executor, progress=job.progress)
     return library.load(path)

@@ -26,6 +26,8 @@ def layout_command(
     with progress_bars() as progress:
         job = open_job(design, output, workers, cluster, progress)
         if plan:
+            if not steps.library_stands(job):
+                announce([f"no current library of {design}: it is built first, which is no part of the plan"])
             show(mask.plan(job.profile, steps.open_library(job), job.design), json_)
             return
         announce(mask.announcement(job.design))

@@ -116,15 +116,22 @@ class _Figures:
     def __init__(self, pillars: PillarMap, design: Design) -> None:
         self._map = pillars
         self._design = design
-        self._fields: set[tuple[int, int]] = set()
+        across, along = self._field_sites = field_sites(design)
+        rows, columns = pillars.lattice.shape
+        self._shapes_in = np.zeros((-(-rows // along), -(-columns // across)), dtype=np.int64)
+        self._area_in_dbu = np.zeros_like(self._shapes_in)
+        self._size_area_dbu = np.prod(pillars.size_dbu.astype(np.int64), axis=1)
         self._used = np.zeros(len(pillars.size_dbu), dtype=np.int64)
         self.sites = 0
 
     def add(self, tile: PillarTile) -> None:
         """Count the pillars of a tile; tiles lie within a write field."""
-        across, along = field_sites(self._design)
-        self._fields.add((tile.row // along, tile.column // across))
-        self._used += np.bincount(tile.size_index.ravel(), minlength=self._used.size)
+        across, along = self._field_sites
+        field = tile.row // along, tile.column // across
+        used = np.bincount(tile.size_index.ravel(), minlength=self._used.size)
+        self._shapes_in[field] += used[1:].sum()
+        self._area_in_dbu[field] += used @ self._size_area_dbu
+        self._used += used
         self.sites += tile.size_index.size
 
     def summary(self) -> dict[str, Any]:
@@ -143,6 +150,8 @@ class _Figures:
             "distinct_sizes": int(np.count_nonzero(self._used[1:])),
             "area_um2": area * unit_um**2,
             "density": area * unit_um**2 / (pillars * cell_um2) if pillars else 0.0,
+            # Drawn area over that of the whole write field, by rows from the lowest y and columns from the lowest x.
+            "field_density": np.round(self._area_in_dbu * unit_um**2 / self._design.mask.write_field_um**2, 6).tolist(),
         }
         mask, copies = self._design.mask, lens_copies(self._design)
         areas_um2 = [self._area_dbu(copy.bias_dbu) * unit_um**2 for copy in copies]
@@ -155,7 +164,7 @@ class _Figures:
             exposed_um2 = sum(areas_um2)
             if mask.tone == "positive":
                 exposed_um2 = len(copies) * lattice.shape[0] * lattice.shape[1] * cell_um2 - exposed_um2
-            shapes, fields = len(copies) * pillars, len(copies) * len(self._fields)
+            shapes, fields = len(copies) * pillars, len(copies) * int(np.count_nonzero(self._shapes_in))
             figures["exposure"] = write_time(mask.exposure, exposed_um2, shapes, fields)
         return figures
 

@@ -190,6 +190,21 @@ def test_write_time_is_dose_times_area_over_current(tiny: Assignment, tiny_desig
     assert whole == pytest.approx((114 * 0.35) ** 2, rel=1e-12)
 
 
+def test_the_density_map_is_the_covered_share_of_each_write_field(
+    profile: PhaseProfile, smooth_library: Library, tiny_design: Design, tmp_path: Path
+) -> None:
+    """114 sites a side in fields of 50: three by three, the last of each row cut to 14 sites; from arrays alone."""
+    design = _with(tiny_design, write_field_um=17.5)
+    pillars = layout.assign(profile, smooth_library, design).pillars
+    mask.write(pillars, tmp_path, design)
+    told = json.loads((tmp_path / "layout.json").read_text())
+    area_um2 = np.prod(sizes_at_sites(pillars) * UNIT_UM, axis=-1)
+    expected = [[area_um2[i : i + 50, j : j + 50].sum() / 17.5**2 for j in (0, 50, 100)] for i in (0, 50, 100)]
+    # Six decimals are kept.
+    assert np.abs(np.array(told["field_density"]) - expected).max() <= 0.5e-6 + 1e-12
+    assert np.sum(expected) * 17.5**2 == pytest.approx(told["area_um2"], rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("change", "key"),
     [({"mark_um": 13.0}, "mark_um"), ({"mark_line_um": 8.0}, "mark_line_um"), ({"text_um": 12.5}, "text_um"),

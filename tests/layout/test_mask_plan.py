@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from metafab import mask
+from metafab.cli.whole import run_command
 from metafab.layout import Assignment
 from metafab.library import Library
 from metafab.phase.profile import PhaseProfile
+from metafab.run import Outcome
 from metafab.spec import Design
 
 
@@ -42,6 +45,25 @@ def test_a_centimetre_lens_is_planned_from_a_few_tiles_and_oasis_proposed(
     assert plan["bytes"]["gds"] == pytest.approx(64 * plan["pillars"], rel=1e-2)
     assert plan["sampled_tiles"] == 16
     assert "write 'oas'" in plan["advice"][0]
+
+
+def test_a_run_announces_a_large_gdsii_before_its_first_step(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """With a limit of one byte in place of 2^31; the announcement is out when the run begins."""
+    said = []
+
+    def begun(*_: object, **__: object) -> Outcome:
+        said.append(capsys.readouterr().err)
+        return Outcome({}, 0)
+
+    monkeypatch.setattr("metafab.run.run", begun)
+    design = Path(__file__).parents[2] / "layouts" / "helix_small.toml"
+    run_command(design, tmp_path)
+    monkeypatch.setattr(sys.modules[mask.plan.__module__], "GDSII_COMFORT_BYTES", 1)
+    run_command(design, tmp_path)
+    assert said[0] == ""
+    assert "write 'oas'" in said[1]
 
 
 def test_a_large_gdsii_is_announced_from_its_size_alone(small_design: Design) -> None:
