@@ -43,6 +43,13 @@ def at_wavelength(imaging: Imaging, wavelength_um: float) -> Imaging:
     return replace(imaging, wavelength_um=wavelength_um, split_angle_deg=angle_deg, deflection=deflection)
 
 
+def band_ends(imaging: Imaging, filter_fwhm_nm: float) -> tuple[Imaging, Imaging]:
+    """The lens in light of the shortest and of the longest wavelength that a filter lets through."""
+    half_um = 0.5e-3 * filter_fwhm_nm
+    low, high = (at_wavelength(imaging, imaging.wavelength_um + end) for end in (-half_um, half_um))
+    return low, high
+
+
 def band_irradiance(
     monochromatic: Monochromatic,
     imaging: Imaging,

@@ -16,7 +16,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.executor import default_workers
 from metafab.core.progress import Progress, silent
-from metafab.optics.band import band_irradiance
+from metafab.optics.band import band_ends, band_irradiance
 from metafab.optics.imaging import Imaging
 from metafab.optics.lobe import orientation_deg
 from metafab.optics.path import Ray, power_at_aperture
@@ -159,7 +159,12 @@ def psf(
     depths = _checked_depths(depths_m)
     grid = _field_grid(imaging, field_points, field_tangents)
     window = _Window(imaging, window_px, min(0.1 * target_error, 1e-3))
-    pupils, stray_pupil = _reduce(source, window, depths, tangent, grid, target_error, progress)
+    windows = [window]
+    if filter_fwhm_nm is not None:
+        # Blocks and wavelengths share the target.
+        target_error *= 0.5
+        windows += [replace(window, imaging=end) for end in band_ends(imaging, filter_fwhm_nm)]
+    pupils, stray_pupil = _reduce(source, windows, depths, tangent, grid, target_error, progress)
 
     tasks = [(p, tangent) for p in (0, 1)]
     if grid is not None:
@@ -244,15 +249,18 @@ def _field_grid(
 
 def _reduce(
     source: Source,
-    window: _Window,
+    windows: Sequence[_Window],
     depths_m: list[float],
     tangent: Tangent,
     grid: tuple[FloatArray, FloatArray] | None,
     target_error: float,
     progress: Progress,
 ) -> tuple[list[list[Pupil]], Pupil]:
-    """Per polarisation, the pupils of the coarsest two block sizes that keep the target; and y's for x's window."""
-    imaging = window.imaging
+    """Per polarisation, the pupils of the coarsest two block sizes that keep the target; and y's for x's window.
+
+    The first of ``windows`` sets the carriers; the target is kept in all.
+    """
+    imaging = windows[0].imaging
     probes = [tangent]
     if grid is not None:
         probes += [(float(t_x), float(t_y)) for t_x in grid[0][[0, -1]] for t_y in grid[1][[0, -1]]]
@@ -277,6 +285,7 @@ def _reduce(
             ends = sorted({depths_m[0], depths_m[-1]})
             if all(
                 window.irradiance(chosen[p], p, probe, ends)[1].max() <= target_error
+                for window in windows
                 for p in (0, 1)
                 for probe in probes
             ):

@@ -14,28 +14,28 @@ from metafab.optics import direct_irradiance, psf, relative_l2
 from metafab.optics.band import at_wavelength
 from tests import optics_lens as lens
 
-OPTICS = lens.imaging()
+OPTICS = lens.imaging(aperture_um=40.0)
 WINDOW_PX = 16
 
 
 @pytest.mark.parametrize("tangent", [(0.0, 0.0), (0.06, -0.04)])
 def test_a_band_is_the_sum_of_its_wavelengths(tangent: tuple[float, float]) -> None:
-    """Against the direct sum over all sites at 24 Gauss-Legendre wavelengths, on the same pixels.
+    """Against the direct sum over all sites at 16 Gauss-Legendre wavelengths, on the same pixels.
 
-    The image moves 0.55 um a nanometre here, over 6 pixels in 13 nm; the plain sum's own error is that of 24 points
-    for three turns of phase at the highest frequency, below 1e-6.
+    The image moves by some 6 pixels in 13 nm: the integrand turns by 3 turns at the highest frequency, which 16
+    points, exact to degree 31, carry to better than 1e-6.
     """
     source = lens.written(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
     points = lens.window_points(OPTICS, np.array(OPTICS.image_point_um(0, tangent)), WINDOW_PX)
     total: FloatArray = np.zeros(points[0].size)
-    for node, weight in zip(*np.polynomial.legendre.leggauss(24), strict=True):
+    for node, weight in zip(*np.polynomial.legendre.leggauss(16), strict=True):
         there = at_wavelength(OPTICS, OPTICS.wavelength_um + 6.5e-3 * float(node))
         total += 0.5 * weight * direct_irradiance(source, there, 0.9e-3, tangent, *points, 0)
     for target in (1e-2, 1e-3):
         band = psf(
             source, OPTICS, [0.9e-3], tangent=tangent, window_px=WINDOW_PX, target_error=target, filter_fwhm_nm=13.0
         )
-        assert relative_l2(band.psf[0, 0].ravel(), total) <= band.error[0] <= 2.0 * target
+        assert relative_l2(band.psf[0, 0].ravel(), total) <= band.error[0] <= 1.2 * target
         assert band.details["filter_fwhm_nm"] == 13.0
 
 
