@@ -143,7 +143,8 @@ class CellNumerics:
         solver: "rcwa", or "meep" for FDTD in a separate program.
         formulation: rcwa only: "adaptive" coordinates, or plain "fourier" harmonics as an independent check.
         max_orders: rcwa only: most cosines along the longer period before the solver gives up, from 3.
-        steps: rcwa only: how many steps a sloped pillar is cut into; if not given, as many as the target asks for.
+        steps: rcwa only: how many steps a sloped pillar is cut into, an even number, as half as many are solved along;
+            if not given, as many as the target asks for.
     """
 
     target_error: float = 1e-3

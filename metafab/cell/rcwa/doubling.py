@@ -20,6 +20,8 @@ Q F_half^-1 = F_half^-T Q, so that no further inverse is needed:
 
     F_half^T (h(0) - h(d)) = -i Q (e(0) + e(d)),       P (h(0) + h(d)) = i F_half (e(0) - e(d)).
 
+(For layers on each other :mod:`metafab.cell.rcwa.stack` takes the whole slab's matrices instead.)
+
 With outgoing waves on either side these are two equations for two sets of amplitudes. Light from the other side is
 solved along with the light that is asked for. Rounding breaks the reciprocity of the two; where it does no answer is
 given, and the modes are the way.

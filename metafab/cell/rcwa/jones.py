@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -46,8 +46,8 @@ class ZeroOrder:
         transmitted_power: shape (2,), power in all transmitted orders for incident x and y, over the incident power.
         reflected_power: shape (2,), the same for reflection.
         coefficients: unknowns of the largest symmetry class.
-        inconsistency: by how much rounding broke the layer's reciprocity (:mod:`metafab.cell.rcwa.doubling`), as an
-            amplitude; 0 where the modes were used.
+        inconsistency: by how much rounding broke reciprocity (:mod:`metafab.cell.rcwa.doubling`), as an amplitude; 0
+            where the modes were used.
         conditioning: of the worst layer's modes; 0 where none were used.
     """
 
@@ -128,8 +128,9 @@ def axis_orders(cell: PillarCell, orders: int) -> Orders:
 def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adaptive", steps: int = 1) -> ZeroOrder:
     """Jones matrices of ``cell`` with ``orders`` cosines beside the constant along the longer period.
 
-    A sloped pillar is cut into ``steps`` of equal height, each as wide as the pillar is in the middle of it. One BLAS
-    thread is used: on matrices of this size more threads cost time.
+    A sloped pillar is cut into ``steps`` of equal height, each as wide as the pillar is in the middle of it; for the
+    limit of many see :func:`metafab.cell.rcwa.slicing.smooth`. One BLAS thread is used: on matrices of this size more
+    threads cost time.
 
     Raises:
         InputError: light at an angle meets a birefringent substrate of unknown index along z, or comes out of a biaxial
@@ -176,7 +177,19 @@ def shares_of_power(solved: ClassFaces) -> tuple[FloatArray, FloatArray]:
     return gone[0] * over_sent, gone[1] * over_sent
 
 
-def distance(one: ZeroOrder, other: ZeroOrder) -> float:
+class Amplitudes(Protocol):
+    """Whatever has Jones matrices."""
+
+    @property
+    def t(self) -> ComplexArray:
+        """Shape (2, 2), of transmission."""
+
+    @property
+    def r(self) -> ComplexArray:
+        """Shape (2, 2), of reflection."""
+
+
+def distance(one: Amplitudes, other: Amplitudes) -> float:
     """Largest absolute difference of any amplitude."""
     return float(max(np.abs(one.t - other.t).max(), np.abs(one.r - other.r).max()))
 
