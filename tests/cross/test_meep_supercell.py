@@ -76,7 +76,7 @@ def test_a_ramp_deflects_to_its_side_and_moves_with_its_phase(pool: Pool, polari
 def test_rcwa_finds_the_same_orders_and_the_same_coupling(pool: Pool) -> None:
     """Walls on the nodes of both grids, so that errors fall by h^2 and extrapolate: 0.06 on the finer one.
 
-    What is left are the corners' h^1.5 (1e-2, from lone pillars on such grids) and what RCWA states.
+    What is left are the corners' slower power (1e-2, from lone pillars on such grids) and what RCWA states.
     """
     row = _row((100.0, 150.0), (200.0, 200.0), (100.0, 150.0))
     coarse, fine = (solve_supercell(row, "y", SupercellSettings(pixels, 1e-3), pool) for pixels in (14, 28))
