@@ -44,6 +44,7 @@ def lens_name(bias_dbu: int, top: str) -> str:
 
 
 def _bias_tag(bias_dbu: int) -> str:
+    """Tells the cells of corner variants apart; empty without a bias, so that it changes no name."""
     return f"_{'P' if bias_dbu > 0 else 'M'}{abs(bias_dbu):05d}" if bias_dbu else ""
 
 

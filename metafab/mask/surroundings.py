@@ -59,6 +59,7 @@ class _Box:
     top: int
 
     def grown(self, by: int) -> _Box:
+        """The same, each side further out."""
         return _Box(self.left - by, self.bottom - by, self.right + by, self.top + by)
 
 
