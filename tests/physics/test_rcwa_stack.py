@@ -74,6 +74,7 @@ STACKS = {
         SILICON, over=(CAP,), n_substrate=(1.7601, 1.7522), n_substrate_z=1.7601, angle_deg=20.0, azimuth_deg=33.0
     ),
     "Rayleigh anomaly": replace(SILICON, under=(FILM,), over=(CAP,), period_nm=(800.0, 800.0)),
+    "Rayleigh anomaly before": replace(SILICON, under=(FILM,), over=(CAP,), period_nm=(800.0, 800.0), side="ambient"),
     "sloped": replace(SILICON, sidewall_angle_deg=88.0),
     "metal on top": replace(SILICON, over=(Slice(30.0, 0.15 + 3.5j, 1.0),)),
     "0.1 nm of oxide": replace(SILICON, over=(Slice(0.1, 1.45, 1.0),)),

@@ -36,7 +36,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.cell.rcwa.basis import Matrix
-from metafab.cell.rcwa.birefringence import TensorWaves, as_matrices
+from metafab.cell.rcwa.birefringence import TensorWaves, as_matrices, magnetic
 from metafab.cell.rcwa.conditioning import NO_MODES, conditioning
 from metafab.cell.rcwa.doubling import CONSISTENT, Faces, slab
 from metafab.cell.rcwa.eigenmodes import PlaneWaves, layer_modes
@@ -91,7 +91,7 @@ def by_slabs(
     n, count = incident.shape
     passed, largest = [], 0.0
     try:
-        near_h, far_h = h_in @ np.linalg.solve(e_in, incident), h_out @ incident
+        near_h, far_h = magnetic(incoming, incident), h_out @ incident
         u, v, e_lit, h_lit = e_out, h_out, e_out @ incident, -far_h
         with np.errstate(all="ignore"):  # What is not finite is refused below.
             for layer in reversed(layers):
