@@ -10,6 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from metafab import library
 from metafab.cell import CellNumerics
 from metafab.cell.response import CellSolver
 from metafab.core.conventions import ComplexArray, FloatArray
@@ -175,3 +176,12 @@ def test_the_finer_grid_holds_the_sizes_and_numbers_of_its_own(cell: UnitCell, g
     assert (fine.first_number, fine.end_number) == (grid.size, grid.size + fine.grid.size)
     pillar = fine.cell(cell, fine.first_number + fine.grid.width_nm.size + 2)
     assert (pillar.width_nm, pillar.length_nm) == pytest.approx((101.25, 100.625))
+
+
+def test_progress_foresees_no_more_than_it_can_know(cell: UnitCell) -> None:
+    """The first round is all that is foreseen until it has shown how much is left; the end is the number solved."""
+    seen: list[tuple[int, int]] = []
+    built = library.build(cell, solver=ridges.solve, progress=lambda _, done, total: seen.append((done, total)))
+    assert seen[0][1] == rounds.FIRST_ROUND
+    assert all(done <= total for done, total in seen)
+    assert seen[-1] == (built.details["points_solved"],) * 2
