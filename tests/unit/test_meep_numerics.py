@@ -152,7 +152,7 @@ def test_richardson_finds_the_limit_of_its_own_model() -> None:
 def test_richardson_states_an_error_that_covers_other_orders() -> None:
     """Corners of the pillar leave a rest that falls with a lower power than the model's."""
     h = np.array([4.0, 2.0, 4.0 / 3.0, 1.0])
-    for power in (1.5, 2.5, 3.0):
+    for power in (4.0 / 3.0, 1.5, 2.5, 3.0):
         samples = [np.array([1.0 + 0.1 * x**2 + 0.01j * x**power]) for x in h]
         for count in (2, 3, 4):
             found = richardson(h[:count], samples[:count])
