@@ -29,6 +29,8 @@ Tangent = tuple[float, float]
 Monochromatic = Callable[[Imaging, int], tuple[FloatArray, FloatArray]]
 
 _MOST_WAVELENGTHS = 33
+#: Pixels around what can be shifted into the window, over which images fade out.
+_ROLL_OFF_PX = 8
 #: What is left of the change when the number of wavelengths is doubled, for polynomials through Lobatto points.
 _LEFT = 0.25
 
@@ -87,7 +89,8 @@ def band_irradiance(
 
     farthest = max(float(np.abs(shift_um(d)).max()) for d in (-half_um, half_um))
     pad = math.ceil(farthest / imaging.pixel_um) + 2 if farthest > 0.0 else 0
-    side = next_fast_len(window_px + 2 * pad, real=True)
+    side = next_fast_len(window_px + 2 * (pad + _ROLL_OFF_PX), real=True)
+    fade = _fade(side)
     # Turns of the shift's phase over half the band at the highest frequency; the polynomials' degree comes on top.
     beats = farthest / imaging.pixel_um
     detuning, weight = np.polynomial.legendre.leggauss(2 * _MOST_WAVELENGTHS + math.ceil(2.0 * beats))
@@ -102,7 +105,7 @@ def band_irradiance(
             if node not in known:
                 there = at_wavelength(imaging, imaging.wavelength_um + half_um * node)
                 images, error = monochromatic(there, side)
-                known[node] = rfft2(images), error
+                known[node] = rfft2(images * fade), error
         share = BarycentricInterpolator(nodes, np.eye(count))(detuning)
         total = sum(
             known[node][0] * np.einsum("m,mvu->vu", share[:, n], phasor) for n, node in enumerate(nodes.tolist())
@@ -124,6 +127,13 @@ def band_irradiance(
         coarse = fine
     error = np.max([error for _, error in known.values()], axis=0) + left
     return fine, error, count
+
+
+def _fade(side: int) -> FloatArray:
+    """1, falling to 0 over the outermost pixels, so that shifted spectra do not ring: shape (side, side)."""
+    edge = np.sin(0.5 * np.pi * (np.arange(_ROLL_OFF_PX) + 0.5) / _ROLL_OFF_PX) ** 2
+    along = np.concatenate([edge, np.ones(side - 2 * _ROLL_OFF_PX), edge[::-1]])
+    return along[:, None] * along[None, :]
 
 
 def _shift_phasors(side: int, shifts_px: FloatArray) -> ComplexArray:
