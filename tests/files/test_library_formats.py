@@ -99,7 +99,7 @@ def test_an_old_library_written_again_says_the_same(tmp_path: Path) -> None:
     new = library.load(tmp_path / "new.h5")
     assert new.unit_cell == old.unit_cell
     assert np.array_equal(new.t_yy, old.t_yy)
-    assert np.array_equal(new.surface.coefficients, old.surface.coefficients)
+    assert np.array_equal(new.surface.tiles.coefficients, old.surface.tiles.coefficients)
     with h5py.File(tmp_path / "new.h5") as file:
         assert int(file.attrs["format_version"]) == 1
         assert "corners" not in file
