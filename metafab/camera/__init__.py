@@ -7,18 +7,18 @@
 - ``render``    objects to coverage and brightness at each depth
 - ``blur``      a layer through a PSF that varies over the field
 - ``sensor``    noise, dark current, full wells, counts
-- ``capture``   all of it: one exposure
+- ``capture``   all of it: one exposure, or the frames of a film
 - ``store``     raw.h5
 - ``foreign``   TIFF, PNG and NumPy frames
 
 In: a Scene and a Psf, or a file. Out: a RawFrame.
 """
 
-from metafab.camera.capture import capture
+from metafab.camera.capture import capture, film
 from metafab.camera.foreign import load_frame
 from metafab.camera.frame import RawFrame, Truth
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.camera.store import load, save
 
-__all__ = ["ImageMap", "PairKernels", "RawFrame", "Truth", "capture", "load", "load_frame", "save"]
+__all__ = ["ImageMap", "PairKernels", "RawFrame", "Truth", "capture", "film", "load", "load_frame", "save"]

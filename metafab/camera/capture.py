@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +20,8 @@ from metafab.core.errors import InputError
 from metafab.core.progress import Progress, silent
 from metafab.optics.point_spread import Psf
 from metafab.spec.scene import Scene
+
+_MOST_INSTANTS = 32
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class _Window:
 
 
 def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress = silent) -> RawFrame:
-    """One exposure of a scene through the lens.
+    """One exposure of a scene through the lens, the first frame of a film.
 
     Each depth is blurred by its own pair, which varies over the field where ``psf.field`` is present. Layers
     are composed from far to near; the blurred coverage of a nearer one hides what lies behind it, so light is
@@ -60,6 +64,15 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
     Raises:
         InputError: a depth is outside the calibrated range, or the two images overlap.
     """
+    return next(film(dataclasses.replace(scene, frames=1), psf, seed=seed, progress=progress))
+
+
+def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress = silent) -> Iterator[RawFrame]:
+    """The frames of a scene whose objects move: as :func:`capture`, ``scene.frames`` times.
+
+    An exposure in which something moves is the mean of as many instants as it moves pixels (32 at most); its truth is
+    that of the middle of the exposure. Noise differs from frame to frame; textures keep to their objects.
+    """
     seed = scene.seed if seed is None else seed
     kernels = PairKernels(psf)
     image_map = ImageMap.from_psf(psf)
@@ -69,31 +82,65 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
     bottom = min(window.row for window in windows) - margin_y // 2
     right = max(window.column + window.seen.shape[1] for window in windows) + margin_x // 2
     top = max(window.row + window.seen.shape[0] for window in windows) + margin_y // 2
-    mean_e = np.zeros((top - bottom, right - left))
 
-    renderer = Renderer.of(scene, psf.pixel_um / psf.sensor_distance_um, seed)
-    steps = len(windows) * len(scene.objects)
-    blurs: dict[float, tuple[FieldBlur, FieldBlur]] = {}
-    for polarisation, window in enumerate(windows):
-        light = _light(renderer, kernels, window, polarisation, blurs, progress, steps)
-        row = window.row - bottom - margin_y // 2
-        column = window.column - left - margin_x // 2
-        part = (slice(row, row + light.shape[0]), slice(column, column + light.shape[1]))
-        mean_e[part] += light[: mean_e[part].shape[0], : mean_e[part].shape[1]]
+    pixel_tangent = psf.pixel_um / psf.sensor_distance_um
+    still = Renderer.of(scene, pixel_tangent, seed)
+    for number in range(scene.frames):
+        start_s = number * scene.frame_interval_s
+        instants_s = _instants_s(scene, start_s, pixel_tangent)
+        mean_e = np.zeros((top - bottom, right - left))
+        blurs: dict[float, tuple[FieldBlur, FieldBlur]] = {}
+        steps = len(windows) * len(scene.objects) * len(instants_s)
+        for done, time_s in enumerate(instants_s):
+            renderer = Renderer(_moved(scene, time_s), still.textures)
+            for polarisation, window in enumerate(windows):
+                before = (done * len(windows) + polarisation) * len(scene.objects)
+                light = _light(renderer, kernels, window, polarisation, blurs, progress, (before, steps))
+                row = window.row - bottom - margin_y // 2
+                column = window.column - left - margin_x // 2
+                part = (slice(row, row + light.shape[0]), slice(column, column + light.shape[1]))
+                mean_e[part] += light[: mean_e[part].shape[0], : mean_e[part].shape[1]] / len(instants_s)
+        rng = np.random.default_rng(np.random.SeedSequence((seed, 0x0C0FFEE, *((number,) if number else ()))))
+        middle = Renderer(_moved(scene, start_s + 0.5 * scene.exposure_s), still.textures)
+        yield RawFrame(
+            expose(mean_e, scene, rng),
+            psf.pixel_um,
+            (left * psf.pixel_um, bottom * psf.pixel_um),
+            scene.read_noise_e,
+            _truth(middle, windows[0]),
+            (windows[0].column * psf.pixel_um, windows[0].row * psf.pixel_um),
+            (windows[0].row - bottom, windows[0].column - left, *scene.field_px),
+            scene.full_well_e,
+        )
 
-    rng = np.random.default_rng(np.random.SeedSequence((seed, 0x0C0FFEE)))
-    frame = expose(mean_e, scene, rng)
-    truth_origin_um = (windows[0].column * psf.pixel_um, windows[0].row * psf.pixel_um)
-    return RawFrame(
-        frame,
-        psf.pixel_um,
-        (left * psf.pixel_um, bottom * psf.pixel_um),
-        scene.read_noise_e,
-        _truth(renderer, windows[0]),
-        truth_origin_um,
-        (windows[0].row - bottom, windows[0].column - left, *scene.field_px),
-        scene.full_well_e,
-    )
+
+def _moved(scene: Scene, time_s: float) -> Scene:
+    """The scene at a time: what comes nearer looks larger."""
+    if time_s == 0.0 or all(piece.velocity_m_per_s == (0.0, 0.0, 0.0) for piece in scene.objects):
+        return scene
+    objects = []
+    for piece in scene.objects:
+        v_x, v_y, v_z = piece.velocity_m_per_s
+        depth_m = piece.depth_m + v_z * time_s
+        centre = (
+            (piece.centre[0] * piece.depth_m + v_x * time_s) / depth_m,
+            (piece.centre[1] * piece.depth_m + v_y * time_s) / depth_m,
+        )
+        scale = piece.depth_m / depth_m
+        size = (piece.size[0] * scale, piece.size[1] * scale)
+        objects.append(dataclasses.replace(piece, depth_m=depth_m, centre=centre, size=size))
+    return dataclasses.replace(scene, objects=tuple(objects))
+
+
+def _instants_s(scene: Scene, start_s: float, pixel_tangent: float) -> list[float]:
+    """Times that stand for one exposure, equally spaced in it: one if nothing moves by a pixel."""
+    first, last = _moved(scene, start_s), _moved(scene, start_s + scene.exposure_s)
+    away = [
+        math.dist(a.centre, b.centre) + 0.5 * max(abs(a.size[0] - b.size[0]), abs(a.size[1] - b.size[1]))
+        for a, b in zip(first.objects, last.objects, strict=True)
+    ]
+    count = min(_MOST_INSTANTS, max(1, math.ceil(max(away) / pixel_tangent)))
+    return [start_s + scene.exposure_s * (k + 0.5) / count for k in range(count)]
 
 
 def _windows(scene: Scene, psf: Psf, image_map: ImageMap) -> tuple[_Window, _Window]:
@@ -157,7 +204,7 @@ def _light(
     polarisation: int,
     blurs: dict[float, tuple[FieldBlur, FieldBlur]],
     progress: Progress,
-    steps: int,
+    counted: tuple[int, int],
 ) -> FloatArray:
     """Mean electrons of one image with its blur's margin all around: window shape plus kernel shape."""
     scene = renderer.scene
@@ -189,7 +236,7 @@ def _light(
             slice(piece.columns.start, piece.columns.start + spread.shape[1]),
         )
         light[part] = light[part] * (1.0 - np.clip(hidden, 0.0, 1.0)) + spread
-        progress("capture", min(steps, polarisation * len(scene.objects) + done), steps)
+        progress("capture", min(counted[1], counted[0] + done), counted[1])
     return light
 
 

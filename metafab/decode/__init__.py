@@ -13,6 +13,7 @@
 - ``segment``      segments, and the depth of each
 - ``restore``      all-in-focus images
 - ``decoder``      all of it: ``decode`` and, for many frames, ``Decoder``
+- ``video``        a decoder that remembers what has not changed
 - ``pinhole``      calibration of a camera from photographs of a point
 - ``judge``        errors against the truth
 - ``store``        decoded.h5
@@ -24,5 +25,6 @@ from metafab.decode.decoder import Decoder, decode
 from metafab.decode.image import Image4D
 from metafab.decode.pinhole import CameraFit, calibrate, read_depths
 from metafab.decode.store import load, save
+from metafab.decode.video import VideoDecoder
 
-__all__ = ["CameraFit", "Decoder", "Image4D", "calibrate", "decode", "load", "read_depths", "save"]
+__all__ = ["CameraFit", "Decoder", "Image4D", "VideoDecoder", "calibrate", "decode", "load", "read_depths", "save"]

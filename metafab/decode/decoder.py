@@ -21,7 +21,7 @@ from metafab.decode.filters import CrossFilters
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
 from metafab.decode.levels import Levels
-from metafab.decode.reduce import enlarged, reduced, repeated
+from metafab.decode.reduce import enlarged, reduced, repeated, variance_left
 from metafab.decode.restore import Restorer
 from metafab.decode.twins import TwinGrid, Twins, extract
 from metafab.decode.volume import Volume
@@ -33,11 +33,11 @@ _CANDIDATES = 13
 _LAYER_SHARE = 1.0 / 24.0
 #: Side of the narrowest window that says a depth, and how far around a pixel light is let in.
 _WINDOW_PX = 28
-_MARGIN_PX = 40
+MARGIN_PX = 40
 #: How far from an outline a window, through the pair's main parts, still sees it.
 _OUTLINE_REACH_PX = 40
 #: Share of the twins' power that they do not have in common, noise taken off, from which the calibration is doubted.
-_LARGEST_MISMATCH = 0.25
+_LARGEST_MISMATCH = 0.05
 
 
 def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D:
@@ -104,7 +104,7 @@ class Decoder:
             x_window: (row, column, rows, columns) of the x image; without it, all that has its twin in the frame.
         """
         kernels, image_map = PairKernels(psf), ImageMap.from_psf(psf)
-        place = (image_map, frame_shape, origin_um, psf.pixel_um, _MARGIN_PX)
+        place = (image_map, frame_shape, origin_um, psf.pixel_um, MARGIN_PX)
         grid = TwinGrid.find(*place) if x_window is None else TwinGrid.at(*place, x_window)
         if grid is None:
             return None
@@ -121,46 +121,57 @@ class Decoder:
 
     def depth_map(self, frame: RawFrame, *, progress: Progress = silent) -> FloatArray:
         """The depth of each pixel by itself, m, and nothing else: NaN where none is claimed."""
-        seen = self._look(frame)
+        seen = self.look(frame)
         if isinstance(seen, str):
             return np.full(self.calibration.grid.shape, np.nan)
-        pixels = self._pixels(seen, self.filters.volume(seen.small, seen.levels, seen.lit, progress))
+        pixels = self._pixels(seen, self.volume(seen, progress=progress))
         return self._full_depth_m(pixels)
 
     def __call__(self, frame: RawFrame, *, progress: Progress = silent) -> Image4D:
         """Decode one frame."""
         started = time.perf_counter()
-        seen = self._look(frame)
+        seen = self.look(frame)
         if isinstance(seen, str):
             return _empty(self.calibration.grid.shape, frame, seen, started, self.calibration.grid)
-        volume = self.filters.volume(seen.small, seen.levels, seen.lit, progress)
-        pixels = self._pixels(seen, volume)
-        return self._finish(frame, seen, volume, pixels, started)
+        return self.finish(frame, seen, self.volume(seen, progress=progress), started=started)
 
-    def _look(self, frame: RawFrame) -> _Seen | str:
-        """The twins and what is to be seen of them at once, or why there is nothing."""
+    def look(self, frame: RawFrame, levels: Levels | None = None) -> Seen | str:
+        """The twins and what is to be seen of them at once, or why there is nothing.
+
+        Args:
+            frame: of the decoder's shape.
+            levels: of an earlier frame in the same light; measured by default.
+        """
         twins = extract(frame, self.calibration.grid)
         if twins.bad.all():
             return "all pixels are saturated or invalid"
         every, margin = self.filters.every, self.calibration.grid.margin // self.filters.every
         small = np.stack([reduced(image, every) for image in twins.image])
-        levels = Levels.of(small, frame.read_noise_e)
+        levels = Levels.of(small, frame.read_noise_e) if levels is None else levels
         if levels.signal <= 0.0:
             return "there is no light in the frame"
         rows, columns = self.filters.tiling.shape
         inner = small[:, margin : margin + rows, margin : margin + columns]
-        return _Seen(twins, levels, small, inner, inner.sum(axis=0) > _floor(levels))
+        return Seen(twins, levels, small, inner, inner.sum(axis=0) > _floor(levels))
 
-    def _pixels(self, seen: _Seen, volume: Volume) -> PixelDepth:
+    def _pixels(self, seen: Seen, volume: Volume) -> PixelDepth:
         window = round(_WINDOW_PX / self.filters.every) | 1
         mean = np.stack([uniform_filter(image, window) for image in seen.inner])
         variance = np.maximum(mean, 0.0) + seen.levels.read_noise_e**2 + 1e-9 * seen.levels.noise_variance
         pixels = pixel_depth(volume, window, variance)
         reach = _OUTLINE_REACH_PX // self.filters.every
         # The outline of a uniform object has no texture either: what lies behind it would be mixed in.
-        kept = segments.textured_parts(seen.lit, pixels.claimed, reach)
+        kept = segments.textured_parts(seen.lit, self._uneven(seen), reach)
         near = distance_transform_edt(~kept) <= window // 2 if kept.any() else kept
         return PixelDepth(pixels.vergence_per_m, pixels.relative_error, pixels.claimed & near)
+
+    def _uneven(self, seen: Seen) -> NDArray[np.bool_]:
+        """Where the brightness of either image varies over a window by more than its noise."""
+        window = round(_WINDOW_PX / self.filters.every) | 1
+        mean, square = (uniform_filter(part, (0, window, window)) for part in (seen.inner, seen.inner**2))
+        noise = variance_left(self.filters.every) * (np.maximum(mean, 0.0) + seen.levels.read_noise_e**2)
+        # The mean square of n nearly independent deviations is 1 +- sqrt(2 / n) of their variance.
+        return np.asarray((square - mean**2 > noise * (1.0 + 6.0 * np.sqrt(2.0) / window)).any(axis=0))
 
     def _full_depth_m(self, pixels: PixelDepth) -> FloatArray:
         """Depth on the frame's pixels, NaN where none is claimed."""
@@ -170,35 +181,44 @@ class Decoder:
         depth_m[~repeated(pixels.claimed, every, shape)] = np.nan
         return depth_m
 
-    def _finish(self, frame: RawFrame, seen: _Seen, volume: Volume, pixels: PixelDepth, started: float) -> Image4D:
+    def volume(
+        self,
+        seen: Seen,
+        changed: NDArray[np.bool_] | None = None,
+        last: Volume | None = None,
+        progress: Progress = silent,
+    ) -> Volume:
+        """Agreement of the twins over depth; with ``last``, that is kept in tiles where nothing ``changed``."""
+        where = seen.lit if last is None or changed is None else changed
+        return self.filters.volume(seen.small, seen.levels, where, progress, last)
+
+    def finish(
+        self,
+        frame: RawFrame,
+        seen: Seen,
+        volume: Volume,
+        changed: NDArray[np.bool_] | None = None,
+        last: Image4D | None = None,
+        *,
+        started: float | None = None,
+    ) -> Image4D:
+        """Depth, segments and sharp images; with ``last``, its brightness is kept where nothing ``changed``."""
+        started = time.perf_counter() if started is None else started
+        pixels = self._pixels(seen, volume)
         every, shape = self.filters.every, self.calibration.grid.shape
-        candidates = volume.vergences_per_m
-        separation = float(candidates[-1] - candidates[0]) * _LAYER_SHARE
-        layers = segments.depth_layers(pixels, separation)
-        found: list[segments.SegmentDepth] = []
-        small = np.zeros(volume.parts.shape[-2:], dtype=np.int32)
-        unseen = np.zeros(small.shape, dtype=bool)
-        if layers.size:
-            layer = segments.assign(volume, layers, pixels, separation, every)
-            parts = segments.split(layer, seen.lit, _WINDOW_PX, every)
-            for number in range(1, int(parts.max(initial=0)) + 1):
-                mask = parts == number
-                depth = segments.segment_depth(volume, mask, every)
-                textured = segments.textured(mask, pixels.claimed, _OUTLINE_REACH_PX // every)
-                if textured and depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0:
-                    found.append(depth)
-                    small[mask] = len(found)
-                elif not textured:
-                    unseen |= mask
-        near = segments.grown(small, _WINDOW_PX / every)
-        if unseen.any():
-            away = distance_transform_edt(~unseen)
-            near[(away <= _WINDOW_PX / every) & (small == 0)] = 0
+        layers, found, small, near = self._segments(seen, volume, pixels)
         segment = repeated(near, every, shape)
         wide = segments.grown(small, float(sum(small.shape))) if found else np.ones_like(small)
         wide = np.where(binary_dilation(seen.lit, iterations=2), wide, 0)
-        vergences = np.array([depth.vergence_per_m for depth in found] or [float(np.median(candidates))])
-        images = self.restorer(seen.twins.image, seen.levels, repeated(wide, every, shape), vergences)
+        vergences = np.array([depth.vergence_per_m for depth in found] or [float(np.median(volume.vergences_per_m))])
+        label = repeated(wide, every, shape)
+        if last is not None and changed is not None:
+            anew = repeated(changed, every, shape)
+            images = self.restorer(seen.twins.image, seen.levels, np.where(anew, label, 0), vergences)
+            for sharp, before in zip(images, (last.intensity_x, last.intensity_y), strict=True):
+                np.copyto(sharp, before, where=~anew, casting="same_kind")
+        else:
+            images = self.restorer(seen.twins.image, seen.levels, label, vergences)
         lit = _lit(images, seen.levels) & ~seen.twins.bad
         segment = np.where(lit, segment, 0).astype(np.int32)
         claimed = pixels.claimed & (near > 0)
@@ -216,7 +236,7 @@ class Decoder:
         np.divide(images[0], images[1], out=contrast, where=lit & (images[1] > 0.0))
         mismatch = _mismatch(volume, seen, small, found)
         details: dict[str, float | str] = {
-            "layers": float(layers.size),
+            "layers": float(layers),
             "tiles": float(self.filters.tiling.n_tiles),
             "step_px": float(every),
             "pixels": float(lit.size),
@@ -224,11 +244,13 @@ class Decoder:
             "pixels_without_texture": float((lit & ~known).sum()),
             "pixels_broken": float(seen.twins.bad.sum()),
         }
-        if mismatch is not None:
+        if mismatch is None:
+            details["warning"] = "the twins agree at no depth: no texture, or another camera's calibration"
+        else:
             details["twin_mismatch"] = mismatch
             if mismatch > _LARGEST_MISMATCH:
                 details["warning"] = (
-                    f"the twins differ by {mismatch:.0%} of their power at best: is this the camera's calibration?"
+                    f"the twins differ by {mismatch:.0%} of their power: is this the camera's calibration?"
                 )
         image = Image4D(
             images[0].astype(np.float64),
@@ -245,9 +267,39 @@ class Decoder:
         )
         return judged(image, frame, seconds=time.perf_counter() - started)
 
+    def _segments(
+        self, seen: Seen, volume: Volume, pixels: PixelDepth
+    ) -> tuple[int, list[segments.SegmentDepth], NDArray[np.int32], NDArray[np.int32]]:
+        """Number of layers, depth of each segment, the segments, and those grown over their outlines' pixels."""
+        every = self.filters.every
+        candidates = volume.vergences_per_m
+        separation = float(candidates[-1] - candidates[0]) * _LAYER_SHARE
+        layers = segments.depth_layers(pixels, separation)
+        found: list[segments.SegmentDepth] = []
+        small = np.zeros(volume.parts.shape[-2:], dtype=np.int32)
+        unseen = np.zeros(small.shape, dtype=bool)
+        if layers.size:
+            layer = segments.assign(volume, layers, pixels, separation, every)
+            parts = segments.split(layer, seen.lit, _WINDOW_PX, every)
+            uneven = self._uneven(seen)
+            for number in range(1, int(parts.max(initial=0)) + 1):
+                mask = parts == number
+                depth = segments.segment_depth(volume, mask, every)
+                textured = segments.textured(mask, uneven, _OUTLINE_REACH_PX // every)
+                if textured and depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0:
+                    found.append(depth)
+                    small[mask] = len(found)
+                elif not textured:
+                    unseen |= mask
+        near = segments.grown(small, _WINDOW_PX / every)
+        if unseen.any():
+            away = distance_transform_edt(~unseen)
+            near[(away <= _WINDOW_PX / every) & (small == 0)] = 0
+        return layers.size, found, small, near
+
 
 @dataclass(frozen=True)
-class _Seen:
+class Seen:
     """A frame at first sight.
 
     Attributes:
@@ -284,9 +336,7 @@ def _row(
     }
 
 
-def _mismatch(
-    volume: Volume, seen: _Seen, small: NDArray[np.int32], found: list[segments.SegmentDepth]
-) -> float | None:
+def _mismatch(volume: Volume, seen: Seen, small: NDArray[np.int32], found: list[segments.SegmentDepth]) -> float | None:
     """Share of the twins' power that is neither common to both nor noise, over all segments; None without any."""
     if not found:
         return None

@@ -82,7 +82,14 @@ class CrossFilters:
         """Memory of the filters."""
         return self.bank.nbytes + self.power.nbytes
 
-    def volume(self, images: NDArray[np.float32], levels: Levels, lit: NDArray[np.bool_], progress: Progress) -> Volume:
+    def volume(
+        self,
+        images: NDArray[np.float32],
+        levels: Levels,
+        lit: NDArray[np.bool_],
+        progress: Progress,
+        last: Volume | None = None,
+    ) -> Volume:
         """Agreement of the twins at each candidate depth.
 
         Args:
@@ -90,10 +97,12 @@ class CrossFilters:
             levels: noise and texture of the frame.
             lit: shape of the tiling's window, where there is light: other tiles are left out.
             progress: called after each candidate.
+            last: agreement that is kept where no tile is lit.
         """
         tiling = self.tiling
         weight = self._weight(levels)
         tiles = tiling.touched(lit)
+        held = ~tiling.covered(tiles)
         spectra = np.stack([scipy.fft.rfft2(tiling.cut(image, tiles), workers=2) for image in images]) * weight
         parts = np.empty((3, self.vergences_per_m.size, *tiling.shape), dtype=np.float32)
         for index, filters in enumerate(self.bank):
@@ -102,6 +111,8 @@ class CrossFilters:
             np.multiply(first, second, out=parts[0, index])
             np.multiply(first, first, out=parts[1, index])
             np.multiply(second, second, out=parts[2, index])
+            if last is not None:
+                np.copyto(parts[:, index], last.parts[:, index], where=held)
             progress("decode", index + 1, self.vergences_per_m.size)
         ky, kx = _frequencies(tiling, self.every)
         left = passband(self.every, ky)[:, None] * passband(self.every, kx)[None, :]

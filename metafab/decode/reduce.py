@@ -36,6 +36,11 @@ def passband(every: int, frequency: FloatArray) -> FloatArray:
     return np.asarray(np.tensordot(taps, np.cos(2.0 * np.pi * away.reshape(-1, *[1] * frequency.ndim) * frequency), 1))
 
 
+def variance_left(every: int) -> float:
+    """Variance of a reduced pixel per variance of white noise in the image."""
+    return float(np.sum(_taps(every).astype(np.float64) ** 2) ** 2)
+
+
 def _taps(every: int) -> NDArray[np.float32]:
     if every == 1:
         return np.ones(1, dtype=np.float32)

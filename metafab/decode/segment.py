@@ -169,7 +169,7 @@ def textured(region: NDArray[np.bool_], claimed: NDArray[np.bool_], reach: int) 
 
     Args:
         region: lit pixels that belong together.
-        claimed: where windows show texture.
+        claimed: where the brightness shows texture.
         reach: how far a window sees an outline, pixels.
     """
     inner = binary_erosion(region, iterations=reach)

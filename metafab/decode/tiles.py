@@ -99,3 +99,10 @@ class Tiling:
         whole = np.zeros((rows * n_y, columns * n_x), dtype=bool)
         whole[: self.shape[0], : self.shape[1]] = mask
         return np.flatnonzero(whole.reshape(rows, n_y, columns, n_x).any(axis=(1, 3)))
+
+    def covered(self, tiles: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """The pixels in the cores of some tiles, the window's shape."""
+        chosen = np.zeros(self.n_tiles, dtype=bool)
+        chosen[tiles] = True
+        whole = chosen.reshape(self.counts).repeat(self.core[0], axis=0).repeat(self.core[1], axis=1)
+        return whole[: self.shape[0], : self.shape[1]]

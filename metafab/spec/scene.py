@@ -30,6 +30,9 @@ class SceneObject:
     polarisation_contrast: Annotated[Positive, Field(description="I_x / I_y")] = 1.0
     texture: Literal["uniform", "fractal", "checker", "image"] = "fractal"
     texture_contrast: Annotated[Fraction, Field(description="rms over mean")] = 0.25
+    velocity_m_per_s: Annotated[
+        tuple[Real, Real, Real], Field(description="along x, y and away from the lens; the first frame starts in place")
+    ] = (0.0, 0.0, 0.0)
     texture_file: Annotated[Path | None, Field(description="picture of an object with the texture 'image'")] = None
 
     @model_validator(mode="after")
@@ -60,6 +63,9 @@ class Scene:
     bit_depth: Annotated[
         int | None, Field(strict=True, ge=1, le=16, description="bits of a count; needs the full well")
     ] = None
+    frames: Annotated[int, Field(strict=True, ge=1, description="of a film; `metafab capture --frames`")] = 1
+    frame_interval_s: Annotated[Positive, Field(description="from the start of one frame to that of the next")] = 0.04
+    exposure_s: Annotated[NonNegative, Field(description="what moves in this time is blurred; 0 for a flash")] = 0.0
     background: Annotated[Fraction, Field(description="brightness behind all objects")] = 0.0
     field_px: Annotated[
         tuple[Annotated[int, Field(strict=True, ge=8)], Annotated[int, Field(strict=True, ge=8)]],
@@ -71,4 +77,13 @@ class Scene:
     def _counts(self) -> Scene:
         if self.full_well_e is None and (self.bit_depth is not None or self.hot_pixels > 0.0):
             raise ValueError("`bit_depth` and `hot_pixels` need `full_well_e`")
+        return self
+
+    @model_validator(mode="after")
+    def _times(self) -> Scene:
+        if self.exposure_s > self.frame_interval_s:
+            raise ValueError("`exposure_s` must not be longer than `frame_interval_s`")
+        end_s = (self.frames - 1) * self.frame_interval_s + self.exposure_s
+        if any(piece.depth_m + end_s * piece.velocity_m_per_s[2] <= 0.0 for piece in self.objects):
+            raise ValueError("`velocity_m_per_s` takes an object through the lens before the last frame's end")
         return self

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from metafab.camera import capture
-from metafab.decode import decode
+from metafab.decode import Decoder, decode
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
@@ -92,3 +94,38 @@ def test_hot_pixels_are_bridged(psf: Psf) -> None:
     # Between the pixels that are left out, as without them: three standard errors.
     assert image.nmae == pytest.approx(0.0, abs=5e-3)
     assert image.details["share_decoded"] > 0.97
+
+
+def test_the_outline_of_a_uniform_object_claims_nothing(psf: Psf) -> None:
+    """A bright edge on black shows its blur, but the object shows no texture to tell one depth from two."""
+    flat = SceneObject(depth_m=0.003, size=(0.18, 0.18), texture="uniform")
+    image = decode(capture(Scene(objects=(flat,), seed=7, field_px=(150, 150)), psf), psf)
+    assert not np.isfinite(image.depth_m).any()
+    assert image.depth_pixel_m is not None
+    assert not np.isfinite(image.depth_pixel_m).any()
+    assert "no texture" in str(image.details["warning"])
+
+
+def test_a_wrong_calibration_is_said(psf: Psf, field_psf: Psf) -> None:
+    """The right one leaves noise; kernels moved by 2 pixels, or of unequal sharpness, leave more or no agreement."""
+    frame = capture(Scene(objects=(plane(0.0029),), seed=5), psf)
+    assert "warning" not in decode(frame, psf).details
+    assert decode(frame, psf).details["twin_mismatch"] < 0.02
+    swapped = dataclasses.replace(psf, psf=psf.psf[::-1].copy())
+    turned = dataclasses.replace(psf, psf=np.swapaxes(psf.psf, 2, 3).copy())
+    for wrong in (swapped, turned):
+        assert "calibration" in str(decode(frame, wrong).details["warning"])
+
+
+def test_the_filters_say_what_they_hold(psf: Psf) -> None:
+    frame = capture(Scene(objects=(plane(0.0029),), seed=5), psf)
+    decoder = Decoder.of(psf, frame.frame.shape, frame.origin_um, frame.x_window)
+    assert decoder is not None
+    before = decoder.nbytes
+    first, second = decoder(frame), decoder(frame)
+    np.testing.assert_array_equal(first.depth_m, second.depth_m)  # a decoder has no memory of frames
+    assert decoder.nbytes > before  # but of the transfer functions that it sharpened with
+    depth_m = decoder.depth_map(frame)
+    both = np.isfinite(depth_m) & np.isfinite(np.asarray(first.depth_pixel_m))
+    assert both.sum() > 5000
+    np.testing.assert_array_equal(depth_m[both], np.asarray(first.depth_pixel_m)[both])
