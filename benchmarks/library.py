@@ -147,7 +147,7 @@ def _spent() -> Iterator[Spent]:
     with measured() as cost:
         yield spent
     spent.seconds = cost.seconds
-    spent.peak_rss_mb = max(cost.peak_rss_mb, cost.worker_peak_rss_mb)
+    spent.peak_rss_mb = cost.peak_rss_mb
     spent.cpu_seconds = _cpu_seconds() - before
 
 
