@@ -60,7 +60,7 @@ def band_irradiance(
     filter_fwhm_nm: float,
     window_px: int,
     target_error: float,
-) -> tuple[FloatArray, FloatArray, int]:
+) -> tuple[FloatArray, FloatArray]:
     """Irradiance in the light of a filter about the image point of its middle wavelength.
 
     Args:
@@ -73,8 +73,8 @@ def band_irradiance(
         target_error: wavelengths are doubled until the interpolation between them keeps to it.
 
     Returns:
-        Images, shape (n_depth, n, n); their errors (relative L2), of the depths that ``monochromatic`` judges:
-        the largest of any wavelength and the interpolation's; and the number of wavelengths.
+        Images, shape (n_depth, n, n), and their errors (relative L2), of the depths that ``monochromatic`` judges:
+        the largest of any wavelength and the interpolation's.
 
     Raises:
         InputError: pixels too large for the images to be shifted by less than one.
@@ -95,7 +95,10 @@ def band_irradiance(
     beats = farthest / imaging.pixel_um
     detuning, weight = np.polynomial.legendre.leggauss(2 * _MOST_WAVELENGTHS + math.ceil(2.0 * beats))
     shifts = np.array([shift_um(half_um * float(d)) for d in detuning])
-    phasor = _shift_phasors(side, shifts / imaging.pixel_um) * (0.5 * weight)[:, None, None]
+    along_y, along_x = (
+        np.exp(-2j * np.pi * np.outer(shifts[:, axis] / imaging.pixel_um, frequency))
+        for axis, frequency in ((1, np.fft.fftfreq(side)), (0, np.fft.rfftfreq(side)))
+    )
 
     known: dict[float, tuple[ComplexArray, FloatArray]] = {}
 
@@ -106,10 +109,9 @@ def band_irradiance(
                 there = at_wavelength(imaging, imaging.wavelength_um + half_um * node)
                 images, error = monochromatic(there, side)
                 known[node] = rfft2(images * fade), error
-        share = BarycentricInterpolator(nodes, np.eye(count))(detuning)
-        total = sum(
-            known[node][0] * np.einsum("m,mvu->vu", share[:, n], phasor) for n, node in enumerate(nodes.tolist())
-        )
+        share = 0.5 * weight[:, None] * BarycentricInterpolator(nodes, np.eye(count))(detuning)
+        mean_shifts = [(along_y * column[:, None]).T @ along_x for column in share.T]
+        total = sum(known[node][0] * mean for node, mean in zip(nodes.tolist(), mean_shifts, strict=True))
         start = side // 2 - window_px // 2
         inside = slice(start, start + window_px)
         return np.asarray(irfft2(total, (side, side))[:, inside, inside])
@@ -126,21 +128,14 @@ def band_irradiance(
             break
         coarse = fine
     error = np.max([error for _, error in known.values()], axis=0) + left
-    return fine, error, count
+    return fine, error
 
 
 def _fade(side: int) -> FloatArray:
     """1, falling to 0 over the outermost pixels, so that shifted spectra do not ring: shape (side, side)."""
     edge = np.sin(0.5 * np.pi * (np.arange(_ROLL_OFF_PX) + 0.5) / _ROLL_OFF_PX) ** 2
     along = np.concatenate([edge, np.ones(side - 2 * _ROLL_OFF_PX), edge[::-1]])
-    return along[:, None] * along[None, :]
-
-
-def _shift_phasors(side: int, shifts_px: FloatArray) -> ComplexArray:
-    """exp(-2 pi i f . s) of each shift (n, 2) on the real transform's frequencies: (n, side, side // 2 + 1)."""
-    along_x = np.exp(-2j * np.pi * shifts_px[:, 0, None] * np.fft.rfftfreq(side))
-    along_y = np.exp(-2j * np.pi * shifts_px[:, 1, None] * np.fft.fftfreq(side))
-    return np.asarray(along_y[:, :, None] * along_x[:, None, :])
+    return np.outer(along, along)
 
 
 def _require_fine_pixels(imaging: Imaging, polarisation: int, tangent: Tangent) -> None:

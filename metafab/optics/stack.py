@@ -100,7 +100,7 @@ class _Window:
 
         return band_irradiance(
             monochromatic, self.imaging, polarisation, tangent, filter_fwhm_nm, self.window_px, target_error
-        )[:2]
+        )
 
     def stray_irradiance(
         self, pupil: Pupil, polarisation: int, tangent: Tangent, depths_m: Sequence[float]
