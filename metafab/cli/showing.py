@@ -25,7 +25,7 @@ def report_command(
 
 @app.command("benchmark")
 def benchmark_command(
-    room: Annotated[str, typer.Argument(help="cell, library, layout, drc, psf, decode, or all.")] = "all",
+    room: Annotated[str, typer.Argument(help="A room, end_to_end, or all.")] = "all",
     output: Output = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
     json_: Json = False,

@@ -20,7 +20,8 @@ class Cost:
 
     Attributes:
         seconds: wall clock.
-        peak_rss_mb: largest resident set of this process inside the block (on Linux; elsewhere since its start).
+        peak_rss_mb: largest resident set of any one process inside the block: of this one (on Linux; elsewhere since
+            its start), or of a worker that ended in the block, if it was larger than all that ended before.
     """
 
     seconds: float = 0.0
@@ -32,12 +33,15 @@ def measured() -> Iterator[Cost]:
     """Measure a block; the yielded :class:`Cost` is filled in when the block ends."""
     cost = Cost()
     _reset_peak()
+    workers_mb = _workers_peak_mb()
     start = time.perf_counter()
     try:
         yield cost
     finally:
         cost.seconds = time.perf_counter() - start
         cost.peak_rss_mb = peak_rss_mb()
+        if _workers_peak_mb() > workers_mb:
+            cost.peak_rss_mb = max(cost.peak_rss_mb, _workers_peak_mb())
 
 
 def peak_rss_mb() -> float:
@@ -47,6 +51,11 @@ def peak_rss_mb() -> float:
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * 1024 / 1e6
     return _megabytes(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+
+
+def _workers_peak_mb() -> float:
+    """Largest resident set of all processes that this one has waited for."""
+    return _megabytes(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 
 
 def _reset_peak() -> None:

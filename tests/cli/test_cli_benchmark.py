@@ -12,7 +12,9 @@ from typer.testing import CliRunner
 
 from metafab import benchmark
 from metafab.cli.app import app
-from tests.main_job import metafab
+from metafab.core.errors import MissingToolError
+from metafab.spec import load_design
+from tests.main_job import SMALL, metafab
 
 
 def test_all_runs_every_room_and_writes_one_page(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -41,6 +43,37 @@ def test_all_runs_every_room_and_writes_one_page(monkeypatch: pytest.MonkeyPatch
 @pytest.mark.parametrize("room", benchmark.ROOMS)
 def test_every_room_has_a_benchmark(room: str) -> None:
     assert callable(benchmark._load(room).rows)
+
+
+def test_a_room_without_its_tools_says_so_and_the_others_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    def rows(quick: bool) -> list[dict[str, Any]]:
+        raise MissingToolError("no interpreter has Meep")
+
+    row = {"name": "one", "error": 1e-3, "seconds": 1.0, "peak_rss_mb": 1.0}
+    rooms = {room: SimpleNamespace(rows=lambda quick: [row]) for room in benchmark.ROOMS}
+    monkeypatch.setattr(benchmark, "_load", (rooms | {"meep": SimpleNamespace(rows=rows)}).__getitem__)
+    table = benchmark.rows_of("all")
+    assert len(table) == len(benchmark.ROOMS)
+    assert [row["name"] for row in table if row["seconds"] is None] == ["not run: no interpreter has Meep"]
+    with pytest.raises(MissingToolError):
+        benchmark.rows_of("meep")
+
+
+def test_the_scaled_camera_turns_as_the_small_one() -> None:
+    """Defocus over the rim, R^2 / lambda (1/z - 1/z0), keeps its value at every depth, and so do pixels."""
+    module = benchmark._load("end_to_end")
+    small = load_design(SMALL)
+    large = module.scaled(small, 2000.0)
+    for before, after in zip(small.verify.depths_m, large.verify.depths_m, strict=True):
+        defocus = [
+            design.device.aperture_um**2 * (1.0 / z - 1.0 / design.sensor.focus_depth_m)
+            for design, z in ((small, before), (large, after))
+        ]
+        assert defocus[0] == pytest.approx(defocus[1])
+    assert large.scene is not None and small.scene is not None
+    for before_object, after_object in zip(small.scene.objects, large.scene.objects, strict=True):
+        for a, b in zip(before_object.size, after_object.size, strict=True):
+            assert a * small.device.focal_length_mm == pytest.approx(b * large.device.focal_length_mm)
 
 
 @pytest.mark.slow

@@ -1,0 +1,71 @@
+"""The main job from design file to report: seconds and peak memory of each step, as the aperture grows.
+
+The small camera scaled: the focal length grows with the aperture and the depths with its square, so that the zones
+turn by the same angle, the images keep their pixels, and only the number of pillars changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from metafab.run import run
+from metafab.spec import Design, load_design
+
+SMALL = Path(__file__).parent.parent / "layouts" / "helix_small.toml"
+QUICK_UM, FULL_UM = (100.0, 200.0), (100.0, 200.0, 500.0, 1000.0, 2000.0)
+
+
+def rows(quick: bool) -> list[dict[str, Any]]:
+    """A row a step and one for the whole: ``error`` of the whole is the decoded depths' mean |dz| / z.
+
+    Args:
+        quick: apertures to 0.2 mm only.
+    """
+    small = load_design(SMALL)
+    return [row for aperture_um in (QUICK_UM if quick else FULL_UM) for row in _job(scaled(small, aperture_um))]
+
+
+def scaled(design: Design, aperture_um: float) -> Design:
+    """The same camera at another aperture."""
+    share = aperture_um / design.device.aperture_um
+    depth, angle = share**2, 1.0 / share
+    scene = design.scene
+    assert scene is not None  # the small camera has one
+    objects = tuple(
+        replace(
+            item,
+            depth_m=depth * item.depth_m,
+            centre=(angle * item.centre[0], angle * item.centre[1]),
+            size=(angle * item.size[0], angle * item.size[1]),
+        )
+        for item in scene.objects
+    )
+    return replace(
+        design,
+        name=f"helix_{aperture_um:g}um",
+        device=replace(design.device, aperture_um=aperture_um, focal_length_mm=share * design.device.focal_length_mm),
+        sensor=replace(design.sensor, focus_depth_m=depth * design.sensor.focus_depth_m),
+        verify=replace(design.verify, depths_m=tuple(depth * z for z in design.verify.depths_m)),
+        scene=replace(scene, objects=objects),
+    )
+
+
+def _job(design: Design) -> Iterator[dict[str, Any]]:
+    with TemporaryDirectory() as folder:
+        summary = run(design, Path(folder)).summary
+    shared = {"aperture_um": design.device.aperture_um, "pillars": summary["layout"]["pillars"]}
+    title = f"{design.device.aperture_um / 1000.0:g} mm"
+    for step, seconds in summary["seconds"].items():
+        memory = summary["peak_rss_mb"][step]
+        yield {"name": f"{title}: {step}", "error": None, "seconds": seconds, "peak_rss_mb": memory, **shared}
+    yield {
+        "name": f"{title}: whole",
+        "error": summary["decode"]["nmae"],
+        "seconds": sum(summary["seconds"].values()),
+        "peak_rss_mb": max(summary["peak_rss_mb"].values()),
+        **shared,
+    }
