@@ -66,8 +66,10 @@ def _accounts(run: RunFolder) -> Iterator[Plan]:
     chain, budget, seconds = chain_of(run), budget_of(run), seconds_of(run)
     if chain:
         yield _bars("loss_chain", "Loss chain", partial(figures.loss_chain, chain), len(chain))
-    if budget:
-        shown = [line for line in budget if line[1] > 0.0]
+    units = [unit for _, value, unit in budget if value > 0.0]
+    if units:
+        # Bars compare lengths, so they stand for one unit only, the commonest; the table has every line.
+        shown = [line for line in budget if line[1] > 0.0 and line[2] == max(units, key=units.count)]
         yield _bars("error_budget", "Error budget", partial(figures.error_budget, shown), len(shown))
     if seconds:
         yield _bars("seconds", "Seconds of each step", partial(figures.seconds, seconds), len(seconds))

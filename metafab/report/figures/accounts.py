@@ -26,15 +26,15 @@ def loss_chain(stages: Sequence[tuple[str, float]], axes: Axes) -> Axes:
 
 
 def error_budget(lines: Sequence[tuple[str, float, str]], axes: Axes) -> Axes:
-    """Each line of the budget on a logarithmic scale: (source, value above 0, unit)."""
+    """Lines of the budget that share a unit, on a logarithmic scale: (source, value above 0, unit)."""
     values = [value for _, value, _ in lines]
-    labels = [f"{value:.2g} {unit}" for _, value, unit in lines]
+    labels = [f"{value:.2g}" for value in values]
     _bars([source for source, _, _ in lines], values, axes, X_COLOUR, labels)
     axes.set_xscale("log")
     axes.xaxis.set_minor_formatter(NullFormatter())
     if values:
         axes.set_xlim(min(values) / 3.0, max(values) * 1.5)
-    return dress(axes, "error, each in its unit", "", "Error budget")
+    return dress(axes, f"error / {lines[0][2]}" if lines else "", "", "Error budget")
 
 
 def seconds(step_seconds: Mapping[str, float], axes: Axes) -> Axes:
