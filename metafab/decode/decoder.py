@@ -56,7 +56,8 @@ def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D
         The image on the geometric image grid of the x polarisation. ``nmae`` is the mean of |z - z_true| /
         z_true over pixels with a decoded and a true depth, with the segments' depths. ``details`` has
         ``seconds``, ``nmae_pixel`` (each pixel's own depth), ``share_decoded`` (of the pixels with a true
-        depth) and what was skipped.
+        depth), ``twin_mismatch`` (share of the twins' power that neither noise nor depth explains), what was
+        skipped, and a ``warning`` where the calibration does not seem to be the camera's.
     """
     started = time.perf_counter()
     values = np.asarray(frame.frame)

@@ -141,7 +141,7 @@ def segment_depth(volume: Volume, mask: NDArray[np.bool_], every: int) -> Segmen
     nodes = volume.vergences_per_m
     if not np.isfinite(agreement).all() or agreement.max() <= 0.0:
         return SegmentDepth(float(nodes[nodes.size // 2]), np.inf, 0.0, 0.0)
-    spline = make_interp_spline(nodes, agreement, k=min(5, nodes.size - 1) | 1 if nodes.size > 3 else 2)
+    spline = make_interp_spline(nodes, agreement, k=min(5, nodes.size - 1))
     fine = np.linspace(nodes[0], nodes[-1], _FINE * (nodes.size - 1) + 1)
     values = spline(fine)
     best = int(np.clip(values.argmax(), 1, fine.size - 2))

@@ -63,7 +63,7 @@ class Scene:
     bit_depth: Annotated[
         int | None, Field(strict=True, ge=1, le=16, description="bits of a count; needs the full well")
     ] = None
-    frames: Annotated[int, Field(strict=True, ge=1, description="of a film; `metafab capture --frames`")] = 1
+    frames: Annotated[int, Field(strict=True, ge=1, description="of a film (metafab.camera.film)")] = 1
     frame_interval_s: Annotated[Positive, Field(description="from the start of one frame to that of the next")] = 0.04
     exposure_s: Annotated[NonNegative, Field(description="what moves in this time is blurred; 0 for a flash")] = 0.0
     background: Annotated[Fraction, Field(description="brightness behind all objects")] = 0.0
