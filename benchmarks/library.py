@@ -97,7 +97,8 @@ def _evaluation(built: Library, quick: bool) -> dict[str, Any]:
     """Continuous evaluation of random sizes: ``error`` is the largest that the library states for them."""
     count = SIZES // 10 if quick else SIZES
     axes = (built.width_nm, built.length_nm)
-    sizes_nm = [np.random.default_rng(6).uniform(axis[0], axis[-1], count) for axis in axes]
+    rng = np.random.default_rng(6)
+    sizes_nm = [rng.uniform(axis[0], axis[-1], count) for axis in axes]
     held = built.surface(*sizes_nm)  # builds the table and compiles
     with _spent() as spent:
         for _ in range(REPEATS):
