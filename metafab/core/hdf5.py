@@ -32,16 +32,21 @@ def create(path: Path, *, kind: str, format_version: int, inputs_sha256: str) ->
         format_version: version of this kind's layout.
         inputs_sha256: fingerprint of everything that the content depends on.
     """
-    # Without tracked times, the same content gives the same bytes.
+    # Made in memory: on a full disk the HDF5 library brings the process down, Python's own writing does not.
     with whole_file(path) as part:
-        with h5py.File(part, "w", libver=("v110", "v110"), track_order=True) as file:
+        # Without tracked times, the same content gives the same bytes.
+        options: dict[str, Any] = {"libver": ("v110", "v110"), "track_order": True}
+        with h5py.File(part, "w", driver="core", backing_store=False, **options) as file:
             file.attrs["kind"] = kind
             file.attrs["format_version"] = format_version
             file.attrs["inputs_sha256"] = inputs_sha256
             file.attrs["metafab_version"] = __version__
             yield file
-        with part.open("ab") as stream:
-            stream.write(_seal(part, part.stat().st_size))
+            file.flush()
+            image = file.id.get_file_image()
+        with part.open("wb") as stream:
+            stream.write(image)
+            stream.write(_seal(zlib.crc32(image)))
 
 
 def put(
@@ -119,21 +124,22 @@ _SEAL = b"\nmetafab crc32 "
 SEAL_BYTES = len(_SEAL) + 9
 
 
-def _seal(path: Path, size: int) -> bytes:
-    """The checksum of the first ``size`` bytes, as it stands at the end of a file."""
-    value, left = 0, size
-    with path.open("rb") as stream:
-        while left > 0 and (chunk := stream.read(min(left, 1 << 20))):
-            value, left = zlib.crc32(chunk, value), left - len(chunk)
-    return _SEAL + f"{value:08x}\n".encode()
+def _seal(checksum: int) -> bytes:
+    """The checksum as it stands at the end of a file."""
+    return _SEAL + f"{checksum:08x}\n".encode()
 
 
 def _damaged(path: Path) -> bool:
     """Whether a file carries a checksum that is not its own."""
-    size = path.stat().st_size - SEAL_BYTES
-    if size < 0:
+    left, checksum = path.stat().st_size - SEAL_BYTES, 0
+    if left < 0:
         return False
     with path.open("rb") as stream:
-        stream.seek(size)
-        found = stream.read(SEAL_BYTES)
-    return found.startswith(_SEAL) and found != _seal(path, size)
+        stream.seek(left)
+        found = stream.read()
+        if not found.startswith(_SEAL):
+            return False
+        stream.seek(0)
+        while left > 0 and (chunk := stream.read(min(left, 1 << 20))):
+            checksum, left = zlib.crc32(chunk, checksum), left - len(chunk)
+    return found != _seal(checksum)
