@@ -1,7 +1,7 @@
 """FDTD by the real Meep: its error against RCWA, what the driver saves, what neighbours do, and a whole tiny lens.
 
 - ``cells``: ten pillars with W != L (one square), resonant ones included; by the exact exchange of x and y they stand
-  for twenty. ``error`` is the largest |t - t_ref| against RCWA at 1e-4 in adapted coordinates, ``difference_fourier``
+  for nineteen. ``error`` is the largest |t - t_ref| against RCWA at 1e-4 in adapted coordinates, ``difference_fourier``
   that against the limit of plain harmonics.
 - ``savings``: one polarisation of one cell at 100 px/um as the driver runs it, and by a plain script
   (``meep_plain.py``); seconds of the processor.
