@@ -5,29 +5,47 @@ from __future__ import annotations
 import subprocess
 import sys
 
-import numpy as np
-
+#: Each in an interpreter of its own: a process remembers the largest worker that it ever had.
+WORKER = """
+import subprocess, sys
 from metafab.core.measure import measured
 
-#: Interpreters and NumPy take some tens of megabytes themselves.
-WORKER_MB = 700
+def work(megabytes):
+    with measured() as cost:
+        subprocess.run([sys.executable, "-c", f"x = b'x' * {megabytes * 10**6}"], check=True)
+    return cost.peak_rss_mb
+
+with measured() as before:
+    pass
+largest = work(400)
+with measured() as after:
+    pass
+print(before.peak_rss_mb, largest, after.peak_rss_mb)
+"""
+FREED = """
+import numpy as np
+from metafab.core.measure import measured
+
+with measured() as cost:
+    np.ones(50_000_000)
+with measured() as after:
+    pass
+print(cost.peak_rss_mb, after.peak_rss_mb)
+"""
+
+
+def _megabytes(script: str) -> list[float]:
+    answer = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return [float(word) for word in answer.stdout.split()]
 
 
 def test_a_worker_that_ended_in_the_block_counts() -> None:
-    with measured() as without:
-        pass
-    with measured() as cost:
-        subprocess.run([sys.executable, "-c", f"x = b'x' * {WORKER_MB * 10**6}"], check=True)
-    assert cost.peak_rss_mb > max(WORKER_MB, without.peak_rss_mb)
-    with measured() as after:
-        pass
-    assert after.peak_rss_mb < cost.peak_rss_mb, "one that ended earlier does not"
+    before, with_worker, after = _megabytes(WORKER)
+    assert with_worker > 400.0 > before
+    assert after < 400.0, "one that ended earlier does not"
 
 
 def test_what_was_freed_before_does_not_count() -> None:
-    with measured() as cost:
-        np.ones(50_000_000)
-    assert cost.peak_rss_mb > 400
-    with measured() as after:
-        pass
-    assert after.peak_rss_mb < cost.peak_rss_mb - 300
+    cost, after = _megabytes(FREED)
+    assert cost > 400.0
+    assert after < cost - 300.0

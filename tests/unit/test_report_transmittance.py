@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from metafab.cell import CellNumerics, pillar_cell, solve
-from metafab.library import load
+from metafab.library import build
 from metafab.report.figures.library import transmittance
+from metafab.spec import load_unit_cell
 from tests.main_job import ROOT
 
 
 @pytest.mark.parametrize("name", ["tio2_532nm", "sos_800nm"])
 def test_shown_transmittance_is_the_solvers(name: str) -> None:
-    library = load(ROOT / "unitcell_lib" / f"{name}.h5")
-    row, column = 20, 50
+    whole = load_unit_cell(ROOT / "unitcell_lib" / f"{name}.toml")
+    sweep = replace(whole.sweep, width_nm=(120.0, 128.0), length_nm=(140.0, 148.0), size_grid_nm=4.0)
+    library = build(replace(whole, sweep=sweep))
+    row, column = 1, 2
     cell = pillar_cell(library.unit_cell, float(library.width_nm[column]), float(library.length_nm[row]))
     solved = solve(cell, CellNumerics(1e-3))
     for polarisation, expected in zip(("x", "y"), solved.transmittance, strict=True):
