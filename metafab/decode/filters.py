@@ -29,7 +29,7 @@ _SMALLEST_CORE_PX = 16
 #: A window larger than this is not worth one transform.
 _LARGEST_CORE_PX = 256
 #: Finer structure is left out where all of it knows less than this share of what is known about depth.
-_NEGLIGIBLE_SHARE = 0.2
+_NEGLIGIBLE_SHARE = 0.35
 #: (step, fewest pixels of a window that is worth it): small windows are cheap, and hold outlines above all.
 _STEPS = ((4, 200_000), (2, 0))
 
@@ -164,5 +164,5 @@ def _frequencies(tiling: Tiling, every: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _high_pass(frequency_squared: FloatArray) -> FloatArray:
-    """Suppresses what is slower than a window: it varies with the light, and reaches far across outlines."""
-    return np.asarray(frequency_squared / (frequency_squared + 4.0 * LOWEST_FREQUENCY**2))
+    """Suppresses what is slower than half a window: it varies with the light, and reaches far across outlines."""
+    return np.asarray(frequency_squared / (frequency_squared + (4.0 * LOWEST_FREQUENCY) ** 2))

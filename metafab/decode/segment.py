@@ -21,7 +21,7 @@ from metafab.decode.volume import Volume, correlation
 _FEWEST_PX = 300
 _SMALLEST_SHARE = 0.01
 #: Pixels next to an outline see the blur of what lies beyond it.
-_EDGE_PX = 8
+_EDGE_PX = 4
 _OUTLINE_WINDOW_PX = 13
 #: Share of a textured region's inside that must show its texture; 5 standard deviations leave noise none.
 _LEAST_TEXTURED = 0.05
@@ -134,7 +134,10 @@ def grown(segment: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
 
 
 def segment_depth(volume: Volume, mask: NDArray[np.bool_], every: int) -> SegmentDepth:
-    """The vergence at which a segment's twins agree best: the peak of a spline through all candidates."""
+    """The vergence at which a segment's twins agree best: the peak of a spline through all candidates.
+
+    Its error is infinite where they do not agree, or best at an end of the candidates.
+    """
     inner = interior(mask, every)
     sums = volume.over(inner)
     agreement = correlation(sums)
@@ -144,7 +147,9 @@ def segment_depth(volume: Volume, mask: NDArray[np.bool_], every: int) -> Segmen
     spline = make_interp_spline(nodes, agreement, k=min(5, nodes.size - 1))
     fine = np.linspace(nodes[0], nodes[-1], _FINE * (nodes.size - 1) + 1)
     values = spline(fine)
-    best = int(np.clip(values.argmax(), 1, fine.size - 2))
+    best = int(values.argmax())
+    if best in {0, fine.size - 1}:  # Still rising where the calibration ends: the depth is not inside it.
+        return SegmentDepth(float(fine[best]), np.inf, float(values[best]), 0.0)
     shift, peak, curvature = parabola(values[best - 1], values[best], values[best + 1])
     step = fine[1] - fine[0]
     vergence = float(fine[best] + step * np.clip(shift, -1.0, 1.0))
