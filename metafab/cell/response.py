@@ -142,7 +142,7 @@ class CellNumerics:
         target_error: largest error wanted in any of the complex amplitudes.
         solver: "rcwa", or "meep" for FDTD in a separate program.
         formulation: rcwa only: "adaptive" coordinates, or plain "fourier" harmonics as an independent check.
-        max_orders: rcwa only: most cosines along the longer period before the solver gives up, from 3.
+        max_orders: rcwa only: most cosines along each axis before the solver gives up, from 3.
         steps: rcwa only: how many steps a sloped pillar is cut into, an even number, as half as many are solved along;
             if not given, as many as the target asks for.
     """

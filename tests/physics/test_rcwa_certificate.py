@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from metafab.cell.rcwa import solve, zero_order
+from metafab.cell.rcwa.certificate import is_measured
 from metafab.cell.rcwa.jones import ZeroOrder
 from metafab.cell.response import CellNumerics, PillarCell
 
@@ -90,6 +91,48 @@ def test_bound_holds_far_from_where_it_was_measured(change: dict[str, object]) -
     true_error = max(np.abs(response.t - reference.t).max(), np.abs(response.r - reference.r).max())
     # Differences of 12 orders to more are below a tenth of these bounds, except for gold, which does not converge.
     assert true_error <= response.error
+
+
+#: Found by search, when the shorter period had fewer cosines and wide cells counted as measured.
+HARD_CELLS = {
+    "1 : 2.6": (
+        PillarCell((495.755, 190.865), 221.242, 143.223, 302.025, 3.7604, (1.7601, 1.7601), 1.0, 800.0),
+        5.9e-3,
+    ),
+    "2.6 : 1": (
+        PillarCell((178.44, 467.24), 148.61, 289.65, 296.97, 2.4175, (1.7601, 1.7601), 1.0, 800.0, side="ambient"),
+        2.4e-3,
+    ),
+    "narrow": (replace(SILICON, period_nm=(140.0, 350.0), width_nm=60.0), 1e-2),
+    "427 nm": (
+        replace(SILICON, period_nm=(427.0, 427.0), width_nm=196.0, length_nm=181.0, height_nm=419.0, side="ambient"),
+        1e-3,
+    ),
+    "399 nm": (
+        replace(SILICON, period_nm=(399.155, 399.155), width_nm=289.14, length_nm=213.63, height_nm=349.856),
+        1e-4,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HARD_CELLS)
+def test_bound_holds_in_oblong_and_in_wide_cells(name: str) -> None:
+    cell, target_error = HARD_CELLS[name]
+    assert not is_measured(cell)
+    response = solve(cell, CellNumerics(target_error))
+    assert response.converged
+    reference = zero_order(cell, 13)
+    true_error = max(np.abs(response.t - reference.t).max(), np.abs(response.r - reference.r).max())
+    assert true_error <= response.error + REFERENCE_ERROR
+
+
+def test_square_cells_of_the_paper_are_measured_and_wider_or_longer_ones_are_not() -> None:
+    assert is_measured(SILICON)
+    assert is_measured(replace(SILICON, period_nm=(350.0, 345.0)))
+    assert not is_measured(replace(SILICON, period_nm=(350.0, 330.0)))
+    assert not is_measured(replace(SILICON, period_nm=(330.0, 350.0)))
+    # 1.65 wavelengths in silicon are 357 nm.
+    assert not is_measured(replace(SILICON, period_nm=(360.0, 360.0)))
 
 
 def test_plain_harmonics_approach_the_same_answer() -> None:

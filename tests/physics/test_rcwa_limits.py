@@ -9,7 +9,6 @@ import pytest
 
 from metafab.cell.fresnel import film_jones
 from metafab.cell.rcwa import Formulation, solve, zero_order
-from metafab.cell.rcwa.jones import axis_orders
 from metafab.cell.response import CellNumerics, PillarCell
 from metafab.core.conventions import Side
 
@@ -60,10 +59,14 @@ def test_turning_the_cell_by_90_degrees_swaps_the_polarisations(formulation: For
     np.testing.assert_allclose(one.t, other.t[::-1, ::-1], rtol=0.0, atol=ROUNDING)
 
 
-def test_orders_follow_the_periods_and_not_their_rounding() -> None:
-    scaled = replace(LOSSY, period_nm=(0.37 * 345.125 / 2.0, 0.37 * 345.125))
-    # 3 p / p is above 3 in floating point for this period.
-    assert [axis_orders(scaled, orders) for orders in (3, 6, 8)] == [(2, 3), (3, 6), (4, 8)]
+def test_a_short_period_gets_as_many_cosines_as_a_long_one() -> None:
+    oblong = replace(LOSSY, period_nm=(140.0, 350.0), width_nm=60.0)
+    for orders in (3, 5):
+        # (M + 1)^2 + M^2 unknowns, as in a square cell.
+        assert zero_order(oblong, orders).coefficients == (orders + 1) ** 2 + orders**2
+    response = solve(oblong, CellNumerics(1e-2))
+    assert response.details["orders_x"] == response.details["orders_y"]
+    assert response.resolution == (2 * int(response.details["orders_x"]) + 1) ** 2
 
 
 @pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 33.0])

@@ -15,9 +15,9 @@ last difference so large that the ladder has not begun to converge counts in ful
 Of a sloped pillar the error of its steps is added (:mod:`metafab.cell.rcwa.slicing`), and no bound is below what
 rounding may come to in ill-conditioned modes (:mod:`metafab.cell.rcwa.conditioning`). Where nothing was measured, the
 last two differences count threefold. That is so for holes, light at an angle, birefringent substrates, sloped walls,
-layers under or over the pillar, pillars more than two wavelengths tall, cells more than two wavelengths wide inside the
-densest medium (which need more orders), indices that differ more than fourfold or absorb strongly, and metals, where
-the field at the corners has no limit that Fourier methods approach steadily.
+layers under or over the pillar, pillars more than two wavelengths tall, periods that differ by more than 3 % or exceed
+1.65 wavelengths inside the densest medium (which need more orders), indices that differ more than fourfold or absorb
+strongly, and metals, where the field at the corners has no limit that Fourier methods approach steadily.
 tests/physics/test_rcwa_certificate.py also looks far from the pillars that were measured.
 """
 
@@ -29,7 +29,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.cell.rcwa.basis import Formulation
-from metafab.cell.rcwa.jones import ZeroOrder, axis_orders, distance
+from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.cell.rcwa.slicing import slicing, smooth
 from metafab.cell.response import CellNumerics, CellResponse, PillarCell
 from metafab.core.errors import SolverError
@@ -48,7 +48,7 @@ class Claim:
     shares: tuple[tuple[int, float], ...]
 
 
-#: For each truncation, by its cosines along the longer period, what bounds its error.
+#: For each truncation, by its cosines along each axis, what bounds its error.
 _CLAIMS: dict[Formulation, dict[int, tuple[Claim, ...]]] = {
     "adaptive": {
         5: (Claim(6e-4, ((3, 0.67),)),),
@@ -92,9 +92,11 @@ _CLIMBS: dict[Formulation, tuple[tuple[float, tuple[int, ...]], ...]] = {
 }
 #: Last differences above this are those of a ladder that has not begun to converge.
 _NOT_CONVERGING = 5e-2
-#: Claims were measured on cells up to this wide in wavelengths inside the densest medium, this tall in wavelengths
-#: in vacuum, with indices up to this ratio and extinction up to this share of the index.
-_WIDEST, _TALLEST, _STEEPEST, _DIMMEST = 2.0, 2.0, 4.0, 0.05
+#: Claims were measured on square cells up to this wide in wavelengths inside the densest medium, this tall in
+#: wavelengths in vacuum, with indices up to this ratio and extinction up to this share of the index.
+_WIDEST, _TALLEST, _STEEPEST, _DIMMEST = 1.65, 2.0, 4.0, 0.05
+#: Longer period over the shorter one of what still counts as square.
+_LONGEST = 1.03
 #: What a difference counts where none were.
 _UNMEASURED = 3.0
 
@@ -121,7 +123,6 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     last = solved[orders]
     if not (np.isfinite(last.t).all() and np.isfinite(last.r).all()):
         raise SolverError(f"rcwa gave no finite amplitudes with {orders} orders for {cell}")
-    x, y = axis_orders(cell, orders)
     return CellResponse(
         cell=cell,
         numerics=numerics,
@@ -129,12 +130,12 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
         r=last.r,
         error=float(error),
         converged=bool(error <= numerics.target_error),
-        resolution=(2 * x + 1) * (2 * y + 1),
+        resolution=(2 * orders + 1) ** 2,
         seconds=time.perf_counter() - started,
         details={
             "formulation": numerics.formulation,
-            "orders_x": x,
-            "orders_y": y,
+            "orders_x": orders,
+            "orders_y": orders,
             "coefficients": last.coefficients,
             "truncations": len(solved),
             "inconsistency": last.inconsistency,
@@ -191,6 +192,7 @@ def is_measured(cell: PillarCell) -> bool:
         and not (cell.under or cell.over or cell.is_sloped)
         and around.real <= pillar.real <= _STEEPEST * around.real
         and max(pillar.imag / pillar.real, around.imag / around.real) <= _DIMMEST
+        and max(cell.period_nm) <= _LONGEST * min(cell.period_nm)
         and max(cell.period_nm) * densest <= _WIDEST * cell.wavelength_nm
         and cell.height_nm <= _TALLEST * cell.wavelength_nm
     )

@@ -13,11 +13,11 @@ from functools import cache
 import numpy as np
 
 from metafab.cell.rcwa.certificate import climb, is_measured
-from metafab.cell.rcwa.jones import axis_orders, layers_of, polarisations_swap, zero_order
+from metafab.cell.rcwa.jones import layers_of, polarisations_swap, zero_order
 from metafab.cell.rcwa.slicing import slicing
 from metafab.cell.response import CellNumerics, PillarCell
 
-#: Cosines along the period: seconds over those of five.
+#: Cosines along each axis: seconds over those of five.
 _CURVE = {3: 0.43, 4: 0.59, 5: 1.0, 6: 1.7, 7: 3.6, 8: 6.7, 9: 11.9, 10: 20.1, 12: 57.0, 14: 134.0}
 _SAMPLE = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
 
@@ -29,10 +29,9 @@ def seconds_of_truncation(orders: int, cell: PillarCell = _SAMPLE, steps: int = 
     light breaks doubles the unknowns. Of a sloped pillar both cuts are counted, into ``steps`` and half as many. Beyond
     the curve the time grows as the sixth power of the orders, the third of the unknowns.
     """
-    x, y = axis_orders(cell, orders)
     broken = sum(k != 0.0 for k in cell.in_plane)
-    unknowns = ((x + 1) * (y + 1) + x * y) * 2**broken
-    # The number of cosines of a square period at which (M + 1)^2 + M^2 are as many.
+    unknowns = ((orders + 1) ** 2 + orders**2) * 2**broken
+    # The number of cosines at which the (M + 1)^2 + M^2 unknowns of light along z are as many.
     equivalent = 0.5 * (math.sqrt(2.0 * unknowns - 1.0) - 1.0)
     most = max(_CURVE)
     within = float(np.interp(np.log(min(equivalent, most)), np.log(list(_CURVE)), np.log(list(_CURVE.values()))))

@@ -36,7 +36,6 @@ from metafab.cell.rcwa.factorisation import layer_tangents
 from metafab.cell.rcwa.jones import (
     ClassSolution,
     SymmetryClass,
-    axis_orders,
     matrices,
     one_thread,
     permittivity,
@@ -80,7 +79,7 @@ def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adapt
 
     Args:
         cell: a pillar with upright walls: sizes above 0 and below the period.
-        orders: cosines along the longer period.
+        orders: cosines along each axis.
         formulation: "adaptive" or "fourier".
 
     Raises:
@@ -88,15 +87,14 @@ def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adapt
             substrate; or as :func:`metafab.cell.rcwa.jones.zero_order`.
     """
     _check(cell)
-    by_orders = axis_orders(cell, orders)
     tangents = [
-        axis_tangent(period, size, count, formulation)
-        for period, size, count in zip(cell.period_nm, (cell.width_nm, cell.length_nm), by_orders, strict=True)
+        axis_tangent(period, size, orders, formulation)
+        for period, size in zip(cell.period_nm, (cell.width_nm, cell.length_nm), strict=True)
     ]
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     d_t, d_r = np.zeros((4, 2, 2), dtype=np.complex128), np.zeros((4, 2, 2), dtype=np.complex128)
     with one_thread():
-        for case in symmetry_classes(cell, by_orders, formulation):
+        for case in symmetry_classes(cell, (orders, orders), formulation):
             solution, incident = solve_class(cell, case), case.basis.zero_order()
             t += incident.T @ solution.field.transmitted
             r += incident.T @ solution.field.reflected

@@ -17,7 +17,7 @@ import numpy as np
 
 from metafab.cell.rcwa.basis import AxisParity, Formulation
 from metafab.cell.rcwa.certificate import climb
-from metafab.cell.rcwa.jones import axis_orders, in_plane_per_nm, one_thread, shares_of_power, solved_classes
+from metafab.cell.rcwa.jones import in_plane_per_nm, one_thread, shares_of_power, solved_classes
 from metafab.cell.rcwa.slicing import slicing, smooth_array
 from metafab.cell.response import CellNumerics, PillarCell
 from metafab.core.conventions import FloatArray
@@ -58,7 +58,7 @@ class Diffraction:
         reflected: likewise.
         error: estimate of the largest error of any efficiency.
         converged: whether that is at most the target.
-        truncation: cosines along the longer period.
+        truncation: cosines along each axis.
     """
 
     transmitted: tuple[DiffractedOrder, ...]
@@ -84,7 +84,7 @@ def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Di
     error, orders = math.inf, 0
     for orders in climb(numerics):
         solved[orders] = smooth_array(cell, cut.steps, partial(_listed, cell, orders, numerics.formulation, sides))
-        if len(solved) > 1 and min(axis_orders(cell, orders)) >= farthest:
+        if len(solved) > 1 and orders >= farthest:
             earlier = sorted(solved)[-3:-1]
             changes = [float(np.abs(solved[orders] - solved[count]).max()) for count in earlier]
             error = _SHARE * max(changes) + 2.0 * cut.error

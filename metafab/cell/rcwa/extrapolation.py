@@ -46,7 +46,7 @@ def fourier_limit(cell: PillarCell, orders: Sequence[int] = (8, 9, 10, 11, 12)) 
 
     Args:
         cell: a pillar with upright walls.
-        orders: cosines along the longer period, three or more different numbers; from 8 on the error held on all
+        orders: cosines along each axis, three or more different numbers; from 8 on the error held on all
             pillars tested (docs/theory/rcwa.md), fewer harmonics may not have begun to follow the law.
 
     Raises:

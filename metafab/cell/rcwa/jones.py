@@ -117,16 +117,10 @@ class ClassSolution:
     field: LayerField
 
 
-def axis_orders(cell: PillarCell, orders: int) -> Orders:
-    """Cosines along x and y for ``orders`` cosines along the longer period; shorter periods need fewer."""
-    longest = max(cell.period_nm)
-    # Less than a cosine by rounding alone is none: 3 p / p may come out above 3.
-    x, y = (max(2, math.ceil(orders * period / longest - 1e-9)) for period in cell.period_nm)
-    return x, y
-
-
 def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adaptive", steps: int = 1) -> ZeroOrder:
-    """Jones matrices of ``cell`` with ``orders`` cosines beside the constant along the longer period.
+    """Jones matrices of ``cell`` with ``orders`` cosines beside the constant along each axis.
+
+    A short period gets as many as a long one: were it left behind, the truncation would rise without its error falling.
 
     A sloped pillar is cut into ``steps`` of equal height, each as wide as the pillar is in the middle of it; for the
     limit of many see :func:`metafab.cell.rcwa.slicing.smooth`. One BLAS thread is used: on matrices of this size more
@@ -154,7 +148,7 @@ def zero_order(cell: PillarCell, orders: int, formulation: Formulation = "adapti
 
 def solved_classes(cell: PillarCell, orders: int, formulation: Formulation, steps: int = 1) -> Iterator[ClassFaces]:
     """The symmetry classes of ``cell``, each solved when it is asked for; arguments as of :func:`zero_order`."""
-    for case in symmetry_classes(cell, axis_orders(cell, orders), formulation, steps):
+    for case in symmetry_classes(cell, (orders, orders), formulation, steps):
         outside, incident = _outside(cell, case), case.basis.zero_order()
         yield ClassFaces(case, outside, incident, through_case(cell, case, outside, incident))
 
