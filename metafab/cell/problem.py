@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
 from functools import partial
+from typing import get_args
 
 from metafab.cell import rcwa
-from metafab.cell.response import CellNumerics, CellResponse, PillarCell, Slice
+from metafab.cell.response import CellNumerics, CellResponse, PillarCell, SizesAt, Slice
+from metafab.core.conventions import Side
 from metafab.core.errors import Fault, InputError
 from metafab.core.executor import SerialExecutor, stream
 from metafab.core.progress import Progress, silent
@@ -18,6 +21,10 @@ from metafab.spec.cell import Material, UnitCell
 _FLATTEST_WALL_DEG = 60.0
 #: Indices further apart leave nothing of double precision, whose share in an amplitude is the square of their ratio.
 _WIDEST_RANGE = 1e6
+#: Periods in wavelengths of the denser half space: more orders propagate than any truncation holds, thousands a side.
+_WIDEST_CELL = 40.0
+#: Fewer cosines give no second truncation to judge the first by.
+_FEWEST_ORDERS = 3
 
 
 def pillar_cell(
@@ -83,12 +90,18 @@ def check(cell: PillarCell) -> None:
         InputError: with every fault of the cell.
     """
     faults = [
+        Fault("period_nm", "positive lengths", f"{period:g} nm along {axis}")
+        for axis, period in zip("xy", cell.period_nm, strict=True)
+        if not 0.0 < period < math.inf
+    ]
+    faults += _faults_of_choices(("side", cell.side, get_args(Side)), ("sizes_at", cell.sizes_at, get_args(SizesAt)))
+    faults.extend(
         Fault(name, f"0 to the period of {period:g} nm", f"{size:g} nm")
         for name, size, period in zip(
             ("width_nm", "length_nm"), (cell.width_nm, cell.length_nm), cell.period_nm, strict=True
         )
-        if not 0.0 <= size <= period
-    ]
+        if not 0.0 <= size <= period and 0.0 < period < math.inf
+    )
     if not _FLATTEST_WALL_DEG <= cell.sidewall_angle_deg <= 180.0 - _FLATTEST_WALL_DEG:
         flattest = _FLATTEST_WALL_DEG
         faults.append(
@@ -98,6 +111,8 @@ def check(cell: PillarCell) -> None:
         faults = _faults_of_ends(cell)
     if not 0.0 <= cell.angle_deg < 90.0:
         faults.append(Fault("angle_deg", "0 to below 90", f"{cell.angle_deg:g}"))
+    if not math.isfinite(cell.azimuth_deg):
+        faults.append(Fault("azimuth_deg", "a finite angle", f"{cell.azimuth_deg:g}"))
     if not 0.0 < cell.wavelength_nm < float("inf"):
         faults.append(Fault("wavelength_nm", "a positive length", f"{cell.wavelength_nm:g}"))
     if not 0.0 <= cell.height_nm < float("inf"):
@@ -128,8 +143,47 @@ def check(cell: PillarCell) -> None:
     if not faults and max(sizes) > _WIDEST_RANGE * min(sizes):
         expected = "indices of which none is more than a million to one of another"
         faults.append(Fault("n_pillar, n_substrate, n_ambient", expected, f"{min(sizes):g} to {max(sizes):g}"))
+    if not faults:
+        faults = _faults_of_width(cell)
     if faults:
         raise InputError("cell", faults)
+
+
+def check_numerics(numerics: CellNumerics) -> None:
+    """Refuse numerics that no solver can follow.
+
+    Raises:
+        InputError: with every fault of the numerics.
+    """
+    faults = _faults_of_choices(
+        ("solver", numerics.solver, ("rcwa", "meep")), ("formulation", numerics.formulation, ("adaptive", "fourier"))
+    )
+    if not 0.0 < numerics.target_error < 1.0:
+        faults.append(Fault("target_error", "above 0 and below 1", f"{numerics.target_error:g}"))
+    if not numerics.max_orders >= _FEWEST_ORDERS:
+        faults.append(Fault("max_orders", f"{_FEWEST_ORDERS} or more", f"{numerics.max_orders}"))
+    if faults:
+        raise InputError("numerics", faults)
+
+
+def _faults_of_choices(*choices: tuple[str, str, tuple[str, ...]]) -> list[Fault]:
+    """Names, got and known: those of which nothing is known."""
+    return [Fault(name, " or ".join(known), repr(got)) for name, got, known in choices if got not in known]
+
+
+def _faults_of_width(cell: PillarCell) -> list[Fault]:
+    """Periods of so many wavelengths that the orders that leave cannot be counted, let alone solved for."""
+    densest = max(complex(n).real for n in (*cell.n_in, *cell.n_out))
+    longest_nm = _WIDEST_CELL * cell.wavelength_nm / densest
+    return [
+        Fault(
+            "period_nm",
+            f"at most {longest_nm:g} nm, {_WIDEST_CELL:g} wavelengths in the denser half space",
+            f"{period:g} nm along {axis} at a wavelength of {cell.wavelength_nm:g} nm",
+        )
+        for axis, period in zip("xy", cell.period_nm, strict=True)
+        if period > longest_nm
+    ]
 
 
 def _faults_of_ends(cell: PillarCell) -> list[Fault]:
@@ -151,11 +205,13 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     """Jones matrices of one cell by the solver that ``numerics`` names.
 
     Raises:
-        InputError: the cell has no physical meaning, or lies outside what the solver treats.
+        InputError: the cell has no physical meaning, the numerics ask for nothing known, or the cell lies outside what
+            the solver treats.
         MissingToolError: Meep is asked for and not installed.
         SolverError: the solver failed.
     """
     check(cell)
+    check_numerics(numerics)
     if numerics.solver == "meep":
         if cell.under or cell.over:
             raise InputError.single("cell", "under, over", "empty for meep", "layers", "solve with rcwa")

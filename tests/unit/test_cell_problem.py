@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from metafab.cell import CellNumerics, Slice, pillar_cell, solve, solve_many
+from metafab.cell.problem import check
 from metafab.core.errors import InputError
 from metafab.library.library import inputs_of
 from metafab.spec import UnitCell, canonical_toml, load_unit_cell
@@ -26,6 +28,52 @@ def test_all_faults_of_a_cell_at_once(unit_cell: UnitCell) -> None:
     with pytest.raises(InputError) as caught:
         pillar_cell(unit_cell, 351.0, -1.0, angle_deg=90.0)
     assert [fault.field for fault in caught.value.faults] == ["width_nm", "length_nm", "angle_deg"]
+
+
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"azimuth_deg": float("nan")}, "azimuth_deg"),
+        ({"azimuth_deg": float("inf")}, "azimuth_deg"),
+        ({"period_nm": (350.0, 0.0)}, "period_nm"),
+        ({"period_nm": (float("inf"), 350.0)}, "period_nm"),
+        ({"period_nm": (float("nan"), 350.0)}, "period_nm"),
+        ({"side": "above"}, "side"),
+        ({"sizes_at": "waist", "sidewall_angle_deg": 88.0}, "sizes_at"),
+        ({"wavelength_nm": 1e-3}, "period_nm"),
+    ],
+)
+def test_cells_without_meaning_name_their_one_fault(unit_cell: UnitCell, change: dict[str, Any], field: str) -> None:
+    with pytest.raises(InputError) as caught:
+        solve(replace(pillar_cell(unit_cell, 150.0, 210.0), **change))
+    assert {fault.field for fault in caught.value.faults} == {field}
+
+
+def test_forty_wavelengths_in_the_denser_half_space_are_the_widest_cell(unit_cell: UnitCell) -> None:
+    cell = pillar_cell(unit_cell, 150.0, 210.0)
+    widest_nm = 40.0 * cell.wavelength_nm / 1.7601
+    check(replace(cell, period_nm=(0.999 * widest_nm, 350.0)))
+    with pytest.raises(InputError, match="40 wavelengths"):
+        check(replace(cell, period_nm=(1.001 * widest_nm, 350.0)))
+
+
+@pytest.mark.parametrize(
+    ("numerics", "field"),
+    [
+        ({"solver": "fdfd"}, "solver"),
+        ({"formulation": "laurent"}, "formulation"),
+        ({"target_error": 0.0}, "target_error"),
+        ({"target_error": 1.0}, "target_error"),
+        ({"target_error": float("nan")}, "target_error"),
+        ({"max_orders": 2}, "max_orders"),
+    ],
+)
+def test_numerics_that_ask_for_nothing_known_are_refused(
+    unit_cell: UnitCell, numerics: dict[str, Any], field: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        solve(pillar_cell(unit_cell, 150.0, 210.0), CellNumerics(**numerics))
+    assert [fault.field for fault in caught.value.faults] == [field]
 
 
 def test_gain_is_refused(unit_cell: UnitCell) -> None:
