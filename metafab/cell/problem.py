@@ -21,8 +21,8 @@ from metafab.spec.cell import Material, UnitCell
 _FLATTEST_WALL_DEG = 60.0
 #: Indices further apart leave nothing of double precision, whose share in an amplitude is the square of their ratio.
 _WIDEST_RANGE = 1e6
-#: Periods in wavelengths of the denser half space: more orders propagate than any truncation holds, thousands a side.
-_WIDEST_CELL = 40.0
+#: Square root of a cell's area, in wavelengths: a quarter of a million orders leave into vacuum, more than any basis has.
+_WIDEST_CELL = 300.0
 #: Fewer cosines give no second truncation to judge the first by.
 _FEWEST_ORDERS = 3
 
@@ -172,17 +172,16 @@ def _faults_of_choices(*choices: tuple[str, str, tuple[str, ...]]) -> list[Fault
 
 
 def _faults_of_width(cell: PillarCell) -> list[Fault]:
-    """Periods of so many wavelengths that the orders that leave cannot be counted, let alone solved for."""
-    densest = max(complex(n).real for n in (*cell.n_in, *cell.n_out))
-    longest_nm = _WIDEST_CELL * cell.wavelength_nm / densest
+    """A cell of so many square wavelengths that the orders that leave cannot be counted, let alone solved for."""
+    x_nm, y_nm = cell.period_nm
+    if x_nm * y_nm <= (_WIDEST_CELL * cell.wavelength_nm) ** 2:
+        return []
     return [
         Fault(
             "period_nm",
-            f"at most {longest_nm:g} nm, {_WIDEST_CELL:g} wavelengths in the denser half space",
-            f"{period:g} nm along {axis} at a wavelength of {cell.wavelength_nm:g} nm",
+            f"a cell of at most {_WIDEST_CELL:g} by {_WIDEST_CELL:g} wavelengths",
+            f"{x_nm:g} by {y_nm:g} nm at a wavelength of {cell.wavelength_nm:g} nm",
         )
-        for axis, period in zip("xy", cell.period_nm, strict=True)
-        if period > longest_nm
     ]
 
 

@@ -112,6 +112,17 @@ HARD_CELLS = {
         replace(SILICON, period_nm=(399.155, 399.155), width_nm=289.14, length_nm=213.63, height_nm=349.856),
         1e-4,
     ),
+    "close": (
+        replace(
+            SILICON,
+            period_nm=(340.437, 335.096),
+            width_nm=249.651,
+            length_nm=252.868,
+            height_nm=279.513,
+            side="ambient",
+        ),
+        1e-3,
+    ),
 }
 
 

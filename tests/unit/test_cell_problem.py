@@ -49,12 +49,12 @@ def test_cells_without_meaning_name_their_one_fault(unit_cell: UnitCell, change:
     assert {fault.field for fault in caught.value.faults} == {field}
 
 
-def test_forty_wavelengths_in_the_denser_half_space_are_the_widest_cell(unit_cell: UnitCell) -> None:
+def test_300_wavelengths_squared_are_the_widest_cell(unit_cell: UnitCell) -> None:
     cell = pillar_cell(unit_cell, 150.0, 210.0)
-    widest_nm = 40.0 * cell.wavelength_nm / 1.7601
-    check(replace(cell, period_nm=(0.999 * widest_nm, 350.0)))
-    with pytest.raises(InputError, match="40 wavelengths"):
-        check(replace(cell, period_nm=(1.001 * widest_nm, 350.0)))
+    widest_nm = 300.0 * cell.wavelength_nm
+    check(replace(cell, period_nm=(1.99 * widest_nm, 0.5 * widest_nm)))
+    with pytest.raises(InputError, match="300 by 300 wavelengths"):
+        check(replace(cell, period_nm=(2.01 * widest_nm, 0.5 * widest_nm)))
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,9 @@ Of a sloped pillar the error of its steps is added (:mod:`metafab.cell.rcwa.slic
 rounding may come to in ill-conditioned modes (:mod:`metafab.cell.rcwa.conditioning`). Where nothing was measured, the
 last two differences count threefold. That is so for holes, light at an angle, birefringent substrates, sloped walls,
 layers under or over the pillar, pillars more than two wavelengths tall, periods that differ by more than 3 % or exceed
-1.65 wavelengths inside the densest medium (which need more orders), indices that differ more than fourfold or absorb
-strongly, and metals, where the field at the corners has no limit that Fourier methods approach steadily.
+1.65 wavelengths inside the densest medium (which need more orders), sizes above 0.7 of the period, indices that differ
+more than fourfold or absorb strongly, and metals, where the field at the corners has no limit that Fourier methods
+approach steadily.
 tests/physics/test_rcwa_certificate.py also looks far from the pillars that were measured.
 """
 
@@ -97,6 +98,8 @@ _NOT_CONVERGING = 5e-2
 _WIDEST, _TALLEST, _STEEPEST, _DIMMEST = 1.65, 2.0, 4.0, 0.05
 #: Longer period over the shorter one of what still counts as square.
 _LONGEST = 1.03
+#: Largest size over its period: between silicon pillars that stand closer, claims broke on heights not measured.
+_FULLEST = 0.7
 #: What a difference counts where none were.
 _UNMEASURED = 3.0
 
@@ -185,6 +188,7 @@ def bound(
 def is_measured(cell: PillarCell) -> bool:
     """Whether ``cell`` is of the kind that the claims were measured on."""
     pillar, around = complex(cell.n_pillar), complex(cell.n_ambient)
+    sizes = (cell.width_nm, cell.length_nm)
     densest = max(n.real for n in (pillar, around, *map(complex, cell.n_substrate)))
     return (
         cell.angle_deg == 0.0
@@ -193,6 +197,7 @@ def is_measured(cell: PillarCell) -> bool:
         and around.real <= pillar.real <= _STEEPEST * around.real
         and max(pillar.imag / pillar.real, around.imag / around.real) <= _DIMMEST
         and max(cell.period_nm) <= _LONGEST * min(cell.period_nm)
+        and all(size <= _FULLEST * period for size, period in zip(sizes, cell.period_nm, strict=True))
         and max(cell.period_nm) * densest <= _WIDEST * cell.wavelength_nm
         and cell.height_nm <= _TALLEST * cell.wavelength_nm
     )
