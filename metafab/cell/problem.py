@@ -21,7 +21,7 @@ from metafab.spec.cell import Material, UnitCell
 _FLATTEST_WALL_DEG = 60.0
 #: Indices further apart leave nothing of double precision, whose share in an amplitude is the square of their ratio.
 _WIDEST_RANGE = 1e6
-#: Square root of a cell's area, in wavelengths: a quarter of a million orders leave into vacuum, more than any basis has.
+#: Square root of a cell's area, in wavelengths: a quarter of a million orders leave into vacuum, too many to list.
 _WIDEST_CELL = 300.0
 #: Fewer cosines give no second truncation to judge the first by.
 _FEWEST_ORDERS = 3
