@@ -106,7 +106,7 @@ def library_check(
 
 
 @library_app.command("show")
-def libraryshow(
+def library_show(
     file: Annotated[Path, typer.Argument(metavar="LIB.h5")], output: Output = None, json_: Json = False
 ) -> None:
     """Draw phase and transmittance against width and length."""

@@ -131,22 +131,23 @@ def _down_columns(
 def _along_rows_plain(
     image: NDArray[np.float32], column: NDArray[np.float32], table: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    whole, step, last = *_split(column, table), image.shape[1] - 1
-    out = np.zeros(column.shape, dtype=np.float32)
-    for k in range(table.shape[1]):
-        at = np.clip(whole - (table.shape[1] // 2 - 1) + k, 0, last)
-        out += table[step, k] * np.take_along_axis(image, at, axis=1)
-    return out
+    return _along_axis_plain(image, column, table, 1)
 
 
 def _down_columns_plain(
     image: NDArray[np.float32], row: NDArray[np.float32], table: NDArray[np.float32]
 ) -> NDArray[np.float32]:
-    whole, step, last = *_split(row, table), image.shape[0] - 1
-    out = np.zeros(row.shape, dtype=np.float32)
+    return _along_axis_plain(image, row, table, 0)
+
+
+def _along_axis_plain(
+    image: NDArray[np.float32], place: NDArray[np.float32], table: NDArray[np.float32], axis: int
+) -> NDArray[np.float32]:
+    whole, step, last = *_split(place, table), image.shape[axis] - 1
+    out = np.zeros(place.shape, dtype=np.float32)
     for k in range(table.shape[1]):
         at = np.clip(whole - (table.shape[1] // 2 - 1) + k, 0, last)
-        out += table[step, k] * np.take_along_axis(image, at, axis=0)
+        out += table[step, k] * np.take_along_axis(image, at, axis=axis)
     return out
 
 

@@ -11,12 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.cell.rcwa.eigenmodes import PlaneWaves, decaying_root
+from metafab.cell.rcwa.eigenmodes import PlaneWaves, distinct_root
 from metafab.cell.rcwa.transverse import TransverseBasis
 from metafab.core.conventions import ComplexArray
-
-#: Below this propagation constant (over k0) the two directions of a wave coincide; it is moved up to here.
-_SMALLEST_BETA = 1e-9
 
 
 @dataclass(frozen=True)
@@ -45,9 +42,7 @@ def tensor_waves(basis: TransverseBasis, k0_per_nm: float, index: tuple[complex,
     pairs = np.stack([basis.pair_u, basis.pair_v], axis=1)
     rows, columns = pairs[:, :, None], pairs[:, None, :]
     beta_squared[pairs], e[rows, columns] = np.linalg.eig(p[rows] * q[rows, columns])
-    beta = decaying_root(beta_squared)
-    beta = np.where(np.abs(beta) < _SMALLEST_BETA, _SMALLEST_BETA, beta)
-    h = q @ e / beta
+    h = q @ e / distinct_root(beta_squared)
     # Near the edge of a cone of light h is huge: waves of unit size instead.
     size = np.maximum(np.abs(e).max(axis=0), np.abs(h).max(axis=0))
     return TensorWaves(e / size, h / size)

@@ -10,7 +10,7 @@ from metafab.cell.rcwa.basis import Matrix
 from metafab.cell.rcwa.transverse import TransverseBasis
 from metafab.core.conventions import ComplexArray
 
-#: Below this propagation constant (over k0) the two directions of a mode coincide; it is moved up to here.
+#: Below this propagation constant (over k0) the two directions of a mode or a wave coincide; it is moved up to here.
 _SMALLEST_BETA = 1e-9
 
 
@@ -49,8 +49,7 @@ class PlaneWaves:
 def layer_modes(p: Matrix, q: Matrix) -> LayerModes:
     """Modes of de/dz = i P h, dh/dz = i Q e: eigenvectors of P Q, beta the root that decays along +z."""
     beta_squared, e = np.linalg.eig(p @ q)
-    beta = decaying_root(beta_squared)
-    beta = np.where(np.abs(beta) < _SMALLEST_BETA, _SMALLEST_BETA, beta)
+    beta = distinct_root(beta_squared)
     return LayerModes(beta, e, q @ e / beta)
 
 
@@ -58,6 +57,12 @@ def plane_waves(basis: TransverseBasis, k0_per_nm: float, eps: complex) -> Plane
     """Outgoing plane waves of the half space ``eps``."""
     beta = decaying_root(eps - basis.k_squared / k0_per_nm**2)
     return PlaneWaves(beta, np.where(basis.is_tm, beta, 1.0), np.where(basis.is_tm, eps, beta))
+
+
+def distinct_root(beta_squared: Matrix) -> ComplexArray:
+    """:func:`decaying_root`, kept so far from zero that the two directions differ and one can divide by it."""
+    beta = decaying_root(beta_squared)
+    return np.where(np.abs(beta) < _SMALLEST_BETA, _SMALLEST_BETA, beta)
 
 
 def decaying_root(beta_squared: Matrix) -> ComplexArray:
