@@ -19,7 +19,7 @@ _PACKAGE = Path(__file__).parents[1]
 def code_sha256(rooms: tuple[str, ...]) -> str:
     """Hash of the source of some rooms, and of what all rooms stand on: changed code makes its results stale."""
     digest = sha256(__version__.encode())
-    sources = [*(_PACKAGE / "core").rglob("*.py"), _PACKAGE / "steps.py"]
+    sources = [*(_PACKAGE / "core").rglob("*.py"), *(_PACKAGE / "steps").rglob("*.py")]
     for room in rooms:
         sources += (_PACKAGE / room).rglob("*.*")
     for path in sorted(path for path in sources if path.suffix in {".py", ".csv", ".html", ".css", ".js"}):

@@ -1,0 +1,31 @@
+"""Phases and library -> pillars -> mask files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from metafab.run import Job, Step
+from metafab.steps.library import open_library
+from metafab.steps.outputs import in_folder
+
+
+def write_layout(job: Job) -> dict[str, Any]:
+    """Map the target phases to pillars and write the mask files."""
+    from metafab import layout, mask
+
+    assignment = layout.assign(job.profile, open_library(job), job.design, progress=job.progress)
+    files = mask.write(assignment.pillars, job.folder, job.design, progress=job.progress, mapping=assignment.figures)
+    return {**assignment.figures, "files": [{"name": file.path.name, "bytes": file.bytes} for file in files]}
+
+
+def mask_paths(job: Job) -> tuple[Path, ...]:
+    """The mask files that the design asks for."""
+    return tuple(job.folder / f"layout.{suffix}" for suffix in job.design.mask.formats)
+
+
+LAYOUT = Step(
+    "layout", ("layout", "mask"), ("library", "phase"),
+    lambda d: (d.name, d.rules, d.mask, d.device, d.numerics),
+    lambda job: (*mask_paths(job), *in_folder("layout.lyp", "layout.json")(job)), write_layout,
+)  # fmt: skip

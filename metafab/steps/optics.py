@@ -1,0 +1,196 @@
+"""PSF pairs of the written file and of the target phases."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.core.files import file_sha256, fingerprint
+from metafab.run import Job, Step
+from metafab.spec import Design
+from metafab.steps.layout import mask_paths
+from metafab.steps.library import library_path, open_library
+from metafab.steps.outputs import in_folder
+
+if TYPE_CHECKING:
+    from metafab.optics import Imaging, Psf, Source
+
+
+#: The decoder's calibration reaches beyond the scene by this share of its range of vergence.
+DEPTH_MARGIN = 0.08
+#: The same for a scene at one depth, as a share of its vergence.
+SMALLEST_MARGIN = 0.02
+
+
+def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
+    """Depths of the PSF stack: the verified ones, and nodes that carry a scene's range by interpolation."""
+    from metafab import optics
+
+    if design.scene is None:
+        return design.verify.depths_m
+    near, far = 1.0 / design.depths_m[0], 1.0 / design.depths_m[-1]
+    margin = max(DEPTH_MARGIN * (near - far), SMALLEST_MARGIN * near)
+    nodes = optics.depth_nodes(imaging, 1.0 / (near + margin), 1.0 / (far - margin), design.verify.target_error)
+    return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
+
+
+def mask_source(job: Job, path: Path, copy: int = 1) -> Source:
+    """What light the pillars of a written file let through; of several lenses, those of one, counted from 1.
+
+    Raises:
+        InputError: the file cannot be read, or holds shapes that are no pillars of the lattice: nothing is dropped.
+    """
+    from metafab import mask, optics
+
+    back = mask.read(path, job.design, progress=job.progress, copy=copy)
+    unplaced = {
+        "off the lattice": back.off_site.count,
+        "off the grid": back.off_grid.count,
+        "at a site that has one already": back.duplicates.count,
+        **{kind: left.count for kind, left in back.foreign.items()},
+    }
+    if any(unplaced.values()):
+        raise InputError.single(
+            str(path),
+            "pillars",
+            "rectangles at lattice sites and nothing else on the pillar layer",
+            ", ".join(f"{count} {what}" for what, count in unplaced.items() if count),
+            "their light cannot be simulated; `metafab drc` says where they are",
+        )
+    standing = mask.biased(back.pillars, -job.design.mask.bias_nm)
+    return optics.written_field(standing, open_library(job))
+
+
+def ideal_source(job: Job) -> Source:
+    """What light the target phases would let through, without a mask."""
+    from metafab import layout, optics
+
+    lattice = layout.lattice_of(job.design)
+    return optics.ideal_field(job.profile, lattice, job.design.device)
+
+
+def _filter_fwhm_nm(design: Design) -> float | None:
+    return None if design.optics is None else design.optics.filter_fwhm_nm
+
+
+def point_spread(
+    job: Job,
+    path: Path | None,
+    *,
+    depths_m: tuple[float, ...],
+    object_mm: tuple[float, float],
+    pixel_um: float | None,
+    window_px: int,
+    target_error: float,
+    copy: int = 1,
+) -> Psf:
+    """PSF pair of a written file's lens ``copy``, or of the target phases where ``path`` is None."""
+    from metafab import optics
+
+    imaging = optics.Imaging.of(job.design)
+    if pixel_um is not None:
+        imaging = replace(imaging, pixel_um=pixel_um)
+    source = ideal_source(job) if path is None else mask_source(job, path, copy)
+    x_mm, y_mm = object_mm
+    stacks = [
+        optics.psf(
+            source, imaging, (depth,), tangent=(1e-3 * x_mm / depth, 1e-3 * y_mm / depth),
+            window_px=window_px, target_error=target_error, filter_fwhm_nm=_filter_fwhm_nm(job.design),
+            progress=job.progress,
+        )
+        for depth in depths_m
+    ]  # fmt: skip
+    return optics.concatenate(stacks)
+
+
+def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int = 1) -> None:
+    """Keep a PSF pair with the fingerprint of the mask's lens (None for target phases) and the design behind it."""
+    from metafab import optics
+
+    design = job.design
+    source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job)), copy]
+    asked: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
+    if design.optics is not None:
+        asked.append(design.optics)
+    optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, asked))
+
+
+def _depth_interpolation_error(written: Psf, shown: np.ndarray) -> float | None:
+    """PSFs at the shown depths interpolated from the others, against the computed ones."""
+    from metafab import optics
+
+    if shown.all():
+        return None
+    interpolated = optics.at_depths(optics.without_depths(written, shown), written.depth_m[shown])
+    return optics.relative_l2(interpolated, written.psf[:, shown])
+
+
+def _field_interpolation_error(written: Psf, point_spread_of: Callable[..., Psf], source: Source) -> float | None:
+    """Interpolated PSFs in the middle of an outermost cell of field points against computed ones."""
+    from metafab import optics
+
+    if written.field is None or min(written.field.tangent_x.size, written.field.tangent_y.size) == 1:
+        return None
+    middle = written.depth_m.size // 2
+    t_x, t_y = (float(nodes[-2:].mean()) for nodes in (written.field.tangent_x, written.field.tangent_y))
+    computed = point_spread_of(source, depths_m=written.depth_m[middle : middle + 1], tangent=(t_x, t_y))
+    return optics.relative_l2(optics.at_tangent(written, (t_x, t_y))[:, middle : middle + 1], computed.psf)
+
+
+def psf_figures(psf: Psf) -> dict[str, FloatArray]:
+    """The PSF pair's figures of merit, one array over depth each."""
+    return {
+        "depth_m": psf.depth_m,
+        "phi_deg": psf.phi_deg,
+        "efficiency_x": psf.efficiency[0],
+        "efficiency_y": psf.efficiency[1],
+        "extinction_ratio": psf.extinction_ratio,
+        "error": psf.error,
+    }
+
+
+def _psf(job: Job) -> dict[str, Any]:
+    from metafab import optics
+
+    design, verify = job.design, job.design.verify
+    imaging = optics.Imaging.of(design)
+    point_spread_of = partial(
+        optics.psf,
+        imaging=imaging,
+        window_px=verify.window_px,
+        target_error=verify.target_error,
+        filter_fwhm_nm=_filter_fwhm_nm(design),
+        progress=job.progress,
+    )
+    source = mask_source(job, mask_paths(job)[-1])
+    written = point_spread_of(
+        source,
+        depths_m=calibration_depths(design, imaging),
+        field_tangents=optics.field_tangents(design, imaging),
+    )
+    save_psf(job, written, mask_paths(job)[-1], job.folder / "psf.h5")
+    ideal = point_spread_of(ideal_source(job), depths_m=verify.depths_m)
+    save_psf(job, ideal, None, job.folder / "ideal_psf.h5")
+    shown = np.isin(written.depth_m, verify.depths_m)
+    return {
+        **{name: value[shown] for name, value in psf_figures(written).items()},
+        **{f"ideal_{name}": value for name, value in psf_figures(ideal).items() if name != "depth_m"},
+        "depth_interpolation_error": _depth_interpolation_error(written, shown),
+        "field_interpolation_error": _field_interpolation_error(written, point_spread_of, source),
+        "depths": written.depth_m.size,
+        **written.details,
+    }
+
+
+PSF = Step(
+    "psf", ("mask", "optics"), ("library", "phase", "layout"),
+    lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m, d.optics),
+    in_folder("psf.h5", "ideal_psf.h5"), _psf,
+)  # fmt: skip

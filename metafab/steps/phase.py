@@ -1,0 +1,44 @@
+"""Target phases, and what they are worth."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from metafab.core.files import fingerprint
+from metafab.run import Job, Step
+from metafab.spec import Design
+from metafab.steps.outputs import in_folder
+
+
+def _phase(job: Job) -> dict[str, Any]:
+    from metafab import phase
+
+    phase.save(job.profile, job.design, job.folder / "phase.h5")
+    return dict(job.profile.figures)
+
+
+def _study_inputs(design: Design) -> tuple[Any, ...]:
+    illumination = design.unit_cell.illumination
+    return (design.phase, design.device, design.sensor, illumination, design.depths_m, design.scene, design.optics)
+
+
+def _study(job: Job) -> dict[str, Any]:
+    from metafab import phase
+
+    found = phase.study(job.design, job.profile)
+    phase.save_study(
+        found, job.folder / "phase_study.h5", inputs_sha256=fingerprint(*_study_inputs(job.design), job.design.numerics)
+    )
+    return {} if found.bandwidth is None else {"bandwidth": phase.bandwidth_figures(found.bandwidth)}
+
+
+PHASE = Step(
+    "phase", ("spec", "phase"), (),
+    lambda d: (d.phase, d.device, d.sensor, d.unit_cell.illumination, d.verify, d.numerics),
+    in_folder("phase.h5"), _phase,
+)  # fmt: skip
+
+STUDY = Step(
+    "study", ("spec", "phase"), ("phase",),
+    lambda d: (*_study_inputs(d), d.numerics), in_folder("phase_study.h5"), _study,
+)  # fmt: skip
