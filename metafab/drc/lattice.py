@@ -15,7 +15,6 @@ from metafab.core.executor import default_workers, in_order
 from metafab.core.progress import Progress, silent
 from metafab.drc.report import MARKERS, RULES, DrcReport, Marker, upright_side_nm
 from metafab.layout import Aperture, smallest_gap
-from metafab.layout.gaps import PAIRS
 from metafab.layout.pillars import SizeIndexArray
 from metafab.mask import ReadBack
 from metafab.spec import Design
@@ -164,7 +163,7 @@ class _Bands:
         found.smallest_gap_dbu = gaps.smallest_dbu
         if gaps.below:
             row, column = np.divmod(gaps.too_small, block.shape[1])
-            down, right = np.array(PAIRS)[gaps.neighbour].T
+            down, right = np.array(self._lattice.pairs)[gaps.neighbour].T
             here = self._boxes(row + first_row, column)
             there = self._boxes(row + down + first_row, column + right)
             low = np.minimum(here[:, :2], there[:, :2])
@@ -176,7 +175,7 @@ class _Bands:
     def _boxes(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> FloatArray:
         """The pillar at each site, or its unit cell where there is none: x, y, width, height in nm."""
         size = self._size_nm[self.size_index[row, column]]
-        period = np.multiply(self._lattice.period_dbu, self._lattice.database_unit_nm, dtype=np.float64)
-        size = np.where(size > 0, size, period)
+        cell = np.multiply(self._lattice.cell_dbu, self._lattice.database_unit_nm, dtype=np.float64)
+        size = np.where(size > 0, size, cell)
         centre = np.stack([self._lattice.x_um()[column], self._lattice.y_um()[row]], axis=1) * 1e3 + self._at_nm
         return np.concatenate([centre - size / 2.0, size], axis=1)

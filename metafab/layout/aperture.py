@@ -1,7 +1,7 @@
 """Which sites carry a pillar: those whose whole unit cell lies inside the aperture.
 
 The rule is decided in integers, so that mapping and design rules agree at every site of the rim. For a cell
-centred at (x, y) with periods (p_x, p_y), all in database units:
+centred at (x, y) with sides (p_x, p_y), all in database units:
 
 - circle of diameter D: its far corner is inside, (2|x| + p_x)^2 + (2|y| + p_y)^2 <= D^2;
 - ring: and its nearest point is outside the inner circle;
@@ -33,6 +33,7 @@ class Aperture:
         lattice: the lattice that it masks.
         first: shape (n_runs, n_y), first column of each run of a row.
         last: shape (n_runs, n_y), one past its last column; equal to ``first`` where a row has fewer runs.
+            Of a hexagonal lattice, the sites that carry no pillar are counted in.
     """
 
     lattice: Lattice
@@ -46,29 +47,28 @@ class Aperture:
         if device.aperture_shape == "polygon":
             vertices = [(nearest_dbu(x, design), nearest_dbu(y, design)) for x, y in device.outline_um]
             return cls(lattice, *_polygon_runs(lattice, vertices))
-        side = aperture_dbu(design)
-        reach_y = np.abs(_doubled(lattice, 0)) + lattice.period_dbu[1]
+        side, (cell_x, cell_y) = aperture_dbu(design), lattice.cell_dbu
+        reach_y = np.abs(_doubled(lattice, 0)) + cell_y
         if device.aperture_shape == "square":
             reach_x = np.where(reach_y <= side, side, 0)
         else:
             reach_x = _isqrt(np.maximum(side * side - reach_y * reach_y, 0))
-        first, last = _middle_columns(lattice, reach_x - lattice.period_dbu[0])
+        first, last = _middle_columns(lattice, reach_x - cell_x)
         if device.aperture_shape != "ring":
             return cls(lattice, first[None], last[None])
         inner = floor_dbu(device.inner_um, design)
-        near_y = np.maximum(reach_y - 2 * lattice.period_dbu[1], 0)
+        near_y = np.maximum(reach_y - 2 * cell_y, 0)
         # The largest |2x| - p_x that is still inside the inner circle: its square is below, not at, the limit.
         near_x = _isqrt(np.maximum(inner * inner - near_y * near_y - 1, 0))
-        hole_first, hole_last = _middle_columns(
-            lattice, np.where(near_y < inner, near_x + lattice.period_dbu[0], -lattice.period_dbu[0])
-        )
+        hole_first, hole_last = _middle_columns(lattice, np.where(near_y < inner, near_x + cell_x, -cell_x))
         hole_first, hole_last = np.clip(hole_first, first, last), np.clip(hole_last, first, last)
         return cls(lattice, np.stack([first, hole_last]), np.stack([hole_first, last]))
 
     @property
     def count(self) -> int:
         """Sites inside."""
-        return int(np.sum(self.last - self.first))
+        rows = np.arange(self.lattice.shape[0])
+        return int(np.sum(self._sites_before(self.last, rows) - self._sites_before(self.first, rows)))
 
     def inside(self, row: int, column: int, shape: tuple[int, int]) -> NDArray[np.bool_]:
         """Which sites of the block at (row, column) are inside; shape ``shape`` = (n_y, n_x)."""
@@ -80,12 +80,18 @@ class Aperture:
         for first, last in zip(self.first[:, rows, None], self.last[:, rows, None], strict=True):
             if np.any(first < last):
                 found |= (columns >= first) & (columns < last)
-        return found
+        return found & self.lattice.carries(rows, columns) if self.lattice.hexagonal else found
 
     def meets(self, row: int, column: int, sites: int) -> bool:
         """Whether any site of the square of ``sites`` a side at (row, column) is inside."""
-        first, last = self.first[:, row : row + sites], self.last[:, row : row + sites]
-        return bool(np.any(np.maximum(first, column) < np.minimum(last, column + sites)))
+        first = np.maximum(self.first[:, row : row + sites], column)
+        last = np.maximum(np.minimum(self.last[:, row : row + sites], column + sites), first)
+        rows = row + np.arange(first.shape[1])
+        return bool(np.any(self._sites_before(first, rows) < self._sites_before(last, rows)))
+
+    def _sites_before(self, column: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.int64]:
+        """How many sites of a row that can carry a pillar stand left of a column."""
+        return (column + 1 - row % 2) // 2 if self.lattice.hexagonal else column
 
 
 def _doubled(lattice: Lattice, axis: int) -> NDArray[np.int64]:
@@ -118,14 +124,17 @@ def _polygon_runs(lattice: Lattice, vertices: list[tuple[int, int]]) -> tuple[ND
         edge = (2 * x_1, 2 * y_1, 2 * x_2, 2 * y_2)
         edges.append(edge if y_1 <= y_2 else (*edge[2:], *edge[:2]))
     _, lowest, _, highest = np.array(edges, dtype=np.int64).T
-    (n_y, n_x), (p_x, p_y) = lattice.shape, lattice.period_dbu
+    (n_y, n_x), (p_x, p_y), (cell_x, cell_y) = lattice.shape, lattice.period_dbu, lattice.cell_dbu
     runs: list[list[tuple[int, int]]] = []
     for row in range(n_y):
-        low, high = (2 * row - n_y) * p_y, (2 * row - n_y + 2) * p_y
+        low, high = ((2 * row - (n_y - 1)) * p_y + side for side in (-cell_y, cell_y))
         met = np.flatnonzero((highest > low) & (lowest < high))
         columns = (
-            # Cells from (2 i - n_x) p_x to (2 i - n_x + 2) p_x that lie within the span.
-            (max(-(-(left + n_x * p_x) // (2 * p_x)), 0), min((right + n_x * p_x) // (2 * p_x), n_x))
+            # Cells about (2 i - (n_x - 1)) p_x, cell_x to either side, that lie within the span.
+            (
+                max(-(-(left + cell_x + (n_x - 1) * p_x) // (2 * p_x)), 0),
+                min((right - cell_x + (n_x - 1) * p_x) // (2 * p_x) + 1, n_x),
+            )
             for left, right in _free_spans([edges[k] for k in met], low, high)
         )
         runs.append([(first, last) for first, last in columns if first < last])

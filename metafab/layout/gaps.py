@@ -1,8 +1,8 @@
-"""Gaps between neighbouring pillars of a block of sites, beside, above and across both diagonals.
+"""Gaps between neighbouring pillars of a block of sites: beside, above and across both diagonals.
 
-Pillars no larger than their cells can only come too close to one of their eight nearest neighbours, provided
-that the smallest gap allowed does not exceed the period; :func:`smallest_gap` looks at each pair once. The gap
-of a diagonal pair is the distance of their nearest corners.
+Pillars no larger than their cells can only come too close to one of their nearest neighbours (eight, or six on a
+hexagonal lattice), provided that the smallest gap allowed does not exceed the pitch of the sites;
+:func:`smallest_gap` looks at each pair once. The gap of a diagonal pair is the distance of their nearest corners.
 """
 
 from __future__ import annotations
@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.layout.pillars import Lattice, SizeIndexArray
-
-#: (rows, columns) from a site to the four neighbours with which it makes a pair.
-PAIRS = ((0, 1), (1, 0), (1, 1), (1, -1))
 
 #: Pairs below the limit that are listed; all are counted.
 LISTED = 1000
@@ -32,7 +29,7 @@ class Gaps:
         below: pairs below the limit.
         overlapping: pairs that overlap or touch, a part of those below.
         too_small: shape (m,), flat index of the first site of the first :data:`LISTED` pairs below the limit.
-        neighbour: shape (m,), which of :data:`PAIRS` it is.
+        neighbour: shape (m,), which of the lattice's ``pairs`` it is.
     """
 
     smallest_dbu: float
@@ -54,7 +51,7 @@ def smallest_gap(
     Args:
         size_index: shape (n_y, n_x), 0 for no pillar.
         size_dbu: shape (n_sizes + 1, 2).
-        lattice: for its periods.
+        lattice: for its periods and its pairs of neighbours.
         limit_dbu: pairs below it are counted and listed.
         rows: pairs whose first site lies in these first rows only; the others are neighbours. All unless given.
     """
@@ -67,10 +64,11 @@ def smallest_gap(
         size_dbu.astype(np.float64),
         limit_dbu * abs(limit_dbu),
     )
-    square = float(_smallest_square(block, size, *lattice.period_dbu, rows))
+    pairs, centres = np.array(lattice.pairs), centre_distances(lattice)
+    square = float(_smallest_square(block, size, pairs, centres, rows))
     below, overlapping = 0, 0
     if square < limit_square:
-        below, overlapping = _list_below(block, size, *lattice.period_dbu, limit_square, rows, found)
+        below, overlapping = _list_below(block, size, pairs, centres, limit_square, rows, found)
     listed = min(below, LISTED)
     return Gaps(_signed_root(square), below, overlapping, found[:listed, 0], found[:listed, 1])
 
@@ -80,15 +78,14 @@ def smallest_gap_vectorised(
 ) -> Gaps:
     """As :func:`smallest_gap`, in NumPy alone."""
     n_y, n_x = size_index.shape
-    p_x, p_y = lattice.period_dbu
     smallest, overlapping = np.inf, 0
     sites, neighbours = [], []
-    for pair, (down, right) in enumerate(PAIRS):
+    for pair, ((down, right), (x, y)) in enumerate(zip(lattice.pairs, centre_distances(lattice), strict=True)):
         left, end = max(0, -right), min(rows, n_y - down)
         here = size_index[:end, left : n_x - max(0, right)]
         there = size_index[down : end + down, left + right : n_x + min(0, right)]
-        gap_x = abs(right) * p_x - (size_dbu[here, 0] + size_dbu[there, 0]) / 2.0
-        gap_y = down * p_y - (size_dbu[here, 1] + size_dbu[there, 1]) / 2.0
+        gap_x = x - (size_dbu[here, 0] + size_dbu[there, 0]) / 2.0
+        gap_y = y - (size_dbu[here, 1] + size_dbu[there, 1]) / 2.0
         square = np.where((here > 0) & (there > 0), signed_square(gap_x, gap_y), np.inf)
         smallest = min(smallest, float(square.min(initial=np.inf)))
         row, column = np.nonzero(square < limit_dbu * abs(limit_dbu))
@@ -98,6 +95,12 @@ def smallest_gap_vectorised(
     site, neighbour = np.concatenate(sites), np.concatenate(neighbours)
     order = np.lexsort((neighbour, site))[:LISTED]
     return Gaps(_signed_root(smallest), site.size, overlapping, site[order], neighbour[order])
+
+
+def centre_distances(lattice: Lattice) -> FloatArray:
+    """Distances along x and y of the centres of each of the lattice's ``pairs``, shape (n_pairs, 2), dbu."""
+    down, right = np.abs(lattice.pairs).T
+    return np.stack([right * lattice.period_dbu[0], down * lattice.period_dbu[1]], axis=1).astype(np.float64)
 
 
 def signed_square(gap_x: NDArray[np.float64], gap_y: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -119,38 +122,35 @@ def square_of_pair(gap_x: float, gap_y: float) -> float:
 
 
 @compiled
-def _smallest_square(size_index: SizeIndexArray, size_dbu: FloatArray, p_x: int, p_y: int, rows: int) -> float:
+def _smallest_square(
+    size_index: SizeIndexArray, size_dbu: FloatArray, pairs: NDArray[np.int64], centres: FloatArray, rows: int
+) -> float:
     """Smallest signed square over all pairs; columns keep their own minimum, so that a row is vectorised.
 
     Sites without a pillar get a size of minus infinity, infinitely far from every neighbour.
     """
     n_y, n_x = size_index.shape
     smallest = np.full(n_x, np.inf)
-    width, length = np.empty((2, n_x)), np.empty((2, n_x))
+    half = np.empty((2, 2, n_x))  # of rows in turn: half the widths, half the lengths
     for row in range(min(rows + 1, n_y)):
-        here, above = (row + 1) % 2, row % 2  # `here` is the row before, `above` the one that is read now
+        here = half[row % 2]
         for column in range(n_x):
             size = size_index[row, column]
-            width[above, column] = 0.5 * size_dbu[size, 0] if size > 0 else -np.inf
-            length[above, column] = 0.5 * size_dbu[size, 1] if size > 0 else -np.inf
-        if row > 0:
-            for column in range(n_x):
-                gap_x = -width[here, column] - width[above, column]
-                gap_y = p_y - length[here, column] - length[above, column]
-                smallest[column] = min(smallest[column], square_of_pair(gap_x, gap_y))
-            for column in range(n_x - 1):
-                gap_x = p_x - width[here, column] - width[above, column + 1]
-                gap_y = p_y - length[here, column] - length[above, column + 1]
-                smallest[column] = min(smallest[column], square_of_pair(gap_x, gap_y))
-            for column in range(n_x - 1):
-                gap_x = p_x - width[here, column + 1] - width[above, column]
-                gap_y = p_y - length[here, column + 1] - length[above, column]
-                smallest[column] = min(smallest[column], square_of_pair(gap_x, gap_y))
-        if row < rows:
-            for column in range(n_x - 1):
-                gap_x = p_x - width[above, column] - width[above, column + 1]
-                gap_y = -length[above, column] - length[above, column + 1]
-                smallest[column] = min(smallest[column], square_of_pair(gap_x, gap_y))
+            here[0, column] = 0.5 * size_dbu[size, 0] if size > 0 else -np.inf
+            here[1, column] = 0.5 * size_dbu[size, 1] if size > 0 else -np.inf
+        for pair in range(len(pairs)):
+            down, right = pairs[pair]
+            # The pair's first site stands in the row before, or in this one, which may be beyond the first rows.
+            if row < down or row - down >= rows:
+                continue
+            first, second = half[(row - down) % 2], here
+            left, count = max(0, -right), max(0, n_x - abs(right))
+            width, length = first[0, left : left + count], first[1, left : left + count]
+            other_width, other_length = second[0, left + right :][:count], second[1, left + right :][:count]
+            x, y = centres[pair]
+            for k in range(count):
+                square = square_of_pair(x - width[k] - other_width[k], y - length[k] - other_length[k])
+                smallest[k] = min(smallest[k], square)
     return smallest.min() if n_x > 0 else np.inf
 
 
@@ -158,8 +158,8 @@ def _smallest_square(size_index: SizeIndexArray, size_dbu: FloatArray, p_x: int,
 def _list_below(
     size_index: SizeIndexArray,
     size_dbu: FloatArray,
-    p_x: int,
-    p_y: int,
+    pairs: NDArray[np.int64],
+    centres: FloatArray,
     limit_square: float,
     rows: int,
     found: NDArray[np.int64],
@@ -172,16 +172,13 @@ def _list_below(
             here = size_index[row, column]
             if here == 0:
                 continue
-            for pair in range(4):
-                down = 0 if pair == 0 else 1
-                right = 1 if pair == 0 else pair - 1 if pair < 3 else -1
-                if row + down >= n_y or column + right >= n_x or column + right < 0:
-                    continue
-                there = size_index[row + down, column + right]
+            for pair in range(len(pairs)):
+                i, j = row + pairs[pair, 0], column + pairs[pair, 1]
+                there = size_index[i, j] if i < n_y and 0 <= j < n_x else 0
                 if there == 0:
                     continue
-                gap_x = abs(right) * p_x - 0.5 * (size_dbu[here, 0] + size_dbu[there, 0])
-                gap_y = down * p_y - 0.5 * (size_dbu[here, 1] + size_dbu[there, 1])
+                gap_x = centres[pair, 0] - 0.5 * (size_dbu[here, 0] + size_dbu[there, 0])
+                gap_y = centres[pair, 1] - 0.5 * (size_dbu[here, 1] + size_dbu[there, 1])
                 square = square_of_pair(gap_x, gap_y)
                 if square < limit_square:
                     if count < len(found):

@@ -43,18 +43,24 @@ def lattice_of(design: Design) -> Lattice:
     Raises:
         InputError: the period is not a whole number of database units, or the aperture holds no cell.
     """
-    unit_nm = design.mask.database_unit_nm
-    periods = [whole_dbu(period, unit_nm, "cell.period_nm") for period in design.unit_cell.cell.period_nm]
+    unit_nm, hexagonal = design.mask.database_unit_nm, design.unit_cell.cell.is_hexagonal
+    whole_x, whole_y = (
+        whole_dbu(period, unit_nm, "cell.period_nm", even=hexagonal and axis == 0)
+        for axis, period in enumerate(design.unit_cell.cell.period_nm)
+    )
+    p_x, p_y = whole_x // 2 if hexagonal else whole_x, whole_y
     aperture = aperture_dbu(design)
-    columns, rows = (aperture // period for period in periods)
-    if not (rows and columns):
+    columns, rows = aperture // p_x, aperture // p_y
+    if aperture < max(whole_x, whole_y):
         raise InputError.single(
             design.name,
             "device.aperture_um",
             "at least one period",
             f"{design.device.aperture_um:g} um for periods of {design.unit_cell.cell.period_nm} nm",
         )
-    return Lattice((periods[0], periods[1]), (rows, columns), unit_nm)
+    if hexagonal:  # Odd numbers: the lattice is its own mirror image in both axes.
+        columns, rows = columns // 2 * 2 + 1, (rows - 1) // 2 * 2 + 1
+    return Lattice((p_x, p_y), (rows, columns), unit_nm, hexagonal)
 
 
 def aperture_dbu(design: Design) -> int:
@@ -75,14 +81,18 @@ def nearest_dbu(length_um: float, design: Design) -> int:
 def field_sites(design: Design) -> tuple[int, int]:
     """Sites along (x, y) of one write field.
 
-    Fields that cut through a cell would stitch inside a pillar, so a field is a whole number of periods.
+    Fields that cut through a cell would stitch inside a pillar, so a field is a whole number of periods. Periods of a
+    hexagonal lattice have no common multiple of that size: a field is then as wide as asked and as many whole tiles
+    high as fit, and its sides follow the zigzag of the rows, half a period deep.
 
     Raises:
         InputError: it is not.
     """
     field_nm = design.mask.write_field_um * 1e3
+    cell = design.unit_cell.cell
+    hexagonal = cell.is_hexagonal
     sites = []
-    for period_nm in design.unit_cell.cell.period_nm:
+    for period_nm in cell.period_nm[:1] if hexagonal else cell.period_nm:
         count = round(field_nm / period_nm)
         if count < 1 or abs(count * period_nm - field_nm) > 1e-3:
             below = max(1, math.floor(field_nm / period_nm))
@@ -94,7 +104,11 @@ def field_sites(design: Design) -> tuple[int, int]:
                 f"use {below * period_nm * 1e-3:.6g} or {(below + 1) * period_nm * 1e-3:.6g} um",
             )
         sites.append(count)
-    return sites[0], sites[1]
+    if not hexagonal:
+        return sites[0], sites[1]
+    columns, rows = 2 * sites[0], math.floor(field_nm / cell.period_nm[1] + 1e-9)
+    tile = _nearest_divisor(columns, min(design.numerics.tile_sites, rows))
+    return columns, max(1, rows // tile) * tile
 
 
 def tile_sites(design: Design) -> int:
@@ -102,7 +116,9 @@ def tile_sites(design: Design) -> int:
 
     Tiles then never straddle two write fields, and each becomes one cell of the mask file.
     """
-    common = math.gcd(*field_sites(design))
-    wanted = design.numerics.tile_sites
-    divisors = [k for k in range(1, common + 1) if common % k == 0]
+    return _nearest_divisor(math.gcd(*field_sites(design)), design.numerics.tile_sites)
+
+
+def _nearest_divisor(number: int, wanted: int) -> int:
+    divisors = (k for k in range(1, number + 1) if number % k == 0)
     return min(divisors, key=lambda k: (abs(math.log(k / wanted)), k))

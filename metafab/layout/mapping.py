@@ -10,7 +10,7 @@ from metafab.core.conventions import FloatArray
 from metafab.layout.aperture import Aperture
 from metafab.layout.figures import TileFigures
 from metafab.layout.gaps import smallest_gap
-from metafab.layout.neighbours import REACH_SITES, JointSizes
+from metafab.layout.neighbours import JointSizes, reach_sites
 from metafab.layout.pillars import PillarTile, SizeIndexArray
 from metafab.library import SizeTable
 from metafab.phase.profile import PhaseProfile
@@ -50,9 +50,9 @@ class Mapping:
     def __call__(self, place: tuple[int, int]) -> tuple[PillarTile, TileFigures]:
         """Map the tile at (row, column)."""
         lattice = self.aperture.lattice
-        halo = 1 if self.joint is None else 1 + REACH_SITES
-        first = [max(start - halo, 0) for start in place]
-        last = [min(start + self.tile_sites + halo, count) for start, count in zip(place, lattice.shape, strict=True)]
+        halo = np.array(lattice.reach) if self.joint is None else np.add(lattice.reach, reach_sites(lattice))
+        first = np.maximum(np.subtract(place, halo), 0).tolist()
+        last = np.minimum(np.add(place, self.tile_sites + halo), lattice.shape).tolist()
         target = self.profile(lattice.x_um()[first[1] : last[1]], lattice.y_um()[first[0] : last[0]])
         target += np.reshape(self.offset_rad, (2, 1, 1))
         sizes = self.table.sizes_for(target[0], target[1])
@@ -70,7 +70,9 @@ class Mapping:
         """The tile at (row, column) and its figures, from a block with a halo whose first site is ``corner``."""
         row, column = (start - shift for start, shift in zip(place, corner, strict=True))
         core = np.s_[row : row + self.tile_sites, column : column + self.tile_sites]
-        beside = np.s_[max(row - 1, 0) : row + self.tile_sites + 1, max(column - 1, 0) : column + self.tile_sites + 1]
+        down, right = self.aperture.lattice.reach
+        low, left = max(row - down, 0), max(column - right, 0)
+        beside = np.s_[low : row + self.tile_sites + down, left : column + self.tile_sites + right]
         gap_dbu = smallest_gap(sizes[beside], self.table.size_dbu, self.aperture.lattice).smallest_dbu
         counted = np.zeros_like(sizes)
         counted[core] = sizes[core]

@@ -8,12 +8,15 @@ every gap.
 
 Sites are visited in 4 x 4 colours. A move reads its two rings of neighbours and changes the first, so those of
 one colour cannot meet: their order does not matter, and what a site becomes depends on sites at most
-:data:`REACH_SITES` away. That is the halo which makes tiles seamless and independent of one another.
+:func:`reach_sites` away. That is the halo which makes tiles seamless and independent of one another. On a hexagonal
+lattice, whose neighbours in a row are two sites away, colours repeat after 4 rows and 8 columns; every other one of
+these is empty, so there are as many.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,14 +24,41 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.numerics import compiled
 from metafab.layout.candidates import candidates
-from metafab.layout.gaps import square_of_pair
+from metafab.layout.gaps import centre_distances, square_of_pair
 from metafab.layout.pillars import Lattice, SizeIndexArray
 from metafab.library import SizeTable
 
 _COLOURS = 4
 
-#: How far a site's choice can depend on others: from the first ring of a move to its second on the other side.
-REACH_SITES = 3 * _COLOURS**2
+
+def reach_sites(lattice: Lattice) -> tuple[int, int]:
+    """(rows, columns) that a site's choice can reach: for each colour, from one ring of a move to its second beyond."""
+    down, right = lattice.reach
+    return 3 * _COLOURS**2 * down, 3 * _COLOURS**2 * right
+
+
+class _Rules(NamedTuple):
+    """What the kernels know of sizes, phases and neighbours.
+
+    Attributes:
+        candidates: as :attr:`JointSizes.candidates`.
+        step: cells of the targets' phases in one of the candidates'.
+        size_dbu: shape (n_sizes + 1, 2), width and length.
+        field: shape (n_sizes + 1, 4), real parts of t for x and y polarisation, then imaginary ones.
+        target: shape (cells, 2), cosine and sine of each cell's phase.
+        neighbours: shape (n, 2), (rows, columns) to each neighbour.
+        centres: shape (n, 2), distances of the centres along x and y.
+        limit_square: of the smallest gap.
+    """
+
+    candidates: SizeIndexArray
+    step: int
+    size_dbu: FloatArray
+    field: FloatArray
+    target: FloatArray
+    neighbours: NDArray[np.int64]
+    centres: FloatArray
+    limit_square: float
 
 
 @dataclass(frozen=True)
@@ -51,60 +81,80 @@ class JointSizes:
         row_of = {tuple(size): row for row, size in enumerate(wide.size_dbu.tolist())}
         rows = np.array([row_of[tuple(size)] for size in plain.size_dbu.tolist()], dtype=np.uint16)
         table = replace(wide, size_index=rows[plain.size_index], overlap=plain.overlap)
-        return cls(table, candidates(table, lattice.period_dbu, min_gap_dbu), min_gap_dbu)
+        return cls(table, candidates(table, lattice.cell_dbu, min_gap_dbu), min_gap_dbu)
 
     def improve(
         self, size_index: SizeIndexArray, target_rad: FloatArray, lattice: Lattice, corner: tuple[int, int]
     ) -> None:
-        """Improve a block of sites in place; those within :data:`REACH_SITES` of a cut are not final.
+        """Improve a block of sites in place; those within :func:`reach_sites` of a cut are not final.
 
         Args:
             size_index: shape (n_y, n_x), sizes that keep the gap, 0 for no pillar (which stays none).
             target_rad: shape (2, n_y, n_x), target phases, need not be wrapped.
-            lattice: for its periods.
+            lattice: for its periods and neighbours.
             corner: (row, column) of the block's first site on the lattice, which sets the colours.
         """
         cells = self.table.cells
         cell = (np.rint(target_rad * (cells / (2.0 * np.pi))).astype(np.int64) & (cells - 1)).astype(np.int32)
+        rules = self._rules(lattice)
+        every = _COLOURS * lattice.reach[0], _COLOURS * lattice.reach[1]
+        for first_row in range(every[0]):
+            for first_column in range(every[1]):
+                first = (first_row - corner[0]) % every[0], (first_column - corner[1]) % every[1]
+                _visit(size_index, cell, rules, first, every)
+
+    def _rules(self, lattice: Lattice) -> _Rules:
+        cells = self.table.cells
         turn = 2.0 * np.pi * np.arange(cells) / cells
-        for first_row in range(_COLOURS):
-            for first_column in range(_COLOURS):
-                _visit(
-                    size_index, cell, self.candidates, self.table.size_dbu.astype(np.float64),
-                    np.concatenate([self.table.t.real, self.table.t.imag], axis=1), np.cos(turn), np.sin(turn),
-                    *lattice.period_dbu, (self.min_gap_dbu - 1e-6) ** 2,
-                    (first_row - corner[0]) % _COLOURS, (first_column - corner[1]) % _COLOURS,
-                )  # fmt: skip
+        pairs, centres = np.array(lattice.pairs), centre_distances(lattice)
+        return _Rules(
+            self.candidates,
+            cells // len(self.candidates),
+            self.table.size_dbu.astype(np.float64),
+            np.concatenate([self.table.t.real, self.table.t.imag], axis=1),
+            np.stack([np.cos(turn), np.sin(turn)], axis=1),
+            np.concatenate([pairs, -pairs]),
+            np.concatenate([centres, centres]),
+            (self.min_gap_dbu - 1e-6) ** 2,
+        )
 
 
 @compiled
-def _near(down: int, right: int, size: FloatArray, other: FloatArray, p_x: int, p_y: int, limit_square: float) -> bool:
-    """Whether pillars of two sizes, (width, length) each, at neighbouring sites come closer than the limit."""
-    gap_x = abs(right) * p_x - 0.5 * (size[0] + other[0])
-    gap_y = abs(down) * p_y - 0.5 * (size[1] + other[1])
+def _near(size: FloatArray, other: FloatArray, centres: FloatArray, limit_square: float) -> bool:
+    """Whether pillars of two sizes, (width, length), ``centres`` apart along x and y, are nearer than the limit."""
+    gap_x, gap_y = centres[0] - 0.5 * (size[0] + other[0]), centres[1] - 0.5 * (size[1] + other[1])
     return bool(square_of_pair(gap_x, gap_y) < limit_square)
 
 
 @compiled
-def _first_that_fits(
-    size_index: SizeIndexArray,
-    row: int,
-    column: int,
-    listed: SizeIndexArray,
-    size_dbu: FloatArray,
-    p_x: int,
-    p_y: int,
-    limit_square: float,
-) -> int:
-    """The first of the ``listed`` sizes that keeps its distance from all neighbours of a site; 0 if none does."""
+def _listed(cell: NDArray[np.int32], row: int, column: int, rules: _Rules) -> SizeIndexArray:
+    """The candidates of a site, by its target phases."""
+    listed: SizeIndexArray = rules.candidates[cell[1, row, column] // rules.step, cell[0, row, column] // rules.step]
+    return listed
+
+
+@compiled
+def _overlap(size: int, cell: NDArray[np.int32], row: int, column: int, rules: _Rules) -> float:
+    """Of a size's field with the target phases of a site."""
+    t, x, y = rules.field[size], rules.target[cell[0, row, column]], rules.target[cell[1, row, column]]
+    return float(t[0] * x[0] + t[1] * y[0] + t[2] * x[1] + t[3] * y[1])
+
+
+@compiled
+def _at(size_index: SizeIndexArray, row: int, column: int) -> int:
+    """The size at a site, 0 beyond the block."""
     n_y, n_x = size_index.shape
-    for size in listed:
+    return int(size_index[row, column]) if 0 <= row < n_y and 0 <= column < n_x else 0
+
+
+@compiled
+def _first_that_fits(size_index: SizeIndexArray, cell: NDArray[np.int32], row: int, column: int, rules: _Rules) -> int:
+    """The first of a site's candidates that keeps its distance from all neighbours; 0 if none does."""
+    for size in _listed(cell, row, column, rules):
         fits = size > 0
-        for k in range(9):
-            i, j = row + k // 3 - 1, column + k % 3 - 1
-            if k == 4 or i < 0 or i >= n_y or j < 0 or j >= n_x or size_index[i, j] == 0:
-                continue
-            if _near(i - row, j - column, size_dbu[size], size_dbu[size_index[i, j]], p_x, p_y, limit_square):
+        for k in range(len(rules.neighbours)):
+            other = _at(size_index, row + rules.neighbours[k, 0], column + rules.neighbours[k, 1])
+            if other and _near(rules.size_dbu[size], rules.size_dbu[other], rules.centres[k], rules.limit_square):
                 fits = False
                 break
         if fits or size == 0:
@@ -113,66 +163,42 @@ def _first_that_fits(
 
 
 @compiled
-def _overlap(t: FloatArray, cosine_x: float, sine_x: float, cosine_y: float, sine_y: float) -> float:
-    """Of a size's field, real parts before imaginary ones, with a pair of target phases."""
-    return float(t[0] * cosine_x + t[1] * cosine_y + t[2] * sine_x + t[3] * sine_y)
+def _read(size_index: SizeIndexArray, row: int, column: int, rules: _Rules, around: SizeIndexArray) -> None:
+    """Copy the sizes of a site's neighbours and, last, its own into ``around``; 0 beyond the block."""
+    for k in range(len(rules.neighbours)):
+        around[k] = _at(size_index, row + rules.neighbours[k, 0], column + rules.neighbours[k, 1])
+    around[-1] = size_index[row, column]
 
 
 @compiled
-def _read(size_index: SizeIndexArray, row: int, column: int, around: SizeIndexArray) -> None:
-    """Copy the sizes of a site and its neighbours, row by row, into ``around``, shape (9,); 0 beyond the block."""
-    n_y, n_x = size_index.shape
-    for k in range(9):
-        i, j = row + k // 3 - 1, column + k % 3 - 1
-        around[k] = size_index[i, j] if 0 <= i < n_y and 0 <= j < n_x else 0
-
-
-@compiled
-def _write(size_index: SizeIndexArray, row: int, column: int, around: SizeIndexArray) -> None:
+def _write(size_index: SizeIndexArray, row: int, column: int, rules: _Rules, around: SizeIndexArray) -> None:
     """The inverse of :func:`_read`."""
-    for k in range(9):
+    for k in range(len(rules.neighbours)):
         if around[k] > 0:
-            size_index[row + k // 3 - 1, column + k % 3 - 1] = around[k]
+            size_index[row + rules.neighbours[k, 0], column + rules.neighbours[k, 1]] = around[k]
+    size_index[row, column] = around[-1]
 
 
 @compiled
 def _make_room(
-    size_index: SizeIndexArray,
-    row: int,
-    column: int,
-    old: SizeIndexArray,
-    cell: NDArray[np.int32],
-    candidates: SizeIndexArray,
-    size_dbu: FloatArray,
-    t: FloatArray,
-    cosine: FloatArray,
-    sine: FloatArray,
-    p_x: int,
-    p_y: int,
-    limit_square: float,
+    size_index: SizeIndexArray, cell: NDArray[np.int32], row: int, column: int, rules: _Rules, old: SizeIndexArray
 ) -> float:
     """Let the ``old`` neighbours fall back that are too near to a site's new size.
 
     Returns:
         The overlap that this costs: 0 where there is room as it is, infinity where there can be none.
     """
-    step = len(cosine) // len(candidates)
     cost = 0.0
-    for k in range(9):
-        down, right = k // 3 - 1, k % 3 - 1
-        if k == 4 or old[k] == 0:
+    new = rules.size_dbu[size_index[row, column]]
+    for k in range(len(rules.neighbours)):
+        if old[k] == 0 or not _near(new, rules.size_dbu[old[k]], rules.centres[k], rules.limit_square):
             continue
-        if not _near(down, right, size_dbu[size_index[row, column]], size_dbu[old[k]], p_x, p_y, limit_square):
-            continue
-        i, j = row + down, column + right
-        x, y = cell[0, i, j], cell[1, i, j]
-        listed = candidates[y // step, x // step]
-        size = _first_that_fits(size_index, i, j, listed, size_dbu, p_x, p_y, limit_square)
+        i, j = row + rules.neighbours[k, 0], column + rules.neighbours[k, 1]
+        size = _first_that_fits(size_index, cell, i, j, rules)
         if size == 0:
             return np.inf
         size_index[i, j] = size
-        cost += _overlap(t[old[k]], cosine[x], sine[x], cosine[y], sine[y])
-        cost -= _overlap(t[size], cosine[x], sine[x], cosine[y], sine[y])
+        cost += _overlap(old[k], cell, i, j, rules) - _overlap(size, cell, i, j, rules)
     return cost
 
 
@@ -180,42 +206,31 @@ def _make_room(
 def _visit(
     size_index: SizeIndexArray,
     cell: NDArray[np.int32],
-    candidates: SizeIndexArray,
-    size_dbu: FloatArray,
-    t: FloatArray,
-    cosine: FloatArray,
-    sine: FloatArray,
-    p_x: int,
-    p_y: int,
-    limit_square: float,
-    first_row: int,
-    first_column: int,
+    rules: _Rules,
+    first: tuple[int, int],
+    every: tuple[int, int],
 ) -> None:
-    """Visit the sites of one colour and make the best move of each."""
+    """Visit the sites of one colour, from ``first`` on in steps of ``every``, and make the best move of each."""
     n_y, n_x = size_index.shape
-    step = len(cosine) // len(candidates)
-    old, best = np.zeros(9, dtype=np.uint16), np.zeros(9, dtype=np.uint16)
-    for row in range(first_row, n_y, _COLOURS):
-        for column in range(first_column, n_x, _COLOURS):
+    old, best = np.zeros((2, len(rules.neighbours) + 1), dtype=np.uint16)
+    for row in range(first[0], n_y, every[0]):
+        for column in range(first[1], n_x, every[1]):
             if size_index[row, column] == 0:
                 continue
-            _read(size_index, row, column, old)
-            x, y = cell[0, row, column], cell[1, row, column]
-            held = _overlap(t[old[4]], cosine[x], sine[x], cosine[y], sine[y])
+            _read(size_index, row, column, rules, old)
+            held = _overlap(old[-1], cell, row, column, rules)
             largest_gain = 0.0
-            for size in candidates[y // step, x // step]:
-                gain = _overlap(t[size], cosine[x], sine[x], cosine[y], sine[y]) - held
+            for size in _listed(cell, row, column, rules):
+                gain = _overlap(size, cell, row, column, rules) - held
                 if size == 0 or gain <= largest_gain:
                     break
                 size_index[row, column] = size
-                cost = _make_room(
-                    size_index, row, column, old, cell, candidates, size_dbu, t, cosine, sine, p_x, p_y, limit_square
-                )
+                cost = _make_room(size_index, cell, row, column, rules, old)
                 if gain - cost > largest_gain:
                     largest_gain = gain - cost
-                    _read(size_index, row, column, best)
-                _write(size_index, row, column, old)
+                    _read(size_index, row, column, rules, best)
+                _write(size_index, row, column, rules, old)
                 if cost == 0.0:
                     break
             if largest_gain > 0.0:
-                _write(size_index, row, column, best)
+                _write(size_index, row, column, rules, best)

@@ -6,6 +6,7 @@ lattice site; 25 million of them are arrays, never objects.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
@@ -20,17 +21,23 @@ SizeIndexArray = NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Lattice:
-    """A rectangular lattice whose centre is the optical axis.
+    """A lattice whose centre is the optical axis: all sites of a rectangular grid, or every other one.
+
+    A hexagonal lattice is the half of a rectangular grid whose row and column are both even or both odd, like the
+    squares of one colour on a chessboard; its grid is half a period fine along x. So both kinds of lattice are arrays
+    of sites at products of x and y, and rooms that add up pillars need not know which one it is.
 
     Attributes:
-        period_dbu: (x, y) pitch.
-        shape: (n_y, n_x) sites.
+        period_dbu: (x, y) pitch of the grid of sites.
+        shape: (n_y, n_x) sites of the grid.
         database_unit_nm: size of one dbu.
+        hexagonal: whether only every other site can carry a pillar.
     """
 
     period_dbu: tuple[int, int]
     shape: tuple[int, int]
     database_unit_nm: float
+    hexagonal: bool = False
 
     def __post_init__(self) -> None:
         for axis, period, count in zip("xy", self.period_dbu, self.shape[::-1], strict=True):
@@ -42,6 +49,33 @@ class Lattice:
                     f"a period of {period} units",
                     "halve the unit, so that sites beside the axis stay exact",
                 )
+
+    @property
+    def cell_dbu(self) -> tuple[int, int]:
+        """(x, y) sides of the rectangle that belongs to one pillar; those of all pillars cover the plane once."""
+        p_x, p_y = self.period_dbu
+        return (2 * p_x, p_y) if self.hexagonal else (p_x, p_y)
+
+    @property
+    def cell_um2(self) -> float:
+        """Area that belongs to one pillar."""
+        return math.prod(side * self.database_unit_nm * 1e-3 for side in self.cell_dbu)
+
+    @property
+    def pairs(self) -> tuple[tuple[int, int], ...]:
+        """(rows, columns) from a site to half of its nearest neighbours: each pair of neighbours is one of them."""
+        return ((0, 2), (1, 1), (1, -1)) if self.hexagonal else ((0, 1), (1, 0), (1, 1), (1, -1))
+
+    @property
+    def reach(self) -> tuple[int, int]:
+        """(rows, columns) to the farthest of them."""
+        return max(down for down, _ in self.pairs), max(right for _, right in self.pairs)
+
+    def carries(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which sites of these rows and columns can carry a pillar, shape (rows, columns)."""
+        if not self.hexagonal:
+            return np.ones((rows.size, columns.size), dtype=np.bool_)
+        return np.asarray((rows[:, None] + columns) % 2 == 0)
 
     def x_dbu(self) -> NDArray[np.int64]:
         """Site centres along x, shape (n_x,)."""

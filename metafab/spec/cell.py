@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields
 from typing import Annotated, Literal
 
@@ -42,6 +43,9 @@ def _material(value: object) -> object:
     return {"record": value} if isinstance(value, str) else value
 
 
+#: Distance of the rows of a regular hexagonal lattice over its period, and how far one may be from regular.
+_ROWS_PER_PERIOD, _MOST_STRAIN = math.sqrt(3.0) / 2.0, 0.01
+
 SidewallAngle = Annotated[float, Field(strict=True, ge=60.0, le=120.0)]
 
 
@@ -68,6 +72,9 @@ class Layer:
 class CellGeometry:
     """The unit cell: a pillar of rectangular cross-section centred in a rectangular period.
 
+    ``lattice`` is rectangular if not given. On a hexagonal one every other row stands half a period aside, and
+    ``period_nm`` is the distance of pillars within a row; rows are sqrt(3)/2 of it apart, rounded to a whole nanometre,
+    so that a mask can hold what was solved. Given as two numbers, the second is the distance of rows, within 1 % of it.
     ``sidewall_angle_deg`` is the angle between walls and substrate inside the pillar, 90 if not given; below 90 the
     pillar narrows upwards. ``sizes_at`` says where on its height widths and lengths are meant, the middle if not given.
     ``film`` lists closed films between substrate and pillars, from the substrate on, and ``cap`` layers on each pillar,
@@ -81,11 +88,31 @@ class CellGeometry:
     sizes_at: Literal["bottom", "middle", "top"] | None = None
     film: tuple[Layer, ...] | None = None
     cap: tuple[Layer, ...] | None = None
+    lattice: Literal["rectangular", "hexagonal"] | None = None
 
     @field_validator("period_nm", mode="before")
     @classmethod
     def _square(cls, value: object) -> object:
         return (value, value) if isinstance(value, int | float) else value
+
+    @model_validator(mode="after")
+    def _rows(self) -> CellGeometry:
+        along_row, rows_nm = self.period_nm
+        regular_nm = along_row * _ROWS_PER_PERIOD
+        if not self.is_hexagonal or abs(rows_nm / regular_nm - 1.0) <= _MOST_STRAIN:
+            return self
+        if rows_nm != along_row or round(regular_nm) == 0:
+            raise ValueError(
+                f"`period_nm` of a hexagonal lattice must be one number, or rows within 1 % of {regular_nm:.6g} nm "
+                f"apart, got {rows_nm:g} nm"
+            )
+        object.__setattr__(self, "period_nm", (along_row, float(round(regular_nm))))
+        return self
+
+    @property
+    def is_hexagonal(self) -> bool:
+        """Whether every other row of pillars stands half a period aside."""
+        return self.lattice == "hexagonal"
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -239,4 +266,5 @@ class UnitCell:
     def is_square(self) -> bool:
         """Whether swapping x and y swaps the two polarisations and nothing else."""
         isotropic = all(m.n_y is None for m in (self.materials.substrate, self.materials.ambient))
-        return isotropic and self.cell.period_nm[0] == self.cell.period_nm[1]
+        same_period = self.cell.period_nm[0] == self.cell.period_nm[1]
+        return isotropic and same_period and not self.cell.is_hexagonal

@@ -118,7 +118,18 @@ def test_compiled_and_plain_python_agree(joint: JointSizes, monkeypatch: pytest.
     compiled, target_rad, lattice = _block(joint, 11, (12, 13), 0.1)
     plain = compiled.copy()
     joint.improve(compiled, target_rad, lattice, (1, 2))
-    for name in ("_visit", "_make_room", "_read", "_write", "_first_that_fits", "_near", "_overlap", "square_of_pair"):
+    for name in (
+        "_visit",
+        "_make_room",
+        "_read",
+        "_write",
+        "_first_that_fits",
+        "_near",
+        "_overlap",
+        "_listed",
+        "_at",
+        "square_of_pair",
+    ):
         monkeypatch.setattr(neighbours, name, getattr(neighbours, name).py_func)
     joint.improve(plain, target_rad, lattice, (1, 2))
     assert np.array_equal(plain, compiled)

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from shapely.geometry import box
 
 from metafab.layout import Lattice, smallest_gap
-from metafab.layout.gaps import PAIRS, smallest_gap_vectorised
+from metafab.layout.gaps import smallest_gap_vectorised
 
 LATTICE = Lattice((70, 60), (6, 7), 5.0)
 SIZES = np.array([[0, 0], [20, 20], [50, 20], [20, 50], [50, 50], [70, 60]], dtype=np.int32)
@@ -62,7 +62,7 @@ def test_bands_see_every_pair_once(block: np.ndarray, cut: int) -> None:
 @pytest.mark.parametrize(("pair", "gap"), [(0, 20.0), (1, 10.0), (2, np.hypot(20, 10)), (3, np.hypot(20, 10))])
 def test_each_kind_of_neighbour_is_seen(pair: int, gap: float) -> None:
     block = np.zeros((2, 3), dtype=np.uint16)
-    down, right = PAIRS[pair]
+    down, right = LATTICE.pairs[pair]
     block[0, 1] = block[down, 1 + right] = 4
     found = smallest_gap(block, SIZES, LATTICE, gap + 1e-9)
     assert found.smallest_dbu == pytest.approx(gap, rel=1e-15)
