@@ -294,7 +294,7 @@ def _sweep(
 
     ``counts`` becomes the pairs too near, of these overlapping, of these equal; ``pairs`` lists the first.
     """
-    reach = int(gap) + 1
+    reach = int(gap) + 2  # pairs exactly at the limit are seen, too: they may be the nearest
     smallest = np.inf
     for one in range(row, end_row):
         above, above_end = start[one + 1], start[one + 1]

@@ -47,14 +47,13 @@ class Recovery:
     """
 
     def __init__(self, lattice: Lattice, unit_ratio: Fraction, source: str, at_dbu: tuple[int, int]) -> None:
-        self._lattice = lattice
+        self._every = 2 if lattice.hexagonal else 1
         self._ratio = np.array([unit_ratio.numerator, unit_ratio.denominator], dtype=np.int64)
         self._source = source
-        p_x, p_y = lattice.period_dbu
         self._origin = np.array([lattice.x_dbu()[0] + at_dbu[0], lattice.y_dbu()[0] + at_dbu[1]], dtype=np.int64)
-        self._period = np.array([p_x, p_y], dtype=np.int64)
-        # Index of every (width, length) up to the period, filled in the order of appearance.
-        self._index_of = np.zeros((p_x + 1, p_y + 1), dtype=np.uint16)
+        self._period = np.array(lattice.period_dbu, dtype=np.int64)
+        # Index of every (width, length) up to a pillar's cell, filled in the order of appearance.
+        self._index_of = np.zeros((lattice.cell_dbu[0] + 1, lattice.cell_dbu[1] + 1), dtype=np.uint16)
         self._sizes = np.zeros((np.iinfo(np.uint16).max + 1, 2), dtype=np.int32)
         self._size_count = np.ones(1, dtype=np.int64)
         self._kept: dict[int, list[IntArray]] = {OFF_SITE: [], DUPLICATE: [], OFF_GRID: []}
@@ -65,7 +64,7 @@ class Recovery:
         """Put rectangles, shape (n, 4), moved by ``shift``, shape (2,), all in file units, at their sites."""
         verdict = np.empty(len(rectangles), dtype=np.uint8)
         arguments = (
-            np.ascontiguousarray(rectangles), shift, self._ratio, self._origin, self._period,
+            np.ascontiguousarray(rectangles), shift, self._ratio, self._origin, self._period, self._every,
             self._index_of, self._sizes, self._size_count, self.size_index, verdict,
         )  # fmt: skip
         failures = _place(*arguments) if HAS_NUMBA else place_vectorised(*arguments)
@@ -105,18 +104,24 @@ def place_vectorised(
     ratio: IntArray,
     origin: IntArray,
     period: IntArray,
+    every: int,
     index_of: SizeIndexArray,
     sizes: NDArray[np.int32],
     size_count: IntArray,
     size_index: SizeIndexArray,
     verdict: NDArray[np.uint8],
 ) -> int:
-    """As the compiled loop, in NumPy alone; returns how many rectangles are not placed."""
+    """As the compiled loop, in NumPy alone; returns how many rectangles are not placed.
+
+    Only where row and column add up to a multiple of ``every`` is a site.
+    """
     scaled, rest = np.divmod((rectangles + np.concatenate([shift, [0, 0]])) * ratio[0], ratio[1])
     verdict[:] = np.where(np.any(rest != 0, axis=1), OFF_GRID, PLACED)
     twice = 2 * (scaled[:, :2] - origin) + scaled[:, 2:]
     site, off = np.divmod(twice, 2 * period)
-    lost = np.any((off != 0) | (site < 0) | (site >= size_index.shape[::-1]) | (scaled[:, 2:] > period), axis=1)
+    largest = np.array(index_of.shape) - 1
+    lost = np.any((off != 0) | (site < 0) | (site >= size_index.shape[::-1]) | (scaled[:, 2:] > largest), axis=1)
+    lost |= site.sum(axis=1) % every != 0
     verdict[(verdict == PLACED) & lost] = OFF_SITE
     good = np.flatnonzero(verdict == PLACED)
     column, row = site[good].T
@@ -147,6 +152,7 @@ def _place(
     ratio: IntArray,
     origin: IntArray,
     period: IntArray,
+    every: int,
     index_of: SizeIndexArray,
     sizes: NDArray[np.int32],
     size_count: IntArray,
@@ -155,6 +161,7 @@ def _place(
 ) -> int:
     failures = 0
     n_y, n_x = size_index.shape
+    widest, longest = index_of.shape[0] - 1, index_of.shape[1] - 1
     inverse_x, inverse_y = 0.5 / period[0], 0.5 / period[1]
     for i in range(len(rectangles)):
         x, y = rectangles[i, 0] + shift[0], rectangles[i, 1] + shift[1]
@@ -171,8 +178,8 @@ def _place(
         # A rounded product is an exact quotient wherever there is one, which the next line makes sure of.
         column, row = np.int64(np.rint(twice_x * inverse_x)), np.int64(np.rint(twice_y * inverse_y))
         on_site = twice_x == column * 2 * period[0] and twice_y == row * 2 * period[1]
-        inside = 0 <= column < n_x and 0 <= row < n_y and width <= period[0] and length <= period[1]
-        if not (on_site and inside):
+        inside = 0 <= column < n_x and 0 <= row < n_y and width <= widest and length <= longest
+        if not (on_site and inside) or (every > 1 and (row + column) % every != 0):
             verdict[i] = OFF_SITE
             failures += 1
             continue

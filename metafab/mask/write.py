@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -144,14 +145,15 @@ class _Figures:
         unit_um = lattice.database_unit_nm * 1e-3
         # Whole numbers of squared units: exact, whatever the order of the sum.
         area = self._area_dbu(0)
-        cell_um2 = lattice.period_dbu[0] * lattice.period_dbu[1] * unit_um**2
+        cell_um2 = lattice.cell_um2
+        field_um2 = math.prod(self._field_sites) * math.prod(lattice.period_dbu) * unit_um**2
         figures: dict[str, Any] = {
             "pillars": pillars,
             "distinct_sizes": int(np.count_nonzero(self._used[1:])),
             "area_um2": area * unit_um**2,
             "density": area * unit_um**2 / (pillars * cell_um2) if pillars else 0.0,
             # Drawn area over that of the whole write field, by rows from the lowest y and columns from the lowest x.
-            "field_density": np.round(self._area_in_dbu * unit_um**2 / self._design.mask.write_field_um**2, 6).tolist(),
+            "field_density": np.round(self._area_in_dbu * unit_um**2 / field_um2, 6).tolist(),
         }
         mask, copies = self._design.mask, lens_copies(self._design)
         areas_um2 = [self._area_dbu(copy.bias_dbu) * unit_um**2 for copy in copies]
@@ -163,7 +165,8 @@ class _Figures:
         if mask.exposure is not None:
             exposed_um2 = sum(areas_um2)
             if mask.tone == "positive":
-                exposed_um2 = len(copies) * lattice.shape[0] * lattice.shape[1] * cell_um2 - exposed_um2
+                sites_um2 = math.prod(lattice.shape) * math.prod(lattice.period_dbu) * unit_um**2
+                exposed_um2 = len(copies) * sites_um2 - exposed_um2
             shapes, fields = len(copies) * pillars, len(copies) * int(np.count_nonzero(self._shapes_in))
             figures["exposure"] = write_time(mask.exposure, exposed_um2, shapes, fields)
         return figures
@@ -242,6 +245,7 @@ def _provenance(design: Design, beside: Sequence[Surroundings]) -> dict[str, Any
         "datatype": design.mask.datatype,
         "tone": _TONES[design.mask.tone],
         "database_unit_nm": design.mask.database_unit_nm,
+        "lattice": "hexagonal" if lattice.hexagonal else "rectangular",
         "period_nm": design.unit_cell.cell.period_nm,
         "sites": {"rows": lattice.shape[0], "columns": lattice.shape[1]},
         "write_field_um": design.mask.write_field_um,

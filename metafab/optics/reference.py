@@ -53,10 +53,8 @@ def direct_irradiance(
         x, y = site_x[tile.column : tile.column + n_x], site_y[tile.row : tile.row + n_y]
         lit = np.array([amplitude * _incident_wave(*point, x, y, imaging.wavenumber) for point in objects])
         _accumulate(field, u, v, lit, x, y, imaging.sensor_distance_um, imaging.wavenumber)
-    period_x, period_y = source.lattice.period_dbu
-    cell_um2 = period_x * period_y * (1e-3 * source.lattice.database_unit_nm) ** 2
     incident = np.array([_incident_power(imaging, *point) for point in objects])
-    irradiance = np.asarray(np.abs(field * cell_um2) ** 2 / incident[:, None])
+    irradiance = np.asarray(np.abs(field * source.lattice.cell_um2) ** 2 / incident[:, None])
     return irradiance[0] if np.ndim(depth_m) == 0 else irradiance
 
 

@@ -113,6 +113,8 @@ class IdealField:
             for column in range(0, x.size, _IDEAL_TILE_SITES):
                 tile_x, tile_y = x[column : column + _IDEAL_TILE_SITES], y[row : row + _IDEAL_TILE_SITES]
                 inside = encloses(self.device, tile_x, tile_y)
+                if self.lattice.hexagonal:
+                    inside &= self.lattice.carries(row + np.arange(tile_y.size), column + np.arange(tile_x.size))
                 if inside.any():
                     phase_rad = self.profile(tile_x, tile_y)
                     yield FieldTile(row, column, amplitudes=np.exp(1j * phase_rad) * inside)
