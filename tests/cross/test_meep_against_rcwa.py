@@ -15,21 +15,12 @@ from metafab.cell import rcwa
 from metafab.cell.meep import MeepSettings, Pool, solve, solve_many
 from metafab.cell.meep.deembedding import amplitudes
 from metafab.cell.meep.grid import family, plan
-from metafab.cell.response import CellNumerics, CellResponse, PillarCell
+from metafab.cell.response import CellNumerics, CellResponse
+from tests.paper_cell import EMPTY
 
 pytestmark = pytest.mark.meep
 
 MEEP = CellNumerics(target_error=1e-4, solver="meep")
-EMPTY = PillarCell(
-    period_nm=(350.0, 350.0),
-    width_nm=0.0,
-    length_nm=0.0,
-    height_nm=600.0,
-    n_pillar=3.6941 + 0.0065j,
-    n_substrate=(1.7601 + 0j, 1.7601 + 0j),
-    n_ambient=1.0 + 0j,
-    wavelength_nm=800.0,
-)
 
 
 def _difference(a: CellResponse, b: CellResponse) -> float:

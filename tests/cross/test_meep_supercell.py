@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
 from metafab.cell.rcwa.row import RowNumerics, solve_row
-from metafab.cell.response import PillarCell
 from metafab.cell.supercell import Supercell
 from metafab.core.errors import InputError
+from tests.paper_cell import EMPTY
 
 #: Lossless, so that power has nowhere else to go.
-CELL = PillarCell(
-    period_nm=(350.0, 350.0),
-    width_nm=0.0,
-    length_nm=0.0,
-    height_nm=600.0,
-    n_pillar=3.0 + 0j,
-    n_substrate=(1.46 + 0j, 1.46 + 0j),
-    n_ambient=1.0 + 0j,
-    wavelength_nm=800.0,
-)
+CELL = replace(EMPTY, n_pillar=3.0, n_substrate=(1.46, 1.46))
 #: Coarse: the tests compare grids with themselves.
 COARSE = SupercellSettings(pixels_per_period=12, decay=1e-4)
 RAMP = [(100.0, 100.0), (150.0, 150.0), (190.0, 190.0)]

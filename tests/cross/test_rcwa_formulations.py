@@ -15,10 +15,10 @@ from metafab.cell import CellNumerics, PillarCell
 from metafab.cell.rcwa import extrapolation, fourier_limit, solve, zero_order
 from metafab.cell.rcwa.jones import ZeroOrder
 from metafab.core.errors import InputError
+from tests.paper_cell import SILICON
 
 ON_RESONANCES = [(250.0, 250.0), (150.0, 210.0), (145.0, 245.0), (155.0, 185.0), (220.0, 195.0), (220.8, 244.6)]
 DRAWN = [tuple(size) for size in np.random.default_rng(20).uniform(100.0, 250.0, (14, 2)).round(1).tolist()]
-SILICON = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
 
 
 @pytest.mark.parametrize("size_nm", ON_RESONANCES + DRAWN, ids=str)

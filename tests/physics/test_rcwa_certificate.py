@@ -11,8 +11,8 @@ from metafab.cell.rcwa import solve, zero_order
 from metafab.cell.rcwa.certificate import is_measured
 from metafab.cell.rcwa.jones import ZeroOrder
 from metafab.cell.response import CellNumerics, PillarCell
+from tests.paper_cell import SILICON
 
-SILICON = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
 TITANIA = PillarCell((300.0, 300.0), 110.0, 190.0, 600.0, 2.42, (1.46, 1.46), 1.0, 532.0)
 #: Resonances of the silicon pillar (the first five lie on guided modes, the sixth is the sharpest found by search),
 #: smooth ones, and another material.

@@ -12,8 +12,7 @@ from metafab.cell import CellNumerics, PillarCell, Slice, solve
 from metafab.cell.rcwa import jones, stack, zero_order
 from metafab.cell.rcwa.conditioning import NO_MODES, condition, conditioning
 from metafab.cell.rcwa.eigenmodes import LayerModes, layer_modes
-
-SILICON = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
+from tests.paper_cell import SILICON
 
 
 @pytest.mark.parametrize("n", [3, 5, 7])

@@ -11,8 +11,8 @@ from metafab.cell.rcwa import Formulation, derivatives, zero_order
 from metafab.cell.response import PillarCell
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
+from tests.paper_cell import SILICON
 
-SILICON = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
 CELLS = [
     SILICON,
     replace(SILICON, width_nm=230.0, length_nm=230.0, side="ambient"),

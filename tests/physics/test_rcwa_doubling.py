@@ -10,8 +10,8 @@ import pytest
 from metafab.cell.rcwa import doubling, jones, zero_order
 from metafab.cell.rcwa.jones import ZeroOrder
 from metafab.cell.response import PillarCell
+from tests.paper_cell import SILICON
 
-SILICON = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
 CELLS = {
     "lossy": SILICON,
     "lossless": replace(SILICON, n_pillar=3.6941),

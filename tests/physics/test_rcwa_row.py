@@ -12,22 +12,13 @@ from metafab.cell import CellNumerics, PillarCell, rcwa
 from metafab.cell.rcwa.row import RowNumerics, row_axis, row_orders, solve_row
 from metafab.cell.supercell import Supercell
 from metafab.core.errors import InputError
+from tests.paper_cell import EMPTY
 
-CELL = PillarCell(
-    period_nm=(350.0, 350.0),
-    width_nm=0.0,
-    length_nm=0.0,
-    height_nm=600.0,
-    n_pillar=3.6941 + 0.0065j,
-    n_substrate=(1.7601 + 0j, 1.7601 + 0j),
-    n_ambient=1.0 + 0j,
-    wavelength_nm=800.0,
-)
 RAMP = [(120.0, 180.0), (150.0, 150.0), (180.0, 130.0)]
 COARSE = RowNumerics((2, 3), (3, 4))
 
 
-def _row(*sizes: tuple[float, float], cell: PillarCell = CELL) -> Supercell:
+def _row(*sizes: tuple[float, float], cell: PillarCell = EMPTY) -> Supercell:
     return Supercell(cell, np.array([sizes]))
 
 
@@ -51,7 +42,7 @@ def test_low_orders_are_plane_waves_and_high_ones_nearly() -> None:
 def test_equal_pillars_are_their_own_local_period(polarisation: str) -> None:
     """The certified cell, beside its resonance for y; the row is as converged as its own error says."""
     found = solve_row(_row(*RAMP[:1] * 3), polarisation, RowNumerics((4, 5), (5, 6)))  # type: ignore[arg-type]
-    own = rcwa.solve(replace(CELL, width_nm=120.0, length_nm=180.0), CellNumerics(1e-4))
+    own = rcwa.solve(replace(EMPTY, width_nm=120.0, length_nm=180.0), CellNumerics(1e-4))
     axis = "xy".index(polarisation)
     zero = found.order[:, 0] == 0
     assert abs(found.co_polarised[zero][0] - own.t[axis, axis]) < min(found.error, 2e-3)
@@ -61,7 +52,7 @@ def test_equal_pillars_are_their_own_local_period(polarisation: str) -> None:
 
 def test_a_pillar_and_a_gap_are_a_cell_of_twice_the_period() -> None:
     """By the solver for single rectangles, which shares neither map nor matrices along x."""
-    wide = replace(CELL, period_nm=(700.0, 350.0), width_nm=130.0, length_nm=170.0)
+    wide = replace(EMPTY, period_nm=(700.0, 350.0), width_nm=130.0, length_nm=170.0)
     for polarisation, axis in (("x", 0), ("y", 1)):
         found = solve_row(_row((130.0, 170.0), (0.0, 0.0)), polarisation, RowNumerics((5, 6), (5, 6)))  # type: ignore[arg-type]
         own = rcwa.solve(wide, CellNumerics(1e-3))
@@ -87,7 +78,7 @@ def test_a_mirrored_row_mirrors_its_orders() -> None:
 
 
 def test_a_lossless_row_sends_out_no_more_than_came_in() -> None:
-    lossless = replace(CELL, n_pillar=3.0 + 0j)
+    lossless = replace(EMPTY, n_pillar=3.0 + 0j)
     for polarisation in ("x", "y"):
         found = solve_row(_row(*RAMP, cell=lossless), polarisation, COARSE)  # type: ignore[arg-type]
         assert 0.3 < found.efficiency.sum() < 1.0
@@ -96,7 +87,7 @@ def test_a_lossless_row_sends_out_no_more_than_came_in() -> None:
 def test_closed_films_of_any_cut_are_one_film() -> None:
     film = _row((350.0, 350.0), (350.0, 350.0))
     found = solve_row(film, "x", COARSE)
-    own = rcwa.solve(replace(CELL, width_nm=350.0, length_nm=350.0), CellNumerics(1e-4))
+    own = rcwa.solve(replace(EMPTY, width_nm=350.0, length_nm=350.0), CellNumerics(1e-4))
     zero = found.order[:, 0] == 0
     np.testing.assert_allclose(found.co_polarised[zero], own.t[0, 0], atol=1e-10)
     assert found.error < 1e-10
@@ -113,8 +104,8 @@ def test_refinement_settles() -> None:
 @pytest.mark.parametrize(
     ("supercell", "field"),
     [
-        (Supercell(CELL, np.full((2, 2, 2), 120.0)), "size_nm"),
-        (_row(*RAMP, cell=replace(CELL, period_nm=(350.0, 900.0))), "period_nm"),
+        (Supercell(EMPTY, np.full((2, 2, 2), 120.0)), "size_nm"),
+        (_row(*RAMP, cell=replace(EMPTY, period_nm=(350.0, 900.0))), "period_nm"),
     ],
 )
 def test_what_a_row_is_not_is_refused(supercell: Supercell, field: str) -> None:

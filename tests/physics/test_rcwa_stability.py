@@ -12,8 +12,8 @@ from metafab.cell.fresnel import film_jones
 from metafab.cell.rcwa import zero_order
 from metafab.cell.response import CellNumerics, PillarCell
 from metafab.core.errors import InputError
+from tests.paper_cell import LOSSLESS
 
-LOSSLESS = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941, (1.7601, 1.7601), 1.0, 800.0)
 #: Half an ulp in each of some 1e5 operations, on amplitudes of order one.
 ROUNDING = 1e-10
 QUICK = CellNumerics(1e-2, max_orders=5)

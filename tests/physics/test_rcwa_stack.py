@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from metafab.cell import CellNumerics, PillarCell, Slice, solve
+from metafab.cell import CellNumerics, Slice, solve
 from metafab.cell.fresnel import film_jones
 from metafab.cell.rcwa import derivatives, doubling, stack, zero_order
 from metafab.core.conventions import Side
 from metafab.core.errors import InputError
+from tests.paper_cell import SILICON
 
-SILICON = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
 #: An antireflection film under the pillar and a cap of resist on it.
 FILM, CAP = Slice(120.0, 1.45, 1.45), Slice(40.0, 1.41, 1.0)
 #: Rounding of eigenvalue problems of some 50 unknowns.

@@ -7,11 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metafab.cell import CellNumerics, PillarCell, Slice
+from metafab.cell import CellNumerics, Slice
 from metafab.cell.rcwa import cost, seconds_estimate
 from metafab.cell.rcwa.slicing import slicing
-
-PILLAR = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
+from tests.paper_cell import SILICON
 
 
 @pytest.fixture(autouse=True)
@@ -37,28 +36,28 @@ def test_tighter_targets_cost_more() -> None:
 def test_what_the_light_and_the_layers_cost() -> None:
     seconds = cost.seconds_of_truncation(5)
     film = Slice(100.0, 1.45, 1.45)
-    assert cost.seconds_of_truncation(5, replace(PILLAR, length_nm=150.0)) == pytest.approx(0.5 * seconds)
-    assert cost.seconds_of_truncation(5, replace(PILLAR, under=(film,), over=(film,))) == pytest.approx(3.0 * seconds)
+    assert cost.seconds_of_truncation(5, replace(SILICON, length_nm=150.0)) == pytest.approx(0.5 * seconds)
+    assert cost.seconds_of_truncation(5, replace(SILICON, under=(film,), over=(film,))) == pytest.approx(3.0 * seconds)
     # A layer of no height is none; 16 steps are solved along with 8.
-    assert cost.seconds_of_truncation(5, replace(PILLAR, under=(replace(film, height_nm=0.0),))) == seconds
-    sloped = replace(PILLAR, sidewall_angle_deg=88.0)
+    assert cost.seconds_of_truncation(5, replace(SILICON, under=(replace(film, height_nm=0.0),))) == seconds
+    sloped = replace(SILICON, sidewall_angle_deg=88.0)
     assert cost.seconds_of_truncation(5, sloped, 16) == pytest.approx(24.0 * seconds)
     # Light in a mirror plane leaves two classes of twice 61 unknowns, as 7.3 cosines have; other light one of 244.
-    in_plane, out_of_plane = (replace(PILLAR, angle_deg=20.0, azimuth_deg=azimuth) for azimuth in (0.0, 40.0))
+    in_plane, out_of_plane = (replace(SILICON, angle_deg=20.0, azimuth_deg=azimuth) for azimuth in (0.0, 40.0))
     assert cost.seconds_of_truncation(7) < cost.seconds_of_truncation(5, in_plane) < cost.seconds_of_truncation(8)
     twice = 2.0 * cost.seconds_of_truncation(5, out_of_plane)
     assert cost.seconds_of_truncation(10) < twice < cost.seconds_of_truncation(12)
     # A short period gets as many cosines as a long one.
-    oblong = replace(PILLAR, period_nm=(350.0, 250.0))
+    oblong = replace(SILICON, period_nm=(350.0, 250.0))
     assert cost.seconds_of_truncation(8, oblong) == cost.seconds_of_truncation(8)
 
 
 def test_slopes_and_stacks_are_foreseen() -> None:
-    capped = replace(PILLAR, over=(Slice(40.0, 1.41, 1.0),))
-    assert seconds_estimate(1e-2, capped) > 3.0 * seconds_estimate(1e-2, PILLAR)
-    sloped = replace(PILLAR, n_pillar=2.4, sidewall_angle_deg=89.0)
+    capped = replace(SILICON, over=(Slice(40.0, 1.41, 1.0),))
+    assert seconds_estimate(1e-2, capped) > 3.0 * seconds_estimate(1e-2, SILICON)
+    sloped = replace(SILICON, n_pillar=2.4, sidewall_angle_deg=89.0)
     steps = slicing(sloped, CellNumerics(1e-2)).steps
-    assert seconds_estimate(1e-2, sloped) > steps * seconds_estimate(1e-2, PILLAR)
+    assert seconds_estimate(1e-2, sloped) > steps * seconds_estimate(1e-2, SILICON)
 
 
 def test_the_machine_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:

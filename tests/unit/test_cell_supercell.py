@@ -8,21 +8,14 @@ import numpy as np
 import pytest
 
 from metafab.cell.fresnel import interface
-from metafab.cell.response import PillarCell, Slice
+from metafab.cell.response import Slice
 from metafab.cell.supercell import Supercell, SupercellResponse
 from metafab.core.errors import InputError
 from metafab.fullwave.patch import at_sites
+from tests.paper_cell import EMPTY
 
-CELL = PillarCell(
-    period_nm=(350.0, 300.0),
-    width_nm=0.0,
-    length_nm=0.0,
-    height_nm=600.0,
-    n_pillar=3.6941 + 0.0065j,
-    n_substrate=(1.7601 + 0j, 1.75 + 0j),
-    n_ambient=1.0 + 0j,
-    wavelength_nm=800.0,
-)
+#: Unlike along x and y.
+CELL = replace(EMPTY, period_nm=(350.0, 300.0), n_substrate=(1.7601, 1.75))
 RNG = np.random.default_rng(7)
 BLOCK = Supercell(CELL, RNG.uniform(100.0, 250.0, (6, 9, 2)))
 
