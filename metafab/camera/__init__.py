@@ -5,8 +5,11 @@
 - ``kernels``   the PSF calibration as blur kernels at any depth and direction
 - ``texture``   procedural and pictured textures
 - ``render``    objects to coverage and brightness at each depth
+- ``motion``    where objects are when, and which rows see them then
 - ``blur``      a layer through a PSF that varies over the field
-- ``sensor``    noise, dark current, full wells, counts
+- ``sensor``    noise, dark current, fixed pattern, full wells, counts
+- ``windows``   where on the sensor the images lie, and what their pixels collect
+- ``exact``     the PSFs of one scene's own depths, field and light
 - ``capture``   all of it: one exposure, or the frames of a film
 - ``store``     raw.h5
 - ``foreign``   TIFF, PNG and NumPy frames
@@ -15,10 +18,11 @@ In: a Scene and a Psf, or a file. Out: a RawFrame.
 """
 
 from metafab.camera.capture import capture, film
+from metafab.camera.exact import exact_psf
 from metafab.camera.foreign import load_frame
 from metafab.camera.frame import RawFrame, Truth
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.camera.store import load, save
 
-__all__ = ["ImageMap", "PairKernels", "RawFrame", "Truth", "capture", "film", "load", "load_frame", "save"]
+__all__ = ["ImageMap", "PairKernels", "RawFrame", "Truth", "capture", "exact_psf", "film", "load", "load_frame", "save"]

@@ -14,7 +14,7 @@ from metafab.core.conventions import FloatArray
 from metafab.spec.scene import Scene, SceneObject
 
 _SUPERSAMPLING = 2
-#: A tilted piece is cut into steps of at most this much of its depth.
+#: A tilted or curved piece is cut into steps of at most this much of its depth.
 _TILT_STEP = 0.004
 
 
@@ -24,7 +24,7 @@ class Piece:
 
     Attributes:
         label: number of the object from 1.
-        depth_m: shape (n_steps,), the depths that it is made of; one unless it is tilted.
+        depth_m: shape (n_steps,), the depths that it is made of; one if it is flat.
         rows: rows of the grid that the crop covers; likewise ``columns``.
         coverage: shape (n_steps, n_y, n_x), share of each pixel that each step covers.
         brightness: the same shape, coverage times texture times the object's brightness, both polarisations' mean.
@@ -105,14 +105,22 @@ def _covered(spec: SceneObject, u: FloatArray, v: FloatArray, sample: float) -> 
     return np.asarray(inside_x * inside_y)
 
 
+def step_depths_m(spec: SceneObject) -> FloatArray:
+    """The depths that a piece is made of, ascending: shape (n_steps,), one if it is flat."""
+    nearest, farthest = spec.relative_depths
+    count = max(1, math.ceil((farthest - nearest) / _TILT_STEP))
+    return np.asarray(spec.depth_m * (1.0 + nearest + (farthest - nearest) * (np.arange(count) + 0.5) / count))
+
+
 def _steps(spec: SceneObject, u: FloatArray, v: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
     """Depths of a piece's steps, and the step that each sample belongs to."""
-    rise = abs(spec.tilt[0]) + abs(spec.tilt[1])
-    count = max(1, math.ceil(rise / _TILT_STEP))
-    relative = (np.arange(count) + 0.5) / count - 0.5
-    height = (spec.tilt[0] * u + spec.tilt[1] * v) / rise if rise else np.zeros_like(u)
-    step = np.clip(np.floor((height + 0.5) * count), 0, count - 1).astype(np.intp)
-    return spec.depth_m * (1.0 + rise * relative), step
+    depth_m = step_depths_m(spec)
+    nearest, farthest = spec.relative_depths
+    if depth_m.size == 1:
+        return depth_m, np.zeros(u.shape, dtype=np.intp)
+    height = spec.tilt[0] * u + spec.tilt[1] * v + 4.0 * (spec.bulge[0] * u**2 + spec.bulge[1] * v**2)
+    step = np.floor((height - nearest) / (farthest - nearest) * depth_m.size)
+    return depth_m, np.clip(step, 0, depth_m.size - 1).astype(np.intp)
 
 
 def _extent(hit: ArrayLike) -> slice:

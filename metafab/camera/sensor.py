@@ -2,31 +2,57 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.spec.scene import Scene
 
 
-def expose(mean_e: FloatArray, scene: Scene, rng: np.random.Generator) -> FloatArray:
+@dataclass(frozen=True)
+class FixedPattern:
+    """What differs from pixel to pixel and stays from frame to frame.
+
+    Attributes:
+        response: shape (n_y, n_x), electrons a photoelectron of the mean pixel; mean 1.
+        hot: shape (n_y, n_x), pixels that are always full.
+    """
+
+    response: FloatArray
+    hot: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, scene: Scene, shape: tuple[int, ...], seed: int) -> FixedPattern:
+        """The pattern of a sensor: the same for every frame with the same seed."""
+        rng = np.random.default_rng(np.random.SeedSequence((seed, 0xF1BED)))
+        response = np.ones(shape)
+        if scene.response_rms > 0.0:
+            response = np.maximum(1.0 + scene.response_rms * rng.standard_normal(shape), 0.0)
+        hot = rng.random(shape) < scene.hot_pixels if scene.hot_pixels > 0.0 else np.zeros(shape, dtype=np.bool_)
+        return cls(response, hot)
+
+
+def expose(mean_e: FloatArray, scene: Scene, pattern: FixedPattern, rng: np.random.Generator) -> FloatArray:
     """One exposure.
 
     Args:
-        mean_e: mean electrons that light leaves in each pixel.
+        mean_e: mean electrons that light leaves in each pixel of mean response.
         scene: the sensor's figures.
-        rng: source of the noise; hot pixels stand where it puts them.
+        pattern: what differs from pixel to pixel; the same shape.
+        rng: source of the noise.
 
     Returns:
         The same shape, electrons: Poisson arrivals with the dark current, less its known mean, plus Gaussian read
         noise; with ``full_well_e``, at most that; with ``bit_depth``, in steps of the full well's share of a count.
     """
-    arrived = rng.poisson(np.maximum(mean_e, 0.0) + scene.dark_e).astype(np.float64)
-    if scene.hot_pixels > 0.0 and scene.full_well_e is not None:
-        arrived[rng.random(mean_e.shape) < scene.hot_pixels] = scene.full_well_e
+    arrived = rng.poisson(np.maximum(mean_e, 0.0) * pattern.response + scene.dark_frame_e).astype(np.float64)
     if scene.full_well_e is not None:
+        arrived[pattern.hot] = scene.full_well_e
         arrived = np.minimum(arrived, scene.full_well_e)
     full = arrived == scene.full_well_e
-    value = arrived - scene.dark_e
+    value = arrived - scene.dark_frame_e
     if scene.read_noise_e > 0.0:
         value += rng.normal(0.0, scene.read_noise_e, mean_e.shape)
     if scene.full_well_e is None:

@@ -282,9 +282,8 @@ class Design:
 
     @property
     def depths_m(self) -> tuple[float, ...]:
-        """Every depth that matters, ascending: those to verify, and the scene's."""
-        objects = () if self.scene is None else self.scene.objects
-        return tuple(sorted({*self.verify.depths_m, *(item.depth_m for item in objects)}))
+        """Every depth that matters, ascending: those to verify, and the ends of the scene's."""
+        return tuple(sorted({*self.verify.depths_m, *(() if self.scene is None else self.scene.depths_m)}))
 
     @property
     def min_side_nm(self) -> float:

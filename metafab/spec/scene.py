@@ -13,10 +13,11 @@ from metafab.spec.fields import CONFIG, Fraction, NonNegative, Positive, Real
 
 @dataclass(frozen=True, config=CONFIG)
 class SceneObject:
-    """A flat, opaque piece; nearer objects hide what is behind them.
+    """An opaque piece, flat unless it is tilted or bulges; nearer objects hide what is behind them.
 
     Position and size are directions as tangents (x/z, y/z), so a piece keeps its place in the image when its
-    depth changes. ``depth_m`` is the depth of its centre; a tilted piece is nearer or farther elsewhere.
+    depth changes. ``depth_m`` is the depth of its centre; a tilted or curved piece is nearer or farther elsewhere:
+    at u, v from -1/2 to 1/2 across it, depth / depth_m = 1 + tilt . (u, v) + 4 bulge . (u^2, v^2).
     """
 
     depth_m: Positive
@@ -25,6 +26,10 @@ class SceneObject:
     outline: Literal["rectangle", "ellipse"] = "rectangle"
     tilt: Annotated[
         tuple[Real, Real], Field(description="change of depth over depth at the centre, along the full size in x and y")
+    ] = (0.0, 0.0)
+    bulge: Annotated[
+        tuple[Real, Real],
+        Field(description="change of depth over depth from the centre to the edges in x and y; a ball's is positive"),
     ] = (0.0, 0.0)
     brightness: Positive = 1.0
     polarisation_contrast: Annotated[Positive, Field(description="I_x / I_y")] = 1.0
@@ -42,10 +47,21 @@ class SceneObject:
         return self
 
     @model_validator(mode="after")
-    def _tilt(self) -> SceneObject:
-        if abs(self.tilt[0]) + abs(self.tilt[1]) > 1.0:
-            raise ValueError("`tilt` must change the depth by at most half of itself either way: |x| + |y| <= 1")
+    def _shape(self) -> SceneObject:
+        if 0.5 * sum(map(abs, self.tilt)) + sum(map(abs, self.bulge)) > 0.5:
+            raise ValueError("`tilt` and `bulge` must change the depth by at most half of itself: |tilt| / 2 + |bulge|")
         return self
+
+    @property
+    def relative_depths(self) -> tuple[float, float]:
+        """(nearest, farthest) change of depth over ``depth_m`` on the piece's bounding box: (0, 0) if it is flat."""
+        lowest = highest = 0.0
+        for tilt, bulge in zip(self.tilt, self.bulge, strict=True):
+            heights = [0.5 * tilt + bulge, -0.5 * tilt + bulge]
+            if abs(tilt) < 4.0 * abs(bulge):  # The vertex lies on the piece.
+                heights.append(-(tilt**2) / (16.0 * bulge))
+            lowest, highest = lowest + min(heights), highest + max(heights)
+        return lowest, highest
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -54,10 +70,22 @@ class Scene:
 
     objects: Annotated[tuple[SceneObject, ...], Field(min_length=1)]
     photons_per_pixel: Annotated[
-        Positive, Field(description="electrons a pixel at brightness 1, mean of both polarisations' images")
+        Positive,
+        Field(
+            description="that reach a pixel of the axis at brightness 1, mean of both images; electrons at "
+            "quantum efficiency 1"
+        ),
     ] = 3000.0
+    quantum_efficiency: Annotated[float, Field(strict=True, gt=0.0, le=1.0, description="electrons a photon")] = 1.0
+    vignetting: Annotated[
+        Literal["natural", "none"], Field(description="natural: the fourth power of the field angle's cosine")
+    ] = "natural"
     read_noise_e: NonNegative = 2.0
-    dark_e: Annotated[NonNegative, Field(description="electrons a pixel that come without light")] = 0.0
+    dark_e: Annotated[NonNegative, Field(description="electrons a pixel and frame that come without light")] = 0.0
+    dark_current_e_per_s: Annotated[NonNegative, Field(description="the same, for every second of exposure")] = 0.0
+    response_rms: Annotated[
+        Fraction, Field(description="how much pixels' responses differ, rms over mean; the same in all frames")
+    ] = 0.0
     hot_pixels: Annotated[Fraction, Field(description="share of pixels that are always full")] = 0.0
     full_well_e: Annotated[Positive | None, Field(description="electrons at which a pixel is full")] = None
     bit_depth: Annotated[
@@ -66,6 +94,9 @@ class Scene:
     frames: Annotated[int, Field(strict=True, ge=1, description="of a film (metafab.camera.film)")] = 1
     frame_interval_s: Annotated[Positive, Field(description="from the start of one frame to that of the next")] = 0.04
     exposure_s: Annotated[NonNegative, Field(description="what moves in this time is blurred; 0 for a flash")] = 0.0
+    row_time_s: Annotated[
+        NonNegative, Field(description="rolling shutter: how much later each row begins than the one below; 0: global")
+    ] = 0.0
     background: Annotated[Fraction, Field(description="brightness behind all objects")] = 0.0
     field_px: Annotated[
         tuple[Annotated[int, Field(strict=True, ge=8)], Annotated[int, Field(strict=True, ge=8)]],
@@ -81,9 +112,29 @@ class Scene:
 
     @model_validator(mode="after")
     def _times(self) -> Scene:
-        if self.exposure_s > self.frame_interval_s:
-            raise ValueError("`exposure_s` must not be longer than `frame_interval_s`")
-        end_s = (self.frames - 1) * self.frame_interval_s + self.exposure_s
-        if any(piece.depth_m + end_s * piece.velocity_m_per_s[2] <= 0.0 for piece in self.objects):
+        for name, used_s in (("exposure_s", self.exposure_s), ("row_time_s", self.row_time_s * self.field_px[0])):
+            if used_s > self.frame_interval_s:
+                raise ValueError(f"`{name}` must leave a frame no longer than `frame_interval_s`, got {used_s:g} s")
+        if any(piece.depth_m + self.end_s * piece.velocity_m_per_s[2] <= 0.0 for piece in self.objects):
             raise ValueError("`velocity_m_per_s` takes an object through the lens before the last frame's end")
         return self
+
+    @property
+    def end_s(self) -> float:
+        """When the last frame's last row has been exposed, from the start of the first."""
+        return (self.frames - 1) * self.frame_interval_s + self.exposure_s + self.row_time_s * self.field_px[0]
+
+    @property
+    def dark_frame_e(self) -> float:
+        """Mean electrons a pixel and frame that come without light."""
+        return self.dark_e + self.dark_current_e_per_s * self.exposure_s
+
+    @property
+    def depths_m(self) -> tuple[float, ...]:
+        """The nearest and farthest depth of every object in any of the frames, ascending, each once."""
+        depths = set()
+        for piece in self.objects:
+            for time_s in (0.0, self.end_s):
+                centre_m = piece.depth_m + piece.velocity_m_per_s[2] * time_s
+                depths |= {centre_m * (1.0 + relative) for relative in piece.relative_depths}
+        return tuple(sorted(depths))

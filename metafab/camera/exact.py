@@ -1,0 +1,135 @@
+"""PSFs for one scene alone: at its very depths, in its own light, over a field that is as fine as they need.
+
+A frame to judge a decoder by must not be made with the decoder's own approximations. The pair is computed at the
+depths that the scene shows, so nothing is interpolated over depth; over the field, on points of its own that are
+refined until a pair interpolated between them meets the computed one; and on a window that may be wider than the
+calibration's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from metafab.camera.motion import Shutter, moved
+from metafab.camera.render import step_depths_m
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.core.progress import Progress, silent
+from metafab.optics import Imaging, Psf, Source, at_tangent, psf, relative_l2
+from metafab.spec.scene import Scene
+
+#: Field points along x and y of the first attempt: odd beside even, so few fall on those of a calibration.
+_FIRST_POINTS = (8, 4)
+_MOST_POINTS = 64
+_MOST_DEPTHS = 256
+#: The images' distortion lets pixels at the rim look a little further out than the field's middle tells.
+_BEYOND = 1.03
+
+
+def scene_depths_m(scene: Scene, pixel_tangent: float, rows: int) -> FloatArray:
+    """Every depth that :func:`metafab.camera.film` will ask a pair for: shape (n,), ascending, each once.
+
+    Args:
+        scene: what is photographed, moving or not.
+        pixel_tangent: a pixel's size as a tangent.
+        rows: of the sensor, for a rolling shutter.
+    """
+    depths: set[float] = set()
+    for number in range(scene.frames):
+        for time_s in Shutter.of(scene, number * scene.frame_interval_s, rows, pixel_tangent).instants_s.tolist():
+            for piece in moved(scene, time_s).objects:
+                depths |= set(step_depths_m(piece).tolist())
+    return np.array(sorted(depths))
+
+
+def exact_psf(
+    scene: Scene,
+    source: Source,
+    imaging: Imaging,
+    *,
+    window_px: int = 96,
+    target_error: float = 3e-3,
+    filter_fwhm_nm: float | None = None,
+    progress: Progress = silent,
+) -> Psf:
+    """The pair with which :func:`metafab.camera.capture` photographs ``scene`` as exactly as is known.
+
+    Every depth of the scene has its own PSFs, in the light of the whole filter; over the field they are splines
+    between points that were refined until the interpolation, checked in the middle of the cells where it is worst
+    (at the field's corners and on its axes), keeps to ``target_error``. What is left is the layered model of
+    occlusion, and textures that are flat within a quarter of a pixel.
+
+    Each PSF of the paper's lens or its tenth takes some hundredths of a second, in a filter's light some tenths;
+    :func:`metafab.optics.save` keeps them.
+
+    Args:
+        scene: its depths, its field.
+        source: what leaves the metasurface (:func:`metafab.optics.written_field`, ``ideal_field``).
+        imaging: wavelength, sensor plane, pixel, aperture.
+        window_px: points a side of each PSF: wider than a calibration's, so that its cut-off light shows.
+        target_error: relative L2 error of the irradiance, over the field as in each PSF.
+        filter_fwhm_nm: full width of a filter with a flat top; None for one wavelength.
+        progress: called as windows are done.
+
+    Returns:
+        The stack over the scene's depths and its field. ``details`` has ``field_interpolation_error``, the largest
+        of the checked directions.
+
+    Raises:
+        InputError: more than 256 depths, or a field that 64 points a side do not resolve.
+    """
+    pixel_tangent = imaging.pixel_um / imaging.sensor_distance_um
+    depths_m = scene_depths_m(scene, pixel_tangent, scene.field_px[0] + window_px)
+    if depths_m.size > _MOST_DEPTHS:
+        raise InputError.single(
+            "scene", "objects", f"at most {_MOST_DEPTHS} depths over all frames", f"{depths_m.size}",
+            "photograph fewer frames, or objects that do not move along the axis",
+        )  # fmt: skip
+    reach_x, reach_y = (0.5 * _BEYOND * pixel_tangent * n for n in scene.field_px[::-1])
+    points, error = _FIRST_POINTS, np.inf
+    ends = np.unique(depths_m[[0, -1]])
+
+    def stack(at_m: FloatArray, field_tangents: tuple[FloatArray, FloatArray]) -> Psf:
+        return psf(
+            source, imaging, at_m, window_px=window_px, target_error=target_error, field_tangents=field_tangents,
+            filter_fwhm_nm=filter_fwhm_nm, progress=progress,
+        )  # fmt: skip
+
+    while True:
+        tangents = np.linspace(-reach_x, reach_x, points[0]), np.linspace(-reach_y, reach_y, points[1])
+        coarse = stack(ends, field_tangents=tangents)
+        errors = [_worst_between(coarse, partial(stack, ends), axis) for axis in (0, 1)]
+        error = max(errors)
+        if error <= target_error:
+            break
+        # Cubic splines: the error falls with the fourth power of the points' distance.
+        wanted = [n * max(1.0, 1.1 * (e / target_error) ** 0.25) for n, e in zip(points, errors, strict=True)]
+        points = (int(np.ceil(wanted[0])), int(np.ceil(wanted[1])))
+        if max(points) > _MOST_POINTS:
+            raise InputError.single(
+                "scene", "field_px", f"a field that {_MOST_POINTS} PSFs a side describe to {target_error:g}",
+                f"one that needs {max(points)}", "make the field smaller, or the error larger",
+            )  # fmt: skip
+    whole = coarse if ends.size == depths_m.size else stack(depths_m, field_tangents=tangents)
+    return replace(whole, details={**whole.details, "field_interpolation_error": error})
+
+
+def _worst_between(coarse: Psf, computed: Callable[..., Psf], axis: int) -> float:
+    """Largest relative error of the pair interpolated along one axis, in the middle of an outer and an inner cell."""
+    assert coarse.field is not None
+    checked = []
+    for index, nodes in enumerate((coarse.field.tangent_x, coarse.field.tangent_y)):
+        middles = 0.5 * (nodes[1:] + nodes[:-1])
+        checked.append(middles[[middles.size // 2, -1]] if index == axis else nodes[[nodes.size // 2, -1]])
+    fine = computed(field_tangents=(checked[0], checked[1])).field
+    assert fine is not None
+    truth, worst = fine.psf.astype(np.float64), 0.0
+    for row, column in np.ndindex(2, 2):
+        guess = at_tangent(coarse, (float(checked[0][column]), float(checked[1][row])))
+        for polarisation, depth in np.ndindex(guess.shape[:2]):
+            worst = max(worst, relative_l2(guess[polarisation, depth], truth[polarisation, depth, row, column]))
+    return worst

@@ -1,0 +1,77 @@
+"""Where objects are at which time, and which rows of the sensor see them then."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.spec.scene import Scene
+
+_MOST_INSTANTS = 64
+
+
+def moved(scene: Scene, time_s: float) -> Scene:
+    """The scene at a time after the start of the first frame: what comes nearer looks larger."""
+    if time_s == 0.0 or all(piece.velocity_m_per_s == (0.0, 0.0, 0.0) for piece in scene.objects):
+        return scene
+    objects = []
+    for piece in scene.objects:
+        v_x, v_y, v_z = piece.velocity_m_per_s
+        depth_m = piece.depth_m + v_z * time_s
+        centre = (
+            (piece.centre[0] * piece.depth_m + v_x * time_s) / depth_m,
+            (piece.centre[1] * piece.depth_m + v_y * time_s) / depth_m,
+        )
+        scale = piece.depth_m / depth_m
+        size = (piece.size[0] * scale, piece.size[1] * scale)
+        objects.append(dataclasses.replace(piece, depth_m=depth_m, centre=centre, size=size))
+    return dataclasses.replace(scene, objects=tuple(objects))
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """Which instants of a moving scene make up each row of one frame.
+
+    Attributes:
+        instants_s: shape (n_instants,), times that stand for equal parts of the time that the frame takes.
+        weights: shape (n_rows, n_instants), share of each instant in each row's exposure; rows sum to 1.
+        middle_s: shape (n_rows,), middle of each row's exposure.
+    """
+
+    instants_s: FloatArray
+    weights: FloatArray
+    middle_s: FloatArray
+
+    @classmethod
+    def of(cls, scene: Scene, start_s: float, rows: int, pixel_tangent: float) -> Shutter:
+        """The shutter of a frame of ``rows`` rows that starts at ``start_s``; the lowest row is the first.
+
+        There are as many instants as something moves pixels (of ``pixel_tangent``) in the frame's time, 64 at most.
+        """
+        delay_s = np.multiply(scene.row_time_s, np.arange(rows), dtype=np.float64)
+        span_s = float(delay_s[-1]) + scene.exposure_s
+        count = min(_MOST_INSTANTS, max(1, math.ceil(_travel(scene, start_s, span_s) / pixel_tangent)))
+        part_s = span_s / count
+        middle_s: FloatArray = start_s + delay_s + 0.5 * scene.exposure_s
+        instants_s = start_s + np.multiply(part_s, np.arange(count) + 0.5, dtype=np.float64)
+        if count == 1:
+            return cls(instants_s, np.ones((rows, 1)), middle_s)
+        # A flash is shared between the two instants next to it.
+        open_s = max(scene.exposure_s, part_s)
+        begin_s = np.clip(delay_s + 0.5 * (scene.exposure_s - open_s), 0.0, span_s - open_s)[:, None]
+        first_s = part_s * np.arange(count)
+        overlap_s = np.minimum(begin_s + open_s, first_s + part_s) - np.maximum(begin_s, first_s)
+        return cls(instants_s, np.maximum(overlap_s, 0.0) / open_s, middle_s)
+
+
+def _travel(scene: Scene, start_s: float, span_s: float) -> float:
+    """How far any edge moves in a time, as a tangent."""
+    first, last = moved(scene, start_s), moved(scene, start_s + span_s)
+    return max(
+        math.dist(a.centre, b.centre) + 0.5 * max(abs(a.size[0] - b.size[0]), abs(a.size[1] - b.size[1]))
+        for a, b in zip(first.objects, last.objects, strict=True)
+    )
