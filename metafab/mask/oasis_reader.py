@@ -22,8 +22,9 @@ from metafab.core.errors import InputError
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.core.progress import Progress, silent
 from metafab.mask.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of, rectangle_of
+from metafab.mask.oasis_records import RECTANGLE
 from metafab.mask.oasis_stream import DamagedError, Stream, read_displacement, read_unsigned
-from metafab.mask.oasis_writer import CBLOCK, END, MAGIC, PLACEMENT, RECTANGLE, START
+from metafab.mask.oasis_writer import CBLOCK, END, MAGIC, PLACEMENT, START
 
 _REMEDY = "the file is damaged or not OASIS: write or export it again"
 _END_BYTES = 256

@@ -15,32 +15,60 @@ from metafab.layout import Lattice, PillarTile
 from metafab.mask.cells import tile_cell
 from metafab.mask.gdsii_reader import rectangles_of, rectangles_vectorised
 from metafab.mask.gdsii_writer import boundary_template, fill_boundaries, fill_boundaries_vectorised
-from metafab.mask.oasis_writer import rectangle_records, rectangle_records_vectorised, sorted_by_size_vectorised
+from metafab.mask.oasis_records import (
+    SCANS,
+    Scan,
+    best_scan,
+    deflate,
+    rectangle_records,
+    rectangle_records_vectorised,
+    sorted_by_size_vectorised,
+)
 
 SIZES = np.array([[0, 0], [20, 30], [50, 20], [20, 50], [52, 50], [700, 64]], dtype=np.int64)
 TILES = arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.integers(0, 5))
 
 
-@given(index=TILES.filter(np.any), row=st.integers(0, 300), periods=st.sampled_from([(700, 700), (700, 600)]))
-def test_oasis_records(index: np.ndarray, row: int, periods: tuple[int, int]) -> None:
+@given(
+    index=TILES.filter(np.any),
+    row=st.integers(0, 300),
+    periods=st.sampled_from([(700, 700), (700, 600)]),
+    scan=st.builds(Scan, along_y=st.booleans(), strip_sites=st.integers(1, 50)),
+)
+def test_oasis_records(index: np.ndarray, row: int, periods: tuple[int, int], scan: Scan) -> None:
     lattice, tile = Lattice(periods, (400, 400), 0.5), PillarTile(row, 17, index)
-    arguments = (tile, lattice, SIZES, tile_cell(lattice, tile), (1, 300))
+    arguments = (tile, lattice, SIZES, tile_cell(lattice, tile), (1, 300), scan)
     assert rectangle_records(*arguments) == rectangle_records_vectorised(*arguments)
 
 
+@pytest.mark.parametrize("scan", SCANS)
 @pytest.mark.parametrize("shape", [(476, 300), (239, 714), (40, 238)])
-def test_oasis_records_of_tiles_wider_than_a_strip(shape: tuple[int, int]) -> None:
-    """Both axes may be the fast one; every pillar must be listed once, the last strip being narrower."""
-    rng = np.random.default_rng(7)
-    index = np.sort(rng.integers(0, 6, shape).astype(np.uint16), axis=int(shape[0] > shape[1]))
+def test_oasis_records_of_tiles_wider_than_a_strip(shape: tuple[int, int], scan: Scan) -> None:
+    """Every pillar must be listed once, the last strip being narrower."""
+    index = np.random.default_rng(7).integers(0, 6, shape).astype(np.uint16)
     lattice, tile = Lattice((700, 600), (800, 800), 0.5), PillarTile(3, 17, index)
-    arguments = (tile, lattice, SIZES, tile_cell(lattice, tile), (1, 0))
-    records = rectangle_records(*arguments)
-    assert records == rectangle_records_vectorised(*arguments)
-    row, column, end_of = sorted_by_size_vectorised(index, len(SIZES), fast_along_y=shape[0] > shape[1])
+    arguments = (tile, lattice, SIZES, tile_cell(lattice, tile), (1, 0), scan)
+    assert rectangle_records(*arguments) == rectangle_records_vectorised(*arguments)
+    row, column, end_of = sorted_by_size_vectorised(index, len(SIZES), scan)
     assert np.array_equal(np.diff(end_of), np.bincount(index.ravel())[1:])
     assert np.array_equal(np.sort(row * shape[1] + column), np.flatnonzero(index))
     assert np.array_equal(index[row, column], np.repeat(np.arange(1, 6), np.diff(end_of)))
+
+
+@pytest.mark.parametrize("centre", [(0, 0), (0, 1900), (1900, 0), (1300, 1300), (2400, 600), (600, 2400)])
+def test_the_better_scan_is_found_from_few_sizes(centre: tuple[int, int]) -> None:
+    """Tiles of a lens that splits along x; at the last centre the worse of the two scans takes a third more."""
+    sizes = np.array([[0, 0], *([200 + 4 * w, 200 + 4 * k] for w in range(40) for k in range(40))], dtype=np.int64)
+    row, column = (np.arange(-238, 238) + at for at in centre)
+    lens = -7.7e-6 * (column[None, :] ** 2 + row[:, None] ** 2)
+    width, length = (np.floor((lens + turn * column) % 1.0 * 40).astype(np.int64) for turn in (0.061, -0.061))
+    lattice, tile = (
+        Lattice((700, 700), (5714, 5714), 0.5),
+        PillarTile(0, 0, (1 + 40 * width + length).astype(np.uint16)),
+    )
+    arguments = (tile, lattice, sizes, tile_cell(lattice, tile), (1, 0))
+    lengths = {scan: len(deflate(rectangle_records(*arguments, scan))) for scan in SCANS}
+    assert lengths[best_scan(*arguments)] < 1.06 * min(lengths.values())
 
 
 @given(index=TILES, layer=st.integers(0, 255))
