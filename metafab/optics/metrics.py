@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import j1
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.optics.lobe import main_lobe_px
 from metafab.optics.point_spread import Psf
 
+#: Diameter of the pinhole through which the paper measured efficiencies.
+PINHOLE_UM = 100.0
 
-def pinhole_efficiency(psf: Psf, diameter_um: float = 100.0) -> FloatArray:
+
+def pinhole_efficiency(psf: Psf, diameter_um: float = PINHOLE_UM) -> FloatArray:
     """Share of the power at the aperture that passes a pinhole about the PSF, placed where most passes.
 
     The paper's measure of diffraction efficiency (Methods): a pinhole of 100 um, scanned for the maximum. It is
-    scanned over whole pixels; a pixel counts by its centre.
+    scanned over whole pixels. Its rim is exact: the irradiance is band-limited, so that its spectrum times that of a
+    disc, R J_1(2 pi R f) / f, is the spectrum of what passes.
 
     Returns:
         Shape (2, n_depth).
@@ -22,22 +27,36 @@ def pinhole_efficiency(psf: Psf, diameter_um: float = 100.0) -> FloatArray:
     Raises:
         InputError: the pinhole does not fit into the window.
     """
-    n = min(psf.psf.shape[2:])
+    n_y, n_x = psf.psf.shape[2:]
     reach = int(np.ceil(0.5 * diameter_um / psf.pixel_um))
-    if 2 * reach + 1 > n:
+    if 2 * reach + 1 > min(n_y, n_x):
         raise InputError.single(
             "PSF stack",
             "diameter_um",
-            f"a pinhole inside the window of {n * psf.pixel_um:g} um",
+            f"a pinhole inside the window of {min(n_y, n_x) * psf.pixel_um:g} um",
             f"{diameter_um:g} um",
             "compute the stack on a larger window",
         )
-    step = np.arange(-reach, reach + 1) * psf.pixel_um
-    disc = (np.hypot(step[None, :], step[:, None]) <= 0.5 * diameter_um).astype(np.float64)
-    spectrum = np.fft.rfft2(psf.psf) * np.fft.rfft2(disc, psf.psf.shape[2:])
+    radius_um = 0.5 * diameter_um
+    frequency = np.hypot(np.fft.fftfreq(n_y, psf.pixel_um)[:, None], np.fft.rfftfreq(n_x, psf.pixel_um)[None, :])
+    frequency[0, 0] = 1.0
+    disc = radius_um * j1(2.0 * np.pi * radius_um * frequency) / frequency
+    disc[0, 0] = np.pi * radius_um**2
+    passed = np.fft.irfft2(np.fft.rfft2(psf.psf) * disc, (n_y, n_x))
     # Cyclic convolution: places where the pinhole would reach over the window's edge are left out.
-    passed = np.fft.irfft2(spectrum, psf.psf.shape[2:])[..., 2 * reach :, 2 * reach :]
-    return np.asarray(passed.max(axis=(2, 3)) * psf.pixel_um**2)
+    inside = passed[..., reach : n_y - reach, reach : n_x - reach]
+    return np.asarray(inside.max(axis=(2, 3)))
+
+
+def largest_pinhole_um(psf: Psf, wanted_um: float = PINHOLE_UM) -> float:
+    """``wanted_um``, or three quarters of the window where that is smaller: it must have room to be scanned."""
+    return float(min(wanted_um, 0.75 * min(psf.psf.shape[2:]) * psf.pixel_um))
+
+
+def main_lobe_um(psf: Psf) -> FloatArray:
+    """(x, y) of each main lobe from the geometric image point, to a fraction of a pixel: shape (2, n_depth, 2)."""
+    places = [[main_lobe_px(image)[:2] for image in stack] for stack in psf.psf]
+    return np.asarray(places, dtype=np.float64) * psf.pixel_um
 
 
 def peak_irradiance(psf: Psf) -> FloatArray:
@@ -63,26 +82,6 @@ def rotation_deg(psf: Psf) -> float:
     """
     turn = np.unwrap(psf.phi_deg, period=360.0)
     return float(turn[-1] - turn[0])
-
-
-def modulation_transfer(psf: Psf) -> tuple[FloatArray, FloatArray]:
-    """MTF averaged over azimuth.
-
-    Returns:
-        Mean frequency of each ring, shape (n_frequency,), cycles per um from 0 to half the sampling rate; and the
-        mean modulus of the PSF's spectrum over its value at 0, shape (2, n_depth, n_frequency).
-    """
-    n_y, n_x = psf.psf.shape[2:]
-    spectrum = np.abs(np.fft.fft2(psf.psf))
-    radial = np.hypot(np.fft.fftfreq(n_y)[:, None], np.fft.fftfreq(n_x)[None, :])
-    count = min(n_y, n_x) // 2
-    ring = np.rint(radial * 2 * count).astype(np.int64)
-    pixels = np.bincount(ring.ravel())[: count + 1]
-    flat = spectrum.reshape(*spectrum.shape[:2], -1)
-    mean = np.array([[np.bincount(ring.ravel(), image)[: count + 1] / pixels for image in stack] for stack in flat])
-    with np.errstate(invalid="ignore"):
-        frequency = np.bincount(ring.ravel(), radial.ravel())[: count + 1] / (pixels * psf.pixel_um)
-        return frequency, mean / mean[:, :, :1]
 
 
 def depth_of_field_dioptre(psf: Psf, share: float = 0.8) -> FloatArray:
