@@ -80,6 +80,10 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
         )
 
 
+#: A blur of the paper's lens takes a megabyte.
+_MOST_BLURS = 256
+
+
 @dataclass(frozen=True)
 class _Lens:
     """What turns a scene at rest into light on the sensor.
@@ -113,8 +117,9 @@ class _Lens:
         return top - self.bottom, right - self.left
 
     def forget(self) -> None:
-        """Let go of the blurs of past depths."""
-        self.blurs.clear()
+        """Let go of the blurs of past depths, where they are many: what stands still asks for the same again."""
+        if len(self.blurs) > _MOST_BLURS:
+            self.blurs.clear()
 
     def light(self, renderer: Renderer, progress: Progress) -> FloatArray:
         """Mean electrons of a scene at rest, shape :attr:`shape`."""

@@ -14,7 +14,7 @@ and the commands, by what they make:
 - ``cell``       ``cell``, ``library build``, ``library check``, ``library show``
 - ``mask``       ``layout``, ``drc``
 - ``fullwave``   ``coupling``, ``patch``
-- ``light``      ``psf``, ``capture``, ``decode``
+- ``light``      ``psf``, ``capture``, ``film``, ``decode``, ``calibrate``
 - ``showing``    ``report``, ``benchmark``, ``doctor``
 """
 

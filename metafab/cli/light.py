@@ -64,18 +64,50 @@ def capture_command(
     psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="PSF pair over depth.")],
     output: Output = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of the noise [default: the scene's].")] = None,
+    frames: Annotated[int, typer.Option(min=1, metavar="N", help="A film: as many files, numbered from 1.")] = 1,
     json_: Json = False,
 ) -> None:
-    """Raw frame of a scene."""
+    """Raw frame of a scene, or the frames of a film."""
     from metafab import steps
     from metafab.core.measure import measured
     from metafab.spec import load_scene
 
     path = output or Path("raw.h5")
+    shape: tuple[int, ...] = ()
+    photons: list[float] = []
+    files: list[Path] = []
     with progress_bars() as progress, measured() as cost:
-        frame = steps.expose(load_scene(scene), psf, path, seed=seed, progress=progress)
-    shape, photons = frame.frame.shape, float(frame.frame.sum())
-    show({"shape": shape, "photons": photons, "seconds": cost.seconds, "file": path}, json_)
+        for frame, file in steps.expose_film(load_scene(scene), psf, path, frames, seed=seed, progress=progress):
+            shape = frame.frame.shape
+            photons.append(float(frame.frame.sum()))
+            files.append(file)
+    figures = {"photons": photons[0], "file": files[0]} if frames == 1 else {"photons": photons, "files": files}
+    show({"shape": shape, **figures, "seconds": cost.seconds}, json_)
+
+
+@app.command("film")
+def film_command(
+    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file, or a design with a scene.")],
+    psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="PSF pair over depth.")],
+    output: Output = None,
+    frames: Annotated[int | None, typer.Option(min=1, metavar="N", help="How many [default: the scene's].")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of the noise [default: the scene's].")] = None,
+    json_: Json = False,
+) -> None:
+    """Film of a moving scene, photographed, decoded frame by frame and drawn: a .gif, or .mp4 with ffmpeg."""
+    from metafab import report, steps
+    from metafab.core.measure import measured
+    from metafab.spec import load_scene
+
+    path = output or Path("film.gif")
+    report.require_film_name(path)
+    shown = load_scene(scene)
+    seen = []
+    with progress_bars() as progress, measured() as cost:
+        for pair in steps.decoded_film(shown, psf, frames, seed=seed, progress=progress):
+            seen.append(pair)
+        report.write_film(seen, path, frame_interval_s=shown.frame_interval_s)
+    show({**steps.film_figures(seen), "seconds": cost.seconds, "file": path}, json_)
 
 
 @app.command("decode")

@@ -12,6 +12,7 @@
 - ``write``         run folder -> ``figures/*.png`` and ``report.html``
 - ``library_page``  one library -> one picture
 - ``proposal_page``  proposed helices -> one picture
+- ``film``          a decoded film as a moving picture
 - ``benchmark``     benchmark rows -> table, plots, JSON
 - ``page.html``, ``style.css``, ``page.js``  the page's template, style and script
 
@@ -19,8 +20,9 @@ In: the files of a run folder, a Library, benchmark rows. Out: PNG, HTML, JSON.
 """
 
 from metafab.report.benchmark import benchmark_page
+from metafab.report.film import require_film_name, write_film
 from metafab.report.library_page import library_figure
 from metafab.report.proposal_page import proposal_figure
 from metafab.report.write import write
 
-__all__ = ["benchmark_page", "library_figure", "proposal_figure", "write"]
+__all__ = ["benchmark_page", "library_figure", "proposal_figure", "require_film_name", "write", "write_film"]

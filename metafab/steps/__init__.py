@@ -6,6 +6,7 @@
 - ``drc``        design rules of the written files
 - ``optics``     PSF pairs of the written file and of the target phases
 - ``camera``     raw frame of the scene
+- ``film``       a moving scene, frame by frame
 - ``decode``     4D image, and the calibration of a camera
 - ``report``     figures and page
 - ``outputs``    what several steps say of their files
@@ -17,9 +18,10 @@ A step imports its room when it works: a run that has nothing to do starts none 
 """
 
 from metafab.steps.budget import error_budget, recorded_coupling
-from metafab.steps.camera import CAPTURE, expose
+from metafab.steps.camera import CAPTURE, expose, expose_film
 from metafab.steps.decode import DECODE, calibrate, restore
 from metafab.steps.drc import DRC
+from metafab.steps.film import decoded_film, film_figures
 from metafab.steps.layout import LAYOUT, mask_paths, write_layout
 from metafab.steps.library import LIBRARY, library_path, library_stands, open_library
 from metafab.steps.optics import (
@@ -45,8 +47,11 @@ __all__ = [
     "STEPS",
     "calibrate",
     "calibration_depths",
+    "decoded_film",
     "error_budget",
     "expose",
+    "expose_film",
+    "film_figures",
     "ideal_source",
     "library_path",
     "library_stands",

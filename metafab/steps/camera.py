@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,11 +21,22 @@ def expose(
     scene: Scene, psf_path: Path, path: Path, *, seed: int | None = None, progress: Progress = silent
 ) -> RawFrame:
     """Photograph a scene through a stored PSF pair and keep the raw frame."""
+    ((frame, _),) = expose_film(scene, psf_path, path, 1, seed=seed, progress=progress)
+    return frame
+
+
+def expose_film(
+    scene: Scene, psf_path: Path, path: Path, frames: int, *, seed: int | None = None, progress: Progress = silent
+) -> Iterator[tuple[RawFrame, Path]]:
+    """The frames of a scene, each kept as it comes: in ``path`` itself, or numbered from 1 where they are several."""
     from metafab import camera, optics
 
-    frame = camera.capture(scene, optics.load(psf_path), seed=seed, progress=progress)
-    camera.save(frame, path, inputs_sha256=fingerprint(scene, seed, file_sha256(psf_path)))
-    return frame
+    inputs = fingerprint(scene, frames, seed, file_sha256(psf_path))
+    shown = replace(scene, frames=frames)
+    for number, frame in enumerate(camera.film(shown, optics.load(psf_path), seed=seed, progress=progress), start=1):
+        own = path if frames == 1 else path.with_name(f"{path.stem}_{number:04d}{path.suffix}")
+        camera.save(frame, own, inputs_sha256=inputs)
+        yield frame, own
 
 
 def _capture(job: Job) -> dict[str, Any]:

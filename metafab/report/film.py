@@ -1,0 +1,173 @@
+"""A decoded film as a moving picture: raw frame, both polarisations' sharp images, and depth."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
+
+from metafab.camera.frame import RawFrame
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError, MetafabError, MissingToolError
+from metafab.core.files import whole_file
+from metafab.decode.image import Image4D
+from metafab.report.style import DEPTH_MAP, INK, POLARISATION_COLOUR, bare, colour_bar, depth_unit, show_map
+
+_DPI = 100
+_WIDTH_IN = 9.0
+_KINDS = (".gif", ".mp4")
+
+
+def require_film_name(path: Path) -> None:
+    """Refuse a file name that no film can have, before the film is computed.
+
+    Raises:
+        InputError: neither .gif nor .mp4.
+        MissingToolError: .mp4 without ffmpeg.
+    """
+    if path.suffix.lower() not in _KINDS:
+        raise InputError.single("film", "output", "a name ending with .gif or .mp4", str(path))
+    if path.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:
+        raise MissingToolError("ffmpeg, which writes .mp4 files, was not found: install it, or ask for a .gif")
+
+
+def write_film(film: Sequence[tuple[RawFrame, Image4D]], path: Path, *, frame_interval_s: float) -> Path:
+    """Draw every frame and write them as one moving picture, in the time in which they were taken.
+
+    Args:
+        film: raw and decoded frames of one camera, at least one.
+        path: the .gif (by Pillow) or .mp4 (by ffmpeg) to write.
+        frame_interval_s: from one frame to the next; a GIF's steps are hundredths of a second.
+
+    Returns:
+        ``path``.
+    """
+    require_film_name(path)
+    pictures = list(_pictures(film, frame_interval_s))
+    with whole_file(path) as part:
+        if path.suffix.lower() == ".gif":
+            _write_gif(pictures, part, frame_interval_s)
+        else:
+            _write_mp4(pictures, part, frame_interval_s)
+    return path
+
+
+def _pictures(film: Sequence[tuple[RawFrame, Image4D]], frame_interval_s: float) -> Sequence[NDArray[np.uint8]]:
+    raw, image = film[0]
+    scale, unit = depth_unit(image.depth_m)
+    depths = [scale * decoded.depth_m[np.isfinite(decoded.depth_m)] for _, decoded in film]
+    known = np.concatenate(depths) if any(d.size for d in depths) else np.array([0.0, 1.0])
+    bright = max(_top(raw.frame) for raw, _ in film)
+    sharp = max(_top(part) for _, decoded in film for part in (decoded.intensity_x, decoded.intensity_y))
+    figure, places = _frame(raw, image)
+    panels = [
+        _panel(places[0], raw.frame, "Raw frame: x and y polarisation", cmap="gray", vmin=0.0, vmax=bright),
+        _panel(
+            places[1],
+            image.intensity_x,
+            "I_x, all in focus",
+            POLARISATION_COLOUR["x"],
+            cmap="gray",
+            vmin=0.0,
+            vmax=sharp,
+        ),
+        _panel(
+            places[2],
+            image.intensity_y,
+            "I_y, all in focus",
+            POLARISATION_COLOUR["y"],
+            cmap="gray",
+            vmin=0.0,
+            vmax=sharp,
+        ),
+        _panel(places[3], scale * image.depth_m, "Depth", cmap=DEPTH_MAP, vmin=known.min(), vmax=known.max()),
+    ]
+    colour_bar(panels[3], places[3], f"depth / {unit}")
+    caption = figure.text(0.02, 0.012, "", fontsize=9, color=INK)
+    canvas: Any = FigureCanvasAgg(figure)
+    drawn = []
+    for number, (frame, decoded) in enumerate(film):
+        values = (frame.frame, decoded.intensity_x, decoded.intensity_y, scale * decoded.depth_m)
+        for panel, value in zip(panels, values, strict=True):
+            panel.set_data(np.ma.masked_invalid(value))
+        error = "" if decoded.nmae is None else f"   depth within {100.0 * decoded.nmae:.2f} %"
+        caption.set_text(f"t = {number * frame_interval_s:.2f} s{error}")
+        canvas.draw()
+        drawn.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
+    return drawn
+
+
+def _frame(raw: RawFrame, image: Image4D) -> tuple[Figure, list[Axes]]:
+    """The raw frame above; below it the two images and the depth, side by side."""
+    title_in, gap_in, bar_in = 0.3, 0.15, 0.8
+    tall_in = (_WIDTH_IN - 2.0 * gap_in) * raw.frame.shape[0] / raw.frame.shape[1]
+    wide_in = (_WIDTH_IN - 4.0 * gap_in - bar_in) / 3.0
+    low_in = wide_in * image.depth_m.shape[0] / image.depth_m.shape[1]
+    # Video codecs want even numbers of pixels.
+    height_in = 0.02 * np.ceil(50.0 * (tall_in + low_in + 2.0 * title_in + 2.0 * gap_in + 0.2))
+    figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
+
+    def place(left: float, bottom: float, width: float, height: float) -> Axes:
+        return figure.add_axes((left / _WIDTH_IN, bottom / height_in, width / _WIDTH_IN, height / height_in))
+
+    above = gap_in + 0.2 + low_in + title_in + gap_in
+    return figure, [
+        place(gap_in, above, _WIDTH_IN - 2.0 * gap_in, tall_in),
+        *(place(gap_in + k * (wide_in + gap_in), gap_in + 0.2, wide_in, low_in) for k in range(3)),
+    ]
+
+
+def _panel(axes: Axes, values: FloatArray, title: str, ink: str = INK, **options: Any) -> Any:
+    bare(axes, title, ink)
+    n_y, n_x = values.shape
+    return show_map(axes, values, (0.0, float(n_x), 0.0, float(n_y)), **options)
+
+
+def _top(values: FloatArray) -> float:
+    finite = values[np.isfinite(values)]
+    return (float(np.percentile(finite, 99.8)) if finite.size else 1.0) or 1.0
+
+
+def _write_gif(pictures: Sequence[NDArray[np.uint8]], path: Path, interval_s: float) -> None:
+    palette = _palette()
+    frames = [Image.fromarray(p).quantize(palette=palette, dither=Image.Dither.NONE) for p in pictures]
+    centiseconds = max(2, round(100.0 * interval_s))
+    frames[0].save(path, format="GIF", save_all=True, append_images=frames[1:], duration=10 * centiseconds, loop=0)
+
+
+def _palette() -> Image.Image:
+    """What the panels show, in 256 colours: greys, depths, and the two inks down to white."""
+    share = np.linspace(0.0, 1.0, 120)
+    white = np.ones(3)
+    inks = [np.array(to_rgb(ink)) for ink in POLARISATION_COLOUR.values()]
+    colours = [
+        np.outer(share, white),
+        colormaps[DEPTH_MAP](share)[:, :3],
+        *(ink + np.outer(np.arange(8) / 8.0, white - ink) for ink in inks),
+    ]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.round(255.0 * np.concatenate(colours)).astype(np.uint8).tobytes())
+    return palette
+
+
+def _write_mp4(pictures: Sequence[NDArray[np.uint8]], path: Path, interval_s: float) -> None:
+    n_y, n_x = (n // 2 * 2 for n in pictures[0].shape[:2])
+    command = [
+        "ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{n_x}x{n_y}",
+        "-r", f"{1.0 / interval_s:.6g}", "-i", "-", "-pix_fmt", "yuv420p", "-f", "mp4", str(path),
+    ]  # fmt: skip
+    light = b"".join(np.ascontiguousarray(p[:n_y, :n_x]).tobytes() for p in pictures)
+    done = subprocess.run(command, input=light, capture_output=True, check=False)
+    if done.returncode != 0:
+        raise MetafabError(f"ffmpeg could not write {path.name}: {done.stderr.decode(errors='replace').strip()}")

@@ -1,0 +1,87 @@
+"""``metafab capture --frames`` and ``metafab film``: a moving scene as files, as figures, and as a moving picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from metafab import camera, optics, report
+from metafab.core.errors import InputError, MissingToolError
+from tests.conjugate_pair import helix_psf
+from tests.main_job import metafab
+
+SCENE = """
+field_px = [72, 72]
+frames = 3
+frame_interval_s = 0.05
+vignetting = "none"
+[[objects]]
+depth_m = 0.0028
+centre = [-0.02, 0.0]
+size = [0.06, 0.08]
+velocity_m_per_s = [0.001, 0.0, 0.0]
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene that moves by 26 micrometres a frame at 2.8 mm, and the pair that sees it."""
+    path = tmp_path_factory.mktemp("film")
+    (path / "scene.toml").write_text(SCENE)
+    optics.save(helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32), path / "psf.h5")
+    return path
+
+
+def test_frames_are_files_whose_truth_moves(folder: Path) -> None:
+    answer = metafab("capture", folder / "scene.toml", "--psf", folder / "psf.h5", "-o", folder / "raw.h5", "--frames",
+                     "3", "--json")  # fmt: skip
+    assert answer.code == 0, answer.stderr
+    files = [Path(name) for name in answer.json["files"]]
+    assert [file.name for file in files] == ["raw_0001.h5", "raw_0002.h5", "raw_0003.h5"]
+    middles = []
+    for file in files:
+        truth = camera.load(file).truth
+        assert truth is not None
+        middles.append(np.argwhere(truth.label == 1)[:, 1].mean())
+    # Inverted: to smaller columns, by 1 mm/s x 0.05 s / 2.8 mm = 0.0179 of tangent = 11.05 pixels a frame.
+    assert np.diff(middles) == pytest.approx(-0.05e-3 / 0.0028 * 1485.4 / 2.4, abs=0.2)
+
+
+def test_one_frame_is_one_file_with_the_first_frames_bytes(folder: Path) -> None:
+    answer = metafab("capture", folder / "scene.toml", "--psf", folder / "psf.h5", "-o", folder / "one.h5", "--json")
+    assert answer.code == 0, answer.stderr
+    assert Path(answer.json["file"]).name == "one.h5"
+    assert camera.load(folder / "one.h5").frame.shape == tuple(answer.json["shape"])
+
+
+def test_a_film_is_decoded_frame_by_frame_and_drawn(folder: Path) -> None:
+    command = ("film", folder / "scene.toml", "--psf", folder / "psf.h5", "--json", "-o")
+    first, second = (metafab(*command, folder / name) for name in ("a.gif", "b.gif"))
+    assert first.code == 0, first.stderr
+    assert first.json["frames"] == 3
+    # One object of known depth; the pair that made the frames decodes them.
+    assert max(first.json["nmae"]) < 0.02
+    assert first.json["changed_share"][0] == 1.0
+    assert (folder / "a.gif").read_bytes() == (folder / "b.gif").read_bytes()
+    assert second.code == 0
+    picture = Image.open(folder / "a.gif")
+    assert picture.n_frames == 3
+    assert picture.info["duration"] == 50
+    frames = []
+    for number in range(3):
+        picture.seek(number)
+        frames.append(np.asarray(picture.convert("RGB"), dtype=float))
+    # The object leaves its place in every frame: the panels differ, the margins do not.
+    assert np.abs(frames[2] - frames[0]).max() > 100.0
+    assert (frames[2][:2] == frames[0][:2]).all()
+
+
+def test_other_names_and_a_missing_ffmpeg_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"\.gif or \.mp4"):
+        report.require_film_name(tmp_path / "film.avi")
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(MissingToolError, match="ffmpeg"):
+        report.require_film_name(tmp_path / "film.mp4")
