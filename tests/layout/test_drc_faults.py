@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from metafab import drc
-from metafab.layout import Assignment, tile_sites
+from metafab.drc import polygons
+from metafab.layout import Assignment
 from metafab.spec import Design
 
 kdb = pytest.importorskip("klayout.db")
@@ -308,10 +309,11 @@ def test_reports_are_written_and_klayout_opens_them(plant: Plant, tiny_design: D
 
 @pytest.mark.parametrize(("rule", "along_x"), [("min_gap", True), ("min_gap", False), ("overlap", True)])
 def test_a_violation_on_a_seam_of_klayouts_tiles_is_counted_once(
-    rule: str, along_x: bool, tiny_design: Design, tmp_path: Path
+    rule: str, along_x: bool, tiny_design: Design, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The same fault in the middle of a tile, on a seam and on a corner of four: one violation each time."""
-    sites = tile_sites(tiny_design)
+    sites = 34
+    monkeypatch.setattr(polygons, "_TILE_UM", sites * PERIOD * 0.5e-3)
     counts = []
     for row, column in ((sites // 2, sites // 2), (sites - 1, sites - 1), (2 * sites - 1, sites - 1)):
         layout = kdb.Layout()
