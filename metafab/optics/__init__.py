@@ -5,8 +5,12 @@
 - ``path``         exact path lengths and amplitudes from object over lens to sensor
 - ``pupil``        Pupil: a streaming pass from pillars to block sums
 - ``chebyshev``    interpolation between Chebyshev points
-- ``window``       block sums -> field on a window: low-rank kernel and matrix Fourier transforms
-- ``stack``        :func:`psf`: the pair over depth and field, block size chosen by the error asked
+- ``blocks``       block size chosen by the error asked
+- ``refocus``      block sums behind another ray: other depths, directions, wavelengths
+- ``kernel``       propagation to one window: a separable transform and a low-rank rest
+- ``window``       block sums -> field on a window: matrix Fourier transforms
+- ``image``        irradiance on a window and its error; large windows in panels, by a cost model
+- ``stack``        :func:`psf`: the pair over depth and field
 - ``band``         the pair in the light of a filter: few wavelengths, shifted and added
 - ``lobe``         main lobe to a fraction of a pixel, orientation
 - ``field``        interpolation over the field of view
@@ -27,12 +31,13 @@ from metafab.optics.depth import at_depths, concatenate, without_depths
 from metafab.optics.fabrication import ThinnedField, ToleranceRow, library_corners, misplaced, stitched, tolerance
 from metafab.optics.field import at_tangent
 from metafab.optics.fisher import PointSource, depth_crlb_m, point_information, twin_depth_information
+from metafab.optics.image import relative_l2
 from metafab.optics.imaging import Imaging, depth_nodes, field_tangents
 from metafab.optics.lobe import main_lobe_px, orientation_deg
 from metafab.optics.point_spread import Psf, PsfField
 from metafab.optics.reference import direct_irradiance
 from metafab.optics.source import IdealField, Source, WrittenField, ideal_field, written_field
-from metafab.optics.stack import psf, relative_l2
+from metafab.optics.stack import psf
 from metafab.optics.store import load, save
 
 __all__ = [

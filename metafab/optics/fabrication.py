@@ -16,12 +16,13 @@ from metafab.core.conventions import FloatArray
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.axes import CornerBox
 from metafab.library.library import Library
+from metafab.optics.image import relative_l2
 from metafab.optics.imaging import Imaging
 from metafab.optics.metrics import peak_irradiance
 from metafab.optics.path import Ray
 from metafab.optics.point_spread import Psf
 from metafab.optics.source import FieldTile, Source, WrittenField, written_field
-from metafab.optics.stack import psf, relative_l2
+from metafab.optics.stack import psf
 
 _FABRICATION = {"cd_bias_nm", "height_nm", "sidewall_angle_deg", "pillar_n_shift"}
 

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.optics import window
+from metafab.optics import refocus as refocusing
+from metafab.optics.kernel import WindowKernel
 from metafab.optics.path import Ray
 from metafab.optics.pupil import Carrier, Pupil
-from metafab.optics.window import WindowKernel, WindowTransform, refocus
+from metafab.optics.refocus import refocus
+from metafab.optics.window import WindowTransform
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()
@@ -77,7 +79,7 @@ def test_refocusing_is_the_same_without_compilation(monkeypatch: pytest.MonkeyPa
     pupil = _random_pupil(block=4)
     ray = Ray.towards_image(OPTICS, 0, 0.8e-3, (-0.03, 0.06))
     fast = refocus(pupil, ray, K)
-    monkeypatch.setattr(window, "HAS_NUMBA", False)
+    monkeypatch.setattr(refocusing, "HAS_NUMBA", False)
     assert refocus(pupil, ray, K) == pytest.approx(fast, abs=1e-5)
 
 
