@@ -508,7 +508,7 @@ def _rectangles(
     now = state.copy()
     while position + 1 < len(data) and data[position] == RECTANGLE:
         info = data[position + 1]
-        now[:] = state
+        _set(now, state)
         here = _read_fields(data, position + 2, info, now)
         if here < 0 or now[0] != wanted[0] or now[1] < wanted[1] or now[1] > wanted[2]:
             break
@@ -535,8 +535,15 @@ def _rectangles(
                 out[place, 0], out[place, 1], out[place, 2], out[place, 3] = x, y, now[4], now[5]
         count += copies
         position = here
-        state[:] = now
+        _set(state, now)
     return position, count
+
+
+@compiled
+def _set(target: NDArray[np.int64], source: NDArray[np.int64]) -> None:
+    """``target[:] = source``, whose check of the shapes takes seconds to compile."""
+    for i in range(len(target)):
+        target[i] = source[i]
 
 
 @compiled

@@ -219,9 +219,11 @@ def _sorted_by_size(
         for j in range(n_x):
             if size_index[i, j]:
                 end_of[size_index[i, j]] += 1
-    end_of = np.cumsum(end_of)
+    following = np.zeros(sizes, dtype=np.int64)  # Loops: cumsum and append take a second to compile.
+    for size in range(1, sizes):
+        end_of[size] += end_of[size - 1]
+        following[size] = end_of[size - 1]
     row, column = np.empty(end_of[-1], dtype=np.int32), np.empty(end_of[-1], dtype=np.int32)
-    following = np.append(np.int64(0), end_of[:-1])
     slow, fast = (n_x, n_y) if along_y else (n_y, n_x)
     for strip in range(0, fast, strip_sites):
         for i in range(slow):
