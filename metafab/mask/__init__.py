@@ -3,6 +3,7 @@
 - ``cells``         names and places of the cells
 - ``copies``        several lenses on a chip
 - ``varints``       OASIS integers
+- ``writer``        what both formats share
 - ``oasis_records`` a tile of pillars -> OASIS rectangles, deflated
 - ``oasis_writer``  OASIS by streaming
 - ``gdsii_writer``  GDSII by streaming

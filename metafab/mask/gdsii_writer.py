@@ -7,18 +7,17 @@ Plain boundaries open several times faster in viewers than one reference a pilla
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Sequence
-from typing import BinaryIO
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.errors import InputError
 from metafab.core.numerics import HAS_NUMBA, compiled
-from metafab.layout.pillars import Lattice, PillarTile
-from metafab.mask.cells import TileCell, lens_name, tile_cell
-from metafab.mask.copies import LensCopy, biases_dbu
+from metafab.layout.pillars import PillarTile
+from metafab.mask.cells import TileCell
 from metafab.mask.hierarchy import IntArray
+from metafab.mask.writer import EncodedTile, MaskWriter
 
 BOUNDARY_WORDS = 16
 
@@ -26,45 +25,20 @@ BOUNDARY_WORDS = 16
 _DATE = (2000, 1, 1, 0, 0, 0) * 2
 
 
-class GdsiiWriter:
-    """Writes tiles as they come; memory stays that of one tile.
+class GdsiiWriter(MaskWriter):
+    """Writes GDSII; refuses what reaches beyond 32-bit coordinates."""
 
-    Args:
-        stream: binary stream at its start.
-        lattice: lattice of the tiles.
-        size_dbu: shape (n_sizes + 1, 2), as :attr:`PillarMap.size_dbu`.
-        top: name of the top structure.
-        layer: layer of the pillars.
-        datatype: datatype of the pillars.
-        copies: lenses to place where there are several; without any, the top structure is the lens.
-
-    Raises:
-        InputError: the layout reaches beyond 32-bit coordinates.
-    """
-
-    def __init__(
-        self,
-        stream: BinaryIO,
-        lattice: Lattice,
-        size_dbu: NDArray[np.int32],
-        top: str,
-        layer: int,
-        datatype: int,
-        copies: Sequence[LensCopy] = (),
-    ) -> None:
+    def _begin_file(self) -> None:
+        drawing = self._drawing
+        lattice = drawing.lattice
         reach = max(n * p for n, p in zip(lattice.shape[::-1], lattice.period_dbu, strict=True)) // 2 + 1
-        reach += max((max(abs(copy.x_dbu), abs(copy.y_dbu)) for copy in copies), default=0)
-        if reach >= 2**31 or max(layer, datatype) >= 2**15:
-            raise self._beyond(reach, f"{layer}/{datatype}")
-        self._stream = stream
-        self._lattice = lattice
-        self._size_dbu = size_dbu
-        self._top = top
-        self._layer, self._datatype = layer, datatype
-        self._copies = copies
-        self._placed: dict[int, list[TileCell]] = {bias: [] for bias in biases_dbu(copies) or (0,)}
+        reach += max((max(abs(copy.x_dbu), abs(copy.y_dbu)) for copy in drawing.copies), default=0)
+        if reach >= 2**31 or max(drawing.layer, drawing.datatype) >= 2**15:
+            raise self._beyond(reach, f"{drawing.layer}/{drawing.datatype}")
+        # Memory that the system has handed out once is written to again: fresh pages cost as much time as the file.
+        self._spare: list[NDArray[np.int32]] = []
         unit_m = lattice.database_unit_nm * 1e-9
-        stream.write(
+        self._write(
             record(0x0002, struct.pack(">h", 600))
             + record(0x0102, struct.pack(">12h", *_DATE))
             + record(0x0206, text("METAFAB"))
@@ -81,64 +55,56 @@ class GdsiiWriter:
             "write 'oas', which has no such limits",
         )
 
-    def encode(self, tile: PillarTile, dose_class: int = 0, bias_dbu: int = 0) -> tuple[int, TileCell, memoryview]:
-        """The bias, the cell of the pillars of ``tile`` drawn with it, and the bytes of its elements.
-
-        Safe to call from several threads.
-        """
-        cell = tile_cell(self._lattice, tile, dose_class, bias_dbu)
+    def _content(self, tile: PillarTile, cell: TileCell, dose_class: int, bias_dbu: int) -> NDArray[np.uint8]:
+        drawing = self._drawing
         fill = fill_boundaries if HAS_NUMBA else fill_boundaries_vectorised
-        words = fill(
+        words = self._buffer(int(np.count_nonzero(tile.size_index)))
+        fill(
             np.ascontiguousarray(tile.size_index),
-            self._size_dbu + np.int32(bias_dbu),
-            self._lattice.period_dbu,
+            drawing.size_dbu + np.int32(bias_dbu),
+            drawing.lattice.period_dbu,
             (cell.first_x_dbu, cell.first_y_dbu),
-            boundary_template(self._layer, self._datatype + dose_class),
+            boundary_template(drawing.layer, drawing.datatype + dose_class),
+            words,
         )
-        return bias_dbu, cell, words.data.cast("B")
+        return words.reshape(-1).view(np.uint8)
 
-    def add(self, encoded: tuple[int, TileCell, memoryview]) -> None:
-        """Append what :meth:`encode` returned as a structure."""
-        bias_dbu, cell, elements = encoded
-        self._placed[bias_dbu].append(cell)
-        self._stream.write(_begin(cell.name))
-        self._stream.write(elements)  # not copied: a tile has tens of megabytes
-        self._stream.write(record(0x0700))
+    def _buffer(self, pillars: int) -> NDArray[np.int32]:
+        """Words for some pillars, shape (pillars, 16), in spare memory if there is a piece that is large enough."""
+        with suppress(IndexError):
+            spare = self._spare.pop()
+            if len(spare) >= pillars:
+                return spare[:pillars]
+        return np.empty((pillars, BOUNDARY_WORDS), dtype=np.int32)
 
-    def close(self, beside: Iterable[tuple[int, IntArray]] = ()) -> None:
-        """Write the top structure, with (layer, rectangles) ``beside`` the pillars, and the end of the library.
+    def add(self, tile: EncodedTile) -> None:
+        """Append the structure of a tile, and keep its memory for another."""
+        super().add(tile)
+        if isinstance(tile.content.base, np.ndarray):
+            self._spare.append(tile.content.base)
 
-        Raises:
-            InputError: a rectangle reaches beyond 32-bit coordinates.
-        """
-        if self._copies:
-            for bias_dbu in self._placed:
-                self._stream.write(_begin(lens_name(bias_dbu, self._top)))
-                self._place_tiles(bias_dbu)
-                self._stream.write(record(0x0700))
-        self._stream.write(_begin(self._top))
-        if not self._copies:
-            self._place_tiles(0)
-        for copy in self._copies:
-            self._place(lens_name(copy.bias_dbu, self._top), copy.x_dbu, copy.y_dbu)
-        for layer, rectangles in beside:
-            reach = int(np.abs(rectangles).sum(axis=1).max(initial=0))
-            if max(reach, layer << 16) >= 2**31:
-                raise self._beyond(reach, f"{layer}/0")
-            words = np.tile(boundary_template(layer, 0), (len(rectangles), 1))
-            low, high = rectangles[:, :2], rectangles[:, :2] + rectangles[:, 2:]
-            words[:, 5:15:2] = np.stack([low, high, high, low, low], axis=1)[:, :, 0]
-            words[:, 6:15:2] = np.stack([low, low, high, high, low], axis=1)[:, :, 1]
-            self._stream.write(words.byteswap().tobytes())
-        self._stream.write(record(0x0700) + record(0x0400))
-
-    def _place_tiles(self, bias_dbu: int) -> None:
-        for cell in self._placed[bias_dbu]:
-            self._place(cell.name, cell.x_dbu, cell.y_dbu)
+    def _begin_cell(self, name: str) -> None:
+        self._write(record(0x0502, struct.pack(">12h", *_DATE)) + record(0x0606, text(name)))
 
     def _place(self, name: str, x_dbu: int, y_dbu: int) -> None:
         place = record(0x1003, struct.pack(">2i", x_dbu, y_dbu))
-        self._stream.write(record(0x0A00) + record(0x1206, text(name)) + place + record(0x1100))
+        self._write(record(0x0A00) + record(0x1206, text(name)) + place + record(0x1100))
+
+    def _draw(self, layer: int, rectangles: IntArray) -> None:
+        reach = int(np.abs(rectangles).sum(axis=1).max(initial=0))
+        if max(reach, layer << 16) >= 2**31:
+            raise self._beyond(reach, f"{layer}/0")
+        words = np.tile(boundary_template(layer, 0), (len(rectangles), 1))
+        low, high = rectangles[:, :2], rectangles[:, :2] + rectangles[:, 2:]
+        words[:, 5:15:2] = np.stack([low, high, high, low, low], axis=1)[:, :, 0]
+        words[:, 6:15:2] = np.stack([low, low, high, high, low], axis=1)[:, :, 1]
+        self._write(words.byteswap().tobytes())
+
+    def _end_cell(self) -> None:
+        self._write(record(0x0700))
+
+    def _end_file(self) -> None:
+        self._write(record(0x0400))
 
 
 def record(kind: int, data: bytes = b"") -> bytes:
@@ -183,15 +149,19 @@ def fill_boundaries(
     period_dbu: tuple[int, int],
     first_dbu: tuple[int, int],
     template: NDArray[np.int32],
-) -> NDArray[np.int32]:
+    words: NDArray[np.int32],
+) -> None:
     """Boundaries of all pillars of a tile, row by row, corners counter-clockwise from the lower left.
 
-    Returns:
-        Shape (n_pillars, 16), words whose bytes are already big-endian.
+    Args:
+        size_index: shape (n_y, n_x), as :attr:`PillarTile.size_index`.
+        size_dbu: shape (n_sizes + 1, 2), width and length.
+        period_dbu: (x, y) pitch.
+        first_dbu: (x, y) of the first site.
+        template: what :func:`boundary_template` returns.
+        words: filled; shape (n_pillars, 16), words whose bytes are big-endian.
     """
-    words = np.empty((np.count_nonzero(size_index), BOUNDARY_WORDS), dtype=np.int32)
     _fill(size_index, size_dbu, *period_dbu, *first_dbu, template.byteswap(), words)
-    return words
 
 
 @compiled
@@ -237,11 +207,11 @@ def fill_boundaries_vectorised(
     period_dbu: tuple[int, int],
     first_dbu: tuple[int, int],
     template: NDArray[np.int32],
-) -> NDArray[np.int32]:
+    words: NDArray[np.int32],
+) -> None:
     """As :func:`fill_boundaries`, in NumPy alone."""
     row, column = np.nonzero(size_index)
     width, length = size_dbu[size_index[row, column]].T
-    words = np.empty((row.size, BOUNDARY_WORDS), dtype=np.int32)
     words[:] = template
     left = first_dbu[0] + column * period_dbu[0] - width // 2
     bottom = first_dbu[1] + row * period_dbu[1] - length // 2
@@ -249,8 +219,4 @@ def fill_boundaries_vectorised(
     words[:, 7] = words[:, 9] = left + width
     words[:, 6] = words[:, 8] = words[:, 14] = bottom
     words[:, 10] = words[:, 12] = bottom + length
-    return words.byteswap()
-
-
-def _begin(name: str) -> bytes:
-    return record(0x0502, struct.pack(">12h", *_DATE)) + record(0x0606, text(name))
+    words.byteswap(inplace=True)

@@ -10,10 +10,9 @@ from metafab.core.executor import default_workers
 from metafab.layout import Aperture
 from metafab.layout.assign import mapping_of
 from metafab.library import Library
-from metafab.mask.cells import top_name
 from metafab.mask.copies import biases_dbu, lens_copies
 from metafab.mask.gdsii_writer import BOUNDARY_WORDS
-from metafab.mask.write import WRITERS
+from metafab.mask.write import WRITERS, drawing_of
 from metafab.phase.profile import PhaseProfile
 from metafab.spec import Design
 
@@ -55,11 +54,10 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
     share_encoded = share / len(biases_dbu(lens_copies(design)))
     sizes: dict[str, int] = {}
     for suffix in design.mask.formats:
-        names = (top_name(design.name), design.mask.layer, design.mask.datatype)
-        writer = WRITERS[suffix](io.BytesIO(), aperture.lattice, table.size_dbu, *names)
+        writer = WRITERS[suffix](io.BytesIO(), drawing_of(aperture.lattice, table.size_dbu, design))
         writer.encode(tiles[0][0])
         encoding = time.perf_counter()
-        encoded = sum(len(writer.encode(tile)[-1]) for tile, _ in tiles)
+        encoded = sum(writer.encode(tile).content.size for tile, _ in tiles)
         seconds[suffix] = (time.perf_counter() - encoding) / share_encoded / default_workers()
         sizes[suffix] = round(encoded / share_encoded)
     return {

@@ -211,7 +211,7 @@ def _chunks(hierarchy: Hierarchy) -> Iterator[Chunk]:
         return iter(list(part.chunks())) if part.count <= _AHEAD_SHAPES else part.chunks()
 
     with ThreadPoolExecutor(default_workers()) as threads:
-        for chunks in in_order(threads, decode, hierarchy.parts(), ahead=4):
+        for chunks in in_order(threads, decode, hierarchy.parts(), ahead=default_workers() + 1):
             yield from chunks
 
 

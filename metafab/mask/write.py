@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab import __version__
 from metafab.core.errors import InputError
 from metafab.core.executor import default_workers, in_order
 from metafab.core.files import fingerprint, whole_file, write_json
 from metafab.core.progress import Progress, silent
-from metafab.layout import PillarMap, PillarTile, field_sites, lattice_of
+from metafab.layout import Lattice, PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.geometry import whole_dbu
 from metafab.mask.cells import top_name
 from metafab.mask.copies import biases_dbu, lens_copies
@@ -27,9 +28,10 @@ from metafab.mask.gdsii_writer import GdsiiWriter
 from metafab.mask.oasis_writer import OasisWriter
 from metafab.mask.surroundings import Surroundings, surroundings
 from metafab.mask.viewer import layer_properties
+from metafab.mask.writer import Drawing, MaskWriter
 from metafab.spec import Design
 
-WRITERS: dict[str, type[GdsiiWriter] | type[OasisWriter]] = {"gds": GdsiiWriter, "oas": OasisWriter}
+WRITERS: dict[str, type[MaskWriter]] = {"gds": GdsiiWriter, "oas": OasisWriter}
 _BUFFER_BYTES = 1 << 20
 
 
@@ -79,13 +81,11 @@ def write(
     figures = _Figures(drawn, design)
     files = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     with ExitStack() as stack:
-        writers: list[GdsiiWriter | OasisWriter] = []
+        writers: list[MaskWriter] = []
         for suffix, path in files.items():
             part = stack.enter_context(whole_file(path))
             stream = stack.enter_context(part.open("wb", buffering=_BUFFER_BYTES))
-            names = (top_name(design.name), design.mask.layer, design.mask.datatype)
-            copies = lens_copies(design) if design.mask.copies else ()
-            writers.append(WRITERS[suffix](stream, drawn.lattice, drawn.size_dbu, *names, copies))
+            writers.append(WRITERS[suffix](stream, drawing_of(drawn.lattice, drawn.size_dbu, design)))
         threads = stack.enter_context(ThreadPoolExecutor(default_workers()))
 
         def encode(tile: PillarTile) -> tuple[PillarTile, list[list[Any]]]:
@@ -109,6 +109,12 @@ def write(
     write_json(directory / "layout.json", sidecar if mapping is None else {**sidecar, "mapping": dict(mapping)})
     paths = [*files.values(), directory / "layout.lyp", directory / "layout.json"]
     return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
+
+
+def drawing_of(lattice: Lattice, size_dbu: NDArray[np.int32], design: Design) -> Drawing:
+    """What the writers know of a design's mask; sizes as they are drawn."""
+    copies = lens_copies(design) if design.mask.copies else ()
+    return Drawing(lattice, size_dbu, top_name(design.name), design.mask.layer, design.mask.datatype, copies)
 
 
 class _Figures:

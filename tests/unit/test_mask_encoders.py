@@ -74,7 +74,9 @@ def test_the_better_scan_is_found_from_few_sizes(centre: tuple[int, int]) -> Non
 @given(index=TILES, layer=st.integers(0, 255))
 def test_gdsii_boundaries(index: np.ndarray, layer: int) -> None:
     arguments = (index, SIZES.astype(np.int32), (700, 600), (-350, 90_000_000), boundary_template(layer, 0))
-    compiled, vectorised = fill_boundaries(*arguments), fill_boundaries_vectorised(*arguments)
+    compiled, vectorised = (np.empty((np.count_nonzero(index), 16), dtype=np.int32) for _ in range(2))
+    fill_boundaries(*arguments, compiled)
+    fill_boundaries_vectorised(*arguments, vectorised)
     assert np.array_equal(compiled, vectorised)
     elements = compiled.view(np.uint8).reshape(-1, 64)
     rectangles, is_rectangle = rectangles_of(elements, 20)

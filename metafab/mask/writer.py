@@ -1,0 +1,134 @@
+"""What both formats share: tiles become cells as they come, and the top cell places them, once or several times."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.layout.pillars import Lattice, PillarTile
+from metafab.mask.cells import TileCell, lens_name, tile_cell
+from metafab.mask.copies import LensCopy, biases_dbu
+from metafab.mask.hierarchy import IntArray
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What a writer knows of a mask before the first tile comes.
+
+    Attributes:
+        lattice: lattice of the tiles.
+        size_dbu: shape (n_sizes + 1, 2), as :attr:`PillarMap.size_dbu`, as drawn.
+        top: name of the top cell.
+        layer: layer of the pillars.
+        datatype: datatype of the pillars of dose class 0; those of others follow.
+        copies: lenses to place where there are several; without any, the top cell is the lens.
+    """
+
+    lattice: Lattice
+    size_dbu: NDArray[np.int32]
+    top: str
+    layer: int
+    datatype: int
+    copies: tuple[LensCopy, ...] = ()
+
+
+@dataclass(frozen=True)
+class EncodedTile:
+    """The pillars of a tile in one dose class, drawn with one bias, in a format's bytes.
+
+    Attributes:
+        bias_dbu: added to widths and lengths.
+        cell: their cell.
+        content: its elements, shape (n,).
+    """
+
+    bias_dbu: int
+    cell: TileCell
+    content: NDArray[np.uint8]
+
+
+class MaskWriter(ABC):
+    """Writes a mask by streaming; memory stays that of the tiles in flight.
+
+    Args:
+        stream: binary stream at its start.
+        drawing: what is drawn.
+
+    Raises:
+        InputError: the format cannot hold it.
+    """
+
+    def __init__(self, stream: BinaryIO, drawing: Drawing) -> None:
+        self._stream = stream
+        self._drawing = drawing
+        self._placed: dict[int, list[TileCell]] = {bias: [] for bias in biases_dbu(drawing.copies) or (0,)}
+        self._begin_file()
+
+    def encode(self, tile: PillarTile, dose_class: int = 0, bias_dbu: int = 0) -> EncodedTile:
+        """The pillars of ``tile`` as :meth:`add` takes them. Safe to call from several threads."""
+        cell = tile_cell(self._drawing.lattice, tile, dose_class, bias_dbu)
+        return EncodedTile(bias_dbu, cell, self._content(tile, cell, dose_class, bias_dbu))
+
+    def add(self, tile: EncodedTile) -> None:
+        """Append the cell of a tile. Its memory may be used again: it must not be read afterwards."""
+        self._placed[tile.bias_dbu].append(tile.cell)
+        self._begin_cell(tile.cell.name)
+        self._write(tile.content.data)  # not copied: a tile may have tens of megabytes
+        self._end_cell()
+
+    def close(self, beside: Iterable[tuple[int, IntArray]] = ()) -> None:
+        """Write the top cell, with (layer, rectangles) ``beside`` the pillars in it, and the end of the file.
+
+        Raises:
+            InputError: the format cannot hold a rectangle.
+        """
+        drawing = self._drawing
+        if drawing.copies:
+            for bias_dbu in self._placed:
+                self._begin_cell(lens_name(bias_dbu, drawing.top))
+                self._place_tiles(bias_dbu)
+                self._end_cell()
+        self._begin_cell(drawing.top)
+        if not drawing.copies:
+            self._place_tiles(0)
+        for copy in drawing.copies:
+            self._place(lens_name(copy.bias_dbu, drawing.top), copy.x_dbu, copy.y_dbu)
+        for layer, rectangles in beside:
+            self._draw(layer, rectangles)
+        self._end_cell()
+        self._end_file()
+
+    def _place_tiles(self, bias_dbu: int) -> None:
+        for cell in self._placed[bias_dbu]:
+            self._place(cell.name, cell.x_dbu, cell.y_dbu)
+
+    def _write(self, data: bytes | memoryview) -> None:
+        self._stream.write(data)
+
+    @abstractmethod
+    def _content(self, tile: PillarTile, cell: TileCell, dose_class: int, bias_dbu: int) -> NDArray[np.uint8]:
+        """The elements of the cell of a tile."""
+
+    @abstractmethod
+    def _begin_file(self) -> None: ...
+
+    @abstractmethod
+    def _begin_cell(self, name: str) -> None: ...
+
+    @abstractmethod
+    def _place(self, name: str, x_dbu: int, y_dbu: int) -> None: ...
+
+    @abstractmethod
+    def _draw(self, layer: int, rectangles: IntArray) -> None:
+        """Rectangles, shape (n, 4), on datatype 0."""
+
+    @abstractmethod
+    def _end_cell(self) -> None: ...
+
+    @abstractmethod
+    def _end_file(self) -> None: ...
