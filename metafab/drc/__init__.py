@@ -3,6 +3,7 @@
 - ``report``      DrcReport: counts, places; JSON and KLayout's report database
 - ``lattice``     all rules on the pillars read back, exact
 - ``rectangles``  the geometric rules on the file's rectangles, whatever lattice they came from
+- ``rows``        which of them stand near each other
 - ``polygons``    the geometric rules by KLayout, independent of lattices
 - ``check``       any engine on a file
 

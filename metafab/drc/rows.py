@@ -1,0 +1,268 @@
+"""Pairs of rectangles that stand near each other, whatever lattice they came from, in the memory of a few rows.
+
+Rectangles go into rows as high as a pillar's cell and the smallest gap, each row sorted along x; then a rectangle can
+be too near only to those that follow it in its own row within its width and the gap, and to a few in the row above.
+Rows are kept in bands. The shapes are read twice: counted first, which tells when all rectangles of a row have come,
+then placed; a band that is complete, as is the row above it, is compared and forgotten. Of a file that is written tile
+by tile, no more than the bands of two rows of tiles are ever held.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.numerics import compiled
+from metafab.drc.report import MARKERS
+from metafab.mask.hierarchy import IntArray
+
+#: Rows of a band.
+_BAND_ROWS = 128
+#: Bands that wait to be compared; beyond, the reader waits.
+_WAITING = 8
+
+
+@dataclass
+class Near:
+    """Pairs of rectangles that are too near.
+
+    Attributes:
+        smallest_square: smallest signed square of a distance, of all pairs that were looked at.
+        counts: shape (3,), pairs too near, of these overlapping or touching, of these equal.
+        one: shape (m, 4), the first :data:`MARKERS` pairs' first rectangles: x, y, width, length.
+        other: shape (m, 4), their second ones.
+        kind: shape (m,), 0 too near, 1 overlapping, 2 equal.
+    """
+
+    smallest_square: float
+    counts: IntArray
+    one: IntArray
+    other: IntArray
+    kind: IntArray
+
+
+@dataclass
+class _Band:
+    """Some rows: where each begins, how far it is filled, and the rectangles.
+
+    Attributes:
+        start: shape (rows + 1,).
+        filled: shape (rows,).
+        corner: shape (n, 2), x and y, file units; ``size`` likewise, width and length.
+        size: see ``corner``.
+    """
+
+    start: IntArray
+    filled: IntArray
+    corner: NDArray[np.int32]
+    size: NDArray[np.uint16]
+
+    @classmethod
+    def of(cls, numbers: IntArray) -> _Band:
+        """Room for so many rectangles in each row."""
+        start = np.append(0, np.cumsum(numbers))
+        count = int(start[-1])
+        return cls(start, start[:-1].copy(), np.empty((count, 2), np.int32), np.empty((count, 2), np.uint16))
+
+    def sort(self) -> _Band:
+        """Sort each row along x; returns a copy of the first row, as a band of its own."""
+        _sort(self.start, self.corner, self.size)
+        end = self.start[1]
+        return _Band(self.start[:2].copy(), self.filled[:1].copy(), self.corner[:end].copy(), self.size[:end].copy())
+
+    def below(self, row: _Band) -> _Band:
+        """This band with a row above it."""
+        return _Band(
+            np.append(self.start, self.start[-1] + row.start[-1]),
+            self.filled,
+            np.concatenate([self.corner, row.corner]),
+            np.concatenate([self.size, row.size]),
+        )
+
+
+class Rows:
+    """Rectangles in rows: first counted, then placed and compared with their neighbours.
+
+    Args:
+        height: of a row, in file units: that of any rectangle and the smallest gap, at least.
+        gap: smallest distance; pairs below it are found.
+        executor: threads that sort and compare bands.
+    """
+
+    def __init__(self, height: int, gap: float, executor: Executor) -> None:
+        self._height, self._gap, self._executor = height, gap, executor
+        self._numbers: dict[int, IntArray] = {}
+        self._last_chunk: dict[int, int] = {}
+        self._counted = self._placed = 0
+        self._bands: dict[int, _Band] = {}
+        self._first_rows: dict[int, Future[_Band]] = {}
+        self._jobs: deque[Future[Near]] = deque()
+
+    def count(self, boxes: IntArray) -> None:
+        """Note how many of the rectangles of a chunk, shape (n, 4), belong to each row."""
+        self._counted += 1
+        indices = self._bands_of(boxes)
+        numbers = np.zeros((len(indices), _BAND_ROWS), dtype=np.int64)
+        _count(boxes, self._height, indices.start * _BAND_ROWS, numbers.reshape(-1))
+        for index, number in zip(indices, numbers, strict=True):
+            if number.any():
+                self._numbers[index] = self._numbers.get(index, 0) + number
+                self._last_chunk[index] = self._counted
+
+    def place(self, boxes: IntArray) -> Iterator[Near]:
+        """Put the next chunk, as it was counted, into its rows; yields what was found in bands that are complete."""
+        self._placed += 1
+        for index in self._bands_of(boxes):
+            if index in self._numbers and index not in self._bands:
+                self._bands[index] = _Band.of(self._numbers[index])
+            if index in self._bands:
+                band = self._bands[index]
+                _place(boxes, self._height, index * _BAND_ROWS, band.filled, band.corner, band.size)
+        for index, band in self._bands.items():
+            if self._last_chunk[index] <= self._placed and index not in self._first_rows:
+                self._first_rows[index] = self._executor.submit(band.sort)
+        for index in sorted(self._bands.keys() & self._first_rows.keys()):
+            if index + 1 in self._first_rows or index + 1 not in self._numbers:
+                above = self._first_rows.get(index + 1)
+                self._jobs.append(
+                    self._executor.submit(_compare, self._bands.pop(index), self._first_rows[index], above, self._gap)
+                )
+                del self._numbers[index]
+        while len(self._jobs) > _WAITING:
+            yield self._jobs.popleft().result()
+
+    def finish(self) -> Iterator[Near]:
+        """What was found in the last bands, once every chunk is placed."""
+        while self._jobs:
+            yield self._jobs.popleft().result()
+
+    def _bands_of(self, boxes: IntArray) -> range:
+        """The bands that rectangles may belong to."""
+        if not len(boxes):
+            return range(0)
+        band = self._height * _BAND_ROWS
+        return range(int(boxes[:, 1].min()) // band, int(boxes[:, 1].max()) // band + 1)
+
+
+def _compare(band: _Band, first_row: Future[_Band], above: Future[_Band] | None, gap: float) -> Near:
+    """Near pairs of a band, with the row above it; both are sorted by calls that were made before this one."""
+    first_row.result()
+    whole = band if above is None else band.below(above.result())
+    pairs, counts = np.empty((MARKERS, 3), dtype=np.int64), np.zeros(3, dtype=np.int64)
+    square = _sweep(whole.start, len(band.filled), whole.corner, whole.size, gap, pairs, counts)
+    pairs = pairs[: min(int(counts[0]), MARKERS)]
+    one, other = (
+        np.concatenate([whole.corner[pairs[:, k]], whole.size[pairs[:, k]]], axis=1).astype(np.int64) for k in (0, 1)
+    )
+    return Near(float(square), counts, one, other, pairs[:, 2])
+
+
+@compiled
+def _count(boxes: IntArray, height: int, first: int, number: IntArray) -> None:
+    """Rectangles of each row, counted from the row ``first``."""
+    for i in range(len(boxes)):
+        number[boxes[i, 1] // height - first] += 1
+
+
+@compiled
+def _place(
+    boxes: IntArray, height: int, first: int, filled: IntArray, corner: NDArray[np.int32], size: NDArray[np.uint16]
+) -> None:
+    """Put the rectangles that belong to a band at the end of what its rows, from ``first`` on, are filled with."""
+    low, high = first * height, (first + len(filled)) * height
+    for i in range(len(boxes)):
+        if low <= boxes[i, 1] < high:
+            row = (boxes[i, 1] - low) // height
+            place = filled[row]
+            corner[place, 0], corner[place, 1] = boxes[i, 0], boxes[i, 1]
+            size[place, 0], size[place, 1] = boxes[i, 2], boxes[i, 3]
+            filled[row] = place + 1
+
+
+@compiled
+def _sort(start: IntArray, corner: NDArray[np.int32], size: NDArray[np.uint16]) -> None:
+    """Sort the rectangles of each row by their left edge: into as many buckets as there are, then by insertion."""
+    for row in range(len(start) - 1):
+        begin, end = start[row], start[row + 1]
+        count = end - begin
+        if count < 2:
+            continue
+        left = np.int64(corner[begin:end, 0].min())
+        width = (np.int64(corner[begin:end, 0].max()) - left) // count + 1
+        following = np.zeros(count + 1, dtype=np.int64)
+        for i in range(begin, end):
+            following[(corner[i, 0] - left) // width + 1] += 1
+        for bucket in range(count):
+            following[bucket + 1] += following[bucket]
+        start_of = following.copy()
+        unsorted_corner, unsorted_size = corner[begin:end].copy(), size[begin:end].copy()
+        for i in range(count):
+            bucket = (unsorted_corner[i, 0] - left) // width
+            place = begin + following[bucket]
+            following[bucket] += 1
+            x, y = unsorted_corner[i, 0], unsorted_corner[i, 1]
+            w, length = unsorted_size[i, 0], unsorted_size[i, 1]
+            # Earlier ones of the same bucket that stand farther right move up by one.
+            while place > begin + start_of[bucket] and corner[place - 1, 0] > x:
+                corner[place, 0], corner[place, 1] = corner[place - 1, 0], corner[place - 1, 1]
+                size[place, 0], size[place, 1] = size[place - 1, 0], size[place - 1, 1]
+                place -= 1
+            corner[place, 0], corner[place, 1], size[place, 0], size[place, 1] = x, y, w, length
+
+
+@compiled
+def _signed_square(gap_x: int, gap_y: int) -> float:
+    """Squared distance of two rectangles with these gaps along the axes; minus the squared depth where they overlap."""
+    depth = max(gap_x, gap_y)
+    return float(-depth * depth) if depth < 0 else float(max(gap_x, 0) ** 2 + max(gap_y, 0) ** 2)
+
+
+@compiled
+def _sweep(
+    start: IntArray,
+    rows: int,
+    corner: NDArray[np.int32],
+    size: NDArray[np.uint16],
+    gap: float,
+    pairs: IntArray,
+    counts: IntArray,
+) -> float:
+    """Compare near pairs of the first rows and what is above them; returns the smallest signed square of a distance.
+
+    ``counts`` becomes the pairs too near, of these overlapping, of these equal; ``pairs`` lists the first.
+    """
+    reach = int(gap) + 2  # pairs exactly at the limit are seen, too: they may be the nearest
+    smallest = np.inf
+    for one in range(rows):
+        above, above_end = start[one + 1], start[one + 1]
+        if one + 2 < len(start):
+            above_end = start[one + 2]
+        widest = np.int64(size[above:above_end, 0].max()) if above_end > above else np.int64(0)
+        for i in range(start[one], start[one + 1]):
+            left, low = np.int64(corner[i, 0]), np.int64(corner[i, 1])
+            width, length = np.int64(size[i, 0]), np.int64(size[i, 1])
+            while above < above_end and corner[above, 0] + widest + reach < left:
+                above += 1
+            for beside in range(2):
+                j = i + 1 if beside == 0 else above
+                end = start[one + 1] if beside == 0 else above_end
+                while j < end and corner[j, 0] < left + width + reach:
+                    x, y = np.int64(corner[j, 0]), np.int64(corner[j, 1])
+                    gap_x = max(x - left - width, left - x - np.int64(size[j, 0]))
+                    gap_y = max(y - low - length, low - y - np.int64(size[j, 1]))
+                    square = _signed_square(int(gap_x), int(gap_y))
+                    smallest = min(smallest, square)
+                    if square < gap * gap:
+                        equal = x == left and y == low and size[j, 0] == width and size[j, 1] == length
+                        kind = 2 if equal else int(square <= 0.0)
+                        if counts[0] < len(pairs):
+                            pairs[counts[0], 0], pairs[counts[0], 1], pairs[counts[0], 2] = i, j, kind
+                        for level in range(kind + 1):
+                            counts[level] += 1
+                    j += 1
+    return smallest
