@@ -15,8 +15,12 @@
 - ``write``         all files of a mask in one pass
 - ``plan``          what a layout will cost, from a sample of tiles
 - ``hierarchy``     cells and references -> rectangles
+- ``gdsii_window``  records of GDSII, and runs of like elements
+- ``gdsii_rectangles`` rings of five points -> rectangles
 - ``gdsii_reader``  GDSII -> cells
 - ``oasis_stream``  the elements of OASIS records
+- ``oasis_shapes``  what the geometry records of OASIS draw
+- ``oasis_rectangles`` runs of RECTANGLE records -> rectangles
 - ``oasis_reader``  OASIS -> cells
 - ``recover``       rectangles -> sizes at lattice sites, and leftovers
 - ``read``          a file -> ReadBack, or its bare shapes

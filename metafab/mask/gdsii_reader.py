@@ -12,18 +12,15 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.errors import InputError
-from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.core.progress import Progress, silent
+from metafab.mask.gdsii_rectangles import rectangles_of
+from metafab.mask.gdsii_window import REMEDY, WINDOW, Window
 from metafab.mask.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of, rectangle_of
-
-_WINDOW = 1 << 22
-_REMEDY = "the file is damaged or not GDSII: write or export it again"
 
 _HEADER, _UNITS, _ENDLIB, _BGNSTR, _STRNAME, _ENDSTR = 0x0002, 0x0305, 0x0400, 0x0502, 0x0606, 0x0700
 _BOUNDARY, _PATH, _SREF, _AREF, _TEXT, _NODE, _BOX = 0x0800, 0x0900, 0x0A00, 0x0B00, 0x0C00, 0x1500, 0x2D00
@@ -73,9 +70,9 @@ class GdsiiReader:
         self.cells: dict[str, Cell] = {}
         self._size = path.stat().st_size
         with path.open("rb", buffering=0) as stream:
-            self._index(_Window(stream, self._size, str(path)), progress)
+            self._index(Window(stream, self._size, str(path)), progress)
 
-    def _index(self, window: _Window, progress: Progress) -> None:
+    def _index(self, window: Window, progress: Progress) -> None:
         position, cell, runs = 0, None, list[_Run]()
         kind = 0
         while kind != _ENDLIB:
@@ -105,7 +102,7 @@ class GdsiiReader:
         if not self.unit_nm:
             raise self._fault("a database unit", "a library without UNITS")
 
-    def _element(self, window: _Window, start: int, kind: int, cell: Cell, runs: list[_Run]) -> int:
+    def _element(self, window: Window, start: int, kind: int, cell: Cell, runs: list[_Run]) -> int:
         """Take in the element at ``start`` and all that follow it and differ in coordinates only."""
         fields: dict[int, bytes] = {}
         position, xy = start, (0, 0)
@@ -168,7 +165,7 @@ class GdsiiReader:
 
     def _blocks(self, run: _Run) -> Iterator[NDArray[np.uint8]]:
         """The elements of a run as bytes, shape (m, stride), a window at a time."""
-        at_a_time = max(1, _WINDOW // run.stride)
+        at_a_time = max(1, WINDOW // run.stride)
         with self._path.open("rb", buffering=0) as stream:
             stream.seek(run.start)
             for start in range(0, run.count, at_a_time):
@@ -234,129 +231,7 @@ class GdsiiReader:
             return stream.read(count)
 
     def _fault(self, expected: str, got: str) -> InputError:
-        return InputError.single(str(self._path), "file", expected, got, _REMEDY)
-
-
-class _Window:
-    """Sequential reading of records through a window that moves along the file."""
-
-    def __init__(self, stream: BinaryIO, size: int, source: str) -> None:
-        self._stream, self._size, self._source = stream, size, source
-        self._start, self._data = 0, b""
-
-    def record(self, position: int) -> tuple[int, bytes, int]:
-        """Kind and data of the record at ``position``, and where the next begins."""
-        self._need(position, 4)
-        length, kind = struct.unpack_from(">HH", self._data, position - self._start)
-        if length < 4 or length % 2:
-            raise self._fault("records of even length from 4", f"one of {length} bytes at byte {position}")
-        self._need(position, length)
-        inside = position - self._start
-        return kind, self._data[inside + 4 : inside + length], position + length
-
-    def repeats(self, start: int, stride: int, xy: tuple[int, int]) -> int:
-        """How many elements from ``start`` on equal the first outside their coordinates; at least 1."""
-        count = 0
-        self._need(start, stride)
-        first = np.frombuffer(self._data, np.uint16, stride // 2, start - self._start).copy()
-        while True:
-            here = start + count * stride
-            if self._start + len(self._data) < here + stride:
-                if here + stride > self._size:
-                    return count
-                self._need(here, stride)
-            fit = (self._start + len(self._data) - here) // stride
-            block = np.frombuffer(self._data, np.uint16, fit * stride // 2, here - self._start)
-            same = _same(block.reshape(fit, stride // 2), first, xy[0] // 2, xy[0] // 2 + 2 * xy[1])
-            count += same
-            if same < fit:
-                return count
-
-    def _need(self, position: int, count: int) -> None:
-        if self._start <= position and position + count <= self._start + len(self._data):
-            return
-        self._stream.seek(position)
-        self._start, self._data = position, self._stream.read(max(_WINDOW, count))
-        if len(self._data) < count:
-            raise self._fault("a file that ends with ENDLIB", f"one that ends at byte {self._size}, inside a record")
-
-    def _fault(self, expected: str, got: str) -> InputError:
-        return InputError.single(self._source, "file", expected, got, _REMEDY)
-
-
-def _same(rows: NDArray[np.uint16], first: NDArray[np.uint16], xy_start: int, xy_end: int) -> int:
-    """Leading rows that equal ``first`` outside [xy_start, xy_end)."""
-    if HAS_NUMBA:
-        return int(_same_compiled(rows, first, xy_start, xy_end))
-    differs = np.any(rows[:, :xy_start] != first[:xy_start], axis=1)
-    differs |= np.any(rows[:, xy_end:] != first[xy_end:], axis=1)
-    return int(np.argmax(differs)) if differs.any() else len(rows)
-
-
-@compiled
-def _same_compiled(rows: NDArray[np.uint16], first: NDArray[np.uint16], xy_start: int, xy_end: int) -> int:
-    for row in range(rows.shape[0]):
-        for column in range(xy_start):
-            if rows[row, column] != first[column]:
-                return row
-        for column in range(xy_end, rows.shape[1]):
-            if rows[row, column] != first[column]:
-                return row
-    return len(rows)
-
-
-def rectangles_of(elements: NDArray[np.uint8], first: int) -> tuple[IntArray, NDArray[np.bool_]]:
-    """Elements with rings of five points -> rectangles.
-
-    Args:
-        elements: shape (n, stride), the bytes of one element a row.
-        first: where in a row the ten coordinates begin, big-endian words.
-
-    Returns:
-        Shape (n, 4), x, y, width, height of the bounding box; and shape (n,), whether the ring is an
-        axis-parallel rectangle, in whatever sense and from whatever corner it runs.
-    """
-    count, stride = elements.shape
-    if HAS_NUMBA and first % 4 == 0 and stride % 4 == 0:
-        rectangles = np.empty((count, 4), dtype=np.int64)
-        is_rectangle = np.empty(count, dtype=np.bool_)
-        _rectangles_compiled(elements.view(np.uint32), first // 4, rectangles, is_rectangle)
-        return rectangles, is_rectangle
-    return rectangles_vectorised(elements, first)
-
-
-def rectangles_vectorised(elements: NDArray[np.uint8], first: int) -> tuple[IntArray, NDArray[np.bool_]]:
-    """As :func:`rectangles_of`, in NumPy alone."""
-    words = np.ascontiguousarray(elements[:, first : first + 40]).view(">i4")
-    x, y = np.moveaxis(words.reshape(-1, 5, 2).astype(np.int64), 2, 0)
-    step_x, step_y = np.diff(x, axis=1), np.diff(y, axis=1)
-    closed = (x[:, 0] == x[:, 4]) & (y[:, 0] == y[:, 4])
-    x_first = np.all(step_y[:, ::2] == 0, axis=1) & np.all(step_x[:, 1::2] == 0, axis=1)
-    y_first = np.all(step_x[:, ::2] == 0, axis=1) & np.all(step_y[:, 1::2] == 0, axis=1)
-    low = np.stack([x.min(axis=1), y.min(axis=1)], axis=1)
-    extent = np.stack([x.max(axis=1), y.max(axis=1)], axis=1) - low
-    return np.concatenate([low, extent], axis=1), closed & (x_first | y_first) & np.all(extent > 0, axis=1)
-
-
-@compiled
-def _rectangles_compiled(
-    words: NDArray[np.uint32], first: int, rectangles: IntArray, is_rectangle: NDArray[np.bool_]
-) -> None:
-    p = np.empty(10, dtype=np.int64)
-    for i in range(len(words)):
-        for k in range(10):
-            word = np.int64(words[i, first + k])
-            word = (word >> 24) | ((word >> 8) & 0xFF00) | ((word << 8) & 0xFF0000) | ((word << 24) & 0xFF000000)
-            p[k] = word - 0x100000000 if word >= 0x80000000 else word
-        x_0, x_1, y_0, y_1 = p[0], p[0], p[1], p[1]
-        for k in range(2, 10, 2):
-            x_0, x_1 = min(x_0, p[k]), max(x_1, p[k])
-            y_0, y_1 = min(y_0, p[k + 1]), max(y_1, p[k + 1])
-        rectangles[i, 0], rectangles[i, 1], rectangles[i, 2], rectangles[i, 3] = x_0, y_0, x_1 - x_0, y_1 - y_0
-        x_first = p[1] == p[3] and p[2] == p[4] and p[5] == p[7] and p[6] == p[0]
-        y_first = p[0] == p[2] and p[3] == p[5] and p[4] == p[6] and p[7] == p[1]
-        closed = p[0] == p[8] and p[1] == p[9]
-        is_rectangle[i] = closed and (x_first or y_first) and x_1 > x_0 and y_1 > y_0
+        return InputError.single(str(self._path), "file", expected, got, REMEDY)
 
 
 def _short(fields: dict[int, bytes], kinds: set[int]) -> int:

@@ -12,56 +12,28 @@ import mmap
 import struct
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from metafab.core.errors import InputError
-from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.core.numerics import HAS_NUMBA
 from metafab.core.progress import Progress, silent
 from metafab.mask.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of, rectangle_of
 from metafab.mask.oasis_records import RECTANGLE
-from metafab.mask.oasis_stream import DamagedError, Stream, read_displacement, read_unsigned
+from metafab.mask.oasis_rectangles import LARGEST_CHUNK, read_rectangles
+from metafab.mask.oasis_shapes import SHAPES, Modal, read_shape
+from metafab.mask.oasis_stream import DamagedError, Stream
 from metafab.mask.oasis_writer import CBLOCK, END, MAGIC, PLACEMENT, START
 
 _REMEDY = "the file is damaged or not OASIS: write or export it again"
 _END_BYTES = 256
-_LARGEST_CHUNK = 1 << 21
 _LARGEST_BLOCK = 1 << 31
-_REGULAR = 3  # copies at equal steps, no list
-_SHAPES = {RECTANGLE, 21, 22, 23, 24, 25, 26, 27, 33}
 _ORIGIN = np.zeros((1, 2), dtype=np.int64)
 
 
 class MixedBlockError(Exception):
     """A block that was taken for pillars holds something else."""
-
-
-@dataclass
-class _Modal:
-    """What records may leave out because an earlier one of the cell said it."""
-
-    relative: bool = False
-    placement: tuple[int, int] = (0, 0)
-    geometry: tuple[int, int] = (0, 0)
-    text: tuple[int, int] = (0, 0)
-    cell: str | None = None
-    layer: int = -1
-    datatype: int = -1
-    text_layer: tuple[int, int] = (-1, -1)
-    width: int = 0
-    height: int = 0
-    half_width: int = 0
-    extension: list[int] = field(default_factory=lambda: [0, 0])
-    path: IntArray | None = None
-    polygon: IntArray | None = None
-    radius: int = 0
-    trapezoid: int = 0
-    repetition: IntArray | None = None
-    #: Where a compiled run has left a repetition that nobody has asked for yet.
-    unread: tuple[NDArray[np.uint8], int] | None = None
 
 
 class OasisReader:
@@ -153,7 +125,7 @@ class _Pass:
         self._block_at: int | None = None
         self._outer: Stream | None = None
         self._stream = Stream(reader._data, len(MAGIC))
-        self._modal = _Modal()
+        self._modal = Modal()
         self._cell: Cell | None = None if place is None else Cell()
         self._implicit_names = 0
         self._rectangles: list[IntArray] = []
@@ -182,7 +154,7 @@ class _Pass:
                 break
             if not self._record(kind):
                 break
-            yield from self._flush(_LARGEST_CHUNK)
+            yield from self._flush(LARGEST_CHUNK)
         yield from self._flush(1)
 
     def _flush(self, at_least: int) -> Iterator[Chunk]:
@@ -198,7 +170,7 @@ class _Pass:
     def _record(self, kind: int) -> bool:
         """Take in one record; False when the cell of this pass ends."""
         stream = self._stream
-        if self._pillars_only and kind not in _SHAPES:
+        if self._pillars_only and kind not in SHAPES:
             raise MixedBlockError
         if kind in {13, 14}:
             if not self._indexing:
@@ -210,7 +182,7 @@ class _Pass:
             self._placement(kind)
         elif kind == 19:
             self._text()
-        elif kind in _SHAPES:
+        elif kind in SHAPES:
             self._geometry(kind)
         elif kind == CBLOCK:
             self._enter_block()
@@ -259,7 +231,7 @@ class _Pass:
         place = (self._block_at if self._outer is not None else None, self._stream.position)
         cell.shapes = lambda: reader.shapes_at(place)
         reader.cells[key] = cell
-        self._cell, self._modal = cell, _Modal()
+        self._cell, self._modal = cell, Modal()
         position = self._stream.position if self._outer is None else self._outer.position
         reader._progress("indexing", position, reader._data.size)
 
@@ -385,7 +357,7 @@ class _Pass:
             stream.unsigned()
         modal.layer = stream.unsigned() if info & 1 else modal.layer
         modal.datatype = stream.unsigned() if info & 2 else modal.datatype
-        shape, name = self._shape(kind, info)
+        shape, name = read_shape(kind, info, stream, modal)
         modal.geometry = self._place(info, modal.geometry, (0b1_0000, 0b1000))
         offsets = self._repetition(bool(info & 0b100))
         wanted, first, last = self._reader.layer
@@ -406,66 +378,6 @@ class _Pass:
         else:
             self._rectangles.append(boxes)
 
-    def _shape(self, kind: int, info: int) -> tuple[IntArray, str]:
-        """Corners of a shape about its own origin, and what it is called."""
-        stream, modal = self._stream, self._modal
-        if kind == 33:
-            stream.string()
-            return np.zeros((1, 2), dtype=np.int64), "extension geometry"
-        if kind == 27:
-            modal.radius = stream.unsigned() if info & 0b10_0000 else modal.radius
-            return np.array([[-modal.radius] * 2, [modal.radius] * 2], dtype=np.int64), "circle"
-        if kind == 21:
-            modal.polygon = stream.points(closed=True) if info & 0b10_0000 else modal.polygon
-            if modal.polygon is None:
-                raise DamagedError("a polygon without points")
-            return modal.polygon, "polygon"
-        if kind == 22:
-            return self._path(info), "path"
-        if kind == 26:
-            modal.trapezoid = stream.unsigned() if info & 0b1000_0000 else modal.trapezoid
-        modal.width = stream.unsigned() if info & 0b100_0000 else modal.width
-        if kind == RECTANGLE and info & 0b1000_0000:
-            modal.height = modal.width
-        else:
-            modal.height = stream.unsigned() if info & 0b10_0000 else modal.height
-        width, height = modal.width, modal.height
-        if kind == 26 and modal.trapezoid == 25:
-            height = width
-        corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.int64)
-        if kind == RECTANGLE or (kind == 26 and modal.trapezoid in {24, 25}):
-            return corners, "rectangle"
-        slanted = kind == 26
-        if kind in {23, 24}:
-            slanted |= stream.signed() != 0
-        if kind in {23, 25}:
-            slanted |= stream.signed() != 0
-        # Of slanted ones only the bounding box is told; a fifth corner marks them as no rectangle.
-        return np.concatenate([corners, [[width // 2, height // 2]]]) if slanted else corners, "trapezoid"
-
-    def _path(self, info: int) -> IntArray:
-        """Outline of a path: exact where it is one straight piece, else its bounding box and a fifth corner."""
-        stream, modal = self._stream, self._modal
-        modal.half_width = stream.unsigned() if info & 0b100_0000 else modal.half_width
-        if info & 0b1000_0000:
-            scheme = stream.unsigned()
-            for end, choice in enumerate((scheme >> 2 & 3, scheme & 3)):
-                if choice:
-                    modal.extension[end] = [0, modal.half_width, 0][choice - 1] if choice < 3 else stream.signed()
-        modal.path = stream.points(closed=False) if info & 0b10_0000 else modal.path
-        if modal.path is None:
-            raise DamagedError("a path without points")
-        points = modal.path
-        step = points[-1] - points[0]
-        if len(points) == 2 and np.count_nonzero(step) == 1:
-            unit = np.sign(step)
-            ends = np.stack([points[0] - unit * modal.extension[0], points[1] + unit * modal.extension[1]])
-            low = ends.min(axis=0) - modal.half_width * (step == 0)
-            high = ends.max(axis=0) + modal.half_width * (step == 0)
-            return np.array([low, [high[0], low[1]], high, [low[0], high[1]]], dtype=np.int64)
-        reach = modal.half_width + max(*modal.extension, 0)
-        return np.concatenate([points - reach, points + reach, points[:1]])
-
     def _run_of_rectangles(self) -> bool:
         """Parse rectangles as far as the compiled loop goes; False if it cannot take the first."""
         stream, modal, cell = self._stream, self._modal, self._inside()
@@ -474,9 +386,9 @@ class _Pass:
             dtype=np.int64,
         )
         # A list has a byte at least for each copy; regular arrays have more copies than bytes.
-        capacity = min(max(stream.data.size - stream.position, 1 << 17), _LARGEST_CHUNK)
+        capacity = min(max(stream.data.size - stream.position, 1 << 17), LARGEST_CHUNK)
         out = np.empty((0 if self._indexing else capacity, 4), dtype=np.int64)
-        end, count = _rectangles(stream.data, stream.position, state, self._reader.layer, out, capacity)
+        end, count = read_rectangles(stream.data, stream.position, state, self._reader.layer, out, capacity)
         if end == stream.position:
             return False
         stream.position = int(end)
@@ -488,110 +400,3 @@ class _Pass:
         if not self._indexing:
             self._rectangles.append(out[:count])
         return True
-
-
-@compiled
-def _rectangles(
-    data: NDArray[np.uint8],
-    position: int,
-    state: NDArray[np.int64],
-    wanted: tuple[int, int, int],
-    out: IntArray,
-    capacity: int,
-) -> tuple[int, int]:
-    """RECTANGLE records from ``position`` on -> (position behind the last taken, rectangles).
-
-    Stops at any other record, at another layer, at a repetition that repeats an earlier one, when ``out`` is full,
-    and where the data end; ``state`` is then as before the record that was not taken.
-    """
-    count = 0
-    now = state.copy()
-    while position + 1 < len(data) and data[position] == RECTANGLE:
-        info = data[position + 1]
-        _set(now, state)
-        here = _read_fields(data, position + 2, info, now)
-        if here < 0 or now[0] != wanted[0] or now[1] < wanted[1] or now[1] > wanted[2]:
-            break
-        copies, columns, grid, form = 1, 1, 1, _REGULAR
-        fast_x, fast_y, slow_x, slow_y = 0, 0, 0, 0
-        if info & 4:
-            now[6] = here
-            copies, columns, grid, form, fast_x, fast_y, slow_x, slow_y, here = _read_repetition(data, here)
-        if here < 0 or count + copies > capacity:
-            break
-        x, y = now[2], now[3]
-        for copy in range(copies):
-            if form == _REGULAR:
-                x = now[2] + copy % columns * fast_x + copy // columns * slow_x
-                y = now[3] + copy % columns * fast_y + copy // columns * slow_y
-            elif copy:
-                step_x, step_y, here = read_displacement(data, here, form)
-                if here < 0:
-                    return position, count
-                x += grid * step_x
-                y += grid * step_y
-            if len(out):
-                place = count + copy
-                out[place, 0], out[place, 1], out[place, 2], out[place, 3] = x, y, now[4], now[5]
-        count += copies
-        position = here
-        _set(state, now)
-    return position, count
-
-
-@compiled
-def _set(target: NDArray[np.int64], source: NDArray[np.int64]) -> None:
-    """``target[:] = source``, whose check of the shapes takes seconds to compile."""
-    for i in range(len(target)):
-        target[i] = source[i]
-
-
-@compiled
-def _read_fields(data: NDArray[np.uint8], here: int, info: int, state: NDArray[np.int64]) -> int:
-    """Layer, datatype, width, height, x and y of a RECTANGLE, as ``info`` says; the position behind, or -1."""
-    for bit, field_of_state in ((1, 0), (2, 1), (64, 4), (32, 5)):
-        if here >= 0 and info & bit and not (bit == 32 and info & 128):
-            state[field_of_state], here = read_unsigned(data, here)
-    if info & 128:
-        state[5] = state[4]
-    for bit, field_of_state in ((16, 2), (8, 3)):
-        if here >= 0 and info & bit:
-            value, here = read_unsigned(data, here)
-            step = -(value >> 1) if value & 1 else value >> 1
-            state[field_of_state] = state[field_of_state] + step if state[7] else step
-    return here
-
-
-@compiled
-def _read_repetition(data: NDArray[np.uint8], here: int) -> tuple[int, int, int, int, int, int, int, int, int]:
-    """What a repetition says of its copies, up to where a list begins.
-
-    Returns:
-        Copies, columns, grid, form of a list's displacements (as :func:`read_displacement`) or ``_REGULAR``, the
-        steps (x, y) along and between columns, and the position behind; that is -1 where the data end, where the
-        repetition is an earlier one's, and where it has more copies than a chunk holds.
-    """
-    kind, here = read_unsigned(data, here)
-    first, second, grid = 0, 0, 1
-    if kind < 1 or kind > 11:
-        return 1, 1, 1, _REGULAR, 0, 0, 0, 0, -1
-    if here >= 0:
-        first, here = read_unsigned(data, here)
-    columns, rows = first + 2, 1
-    if here >= 0 and kind in (1, 8):
-        second, here = read_unsigned(data, here)
-        rows = second + 2
-    if columns > _LARGEST_CHUNK or rows > _LARGEST_CHUNK:
-        return 1, 1, 1, _REGULAR, 0, 0, 0, 0, -1
-    if kind in (4, 5, 6, 7, 10, 11):
-        if here >= 0 and kind in (5, 7, 11):
-            grid, here = read_unsigned(data, here)
-        form = 2 if kind >= 10 else kind // 6
-        return columns, columns, grid, form, 0, 0, 0, 0, here
-    form = 0 if kind in (1, 2) else 1 if kind == 3 else 2
-    fast_x, fast_y, slow_x, slow_y = 0, 0, 0, 0
-    if here >= 0:
-        fast_x, fast_y, here = read_displacement(data, here, form)
-    if here >= 0 and rows > 1:
-        slow_x, slow_y, here = read_displacement(data, here, 1 if kind == 1 else 2)
-    return columns * rows, columns, 1, _REGULAR, fast_x, fast_y, slow_x, slow_y, here

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import array_shapes, arrays
 
 from metafab.layout import Lattice, PillarTile
 from metafab.mask.cells import tile_cell
-from metafab.mask.gdsii_reader import rectangles_of, rectangles_vectorised
+from metafab.mask.gdsii_rectangles import rectangles_of, rectangles_vectorised
 from metafab.mask.gdsii_writer import boundary_template, fill_boundaries, fill_boundaries_vectorised
 from metafab.mask.oasis_records import (
     SCANS,
