@@ -15,62 +15,96 @@
 - ``lobe``         main lobe to a fraction of a pixel, orientation
 - ``field``        interpolation over the field of view
 - ``depth``        interpolation between depths, joining stacks
-- ``metrics``      efficiency through a pinhole, peaks, rotation, MTF, depth of field
+- ``basis``        PsfBasis: few images and smooth weights that carry a stack over depth and field
+- ``metrics``      efficiency through a pinhole, peaks, rotation, depth of field
+- ``mtf``          modulation transfer, of the pair and of a standard lens
+- ``chain``        where the light goes: factors from the aperture through the pinhole
+- ``space_variance``  image points, aberrations and depth bias over the field of view
 - ``point_spread`` Psf, PsfField: what goes out
-- ``fabrication``  corners of fabrication: moved, missing and mis-sized pillars in one table
+- ``fabrication``  faulty masks pillar by pillar: moved and missing ones
+- ``scatter``      the same faults on block sums
+- ``corners``      pillars of another height, index, wall or bias, from few solved cells
+- ``tolerance``    what corners and faults do: PSFs, efficiency, extinction, depth, in one table
+- ``tolerance_store``  ``tolerance.json``
 - ``fisher``       Fisher information about depth in PSF stacks, and the Cramer-Rao bound
 - ``store``        ``psf.h5``
 - ``reference``    the direct Rayleigh-Sommerfeld sum over all sites that checks the rest
+- ``spectrum``     the angular spectrum of a small lens: a second reference, and where all the power goes
 
 In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.library.library.Library`, or a
 :class:`~metafab.phase.profile.PhaseProfile`; an :class:`Imaging`. Out: a :class:`Psf`.
 """
 
 from metafab.optics import metrics
+from metafab.optics.basis import PsfBasis
+from metafab.optics.chain import Loss, Wavefront, loss_chain, wavefront
+from metafab.optics.corners import CornerField, corner_fields
 from metafab.optics.depth import at_depths, concatenate, without_depths
-from metafab.optics.fabrication import ThinnedField, ToleranceRow, library_corners, misplaced, stitched, tolerance
+from metafab.optics.fabrication import ThinnedField, misplaced, stitched
 from metafab.optics.field import at_tangent
 from metafab.optics.fisher import PointSource, depth_crlb_m, point_information, twin_depth_information
 from metafab.optics.image import relative_l2
 from metafab.optics.imaging import Imaging, depth_nodes, field_tangents
 from metafab.optics.lobe import main_lobe_px, orientation_deg
+from metafab.optics.mtf import lens_modulation, modulation_transfer
 from metafab.optics.point_spread import Psf, PsfField
 from metafab.optics.reference import direct_irradiance
 from metafab.optics.source import IdealField, Source, WrittenField, ideal_field, written_field
+from metafab.optics.space_variance import SpaceVariance, aberration_dioptre, seen_bias_dioptre, space_variance
+from metafab.optics.spectrum import AngularSpectrum
 from metafab.optics.stack import psf
 from metafab.optics.store import load, save
+from metafab.optics.tolerance import ToleranceRow, ToleranceTable, tolerance_table
+from metafab.optics.tolerance_store import load_tolerance, save_tolerance, tolerance_figures
 
 __all__ = [
+    "AngularSpectrum",
+    "CornerField",
     "IdealField",
     "Imaging",
+    "Loss",
     "PointSource",
     "Psf",
+    "PsfBasis",
     "PsfField",
     "Source",
+    "SpaceVariance",
     "ThinnedField",
     "ToleranceRow",
+    "ToleranceTable",
+    "Wavefront",
     "WrittenField",
+    "aberration_dioptre",
     "at_depths",
     "at_tangent",
     "concatenate",
+    "corner_fields",
     "depth_crlb_m",
     "depth_nodes",
     "direct_irradiance",
     "field_tangents",
     "ideal_field",
-    "library_corners",
+    "lens_modulation",
     "load",
+    "load_tolerance",
+    "loss_chain",
     "main_lobe_px",
     "metrics",
     "misplaced",
+    "modulation_transfer",
     "orientation_deg",
     "point_information",
     "psf",
     "relative_l2",
     "save",
+    "save_tolerance",
+    "seen_bias_dioptre",
+    "space_variance",
     "stitched",
-    "tolerance",
+    "tolerance_figures",
+    "tolerance_table",
     "twin_depth_information",
+    "wavefront",
     "without_depths",
     "written_field",
 ]

@@ -173,8 +173,7 @@ class Window:
         return powers
 
     def _per_unit_power(self, pupil: Pupil, rays: Sequence[Ray]) -> FloatArray:
-        cell_um2 = pupil.pitch_um[0] * pupil.pitch_um[1]
-        return np.array([cell_um2 * cell_um2 / power_at_aperture(self.imaging, ray) for ray in rays])[:, None, None]
+        return np.array([pupil.cell_um2**2 / power_at_aperture(self.imaging, ray) for ray in rays])[:, None, None]
 
 
 def relative_l2(value: FloatArray, reference: FloatArray) -> float:
