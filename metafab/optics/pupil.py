@@ -22,6 +22,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.executor import default_workers
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.core.progress import Progress, silent
+from metafab.layout.pillars import Lattice
 from metafab.optics.path import Ray, path_um
 from metafab.optics.source import FieldTile, Source
 
@@ -43,6 +44,7 @@ class Pupil:
         carrier: polarisation, ray and block size.
         wavenumber: k, rad/um.
         pitch_um: (x, y) distance of sites.
+        cell_um2: area that belongs to one pillar.
         x_um: shape (n_x,), block centres.
         y_um: shape (n_y,).
         sums: shape (3, n_y, n_x), over the block, of amplitude times exp(i k path), and of the same times x and
@@ -53,6 +55,7 @@ class Pupil:
     carrier: Carrier
     wavenumber: float
     pitch_um: tuple[float, float]
+    cell_um2: float
     x_um: FloatArray
     y_um: FloatArray
     sums: ComplexArray
@@ -77,6 +80,7 @@ class Pupil:
             Carrier(self.carrier.polarisation, self.carrier.ray, 2 * self.carrier.block_sites),
             self.wavenumber,
             self.pitch_um,
+            self.cell_um2,
             self.x_um[::2] + 0.5 * step_x,
             self.y_um[::2] + 0.5 * step_y,
             np.array([sums, moment_x, moment_y]),
@@ -86,7 +90,7 @@ class Pupil:
     def transmitted(self, ray: Ray) -> float:
         """Integral of the transmitted flux over the lens for the object of ``ray``, um^2."""
         flux = ray.incident_amplitude(self.x_um[None, :], self.y_um[:, None]) ** 2
-        return float(np.sum(flux * self.power)) * self.pitch_um[0] * self.pitch_um[1]
+        return float(np.sum(flux * self.power)) * self.cell_um2
 
 
 def _sum_of_four(values: Any) -> Any:
@@ -97,22 +101,22 @@ def _sum_of_four(values: Any) -> Any:
 
 
 def reduce_field(
-    source: Source, carriers: Sequence[Carrier], wavenumber: float, *, progress: Progress = silent
+    source: Source,
+    carriers: Sequence[Carrier],
+    wavenumber: float,
+    *,
+    workers: int | None = None,
+    progress: Progress = silent,
 ) -> list[Pupil]:
     """Block sums behind each carrier, from one pass over the source's tiles.
 
     Memory beyond the source is that of the block sums: a tile is summed and forgotten.
     """
-    lattice = source.lattice
-    x, y = lattice.x_um(), lattice.y_um()
-    pitch = (
-        lattice.period_dbu[0] * lattice.database_unit_nm * 1e-3,
-        lattice.period_dbu[1] * lattice.database_unit_nm * 1e-3,
-    )
-    pupils = [_empty_pupil(carrier, wavenumber, pitch, x, y) for carrier in carriers]
+    x, y = source.lattice.x_um(), source.lattice.y_um()
+    pupils = [_empty_pupil(carrier, wavenumber, source.lattice) for carrier in carriers]
     pending: list[Future[None]] = []
     # Carriers in parallel, never tiles (which may share blocks); the source makes a tile while the last is summed.
-    with ThreadPoolExecutor(default_workers()) as threads:
+    with ThreadPoolExecutor(default_workers() if workers is None else workers) as threads:
         for tile in source.tiles():
             for job in pending:
                 job.result()
@@ -124,15 +128,15 @@ def reduce_field(
     return pupils
 
 
-def _empty_pupil(
-    carrier: Carrier, wavenumber: float, pitch_um: tuple[float, float], x_um: FloatArray, y_um: FloatArray
-) -> Pupil:
-    block = carrier.block_sites
+def _empty_pupil(carrier: Carrier, wavenumber: float, lattice: Lattice) -> Pupil:
+    block, unit_um = carrier.block_sites, lattice.database_unit_nm * 1e-3
+    pitch_x, pitch_y = (period * unit_um for period in lattice.period_dbu)
+    x_um, y_um = lattice.x_um(), lattice.y_um()
     n_x, n_y = (-(-axis.size // block) for axis in (x_um, y_um))
-    centre_x = x_um[0] + pitch_um[0] * (block * np.arange(n_x) + 0.5 * (block - 1))
-    centre_y = y_um[0] + pitch_um[1] * (block * np.arange(n_y) + 0.5 * (block - 1))
-    sums = np.zeros((3, n_y, n_x), dtype=np.complex128)
-    return Pupil(carrier, wavenumber, pitch_um, centre_x, centre_y, sums, np.zeros((n_y, n_x)))
+    centre_x = x_um[0] + pitch_x * (block * np.arange(n_x) + 0.5 * (block - 1))
+    centre_y = y_um[0] + pitch_y * (block * np.arange(n_y) + 0.5 * (block - 1))
+    sums, power = np.zeros((3, n_y, n_x), dtype=np.complex128), np.zeros((n_y, n_x))
+    return Pupil(carrier, wavenumber, (pitch_x, pitch_y), lattice.cell_um2, centre_x, centre_y, sums, power)
 
 
 def _add_tile(pupil: Pupil, tile: FieldTile, x_um: FloatArray, y_um: FloatArray) -> None:

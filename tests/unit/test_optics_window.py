@@ -24,7 +24,7 @@ def _random_pupil(block: int = 1) -> Pupil:
     axis = np.linspace(-29.0, 29.0, 31)
     sums = random.normal(size=(3, 31, 29)) + 1j * random.normal(size=(3, 31, 29))
     ray = Ray.towards_image(OPTICS, 0, 0.9e-3, (0.02, 0.05))
-    return Pupil(Carrier(0, ray, block), K, (0.35, 0.35), axis[1:-1], axis, sums, np.abs(sums[0]) ** 2)
+    return Pupil(Carrier(0, ray, block), K, (0.35, 0.35), 0.35**2, axis[1:-1], axis, sums, np.abs(sums[0]) ** 2)
 
 
 def _transform(pupil: Pupil, tolerance: float) -> WindowTransform:
