@@ -72,6 +72,7 @@ def pillar_cell(
         n_substrate_z=_index_along_z(unit_cell.materials.substrate),
         sidewall_angle_deg=unit_cell.cell.sidewall_angle_deg or 90.0,
         sizes_at=unit_cell.cell.sizes_at or "middle",
+        is_staggered=unit_cell.cell.is_hexagonal,
     )
     check(cell)
     return cell
@@ -211,6 +212,11 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     """
     check(cell)
     check_numerics(numerics)
+    if cell.is_staggered:
+        raise InputError.single(
+            "cell", "lattice", "rectangular, which the solvers treat", "hexagonal",
+            "solve the library elsewhere and give the design its .h5: layout, mask, rules and PSFs take either lattice",
+        )  # fmt: skip
     if numerics.solver == "meep":
         if cell.under or cell.over:
             raise InputError.single("cell", "under, over", "empty for meep", "layers", "solve with rcwa")

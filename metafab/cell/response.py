@@ -60,6 +60,8 @@ class PillarCell:
         sidewall_angle_deg: between walls and substrate, inside the pillar: below 90 the pillar narrows upwards, above
             90 downwards; rcwa only.
         sizes_at: where on the pillar its width and length are those stated.
+        is_staggered: whether every other row of pillars stands half a period aside (a hexagonal lattice); the period
+            along y is then the distance of rows. No solver treats it yet.
     """
 
     period_nm: tuple[float, float]
@@ -78,6 +80,7 @@ class PillarCell:
     n_substrate_z: complex | None = None
     sidewall_angle_deg: float = 90.0
     sizes_at: SizesAt = "middle"
+    is_staggered: bool = False
 
     @property
     def is_sloped(self) -> bool:

@@ -47,6 +47,7 @@ class Supercell:
             "under, over": bool(cell.under or cell.over),
             "sidewall_angle_deg": cell.is_sloped,
             "n_substrate_z": cell.is_birefringent,
+            "is_staggered": cell.is_staggered,
         }
         faults = [
             Fault(name, "the plain cell's for supercells", "another", "leave it out to see how neighbours couple")
