@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
@@ -122,6 +122,7 @@ def run(
     workers: int | None = None,
     cluster: str | None = None,
     progress: Progress = silent,
+    say: Callable[[Sequence[str]], None] = lambda sentences: None,
 ) -> Outcome:
     """Run every step of the main job that is not up to date.
 
@@ -131,26 +132,30 @@ def run(
         workers: processes; None for all cores.
         cluster: address of a Dask scheduler.
         progress: callback of long work.
+        say: told what is worth knowing before the work begins.
 
     Returns:
         The summary; it is also written to ``folder/summary.json`` and shown by ``folder/report.html``.
     """
-    from metafab.steps import REPORT, STEPS, error_budget, preflight, recorded_coupling
+    from metafab.steps import PREFLIGHT, REPORT, STEPS, error_budget, recorded_coupling, recorded_tolerance
 
-    preflight(design)
     job = Job(design, folder, workers, cluster, progress)
+    state = _State(job, _read_records(folder))
+    if not state.stands(PREFLIGHT):
+        say(PREFLIGHT.work(job)["announcements"])
     folder.mkdir(parents=True, exist_ok=True)
     for place in (folder, folder / "figures"):
         clear_parts(place)
     with whole_file(folder / "design.toml") as part:
         part.write_text(canonical_toml(design), encoding="utf-8")
 
-    state = _State(job, _read_records(folder))
+    state.remember_passed(PREFLIGHT)
     for step in STEPS:
         state.bring_up_to_date(step)
     summary = state.summary()
     if coupling := recorded_coupling(job):
         summary["coupling"] = coupling
+    summary["tolerance"] = summary["tolerance"] or recorded_tolerance(job)
     summary["error_budget"] = plain(error_budget(summary))
     # The page shows the summary, so it is written before the page is made and again with what the page cost.
     if not state.stands(REPORT):
@@ -187,6 +192,10 @@ class _State:
             )
             write_json(self.job.folder / STEPS_FILE, self.records)
         self.used[step.name] = self.records[step.name]
+
+    def remember_passed(self, step: Step) -> None:
+        """Note that a step without files has been done, so that it need not be done again for the same inputs."""
+        self.records[step.name] = Record(self.fingerprint(step), {}, {}, 0.0, 0.0)
 
     def forget(self, step: Step) -> None:
         """Remove what an earlier variant of the design left of a step: the page would show it."""

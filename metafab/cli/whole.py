@@ -35,13 +35,12 @@ def run_command(
     design: DesignFile, output: Output = None, workers: Workers = None, cluster: Cluster = None, json_: Json = False
 ) -> None:
     """Unit cell to report: every step, skipping what is up to date."""
-    from metafab import mask
     from metafab.run import run
     from metafab.spec import load_design
 
     spec = load_design(design)
-    announce(mask.announcement(spec))
+    folder = output or Path("runs") / spec.name
     with progress_bars() as progress:
-        outcome = run(spec, output or Path("runs") / spec.name, workers=workers, cluster=cluster, progress=progress)
+        outcome = run(spec, folder, workers=workers, cluster=cluster, progress=progress, say=announce)
     show(outcome.summary, json_)
     exit_on_violations(outcome.violations)

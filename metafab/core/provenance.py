@@ -19,13 +19,19 @@ _PACKAGE = Path(__file__).parents[1]
 def code_sha256(rooms: tuple[str, ...]) -> str:
     """Hash of the source of some rooms, and of what all rooms stand on: changed code makes its results stale."""
     digest = sha256(__version__.encode())
-    sources = [*(_PACKAGE / "core").rglob("*.py"), *(_PACKAGE / "steps").rglob("*.py")]
-    for room in rooms:
-        sources += (_PACKAGE / room).rglob("*.*")
+    for room in ("core", "steps", *rooms):
+        digest.update(_room_sha256(room))
+    return digest.hexdigest()
+
+
+@cache
+def _room_sha256(room: str) -> bytes:
+    digest = sha256()
+    sources = (_PACKAGE / room).rglob("*.*")
     for path in sorted(path for path in sources if path.suffix in {".py", ".csv", ".html", ".css", ".js"}):
         digest.update(path.relative_to(_PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
-    return digest.hexdigest()
+    return digest.digest()
 
 
 def contents_sha256(spec: Any) -> list[str]:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from metafab.core.conventions import POLARISATIONS
+from metafab.core.forked import shared
 from metafab.core.progress import Progress
 from metafab.report import figures
 from metafab.report.accounts import budget_of, chain_of, depths_against_truth, modulation_of, seconds_of
@@ -44,22 +46,27 @@ class Plan:
         return figure
 
 
-def draw(run: RunFolder, progress: Progress) -> dict[str, str]:
+def draw(run: RunFolder, progress: Progress, workers: int | None = None) -> dict[str, str]:
     """Draw all figures of a run into ``figures/`` and return them as SVG by name; pictures of earlier runs go."""
     folder = run.path / "figures"
     folder.mkdir(exist_ok=True)
     plans = [*_accounts(run), *_library(run), *_design(run), *_fullwave(run), *_study(run), *_light(run), *_image(run)]
     drawn: dict[str, str] = {}
-    for done, plan in enumerate(plans):
-        progress("figures", done, len(plans))
-        figure = plan.figure()
-        save_png(figure, folder / f"{plan.name}.png")
-        drawn[plan.name] = svg(figure, plan.name, plan.label)
+    progress("figures", 0, len(plans))
+    for plan, text in zip(plans, shared(partial(_drawn, folder=folder), plans, workers), strict=True):
+        drawn[plan.name] = text
+        progress("figures", len(drawn), len(plans))
     for path in folder.glob("*.png"):
         if path.stem not in drawn:
             path.unlink()
-    progress("figures", len(plans), len(plans))
     return drawn
+
+
+def _drawn(plan: Plan, folder: Path) -> str:
+    """The figure as SVG; as PNG it goes to ``folder``."""
+    figure = plan.figure()
+    save_png(figure, folder / f"{plan.name}.png")
+    return svg(figure, plan.name, plan.label)
 
 
 def _accounts(run: RunFolder) -> Iterator[Plan]:

@@ -19,7 +19,7 @@ from metafab.report.run_folder import RunFolder, open_run
 from metafab.report.viewers import decoded_view, psf_view
 
 
-def write(run_dir: Path, progress: Progress = silent) -> Path:
+def write(run_dir: Path, progress: Progress = silent, workers: int | None = None) -> Path:
     """Make ``figures/*.png`` and ``report.html`` of a run folder, from nothing but its files.
 
     A file or a figure of the summary that is missing leaves its section out, with a note.
@@ -27,6 +27,7 @@ def write(run_dir: Path, progress: Progress = silent) -> Path:
     Args:
         run_dir: the run folder.
         progress: called as figures are drawn.
+        workers: processes that draw; None for all cores. The files are the same.
 
     Returns:
         Path of the page.
@@ -38,7 +39,7 @@ def write(run_dir: Path, progress: Progress = silent) -> Path:
         got = "a folder without design.toml and summary.json" if run_dir.is_dir() else "no folder at that path"
         raise InputError.single(str(run_dir), "folder", "a run folder", got, "make one with `metafab run DESIGN.toml`")
     run = open_run(run_dir)
-    drawn = draw(run, progress)
+    drawn = draw(run, progress, workers)
     page = run_dir / "report.html"
     with whole_file(page) as part:
         part.write_text(compose(run, drawn), encoding="utf-8")

@@ -5,8 +5,11 @@
 - ``layout``     pillars and mask files
 - ``drc``        design rules of the written files
 - ``optics``     PSF pairs of the written file and of the target phases
+- ``merit``      figures of merit, loss chain, space variance
+- ``tolerance``  corners of fabrication, where the design asks for them
 - ``camera``     raw frame of the scene
 - ``film``       a moving scene, frame by frame
+- ``stokes``     a design's full-Stokes sibling
 - ``decode``     4D image, and the calibration of a camera
 - ``report``     figures and page
 - ``outputs``    what several steps say of their files
@@ -24,6 +27,7 @@ from metafab.steps.drc import DRC
 from metafab.steps.film import decoded_film, film_figures
 from metafab.steps.layout import LAYOUT, mask_paths, write_layout
 from metafab.steps.library import LIBRARY, library_path, library_stands, open_library
+from metafab.steps.merit import MERIT
 from metafab.steps.optics import (
     PSF,
     calibration_depths,
@@ -34,15 +38,18 @@ from metafab.steps.optics import (
     save_psf,
 )
 from metafab.steps.phase import PHASE, STUDY
-from metafab.steps.preflight import preflight
+from metafab.steps.preflight import PREFLIGHT, preflight
 from metafab.steps.report import report_step
+from metafab.steps.stokes import full_stokes
+from metafab.steps.tolerance import TOLERANCE, recorded_tolerance, tolerances
 
 #: In the order in which they run.
-STEPS = (LIBRARY, PHASE, STUDY, LAYOUT, DRC, PSF, CAPTURE, DECODE)
+STEPS = (LIBRARY, PHASE, STUDY, LAYOUT, DRC, PSF, MERIT, TOLERANCE, CAPTURE, DECODE)
 #: Shows the files of all other steps.
 REPORT = report_step(tuple(step.name for step in STEPS))
 
 __all__ = [
+    "PREFLIGHT",
     "REPORT",
     "STEPS",
     "calibrate",
@@ -52,6 +59,7 @@ __all__ = [
     "expose",
     "expose_film",
     "film_figures",
+    "full_stokes",
     "ideal_source",
     "library_path",
     "library_stands",
@@ -62,7 +70,9 @@ __all__ = [
     "preflight",
     "psf_figures",
     "recorded_coupling",
+    "recorded_tolerance",
     "restore",
     "save_psf",
+    "tolerances",
     "write_layout",
 ]

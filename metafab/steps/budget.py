@@ -11,6 +11,8 @@ from metafab.steps.layout import mask_paths
 
 def recorded_coupling(job: Job) -> dict[str, Any]:
     """What ``metafab coupling`` found on a mask of this run, {} if nothing."""
+    if not (job.folder / "coupling.json").is_file():
+        return {}
     from metafab import fullwave
 
     found = fullwave.load_coupling(job.folder / "coupling.json")

@@ -1,8 +1,11 @@
-"""What a design alone tells about whether its steps will work."""
+"""What a design alone tells about whether its steps will work, and what they will make."""
 
 from __future__ import annotations
 
+from typing import Any
+
 from metafab.core.errors import Fault, InputError
+from metafab.run import Job, Step
 from metafab.spec import Design
 
 
@@ -44,3 +47,14 @@ def preflight(design: Design) -> None:
             )
     if faults:
         raise InputError(design.name, faults)
+
+
+def _preflight(job: Job) -> dict[str, Any]:
+    from metafab import mask
+
+    preflight(job.design)
+    return {"announcements": mask.announcement(job.design)}
+
+
+#: Comes before all others and writes nothing; done again when the design or the code of the rooms that look changed.
+PREFLIGHT = Step("preflight", ("spec", "layout", "mask", "optics"), (), lambda d: d, lambda job: (), _preflight)

@@ -11,7 +11,7 @@ from metafab.run import Job, Step
 def _report(job: Job) -> dict[str, Any]:
     from metafab import report  # With all of matplotlib: only when a page is drawn.
 
-    return {"file": report.write(job.folder, progress=job.progress).name}
+    return {"file": report.write(job.folder, progress=job.progress, workers=job.workers).name}
 
 
 def _report_files(job: Job) -> tuple[Path, ...]:
@@ -21,5 +21,11 @@ def _report_files(job: Job) -> tuple[Path, ...]:
 def report_step(after: tuple[str, ...]) -> Step:
     """The last step, which shows the files of the steps ``after`` which it comes."""
     return Step(
-        "report", ("report",), after, lambda d: d.name, _report_files, _report, reads=("coupling.json", "patch.h5")
+        "report",
+        ("report",),
+        after,
+        lambda d: d.name,
+        _report_files,
+        _report,
+        reads=("coupling.json", "patch.h5", "tolerance.json"),
     )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -87,3 +89,17 @@ def test_a_second_run_skips_everything(main_job: MainJob, tmp_path: Path) -> Non
         "library", "phase", "study", "layout", "drc", "psf", "capture", "decode", "report",
     }  # fmt: skip
     assert second.json["decode"] == first.json["decode"]
+
+
+def test_a_run_with_nothing_to_do_starts_no_room(main_job: MainJob, tmp_path: Path) -> None:
+    """What a second run costs is what it imports."""
+    folder = tmp_path / "again"
+    shutil.copytree(main_job.folder, folder)
+    assert metafab("run", SMALL, "-o", folder, "--json").code == 0
+    code = (
+        "import sys; from pathlib import Path; from metafab.spec import load_design; from metafab.run import run; "
+        "run(load_design(Path(sys.argv[1])), Path(sys.argv[2])); "
+        "print([m for m in ('scipy', 'numba', 'matplotlib', 'h5py', 'metafab.optics') if m in sys.modules])"
+    )
+    answer = subprocess.run([sys.executable, "-c", code, SMALL, folder], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"

@@ -164,3 +164,10 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
         write(tmp_path / "nowhere")
     with pytest.raises(InputError, match=r"without design\.toml"):
         write(tmp_path)
+
+
+def test_any_number_of_workers_draws_the_same(full_run: RunFolder, page: str) -> None:
+    pictures = sorted((full_run.path / "figures").glob("*.png"))
+    before = [path.read_bytes() for path in pictures]
+    assert compose(full_run, draw(full_run, silent, workers=1)) == page
+    assert [path.read_bytes() for path in pictures] == before

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from metafab import run as run_module
+from metafab.core.errors import InputError
 from metafab.core.provenance import contents_sha256
 from metafab.run import Job, Record, Step, run
 from metafab.spec import Design
@@ -211,3 +212,30 @@ def test_a_copied_folder_is_judged_by_its_own_files(tmp_path: Path, small_design
 
 def test_a_record_without_files_stands(tmp_path: Path) -> None:
     assert Record("", {}, {}, 0.0, 0.0).stands(tmp_path)
+
+
+def test_what_the_design_alone_tells_is_found_once(
+    tmp_path: Path, small_design: Design, steps: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import metafab.steps as real
+
+    looked: list[str] = []
+
+    def look(job: Job) -> dict[str, Any]:
+        looked.append(job.design.name)
+        return {"announcements": ["a large file"]}
+
+    monkeypatch.setattr(real, "PREFLIGHT", replace(real.PREFLIGHT, work=look))
+    said: list[str] = []
+    for _ in range(2):
+        run(small_design, tmp_path, say=said.extend)
+    assert (len(looked), said) == (1, ["a large file"])
+    run(_changed(small_design, sensor={"pixel_um": 3.0}), tmp_path, say=said.extend)
+    assert len(looked) == 2
+
+
+def test_a_design_that_cannot_work_leaves_no_folder(tmp_path: Path, small_design: Design, steps: list[str]) -> None:
+    near = _changed(small_design, verify={"depths_m": (1e-5,)})
+    with pytest.raises(InputError, match="focal length"):
+        run(near, tmp_path / "run")
+    assert not (tmp_path / "run").exists()

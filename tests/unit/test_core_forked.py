@@ -1,0 +1,42 @@
+"""Work shared with copies of this process: same results, in order, whoever did them."""
+
+from __future__ import annotations
+
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from metafab.core.forked import shared
+
+
+def test_results_come_in_order_from_other_processes() -> None:
+    captured = {"offset": 10}  # A closure cannot be pickled: nothing but results travels.
+    found = list(shared(lambda item: (captured["offset"] + item, os.getpid()), range(7), workers=2))
+    assert [value for value, _ in found] == [10, 11, 12, 13, 14, 15, 16]
+    if threading.active_count() == 1:
+        assert os.getpid() not in {pid for _, pid in found}
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_a_failure_reaches_the_caller(workers: int) -> None:
+    with pytest.raises(ZeroDivisionError):
+        list(shared(lambda item: 1 // item, [2, 1, 0], workers=workers))
+
+
+def test_beside_other_threads_nothing_is_copied() -> None:
+    """A copy would inherit the locks that the other threads hold."""
+    stop = threading.Event()
+    thread = threading.Thread(target=stop.wait)
+    thread.start()
+    try:
+        assert set(shared(lambda item: os.getpid(), range(4), workers=2)) == {os.getpid()}
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_files_written_by_copies_are_there(tmp_path: Path) -> None:
+    list(shared(lambda item: (tmp_path / str(item)).write_text(str(item)), range(5), workers=2))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["0", "1", "2", "3", "4"]
