@@ -7,7 +7,18 @@ from typing import Annotated
 
 import typer
 
-from metafab.cli.app import DesignOption, Json, Output, TargetError, app, open_job, require_positive
+from metafab.cli.app import (
+    Cluster,
+    DesignOption,
+    Json,
+    LayoutFile,
+    Output,
+    TargetError,
+    Workers,
+    app,
+    open_job,
+    require_positive,
+)
 from metafab.cli.console import progress_bars, show
 from metafab.core.errors import InputError
 
@@ -29,6 +40,8 @@ def psf_command(
     ] = None,
     target_error: TargetError = None,
     copy: Annotated[int, typer.Option(metavar="N", help="Which lens of mask.copies, from 1.")] = 1,
+    workers: Workers = None,
+    cluster: Cluster = None,
     output: Output = None,
     json_: Json = False,
 ) -> None:
@@ -41,7 +54,7 @@ def psf_command(
     require_positive("--depths-m", *(depths_m or ()))
     require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
     with progress_bars() as progress, measured() as cost:
-        job = open_job(design, None, None, None, progress)
+        job = open_job(design, None, workers, cluster, progress)
         verify = job.design.verify
         result = steps.point_spread(
             job,
@@ -56,6 +69,32 @@ def psf_command(
     if output is not None:
         steps.save_psf(job, result, layout, output, copy)
     show({**steps.psf_figures(result), "seconds": cost.seconds, "file": output}, json_)
+
+
+@app.command("tolerance")
+def tolerance_command(
+    layout: LayoutFile,
+    design: DesignOption,
+    copy: Annotated[int, typer.Option(metavar="N", help="Which lens of mask.copies, from 1.")] = 1,
+    output: Output = None,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    json_: Json = False,
+) -> None:
+    """Corners of fabrication: what they do to a written mask's PSFs, efficiency and depth.
+
+    How far they go is the design's [tolerance], or usual values. In a run folder, ``-o DIR/tolerance.json`` puts the
+    table into the report of its next run.
+    """
+    from metafab import optics, steps
+    from metafab.core.files import file_sha256
+    from metafab.core.measure import measured
+
+    with progress_bars() as progress, measured() as cost:
+        table = steps.tolerances(open_job(design, None, workers, cluster, progress), layout, copy=copy)
+    if output is not None:
+        optics.save_tolerance(table, output, mask_sha256=file_sha256(layout))
+    show({**optics.tolerance_figures(table), "seconds": cost.seconds, "file": output}, json_)
 
 
 @app.command("capture")

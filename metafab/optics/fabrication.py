@@ -1,56 +1,25 @@
-"""What fabrication does to a mask's PSFs, without rebuilding the mask: moved, missing and mis-sized pillars.
+"""Faulty masks, pillar by pillar: moved and missing ones, as sources like any other, exact and slow.
 
 A pillar that stands aside by d sends the light of its site from there: its phase changes by k times the change of the
-path over it, which is followed exactly for the ray to the geometric image point. Sizes, height, walls and index act
-through the library at that corner (:func:`library_corners`). Random draws depend on seed and tile alone.
+path over it, which is followed exactly for the ray to the geometric image point. Random draws depend on seed and tile
+alone. :mod:`metafab.optics.scatter` does the same to block sums, many times faster, and is tested on these.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from metafab.core.conventions import FloatArray
-from metafab.layout.pillars import Lattice, PillarMap
-from metafab.library.axes import CornerBox
-from metafab.library.library import Library
-from metafab.optics.image import relative_l2
+from metafab.layout.pillars import Lattice
 from metafab.optics.imaging import Imaging
-from metafab.optics.metrics import peak_irradiance
 from metafab.optics.path import Ray
-from metafab.optics.point_spread import Psf
-from metafab.optics.source import FieldTile, Source, WrittenField, written_field
-from metafab.optics.stack import psf
-
-_FABRICATION = {"cd_bias_nm", "height_nm", "sidewall_angle_deg", "pillar_n_shift"}
+from metafab.optics.source import FieldTile, Source
 
 #: (dx, dy) in um of each site of a tile, broadcasting to its shape.
 Offsets = Callable[[FieldTile, tuple[int, int]], tuple[FloatArray, FloatArray]]
-
-
-@dataclass(frozen=True)
-class ToleranceRow:
-    """One corner beside the nominal mask; the worst of both polarisations and all depths.
-
-    Attributes:
-        corner: its name.
-        change: relative L2 change of the irradiance.
-        peak_ratio: smallest peak over the nominal one.
-        efficiency: smallest share of the power in the window.
-        efficiency_change: largest change of that share, with its sign.
-        turn_deg: largest turn of the main lobe of PSF_x, with its sign.
-        depth_error_m: what a decoder that knows the nominal pair makes of the turn, with its sign; NaN for one depth.
-    """
-
-    corner: str
-    change: float
-    peak_ratio: float
-    efficiency: float
-    efficiency_change: float
-    turn_deg: float
-    depth_error_m: float
 
 
 @dataclass(frozen=True)
@@ -139,70 +108,6 @@ def stitched(
         return dx, dy
 
     return MovedField(source, imaging, offsets, depth_m)
-
-
-def library_corners(pillars: PillarMap, library: Library) -> dict[str, WrittenField]:
-    """The mask's pillars at both ends of each axis that the library was built over (``sweep.axes``), one at a time.
-
-    Angles of incidence and wavelengths are no faults of fabrication and left out. A library of sizes alone has no
-    corners.
-    """
-    box = CornerBox.of(library.unit_cell)
-    named = {} if box is None else {n: s for n, s in box.spans.items() if n in _FABRICATION}
-    return {
-        f"{name} {end:g}": written_field(pillars, library.at(**{name: end}))
-        for name, span in named.items()
-        for end in span
-    }
-
-
-def tolerance(
-    nominal: Source,
-    corners: Mapping[str, Source],
-    imaging: Imaging,
-    depths_m: Sequence[float],
-    *,
-    window_px: int = 64,
-    target_error: float = 1e-3,
-) -> list[ToleranceRow]:
-    """PSFs of each corner against those of the nominal mask on the axis.
-
-    Args:
-        nominal: the mask as it should be.
-        corners: name -> the mask as it may become.
-        imaging: geometry.
-        depths_m: ascending, near enough to each other that the pair turns by less than half a turn between them.
-        window_px: points a side of each window.
-        target_error: of every PSF; smaller changes mean nothing.
-    """
-    before = psf(nominal, imaging, depths_m, window_px=window_px, target_error=target_error)
-    return [
-        tolerance_row(name, before, psf(source, imaging, depths_m, window_px=window_px, target_error=target_error))
-        for name, source in corners.items()
-    ]
-
-
-def tolerance_row(name: str, before: Psf, after: Psf) -> ToleranceRow:
-    """What a corner changes, from the nominal stack and its own."""
-    turn = (after.phi_deg - before.phi_deg + 180.0) % 360.0 - 180.0
-    depth_error = np.full(turn.size, np.nan)
-    if turn.size > 1:
-        depth_error = turn / np.gradient(np.unwrap(before.phi_deg, period=360.0), before.depth_m)
-    changes = [relative_l2(after.psf[p, d], before.psf[p, d]) for p in (0, 1) for d in range(before.depth_m.size)]
-    return ToleranceRow(
-        corner=name,
-        change=max(changes),
-        peak_ratio=float((peak_irradiance(after) / peak_irradiance(before)).min()),
-        efficiency=float(after.efficiency.min()),
-        efficiency_change=_largest(after.efficiency - before.efficiency),
-        turn_deg=_largest(turn),
-        depth_error_m=_largest(depth_error),
-    )
-
-
-def _largest(values: FloatArray) -> float:
-    """The value of the largest modulus, with its sign."""
-    return float(values.flat[int(np.argmax(np.abs(values)))])
 
 
 def _random(seed: int, tile: FieldTile) -> np.random.Generator:

@@ -245,6 +245,39 @@ class Verify:
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Tolerances:
+    """How far fabrication may go; a run with this table says what each corner does to the PSFs. Zeros leave one out.
+
+    ``cd_bias_nm``, ``height_nm``, ``sidewall_deg`` and ``pillar_n`` (half the spread of published indices of silicon)
+    are taken both ways, one at a time; ``misplacement_nm`` (of each pillar) and ``stitching_nm`` (of each write field)
+    are rms along x and y, ``missing_share`` is of the pillars, each over ``draws`` random masks.
+    """
+
+    cd_bias_nm: NonNegative = 10.0
+    height_nm: NonNegative = 10.0
+    sidewall_deg: Annotated[float, Field(strict=True, ge=0.0, le=10.0)] = 2.0
+    pillar_n: NonNegative = 0.0135
+    misplacement_nm: NonNegative = 10.0
+    stitching_nm: NonNegative = 30.0
+    missing_share: Annotated[float, Field(strict=True, ge=0.0, le=0.5)] = 1e-3
+    draws: Annotated[int, Field(strict=True, ge=2, le=1000)] = 8
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Measured:
+    """What was measured on the made device, to stand beside what is simulated; all optional.
+
+    Efficiencies are through a pinhole of ``pinhole_um``, of the power at the aperture; ``source`` says whose they are.
+    """
+
+    efficiency_x: Annotated[float | None, Field(strict=True, gt=0.0, le=1.0)] = None
+    efficiency_y: Annotated[float | None, Field(strict=True, gt=0.0, le=1.0)] = None
+    extinction_ratio: Positive | None = None
+    pinhole_um: Positive = 100.0
+    source: str = ""
+
+
+@dataclass(frozen=True, config=CONFIG)
 class Numerics:
     """Settings of the computing, not of the device; all have good defaults."""
 
@@ -272,6 +305,8 @@ class Design:
     scene: Scene | None = None
     numerics: Numerics = Field(default_factory=Numerics)
     optics: Annotated[Optics | None, Field(description="omitted: one wavelength, and no budget of bandwidth")] = None
+    tolerance: Annotated[Tolerances | None, Field(description="omitted: no table of corners")] = None
+    measured: Annotated[Measured | None, Field(description="omitted: nothing to compare with")] = None
 
     @model_validator(mode="after")
     def _photons(self) -> Design:

@@ -1,0 +1,311 @@
+"""Tolerances of a written mask: PSFs, efficiency, extinction and depth at its corners, in one table.
+
+The mask is read and its pillars are summed in blocks once. A corner of the cell sums them again with other amplitudes
+(:mod:`metafab.optics.corners`). Random faults change the block sums themselves: by their mean, and by what they
+scatter (:mod:`metafab.optics.scatter`), so that many draws cost no more than their PSFs.
+
+The depth error is what a decoder reports that was calibrated on the nominal mask: it filters the image of each
+polarisation by the other's PSF at a trial depth, and takes the depth at which the two agree best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.executor import default_workers
+from metafab.core.progress import Progress, silent
+from metafab.library.library import Library
+from metafab.optics.blocks import reduce_to_target
+from metafab.optics.corners import CornerField, corner_fields
+from metafab.optics.field import spline_weights
+from metafab.optics.image import Window, relative_l2
+from metafab.optics.imaging import Imaging, depth_nodes
+from metafab.optics.lobe import main_lobe_px, orientation_deg
+from metafab.optics.pupil import Carrier, Pupil, reduce_field
+from metafab.optics.scatter import Fault, Misplaced, Missing, Stitched
+from metafab.optics.source import Source, WrittenField
+from metafab.spec.design import Tolerances
+
+#: The decoder looks beyond the depths of the table by this share of their range of vergence, at this many depths for
+#: each that its calibration holds.
+_MARGIN, _TRIALS = 0.25, 6
+
+
+@dataclass(frozen=True)
+class ToleranceRow:
+    """One corner beside the nominal mask; the worst of both polarisations and all depths, of draws their rms.
+
+    Attributes:
+        corner: its name.
+        change: relative L2 change of the irradiance.
+        peak_ratio: smallest peak over the nominal one.
+        efficiency: smallest share of the power in the window.
+        efficiency_change: largest change of that share, with its sign.
+        extinction_ratio: smallest ratio of wanted over unwanted light in x's window.
+        turn_deg: largest turn of the main lobe of PSF_x, with its sign.
+        depth_error_m: largest error of the depth that a decoder reports, with its sign; NaN where the pair does not
+            turn, or where no depth in reach agrees.
+        relative_error: error of these changes over the changes: of the corner's amplitudes, or of so few draws.
+        draws: random masks; 0 for a corner that is not random.
+        solved: cells that were solved for it.
+    """
+
+    corner: str
+    change: float
+    peak_ratio: float
+    efficiency: float
+    efficiency_change: float
+    extinction_ratio: float
+    turn_deg: float
+    depth_error_m: float
+    relative_error: float
+    draws: int = 0
+    solved: int = 0
+
+
+@dataclass(frozen=True)
+class ToleranceTable:
+    """All corners of a mask.
+
+    Attributes:
+        nominal: the mask as it should be, beside itself.
+        rows: its corners.
+        depth_m: shape (n,), object depths.
+        error: relative L2 error of any PSF; smaller changes mean nothing.
+        block_sites: sites a side of a block.
+    """
+
+    nominal: ToleranceRow
+    rows: tuple[ToleranceRow, ...]
+    depth_m: FloatArray
+    error: float
+    block_sites: int
+
+
+@dataclass(frozen=True)
+class _Light:
+    """What the table compares: irradiance (2, n_depth, n, n), and unwanted power (n_depth,) in x's window."""
+
+    pair: FloatArray
+    unwanted: FloatArray
+    pixel_um: float
+
+    @property
+    def efficiency(self) -> FloatArray:
+        return np.asarray(self.pair.sum(axis=(2, 3)) * self.pixel_um**2)
+
+    @property
+    def extinction(self) -> FloatArray:
+        with np.errstate(divide="ignore"):
+            return np.asarray(self.efficiency[0] / self.unwanted)
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """A mask's blocks at one size, and the PSFs that they give."""
+
+    window: Window
+    depths_m: tuple[float, ...]
+    carriers: tuple[Carrier, Carrier, Carrier]
+
+    def sums(self, source: Source) -> list[Pupil]:
+        """Blocks of x and y, and of y behind x's carrier."""
+        return reduce_field(source, self.carriers, self.window.imaging.wavenumber)
+
+    def light(self, pupils: Sequence[Pupil]) -> _Light:
+        """The pair and the unwanted light of some blocks."""
+        pair = [self.window.irradiance([pupils[p]], p, (0.0, 0.0), self.depths_m)[0] for p in (0, 1)]
+        stray = self.window.stray_irradiance(pupils[2], 0, (0.0, 0.0), self.depths_m)
+        pixel_um = self.window.imaging.pixel_um
+        return _Light(np.array(pair), stray.sum(axis=(1, 2)) * pixel_um**2, pixel_um)
+
+
+def tolerance_table(
+    written: WrittenField,
+    library: Library,
+    imaging: Imaging,
+    depths_m: Sequence[float],
+    tolerances: Tolerances,
+    field_sites: int,
+    *,
+    window_px: int = 64,
+    target_error: float = 1e-3,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> ToleranceTable:
+    """PSFs at the corners of a written mask against those of the mask as it should be, on the axis.
+
+    Args:
+        written: the mask with the library's amplitudes.
+        library: what it was made with.
+        imaging: geometry.
+        depths_m: object depths, ascending.
+        tolerances: how far fabrication goes; zeros leave corners out.
+        field_sites: sites a side of a write field.
+        window_px: points a side of each window.
+        target_error: of every PSF.
+        executor: solves cells; this process when None. The result is the same.
+        progress: called as corners are done.
+    """
+    window = Window(imaging, window_px, min(0.1 * target_error, 1e-3))
+    depths = [float(z) for z in depths_m]
+    with threadpool_limits(1, "blas"), ThreadPoolExecutor(default_workers()) as threads:
+        pyramids, stray = reduce_to_target(written, [window], depths, (0.0, 0.0), None, target_error, threads, progress)
+        errors = [window.irradiance(pyramids[p], p, (0.0, 0.0), depths)[1].max() for p in (0, 1)]
+        bench = _Bench(window, tuple(depths), (pyramids[0][0].carrier, pyramids[1][0].carrier, stray.carrier))
+        pupils = [pyramids[0][0], pyramids[1][0], stray]
+        judge = _Judge.of(bench, pupils)
+        corners = corner_fields(written, library, _deviations(tolerances), executor=executor, progress=progress)
+        rows = []
+        for done, corner in enumerate(corners):
+            rows.append(judge.corner(corner, bench.light(bench.sums(corner.field))))
+            progress("tolerance", done + 1, len(corners))
+        faults = _faults(tolerances, imaging, written, field_sites)
+        rows += [judge.draws(fault, bench, pupils, written, tolerances) for fault in faults]
+    nominal = judge.row("nominal", [judge.nominal], 0.0)
+    return ToleranceTable(
+        nominal, tuple(rows), np.array(depths), float(max(errors)), pyramids[0][0].carrier.block_sites
+    )
+
+
+def _deviations(tolerances: Tolerances) -> dict[str, float]:
+    named = {
+        "cd_bias_nm": tolerances.cd_bias_nm,
+        "height_nm": tolerances.height_nm,
+        "sidewall_angle_deg": tolerances.sidewall_deg,
+        "pillar_n_shift": tolerances.pillar_n,
+    }
+    return {name: value for name, value in named.items() if value > 0.0}
+
+
+def _faults(tolerances: Tolerances, imaging: Imaging, written: WrittenField, field_sites: int) -> list[Fault]:
+    faults: list[Fault] = []
+    if tolerances.misplacement_nm > 0.0:
+        faults.append(Misplaced(imaging, tolerances.misplacement_nm))
+    # Where one field holds the whole lens, nothing is stitched.
+    if tolerances.stitching_nm > 0.0 and max(written.lattice.shape) > field_sites:
+        faults.append(Stitched(imaging, tolerances.stitching_nm, field_sites, written.lattice))
+    if tolerances.missing_share > 0.0:
+        faults.append(Missing(tolerances.missing_share))
+    return faults
+
+
+def _with_blocks(carriers: tuple[Carrier, Carrier, Carrier], block: int) -> tuple[Carrier, Carrier, Carrier]:
+    x, y, stray = (replace(carrier, block_sites=block) for carrier in carriers)
+    return x, y, stray
+
+
+@dataclass(frozen=True)
+class _Judge:
+    """The nominal mask: its PSFs at the depths of the table, and what a decoder knows of it.
+
+    Attributes:
+        nominal: light at the depths of the table.
+        depths_m: these depths.
+        trial_m: shape (n_trial,), depths that the decoder tries.
+        transfer: shape (2, n_trial, n, m), spectra of the nominal pair there.
+        own_m: shape (n_depth,), what it reports for the nominal mask itself.
+    """
+
+    nominal: _Light
+    depths_m: tuple[float, ...]
+    trial_m: FloatArray
+    transfer: ComplexArray
+    own_m: FloatArray
+
+    @classmethod
+    def of(cls, bench: _Bench, pupils: Sequence[Pupil]) -> _Judge:
+        near, far = 1.0 / bench.depths_m[0], 1.0 / bench.depths_m[-1]
+        margin = max(_MARGIN * (near - far), 0.02 * near)
+        nodes = depth_nodes(bench.window.imaging, 1.0 / (near + margin), 1.0 / max(far - margin, 1e-3 * far), 1e-3)
+        stack = replace(bench, depths_m=tuple(nodes.tolist())).light(pupils).pair
+        vergence = np.linspace(1.0 / nodes[0], 1.0 / nodes[-1], _TRIALS * nodes.size)
+        weights = spline_weights(1.0 / nodes, vergence)
+        transfer = np.einsum("td,pdij->ptij", weights, np.fft.rfft2(stack), optimize=True)
+        nominal = bench.light(pupils)
+        own_m = _reported_depth_m(nominal.pair, 1.0 / vergence, transfer)
+        return cls(nominal, bench.depths_m, 1.0 / vergence, transfer, own_m)
+
+    def corner(self, corner: CornerField, light: _Light) -> ToleranceRow:
+        """The row of a corner of the cell."""
+        row = self.row(corner.name, [light], corner.relative_error)
+        return replace(row, solved=corner.solved)
+
+    def draws(
+        self, fault: Fault, bench: _Bench, pupils: Sequence[Pupil], written: WrittenField, tolerances: Tolerances
+    ) -> ToleranceRow:
+        """The row of a random fault, over some masks."""
+        block = fault.block_sites(pupils[0].carrier.block_sites)
+        judge = self
+        if block != pupils[0].carrier.block_sites:
+            bench = replace(bench, carriers=_with_blocks(bench.carriers, block))
+            pupils = bench.sums(written)
+            judge = replace(self, nominal=bench.light(pupils))
+        lights = [bench.light(fault(pupils, np.random.default_rng((draw, 1)))) for draw in range(tolerances.draws)]
+        row = judge.row(fault.name, lights, float(1.0 / np.sqrt(2.0 * tolerances.draws)))
+        return replace(row, draws=tolerances.draws)
+
+    def row(self, name: str, lights: Sequence[_Light], relative_error: float) -> ToleranceRow:
+        """Figures of one light, or over several draws: their rms, sign and all for one."""
+        figures = [self._figures(light) for light in lights]
+        values = {key: np.array([figure[key] for figure in figures]) for key in figures[0]}
+        one = len(lights) == 1
+        pooled = {key: float(v[0]) if one else float(np.sqrt(np.mean(v**2))) for key, v in values.items()}
+        if not one:
+            pooled |= {key: float(values[key].mean()) for key in ("peak_ratio", "efficiency", "extinction_ratio")}
+        return ToleranceRow(name, **pooled, relative_error=relative_error)  # type: ignore[arg-type]  # all floats
+
+    def _figures(self, light: _Light) -> dict[str, float]:
+        before, after = self.nominal, light
+        n_depth = len(self.depths_m)
+        turn = (orientation_deg(after.pair[0]) - orientation_deg(before.pair[0]) + 180.0) % 360.0 - 180.0
+        peaks = [[main_lobe_px(image)[2] for image in stack] for stack in after.pair]
+        nominal_peaks = [[main_lobe_px(image)[2] for image in stack] for stack in before.pair]
+        return {
+            "change": max(relative_l2(after.pair[p, d], before.pair[p, d]) for p in (0, 1) for d in range(n_depth)),
+            "peak_ratio": float((np.array(peaks) / np.array(nominal_peaks)).min()),
+            "efficiency": float(after.efficiency.min()),
+            "efficiency_change": _largest(after.efficiency - before.efficiency),
+            "extinction_ratio": float(after.extinction.min()),
+            "turn_deg": _largest(turn),
+            "depth_error_m": _largest(_reported_depth_m(after.pair, self.trial_m, self.transfer) - self.own_m),
+        }
+
+
+def _reported_depth_m(pair: FloatArray, trial_m: FloatArray, transfer: ComplexArray) -> FloatArray:
+    """Depths at which the twins of points agree best, shape (n_depth,); NaN at an end of the trials."""
+    reported = []
+    for one, other in zip(*np.fft.rfft2(pair), strict=True):
+        filtered, twin = one * transfer[1], other * transfer[0]
+        agreement = _inner(filtered, twin) / np.sqrt(_inner(filtered, filtered) * _inner(twin, twin))
+        reported.append(_best(1.0 / trial_m, agreement))
+    return np.array(reported)
+
+
+def _inner(a: ComplexArray, b: ComplexArray) -> FloatArray:
+    """Inner product of half spectra over their last two axes; columns but the first stand for two."""
+    weight = np.full(a.shape[-1], 2.0)
+    weight[0] = 1.0
+    return np.asarray(((a.real * b.real + a.imag * b.imag) @ weight).sum(axis=-1))
+
+
+def _best(vergence: FloatArray, agreement: FloatArray) -> float:
+    """Depth of the largest agreement, by a parabola through it and its neighbours."""
+    k = int(np.argmax(agreement))
+    if k in {0, agreement.size - 1}:
+        return float("nan")
+    below, at, above = agreement[k - 1 : k + 2]
+    shift = 0.5 * (above - below) / (2.0 * at - below - above)
+    return float(1.0 / (vergence[k] + shift * (vergence[1] - vergence[0])))
+
+
+def _largest(values: FloatArray) -> float:
+    """The value of the largest modulus, with its sign; NaN if any is."""
+    flat = np.asarray(values).ravel()
+    return float("nan") if np.isnan(flat).any() else float(flat[int(np.argmax(np.abs(flat)))])

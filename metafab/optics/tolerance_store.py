@@ -1,0 +1,55 @@
+"""``tolerance.json``: the table of corners of a written mask."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from metafab.core.files import write_json
+from metafab.optics.tolerance import ToleranceRow, ToleranceTable
+
+KIND = "metafab tolerance"
+FORMAT = 1
+
+
+def save_tolerance(table: ToleranceTable, path: Path, *, mask_sha256: str) -> None:
+    """Write the table with the hash of the mask that it is of; what is not a number becomes null."""
+    write_json(path, {"kind": KIND, "format_version": FORMAT, "mask_sha256": mask_sha256, **tolerance_figures(table)})
+
+
+def tolerance_figures(table: ToleranceTable) -> dict[str, Any]:
+    """The table as it stands in a summary and in the file."""
+    return {
+        "depth_m": table.depth_m,
+        "error": table.error,
+        "block_sites": table.block_sites,
+        "nominal": table.nominal,
+        "rows": table.rows,
+    }
+
+
+def load_tolerance(path: Path) -> tuple[ToleranceTable, str] | None:
+    """The table and the hash of its mask; None where there is none, or one that is not ours."""
+    try:
+        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if content["kind"] != KIND or content["format_version"] > FORMAT:
+            return None
+        table = ToleranceTable(
+            nominal=_row(content["nominal"]),
+            rows=tuple(_row(row) for row in content["rows"]),
+            depth_m=np.array(content["depth_m"], dtype=np.float64),
+            error=float(content["error"]),
+            block_sites=int(content["block_sites"]),
+        )
+        return table, str(content["mask_sha256"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+
+
+def _row(entry: dict[str, Any]) -> ToleranceRow:
+    known: dict[str, Any] = {key: math.nan if value is None else value for key, value in entry.items()}
+    return ToleranceRow(**known)

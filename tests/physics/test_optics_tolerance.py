@@ -1,0 +1,148 @@
+"""Corners from few solved cells against all cells solved, and the table: depths read by a decoder, workers, files."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import library
+from metafab.cell.rcwa import zero_order
+from metafab.core.executor import SerialExecutor, open_executor
+from metafab.core.progress import silent
+from metafab.layout.pillars import Lattice, PillarMap
+from metafab.library.axes import corner_cell
+from metafab.library.library import Library
+from metafab.optics import WrittenField, corner_fields, psf, written_field
+from metafab.optics import tolerance as module
+from metafab.optics.blocks import reduce_to_target
+from metafab.optics.image import Window
+from metafab.optics.tolerance import ToleranceTable, tolerance_table
+from metafab.optics.tolerance_store import load_tolerance, save_tolerance
+from metafab.spec import UnitCell
+from metafab.spec.design import Tolerances
+from tests import optics_lens as lens
+
+OPTICS = lens.imaging()
+DEPTHS_M = [0.84e-3, 0.88e-3, 0.92e-3]
+
+
+@pytest.fixture(scope="module")
+def small_library(unit_cell: UnitCell) -> Library:
+    """49 sizes of the paper's cell, away from its sharpest resonances."""
+    sweep = replace(
+        unit_cell.sweep, width_nm=(100.0, 160.0), length_nm=(100.0, 160.0), size_grid_nm=10.0, target_error=1e-2
+    )
+    return library.build(replace(unit_cell, sweep=sweep))
+
+
+@pytest.fixture(scope="module")
+def written(small_library: Library) -> WrittenField:
+    """A helix pair of these sizes: each site takes the size whose t_xx and t_yy suit it best."""
+    width, length = (a.ravel() for a in np.meshgrid(small_library.width_nm, small_library.length_nm))
+    sizes = np.concatenate([[(0, 0)], np.stack([2 * width, 2 * length], axis=1).round().astype(int)]).astype(np.int32)
+    source = lens.ideal(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
+    lattice: Lattice = source.lattice
+    x, y = lattice.x_um(), lattice.y_um()
+    wanted = np.exp(-1j * source.profile(x, y))
+    t = np.stack([small_library.t_xx[0].ravel(), small_library.t_yy[0].ravel()])
+    overlap = np.stack([(wanted * t[:, k, None, None]).real.sum(axis=0) for k in range(width.size)])
+    inside = np.hypot(x[None, :], y[:, None]) <= 0.5 * OPTICS.aperture_um
+    index = np.where(inside, 1 + overlap.argmax(axis=0), 0).astype(np.uint16)
+    return written_field(PillarMap.from_array(lattice, sizes, index, 50), small_library)
+
+
+@pytest.mark.parametrize(
+    ("axis", "deviation", "bound"),
+    # So coarse a library knows little between its sizes, and says so.
+    [("height_nm", 10.0, 0.1), ("pillar_n_shift", 0.0135, 0.1), ("cd_bias_nm", 6.0, 1.0)],
+)
+def test_few_cells_tell_all(
+    written: WrittenField, small_library: Library, axis: str, deviation: float, bound: float
+) -> None:
+    """Every size of the mask solved at the corner; the stated error is of the size of the true one."""
+    unit_cell = small_library.unit_cell
+    corner = corner_fields(written, small_library, {axis: deviation})[1]
+    counts = np.bincount(written.pillars.to_array().ravel(), minlength=len(written.table))
+    used = np.flatnonzero(counts[1:]) + 1
+    assert corner.solved < 2 * used.size
+    value = unit_cell.nominal(axis) + deviation
+    true = np.array(
+        [
+            np.diagonal(zero_order(corner_cell(unit_cell, float(w), float(h), {axis: value}), 5).t)
+            for w, h in written.pillars.size_nm()[used]
+        ]
+    ) * math.sqrt(1.0 / 1.7601)
+    weight = counts[used][:, None]
+    power = np.sum(weight * np.abs(true) ** 2)
+    missed = math.sqrt(np.sum(weight * np.abs(corner.field.table[used] - true) ** 2) / power)
+    assert missed < 3.0 * corner.error + 3e-3
+    assert corner.error < bound * corner.change + 3e-3
+
+
+@pytest.fixture(scope="module")
+def table(written: WrittenField, small_library: Library) -> ToleranceTable:
+    asked = Tolerances(cd_bias_nm=4.0, sidewall_deg=0.0, stitching_nm=20.0, draws=6)
+    return tolerance_table(written, small_library, OPTICS, DEPTHS_M, asked, 50, window_px=48)
+
+
+def test_the_mask_itself_changes_nothing(table: ToleranceTable) -> None:
+    own = table.nominal
+    assert (own.change, own.peak_ratio, own.efficiency_change, own.turn_deg, own.depth_error_m) == (0, 1, 0, 0, 0)
+    assert table.error <= 1e-3
+
+
+def test_every_corner_has_its_row(table: ToleranceTable) -> None:
+    assert [row.corner for row in table.rows] == [
+        "cd_bias_nm -4", "cd_bias_nm +4", "height_nm -10", "height_nm +10", "pillar_n_shift -0.0135",
+        "pillar_n_shift +0.0135", "misplacement 10 nm rms", "stitching 20 nm rms", "missing 1 per mille",
+    ]  # fmt: skip
+    rows = {row.corner: row for row in table.rows}
+    assert rows["cd_bias_nm +4"].change > 3.0 * rows["pillar_n_shift +0.0135"].change
+    assert rows["missing 1 per mille"].efficiency_change < 0.01
+    assert all(row.draws == (6 if "rms" in row.corner or "per" in row.corner else 0) for row in table.rows)
+    assert all(0.0 < row.relative_error < 0.5 for row in table.rows if not row.corner.startswith("cd_bias"))
+    assert all(math.isfinite(row.depth_error_m) for row in table.rows)
+
+
+def test_a_depth_is_what_the_twins_agree_on(written: WrittenField) -> None:
+    """A mask whose PSFs are those of another depth: the decoder that knows the nominal ones says that depth."""
+    window = Window(OPTICS, 48, 1e-4)
+    pyramids, stray = reduce_to_target(written, [window], DEPTHS_M, (0.0, 0.0), None, 1e-3, SerialExecutor(), silent)
+    carriers = (pyramids[0][0].carrier, pyramids[1][0].carrier, stray.carrier)
+    pupils = [pyramids[0][0], pyramids[1][0], stray]
+    judge = module._Judge.of(module._Bench(window, tuple(DEPTHS_M), carriers), pupils)
+    there = [0.85e-3, 0.9e-3, 0.91e-3]
+    pair = psf(written, OPTICS, there, window_px=48, target_error=1e-3).psf
+    found = module._reported_depth_m(pair, judge.trial_m, judge.transfer)
+    assert found == pytest.approx(there, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_workers_change_nothing(written: WrittenField, small_library: Library) -> None:
+    asked = {"height_nm": 10.0}
+    here = corner_fields(written, small_library, asked)
+    with open_executor(2) as executor:
+        there = corner_fields(written, small_library, asked, executor=executor)
+    assert all(np.array_equal(a.field.table, b.field.table) for a, b in zip(here, there, strict=True))
+
+
+def test_one_field_is_not_stitched(written: WrittenField, small_library: Library) -> None:
+    none = Tolerances(cd_bias_nm=0.0, height_nm=0.0, sidewall_deg=0.0, pillar_n=0.0, missing_share=0.0, draws=2)
+    table = tolerance_table(written, small_library, OPTICS, DEPTHS_M[:1], none, 5000, window_px=32)
+    assert [row.corner for row in table.rows] == ["misplacement 10 nm rms"]
+
+
+def test_the_table_comes_back_from_its_file(table: ToleranceTable, tmp_path: Path) -> None:
+    path = tmp_path / "tolerance.json"
+    blind = replace(table, rows=(replace(table.rows[0], depth_error_m=math.nan), *table.rows[1:]))
+    save_tolerance(blind, path, mask_sha256="0123")
+    found = load_tolerance(path)
+    assert found is not None and found[1] == "0123"
+    assert found[0].rows[1:] == table.rows[1:] and math.isnan(found[0].rows[0].depth_error_m)
+    assert found[0].nominal == table.nominal
+    path.write_text('{"kind": "something else"}', encoding="utf-8")
+    assert load_tolerance(path) is None and load_tolerance(tmp_path / "none.json") is None
