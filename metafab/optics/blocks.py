@@ -36,6 +36,8 @@ def reduce_to_target(
     target_error: float,
     executor: Executor,
     progress: Progress,
+    *,
+    workers: int | None = None,
 ) -> tuple[list[list[Pupil]], Pupil]:
     """Per polarisation, the pupil of the coarsest blocks that keep the target and coarser ones; y's for x's window.
 
@@ -70,7 +72,7 @@ def reduce_to_target(
     while True:
         _require_memory(source, block)
         carriers = [Carrier(p, ray, block) for p, ray in enumerate(rays)] + ([stray] if stray_pupil is None else [])
-        first, second, *rest = reduce_field(source, carriers, imaging.wavenumber, progress=progress)
+        first, second, *rest = reduce_field(source, carriers, imaging.wavenumber, workers=workers, progress=progress)
         stray_pupil = rest[0] if rest else stray_pupil
         assert stray_pupil is not None
         pyramids = [_pyramid(first), _pyramid(second)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.executor import default_workers
+from metafab.core.executor import default_workers, open_executor
 from metafab.core.progress import Progress, silent
 from metafab.optics.band import band_ends
 from metafab.optics.blocks import reduce_to_target
@@ -38,7 +38,8 @@ def psf(
     field_points: int = 1,
     field_tangents: tuple[FloatArray, FloatArray] | None = None,
     filter_fwhm_nm: float | None = None,
-    executor: Executor | None = None,
+    workers: int | None = None,
+    cluster: str | None = None,
     progress: Progress = silent,
 ) -> Psf:
     """Point-spread functions of both polarisations behind a metasurface.
@@ -54,7 +55,8 @@ def psf(
         field_tangents: the grid's (x/z, y/z), shapes (n_x,) and (n_y,); without them ``field_points`` points
             span the field whose twin images just touch, -tan(theta) to tan(theta).
         filter_fwhm_nm: full width of a filter with a flat top about the wavelength; None for one wavelength.
-        executor: runs directions and polarisations; None for threads on all cores. The result is the same.
+        workers: threads; None for all cores. The result is the same, bit for bit.
+        cluster: address of a Dask scheduler that runs polarisations and directions instead.
         progress: called as tiles and windows are done.
 
     Returns:
@@ -79,9 +81,10 @@ def psf(
         tasks += [(p, (float(t_x), float(t_y))) for p in (0, 1) for t_y in grid[1] for t_x in grid[0]]
     images: list[FloatArray] = []
     errors: list[FloatArray] = []
-    threads = ThreadPoolExecutor(default_workers()) if executor is None else nullcontext(executor)
-    with threadpool_limits(1, "blas"), threads as pool:
-        pyramids, stray = reduce_to_target(source, windows, depths, tangent, grid, target_error, pool, progress)
+    with threadpool_limits(1, "blas"), _executor(workers, cluster) as pool:
+        pyramids, stray = reduce_to_target(
+            source, windows, depths, tangent, grid, target_error, pool, progress, workers=workers
+        )
         unwanted_light = pool.submit(Window.stray_irradiance, window, stray, 0, tangent, depths)
         jobs = [
             pool.submit(_light, window, pyramids[p], p, t, depths, filter_fwhm_nm, target_error, index < 2)
@@ -120,6 +123,13 @@ def psf(
         field=None if grid is None else _field(imaging, grid, images[2:], len(depths), window_px),
         details=details,
     )
+
+
+def _executor(workers: int | None, cluster: str | None) -> AbstractContextManager[Executor]:
+    """Threads, as kernels and matrix products leave them free to run; or a cluster."""
+    if cluster is not None:
+        return open_executor(cluster=cluster)
+    return ThreadPoolExecutor(default_workers() if workers is None else workers)
 
 
 def _light(

@@ -20,7 +20,7 @@ from metafab.steps.library import library_path, open_library
 from metafab.steps.outputs import in_folder
 
 if TYPE_CHECKING:
-    from metafab.optics import Imaging, Psf, Source
+    from metafab.optics import Imaging, Psf, Source, WrittenField
 
 
 #: The decoder's calibration reaches beyond the scene by this share of its range of vergence.
@@ -41,7 +41,7 @@ def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
     return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
 
 
-def mask_source(job: Job, path: Path, copy: int = 1) -> Source:
+def mask_source(job: Job, path: Path, copy: int = 1) -> WrittenField:
     """What light the pillars of a written file let through; of several lenses, those of one, counted from 1.
 
     Raises:
@@ -98,14 +98,16 @@ def point_spread(
     if pixel_um is not None:
         imaging = replace(imaging, pixel_um=pixel_um)
     source = ideal_source(job) if path is None else mask_source(job, path, copy)
+    # On the axis, all depths lie in one direction and share one pass over the pillars.
     x_mm, y_mm = object_mm
+    together = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
     stacks = [
         optics.psf(
-            source, imaging, (depth,), tangent=(1e-3 * x_mm / depth, 1e-3 * y_mm / depth),
+            source, imaging, depths, tangent=(1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]),
             window_px=window_px, target_error=target_error, filter_fwhm_nm=_filter_fwhm_nm(job.design),
-            progress=job.progress,
+            workers=job.workers, cluster=job.cluster, progress=job.progress,
         )
-        for depth in depths_m
+        for depths in together
     ]  # fmt: skip
     return optics.concatenate(stacks)
 
@@ -167,6 +169,8 @@ def _psf(job: Job) -> dict[str, Any]:
         window_px=verify.window_px,
         target_error=verify.target_error,
         filter_fwhm_nm=_filter_fwhm_nm(design),
+        workers=job.workers,
+        cluster=job.cluster,
         progress=job.progress,
     )
     source = mask_source(job, mask_paths(job)[-1])

@@ -1,0 +1,133 @@
+"""Far from the paper's lens: objects at infinity and at hand, steep light, apertures of a site, none, and 5 cm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.layout.pillars import Lattice
+from metafab.optics import direct_irradiance, psf, relative_l2
+from metafab.optics.path import Ray, power_at_aperture
+from metafab.optics.pupil import Carrier, reduce_field
+from metafab.optics.source import FieldTile
+from tests import optics_lens as lens
+
+OPTICS = lens.imaging(aperture_um=40.0)
+SOURCE = lens.written(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
+WINDOW_PX = 16
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "tangent"),
+    [
+        (0.15e-3, (0.0, 0.0)),  # nearer than the focal length
+        (50.0, (0.0, 0.0)),
+        (0.9e-3, (math.tan(math.radians(30.0)), 0.0)),
+        (0.9e-3, (0.0, -math.tan(math.radians(30.0)))),
+    ],
+)
+def test_near_far_and_steep_objects_keep_the_stated_error(depth_m: float, tangent: tuple[float, float]) -> None:
+    """Light defocused far beyond the window, or 30 degrees off the axis: PSFs against the direct sum."""
+    result = psf(SOURCE, OPTICS, [depth_m], tangent=tangent, window_px=WINDOW_PX, target_error=1e-3)
+    for p in (0, 1):
+        points = lens.window_points(OPTICS, result.centre_um[p, 0], WINDOW_PX)
+        true = direct_irradiance(SOURCE, OPTICS, depth_m, tangent, *points, p)
+        assert relative_l2(result.psf[p, 0].ravel(), true) <= result.error[0] <= 2e-3
+
+
+def test_infinity_is_the_limit_of_far_objects() -> None:
+    far, farther = (psf(SOURCE, OPTICS, [z], window_px=WINDOW_PX, target_error=1e-4).psf for z in (1e4, math.inf))
+    assert relative_l2(far, farther) < 1e-5
+
+
+def test_light_that_does_not_reach_the_sensor_is_refused() -> None:
+    """30 degrees off the axis and split by 40 degrees the same way: beyond 90 degrees for one polarisation."""
+    steep = replace(OPTICS, split_angle_deg=40.0)
+    with pytest.raises(InputError, match="leaves the lens towards the sensor"):
+        psf(SOURCE, steep, [0.9e-3], tangent=(math.tan(math.radians(30.0)), 0.0), window_px=WINDOW_PX)
+
+
+@dataclass(frozen=True)
+class _Uniform:
+    """A square of any size as a stream that repeats one tile of indices."""
+
+    aperture_um: float
+    tile_sites: int = 4096
+    lit: bool = True
+
+    @property
+    def lattice(self) -> Lattice:
+        count = 2 * math.ceil(0.5e3 * self.aperture_um / 350.0)
+        return Lattice((700, 700), (count, count), 0.5)
+
+    def tiles(self) -> Iterator[FieldTile]:
+        count, step = self.lattice.shape[0], self.tile_sites
+        index = np.zeros((step, step), dtype=np.uint16) + np.uint16(self.lit)
+        table = np.array([[0.0, 0.0], [1.0, 1.0]], dtype=np.complex128)
+        for row in range(0, count, step):
+            for column in range(0, count, step):
+                yield FieldTile(row, column, index[: count - row, : count - column], table)
+
+
+@pytest.mark.parametrize("aperture_um", [8_000.0, 50_000.0])
+def test_blocks_of_wide_lenses_are_right_wherever_they_lie(aperture_um: float) -> None:
+    """The first row of tiles of an 8 mm and of a 5 cm lens, at the pupil: rim blocks against the exact path.
+
+    The carrier's phase is thousands of radians there; sums of phasors in double precision hold it.
+    """
+    source = _Uniform(aperture_um, tile_sites=64)
+    optics = replace(OPTICS, aperture_um=aperture_um, focal_length_mm=10.0 * aperture_um * 1e-3)
+    optics = replace(optics, sensor_distance_um=1.05e4 * optics.focal_length_mm / 10.0)
+    ray = Ray.towards_image(optics, 0, 0.3, (0.02, 0.0))
+    x, y = source.lattice.x_um(), source.lattice.y_um()
+    tile = next(source.tiles())
+
+    @dataclass(frozen=True)
+    class Corner:
+        lattice: Lattice = source.lattice
+
+        def tiles(self) -> Iterator[FieldTile]:
+            yield tile
+
+    (pupil,) = reduce_field(Corner(), [Carrier(0, ray, 16)], optics.wavenumber)
+    phase = optics.wavenumber * ray.path_um(x[None, :64], y[:64, None])
+    exact = np.exp(1j * phase).reshape(4, 16, 4, 16).sum(axis=(1, 3))
+    assert np.abs(phase).max() > 1e3
+    # Third-order terms and the square of the twist at f/10: 1e-6 of a block's 256 sites.
+    assert np.abs(pupil.sums[0, :4, :4] - exact).max() < 256 * 1e-5
+    assert pupil.power[:4, :4] == pytest.approx(256.0)
+
+
+def test_a_wide_lens_is_streamed_through_whole() -> None:
+    """A square of 2 mm, its 33 million sites one tile read four times: the power that passes is its area."""
+    source = _Uniform(2_000.0)
+    optics = replace(OPTICS, aperture_um=2_000.0, aperture_shape="square", sensor_distance_um=2e4, split_angle_deg=0.0)
+    ray = Ray.towards_image(optics, 0, math.inf, (0.0, 0.0))
+    (pupil,) = reduce_field(source, [Carrier(0, ray, 128)], optics.wavenumber)
+    side_um = source.lattice.shape[0] * 0.35
+    assert pupil.transmitted(ray) == pytest.approx(side_um**2, rel=1e-9)
+    assert power_at_aperture(optics, ray) == pytest.approx(2_000.0**2, rel=1e-9)
+
+
+def test_an_aperture_of_no_pillar_and_an_absorbing_library_are_dark() -> None:
+    for source in (replace(SOURCE, table=0.0 * SOURCE.table), _Uniform(20.0, lit=False)):
+        result = psf(source, OPTICS, [0.9e-3, math.inf], window_px=WINDOW_PX)
+        assert not result.psf.any() and not result.efficiency.any()
+        assert result.details["lost_x"] == pytest.approx(1.0)
+        assert np.isnan(result.extinction_ratio).all()
+
+
+def test_any_number_of_workers_gives_the_same_bytes() -> None:
+    grid = (np.array([-0.05, 0.05]), np.array([0.0, 0.04]))
+    one, three = (
+        psf(SOURCE, OPTICS, [0.8e-3, 0.9e-3], window_px=WINDOW_PX, field_tangents=grid, workers=n) for n in (1, 3)
+    )
+    assert one.field is not None and three.field is not None
+    assert one.psf.tobytes() == three.psf.tobytes()
+    assert one.field.psf.tobytes() == three.field.psf.tobytes()
+    assert np.array_equal(one.extinction_ratio, three.extinction_ratio)
