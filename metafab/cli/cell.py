@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from metafab.cli.app import Cluster, Json, Output, TargetError, UnitCellFile, Workers, app, library_app
-from metafab.cli.console import progress_bars, show
+from metafab.cli.console import announce, progress_bars, show
 
 
 @app.command("cell")
@@ -72,15 +72,19 @@ def library_build(
 ) -> None:
     """Sweep width and length until every size is known to the asked error."""
     from metafab import library
-    from metafab.core.executor import open_executor
+    from metafab.core.executor import default_workers, open_executor
     from metafab.core.measure import measured
     from metafab.spec import load_unit_cell
 
     spec = load_unit_cell(unit_cell)
     path = output or unit_cell.with_suffix(".h5")
+    if (ahead := library.foresee(spec, library.SOLVER_SHARE * (target_error or spec.sweep.target_error))) is not None:
+        least, most = (seconds / (workers or default_workers()) for seconds in ahead.seconds)
+        cells = "{} to {} cells".format(*ahead.cells)
+        announce([f"{cells} are expected, {least:.2g} to {most:.2g} s" + (" a core" if cluster else "")])
     with progress_bars() as progress, measured() as cost, open_executor(workers, cluster) as executor:
         built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=progress)
-    show({"file": path, **library.quality(built), **built.details, "seconds": cost.seconds}, json_)
+    show({"file": path, **library.quality(built), **built.details, **built.spent, "seconds": cost.seconds}, json_)
 
 
 @library_app.command("check")

@@ -9,9 +9,11 @@ Building, from the bottom up:
 - ``checkpoint``  solved sizes on disk as they arrive
 - ``rounds``      solve, fit, test on held-out sizes, and again
 - ``between``     the same off the grid, where a resonance, true or false, is narrower than a step
+- ``steep``       and where amplitudes are so steep that no solved size can vouch for them
 - ``axes``        what else a sweep covers (wavelength, height, walls, bias, index, angle), and the cells there
 - ``corner_model``  one rational model over sizes and axes
 - ``corner_rounds`` the same rounds for it, only where axes are asked
+- ``foresight``   what a build will take
 - ``build``       UnitCell -> Library, in memory or as a file
 
 Using:
@@ -32,8 +34,9 @@ Readers take what is there, so files without the later groups load for ever.
 In: a UnitCell and an executor. Out: a Library, which ``lookup`` turns into the table that a layout maps with.
 """
 
-from metafab.library.build import build, build_file
+from metafab.library.build import SOLVER_SHARE, build, build_file
 from metafab.library.check import LibraryCheck, check
+from metafab.library.foresight import Foresight, foresee
 from metafab.library.index_error import index_phase_error_rad
 from metafab.library.library import Library, SizeResponse
 from metafab.library.lookup import SizeTable, build_size_table, global_offsets
@@ -42,6 +45,8 @@ from metafab.library.store import is_current, load, save
 from metafab.library.surface import Surface, evaluate
 
 __all__ = [
+    "SOLVER_SHARE",
+    "Foresight",
     "Library",
     "LibraryCheck",
     "SizeResponse",
@@ -53,6 +58,7 @@ __all__ = [
     "check",
     "coverage_rad",
     "evaluate",
+    "foresee",
     "global_offsets",
     "index_phase_error_rad",
     "is_current",

@@ -101,9 +101,10 @@ def sample_between(
         off_grid = Samples(*fine.grid.sizes_nm(np.array(list(solved))), amplitudes_of(list(solved.values())))
         models = fit_solved(grid, outcome.solved, outcome.held_out, off_grid)
         disagreement = _disagreement(fine.grid, models)
-    estimate = np.maximum(factor * disagreement, _left_over(fine.grid, models, solved))
+    estimate = np.maximum(np.maximum(factor * disagreement, outcome.held_out_rms), left_over(fine.grid, models, solved))
     around = spread(maximum_filter(estimate, size=PARTS + 1, mode="nearest")[::PARTS, ::PARTS], grid.exchange)
     on_grid = factor * spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
+    on_grid = np.maximum(on_grid, outcome.held_out_rms)
     return Between(solved, models, on_grid, np.maximum(around, on_grid))
 
 
@@ -111,8 +112,8 @@ def _disagreement(fine: SizeGrid, models: ModelPair) -> FloatArray:
     return spread(models.disagreement(fine.width_nm, fine.length_nm), fine.exchange)
 
 
-def _left_over(fine: SizeGrid, models: ModelPair, solved: dict[int, SolvedPoint]) -> FloatArray:
-    """What the fitted model still misses at solved points beyond the solver's error; 0 elsewhere."""
+def left_over(fine: SizeGrid, models: ModelPair, solved: dict[int, SolvedPoint]) -> FloatArray:
+    """What the model misses at solved points beyond the solver's error; 0 elsewhere."""
     left = np.zeros(fine.size)
     if solved:
         miss, certificate = misses(models.best, fine, solved)

@@ -10,17 +10,15 @@ from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from threadpoolctl import threadpool_limits
 
 from metafab.cell import solve
 from metafab.cell.response import CellNumerics, CellSolver
-from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.conventions import ComplexArray
 from metafab.core.executor import SerialExecutor
 from metafab.core.progress import Progress, silent
 from metafab.library.axes import CornerBox
 from metafab.library.between import Between, FineGrid, sample_between
-from metafab.library.certificate import NEIGHBOURS, steepness
 from metafab.library.checkpoint import Checkpoint
 from metafab.library.corner_rounds import CornerSequence, sample_corners
 from metafab.library.corners import Corners
@@ -28,12 +26,13 @@ from metafab.library.library import Library, inputs_of
 from metafab.library.quality import coverage_rad
 from metafab.library.rounds import Outcome, PointSolver, amplitudes_of, sample
 from metafab.library.sampling import SizeGrid
+from metafab.library.steep import sample_steep, stated
 from metafab.library.store import is_current, load, save
 from metafab.spec import UnitCell
 
 BoolArray = NDArray[np.bool_]
 
-#: Parts of the target error that the solver and the model may use; the rest is reserve.
+#: Parts of the target error that the solver and the model may use; the rest is that of continuous evaluation.
 SOLVER_SHARE = 0.5
 MODEL_SHARE = 0.4
 
@@ -132,11 +131,14 @@ def _build(
         outcome = sample(grid, sizes, MODEL_SHARE * asked)
         solve_points = replace(sizes, cell_of=partial(fine.cell, unit_cell))
         between = sample_between(grid, fine, outcome, solve_points, MODEL_SHARE * asked)
+        target = (SOLVER_SHARE + MODEL_SHARE) * asked
+        between = sample_steep(grid, fine, outcome, between, solve_points, target)
         corners = None
         if (box := CornerBox.of(unit_cell)) is not None:
             sequence = CornerSequence(unit_cell, box, first_number=fine.end_number)
             solve_points = replace(sizes, cell_of=sequence.cell)
             corners = sample_corners(grid, box, sequence, outcome.solved, solve_points, MODEL_SHARE * asked)
+    progress("library", len(record.points), len(record.points))
     return _library(unit_cell, grid, fine, outcome, between, corners, perf_counter() - started)
 
 
@@ -152,13 +154,12 @@ def _library(
     """Values of all sizes: the solver's where it was asked, the model's elsewhere."""
     model = None if between.models is None else between.models.best
     values, is_solved = _on_grid(grid, outcome)
-    certificate = _certificate(grid, fine, outcome, between)
+    certificate, around = stated(grid, fine, outcome, between)
     if model is not None:
         values = np.where(is_solved, values, model.on_grid(grid.width_nm, grid.length_nm))
     error = certificate + np.where(is_solved, 0.0, between.model_error)
     t_xx, t_yy, r_xx, r_yy = values[:, None]
-    steep = 1.0 if model is None else steepness(model, grid.width_nm, grid.length_nm)
-    around = certificate * steep + between.between_error
+    around = around + between.between_error
     points = [*outcome.solved.values(), *between.solved.values()]
     spent = np.array([point.seconds for point in points])
     library = Library(
@@ -176,6 +177,7 @@ def _library(
         model_error=None if model is None else around,
         corners=corners,
     )
+    library.spent.update(seconds=seconds, solver_ms_per_point=float(1e3 * spent.mean()))
     degrees = model.x.degrees if model is not None else (0, 0)
     library.details.update(
         points_solved=len(points),
@@ -192,8 +194,6 @@ def _library(
         numerator_degree=degrees[0],
         denominator_degree=degrees[1],
         coverage_rad=coverage_rad(library),
-        solver_ms_per_point=float(1e3 * spent.mean()),
-        seconds=seconds,
         **({} if corners is None else corners.details),
     )
     return library
@@ -212,20 +212,3 @@ def _on_grid(grid: SizeGrid, outcome: Outcome) -> tuple[ComplexArray, BoolArray]
     is_solved = np.zeros(grid.size, dtype=bool)
     is_solved[number] = True
     return values.reshape(4, *shape), is_solved.reshape(shape)
-
-
-def _certificate(grid: SizeGrid, fine: FineGrid, outcome: Outcome, between: Between) -> FloatArray:
-    """The solver's error at every size, its neighbours' where it was not solved: shape (n_length, n_width)."""
-    solved, off_grid = (np.array(list(each), dtype=np.intp) for each in (outcome.solved, between.solved))
-    error = np.array([point.error for point in (*outcome.solved.values(), *between.solved.values())])
-    sizes_nm = np.concatenate([grid.sizes_nm(solved), fine.grid.sizes_nm(off_grid)], axis=1)
-    own = np.full(grid.size, np.nan)
-    own[solved] = error[: solved.size]
-    if grid.exchange:
-        own[grid.exchanged(solved)] = error[: solved.size]
-        sizes_nm, error = np.concatenate([sizes_nm, sizes_nm[::-1]], axis=1), np.tile(error, 2)
-    count = min(NEIGHBOURS, error.size)
-    places = np.stack(grid.sizes_nm(np.arange(grid.size)), axis=-1)
-    near = cKDTree(sizes_nm.T).query(places, k=count)[1].reshape(grid.size, count)
-    shape = (grid.length_nm.size, grid.width_nm.size)
-    return np.asarray(np.where(np.isnan(own), error[near].max(axis=-1), own), dtype=np.float64).reshape(shape)

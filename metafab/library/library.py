@@ -51,7 +51,8 @@ class Library:
         t_xx: shape (n_wavelength, n_length, n_width); likewise ``t_yy``, ``r_xx``, ``r_yy``.
         error: shape (n_length, n_width) or with a leading wavelength axis; solver and interpolation together.
         inputs_sha256: fingerprint of what it was built from.
-        details: figures of the build (points solved, seconds, held-out error, ...).
+        details: figures of the build (points solved, held-out error, ...), the same wherever it ran.
+        spent: what the build took (seconds, solver_ms_per_point); empty for a library that was loaded.
         model: the same amplitudes as continuous functions; None for a library that was not built by a model.
         model_error: shape (n_length, n_width), error of the model around each size, solver's included; ``error``
             is smaller where a size was solved and its neighbourhood is not as well known.
@@ -74,6 +75,7 @@ class Library:
     model_error: FloatArray | None = None
     corners: Corners | None = None
     corner: Corner = field(default_factory=dict)
+    spent: dict[str, float] = field(default_factory=dict)
 
     def at(self, **axes: float) -> Library:
         """The same sizes at other values of the library's axes: ``library.at(wavelength_nm=803.0, cd_bias_nm=2.0)``.

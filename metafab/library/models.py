@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.ndimage import maximum_filter
@@ -146,19 +147,16 @@ def _fit(samples: Samples, degrees: Degrees, span_nm: tuple[FloatArray, FloatArr
     x_range, y_range = ((float(span[0]), float(span[-1])) for span in span_nm)
     x_values, y_values = samples.amplitudes[:, [0, 2]], samples.amplitudes[:, [1, 3]]
     width, length = samples.width_nm, samples.length_nm
+    # With so many guided modes every degree of the denominator is needed, and there are the samples to decide it.
+    simple = degrees[0] < MANY_MODES_DEGREE
+    fit_to = partial(fit, width_range_nm=x_range, length_range_nm=y_range, degrees=degrees, simple=simple)
     if not exchange:
-        x, y = (
-            fit(width, length, values, width_range_nm=x_range, length_range_nm=y_range, degrees=degrees)
-            for values in (x_values, y_values)
-        )
+        x, y = (fit_to(width, length, values) for values in (x_values, y_values))
         return SizeModel(x, y)
     off_diagonal = width != length
-    x = fit(
+    x = fit_to(
         np.concatenate([width, length[off_diagonal]]),
         np.concatenate([length, width[off_diagonal]]),
         np.concatenate([x_values, y_values[off_diagonal]]),
-        width_range_nm=x_range,
-        length_range_nm=y_range,
-        degrees=degrees,
     )
     return SizeModel(x, x.exchanged())

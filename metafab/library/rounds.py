@@ -12,9 +12,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +29,16 @@ from metafab.library.checkpoint import Checkpoint, SolvedPoint
 from metafab.library.models import ModelPair, Samples, SizeModel, fit_models
 from metafab.library.sampling import IndexArray, SizeGrid, worst_points
 
-#: Sizes of the first round, and of each later one (half of them even, half where models disagree).
-FIRST_ROUND = 128
-LATER_ROUND = 48
-#: When no more than these stay above the tolerance, they are solved outright.
-LAST_ROUND = 96
-#: How the sizes left above the tolerance usually fall from round to round, as long as nothing tells better.
-USUAL_RATIO = 0.8
+Result = TypeVar("Result")
+
+#: Sizes of the first round.
+FIRST_ROUND = 112
+#: Even sizes of a later round, at least so many and at least this share of those solved before.
+EVEN_ROUND, EVEN_GROWTH = 16, 0.08
+#: The same for the sizes where models disagree most.
+WORST_ROUND, WORST_GROWTH = 24, 0.12
+#: The latest so many sizes judge the models' degrees.
+JUDGES = 48
 #: Sizes that a worker solves before it reports: more save messages, fewer lose less to a kill.
 CHUNK = 4
 #: Chunks in flight: enough to keep the workers of one machine busy.
@@ -76,6 +80,17 @@ class PointSolver:
             self.progress("library", len(self.record.points), max(foreseen, len(self.record.points)))
         return {int(number): known[int(number)] for number in numbers}
 
+    def beside(
+        self, work: Callable[[], Result], numbers: IndexArray, foreseen: int
+    ) -> tuple[Result, dict[int, SolvedPoint]]:
+        """What ``work`` returns, and answers that other processes find in the meantime."""
+        if isinstance(self.executor, SerialExecutor):
+            return work(), self(numbers, foreseen)
+        with ThreadPoolExecutor(1) as thread:
+            result = thread.submit(work)
+            answers = self(numbers, foreseen)
+            return result.result(), answers
+
 
 def _solve_chunk(
     solver: CellSolver, numerics: CellNumerics, cells: Sequence[tuple[int, PillarCell]]
@@ -98,6 +113,7 @@ class Outcome:
         factor: how far their disagreement fell short of misses at sizes that they could not know, at least 1.
         held_out: the sizes of the last round, each predicted before it was solved.
         held_out_error: the largest miss among them.
+        held_out_rms: the rms of these misses: nowhere is the model taken to be better.
         rounds: rounds of solving.
     """
 
@@ -106,6 +122,7 @@ class Outcome:
     factor: float
     held_out: IndexArray
     held_out_error: float
+    held_out_rms: float
     rounds: int
 
 
@@ -113,35 +130,30 @@ def sample(grid: SizeGrid, solve_sizes: PointSolver, tolerance: float) -> Outcom
     """Solve sizes until the model's error estimate is within the tolerance at every other size."""
     batch = grid.even_order[:FIRST_ROUND]
     solved = solve_sizes(batch, batch.size)
-    if len(solved) == grid.distinct.size:
-        return Outcome(_sorted(solved), None, 1.0, batch[:0], 0.0, 1)
-    models = fit_solved(grid, solved, batch[-(batch.size // 4) :])
-    disagreement = spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
-    left = _left(grid, disagreement, solved, tolerance)
-    foreseen, rounds = _foreseen(grid, len(solved), 0, left.size), 1
-    while True:
+    judges, left, factor, rounds = batch[-(batch.size // 4) :], 0, 1.0, 1
+    while len(solved) < grid.distinct.size:
         rounds += 1
-        before = left.size
-        batch = _next_batch(grid, disagreement, solved)
-        new = solve_sizes(batch, foreseen)
-        miss, certificate = misses(models.best, grid, new)
-        factor = shortfall(miss, certificate, disagreement.ravel()[batch])
-        solved |= new
-        models = fit_solved(grid, solved, batch)
+        even = _next_even(grid, solved)
+        foreseen = _foreseen(grid, len(solved), even.size, left)
+        fit = partial(fit_solved, grid, dict(solved), judges)
+        models, new = solve_sizes.beside(fit, even, foreseen)
         disagreement = spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
-        left = _left(grid, factor * disagreement, solved, tolerance)
-        foreseen = _foreseen(grid, len(solved), before, left.size)
+        miss, certificate = misses(models.best, grid, new)
+        # What the worst sizes of the last round have shown of the models before these counts as well.
+        factor = max(factor, shortfall(miss, certificate, disagreement.ravel()[even]))
+        solved |= new
+        open_sizes = _left(grid, factor * disagreement, solved, tolerance)
         held = float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size
-        if held and 0 < left.size <= LAST_ROUND:
-            new = solve_sizes(left, len(solved) + left.size)
-            # These were predicted as well: what they show counts for the sizes that stay unsolved.
-            factor = max(factor, shortfall(*misses(models.best, grid, new), disagreement.ravel()[left]))
-            solved |= new
-            models = fit_solved(grid, solved, batch)
-            disagreement = spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
-            left = _left(grid, factor * disagreement, solved, tolerance)
-        if held and left.size == 0:
-            return Outcome(_sorted(solved), models, factor, batch, float(miss.max()), rounds)
+        if held and open_sizes.size == 0:
+            rms = float(np.sqrt(np.mean(miss**2)))
+            return Outcome(_sorted(solved), models, factor, even, float(miss.max()), rms, rounds)
+        worst = _next_worst(grid, disagreement, open_sizes, solved)
+        new = solve_sizes(worst, len(solved) + worst.size)
+        factor = shortfall(*misses(models.best, grid, new), disagreement.ravel()[worst]) if new else 1.0
+        solved |= new
+        judges, left = np.concatenate([judges, even, worst])[-JUDGES:], open_sizes.size
+    models = fit_solved(grid, solved, judges) if rounds > 1 else None
+    return Outcome(_sorted(solved), models, factor, batch[:0], 0.0, 0.0, rounds)
 
 
 def fit_solved(
@@ -183,21 +195,26 @@ def _left(grid: SizeGrid, estimate: FloatArray, solved: dict[int, SolvedPoint], 
     return grid.distinct[open_error > tolerance]
 
 
-def _foreseen(grid: SizeGrid, solved: int, before: int, left: int) -> int:
-    """Sizes that the build may need in all, if those left above the tolerance go on falling as in this round."""
-    ratio = min(max(left / before, 0.3), 0.9) if before else USUAL_RATIO
-    rounds = math.ceil(math.log(max(left, 1) / LAST_ROUND) / -math.log(ratio)) if left > LAST_ROUND else 0
-    return min(solved + rounds * LATER_ROUND + min(left, LAST_ROUND), grid.distinct.size)
+def _foreseen(grid: SizeGrid, solved: int, batch: int, left: int) -> int:
+    """Sizes that the build may need in all: this round's, and as many again while sizes are left over."""
+    return min(solved + batch + min(left, batch), grid.distinct.size)
 
 
-def _next_batch(grid: SizeGrid, estimate: FloatArray, solved: dict[int, SolvedPoint]) -> IndexArray:
-    """The worst sizes, and as many of the even sequence."""
+def _next_even(grid: SizeGrid, solved: dict[int, SolvedPoint]) -> IndexArray:
+    """The next sizes of the even sequence."""
     is_solved = _is_solved(grid, solved).ravel()
-    worst = worst_points(grid, estimate, is_solved, LATER_ROUND // 2)
-    taken = is_solved.copy()
-    taken[worst] = True
-    even = grid.even_order[~taken[grid.even_order]][: LATER_ROUND - worst.size]
-    return np.concatenate([worst, even])
+    count = max(EVEN_ROUND, math.ceil(EVEN_GROWTH * len(solved)))
+    return grid.even_order[~is_solved[grid.even_order]][:count]
+
+
+def _next_worst(
+    grid: SizeGrid, disagreement: FloatArray, open_sizes: IndexArray, solved: dict[int, SolvedPoint]
+) -> IndexArray:
+    """The worst sizes, a few steps from each other, among those that are not known well enough."""
+    candidates = np.zeros(grid.size, dtype=bool)
+    candidates[open_sizes] = True
+    count = max(WORST_ROUND, math.ceil(WORST_GROWTH * len(solved)))
+    return worst_points(grid, disagreement, ~candidates, count)
 
 
 def _is_solved(grid: SizeGrid, solved: dict[int, SolvedPoint]) -> NDArray[np.bool_]:

@@ -33,7 +33,10 @@ _AMPLITUDES = {
 
 
 def save(library: Library, path: Path) -> None:
-    """Write a library, whole or not at all; an earlier file under the name is replaced."""
+    """Write a library, whole or not at all; an earlier file under the name is replaced.
+
+    The same build gives the same bytes, wherever and however fast it ran.
+    """
     dims = ("wavelength_nm", "length_nm", "width_nm")
     with hdf5.create(
         path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, inputs_sha256=library.inputs_sha256

@@ -39,7 +39,7 @@ def test_the_target_is_met_at_held_out_sizes_between_the_grid(built: Library, un
 def test_few_of_all_sizes_are_solved(built: Library) -> None:
     assert built.details["points_total"] == 76 * 76
     assert float(built.details["points_solved"]) < 0.1 * 76 * 76
-    assert float(built.details["held_out"]) >= 24
+    assert float(built.details["held_out"]) >= 16
 
 
 def test_every_size_of_the_grid_is_within_its_stated_error(built: Library) -> None:

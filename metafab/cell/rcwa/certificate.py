@@ -91,6 +91,9 @@ _CLIMBS: dict[Formulation, tuple[tuple[float, tuple[int, ...]], ...]] = {
     ),
     "fourier": ((0.0, (3, 4, 6, 8, 12, 16, 24)),),
 }
+#: A measured cell that 6 cosines did not serve is next tried with 8, which the claims reach from 6: at targets of 5e-4
+#: on, 7 served 5 of the 90 silicon pillars that 6 had not, at more than half the cost of 8.
+_SELDOM_ENOUGH = 7
 #: Last differences above this are those of a ladder that has not begun to converge.
 _NOT_CONVERGING = 5e-2
 #: Claims were measured on square cells up to this wide in wavelengths inside the densest medium, this tall in
@@ -116,10 +119,11 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     """
     started = time.perf_counter()
     cut = slicing(cell, numerics)
+    measured = is_measured(cell)
     solved: dict[int, ZeroOrder] = {}
-    for orders in climb(numerics):
+    for orders in climb(numerics, measured=measured):
         solved[orders] = smooth(cell, orders, numerics.formulation, cut.steps)
-        error = bound(orders, solved, numerics.formulation, measured=is_measured(cell)) + cut.error
+        error = bound(orders, solved, numerics.formulation, measured=measured) + cut.error
         error = max(error, solved[orders].conditioning.rounding)
         if error <= numerics.target_error:
             break
@@ -152,8 +156,11 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     )
 
 
-def climb(numerics: CellNumerics) -> tuple[int, ...]:
-    """Truncations to try for the target, up to ``numerics.max_orders``: two at least, where so many are allowed."""
+def climb(numerics: CellNumerics, *, measured: bool = False) -> tuple[int, ...]:
+    """Truncations to try for the target, up to ``numerics.max_orders``: two at least, where so many are allowed.
+
+    ``measured`` tells whether the cell is of the kind that the claims were measured on.
+    """
     below: tuple[int, ...] = ()
     for least_target, all_rungs in reversed(_CLIMBS[numerics.formulation]):
         rungs = tuple(orders for orders in all_rungs if orders <= numerics.max_orders)
@@ -161,6 +168,8 @@ def climb(numerics: CellNumerics) -> tuple[int, ...]:
             below = rungs
         if numerics.target_error >= least_target:
             break
+    if measured and 4 in below and max(below) > _SELDOM_ENOUGH:
+        return tuple(orders for orders in below if orders != _SELDOM_ENOUGH)
     return below or _CLIMBS[numerics.formulation][-1][1][:1]
 
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.optimize import brentq
 
 from metafab.cell.rcwa.basis import AxisBasis, Formulation, IntArray, axis_basis, bases_over
 from metafab.cell.rcwa.coordinates import interval_integral, stretched
@@ -44,6 +43,8 @@ class Interval:
 
     def u(self, x: float) -> float:
         """Where x has risen that far, 0 < x < ``rise``."""
+        from scipy.optimize import brentq  # A fifth of a second, which workers that solve upright pillars do not spend.
+
         return float(brentq(lambda u: self.x(u) - x, self.start, self.end, xtol=1e-15, rtol=1e-15))
 
 
