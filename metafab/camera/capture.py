@@ -13,7 +13,7 @@ from metafab.camera.frame import RawFrame, Truth
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.camera.motion import Shutter, moved
-from metafab.camera.render import Renderer
+from metafab.camera.render import Renderer, extent
 from metafab.camera.sensor import FixedPattern, expose
 from metafab.camera.windows import Window, sensor_windows
 from metafab.core.conventions import FloatArray
@@ -157,28 +157,35 @@ def _light(
         inner = (slice(k_y // 2, k_y // 2 + n_y), slice(k_x // 2, k_x // 2 + n_x))
         light[inner] = scene.background * window.gain * window.seen
     for done, piece in enumerate(renderer.pieces(window.tangent_x, window.tangent_y), start=1):
-        crop = (piece.rows, piece.columns)
-        tangents = window.tangent_x[crop], window.tangent_y[crop]
-        flux = piece.share[polarisation] * window.gain[crop] * window.seen[crop]
-        n_y, n_x = flux.shape
-        spread, hidden = np.zeros((2, n_y + k_y - 1, n_x + k_x - 1))
+        spread, hidden = np.zeros((2, *light.shape))
         # The steps of one piece lie beside each other: their light adds up, and so does what they hide.
         for depth_m, coverage, brightness in zip(piece.depth_m, piece.coverage, piece.brightness, strict=True):
             if not coverage.any():
                 continue
+            rows, columns = extent(coverage.any(axis=1)), extent(coverage.any(axis=0))
+            crop = (_beyond(piece.rows, rows), _beyond(piece.columns, columns))
+            flux = piece.share[polarisation] * window.gain[crop] * brightness[rows, columns]
             if depth_m not in blurs:
                 blurs[depth_m] = FieldBlur.at_depth(kernels, float(depth_m))
-            blur = blurs[depth_m][polarisation]
-            lit, covered = blur(brightness * flux, coverage * window.seen[crop], *tangents)
-            spread += lit
-            hidden += covered
-        part = (
-            slice(piece.rows.start, piece.rows.start + spread.shape[0]),
-            slice(piece.columns.start, piece.columns.start + spread.shape[1]),
-        )
-        light[part] = light[part] * (1.0 - np.clip(hidden, 0.0, 1.0)) + spread
+            lit, covered = blurs[depth_m][polarisation](
+                flux * window.seen[crop],
+                coverage[rows, columns] * window.seen[crop],
+                window.tangent_x[crop],
+                window.tangent_y[crop],
+            )
+            first = (crop[0].start, crop[1].start)
+            part = tuple(slice(start, start + n) for start, n in zip(first, lit.shape, strict=True))
+            spread[part] += lit
+            hidden[part] += covered
+        light *= 1.0 - np.clip(hidden, 0.0, 1.0)
+        light += spread
         progress("capture", done, len(scene.objects))
     return light
+
+
+def _beyond(outer: slice, inner: slice) -> slice:
+    """A part of a part, in the coordinates of the whole."""
+    return slice(outer.start + inner.start, outer.start + inner.stop)
 
 
 def _shutter_truth(still: Renderer, window: Window, shutter: Shutter, middle_s: FloatArray) -> Truth:

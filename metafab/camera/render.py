@@ -79,7 +79,7 @@ class Renderer:
         )
         if not near.any():
             return None
-        rows, columns = (_extent(near.any(axis=axis)) for axis in (1, 0))
+        rows, columns = (extent(near.any(axis=axis)) for axis in (1, 0))
         crop = (rows, columns)
         fine_x = _supersampled(tangent_x[crop], slopes_x[0][crop], slopes_x[1][crop])
         fine_y = _supersampled(tangent_y[crop], slopes_y[0][crop], slopes_y[1][crop])
@@ -123,7 +123,8 @@ def _steps(spec: SceneObject, u: FloatArray, v: FloatArray) -> tuple[FloatArray,
     return depth_m, np.clip(step, 0, depth_m.size - 1).astype(np.intp)
 
 
-def _extent(hit: ArrayLike) -> slice:
+def extent(hit: ArrayLike) -> slice:
+    """From the first to the last hit of a row of flags, at least one of which is set."""
     where = np.flatnonzero(np.asarray(hit))
     return slice(int(where[0]), int(where[-1]) + 1)
 

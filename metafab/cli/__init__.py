@@ -14,7 +14,8 @@ and the commands, by what they make:
 - ``cell``       ``cell``, ``library build``, ``library check``, ``library show``
 - ``mask``       ``layout``, ``drc``
 - ``fullwave``   ``coupling``, ``patch``
-- ``light``      ``psf``, ``capture``, ``film``, ``decode``, ``calibrate``
+- ``light``      ``psf``, ``tolerance``, ``capture``, ``film``, ``decode``, ``calibrate``
+- ``stokes``     ``stokes``
 - ``showing``    ``report``, ``benchmark``, ``doctor``
 """
 

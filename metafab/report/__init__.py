@@ -13,6 +13,7 @@
 - ``library_page``  one library -> one picture
 - ``proposal_page``  proposed helices -> one picture
 - ``film``          a decoded film as a moving picture
+- ``stokes_page``   a decoded full-Stokes frame -> one picture
 - ``benchmark``     benchmark rows -> table, plots, JSON
 - ``page.html``, ``style.css``, ``page.js``  the page's template, style and script
 
@@ -23,6 +24,15 @@ from metafab.report.benchmark import benchmark_page
 from metafab.report.film import require_film_name, write_film
 from metafab.report.library_page import library_figure
 from metafab.report.proposal_page import proposal_figure
+from metafab.report.stokes_page import stokes_figure
 from metafab.report.write import write
 
-__all__ = ["benchmark_page", "library_figure", "proposal_figure", "require_film_name", "write", "write_film"]
+__all__ = [
+    "benchmark_page",
+    "library_figure",
+    "proposal_figure",
+    "require_film_name",
+    "stokes_figure",
+    "write",
+    "write_film",
+]

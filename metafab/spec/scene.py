@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -33,6 +34,10 @@ class SceneObject:
     ] = (0.0, 0.0)
     brightness: Positive = 1.0
     polarisation_contrast: Annotated[Positive, Field(description="I_x / I_y")] = 1.0
+    stokes: Annotated[
+        tuple[Real, Real, Real] | None,
+        Field(description="(S1, S2, S3) / S0 for `metafab stokes`; x and y polarisation as by the contrast if omitted"),
+    ] = None
     texture: Literal["uniform", "fractal", "checker", "image"] = "fractal"
     texture_contrast: Annotated[Fraction, Field(description="rms over mean")] = 0.25
     velocity_m_per_s: Annotated[
@@ -51,6 +56,18 @@ class SceneObject:
         if 0.5 * sum(map(abs, self.tilt)) + sum(map(abs, self.bulge)) > 0.5:
             raise ValueError("`tilt` and `bulge` must change the depth by at most half of itself: |tilt| / 2 + |bulge|")
         return self
+
+    @model_validator(mode="after")
+    def _polarised(self) -> SceneObject:
+        if self.stokes is not None and math.hypot(*self.stokes) > 1.0 + 1e-9:
+            raise ValueError("`stokes` must not be longer than 1: light cannot be more than fully polarised")
+        return self
+
+    @property
+    def stokes_vector(self) -> tuple[float, float, float]:
+        """(S1, S2, S3) / S0."""
+        ratio = self.polarisation_contrast
+        return ((ratio - 1.0) / (ratio + 1.0), 0.0, 0.0) if self.stokes is None else self.stokes
 
     @property
     def relative_depths(self) -> tuple[float, float]:

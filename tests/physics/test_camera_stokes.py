@@ -1,0 +1,189 @@
+"""Full-Stokes imaging: conventions of polarisation, Jones targets, turned pillars, their file, and decoded scenes."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from metafab import stokes
+from metafab.core.conventions import ComplexArray
+from metafab.core.errors import InputError
+from metafab.layout import lattice_of
+from metafab.library.library import Library
+from metafab.optics import Imaging
+from metafab.spec import Design, Scene, SceneObject
+from metafab.stokes import mask
+from metafab.stokes.assign import turned
+from metafab.stokes.decode import StokesImage
+
+ANGLES = 8
+
+
+@pytest.fixture(scope="module")
+def design(small_design: Design) -> Design:
+    """A quarter of the small lens' aperture, with room for turned pillars."""
+    device = dataclasses.replace(small_design.device, aperture_um=50.0)
+    rules = dataclasses.replace(small_design.rules, min_gap_nm=60.0)
+    terms = tuple(dataclasses.replace(t, optimise="none") if hasattr(t, "optimise") else t for t in small_design.phase)
+    return dataclasses.replace(small_design, device=device, rules=rules, phase=terms)
+
+
+@pytest.fixture(scope="module")
+def profile(design: Design) -> stokes.StokesProfile:
+    return stokes.stokes_profile(design, 8.0)
+
+
+@pytest.fixture(scope="module")
+def pillars(profile: stokes.StokesProfile, smooth_library: Library, design: Design) -> stokes.TurnedPillars:
+    return stokes.assign(profile, smooth_library, design, angles=ANGLES, size_step_nm=16.0)
+
+
+@pytest.fixture(scope="module")
+def psf(profile: stokes.StokesProfile, design: Design) -> stokes.StokesPsf:
+    source = stokes.UnitaryField(profile, lattice_of(design), design.device)
+    return stokes.stokes_psf(source, profile, Imaging.of(design), [0.0025, 0.0028, 0.0031, 0.0034], window_px=32)
+
+
+def test_stokes_vectors_of_the_six_states_are_the_axes_of_the_sphere() -> None:
+    expected = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]]
+    assert stokes.stokes_of(stokes.JONES)[:, 1:] == pytest.approx(np.array(expected, dtype=float), abs=1e-12)
+
+
+def test_right_handed_light_turns_clockwise_for_who_looks_into_it() -> None:
+    """With exp(-i omega t), a quarter of a period later the field has turned from +x to -y (y up, light towards us)."""
+    later = (stokes.JONES[stokes.STATES.index("R")] * np.exp(-0.5j * np.pi)).real
+    assert later == pytest.approx([0.0, -np.sqrt(0.5)], abs=1e-12)
+
+
+def complex_numbers() -> st.SearchStrategy[complex]:
+    return st.complex_numbers(max_magnitude=3.0, allow_nan=False, allow_infinity=False)
+
+
+@given(st.lists(complex_numbers(), min_size=6, max_size=6))
+def test_the_response_is_the_power_of_any_light_behind_any_jones_matrix(numbers: list[complex]) -> None:
+    jones, light = np.array(numbers[:4]).reshape(2, 2), np.array(numbers[4:])
+    response = stokes.response_of(jones[0, 0], jones[0, 1], jones[1, 0], jones[1, 1])
+    power = float(np.sum(np.abs(jones @ light) ** 2))
+    assert response @ stokes.stokes_of(light) == pytest.approx(power, rel=1e-9, abs=1e-9)
+
+
+@given(st.lists(complex_numbers(), min_size=3, max_size=3))
+def test_the_nearest_unitary_is_symmetric_unitary_and_no_turned_pillar_is_nearer(numbers: list[complex]) -> None:
+    target = np.array(numbers)
+    xx, xy, yy = stokes.nearest_unitary(target)
+    unitary = np.array([[xx, xy], [xy, yy]])
+    assert unitary @ unitary.conj().T == pytest.approx(np.eye(2), abs=1e-9)
+    wanted = np.array([[target[0], target[1]], [target[1], target[2]]])
+    phases, angle = np.meshgrid(np.linspace(0, 2 * np.pi, 13), np.linspace(0, np.pi, 13))
+    for shift in (0.3, 1.7, 4.0):
+        other = turned(np.exp(1j * phases), np.exp(1j * (phases + shift)), angle)
+        distance = np.abs(other[0] - target[0]) ** 2 + 2 * np.abs(other[1] - target[1]) ** 2
+        distance += np.abs(other[2] - target[2]) ** 2
+        assert np.linalg.norm(unitary - wanted) ** 2 <= distance.min() + 1e-9
+
+
+def test_a_quarter_of_a_turn_exchanges_the_axes() -> None:
+    t_x, t_y = np.array(0.8 + 0.1j), np.array(0.2 - 0.7j)
+    assert turned(t_x, t_y, np.array(np.pi / 2)) == pytest.approx(np.array([t_y, 0.0, t_x]), abs=1e-12)
+
+
+def test_each_place_takes_its_own_state_and_leaves_the_orthogonal_one(
+    profile: stokes.StokesProfile, design: Design
+) -> None:
+    source = stokes.UnitaryField(profile, lattice_of(design), design.device)
+    # A quarter of the aperture spreads its light four times as wide.
+    wide = stokes.stokes_psf(source, profile, Imaging.of(design), [0.003], window_px=128)
+    own, other = (
+        np.einsum("kj,kj->k", wide.instrument, stokes.stokes_of(stokes.JONES[order]))
+        for order in ([0, 1, 2, 3, 4, 5], [1, 0, 3, 2, 5, 4])
+    )
+    # Three kinds of pillars side by side could send a ninth; the sum sends about twice that.
+    assert own.min() > 0.16
+    # Its window, wide for its width, gathers the stray light of a large area.
+    assert (own / other).min() > 4.0
+    # What leaves cannot be more than what came.
+    assert wide.instrument[:, 0].sum() < 1.0
+
+
+def test_the_pairs_are_conjugate(psf: stokes.StokesPsf) -> None:
+    """What the first state of a pair shows at r, the second shows at -r, cross-talk of the sum aside."""
+    for first, second in ((0, 1), (2, 3), (4, 5)):
+        a, b = (psf.psf[k, 0, 0] / psf.psf[k, 0, 0].sum() for k in (first, second))
+        mirrored = np.roll(b[::-1, ::-1], (1, 1), axis=(0, 1))
+        alike, unlike = (np.sum(a * c) / np.sqrt(np.sum(a * a) * np.sum(c * c)) for c in (mirrored, b))
+        assert alike > 0.8
+        assert alike > unlike + 0.1
+
+
+def test_turned_pillars_keep_the_gap(pillars: stokes.TurnedPillars, design: Design) -> None:
+    width, length, angle = pillars.kinds.T
+    cosine, sine = np.abs(np.cos(np.radians(angle))), np.abs(np.sin(np.radians(angle)))
+    assert (width * cosine + length * sine).max() <= 290.0 + 1e-5
+    assert pillars.overlap > 0.6
+    used = np.unique(pillars.kinds[pillars.index[pillars.index > 0] - 1, 2])
+    assert used.size == ANGLES // 2  # the other half are the same with sides exchanged
+
+
+@pytest.mark.parametrize("suffix", ["oas", "gds"])
+def test_the_file_holds_every_pillar(
+    pillars: stokes.TurnedPillars, smooth_library: Library, design: Design, tmp_path: Path, suffix: str
+) -> None:
+    path = mask.write(pillars, tmp_path / f"turned.{suffix}", design)
+    back = mask.read(path, smooth_library, design, angles=ANGLES)
+
+    def matrices(of: stokes.TurnedPillars) -> ComplexArray:
+        return of.jones[of.index]
+
+    assert matrices(back) == pytest.approx(matrices(pillars), abs=1e-12)
+    assert mask.write(pillars, tmp_path / f"again.{suffix}", design).read_bytes() == path.read_bytes()
+
+
+def test_files_of_other_things_are_refused(smooth_library: Library, design: Design, tmp_path: Path) -> None:
+    (tmp_path / "broken.oas").write_bytes(b"nothing")
+    with pytest.raises(InputError, match="one top cell"):
+        mask.read(tmp_path / "broken.oas", smooth_library, design, angles=ANGLES)
+
+
+def test_a_gap_without_room_is_refused(profile: stokes.StokesProfile, smooth_library: Library, design: Design) -> None:
+    tight = dataclasses.replace(design, rules=dataclasses.replace(design.rules, min_gap_nm=260.0))
+    with pytest.raises(InputError, match="turned pillars"):
+        stokes.assign(profile, smooth_library, tight)
+
+
+def decoded(psf: stokes.StokesPsf, state: tuple[float, float, float]) -> tuple[stokes.StokesFrame, StokesImage]:
+    piece = SceneObject(depth_m=0.0029, size=(0.14, 0.14), stokes=state)
+    frame = stokes.photograph(Scene(objects=(piece,), field_px=(112, 112), photons_per_pixel=20000.0), psf)
+    return frame, stokes.decode_stokes(frame, psf)
+
+
+@pytest.mark.parametrize("state", [(0.0, 0.0, 0.0), (0.6, -0.3, 0.0), (0.0, 0.2, -0.8)])
+def test_polarisation_and_depth_of_a_surface_are_found(
+    psf: stokes.StokesPsf, state: tuple[float, float, float]
+) -> None:
+    frame, image = decoded(psf, state)
+    middle = (slice(None), slice(40, 72), slice(40, 72))
+    total = image.stokes[middle].sum(axis=(1, 2))
+    # 1024 pixels of some 20000 electrons in each of six images: noise is below a thousandth.
+    assert total[1:] / total[0] == pytest.approx(state, abs=0.01)
+    assert total[0] == pytest.approx(frame.stokes[middle].sum(axis=(1, 2))[0], rel=0.02)
+    depth_m = np.nanmedian(image.depth_m[middle[1:]])
+    # A quarter of the aperture turns its lobe by a sixteenth of the angle.
+    assert depth_m == pytest.approx(0.0029, rel=0.05)
+
+
+def test_without_light_no_depth_is_claimed(psf: stokes.StokesPsf) -> None:
+    dark = SceneObject(depth_m=0.0029, size=(1e-6, 1e-6))
+    frame = stokes.photograph(Scene(objects=(dark,), field_px=(64, 64)), psf)
+    image = stokes.decode_stokes(frame, psf)
+    assert np.isnan(image.depth_m).mean() > 0.9
+
+
+def test_more_than_full_polarisation_is_refused() -> None:
+    with pytest.raises(ValidationError, match="longer than 1"):
+        SceneObject(depth_m=1.0, stokes=(0.8, 0.8, 0.0))
