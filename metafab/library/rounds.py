@@ -1,10 +1,10 @@
 """Rounds of solving: few sizes, models of the rest, and on until every size is known well enough.
 
-Each round fits two rational models of unlike degrees to all sizes solved so far, and solves two kinds of new
-sizes: those where the two disagree most (the ridges of guided modes), and the next ones of an even sequence.
-Both kinds are predicted before they are solved, so every round is also a held-out test; its misses scale the
-disagreement up to an error estimate. It ends when that estimate, at every size that was not solved, and the
-misses are within the tolerance, at the latest when the grid is exhausted; ``between`` then looks between the sizes.
+Each round fits two rational models of unlike degrees to all sizes solved so far while the workers solve the next ones
+of an even sequence, which those models could not know: a held-out test, whose misses scale the disagreement of the two
+up to an error estimate. Where that is above the tolerance, on the ridges of guided modes, the worst sizes are solved
+next, and they test the models as well. It ends when the estimate, at every size that was not solved, and the misses are
+within the tolerance, at the latest when the grid is exhausted; ``between`` then looks between the sizes.
 Decisions are taken between rounds only: any number of workers decides alike.
 """
 
