@@ -213,10 +213,7 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     check(cell)
     check_numerics(numerics)
     if cell.is_staggered:
-        raise InputError.single(
-            "cell", "lattice", "rectangular, which the solvers treat", "hexagonal",
-            "solve the library elsewhere and give the design its .h5: layout, mask, rules and PSFs take either lattice",
-        )  # fmt: skip
+        _check_staggered(cell, numerics)
     if numerics.solver == "meep":
         if cell.under or cell.over:
             raise InputError.single("cell", "under, over", "empty for meep", "layers", "solve with rcwa")
@@ -230,6 +227,24 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
 
         return meep.solve(cell, numerics)
     return rcwa.solve(cell, numerics)
+
+
+def _check_staggered(cell: PillarCell, numerics: CellNumerics) -> None:
+    """What is not treated of a hexagonal lattice."""
+    untreated = {
+        "solver": numerics.solver != "rcwa",
+        "angle_deg": cell.angle_deg != 0.0,
+        "under, over": bool(cell.under or cell.over),
+        "sidewall_angle_deg": cell.is_sloped,
+        "n_substrate_z": cell.is_birefringent,
+    }
+    faults = [
+        Fault(name, "rcwa, upright pillars without layers and light along z on a hexagonal lattice", "another")
+        for name, found in untreated.items()
+        if found
+    ]
+    if faults:
+        raise InputError("cell", faults)
 
 
 def solve_many(

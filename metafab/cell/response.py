@@ -61,7 +61,7 @@ class PillarCell:
             90 downwards; rcwa only.
         sizes_at: where on the pillar its width and length are those stated.
         is_staggered: whether every other row of pillars stands half a period aside (a hexagonal lattice); the period
-            along y is then the distance of rows. No solver treats it yet.
+            along y is then the distance of rows. By rcwa, of upright pillars without layers, with light along z.
     """
 
     period_nm: tuple[float, float]

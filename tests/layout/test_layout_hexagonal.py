@@ -15,7 +15,6 @@ from shapely import STRtree
 from shapely.geometry import box
 
 from metafab import drc, layout, mask
-from metafab.cell import CellNumerics, pillar_cell, solve
 from metafab.core.errors import InputError
 from metafab.layout import Aperture, Assignment, Lattice, field_sites, lattice_of, smallest_gap, tile_sites
 from metafab.layout.gaps import smallest_gap_vectorised
@@ -239,10 +238,3 @@ def test_planted_faults_are_found(mapped: Assignment, design: Design, tmp_path: 
     found = {rule: count for rule, count in drc.check(path, design).violations.items() if count}
     assert found == {"min_gap": 1, "missing": 2, "lattice_site": 1}
     assert drc.check(path, design, engine="rectangles").violations["min_gap"] >= 1
-
-
-def test_no_solver_takes_the_cell_for_a_rectangular_one(design: Design) -> None:
-    cell = pillar_cell(design.unit_cell, 150.0, 150.0)
-    for solver in ("rcwa", "meep"):
-        with pytest.raises(InputError, match="hexagonal"):
-            solve(cell, CellNumerics(solver=solver))  # type: ignore[arg-type]

@@ -6,6 +6,7 @@ From one axis to the answer:
 - ``basis``          one axis in a truncated basis: wave numbers and overlaps with the pillar; parity
 - ``transverse``     coefficients of a symmetry class, paired and turned to TM and TE
 - ``factorisation``  Maxwell's equations of the layer as two matrices, by Li's rules
+- ``staggered``      the same for a hexagonal lattice
 - ``eigenmodes``     modes of the layer, plane waves of the half spaces
 - ``birefringence``  plane waves of a birefringent half space
 - ``doubling``       one incident wave through the layer by doubling thickness: the fast way, tested as it goes

@@ -107,12 +107,15 @@ def propagating_orders(cell: PillarCell, index: tuple[complex, complex]) -> tupl
     """Orders (m, n) that propagate in a half space of ``index``, as x and y polarised light see it; by n, then m."""
     reach = max(complex(n).real for n in index) / cell.wavelength_nm
     start = np.array(in_plane_per_nm(cell)) / (2.0 * math.pi)
-    most = [math.ceil((reach + abs(at)) * period) for at, period in zip(start, cell.period_nm, strict=True)]
+    # The centred cell of a hexagonal lattice is two rows long, and every other of its orders is dark.
+    every = 2 if cell.is_staggered else 1
+    length_x, length_y = cell.period_nm[0], every * cell.period_nm[1]
+    most = [math.ceil((reach + abs(at)) * length) for at, length in zip(start, (length_x, length_y), strict=True)]
     return tuple(
         (m, n)
         for n in range(-most[1], most[1] + 1)
         for m in range(-most[0], most[0] + 1)
-        if math.hypot(start[0] + m / cell.period_nm[0], start[1] + n / cell.period_nm[1]) < reach
+        if (m + n) % every == 0 and math.hypot(start[0] + m / length_x, start[1] + n / length_y) < reach
     )
 
 

@@ -36,13 +36,13 @@ def layer_matrices(
     """
     u, v = basis.u, basis.v
     n_u = u.label_a.size * v.label_a.size
-    contrast_u, contrast_v = (_inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
+    contrast_u, contrast_v = (inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
     _diagonal(contrast_u)[:] -= eps_around
     _diagonal(contrast_v)[:] -= eps_around
     # In (TM, TE) E_z drives TM waves only and H_z TE waves only, each the one of its own wave vector.
     q = np.zeros((basis.size, basis.size), dtype=contrast_u.dtype)
-    q[:n_u, :n_u] = _kron(contrast_u, v.a)
-    q[n_u:, n_u:] = _kron(u.b, contrast_v)
+    q[:n_u, :n_u] = kron(contrast_u, v.a)
+    q[n_u:, n_u:] = kron(u.b, contrast_v)
     q = basis.turn(q)
     _diagonal(q)[:] += eps_around - np.where(basis.is_tm, 0.0, basis.k_squared / k0_per_nm**2)
     eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
@@ -81,15 +81,15 @@ def layer_tangents(
     d_u, d_v = d_u or _unchanged(u), d_v or _unchanged(v)
     n_u = u.label_a.size * v.label_a.size
     step = eps_pillar - eps_around
-    rule_u, rule_v = (_inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
+    rule_u, rule_v = (inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
     # eps_u = rule(u) (x) v + eps_around (1 (x) (1 - v)), and the same with u and v exchanged for eps_v.
     d_inverse = -d_eps_pillar / eps_pillar**2
-    d_eps_u = _kron(_inverse_rule_tangent(rule_u, d_u.a, eps_pillar, eps_around, d_inverse * u.a), v.a)
-    d_eps_u = d_eps_u + _kron(rule_u - eps_around * np.eye(len(u.a)), d_v.a)
-    d_eps_v = _kron(u.b, _inverse_rule_tangent(rule_v, d_v.b, eps_pillar, eps_around, d_inverse * v.b))
-    d_eps_v = d_eps_v + _kron(d_u.b, rule_v - eps_around * np.eye(len(v.b)))
+    d_eps_u = kron(_inverse_rule_tangent(rule_u, d_u.a, eps_pillar, eps_around, d_inverse * u.a), v.a)
+    d_eps_u = d_eps_u + kron(rule_u - eps_around * np.eye(len(u.a)), d_v.a)
+    d_eps_v = kron(u.b, _inverse_rule_tangent(rule_v, d_v.b, eps_pillar, eps_around, d_inverse * v.b))
+    d_eps_v = d_eps_v + kron(d_u.b, rule_v - eps_around * np.eye(len(v.b)))
     eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
-    d_eps_z = step * (_kron(d_u.b, v.a) + _kron(u.b, d_v.a)) + d_eps_pillar * _kron(u.b, v.a)
+    d_eps_z = step * (kron(d_u.b, v.a) + kron(u.b, d_v.a)) + d_eps_pillar * kron(u.b, v.a)
     d_eta_z = -eta_z @ d_eps_z @ eta_z
 
     from_e_z, from_h_z = _longitudinal(u, v, k0_per_nm)
@@ -106,8 +106,8 @@ def layer_tangents(
 def _longitudinal(u: AxisParity, v: AxisParity, k0_per_nm: float) -> tuple[FloatArray, FloatArray]:
     """B and C: what E_z and H_z contribute to the transverse equations."""
     k_u, k_v = _wavenumber(u) / k0_per_nm, _wavenumber(v) / k0_per_nm
-    from_e_z = np.concatenate([_kron(k_u, np.eye(len(v.a))), _kron(np.eye(len(u.b)), k_v.T)])
-    from_h_z = np.concatenate([_kron(np.eye(len(u.a)), k_v), -_kron(k_u.T, np.eye(len(v.b)))])
+    from_e_z = np.concatenate([kron(k_u, np.eye(len(v.a))), kron(np.eye(len(u.b)), k_v.T)])
+    from_h_z = np.concatenate([kron(np.eye(len(u.a)), k_v), -kron(k_u.T, np.eye(len(v.b)))])
     return from_e_z, from_h_z
 
 
@@ -121,7 +121,8 @@ def _inverse_rule_tangent(
     return np.asarray(-rule @ (d_overlap * (1.0 / eps_pillar - 1.0 / eps_around) + also) @ rule)
 
 
-def _inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+def inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+    """Permittivity along an axis that the field is normal to walls on, from the pillar's indicator."""
     mixed = overlap * (1.0 / eps_pillar - 1.0 / eps_around)
     _diagonal(mixed)[:] += 1.0 / eps_around
     return np.linalg.inv(mixed)
@@ -147,6 +148,7 @@ def _wavenumber(axis: AxisParity) -> FloatArray:
     return np.asarray(np.where(same, axis.wavenumber[axis.label_b], 0.0))
 
 
-def _kron(u: Matrix, v: Matrix) -> Matrix:
+def kron(u: Matrix, v: Matrix) -> Matrix:
+    """Kronecker product of two matrices."""
     product = u[:, None, :, None] * v[None, :, None, :]
     return np.asarray(product.reshape(u.shape[0] * v.shape[0], u.shape[1] * v.shape[1]))

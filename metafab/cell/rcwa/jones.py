@@ -28,6 +28,7 @@ from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, pl
 from metafab.cell.rcwa.factorisation import largest_eigenvalue, layer_matrices
 from metafab.cell.rcwa.outlines import outline_bases
 from metafab.cell.rcwa.stack import StackLayer, through_stack
+from metafab.cell.rcwa.staggered import staggered_matrices
 from metafab.cell.rcwa.transverse import TransverseBasis, transverse_basis
 from metafab.cell.response import PillarCell, Slice
 from metafab.core.conventions import ComplexArray, FloatArray, Side
@@ -214,6 +215,9 @@ def symmetry_classes(
 ) -> Iterator[SymmetryClass]:
     """The symmetry classes that incident light of either polarisation excites."""
     layers = layers_of(cell, steps)
+    if cell.is_staggered:
+        yield from _staggered_classes(cell, layers, orders, formulation)
+        return
     sizes = [(each.width_nm or 0.0, each.length_nm or 0.0) for each in layers]
     # A sloped pillar's ends, whatever the steps, so that more of them change the steps and not the coordinates.
     ends = [cell.sizes_nm(0.0), cell.sizes_nm(1.0)] if cell.is_sloped else []
@@ -233,6 +237,22 @@ def symmetry_classes(
     for u in zip(*(_families(each, k_x) for each in x), strict=True):
         for v in zip(*(_families(each, k_y) for each in y), strict=True):
             yield SymmetryClass(_over_outlines(u, v), layers, cell.n_in[0], cell.n_out[0])
+
+
+def _staggered_classes(
+    cell: PillarCell, layers: tuple[Slice, ...], orders: Orders, formulation: Formulation
+) -> Iterator[SymmetryClass]:
+    """Of a hexagonal lattice: outlines of the pillar, and of the gap at its ends, in the centred cell of two rows."""
+    lengths = cell.period_nm[0], 2.0 * cell.period_nm[1]
+    x, y = (
+        outline_bases(length, (size, length - size), count, formulation)
+        for length, size, count in zip(
+            lengths, (cell.width_nm, cell.length_nm), (orders[0], 2 * orders[1]), strict=True
+        )
+    )
+    for i, even_first in enumerate((True, False)):
+        both = ([symmetric_axis(each, even_first=even_first) for each in axis] for axis in (x, y))
+        yield SymmetryClass(_over_outlines(*both), layers, cell.n_in[i], cell.n_out[i])
 
 
 def in_plane_per_nm(cell: PillarCell) -> tuple[float, float]:
@@ -299,9 +319,10 @@ def _outside(cell: PillarCell, case: SymmetryClass) -> Outside:
 def matrices(cell: PillarCell, case: SymmetryClass, index: int = 0) -> tuple[Matrix, Matrix]:
     """P and Q of one layer of a class, in (TM, TE)."""
     layer = case.layers[index]
-    return layer_matrices(
-        case.bases[index], _k0_per_nm(cell), permittivity(layer.n_inside), permittivity(layer.n_around)
-    )
+    media = permittivity(layer.n_inside), permittivity(layer.n_around)
+    if cell.is_staggered:
+        return staggered_matrices(*case.bases, _k0_per_nm(cell), *media)
+    return layer_matrices(case.bases[index], _k0_per_nm(cell), *media)
 
 
 def _thickness_k0(cell: PillarCell, case: SymmetryClass, index: int) -> float:
@@ -325,7 +346,7 @@ def one_thread() -> AbstractContextManager[Any]:
 def polarisations_swap(cell: PillarCell) -> bool:
     """Whether x and y light see the same cell, turned by 90 degrees."""
     same_sizes = all(each.width_nm == each.length_nm for each in layers_of(cell))
-    same_sizes = same_sizes and cell.period_nm[0] == cell.period_nm[1]
+    same_sizes = same_sizes and cell.period_nm[0] == cell.period_nm[1] and not cell.is_staggered
     return same_sizes and cell.angle_deg == 0.0 and cell.n_substrate[0] == cell.n_substrate[1]
 
 
