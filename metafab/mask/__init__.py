@@ -1,7 +1,8 @@
 """PillarMap -> mask files, and back again from the file.
 
-- ``cells``         names and places of the cells
+- ``cells``         names and places of the cells, and what is stamped on their sites
 - ``copies``        several lenses on a chip
+- ``inverse``       the field around the pillars, as rectangles
 - ``varints``       OASIS integers
 - ``writer``        what both formats share
 - ``oasis_records`` a tile of pillars -> OASIS rectangles, deflated

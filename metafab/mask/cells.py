@@ -5,6 +5,9 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from metafab.layout.pillars import Lattice, PillarTile
 
 _LONGEST_NAME = 32  # what every GDSII reader takes
@@ -27,13 +30,41 @@ class TileCell:
     first_y_dbu: int
 
 
-def tile_cell(lattice: Lattice, tile: PillarTile, dose_class: int = 0, bias_dbu: int = 0) -> TileCell:
-    """Name and place, in its lens, of the cell of the pillars of ``tile`` in one dose class, drawn with one bias."""
+@dataclass(frozen=True)
+class Stamp:
+    """The rectangle that is drawn at a site, by its size index.
+
+    Attributes:
+        size_dbu: shape (n_sizes + 1, 2), width and length; row 0 is never drawn.
+        corner_dbu: shape (n_sizes + 1, 2), its lower left corner from the centre of the site.
+        layer: layer; likewise ``datatype``.
+        bias_dbu: of the copy of the lens that it belongs to.
+        tag: tells the cells of several stamps of one tile apart.
+    """
+
+    size_dbu: NDArray[np.int64]
+    corner_dbu: NDArray[np.int64]
+    layer: int
+    datatype: int
+    bias_dbu: int = 0
+    tag: str = ""
+
+
+def pillar_stamp(
+    size_dbu: NDArray[np.int32], layer: int, datatype: int, dose_class: int = 0, bias_dbu: int = 0
+) -> Stamp:
+    """Centred pillars of one dose class, drawn with one bias."""
+    drawn = size_dbu.astype(np.int64) + bias_dbu
+    tag = f"_D{dose_class:02d}" if dose_class else ""
+    return Stamp(drawn, -(drawn // 2), layer, datatype + dose_class, bias_dbu, tag)
+
+
+def tile_cell(lattice: Lattice, tile: PillarTile, stamp: Stamp) -> TileCell:
+    """Name and place, in its lens, of the cell of what is stamped on the sites of ``tile``."""
     (p_x, p_y), (n_y, n_x) = lattice.period_dbu, lattice.shape
     centre_x = (2 * tile.column - (n_x - 1)) * p_x // 2
     centre_y = (2 * tile.row - (n_y - 1)) * p_y // 2
-    name = f"TILE_R{tile.row:06d}_C{tile.column:06d}" + (f"_D{dose_class:02d}" if dose_class else "")
-    name += _bias_tag(bias_dbu)
+    name = f"TILE_R{tile.row:06d}_C{tile.column:06d}{stamp.tag}{_bias_tag(stamp.bias_dbu)}"
     return TileCell(name, centre_x - p_x // 2, centre_y - p_y // 2, p_x // 2, p_y // 2)
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from metafab.core.errors import InputError
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.layout.pillars import PillarTile
-from metafab.mask.cells import TileCell
+from metafab.mask.cells import Stamp, TileCell
 from metafab.mask.hierarchy import IntArray
 from metafab.mask.writer import EncodedTile, MaskWriter
 
@@ -33,8 +33,8 @@ class GdsiiWriter(MaskWriter):
         lattice = drawing.lattice
         reach = max(n * p for n, p in zip(lattice.shape[::-1], lattice.period_dbu, strict=True)) // 2 + 1
         reach += max((max(abs(copy.x_dbu), abs(copy.y_dbu)) for copy in drawing.copies), default=0)
-        if reach >= 2**31 or max(drawing.layer, drawing.datatype) >= 2**15:
-            raise self._beyond(reach, f"{drawing.layer}/{drawing.datatype}")
+        if reach >= 2**31:
+            raise self._beyond(reach, "any")
         # Memory that the system has handed out once is written to again: fresh pages cost as much time as the file.
         self._spare: list[NDArray[np.int32]] = []
         unit_m = lattice.database_unit_nm * 1e-9
@@ -55,16 +55,18 @@ class GdsiiWriter(MaskWriter):
             "write 'oas', which has no such limits",
         )
 
-    def _content(self, tile: PillarTile, cell: TileCell, dose_class: int, bias_dbu: int) -> NDArray[np.uint8]:
-        drawing = self._drawing
+    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
         fill = fill_boundaries if HAS_NUMBA else fill_boundaries_vectorised
+        if max(stamp.layer, stamp.datatype) >= 2**15:
+            raise self._beyond(0, f"{stamp.layer}/{stamp.datatype}")
         words = self._buffer(int(np.count_nonzero(tile.size_index)))
         fill(
             np.ascontiguousarray(tile.size_index),
-            drawing.size_dbu + np.int32(bias_dbu),
-            drawing.lattice.period_dbu,
+            stamp.size_dbu,
+            stamp.corner_dbu,
+            self._drawing.lattice.period_dbu,
             (cell.first_x_dbu, cell.first_y_dbu),
-            boundary_template(drawing.layer, drawing.datatype + dose_class),
+            boundary_template(stamp.layer, stamp.datatype),
             words,
         )
         return words.reshape(-1).view(np.uint8)
@@ -145,7 +147,8 @@ def boundary_template(layer: int, datatype: int) -> NDArray[np.int32]:
 
 def fill_boundaries(
     size_index: NDArray[np.uint16],
-    size_dbu: NDArray[np.int32],
+    size_dbu: NDArray[np.int64],
+    corner_dbu: NDArray[np.int64],
     period_dbu: tuple[int, int],
     first_dbu: tuple[int, int],
     template: NDArray[np.int32],
@@ -156,18 +159,20 @@ def fill_boundaries(
     Args:
         size_index: shape (n_y, n_x), as :attr:`PillarTile.size_index`.
         size_dbu: shape (n_sizes + 1, 2), width and length.
+        corner_dbu: shape (n_sizes + 1, 2), lower left corner from the centre of the site.
         period_dbu: (x, y) pitch.
         first_dbu: (x, y) of the first site.
         template: what :func:`boundary_template` returns.
         words: filled; shape (n_pillars, 16), words whose bytes are big-endian.
     """
-    _fill(size_index, size_dbu, *period_dbu, *first_dbu, template.byteswap(), words)
+    _fill(size_index, size_dbu, corner_dbu, *period_dbu, *first_dbu, template.byteswap(), words)
 
 
 @compiled
 def _fill(
     size_index: NDArray[np.uint16],
-    size_dbu: NDArray[np.int32],
+    size_dbu: NDArray[np.int64],
+    corner_dbu: NDArray[np.int64],
     period_x: int,
     period_y: int,
     first_x: int,
@@ -182,8 +187,8 @@ def _fill(
             if size == 0:
                 continue
             width, length = int(size_dbu[size, 0]), int(size_dbu[size, 1])
-            x_0 = first_x + column * period_x - width // 2
-            y_0 = first_y + row * period_y - length // 2
+            x_0 = first_x + column * period_x + corner_dbu[size, 0]
+            y_0 = first_y + row * period_y + corner_dbu[size, 1]
             x_1, y_1 = _swap(x_0 + width), _swap(y_0 + length)
             x_0, y_0 = _swap(x_0), _swap(y_0)
             out = words[pillar]
@@ -203,7 +208,8 @@ def _swap(value: int) -> int:
 
 def fill_boundaries_vectorised(
     size_index: NDArray[np.uint16],
-    size_dbu: NDArray[np.int32],
+    size_dbu: NDArray[np.int64],
+    corner_dbu: NDArray[np.int64],
     period_dbu: tuple[int, int],
     first_dbu: tuple[int, int],
     template: NDArray[np.int32],
@@ -211,10 +217,11 @@ def fill_boundaries_vectorised(
 ) -> None:
     """As :func:`fill_boundaries`, in NumPy alone."""
     row, column = np.nonzero(size_index)
-    width, length = size_dbu[size_index[row, column]].T
+    size = size_index[row, column]
+    width, length = size_dbu[size].T
     words[:] = template
-    left = first_dbu[0] + column * period_dbu[0] - width // 2
-    bottom = first_dbu[1] + row * period_dbu[1] - length // 2
+    left = first_dbu[0] + column * period_dbu[0] + corner_dbu[size, 0]
+    bottom = first_dbu[1] + row * period_dbu[1] + corner_dbu[size, 1]
     words[:, 5] = words[:, 11] = words[:, 13] = left
     words[:, 7] = words[:, 9] = left + width
     words[:, 6] = words[:, 8] = words[:, 14] = bottom

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.layout.pillars import Lattice, PillarTile
 from metafab.mask import varints
-from metafab.mask.cells import TileCell
+from metafab.mask.cells import Stamp, TileCell
 
 RECTANGLE = 20
 
@@ -59,11 +59,9 @@ def deflate(data: bytes) -> bytes:
     return packer.compress(data) + packer.flush()
 
 
-def best_scan(
-    tile: PillarTile, lattice: Lattice, size_dbu: NDArray[np.int64], cell: TileCell, layer_datatype: tuple[int, int]
-) -> Scan:
+def best_scan(tile: PillarTile, lattice: Lattice, stamp: Stamp, cell: TileCell) -> Scan:
     """The scan by which a share of the sizes, neighbours in the middle of the table, deflates best."""
-    count = len(size_dbu) - 1
+    count = len(stamp.size_dbu) - 1
     tried = max(1, count // _TRIED_SHARE)
     first = 1 + (count - tried) // 2
     index = tile.size_index
@@ -73,7 +71,7 @@ def best_scan(
 
     def length(scan: Scan) -> int:
         """Deflated bytes of the tried sizes."""
-        return len(deflate(rectangle_records(few, lattice, size_dbu, cell, layer_datatype, scan)))
+        return len(deflate(rectangle_records(few, lattice, stamp, cell, scan)))
 
     return min(SCANS, key=length)
 
@@ -81,19 +79,19 @@ def best_scan(
 def rectangle_records(
     tile: PillarTile,
     lattice: Lattice,
-    size_dbu: NDArray[np.int64],
+    stamp: Stamp,
     cell: TileCell,
-    layer_datatype: tuple[int, int],
     scan: Scan,
 ) -> bytes:
     """The RECTANGLE records of a tile, by size, positions relative to the record before; not yet deflated."""
     if not HAS_NUMBA:
-        return rectangle_records_vectorised(tile, lattice, size_dbu, cell, layer_datatype, scan)
-    row, column, end_of = _sorted_by_size(tile.size_index, len(size_dbu), scan.along_y, scan.strip_sites)
+        return rectangle_records_vectorised(tile, lattice, stamp, cell, scan)
+    row, column, end_of = _sorted_by_size(tile.size_index, len(stamp.size_dbu), scan.along_y, scan.strip_sites)
     # No displacement in a tile takes more than 12 bytes, no head of a record more than 64.
-    out = np.empty(12 * row.size + 64 * len(size_dbu), dtype=np.uint8)
+    out = np.empty(12 * row.size + 64 * len(stamp.size_dbu), dtype=np.uint8)
     first_dbu = (cell.first_x_dbu, cell.first_y_dbu)
-    end = _write_records(row, column, end_of, size_dbu, lattice.period_dbu, first_dbu, layer_datatype, out)
+    shape = (stamp.size_dbu, stamp.corner_dbu)
+    end = _write_records(row, column, end_of, *shape, lattice.period_dbu, first_dbu, (stamp.layer, stamp.datatype), out)
     return out[:end].tobytes()
 
 
@@ -103,6 +101,7 @@ def _write_records(
     column: NDArray[np.int32],
     end_of: NDArray[np.int64],
     size_dbu: NDArray[np.int64],
+    corner_dbu: NDArray[np.int64],
     period: tuple[int, int],
     first_dbu: tuple[int, int],
     layer_datatype: tuple[int, int],
@@ -118,8 +117,8 @@ def _write_records(
             continue
         count = behind - here
         width, length = size_dbu[size, 0], size_dbu[size, 1]
-        x = first_dbu[0] + column[here] * period[0] - width // 2
-        y = first_dbu[1] + row[here] * period[1] - length // 2
+        x = first_dbu[0] + column[here] * period[0] + corner_dbu[size, 0]
+        y = first_dbu[1] + row[here] * period[1] + corner_dbu[size, 1]
         info = (_REPETITION if count > 1 else 0) | (DATATYPE_LAYER if here == 0 else 0)
         info |= (W if width != modal[0] else 0) | (H if length != modal[1] else 0)
         info |= (X if x != modal[2] else 0) | (Y if y != modal[3] else 0)
@@ -155,30 +154,29 @@ def _write_records(
 def rectangle_records_vectorised(
     tile: PillarTile,
     lattice: Lattice,
-    size_dbu: NDArray[np.int64],
+    stamp: Stamp,
     cell: TileCell,
-    layer_datatype: tuple[int, int],
     scan: Scan,
 ) -> bytes:
     """As :func:`rectangle_records`, in NumPy alone: every byte is an unsigned integer, ids and flags included."""
     grid = math.gcd(*lattice.period_dbu)
     step_x, step_y = (period // grid for period in lattice.period_dbu)
-    row, column, end_of = sorted_by_size_vectorised(tile.size_index, len(size_dbu), scan)
+    row, column, end_of = sorted_by_size_vectorised(tile.size_index, len(stamp.size_dbu), scan)
     start_of = np.append(0, end_of[:-1])
     used = np.flatnonzero(end_of > start_of)
     first, count = start_of[used], (end_of - start_of)[used]
 
     # Each column of the head, and where it is given: layer and datatype once, lists only for two and more.
-    size = size_dbu[used]
+    size = stamp.size_dbu[used]
     corner = np.stack([column[first] * lattice.period_dbu[0], row[first] * lattice.period_dbu[1]], axis=1)
-    corner += np.array([cell.first_x_dbu, cell.first_y_dbu]) - size // 2
+    corner += np.array([cell.first_x_dbu, cell.first_y_dbu]) + stamp.corner_dbu[used]
     modal = np.concatenate([size, corner], axis=1)
     before = np.concatenate([[[-1, -1, 0, 0]], modal[:-1]])
     changed = modal != before
     opens, several = np.arange(used.size) == 0, count > 1
     info = changed @ np.array([W, H, X, Y]) + _REPETITION * several + DATATYPE_LAYER * opens
     steps = _zigzag((modal - before)[:, 2:])
-    constants = np.broadcast_to([RECTANGLE, *layer_datatype, _ARBITRARY_ON_GRID, grid], (used.size, 5))
+    constants = np.broadcast_to([RECTANGLE, stamp.layer, stamp.datatype, _ARBITRARY_ON_GRID, grid], (used.size, 5))
     head = np.column_stack(
         [constants[:, 0], info, constants[:, 1:3], size, steps, constants[:, 3], count - 2, constants[:, 4]]
     )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from metafab.layout.pillars import PillarTile
 from metafab.mask import varints
-from metafab.mask.cells import TileCell
+from metafab.mask.cells import Stamp, TileCell
 from metafab.mask.hierarchy import IntArray
 from metafab.mask.oasis_records import DATATYPE_LAYER, RECTANGLE, H, W, X, Y, best_scan, deflate, rectangle_records
 from metafab.mask.writer import MaskWriter
@@ -32,10 +32,8 @@ class OasisWriter(MaskWriter):
         per_um = 1e3 / self._drawing.lattice.database_unit_nm
         self._write(MAGIC + bytes([START]) + varints.string("1.0") + _real(per_um) + bytes(13))
 
-    def _content(self, tile: PillarTile, cell: TileCell, dose_class: int, bias_dbu: int) -> NDArray[np.uint8]:
-        drawing = self._drawing
-        size_dbu = drawing.size_dbu.astype(np.int64) + bias_dbu
-        drawn = (tile, drawing.lattice, size_dbu, cell, (drawing.layer, drawing.datatype + dose_class))
+    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
+        drawn = (tile, self._drawing.lattice, stamp, cell)
         records = rectangle_records(*drawn, best_scan(*drawn))
         packed = deflate(records)
         block = bytes([CBLOCK, 0]) + varints.unsigned(len(records)) + varints.unsigned(len(packed)) + packed

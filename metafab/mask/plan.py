@@ -10,6 +10,7 @@ from metafab.core.executor import default_workers
 from metafab.layout import Aperture
 from metafab.layout.assign import mapping_of
 from metafab.library import Library
+from metafab.mask.cells import pillar_stamp
 from metafab.mask.copies import biases_dbu, lens_copies
 from metafab.mask.gdsii_writer import BOUNDARY_WORDS
 from metafab.mask.write import WRITERS, drawing_of
@@ -53,11 +54,12 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
     # Copies of one bias share their cells; those of another are encoded again.
     share_encoded = share / len(biases_dbu(lens_copies(design)))
     sizes: dict[str, int] = {}
+    stamp = pillar_stamp(table.size_dbu, design.mask.layer, design.mask.datatype)
     for suffix in design.mask.formats:
-        writer = WRITERS[suffix](io.BytesIO(), drawing_of(aperture.lattice, table.size_dbu, design))
-        writer.encode(tiles[0][0])
+        writer = WRITERS[suffix](io.BytesIO(), drawing_of(aperture.lattice, design))
+        writer.encode(tiles[0][0], stamp)
         encoding = time.perf_counter()
-        encoded = sum(writer.encode(tile).content.size for tile, _ in tiles)
+        encoded = sum(writer.encode(tile, stamp).content.size for tile, _ in tiles)
         seconds[suffix] = (time.perf_counter() - encoding) / share_encoded / default_workers()
         sizes[suffix] = round(encoded / share_encoded)
     return {

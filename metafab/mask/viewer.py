@@ -35,6 +35,8 @@ def layer_properties(design: Design, beside: Sequence[Surroundings] = ()) -> str
     for datatype in range(first, last + 1):
         name = f"pillars of {design.name}" + (f", dose class {datatype - first}" if last > first else "")
         layers.append((name, f"{design.mask.layer}/{datatype}", _PILLARS))
+    if design.mask.tone == "inverted":
+        layers.append(("field around the pillars", f"{design.mask.field_layer}/0", _BESIDE))
     layers += [(kind.name, f"{kind.layer}/0", _BESIDE) for kind in beside]
     entries = "".join(
         _PROPERTIES.format(name=escape(name), source=source, frame=frame, fill=fill)

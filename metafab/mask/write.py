@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from metafab import __version__
 from metafab.core.errors import InputError
@@ -20,15 +19,16 @@ from metafab.core.files import fingerprint, whole_file, write_json
 from metafab.core.progress import Progress, silent
 from metafab.layout import Lattice, PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.geometry import whole_dbu
-from metafab.mask.cells import top_name
+from metafab.mask.cells import Stamp, pillar_stamp, top_name
 from metafab.mask.copies import biases_dbu, lens_copies
 from metafab.mask.dose import DoseClasses
 from metafab.mask.exposure import write_time
 from metafab.mask.gdsii_writer import GdsiiWriter
+from metafab.mask.inverse import InvertedField
 from metafab.mask.oasis_writer import OasisWriter
 from metafab.mask.surroundings import Surroundings, surroundings
 from metafab.mask.viewer import layer_properties
-from metafab.mask.writer import Drawing, MaskWriter
+from metafab.mask.writer import Drawing, EncodedTile, MaskWriter
 from metafab.spec import Design
 
 WRITERS: dict[str, type[MaskWriter]] = {"gds": GdsiiWriter, "oas": OasisWriter}
@@ -78,6 +78,7 @@ def write(
     biases = biases_dbu(lens_copies(design))
     beside = surroundings(design)
     classes = DoseClasses(drawn, design.mask.dose)
+    inverted = InvertedField(drawn, design.mask.field_layer, biases) if design.mask.tone == "inverted" else None
     figures = _Figures(drawn, design)
     files = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     with ExitStack() as stack:
@@ -85,23 +86,35 @@ def write(
         for suffix, path in files.items():
             part = stack.enter_context(whole_file(path))
             stream = stack.enter_context(part.open("wb", buffering=_BUFFER_BYTES))
-            writers.append(WRITERS[suffix](stream, drawing_of(drawn.lattice, drawn.size_dbu, design)))
+            writers.append(WRITERS[suffix](stream, drawing_of(drawn.lattice, design)))
         threads = stack.enter_context(ThreadPoolExecutor(default_workers()))
+        seen: set[tuple[int, int]] = set()
 
-        def encode(tile: PillarTile) -> tuple[PillarTile, list[list[Any]]]:
-            """One tile, every dose class with every bias in every format."""
-            parts = [(part, number, bias) for number, part in classes.split(tile) for bias in biases]
-            return tile, [[writer.encode(*part) for writer in writers] for part in parts]
+        def stamped(tile: PillarTile) -> Iterator[tuple[PillarTile, Stamp]]:
+            """What is drawn on a tile's sites: the pillars of every dose class and the field, with every bias."""
+            for number, part in classes.split(tile):
+                for bias in biases:
+                    yield part, pillar_stamp(drawn.size_dbu, design.mask.layer, design.mask.datatype, number, bias)
+            if inverted is not None:
+                yield from inverted.of(tile)
+
+        def encode(tile: PillarTile) -> list[EncodedTile]:
+            """One tile in every format, one after the other."""
+            return [writer.encode(*part) for part in stamped(tile) for writer in writers]
 
         sites = drawn.lattice.shape[0] * drawn.lattice.shape[1]
-        for tile, parts in in_order(threads, encode, _filled(drawn), ahead=default_workers() + 1):
-            for encoded in parts:
-                for writer, cell in zip(writers, encoded, strict=True):
-                    writer.add(cell)
+        ahead = default_workers() + 1
+        for tile, cells in in_order(threads, lambda tile: (tile, encode(tile)), _filled(drawn), ahead=ahead):
+            seen.add((tile.row, tile.column))
+            for number, cell in enumerate(cells):
+                writers[number % len(writers)].add(cell)
             figures.add(tile)
             progress("mask", figures.sites, sites)
+        drawn_beside = [(kind.layer, kind.rectangles) for kind in beside]
+        if inverted is not None:
+            drawn_beside.append((design.mask.field_layer, inverted.without_pillars(seen, lens_copies(design))))
         for writer in writers:
-            writer.close((kind.layer, kind.rectangles) for kind in beside)
+            writer.close(drawn_beside)
         progress("mask", sites, sites)
     _write_text(directory / "layout.lyp", layer_properties(design, beside))
     written = {suffix: path.stat().st_size for suffix, path in files.items()}
@@ -111,10 +124,9 @@ def write(
     return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
 
 
-def drawing_of(lattice: Lattice, size_dbu: NDArray[np.int32], design: Design) -> Drawing:
-    """What the writers know of a design's mask; sizes as they are drawn."""
-    copies = lens_copies(design) if design.mask.copies else ()
-    return Drawing(lattice, size_dbu, top_name(design.name), design.mask.layer, design.mask.datatype, copies)
+def drawing_of(lattice: Lattice, design: Design) -> Drawing:
+    """What the writers know of a design's mask."""
+    return Drawing(lattice, top_name(design.name), lens_copies(design) if design.mask.copies else ())
 
 
 class _Figures:
@@ -170,7 +182,7 @@ class _Figures:
             ]
         if mask.exposure is not None:
             exposed_um2 = sum(areas_um2)
-            if mask.tone == "positive":
+            if mask.tone != "negative":
                 sites_um2 = math.prod(lattice.shape) * math.prod(lattice.period_dbu) * unit_um**2
                 exposed_um2 = len(copies) * sites_um2 - exposed_um2
             shapes, fields = len(copies) * pillars, len(copies) * int(np.count_nonzero(self._shapes_in))
@@ -227,6 +239,7 @@ def _check_grid(pillars: PillarMap, design: Design) -> None:
 
 _TONES = {
     "negative": "what is drawn is exposed and stays (negative resist): pillars",
+    "inverted": "what is drawn on the field layer is exposed and goes (positive resist): all but the pillars",
     "positive": "what is exposed goes (positive resist): expose the write field NOT the pillars",
 }
 

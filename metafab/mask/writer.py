@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.layout.pillars import Lattice, PillarTile
-from metafab.mask.cells import TileCell, lens_name, tile_cell
+from metafab.mask.cells import Stamp, TileCell, lens_name, tile_cell
 from metafab.mask.copies import LensCopy, biases_dbu
 from metafab.mask.hierarchy import IntArray
 
@@ -22,27 +22,21 @@ class Drawing:
 
     Attributes:
         lattice: lattice of the tiles.
-        size_dbu: shape (n_sizes + 1, 2), as :attr:`PillarMap.size_dbu`, as drawn.
         top: name of the top cell.
-        layer: layer of the pillars.
-        datatype: datatype of the pillars of dose class 0; those of others follow.
         copies: lenses to place where there are several; without any, the top cell is the lens.
     """
 
     lattice: Lattice
-    size_dbu: NDArray[np.int32]
     top: str
-    layer: int
-    datatype: int
     copies: tuple[LensCopy, ...] = ()
 
 
 @dataclass(frozen=True)
 class EncodedTile:
-    """The pillars of a tile in one dose class, drawn with one bias, in a format's bytes.
+    """What is stamped on the sites of a tile, in a format's bytes.
 
     Attributes:
-        bias_dbu: added to widths and lengths.
+        bias_dbu: of the copy of the lens that it belongs to.
         cell: their cell.
         content: its elements, shape (n,).
     """
@@ -69,10 +63,10 @@ class MaskWriter(ABC):
         self._placed: dict[int, list[TileCell]] = {bias: [] for bias in biases_dbu(drawing.copies) or (0,)}
         self._begin_file()
 
-    def encode(self, tile: PillarTile, dose_class: int = 0, bias_dbu: int = 0) -> EncodedTile:
-        """The pillars of ``tile`` as :meth:`add` takes them. Safe to call from several threads."""
-        cell = tile_cell(self._drawing.lattice, tile, dose_class, bias_dbu)
-        return EncodedTile(bias_dbu, cell, self._content(tile, cell, dose_class, bias_dbu))
+    def encode(self, tile: PillarTile, stamp: Stamp) -> EncodedTile:
+        """``stamp`` on the sites of ``tile`` as :meth:`add` takes it. Safe to call from several threads."""
+        cell = tile_cell(self._drawing.lattice, tile, stamp)
+        return EncodedTile(stamp.bias_dbu, cell, self._content(tile, cell, stamp))
 
     def add(self, tile: EncodedTile) -> None:
         """Append the cell of a tile. Its memory may be used again: it must not be read afterwards."""
@@ -111,7 +105,7 @@ class MaskWriter(ABC):
         self._stream.write(data)
 
     @abstractmethod
-    def _content(self, tile: PillarTile, cell: TileCell, dose_class: int, bias_dbu: int) -> NDArray[np.uint8]:
+    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
         """The elements of the cell of a tile."""
 
     @abstractmethod

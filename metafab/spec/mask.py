@@ -79,7 +79,8 @@ class Mask:
 
     ``bias_nm`` is added to the width and length of every drawn pillar (etch compensation); pillars stand without it,
     while the gap and feature rules hold for what is drawn. ``tone`` "negative" exposes what stays; "positive" adds
-    the write field on ``field_layer``, and the shop exposes field NOT pillars.
+    the write field on ``field_layer``, and the shop exposes field NOT pillars; "inverted" draws that very difference on
+    ``field_layer`` in rectangles, five times as many shapes.
     """
 
     formats: tuple[Literal["gds", "oas"], ...] = ("gds", "oas")
@@ -88,7 +89,7 @@ class Mask:
     database_unit_nm: Positive = 0.5
     write_field_um: Positive = 499.8
     bias_nm: Real = 0.0
-    tone: Literal["negative", "positive"] = "negative"
+    tone: Literal["negative", "positive", "inverted"] = "negative"
     field_layer: Index = 2
     dose: Annotated[Dose | None, Field(description="omitted: one dose")] = None
     chip: Annotated[Chip | None, Field(description="omitted: the lens alone")] = None
@@ -114,7 +115,7 @@ class Mask:
 
     @model_validator(mode="after")
     def _layers(self) -> Mask:
-        used = [self.layer, *((self.field_layer,) if self.tone == "positive" else ())]
+        used = [self.layer, *((self.field_layer,) if self.tone != "negative" else ())]
         used += self.chip.layers if self.chip is not None else ()
         if len(set(used)) != len(used):
             raise ValueError(f"pillars, field, marks, frame, text and street need layers of their own, got {used}")

@@ -12,11 +12,12 @@ import pytest
 
 from metafab import drc, layout, mask
 from metafab.core.errors import InputError
-from metafab.layout import Assignment
+from metafab.layout import Assignment, PillarMap
 from metafab.library import Library
 from metafab.mask.surroundings import surroundings
 from metafab.phase.profile import PhaseProfile
 from metafab.spec import Chip, Design, Dose, Exposure, Mask
+from metafab.spec.mask import Copy
 from tests.layout.conftest import sizes_at_sites
 
 kdb = pytest.importorskip("klayout.db")
@@ -162,6 +163,38 @@ def test_chip_and_field_stand_beside_the_pillars(
     assert set(read_back.other_layers) == set(layers) - {"1/0"}
     for engine in ("lattice", "polygons"):
         assert drc.check(path, design, engine=engine, workers=1).clean
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_the_inverted_field_is_the_square_less_the_pillars(
+    suffix: str, tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    """By KLayout's boolean; the first tile holds no pillar at all, those at the rim not at every site."""
+    keep = tiny.pillars.to_array().copy()
+    keep[:34, :34] = 0
+    pillars = PillarMap.from_array(tiny.pillars.lattice, tiny.pillars.size_dbu, keep, 34)
+    copies = (Copy(at_um=(0.0, 0.0)), Copy(at_um=(50.0, 0.0), bias_nm=10.0))
+    for option in ({}, {"copies": copies}):
+        design = _with(tiny_design, tone="inverted", **option)
+        mask.write(pillars, tmp_path, design)
+        path = tmp_path / f"layout.{suffix}"
+        layers = _layers(path)
+        assert set(layers) == {"1/0", "2/0"}
+        half = 114 * 350
+        square = kdb.Region(kdb.Box(-half, -half, half, half))
+        squares = square + square.moved(100_000, 0) if option else square
+        assert ((squares - layers["1/0"]) ^ layers["2/0"]).is_empty()
+        assert layers["2/0"].merged(False, 2).is_empty()  # nothing is exposed twice
+        read_back = mask.read(path, design)
+        assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(pillars))
+        assert read_back.other_layers == {"2/0": layers["2/0"].count()}
+
+
+def test_pillars_beyond_their_cells_are_not_inverted(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
+    copies = (Copy(at_um=(0.0, 0.0)), Copy(at_um=(50.0, 0.0), bias_nm=200.0))
+    with pytest.raises(InputError, match="within their cells"):
+        mask.write(tiny.pillars, tmp_path, _with(tiny_design, tone="inverted", copies=copies))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_layer_file_names_what_is_drawn(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:

@@ -127,6 +127,21 @@ def _klayout_renamed_finer(source: Path, target: Path) -> None:
     layout.write(str(target), options)
 
 
+def _klayout_compressed(source: Path, target: Path) -> None:
+    """Flat, with KLayout's own search for repetitions and its CBLOCKs in OASIS; texts and paths beside."""
+    layout = kdb.Layout()
+    layout.read(str(source))
+    top = layout.top_cell()
+    top.shapes(layout.layer(63, 1)).insert(kdb.Text("lot 7", kdb.Trans(0, 0)))
+    top.shapes(layout.layer(64, 0)).insert(kdb.Path([kdb.Point(0, 0), kdb.Point(900, 0), kdb.Point(900, 900)], 40))
+    layout.flatten(top.cell_index(), -1, True)
+    options = kdb.SaveLayoutOptions()
+    options.set_format_from_filename(str(target))
+    options.oasis_compression_level = 10
+    options.oasis_write_cblocks = True
+    layout.write(str(target), options)
+
+
 def _gdstk_again(source: Path, target: Path) -> None:
     library = (gdstk.read_gds if source.suffix == ".gds" else gdstk.read_oas)(source)
     library.rename_cell(library.top_level()[0].name, "renamed")
@@ -157,7 +172,10 @@ def _gdstk_cell_a_size(source: Path, target: Path) -> None:
 
 @pytest.mark.parametrize("target", FORMATS)
 @pytest.mark.parametrize("source", FORMATS)
-@pytest.mark.parametrize("through", [_klayout_flat, _klayout_renamed_finer, _gdstk_again, _gdstk_cell_a_size])
+@pytest.mark.parametrize(
+    "through",
+    [_klayout_flat, _klayout_renamed_finer, _klayout_compressed, _gdstk_again, _gdstk_cell_a_size],
+)
 def test_read_back_after_other_software(
     through: Callable[[Path, Path], None],
     source: str,
@@ -172,6 +190,8 @@ def test_read_back_after_other_software(
     read_back = mask.read(path, tiny_design)
     _assert_pure(read_back)
     assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(tiny.pillars))
+    beside = {"63/1 text": 1, "64/0": 1} if through is _klayout_compressed else {}
+    assert read_back.other_layers == beside
 
 
 def test_sizes_that_put_edges_off_the_grid_are_refused(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:

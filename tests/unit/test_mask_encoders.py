@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from metafab.layout import Lattice, PillarTile
-from metafab.mask.cells import tile_cell
+from metafab.mask.cells import Stamp, tile_cell
 from metafab.mask.gdsii_rectangles import rectangles_of, rectangles_vectorised
 from metafab.mask.gdsii_writer import boundary_template, fill_boundaries, fill_boundaries_vectorised
 from metafab.mask.oasis_records import (
@@ -26,6 +26,8 @@ from metafab.mask.oasis_records import (
 )
 
 SIZES = np.array([[0, 0], [20, 30], [50, 20], [20, 50], [52, 50], [700, 64]], dtype=np.int64)
+# Not centred: what is drawn may be any rectangle about a site.
+CORNERS = np.array([[0, 0], [-10, -15], [-25, -10], [-10, 40], [-26, -25], [-350, -32]], dtype=np.int64)
 TILES = arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.integers(0, 5))
 
 
@@ -36,8 +38,8 @@ TILES = arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=40), ele
     scan=st.builds(Scan, along_y=st.booleans(), strip_sites=st.integers(1, 50)),
 )
 def test_oasis_records(index: np.ndarray, row: int, periods: tuple[int, int], scan: Scan) -> None:
-    lattice, tile = Lattice(periods, (400, 400), 0.5), PillarTile(row, 17, index)
-    arguments = (tile, lattice, SIZES, tile_cell(lattice, tile), (1, 300), scan)
+    lattice, tile, stamp = Lattice(periods, (400, 400), 0.5), PillarTile(row, 17, index), Stamp(SIZES, CORNERS, 1, 300)
+    arguments = (tile, lattice, stamp, tile_cell(lattice, tile, stamp), scan)
     assert rectangle_records(*arguments) == rectangle_records_vectorised(*arguments)
 
 
@@ -46,8 +48,8 @@ def test_oasis_records(index: np.ndarray, row: int, periods: tuple[int, int], sc
 def test_oasis_records_of_tiles_wider_than_a_strip(shape: tuple[int, int], scan: Scan) -> None:
     """Every pillar must be listed once, the last strip being narrower."""
     index = np.random.default_rng(7).integers(0, 6, shape).astype(np.uint16)
-    lattice, tile = Lattice((700, 600), (800, 800), 0.5), PillarTile(3, 17, index)
-    arguments = (tile, lattice, SIZES, tile_cell(lattice, tile), (1, 0), scan)
+    lattice, tile, stamp = Lattice((700, 600), (800, 800), 0.5), PillarTile(3, 17, index), Stamp(SIZES, CORNERS, 1, 0)
+    arguments = (tile, lattice, stamp, tile_cell(lattice, tile, stamp), scan)
     assert rectangle_records(*arguments) == rectangle_records_vectorised(*arguments)
     row, column, end_of = sorted_by_size_vectorised(index, len(SIZES), scan)
     assert np.array_equal(np.diff(end_of), np.bincount(index.ravel())[1:])
@@ -62,18 +64,16 @@ def test_the_better_scan_is_found_from_few_sizes(centre: tuple[int, int]) -> Non
     row, column = (np.arange(-238, 238) + at for at in centre)
     lens = -7.7e-6 * (column[None, :] ** 2 + row[:, None] ** 2)
     width, length = (np.floor((lens + turn * column) % 1.0 * 40).astype(np.int64) for turn in (0.061, -0.061))
-    lattice, tile = (
-        Lattice((700, 700), (5714, 5714), 0.5),
-        PillarTile(0, 0, (1 + 40 * width + length).astype(np.uint16)),
-    )
-    arguments = (tile, lattice, sizes, tile_cell(lattice, tile), (1, 0))
+    lattice, stamp = Lattice((700, 700), (5714, 5714), 0.5), Stamp(sizes, -(sizes // 2), 1, 0)
+    tile = PillarTile(0, 0, (1 + 40 * width + length).astype(np.uint16))
+    arguments = (tile, lattice, stamp, tile_cell(lattice, tile, stamp))
     lengths = {scan: len(deflate(rectangle_records(*arguments, scan))) for scan in SCANS}
     assert lengths[best_scan(*arguments)] < 1.06 * min(lengths.values())
 
 
 @given(index=TILES, layer=st.integers(0, 255))
 def test_gdsii_boundaries(index: np.ndarray, layer: int) -> None:
-    arguments = (index, SIZES.astype(np.int32), (700, 600), (-350, 90_000_000), boundary_template(layer, 0))
+    arguments = (index, SIZES, CORNERS, (700, 600), (-350, 90_000_000), boundary_template(layer, 0))
     compiled, vectorised = (np.empty((np.count_nonzero(index), 16), dtype=np.int32) for _ in range(2))
     fill_boundaries(*arguments, compiled)
     fill_boundaries_vectorised(*arguments, vectorised)
@@ -82,9 +82,9 @@ def test_gdsii_boundaries(index: np.ndarray, layer: int) -> None:
     rectangles, is_rectangle = rectangles_of(elements, 20)
     assert is_rectangle.all()
     rows, columns = np.nonzero(index)
-    size = SIZES[index[rows, columns]]
+    size = index[rows, columns]
     centre = np.stack([-350 + 700 * columns, 90_000_000 + 600 * rows], axis=1)
-    assert np.array_equal(rectangles, np.concatenate([centre - size // 2, size], axis=1))
+    assert np.array_equal(rectangles, np.concatenate([centre + CORNERS[size], SIZES[size]], axis=1))
 
 
 @pytest.mark.parametrize("read", [rectangles_of, rectangles_vectorised])
