@@ -8,6 +8,8 @@
 - ``tiles``        a window cut into tiles with margins, and put together again
 - ``reduce``       every few pixels of an image, and back
 - ``filters``      what makes the twins equal at a candidate depth
+- ``mixing``       mixtures of a few filtered images, by place and candidate
+- ``pooling``      means over windows of many pictures at once
 - ``volume``       agreement of the twins over place and depth
 - ``depth``        depth of each pixel, with its error
 - ``segment``      segments, and the depth of each

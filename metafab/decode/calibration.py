@@ -54,6 +54,22 @@ class Calibration:
         weights = self.kernels.field_weights(self.grid.tangent_x[row, column], self.grid.tangent_y[row, column])
         return weights.reshape(tiling.n_tiles, -1).astype(np.float32)
 
+    def block_weights(self, shape: tuple[int, int], every: int, block: int) -> NDArray[np.float32]:
+        """Share of each field point in the middle of each block of pixels: shape (n_block_y, n_block_x, n_field).
+
+        Args:
+            shape: (n_y, n_x) of every ``every``-th pixel of the window.
+            every: step of those pixels.
+            block: side of a block of them.
+        """
+        row, column = (
+            self.grid.margin + np.minimum(every * (np.arange(-(-n // block)) * block + block // 2), most - 1)
+            for n, most in zip(shape, self.grid.shape, strict=True)
+        )
+        place = np.ix_(row, column)
+        weights = self.kernels.field_weights(self.grid.tangent_x[place], self.grid.tangent_y[place])
+        return weights.reshape(row.size, column.size, -1).astype(np.float32)
+
     @cached_property
     def stack(self) -> NDArray[np.float32]:
         """Kernels at all calibrated depths with y's stretched: (2, n_depth, n_field, n_y, n_x)."""

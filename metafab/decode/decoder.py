@@ -21,7 +21,7 @@ from metafab.decode.filters import CrossFilters
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
 from metafab.decode.levels import Levels
-from metafab.decode.reduce import enlarged, reduced, repeated, variance_left
+from metafab.decode.reduce import enlarged, repeated
 from metafab.decode.restore import Restorer
 from metafab.decode.twins import TwinGrid, Twins, extract
 from metafab.decode.volume import Volume
@@ -33,7 +33,7 @@ _CANDIDATES = 13
 _LAYER_SHARE = 1.0 / 24.0
 #: Side of the narrowest window that says a depth, and how far around a pixel light is let in.
 _WINDOW_PX = 28
-MARGIN_PX = 40
+MARGIN_PX = 36
 #: How far from an outline a window, through the pair's main parts, still sees it.
 _OUTLINE_REACH_PX = 40
 #: Share of the twins' power that they do not have in common, noise taken off, from which the calibration is doubted.
@@ -146,21 +146,21 @@ class Decoder:
         twins = extract(frame, self.calibration.grid)
         if twins.bad.all():
             return "all pixels are saturated or invalid"
-        every, margin = self.filters.every, self.calibration.grid.margin // self.filters.every
-        small = np.stack([reduced(image, every) for image in twins.image])
+        reduction = self.filters.reduction
+        spectra = reduction.spectra(twins.image)
+        small = reduction.images(spectra)
         levels = Levels.of(small, frame.read_noise_e) if levels is None else levels
         if levels.signal <= 0.0:
             return "there is no light in the frame"
-        rows, columns = self.filters.tiling.shape
-        inner = small[:, margin : margin + rows, margin : margin + columns]
-        return Seen(twins, levels, small, inner, inner.sum(axis=0) > _floor(levels))
+        inner = small[:, *reduction.inner]
+        return Seen(twins, levels, spectra, small, inner, inner.sum(axis=0) > _floor(levels))
 
     def _pixels(self, seen: Seen, volume: Volume) -> PixelDepth:
-        window = round(_WINDOW_PX / self.filters.every) | 1
+        window = round(_WINDOW_PX / self.filters.reduction.every) | 1
         mean = np.stack([uniform_filter(image, window) for image in seen.inner])
         variance = np.maximum(mean, 0.0) + seen.levels.read_noise_e**2 + 1e-9 * seen.levels.noise_variance
         pixels = pixel_depth(volume, window, variance)
-        reach = _OUTLINE_REACH_PX // self.filters.every
+        reach = _OUTLINE_REACH_PX // self.filters.reduction.every
         # The outline of a uniform object has no texture either: what lies behind it would be mixed in.
         kept = segments.textured_parts(seen.lit, self._uneven(seen), reach)
         near = distance_transform_edt(~kept) <= window // 2 if kept.any() else kept
@@ -168,15 +168,15 @@ class Decoder:
 
     def _uneven(self, seen: Seen) -> NDArray[np.bool_]:
         """Where the brightness of either image varies over a window by more than its noise."""
-        window = round(_WINDOW_PX / self.filters.every) | 1
+        window = round(_WINDOW_PX / self.filters.reduction.every) | 1
         mean, square = (uniform_filter(part, (0, window, window)) for part in (seen.inner, seen.inner**2))
-        noise = variance_left(self.filters.every) * (np.maximum(mean, 0.0) + seen.levels.read_noise_e**2)
+        noise = self.filters.reduction.variance_left * (np.maximum(mean, 0.0) + seen.levels.read_noise_e**2)
         # The mean square of n nearly independent deviations is 1 +- sqrt(2 / n) of their variance.
         return np.asarray((square - mean**2 > noise * (1.0 + 6.0 * np.sqrt(2.0) / window)).any(axis=0))
 
     def _full_depth_m(self, pixels: PixelDepth) -> FloatArray:
         """Depth on the frame's pixels, NaN where none is claimed."""
-        shape, every = self.calibration.grid.shape, self.filters.every
+        shape, every = self.calibration.grid.shape, self.filters.reduction.every
         vergence = enlarged(pixels.vergence_per_m.astype(np.float32), every, shape)
         depth_m = 1.0 / np.maximum(vergence, 1e-12).astype(np.float64)
         depth_m[~repeated(pixels.claimed, every, shape)] = np.nan
@@ -191,7 +191,7 @@ class Decoder:
     ) -> Volume:
         """Agreement of the twins over depth; with ``last``, that is kept in tiles where nothing ``changed``."""
         where = seen.lit if last is None or changed is None else changed
-        return self.filters.volume(seen.small, seen.levels, where, progress, last)
+        return self.filters.volume(seen.spectra, seen.levels, where, progress, last)
 
     def finish(
         self,
@@ -206,7 +206,7 @@ class Decoder:
         """Depth, segments and sharp images; with ``last``, its brightness is kept where nothing ``changed``."""
         started = time.perf_counter() if started is None else started
         pixels = self._pixels(seen, volume)
-        every, shape = self.filters.every, self.calibration.grid.shape
+        every, shape = self.filters.reduction.every, self.calibration.grid.shape
         layers, found, small, near = self._segments(seen, volume, pixels)
         segment = repeated(near, every, shape)
         wide = segments.grown(small, float(sum(small.shape))) if found else np.ones_like(small)
@@ -238,7 +238,7 @@ class Decoder:
         mismatch = _mismatch(volume, seen, small, found)
         details: dict[str, float | str] = {
             "layers": float(layers),
-            "tiles": float(self.filters.tiling.n_tiles),
+            "basis_images": float(self.filters.basis.shape[0]),
             "step_px": float(every),
             "pixels": float(lit.size),
             "pixels_without_signal": float((~lit).sum()),
@@ -272,7 +272,7 @@ class Decoder:
         self, seen: Seen, volume: Volume, pixels: PixelDepth
     ) -> tuple[int, list[segments.SegmentDepth], NDArray[np.int32], NDArray[np.int32]]:
         """Number of layers, depth of each segment, the segments, and those grown over their outlines' pixels."""
-        every = self.filters.every
+        every = self.filters.reduction.every
         candidates = volume.vergences_per_m
         separation = float(candidates[-1] - candidates[0]) * _LAYER_SHARE
         layers = segments.depth_layers(pixels, separation)
@@ -285,7 +285,7 @@ class Decoder:
             uneven = self._uneven(seen)
             for number in range(1, int(parts.max(initial=0)) + 1):
                 mask = parts == number
-                depth = segments.segment_depth(volume, mask, every)
+                depth = segments.segment_depth(volume, segments.interior(parts, number, every))
                 textured = segments.textured(mask, uneven, _OUTLINE_REACH_PX // every)
                 if textured and depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0:
                     found.append(depth)
@@ -306,13 +306,15 @@ class Seen:
     Attributes:
         twins: both images.
         levels: their noise and texture.
-        small: every few pixels of them, with margin.
+        spectra: transforms of every few pixels of them.
+        small: those pixels, with margin.
         inner: the same without margin.
         lit: where there is light, shape of ``inner``.
     """
 
     twins: Twins
     levels: Levels
+    spectra: NDArray[np.complex64]
     small: NDArray[np.float32]
     inner: NDArray[np.float32]
     lit: NDArray[np.bool_]
@@ -326,7 +328,7 @@ def _row(
     images: NDArray[np.float32],
     every: int,
 ) -> dict[str, float]:
-    inner = repeated(segments.interior(small == number, every), every, segment.shape) & (segment == number)
+    inner = repeated(segments.interior(small, number, every), every, segment.shape) & (segment == number)
     return {
         "number": float(number),
         "pixels": float((segment == number).sum()),

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.decode.reduce import enlarged
+from metafab.decode.reduce import enlarged, repeated
 from metafab.decode.volume import Volume, correlation
 
 #: Correlation of the twins, in standard deviations of what pure noise gives, from which there is texture.
@@ -18,6 +18,8 @@ HALF_CONFIDENCE = 0.01
 _LARGEST_ERROR = 4.0 * HALF_CONFIDENCE
 #: Each window is twice as wide as the one before.
 _WINDOWS = 3
+#: Windows of so many pixels of the volume are looked at on every second one.
+_WIDE = 8
 #: A wider window is trusted while it stays within this many standard errors of the narrower one.
 _SAME_DEPTH = 1.5
 
@@ -46,13 +48,17 @@ def pixel_depth(volume: Volume, window: int, noise_variance: FloatArray) -> Pixe
         noise_variance: shape (2, n_y, n_x), variance of a pixel of the frame, of both images.
     """
     shape = volume.parts.shape[-2], volume.parts.shape[-1]
+    first = int(window >= _WIDE and min(shape) > 2 * window)
+    if first:  # windows this wide say the same at every second pixel
+        volume, window = volume.halved(), window // 2 | 1
     parts = volume.pooled(window)
     vergence, error, inside = _best(volume, correlation(parts), window)
-    noise = volume.noise_gain * np.sqrt(noise_variance[0] * noise_variance[1])
+    noise = volume.noise_gain * np.sqrt(noise_variance[0] * noise_variance[1])[:: 1 + first, :: 1 + first]
     significant = parts[0].max(axis=0) > _SIGNIFICANT * noise / np.sqrt(window**2 * volume.samples)
-    claimed = significant & inside & (error < _LARGEST_ERROR)
+    claimed = repeated(significant & inside & (error < _LARGEST_ERROR), 1 + first, shape)
+    vergence, error = (enlarged(values, 1 + first, shape) for values in (vergence, error))
     agreed = claimed
-    for level in range(1, _WINDOWS):
+    for level in range(first + 1, first + _WINDOWS):
         if min(volume.parts.shape[-2:]) < 2 * window:
             break
         volume = volume.halved()

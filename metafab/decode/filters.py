@@ -3,6 +3,10 @@
 Of an unknown texture with transform F, the frame holds Y_x = F H_x(z) and Y_y = c F H_y(z). Passing each image
 through the *other's* transfer function gives F H_x H_y in both where z is right, and different pictures where it is
 not. Divided by sqrt(|H_x|^2 + |H_y|^2), the residual of this comparison in white noise is the likelihood itself.
+
+The filters change with depth and over the field, but all of them are mixtures of a few dozen: each image is passed
+through those once, and mixed at each pixel by the shares of its place and of each candidate depth. A point of the scene
+comes out where it stands, so that the place of the mixed pixel is the one whose pair it takes.
 """
 
 from __future__ import annotations
@@ -13,43 +17,50 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
+from scipy.interpolate import RectBivariateSpline
 
 from metafab.core.conventions import FloatArray
 from metafab.core.progress import Progress
 from metafab.decode.calibration import Calibration
 from metafab.decode.levels import LOWEST_FREQUENCY, Levels
-from metafab.decode.reduce import passband
-from metafab.decode.tiles import Tiling
+from metafab.decode.mixing import agreement, covered
+from metafab.decode.reduce import Reduction
 from metafab.decode.volume import Volume
 from metafab.phase.information import Texture, twin_information
 
-#: How much of itself (relative L2) the pair may change from the centre of a tile to its edge.
-_TILE_CHANGE = 0.05
-_SMALLEST_CORE_PX = 16
-#: A window larger than this is not worth one transform.
-_LARGEST_CORE_PX = 256
+#: What the mixtures of the basis may leave out of the filters (relative L2, weighted as the likelihood is).
+_BASIS_ERROR = 0.02
 #: Finer structure is left out where all of it knows less than this share of what is known about depth.
-_NEGLIGIBLE_SHARE = 0.35
+_NEGLIGIBLE_SHARE = 0.1
 #: (step, fewest pixels of a window that is worth it): small windows are cheap, and hold outlines above all.
-_STEPS = ((4, 200_000), (2, 0))
+_STEPS = ((4, 200_000), (3, 200_000), (2, 0))
+#: A normalised filter is longer than the pair: it is computed on windows larger by this factor.
+_ROOM = 2
+#: Share of the strongest frequency's power below which a frequency is not normalised: it is noise.
+_FAINTEST = 1e-4
+#: Side of the squares over which the pair is taken as one, pixels of the frame; all steps divide it.
+BLOCK_PX = 12
+_LARGEST_BASIS = 64
+#: Structure slower than this many times the lowest frequency varies with the light, and reaches far across outlines.
+_HIGH_PASS = 3.0
 
 
 @dataclass(frozen=True)
 class CrossFilters:
-    """Filters of both images at each candidate depth, on tiles of every ``every``-th pixel.
+    """Filters of both images at each candidate depth, on every ``every``-th pixel.
 
     Attributes:
-        every: step of the pixels that are compared.
-        tiling: tiles over those.
+        reduction: which pixels are compared.
         vergences_per_m: shape (n_candidates,), 1/depth, equally spaced.
-        bank: shape (n_candidates, 2, n_tiles, n_ky, n_kx), factors of the images' transforms.
+        basis: shape (n_basis, n_ky, n_kx), what each image is passed through.
+        shares: shape (2, n_block_y, n_block_x, n_basis, n_candidates), of the basis in the filter of each image.
         power: shape (n_ky, n_kx), mean of |H|^2 over depth and polarisation in the middle of the window.
     """
 
-    every: int
-    tiling: Tiling
+    reduction: Reduction
     vergences_per_m: FloatArray
-    bank: NDArray[np.complex64]
+    basis: NDArray[np.complex64]
+    shares: NDArray[np.float32]
     power: FloatArray
 
     @classmethod
@@ -57,34 +68,27 @@ class CrossFilters:
         """Filters of a calibration at candidate depths."""
         grid = calibration.grid
         every = coarsest_step(calibration)
-        shape = (-(-grid.shape[0] // every), -(-grid.shape[1] // every))
-        core = [min(max(px, _SMALLEST_CORE_PX), _LARGEST_CORE_PX) / every for px in calibration.core_px(_TILE_CHANGE)]
-        tiling = Tiling.over(shape, grid.margin // every, (core[0], core[1]))
-        ky, kx = _frequencies(tiling, every)
-        depths = calibration.depth_weights(vergences_per_m)
-        stack = calibration.stack
-        n_y, n_x = stack.shape[-2:]
-        along_y = np.exp(-2j * np.pi * ky[:, None] * (np.arange(n_y) - n_y // 2)).astype(np.complex64)
-        along_x = np.exp(-2j * np.pi * kx[:, None] * (np.arange(n_x) - n_x // 2)).astype(np.complex64)
-        nodes = along_y @ (stack @ along_x.T)  # (2, n_depth, n_field, n_ky, n_kx)
-        weights = calibration.tile_weights(tiling, every)
-        bank = np.empty((vergences_per_m.size, 2, tiling.n_tiles, ky.size, kx.size), dtype=np.complex64)
-        power = np.zeros((ky.size, kx.size))
-        for index, share in enumerate(depths):
-            transfer = np.tensordot(weights, np.tensordot(share, nodes, axes=(0, 1)), axes=(1, 1)).swapaxes(0, 1)
-            size = np.abs(transfer) ** 2
-            power += size[:, tiling.n_tiles // 2].mean(axis=0) / depths.shape[0]
-            bank[index] = transfer[::-1] * np.sqrt(2.0 / np.maximum(size.sum(axis=0), 1e-12))
-        return cls(every, tiling, vergences_per_m, bank, power)
+        reduction = Reduction(every, grid.shape, grid.margin)
+        filters, power = _cross_filters(calibration, vergences_per_m, every)
+        kernels, shares = _low_rank(filters, power, every)
+        weights = calibration.block_weights(reduction.shape, every, BLOCK_PX // every)
+        by_block = np.einsum("yxf,pvfk->pyxkv", weights, shares, optimize=True)
+        return cls(
+            reduction,
+            vergences_per_m,
+            _on_grid(kernels, reduction.size),
+            np.ascontiguousarray(by_block, dtype=np.float32),
+            _on_frequencies(power, reduction, every),
+        )
 
     @property
     def nbytes(self) -> int:
         """Memory of the filters."""
-        return self.bank.nbytes + self.power.nbytes
+        return self.basis.nbytes + self.shares.nbytes + self.power.nbytes
 
     def volume(
         self,
-        images: NDArray[np.float32],
+        spectra: NDArray[np.complex64],
         levels: Levels,
         lit: NDArray[np.bool_],
         progress: Progress,
@@ -93,46 +97,115 @@ class CrossFilters:
         """Agreement of the twins at each candidate depth.
 
         Args:
-            images: shape (2, n_y, n_x), every ``every``-th pixel of the twins with their margin.
+            spectra: transforms of the reduced twins.
             levels: noise and texture of the frame.
-            lit: shape of the tiling's window, where there is light: other tiles are left out.
-            progress: called after each candidate.
-            last: agreement that is kept where no tile is lit.
+            lit: shape of the reduced window, where there is light: other blocks are left out.
+            progress: called after each image.
+            last: agreement that is kept where nothing is lit.
         """
-        tiling = self.tiling
         weight = self._weight(levels)
-        tiles = tiling.touched(lit)
-        held = ~tiling.covered(tiles)
-        spectra = np.stack([scipy.fft.rfft2(tiling.cut(image, tiles), workers=2) for image in images]) * weight
-        parts = np.empty((3, self.vergences_per_m.size, *tiling.shape), dtype=np.float32)
-        for index, filters in enumerate(self.bank):
-            aligned = scipy.fft.irfft2(spectra * filters[:, tiles], tiling.size, workers=2, overwrite_x=True)
-            first, second = tiling.join(aligned, tiles)
-            np.multiply(first, second, out=parts[0, index])
-            np.multiply(first, first, out=parts[1, index])
-            np.multiply(second, second, out=parts[2, index])
-            if last is not None:
-                np.copyto(parts[:, index], last.parts[:, index], where=held)
-            progress("decode", index + 1, self.vergences_per_m.size)
-        ky, kx = _frequencies(tiling, self.every)
-        left = passband(self.every, ky)[:, None] * passband(self.every, kx)[None, :]
-        share = (weight.astype(np.float64) * left) ** 2
+        passed = []
+        for number, spectrum in enumerate(spectra, start=1):
+            through = scipy.fft.irfft2(spectrum * weight * self.basis, self.reduction.size, workers=2, overwrite_x=True)
+            passed.append(through[:, *self.reduction.inner])
+            progress("decode", number, len(spectra))
+        parts = agreement(passed[0], passed[1], self.shares, self.block, lit)
+        if last is not None:
+            np.copyto(parts, last.parts, where=~covered(lit, self.block))
+        return Volume(self.vergences_per_m, parts, *self._samples(weight))
+
+    @property
+    def block(self) -> int:
+        """Side of the squares of pixels that share a mixture."""
+        return BLOCK_PX // self.reduction.every
+
+    def _samples(self, weight: NDArray[np.float32]) -> tuple[float, float]:
+        """Independent samples a pixel, and variance of an aligned image per variance of a pixel of the frame."""
+        share = weight.astype(np.float64) ** 2
         share[:, 1:-1] *= 2.0  # the other half plane
-        total = tiling.size[0] * tiling.size[1]
-        samples = float(share.sum() ** 2 / ((weight * left) ** 2 * share).sum() / total)
-        return Volume(self.vergences_per_m, parts, samples, float(share.sum() / total) / self.every**2)
+        total = math.prod(self.reduction.size)
+        samples = float(share.sum() ** 2 / (weight.astype(np.float64) ** 2 * share).sum() / total)
+        return samples, float(share.sum() / total) * self.reduction.variance_left
 
     def _weight(self, levels: Levels) -> NDArray[np.float32]:
         """Square root of what each frequency adds to the likelihood; nothing slower than a window."""
-        ky, kx = _frequencies(self.tiling, self.every)
+        ky, kx = self.reduction.frequencies
         k2 = ky[:, None] ** 2 + kx[None, :] ** 2
         signal = self.power * levels.texture_spectrum(k2)
-        likelihood = signal / (levels.noise_variance + 2.0 * signal)
-        left = passband(self.every, ky)[:, None] * passband(self.every, kx)[None, :]
-        weight = np.sqrt(likelihood) * _high_pass(k2) / np.maximum(left, 0.25)
-        weight[self.tiling.size[0] // 2] = 0.0
-        weight[:, -1] = 0.0
+        weight = np.sqrt(signal / (levels.noise_variance + 2.0 * signal)) * _high_pass(k2)
         return np.asarray(weight / max(float(weight.max()), 1e-300), dtype=np.float32)
+
+
+def _cross_filters(
+    calibration: Calibration, vergences_per_m: FloatArray, every: int
+) -> tuple[NDArray[np.complex64], FloatArray]:
+    """Each image's filter at each candidate and field point, and the mean power of the pair in the middle.
+
+    Returns:
+        Shapes (2, n_candidates, n_field, m, m // 2 + 1) and (m, m // 2 + 1): transforms of every ``every``-th pixel
+        of windows of ``_ROOM`` times the kernels' size.
+    """
+    stack = calibration.stack
+    n_y, n_x = stack.shape[-2:]
+    size = (_window_px(n_y, every), _window_px(n_x, every))
+    ky, kx = _frequencies(size, every)
+    along_y = np.exp(-2j * np.pi * ky[:, None] * (np.arange(n_y) - n_y // 2)).astype(np.complex64)
+    along_x = np.exp(-2j * np.pi * kx[:, None] * (np.arange(n_x) - n_x // 2)).astype(np.complex64)
+    nodes = along_y @ (stack @ along_x.T)  # (2, n_depth, n_field, n_ky, n_kx)
+    depths = calibration.depth_weights(vergences_per_m)
+    transfer = np.tensordot(depths, nodes, axes=(1, 1)).swapaxes(0, 1)
+    squared = transfer.real**2 + transfer.imag**2
+    power = squared[:, :, stack.shape[2] // 2].mean(axis=(0, 1))
+    total = squared.sum(axis=0)
+    total += _FAINTEST * total.max()
+    return transfer[::-1] * np.sqrt(2.0 / total), power.astype(np.float64)
+
+
+def _low_rank(filters: NDArray[np.complex64], power: FloatArray, every: int) -> tuple[FloatArray, NDArray[np.float32]]:
+    """Basis kernels and the share of each in each filter.
+
+    Returns:
+        Shapes (n_basis, m_y, m_x), origin at [0, 0], and (2, n_candidates, n_field, n_basis).
+    """
+    n_y, n_kx = filters.shape[-2:]
+    size = (n_y, 2 * (n_kx - 1))
+    ky, kx = _frequencies(size, every)
+    k2 = ky[:, None] ** 2 + kx[None, :] ** 2
+    weight = np.sqrt(power / (k2 + LOWEST_FREQUENCY**2)) * _high_pass(k2)
+    weight[n_y // 2] = weight[:, -1] = 0.0
+    weight[:, 1:-1] *= np.sqrt(2.0)
+    rows = (filters * weight).astype(np.complex64).reshape(-1, n_y * n_kx)
+    table = np.concatenate([rows.real, rows.imag], axis=1)
+    vectors = _range(table)
+    kernels = scipy.fft.irfft2((vectors.T @ filters.reshape(-1, n_y * n_kx)).reshape(-1, n_y, n_kx), size)
+    return kernels, vectors.reshape(*filters.shape[:3], -1)
+
+
+def _range(table: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Orthonormal columns that hold the columns of ``table`` to within ``_BASIS_ERROR``: shape (n_rows, n_basis)."""
+    most = min(_LARGEST_BASIS, *table.shape)
+    probes = np.random.default_rng(0).standard_normal((table.shape[1], most)).astype(np.float32)
+    first, _ = np.linalg.qr(table @ probes)
+    first, _ = np.linalg.qr(table @ (table.T @ first))
+    left, singular, _ = np.linalg.svd(first.T @ table, full_matrices=False)
+    missing = 1.0 - np.cumsum(singular.astype(np.float64) ** 2) / np.sum(table.astype(np.float64) ** 2)
+    enough = np.flatnonzero(missing < _BASIS_ERROR**2)
+    count = int(enough[0]) + 1 if enough.size else most
+    return np.asarray(first @ left[:, :count], dtype=np.float32)
+
+
+def _on_grid(kernels: FloatArray, size: tuple[int, int]) -> NDArray[np.complex64]:
+    """Transforms of kernels on a larger (or smaller) grid of the same pixels."""
+    n_y, n_x = (min(a, b) for a, b in zip(kernels.shape[-2:], size, strict=True))
+    centred = np.roll(kernels, (n_y // 2, n_x // 2), axis=(-2, -1))[..., :n_y, :n_x]
+    place = np.zeros((kernels.shape[0], *size), dtype=np.float32)
+    place[:, :n_y, :n_x] = centred
+    place = np.roll(place, (-(n_y // 2), -(n_x // 2)), axis=(-2, -1))
+    return np.asarray(scipy.fft.rfft2(place), dtype=np.complex64)
+
+
+def _window_px(kernel_px: int, every: int) -> int:
+    return 2 * math.ceil(_ROOM * kernel_px / (2 * every))
 
 
 def coarsest_step(calibration: Calibration) -> int:
@@ -158,11 +231,20 @@ def coarsest_step(calibration: Calibration) -> int:
     return 1
 
 
-def _frequencies(tiling: Tiling, every: int) -> tuple[FloatArray, FloatArray]:
-    """Of a tile's transform along y and x, cycles a pixel of the frame."""
-    return scipy.fft.fftfreq(tiling.size[0]) / every, scipy.fft.rfftfreq(tiling.size[1]) / every
+def _frequencies(size: tuple[int, int], every: int) -> tuple[FloatArray, FloatArray]:
+    """Of a transform along y and x, cycles a pixel of the frame."""
+    return scipy.fft.fftfreq(size[0]) / every, scipy.fft.rfftfreq(size[1]) / every
 
 
 def _high_pass(frequency_squared: FloatArray) -> FloatArray:
-    """Suppresses what is slower than half a window: it varies with the light, and reaches far across outlines."""
-    return np.asarray(frequency_squared / (frequency_squared + (4.0 * LOWEST_FREQUENCY) ** 2))
+    """Amplitude that is left of slow structure."""
+    return np.asarray(frequency_squared / (frequency_squared + (_HIGH_PASS * LOWEST_FREQUENCY) ** 2))
+
+
+def _on_frequencies(power: FloatArray, reduction: Reduction, every: int) -> FloatArray:
+    """A smooth function of frequency on the reduction's frequencies, linear in between."""
+    old_y, old_x = _frequencies((power.shape[0], 2 * (power.shape[1] - 1)), every)
+    ky, kx = reduction.frequencies
+    order = np.argsort(old_y)
+    spline = RectBivariateSpline(old_y[order], old_x, power[order], kx=1, ky=1)
+    return np.asarray(spline(np.clip(ky, old_y.min(), old_y.max())[:, None], kx[None, :], grid=False))

@@ -5,17 +5,21 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
 
 from metafab.camera.frame import RawFrame, Truth
 from metafab.core.conventions import FloatArray
 from metafab.decode.image import Image4D
+
+#: Pixels of the window of the structural similarity.
+_SSIM_REACH = 11
 
 
 def judged(image: Image4D, frame: RawFrame, *, seconds: float) -> Image4D:
     """``image`` with its errors and the time it took.
 
     ``details`` gets ``nmae_pixel``, ``share_decoded``, ``contrast_error`` (mean relative error of the contrast
-    over whole segments) and ``psnr_x_db``, ``psnr_y_db`` (peak: the largest true intensity).
+    over whole segments), ``psnr_x_db``, ``psnr_y_db`` (peak: the largest true intensity) and ``ssim_x``, ``ssim_y``.
     """
     details = {**image.details, "seconds": seconds}
     overlap = _overlap(image, frame)
@@ -30,14 +34,16 @@ def judged(image: Image4D, frame: RawFrame, *, seconds: float) -> Image4D:
         pixel = _nmae(image.depth_pixel_m[mine], truth.depth_m)
         if pixel is not None:
             details["nmae_pixel"] = pixel
-    for name, got, true in (
-        ("psnr_x_db", image.intensity_x[mine], truth.intensity_x),
-        ("psnr_y_db", image.intensity_y[mine], truth.intensity_y),
+    for axis, got, true in (
+        ("x", image.intensity_x[mine], truth.intensity_x),
+        ("y", image.intensity_y[mine], truth.intensity_y),
     ):
         mean_square = float(np.mean((got - true) ** 2))
         peak = float(true.max(initial=0.0))
         if mean_square > 0.0 and peak > 0.0:
-            details[name] = 10.0 * float(np.log10(peak**2 / mean_square))
+            details[f"psnr_{axis}_db"] = 10.0 * float(np.log10(peak**2 / mean_square))
+        if peak > 0.0 and min(true.shape) >= _SSIM_REACH:
+            details[f"ssim_{axis}"] = structural_similarity(got, true, peak)
     errors = []
     for number in np.unique(truth.label[truth.label > 0]):
         mask = (truth.label == number) & decoded
@@ -48,6 +54,26 @@ def judged(image: Image4D, frame: RawFrame, *, seconds: float) -> Image4D:
     if errors:
         details["contrast_error"] = float(np.mean(errors))
     return dataclasses.replace(image, nmae=nmae, details=details)
+
+
+def structural_similarity(got: FloatArray, true: FloatArray, peak: float) -> float:
+    """Mean structural similarity (Wang et al., IEEE Trans. Image Process. 13, 600, 2004; Eq. 13).
+
+    Args:
+        got: shape (n_y, n_x).
+        true: the same shape.
+        peak: range of the values, the ``L`` of its constants.
+
+    Returns:
+        1 for equal images, with its Gaussian window of 1.5 pixels and K = (0.01, 0.03).
+    """
+    low, high = (0.01 * peak) ** 2, (0.03 * peak) ** 2
+    mean_a, mean_b, square_a, square_b, product = (
+        gaussian_filter(part, 1.5, truncate=3.5) for part in (got, true, got * got, true * true, got * true)
+    )
+    variance = np.maximum(square_a - mean_a**2, 0.0) + np.maximum(square_b - mean_b**2, 0.0)
+    likeness = (2.0 * mean_a * mean_b + low) / (mean_a**2 + mean_b**2 + low)
+    return float(np.mean(likeness * (2.0 * (product - mean_a * mean_b) + high) / (variance + high)))
 
 
 def _nmae(depth_m: FloatArray, true_m: FloatArray) -> float | None:

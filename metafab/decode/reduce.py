@@ -1,78 +1,129 @@
-"""Every second or fourth pixel of an image, without what finer structure would be mistaken for."""
+"""Every few pixels of an image, without what finer structure would be mistaken for, and back."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 
-_LOBES = 3  # of the sinc, each way
-_KAISER_BETA = 4.0
+#: Share of the margin over which an image fades out.
+_FADE = 0.25
 
 
-def reduced(image: NDArray[np.float32], every: int) -> NDArray[np.float32]:
-    """Low-passed pixels [0, 0], [0, every], ... of an image; beyond its edges, the edges' values."""
-    if every == 1:
-        return image
-    taps = _taps(every)
-    for axis in (0, 1):
-        reach = taps.size // 2
-        count = -(-image.shape[axis] // every)
-        extra = [(0, 0), (0, 0)]
-        extra[axis] = (reach, reach + every)
-        padded = np.moveaxis(np.pad(image, extra, mode="edge"), axis, 0)
-        total = taps[0] * padded[0 : count * every : every]
-        for k in range(1, taps.size):
-            total += taps[k] * padded[k : k + count * every : every]
-        image = np.moveaxis(total, 0, axis)
-    return np.ascontiguousarray(image)
+@dataclass(frozen=True)
+class Reduction:
+    """A window with margins at every few pixels: its transform holds the low frequencies alone.
+
+    Attributes:
+        every: step of the pixels that are kept; it divides the margin.
+        window: (n_y, n_x) of the window, in pixels of the frame.
+        edge: margin all around, in pixels of the frame.
+    """
+
+    every: int
+    window: tuple[int, int]
+    edge: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(n_y, n_x) of the reduced window without margin."""
+        return -(-self.window[0] // self.every), -(-self.window[1] // self.every)
+
+    @property
+    def margin(self) -> int:
+        """Margin all around, in reduced pixels."""
+        return self.edge // self.every
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(n_y, n_x) of the transform in reduced pixels, margins included: even, and fast."""
+        rows, columns = (2 * scipy.fft.next_fast_len(-(-(n + 2 * self.margin) // 2), real=True) for n in self.shape)
+        return rows, columns
+
+    @property
+    def inner(self) -> tuple[slice, slice]:
+        """The window inside what has margins."""
+        rows, columns = (slice(self.margin, self.margin + n) for n in self.shape)
+        return rows, columns
+
+    @property
+    def frequencies(self) -> tuple[FloatArray, FloatArray]:
+        """Of the transform along y and x, cycles a pixel of the frame."""
+        return scipy.fft.fftfreq(self.size[0]) / self.every, scipy.fft.rfftfreq(self.size[1]) / self.every
+
+    @property
+    def variance_left(self) -> float:
+        """Variance of a reduced pixel per variance of white noise in the image."""
+        return 1.0 / self.every**2
+
+    def spectra(self, images: NDArray[np.float32]) -> NDArray[np.complex64]:
+        """Transforms of images with margins (n, n_y, n_x), frame pixels: shape (n, size[0], size[1] // 2 + 1)."""
+        rows, columns = images.shape[-2:]
+        whole = (self.size[0] * self.every, self.size[1] * self.every)
+        level = images.mean(axis=(-2, -1), keepdims=True)
+        place = np.zeros((images.shape[0], *whole), dtype=np.float32)
+        inside = place[:, :rows, :columns]
+        np.subtract(images, level, out=inside)
+        for axis, fade in ((1, self._fades[0][:, None]), (2, self._fades[1])):
+            for part in (slice(None, self.edge), slice(images.shape[axis] - self.edge, None)):
+                at = (slice(None), part) if axis == 1 else (slice(None), slice(None), part)
+                inside[at] *= fade[part]
+        full = scipy.fft.rfft2(place, workers=2, overwrite_x=True)
+        half, low = self.size[0] // 2, self.size[1] // 2
+        kept = np.concatenate([full[:, :half, : low + 1], full[:, -half:, : low + 1]], axis=1)
+        kept *= np.float32(1.0 / self.every**2)
+        kept[:, half] = 0.0
+        kept[:, :, low] = 0.0
+        kept[:, 0, 0] += level[:, 0, 0] * (self.size[0] * self.size[1])
+        return kept
+
+    def images(self, spectra: NDArray[np.complex64]) -> NDArray[np.float32]:
+        """Reduced images with margins: shape (n, shape[0] + 2 margin, shape[1] + 2 margin)."""
+        rows, columns = (n + 2 * self.margin for n in self.shape)
+        return np.asarray(scipy.fft.irfft2(spectra, self.size, workers=2)[:, :rows, :columns])
+
+    @cached_property
+    def _fades(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """1 in the window, falling to 0 over the outer part of the margin, along y and x.
+
+        A step where the window wraps round would agree with itself in both images and pull the depth.
+        """
+        y, x = (_fade(n, self.edge) for n in self.window)
+        return y, x
 
 
-def passband(every: int, frequency: FloatArray) -> FloatArray:
-    """What :func:`reduced` leaves along one axis of a frequency (cycles a pixel)."""
-    taps = _taps(every).astype(np.float64)
-    away = np.arange(taps.size) - taps.size // 2
-    return np.asarray(np.tensordot(taps, np.cos(2.0 * np.pi * away.reshape(-1, *[1] * frequency.ndim) * frequency), 1))
-
-
-def variance_left(every: int) -> float:
-    """Variance of a reduced pixel per variance of white noise in the image."""
-    return float(np.sum(_taps(every).astype(np.float64) ** 2) ** 2)
-
-
-def _taps(every: int) -> NDArray[np.float32]:
-    if every == 1:
-        return np.ones(1, dtype=np.float32)
-    reach = _LOBES * every
-    away = np.arange(-reach, reach + 1)
-    taps = np.sinc(away / every) * np.kaiser(2 * reach + 1, _KAISER_BETA)
-    return np.asarray(taps / taps.sum(), dtype=np.float32)
-
-
-def doubled(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    """Values at every second pixel brought back to ``shape``, linear in between."""
-    for axis, count in enumerate(shape):
-        before = np.moveaxis(values, axis, 0)
-        pairs = np.empty((2 * before.shape[0], *before.shape[1:]), dtype=values.dtype)
-        pairs[::2] = before
-        pairs[1:-1:2] = 0.5 * (before[:-1] + before[1:])
-        pairs[-1] = before[-1]
-        values = np.moveaxis(pairs[:count], 0, axis)
-    return values
+def _fade(inner: int, edge: int) -> NDArray[np.float32]:
+    """1 over ``inner`` pixels, falling to 0 over the outer part of ``edge`` more at each end."""
+    place = np.arange(inner + 2 * edge)
+    away = np.maximum(edge - place, place - (edge + inner - 1))
+    share = np.clip((edge - away) / max(_FADE * edge, 1e-9), 0.0, 1.0)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * share), dtype=np.float32)
 
 
 def enlarged(values: FloatArray, every: int, shape: tuple[int, int]) -> FloatArray:
-    """Values at every ``every``-th pixel (a power of two) brought back to ``shape``, linear in between."""
-    while every > 1:
-        every //= 2
-        values = doubled(values, (-(-shape[0] // every), -(-shape[1] // every)))
+    """Values at every ``every``-th pixel brought back to ``shape``, linear in between; beyond the last, its value."""
+    if every == 1:
+        return values[: shape[0], : shape[1]]
+    for axis, count in enumerate(shape):
+        before = np.moveaxis(values, axis, 0)
+        after = np.concatenate([before[1:], before[-1:]])
+        fine = np.empty((every * before.shape[0], *before.shape[1:]), dtype=values.dtype)
+        for k in range(every):
+            fine[k::every] = before if k == 0 else (1.0 - k / every) * before + (k / every) * after
+        values = np.moveaxis(fine[:count], 0, axis)
     return values
 
 
 def repeated(values: np.ndarray, every: int, shape: tuple[int, int]) -> np.ndarray:
     """Values at every ``every``-th pixel brought back to ``shape``, each pixel that of its nearest neighbour."""
+    if every == 1:
+        return values[: shape[0], : shape[1]]
     rows, columns = (
         np.minimum((np.arange(n) + every // 2) // every, m - 1) for n, m in zip(shape, values.shape, strict=True)
     )
-    return np.asarray(values[rows[:, None], columns[None, :]])
+    return np.asarray(np.take(np.take(values, rows, axis=0), columns, axis=1))

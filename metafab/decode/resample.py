@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
 
 _TAPS = 8
 _KAISER_BETA = 4.5
@@ -84,7 +84,7 @@ def _table() -> NDArray[np.float32]:
 _TABLE = _table()
 
 
-@compiled
+@compiled_parallel
 def _along_rows(
     image: NDArray[np.float32], column: NDArray[np.float32], table: NDArray[np.float32]
 ) -> NDArray[np.float32]:
@@ -92,7 +92,7 @@ def _along_rows(
     last, taps, steps = image.shape[1] - 1, table.shape[1], table.shape[0] - 1
     reach = taps // 2 - 1
     out = np.empty((n_rows, n_x), dtype=np.float32)
-    for i in range(n_rows):
+    for i in prange(n_rows):
         for j in range(n_x):
             place = column[i, j]
             whole = int(np.floor(place))
@@ -108,7 +108,7 @@ def _along_rows(
     return out
 
 
-@compiled
+@compiled_parallel
 def _down_columns(
     image: NDArray[np.float32], row: NDArray[np.float32], table: NDArray[np.float32]
 ) -> NDArray[np.float32]:
@@ -116,7 +116,7 @@ def _down_columns(
     last, taps, steps = image.shape[0] - 1, table.shape[1], table.shape[0] - 1
     reach = taps // 2 - 1
     out = np.empty((n_y, n_x), dtype=np.float32)
-    for i in range(n_y):
+    for i in prange(n_y):
         for j in range(n_x):
             place = row[i, j]
             whole = int(np.floor(place))

@@ -15,7 +15,7 @@ from metafab.decode.levels import Levels
 from metafab.decode.tiles import Tiling
 
 #: How much of itself (relative L2) the pair may change from the centre of a tile to its edge.
-_TILE_CHANGE = 0.1
+_TILE_CHANGE = 0.2
 _CORES_PX = (32.0, 256.0)
 #: Transfer functions are kept for this many depths, the last used.
 _KEPT_DEPTHS = 6

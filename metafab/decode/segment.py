@@ -20,8 +20,8 @@ from metafab.decode.volume import Volume, correlation
 #: Half a window: less cannot be told from the mixture of depths along an outline.
 _FEWEST_PX = 300
 _SMALLEST_SHARE = 0.01
-#: Pixels next to an outline see the blur of what lies beyond it.
-_EDGE_PX = 4
+#: Pixels this near to another depth see its blur: the first that leaves enough of a segment is taken.
+_CLEAR_PX = (24, 20, 16, 12, 8, 4)
 _OUTLINE_WINDOW_PX = 13
 #: Share of a textured region's inside that must show its texture; 5 standard deviations leave noise none.
 _LEAST_TEXTURED = 0.05
@@ -133,12 +133,15 @@ def grown(segment: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
     return np.where(away <= reach, segment[row, column], 0).astype(np.int32)
 
 
-def segment_depth(volume: Volume, mask: NDArray[np.bool_], every: int) -> SegmentDepth:
+def segment_depth(volume: Volume, inner: NDArray[np.bool_]) -> SegmentDepth:
     """The vergence at which a segment's twins agree best: the peak of a spline through all candidates.
 
     Its error is infinite where they do not agree, or best at an end of the candidates.
+
+    Args:
+        volume: agreement of the twins.
+        inner: the pixels that count: the segment's :func:`interior`.
     """
-    inner = interior(mask, every)
     sums = volume.over(inner)
     agreement = correlation(sums)
     nodes = volume.vergences_per_m
@@ -160,11 +163,20 @@ def segment_depth(volume: Volume, mask: NDArray[np.bool_], every: int) -> Segmen
     return SegmentDepth(vergence, error, float(peak), power)
 
 
-def interior(mask: NDArray[np.bool_], every: int) -> NDArray[np.bool_]:
-    """The pixels away from the outline, as far as a fifth of them remain."""
-    for away in range(_EDGE_PX // every, 0, -1):
-        inner = binary_erosion(mask, iterations=away)
-        if inner.sum() * every**2 >= max(0.2 * _FEWEST_PX, 0.2 * every**2 * mask.sum()):
+def interior(segment: NDArray[np.int32], number: int, every: int) -> NDArray[np.bool_]:
+    """The pixels of a segment away from other segments, as far as a fifth of them remain.
+
+    Beside another depth the pair's parts mix both; beside darkness there is nothing to mix.
+    """
+    mask: NDArray[np.bool_] = segment == number
+    others = (segment > 0) & ~mask
+    if not others.any():
+        return mask
+    away = distance_transform_edt(~others)
+    least = max(0.2 * _FEWEST_PX / every**2, 0.2 * float(mask.sum()))
+    for px in _CLEAR_PX:
+        inner = mask & (away > px / every)
+        if inner.sum() >= least:
             return np.asarray(inner)
     return mask
 

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, uniform_filter
 
 from metafab.camera.frame import RawFrame
-from metafab.decode.decoder import MARGIN_PX, Decoder, Seen
+from metafab.decode.decoder import Decoder, Seen
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
 from metafab.decode.levels import Levels
-from metafab.decode.reduce import variance_left
 from metafab.decode.volume import Volume
 
 #: Side of the window over which changes are pooled, and how many standard deviations of noise a change must pass.
@@ -71,14 +70,13 @@ class VideoDecoder:
         # Beside bright pixels some of their noise is mixed in: no pixel counts as quieter than a share of theirs.
         quietest = seen.levels.read_noise_e**2 + _SMALLEST_NOISE * seen.levels.noise_variance
         noise = np.maximum(0.5 * (small + seen.small), 0.0) + quietest
-        noise = 2.0 * variance_left(self.decoder.filters.every) * uniform_filter(noise, (0, _WINDOW, _WINDOW))
+        noise = 2.0 * self.decoder.filters.reduction.variance_left * uniform_filter(noise, (0, _WINDOW, _WINDOW))
         change = uniform_filter((seen.small - small) ** 2, (0, _WINDOW, _WINDOW)) / np.maximum(noise, 1e-12)
         # Reduced pixels are nearly independent: the mean square of n of them is 1 +- sqrt(2 / n).
         return np.asarray((change > 1.0 + _DEVIATIONS * math.sqrt(2.0) / _WINDOW).any(axis=0))
 
     def _reached(self, moved: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Pixels of the window that filters or windows mix with something that moved."""
-        margin = MARGIN_PX // self.decoder.filters.every
-        rows, columns = self.decoder.filters.tiling.shape
-        wide = maximum_filter(moved, 2 * margin + 1)
-        return np.asarray(wide[margin : margin + rows, margin : margin + columns])
+        reduction = self.decoder.filters.reduction
+        wide = maximum_filter(moved, 2 * reduction.margin + 1)
+        return np.asarray(wide[reduction.inner])

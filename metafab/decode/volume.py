@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from metafab.core.conventions import FloatArray
+from metafab.decode.pooling import halved, window_means
 from metafab.optics.field import spline_weights
 
 
@@ -35,20 +35,11 @@ class Volume:
 
     def pooled(self, window: int) -> NDArray[np.float32]:
         """Means over a square window about each pixel: as ``parts``."""
-        return np.asarray(
-            uniform_filter1d(uniform_filter1d(self.parts, window, axis=-1), window, axis=-2), dtype=np.float32
-        )
+        return window_means(self.parts, window)
 
     def halved(self) -> Volume:
         """Every second pixel, a mean of what lies about it."""
-        smooth = self.parts
-        for axis in (-2, -1):
-            values = np.moveaxis(smooth, axis, 0)
-            after = np.concatenate([values[1:], values[-1:]])
-            before = np.concatenate([values[:1], values[:-1]])
-            mean = 0.5 * values[::2] + 0.25 * (after[::2] + before[::2])
-            smooth = np.moveaxis(mean, 0, axis)
-        return Volume(self.vergences_per_m, np.ascontiguousarray(smooth), 4.0 * self.samples, self.noise_gain)
+        return Volume(self.vergences_per_m, halved(self.parts), 4.0 * self.samples, self.noise_gain)
 
     def at(self, vergence_per_m: float) -> NDArray[np.float32]:
         """The products at any depth, interpolated between the candidates: shape (3, n_y, n_x)."""

@@ -48,11 +48,13 @@ def test_depth_does_not_depend_on_the_polarisation_contrast(psf: Psf, depth_m: f
         assert image.details["contrast_error"] < 0.02
 
 
-def test_a_pair_that_varies_over_the_field(field_psf: Psf) -> None:
+def test_a_pair_that_varies_over_the_field(psf: Psf, field_psf: Psf) -> None:
     """Uncorrected, the channels' opposite drift would turn the pair's members by 13 degrees at the edge."""
-    image = decode(capture(Scene(objects=(plane(0.0029),), seed=5), field_psf), field_psf)
+    frame = capture(Scene(objects=(plane(0.0029),), seed=5), field_psf)
+    image = decode(frame, field_psf)
     assert image.nmae == pytest.approx(0.0, abs=8e-3)
-    assert image.details["tiles"] > 1
+    # Filters that also vary over the field are mixtures of more images than those of one direction.
+    assert float(image.details["basis_images"]) > float(decode(frame, psf).details["basis_images"]) + 5
 
 
 def test_intensities_are_sharp_and_in_electrons(psf: Psf) -> None:
@@ -77,14 +79,18 @@ def test_no_texture_no_depth(psf: Psf) -> None:
     assert (image.confidence[middle] == 0.0).all()
 
 
-def test_pixel_errors_are_as_large_as_claimed(psf: Psf) -> None:
-    """The segment's standard error covers the true depth in each of eight exposures, within four of them."""
+def test_stated_errors_are_the_scatter(psf: Psf) -> None:
+    """Over twelve exposures of other textures the segment's errors scatter as stated, within a factor.
+
+    A standard deviation of twelve is known to 20 %: a factor 1.5 in the truth stays inside 0.5 to 2 by 95 %.
+    """
     errors = []
-    for seed in range(8):
+    for seed in range(12):
         image = decode(capture(Scene(objects=(plane(0.0029),), seed=seed), psf), psf)
         biggest = max(image.segments, key=lambda row: row["pixels"])
         errors.append((biggest["depth_m"] - 0.0029) / biggest["error_m"])
     assert np.abs(errors).max() < 4.0
+    assert 0.5 < float(np.sqrt(np.mean(np.square(errors)))) < 2.0
 
 
 def test_hot_pixels_are_bridged(psf: Psf) -> None:

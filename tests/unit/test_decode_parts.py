@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import uniform_filter
 
-from metafab.decode import resample
+from metafab.decode import mixing, pooling, resample
 from metafab.decode.depth import parabola, standard_error
-from metafab.decode.reduce import doubled, enlarged, passband, reduced, repeated
+from metafab.decode.judge import structural_similarity
+from metafab.decode.reduce import Reduction, enlarged, repeated
 from metafab.decode.resample import Resampler
-from metafab.decode.segment import grown, split, textured
+from metafab.decode.segment import grown, interior, split, textured
 from metafab.decode.tiles import Tiling
 from metafab.decode.volume import Volume, correlation
 
@@ -44,25 +46,33 @@ def test_the_plain_resampler_does_what_the_compiled_one_does() -> None:
     np.testing.assert_allclose(made(image), down, atol=1e-5)
 
 
-@pytest.mark.parametrize("every", [1, 2, 4])
-def test_reducing_keeps_slow_waves_as_its_passband_says(every: int) -> None:
-    i, j = np.mgrid[:96, :96].astype(float)
-    for k in (0.0, 0.03, 0.3 / every):
-        small = reduced(wave(i, j, k, 0.0).astype(np.float32), every)
-        inner = slice(5, small.shape[0] - 5)
-        want = passband(every, np.array(k)) * wave(i, j, k, 0.0)[::every, ::every]
-        np.testing.assert_allclose(small[inner, inner], want[inner, inner], atol=1e-5)
+@pytest.mark.parametrize("every", [1, 2, 3, 4])
+def test_reducing_keeps_slow_waves_and_nothing_faster(every: int) -> None:
+    """Away from the fading margin a slow wave keeps its amplitude; one that would look like another is gone."""
+    reduction = Reduction(every, (90, 118), 12)
+    i, j = np.mgrid[-12:102, -12:130].astype(float)
+    for k, share in ((0.02, 1.0), (0.3 / every, 1.0), (0.75 / every, 0.0)):
+        if k >= 0.5:
+            continue
+        images = np.stack([wave(i, j, k, 0.0), 5.0 + wave(i, j, 0.0, k)]).astype(np.float32)
+        small = reduction.images(reduction.spectra(images))[:, *reduction.inner]
+        assert small.shape[1:] == reduction.shape == (-(-90 // every), -(-118 // every))
+        inner = slice(12 // every, small.shape[1] - 12 // every)
+        want = np.stack([share * wave(i, j, k, 0.0), 5.0 + share * wave(i, j, 0.0, k)])[:, 12:102:every, 12:130:every]
+        # The margin's fall from 1 to 0 and the step behind it ring: a few per cent, a margin away.
+        np.testing.assert_allclose(small[:, inner, inner], want[:, inner, inner], atol=0.05)
 
 
-@pytest.mark.parametrize("every", [2, 4])
-def test_reducing_keeps_out_what_would_be_mistaken(every: int) -> None:
-    """Three quarters of a cycle a small pixel would look like a quarter."""
-    assert abs(float(passband(every, np.array(0.75 / every)))) < 0.05
-    assert float(passband(every, np.array(0.1 / every))) > 0.99
+def test_a_reduced_pixel_has_the_noise_it_says() -> None:
+    reduction = Reduction(3, (240, 240), 12)
+    images = np.random.default_rng(5).normal(size=(2, 264, 264)).astype(np.float32)
+    small = reduction.images(reduction.spectra(images))[:, *reduction.inner]
+    # 12800 pixels: 1.2 % for the variance; the row and column of the highest frequency are left out, 2 / 88.
+    assert small.var() == pytest.approx(reduction.variance_left, rel=0.06)
 
 
 @settings(max_examples=40, deadline=None)
-@given(n_y=st.integers(1, 30), n_x=st.integers(1, 30), every=st.sampled_from([1, 2, 4]))
+@given(n_y=st.integers(1, 30), n_x=st.integers(1, 30), every=st.sampled_from([1, 2, 3, 4]))
 def test_enlarging_meets_the_small_pixels(n_y: int, n_x: int, every: int) -> None:
     small = np.random.default_rng(n_y * 31 + n_x).normal(size=(-(-n_y // every), -(-n_x // every)))
     for large in (enlarged(small, every, (n_y, n_x)), repeated(small, every, (n_y, n_x))):
@@ -70,8 +80,24 @@ def test_enlarging_meets_the_small_pixels(n_y: int, n_x: int, every: int) -> Non
         np.testing.assert_allclose(large[::every, ::every], small)
 
 
-def test_doubling_is_linear_in_between() -> None:
-    np.testing.assert_allclose(doubled(np.array([[0.0, 2.0], [4.0, 6.0]]), (3, 3))[:2, :2], [[0.0, 1.0], [2.0, 3.0]])
+def test_enlarging_is_linear_in_between() -> None:
+    small = np.array([[0.0, 2.0], [4.0, 6.0]])
+    np.testing.assert_allclose(enlarged(small, 2, (3, 3)), [[0.0, 1.0, 2.0], [2.0, 3.0, 4.0], [4.0, 5.0, 6.0]])
+    np.testing.assert_allclose(enlarged(small, 4, (1, 5)), [[0.0, 0.5, 1.0, 1.5, 2.0]])
+
+
+@settings(max_examples=25, deadline=None)
+@given(n_y=st.integers(1, 17), n_x=st.integers(1, 17), block=st.integers(1, 5), seed=st.integers(0, 99))
+def test_the_plain_mixtures_are_the_compiled_ones(n_y: int, n_x: int, block: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = rng.normal(size=(2, 3, n_y, n_x)).astype(np.float32)
+    shares = rng.normal(size=(2, -(-n_y // block), -(-n_x // block), 3, 5)).astype(np.float32)
+    lit = rng.random((n_y, n_x)) < 0.1
+    wanted = mixing.touched(lit, block)
+    want = mixing._products_plain(x, y, shares, block, wanted)
+    np.testing.assert_allclose(mixing.agreement(x, y, shares, block, lit), want, atol=1e-4)
+    assert not want[..., ~mixing.covered(lit, block)].any()
+    assert mixing.covered(lit, block)[lit].all()
 
 
 @settings(max_examples=60, deadline=None)
@@ -97,6 +123,19 @@ def test_only_touched_tiles_are_cut() -> None:
     joined = tiling.join(tiling.cut(image, np.array([5])), np.array([5]))
     assert joined[20:, 40:].min() == pytest.approx(1.0)
     assert not joined[:20].any()
+
+
+@settings(max_examples=40, deadline=None)
+@given(n_y=st.integers(1, 30), n_x=st.integers(1, 30), reach=st.integers(0, 9), seed=st.integers(0, 99))
+def test_means_are_those_of_the_plain_filter(n_y: int, n_x: int, reach: int, seed: int) -> None:
+    pictures = np.random.default_rng(seed).normal(size=(2, 3, n_y, n_x)).astype(np.float32)
+    window = 2 * reach + 1
+    want = uniform_filter(pictures, (0, 0, window, window), mode="reflect")
+    np.testing.assert_allclose(pooling.window_means(pictures, window), want, atol=1e-5)
+    flat = pictures.reshape(6, n_y, n_x)
+    np.testing.assert_allclose(
+        pooling.halved(pictures).reshape(6, -1), pooling._halved_plain(flat).reshape(6, -1), atol=1e-5
+    )
 
 
 def test_a_volume_between_its_candidates() -> None:
@@ -153,3 +192,28 @@ def test_texture_at_the_outline_alone_is_none() -> None:
     assert not textured(region, outline, 10)
     assert textured(region, region, 10)
     assert textured(region, outline, 30)  # too small to have an inside
+
+
+def test_the_inside_of_a_segment_keeps_away_from_other_depths_alone() -> None:
+    segment = np.zeros((120, 120), dtype=np.int32)
+    segment[10:110, 10:60], segment[10:110, 60:110] = 1, 2
+    inner = interior(segment, 1, 1)
+    assert inner[10, 10]  # beside darkness
+    assert not inner[:, 36:].any()  # 24 pixels from the other depth
+    assert inner[10:110, 10:36].all()
+    segment[:, :57] = 0  # too narrow for a distance of 24, or of anything
+    np.testing.assert_array_equal(interior(segment, 1, 1), segment == 1)
+
+
+def test_structural_similarity_against_its_closed_forms() -> None:
+    """Equal images give 1; a constant offset leaves the luminance term alone (Wang et al. 2004, Eq. 6)."""
+    image = np.random.default_rng(6).normal(100.0, 10.0, size=(60, 60))
+    assert structural_similarity(image, image, 200.0) == pytest.approx(1.0)
+    flat, raised = np.full((60, 60), 100.0), np.full((60, 60), 120.0)
+    low = (0.01 * 200.0) ** 2
+    want = (2.0 * 100.0 * 120.0 + low) / (100.0**2 + 120.0**2 + low)
+    assert structural_similarity(raised, flat, 200.0) == pytest.approx(want)
+    # Independent noise of equal variance: the structure term is the constant's share alone, near 1/7 for 10 in 200.
+    other = np.random.default_rng(7).normal(100.0, 10.0, size=(60, 60))
+    high = (0.03 * 200.0) ** 2
+    assert structural_similarity(image, other, 200.0) == pytest.approx(high / (2.0 * 100.0 + high), abs=0.05)
