@@ -321,7 +321,7 @@ def matrices(cell: PillarCell, case: SymmetryClass, index: int = 0) -> tuple[Mat
     layer = case.layers[index]
     media = permittivity(layer.n_inside), permittivity(layer.n_around)
     if cell.is_staggered:
-        return staggered_matrices(*case.bases, _k0_per_nm(cell), *media)
+        return staggered_matrices(case.bases[0], case.bases[1], _k0_per_nm(cell), *media)
     return layer_matrices(case.bases[index], _k0_per_nm(cell), *media)
 
 
