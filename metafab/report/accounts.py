@@ -18,12 +18,14 @@ BudgetLine = tuple[str, float, str]
 def chain_of(run: RunFolder) -> list[Stage]:
     """Share of the light at the aperture after each stage, mean over polarisations and depths.
 
-    The last stage is for comparison: the target phases alone, without a mask, spread some light beyond the window,
-    too.
+    By the figures of merit, where the run has them, each stage takes its factor down to the light through the
+    pinhole. Without them, the last stage is for comparison: the target phases alone, without a mask.
     """
-    stated = run.summary.get("loss_chain")
-    if isinstance(stated, list):
-        return [(str(row["stage"]), float(row["share"])) for row in stated if {"stage", "share"} <= set(row)]
+    losses = (run.part("merit").get("loss_chain") or {}).get("losses") or []
+    if losses:
+        shares = np.cumprod([1.0, *(float(np.mean(loss["factor"])) for loss in losses if loss["factor"])])
+        names = ["at the aperture", *(str(loss["stage"]) for loss in losses if loss["factor"])]
+        return list(zip(names, shares.tolist(), strict=True))
     if run.psf is None:
         return []
     stages = [("at the aperture", 1.0)]

@@ -179,7 +179,21 @@ def _light(run: RunFolder) -> Iterator[Plan]:
     yield Plan("psf_pair", "PSF pair over depth", partial(figures.pair_over_depth, psf), size, (0.3, 0.1, 0.05, 0.3))
     yield Plan("psf_orientation", "Orientation over depth", partial(figures.orientation, psf, ideal=ideal))
     yield Plan("psf_peak", "Peak irradiance over depth", partial(figures.peak, psf, ideal=ideal))
-    yield Plan("psf_mtf", "Modulation transfer at three depths", partial(figures.modulation, *modulation_of(psf)))
+    known = run.part("merit").get("modulation")
+    if known:
+        chosen = list(dict.fromkeys((0, len(known["lens"]) // 2, len(known["lens"]) - 1)))
+        names = [figures.depth_text(run.part("merit")["depth_m"][d]) for d in chosen]
+        pair, lens = (np.array(known[key], dtype=np.float64)[chosen] for key in ("pair_x", "lens"))
+        frequency = np.array(known["frequency_per_mm"], dtype=np.float64)
+        mtf = partial(figures.modulation, frequency, list(zip(names, pair, strict=True)), lens=list(lens))
+        yield Plan("psf_mtf", "Modulation transfer at three depths, beside a standard lens", mtf)
+    else:
+        yield Plan("psf_mtf", "Modulation transfer at three depths", partial(figures.modulation, *modulation_of(psf)))
+    space = run.part("merit").get("space_variance")
+    if space and len(space["tangent_x"]) > 1:
+        yield Plan("depth_bias", "Depth bias of both polarisations over the field", partial(figures.depth_bias, space))
+        shift = partial(figures.distortion, space)
+        yield Plan("distortion", "Distortion of both images over the field of view", shift)
     if psf.field is not None:
         for p in POLARISATIONS:
             paint = partial(figures.over_field, psf, polarisation=p)

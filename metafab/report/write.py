@@ -51,6 +51,7 @@ def compose(run: RunFolder, drawn: dict[str, str]) -> str:
     body = [
         sections.accounts(run, drawn),
         sections.point_spread(run, drawn),
+        sections.tolerances(run),
         sections.imaging(run, drawn),
         sections.phases(run, drawn),
         sections.mask(run, drawn),

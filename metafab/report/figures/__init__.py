@@ -19,6 +19,9 @@ from metafab.report.figures.library import coverage, error_map, phase_map, sensi
 from metafab.report.figures.mask import fill_map, pillar_rectangles
 from metafab.report.figures.phases import aperture_phase
 from metafab.report.figures.psf import (
+    depth_bias,
+    depth_text,
+    distortion,
     lit_half_px,
     modulation,
     orientation,
@@ -44,7 +47,10 @@ __all__ = [
     "coverage",
     "depth",
     "depth_against_truth",
+    "depth_bias",
     "depth_bounds",
+    "depth_text",
+    "distortion",
     "error_against_time",
     "error_budget",
     "error_map",

@@ -17,10 +17,17 @@ _COLOURS = (X_COLOUR, Y_COLOUR, GOOD, INK, MUTED, "#b5568c", "#a67c00", "#3f9fd0
 
 
 def loss_chain(stages: Sequence[tuple[str, float]], axes: Axes) -> Axes:
-    """Share of the light at the aperture that is left after each stage."""
+    """Share of the light at the aperture that is left after each stage; what the stage took, pale beside it."""
     names, shares = [name for name, _ in stages], [share for _, share in stages]
-    _bars(names, [100.0 * share for share in shares], axes, GOOD, [f"{100.0 * s:.1f} %" for s in shares])
-    dress(axes, "share of the light at the aperture / %", "", "Loss chain")
+    before = [1.0, *shares[:-1]]
+    for place, (share, last) in enumerate(zip(shares, before, strict=True)):
+        axes.barh(place, 100.0 * max(last - share, 0.0), left=100.0 * share, height=0.36, color=X_COLOUR, alpha=0.55)
+    labels = [f"{100.0 * s:.1f} %" + (f"   × {s / b:.3f}" if b else "") for s, b in zip(shares, before, strict=True)]
+    _bars(names, [100.0 * share for share in shares], axes, GOOD, [""] * len(shares))
+    for place, label in enumerate(labels):
+        axes.annotate(label, (1.0, place), (6, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
+                      va="center", fontsize=8.5, color=INK)  # fmt: skip
+    dress(axes, "share of the light at the aperture / %", "", "Where the light goes")
     axes.set_xlim(0.0, 100.0)
     return axes
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -139,19 +139,64 @@ def over_field(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
     return axes
 
 
-def modulation(frequency_per_mm: FloatArray, curves: Sequence[tuple[str, FloatArray]], axes: Axes) -> Axes:
-    """Modulation transfer against spatial frequency, up to the sensor's Nyquist frequency.
+def modulation(
+    frequency_per_mm: FloatArray,
+    curves: Sequence[tuple[str, FloatArray]],
+    axes: Axes,
+    lens: Sequence[FloatArray] = (),
+) -> Axes:
+    """Modulation transfer against spatial frequency, up to the sensor's Nyquist frequency or the lens' cut-off.
 
     Args:
         frequency_per_mm: shape (n,), on the sensor.
         curves: name and transfer, shape (n,), of each depth.
         axes: where to draw.
+        lens: transfer of a standard lens at the same depths.
     """
+    for transfer, style in zip(lens, ("-", "--", ":"), strict=False):
+        label = "standard lens" if style == "-" else None
+        axes.plot(frequency_per_mm, transfer, color=IDEAL, linewidth=1.2, linestyle=style, label=label)
     for (name, transfer), style in zip(curves, ("-", "--", ":"), strict=False):
         axes.plot(frequency_per_mm, transfer, color=X_COLOUR, linewidth=1.5, linestyle=style, label=name)
     dress(axes, "spatial frequency / mm⁻¹", "modulation transfer", "MTF of x, mean over directions")
     axes.set(xlim=(0.0, float(frequency_per_mm[-1])), ylim=(0.0, 1.0))
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
+    legend(axes)
+    return axes
+
+
+def depth_bias(space: Mapping[str, Any], axes: Axes) -> Axes:
+    """Vergence by which objects along the split seem nearer, to either polarisation: from PSFs, and mere defocus."""
+    tangent = np.asarray(space["tangent_x"], dtype=np.float64)
+    row = len(space["tangent_y"]) // 2
+    degrees = np.degrees(np.arctan(tangent))
+    for index, p in enumerate(POLARISATIONS):
+        seen = np.array(space["seen_bias_dioptre"][index][row], dtype=np.float64)
+        defocus = np.array(space["defocus_dioptre"][index][row], dtype=np.float64)
+        colour = POLARISATION_COLOUR[p]
+        axes.plot(degrees, seen, color=colour, marker="o", markersize=4, linewidth=1.4, label=f"{p}, as PSFs show it")
+        axes.plot(degrees, defocus, color=colour, linewidth=1.0, linestyle=(0, (4, 3)), alpha=0.8)
+    axes.plot([], [], color=INK, linewidth=1.0, linestyle=(0, (4, 3)), label="defocus alone")
+    dress(axes, "object direction along the split / °", "seems nearer by / dioptre", "Depth bias over the field")
+    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
+    legend(axes)
+    return axes
+
+
+def distortion(space: Mapping[str, Any], axes: Axes) -> Axes:
+    """How far the geometric image points of both polarisations stand from a pinhole's, as arrows over the field."""
+    x, y = np.meshgrid(*(np.degrees(np.arctan(np.array(space[f"tangent_{u}"]))) for u in "xy"))
+    shift = np.array(space["distortion_um"], dtype=np.float64)
+    largest = float(np.hypot(shift[..., 0], shift[..., 1]).max()) or 1.0
+    scale = largest / max(float(np.ptp(x)), 1e-9) * 4.0
+    for index, p in enumerate(POLARISATIONS):
+        axes.quiver(
+            x, y, shift[index, ..., 0], shift[index, ..., 1], color=POLARISATION_COLOUR[p], angles="xy",
+            scale_units="xy", scale=scale, width=0.006, label=f"{p} polarisation",
+        )  # fmt: skip
+    axes.margins(0.14)
+    title = f"Distortion, at most {largest:.3g} µm"
+    dress(axes, "object direction x / °", "object direction y / °", title)
     legend(axes)
     return axes
 

@@ -20,7 +20,7 @@ from metafab.report.sections.cost import cost, provenance
 from metafab.report.sections.fullwave import fullwave
 from metafab.report.sections.imaging import imaging
 from metafab.report.sections.library import library
-from metafab.report.sections.light import point_spread
+from metafab.report.sections.light import point_spread, tolerances
 from metafab.report.sections.mask import mask
 from metafab.report.sections.overview import headlines, subtitle
 from metafab.report.sections.parts import Drawn
@@ -39,4 +39,5 @@ __all__ = [
     "point_spread",
     "provenance",
     "subtitle",
+    "tolerances",
 ]
