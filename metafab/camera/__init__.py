@@ -11,6 +11,7 @@
 - ``windows``   where on the sensor the images lie, and what their pixels collect
 - ``exact``     the PSFs of one scene's own depths, field and light
 - ``capture``   all of it: one exposure, or the frames of a film
+- ``quality``   how sharp a texture can be restored through some PSFs
 - ``store``     raw.h5
 - ``foreign``   TIFF, PNG and NumPy frames
 
