@@ -35,7 +35,9 @@ UnitCellFile = Annotated[Path, typer.Argument(metavar="UNITCELL.toml", help="Uni
 LayoutFile = Annotated[Path, typer.Argument(metavar="LAYOUT", help="Written mask, .gds or .oas.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="PATH", help="Where the result goes.")]
-Workers = Annotated[int | None, typer.Option("--workers", min=1, metavar="N", help="Processes [default: the cores].")]
+Workers = Annotated[
+    int | None, typer.Option("--workers", min=1, max=4096, metavar="N", help="Processes [default: the cores].")
+]
 Cluster = Annotated[str | None, typer.Option("--cluster", metavar="ADDRESS", help="Dask scheduler to use instead.")]
 TargetError = Annotated[
     float | None,

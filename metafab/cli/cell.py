@@ -18,7 +18,7 @@ def cell_command(
     length_nm: Annotated[float, typer.Option(min=0.0, help="Pillar size along y.")],
     wavelength_nm: Annotated[float | None, typer.Option(help="Vacuum wavelength [default: the file's].")] = None,
     angle_deg: Annotated[float, typer.Option(help="Polar angle of incidence, in the incident medium.")] = 0.0,
-    azimuth_deg: Annotated[float, typer.Option(help="Azimuth of incidence from +x.")] = 0.0,
+    azimuth_deg: Annotated[float, typer.Option(min=-360.0, max=360.0, help="Azimuth of incidence from +x.")] = 0.0,
     solver: Annotated[Literal["rcwa", "meep"] | None, typer.Option(help="Solver [default: the file's].")] = None,
     target_error: TargetError = None,
     json_: Json = False,
@@ -91,7 +91,7 @@ def library_build(
 def library_check(
     file: Annotated[Path, typer.Argument(metavar="LIB.h5")],
     against: Annotated[Literal["rcwa", "meep"], typer.Option(help="meep, or rcwa at a finer error.")] = "rcwa",
-    samples: Annotated[int, typer.Option(min=1, help="Held-out sizes.")] = 10,
+    samples: Annotated[int, typer.Option(min=1, max=1_000_000, help="Held-out sizes.")] = 10,
     seed: Annotated[int, typer.Option(min=0)] = 1,
     workers: Workers = None,
     cluster: Cluster = None,
