@@ -39,6 +39,9 @@ Workers = Annotated[
     int | None, typer.Option("--workers", min=1, max=4096, metavar="N", help="Processes [default: the cores].")
 ]
 Cluster = Annotated[str | None, typer.Option("--cluster", metavar="ADDRESS", help="Dask scheduler to use instead.")]
+Copy = Annotated[
+    int, typer.Option("--copy", min=1, max=1_000_000, metavar="N", help="Which lens of mask.copies, from 1.")
+]
 TargetError = Annotated[
     float | None,
     typer.Option("--target-error", metavar="E", help="Largest error wanted.", min=1e-12, max=0.999),
@@ -56,6 +59,14 @@ def open_job(design: Path, folder: Path | None, workers: int | None, cluster: st
 
 def require_positive(option: str, *values: float) -> None:
     """Refuse zero, negative, NaN and infinite values of an option."""
-    for value in values:
-        if not 0.0 < value < math.inf:
-            raise InputError.single(option, option.removeprefix("--"), "a number above zero", f"{value:g}")
+    _require(option, "a number above zero", [value for value in values if not 0.0 < value < math.inf])
+
+
+def require_finite(option: str, *values: float) -> None:
+    """Refuse NaN and infinite values of an option."""
+    _require(option, "a finite number", [value for value in values if not math.isfinite(value)])
+
+
+def _require(option: str, expected: str, others: list[float]) -> None:
+    if others:
+        raise InputError.single(option, option.removeprefix("--"), expected, ", ".join(f"{v:g}" for v in others))

@@ -2,31 +2,40 @@
 
 from __future__ import annotations
 
+from collections import deque
+
+from metafab.core.errors import InputError
+
+_DEPTHS = "--depths-m"
+
 
 def spread_depths(arguments: list[str]) -> list[str]:
-    """``--depths-m 0.25 0.3`` and ``--depths-m 0.25,0.3`` as one option a depth."""
+    """``--depths-m 0.25 0.3`` and ``--depths-m 0.25,0.3`` as one option a depth.
+
+    Raises:
+        InputError: no number follows ``--depths-m``.
+    """
     spread: list[str] = []
-    taking = False
-    for argument in arguments:
+    rest = deque(arguments)
+    while rest:
+        argument = rest.popleft()
         name, equals, value = argument.partition("=")
-        if name == "--depths-m":
-            taking = not equals
-            argument = value  # noqa: PLW2901
-            if not equals:
-                continue
-        numbers = argument.split(",")
-        if (taking or name == "--depths-m") and all(_is_number(number) for number in numbers):
-            for number in numbers:
-                spread += ["--depths-m", number]
+        if name != _DEPTHS:
+            spread.append(argument)
             continue
-        taking = False
-        spread.append(argument)
+        if equals:
+            rest.appendleft(value)
+        if not (rest and _are_numbers(rest[0])):
+            raise InputError.single(_DEPTHS, "depths.m", "one or more depths", repr(rest[0]) if rest else "nothing")
+        while rest and _are_numbers(rest[0]):
+            # With "=", so that a minus sign starts no option.
+            spread += [f"{_DEPTHS}={number}" for number in rest.popleft().split(",")]
     return spread
 
 
-def _is_number(text: str) -> bool:
+def _are_numbers(text: str) -> bool:
     try:
-        float(text)
+        list(map(float, text.split(",")))
     except ValueError:
         return False
     return True

@@ -9,6 +9,7 @@ import typer
 
 from metafab.cli.app import (
     Cluster,
+    Copy,
     DesignOption,
     Json,
     LayoutFile,
@@ -17,6 +18,7 @@ from metafab.cli.app import (
     Workers,
     app,
     open_job,
+    require_finite,
     require_positive,
 )
 from metafab.cli.console import progress_bars, show
@@ -39,7 +41,7 @@ def psf_command(
         int | None, typer.Option(min=4, max=2048, metavar="N", help="Window [default: the design's].")
     ] = None,
     target_error: TargetError = None,
-    copy: Annotated[int, typer.Option(metavar="N", help="Which lens of mask.copies, from 1.")] = 1,
+    copy: Copy = 1,
     workers: Workers = None,
     cluster: Cluster = None,
     output: Output = None,
@@ -53,6 +55,7 @@ def psf_command(
         raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
     require_positive("--depths-m", *(depths_m or ()))
     require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
+    require_finite("--object-mm", *(object_mm or ()))
     with progress_bars() as progress, measured() as cost:
         job = open_job(design, None, workers, cluster, progress)
         verify = job.design.verify
@@ -75,7 +78,7 @@ def psf_command(
 def tolerance_command(
     layout: LayoutFile,
     design: DesignOption,
-    copy: Annotated[int, typer.Option(metavar="N", help="Which lens of mask.copies, from 1.")] = 1,
+    copy: Copy = 1,
     output: Output = None,
     workers: Workers = None,
     cluster: Cluster = None,

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from metafab.cli.app import Cluster, DesignFile, DesignOption, Json, LayoutFile, Output, Workers, app, open_job
+from metafab.cli.app import Cluster, Copy, DesignFile, DesignOption, Json, LayoutFile, Output, Workers, app, open_job
 from metafab.cli.console import announce, exit_on_violations, progress_bars, show
 
 
@@ -44,7 +44,7 @@ def drc_command(
         Literal["lattice", "rectangles", "polygons"],
         typer.Option(help="On the lattice, on the file's rectangles, or by KLayout's polygon engine."),
     ] = "lattice",
-    copy: Annotated[int, typer.Option(help="Which lens of mask.copies the lattice engine checks, from 1.")] = 1,
+    copy: Copy = 1,
     output: Output = None,
     workers: Workers = None,
     json_: Json = False,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from metafab.cli.app import Json, Output, app, require_positive
+from metafab.cli.app import Json, Output, app, require_finite, require_positive
 from metafab.cli.console import show
 from metafab.core.errors import InputError
 
@@ -26,10 +26,13 @@ def propose_command(
     """Zones and exponent of a rotating lobe for a range of depths and its noise."""
     from metafab import phase
 
+    require_positive("--range-m", *depths_m)
     require_positive("--aperture-um", aperture_um)
     require_positive("--wavelength-nm", wavelength_nm)
     require_positive("--electrons", electrons)
     require_positive("--contrast", contrast)
+    require_finite("--read-noise-e", read_noise_e)
+    require_finite("--background-e", background_e)
     if output is not None and output.suffix != ".png":
         raise InputError.single("propose", "output", "a name ending with .png", str(output))
     found = phase.propose(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
-from xml.sax.saxutils import escape
+from html import escape
 
 from metafab.core.files import whole_file, write_json
 from metafab.spec import Design

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from metafab.cli.arguments import spread_depths
+from metafab.core.errors import InputError
 from tests.conftest import MainJob
 from tests.main_job import ROOT, SMALL, UNIT_CELL, metafab
 
@@ -272,7 +273,13 @@ def test_an_interrupted_run_leaves_no_half_written_file(tmp_path: Path, number: 
 
 
 def test_depths_may_stand_in_any_of_three_ways() -> None:
-    wanted = ["--depths-m", "0.25", "--depths-m", "0.3", "--json"]
+    wanted = ["--depths-m=0.25", "--depths-m=0.3", "--json"]
     assert spread_depths(["--depths-m", "0.25", "0.3", "--json"]) == wanted
     assert spread_depths(["--depths-m", "0.25,0.3", "--json"]) == wanted
     assert spread_depths(["--depths-m=0.25", "--depths-m", "0.3", "--json"]) == wanted
+
+
+@pytest.mark.parametrize("rest", [[], ["--json"], ["mask.oas"], ["="], ["0.3,"]])
+def test_an_option_without_depths_is_told(rest: list[str]) -> None:
+    with pytest.raises(InputError, match=r"depths\.m"):
+        spread_depths(["psf", "--depths-m", *rest])
