@@ -16,7 +16,7 @@ from metafab.cli.entry import main
 from tests.main_job import SMALL, UNIT_CELL
 
 #: Arguments with which each command would work; nothing of it is done, so none of them takes long.
-VALID = {
+VALID: dict[str, list[Any]] = {
     "cell": [UNIT_CELL, "--width-nm", "150", "--length-nm", "200"],
     "library build": [UNIT_CELL, "-o", "library.h5"],
     "propose": ["--range-m", "0.25", "0.34", "--aperture-um", "200"],
