@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.layout.pillars import Lattice, PillarTile
 
 _LONGEST_NAME = 32  # what every GDSII reader takes
@@ -57,6 +58,23 @@ def pillar_stamp(
     drawn = size_dbu.astype(np.int64) + bias_dbu
     tag = f"_D{dose_class:02d}" if dose_class else ""
     return Stamp(drawn, -(drawn // 2), layer, datatype + dose_class, bias_dbu, tag)
+
+
+def count_sizes(size_index: NDArray[np.uint16], sizes: int) -> NDArray[np.int64]:
+    """How often each of ``sizes`` indices occurs, 0 for no pillar among them; shape (sizes,)."""
+    if HAS_NUMBA:
+        return _count_sizes(size_index, sizes)
+    return np.bincount(size_index.ravel(), minlength=sizes)
+
+
+@compiled
+def _count_sizes(size_index: NDArray[np.uint16], sizes: int) -> NDArray[np.int64]:
+    # np.bincount would make 64-bit integers of all of them first.
+    count = np.zeros(sizes, dtype=np.int64)
+    for i in range(size_index.shape[0]):
+        for j in range(size_index.shape[1]):
+            count[size_index[i, j]] += 1
+    return count
 
 
 def tile_cell(lattice: Lattice, tile: PillarTile, stamp: Stamp) -> TileCell:

@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from deflate import DeflateError, deflate_decompress
 
 from metafab.core.errors import InputError
 from metafab.core.numerics import HAS_NUMBA
@@ -29,6 +30,7 @@ from metafab.mask.oasis_writer import CBLOCK, END, MAGIC, PLACEMENT, START
 _REMEDY = "the file is damaged or not OASIS: write or export it again"
 _END_BYTES = 256
 _LARGEST_BLOCK = 1 << 31
+_LARGEST_RATIO = 1032  # 258 bytes of two bits: no deflate data inflate to more
 _ORIGIN = np.zeros((1, 2), dtype=np.int64)
 
 
@@ -205,8 +207,8 @@ class _Pass:
         if stream.unsigned() != 0:
             raise DamagedError("a CBLOCK of unknown compression")
         size, packed = stream.unsigned(), stream.unsigned()
-        if size > _LARGEST_BLOCK:
-            raise DamagedError(f"a CBLOCK of {size} bytes")
+        if size > min(_LARGEST_BLOCK, _LARGEST_RATIO * packed):
+            raise DamagedError(f"a CBLOCK of {size} bytes in {packed}")
         content = stream.bytes(packed)
         try:
             begins_with_rectangle = zlib.decompressobj(-15).decompress(content[:1024], 1) == bytes([RECTANGLE])
@@ -216,8 +218,8 @@ class _Pass:
                 self._cell.shape_count += size
                 self._pillars_only = False
                 return
-            data = zlib.decompressobj(-15).decompress(content, size + 1)
-        except zlib.error as error:
+            data = deflate_decompress(content, size)
+        except (zlib.error, DeflateError) as error:
             raise DamagedError(f"a CBLOCK that cannot be inflated ({error})") from error
         if len(data) != size:
             raise DamagedError("a CBLOCK of another length than it says")

@@ -11,10 +11,10 @@ runs through the tile, so that some sizes are listed both ways, and the shorter 
 from __future__ import annotations
 
 import math
-import zlib
 from dataclasses import dataclass
 
 import numpy as np
+from deflate import deflate_compress
 from numpy.typing import NDArray
 
 from metafab.core.numerics import HAS_NUMBA, compiled
@@ -28,9 +28,9 @@ RECTANGLE = 20
 W, H, X, Y, _REPETITION, DATATYPE_LAYER = 0b100_0000, 0b10_0000, 0b1_0000, 0b1000, 0b100, 0b011
 _ARBITRARY_ON_GRID = 11
 
-# Of the paper's 25.6 million pillars level 5 makes 5 % more, 7 makes 0.8 % less in 1.3 times and 9 2 % less in three
-# times the time (docs/benchmarks.md).
-_DEFLATE_LEVEL = 6
+# Of libdeflate, which takes a third of zlib's time for fewer bytes. docs/benchmarks.md has the bytes and seconds of
+# each level: those from 10 on save another 5 % in six times the time.
+_DEFLATE_LEVEL = 7
 
 
 @dataclass(frozen=True)
@@ -47,16 +47,15 @@ class Scan:
 
 
 #: Tiles are listed by the better of these.
-SCANS = (Scan(along_y=True, strip_sites=238), Scan(along_y=False, strip_sites=1 << 30))
+SCANS = (Scan(along_y=False, strip_sites=238), Scan(along_y=True, strip_sites=238))
 
 # The share of the sizes that is listed both ways to find the better.
 _TRIED_SHARE = 16
 
 
-def deflate(data: bytes) -> bytes:
-    """Raw deflate data, as a CBLOCK holds them."""
-    packer = zlib.compressobj(_DEFLATE_LEVEL, zlib.DEFLATED, -15)
-    return packer.compress(data) + packer.flush()
+def deflate(data: bytes) -> bytearray:
+    """Raw deflate data, as a CBLOCK holds them. Lets other threads run meanwhile."""
+    return deflate_compress(data, _DEFLATE_LEVEL)
 
 
 def best_scan(tile: PillarTile, lattice: Lattice, stamp: Stamp, cell: TileCell) -> Scan:
@@ -65,7 +64,8 @@ def best_scan(tile: PillarTile, lattice: Lattice, stamp: Stamp, cell: TileCell) 
     tried = max(1, count // _TRIED_SHARE)
     first = 1 + (count - tried) // 2
     index = tile.size_index
-    few = PillarTile(tile.row, tile.column, np.where((index >= first) & (index < first + tried), index, np.uint16(0)))
+    # One comparison of unsigned numbers: those below ``first`` become large.
+    few = PillarTile(tile.row, tile.column, np.where(index - np.uint16(first) < tried, index, np.uint16(0)))
     if not few.size_index.any():
         return SCANS[0]
 

@@ -19,7 +19,7 @@ from metafab.core.files import fingerprint, whole_file, write_json
 from metafab.core.progress import Progress, silent
 from metafab.layout import Lattice, PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.geometry import whole_dbu
-from metafab.mask.cells import Stamp, pillar_stamp, top_name
+from metafab.mask.cells import Stamp, count_sizes, pillar_stamp, top_name
 from metafab.mask.copies import biases_dbu, lens_copies
 from metafab.mask.dose import DoseClasses
 from metafab.mask.exposure import write_time
@@ -147,7 +147,7 @@ class _Figures:
         """Count the pillars of a tile; tiles lie within a write field."""
         across, along = self._field_sites
         field = tile.row // along, tile.column // across
-        used = np.bincount(tile.size_index.ravel(), minlength=self._used.size)
+        used = count_sizes(tile.size_index, self._used.size)
         self._shapes_in[field] += used[1:].sum()
         self._area_in_dbu[field] += used @ self._size_area_dbu
         self._used += used

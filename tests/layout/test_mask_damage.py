@@ -142,10 +142,10 @@ def test_nested_arrays_that_would_fill_the_memory_are_counted_not_expanded(tiny_
 def test_an_oasis_block_that_would_fill_the_memory_is_refused(tiny_design: Design, tmp_path: Path) -> None:
     head = MAGIC + bytes([START]) + varints.string("1.0") + b"\x00" + varints.unsigned(2000) + bytes(13)
     cell = bytes([CELL]) + varints.string("T")
-    block = bytes([CBLOCK, 0]) + varints.unsigned(1 << 40) + varints.unsigned(4) + bytes(4)
+    blocks = [bytes([CBLOCK, 0]) + varints.unsigned(size) + varints.unsigned(4) + bytes(4) for size in (1 << 40, 4129)]
     place = bytes([PLACEMENT, 0b1000_1000]) + varints.string("T")
     repetition = bytes([1]) + varints.unsigned(1 << 40) + varints.unsigned(1 << 20) + bytes(2)
-    for content in (block, place + repetition):
+    for content in (*blocks, place + repetition):
         path = tmp_path / "bomb.oas"
         path.write_bytes(head + cell + content + bytes([END]) + bytes(255))
         with pytest.raises(InputError, match=r"CBLOCK of|list of"):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from metafab.layout import Lattice, PillarTile
-from metafab.mask.cells import Stamp, tile_cell
+from metafab.mask.cells import Stamp, count_sizes, tile_cell
 from metafab.mask.gdsii_rectangles import rectangles_of, rectangles_vectorised
 from metafab.mask.gdsii_writer import boundary_template, fill_boundaries, fill_boundaries_vectorised
 from metafab.mask.oasis_records import (
@@ -41,6 +41,11 @@ def test_oasis_records(index: np.ndarray, row: int, periods: tuple[int, int], sc
     lattice, tile, stamp = Lattice(periods, (400, 400), 0.5), PillarTile(row, 17, index), Stamp(SIZES, CORNERS, 1, 300)
     arguments = (tile, lattice, stamp, tile_cell(lattice, tile, stamp), scan)
     assert rectangle_records(*arguments) == rectangle_records_vectorised(*arguments)
+
+
+@given(index=TILES)
+def test_sizes_are_counted(index: np.ndarray) -> None:
+    assert count_sizes(index, 7).tolist() == [np.count_nonzero(index == size) for size in range(7)]
 
 
 @pytest.mark.parametrize("scan", SCANS)
