@@ -4,6 +4,7 @@
 - ``carriers``  lens, split lens (Eqs. 3 and 4), grating, axicon
 - ``helices``   spiral zones (Eq. 2), the optimised mask as a sum of waves, vortex, double helix
 - ``angle``     angles of many complex numbers, fast
+- ``panels``    angles of a sum of separable waves on a tile, faster
 - ``zernike``   Zernike polynomials
 - ``sampled``   phases given by samples: a user's file
 - ``hologram``  the phase that paints a picture

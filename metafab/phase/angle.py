@@ -35,21 +35,26 @@ _COEFFICIENTS = _coefficients()
 
 
 @compiled
-def _angles(values: ComplexArray, out: FloatArray) -> None:
+def angle_of(real: float, imag: float) -> float:
+    """Angle of one complex number, rad in [-pi, pi]; for compiled loops."""
     c = _COEFFICIENTS
+    across, along = abs(real), abs(imag)
+    # The smallest normal number keeps 0 / 0 out, and is lost in anything else.
+    ratio = min(across, along) / (max(across, along) + 2.3e-308)
+    q = ratio * ratio
+    tail = c[12] * q + c[11]
+    tail = ((tail * q + c[10]) * q + c[9]) * q + c[8]
+    tail = (((tail * q + c[7]) * q + c[6]) * q + c[5]) * q + c[4]
+    tail = (((tail * q + c[3]) * q + c[2]) * q + c[1]) * q + c[0]
+    turn = tail * ratio
+    if along > across:
+        turn = 0.5 * np.pi - turn
+    if real < 0.0:
+        turn = np.pi - turn
+    return turn if imag >= 0.0 else -turn
+
+
+@compiled
+def _angles(values: ComplexArray, out: FloatArray) -> None:
     for i in range(out.size):
-        real, imag = values[i].real, values[i].imag
-        across, along = abs(real), abs(imag)
-        # The smallest normal number keeps 0 / 0 out, and is lost in anything else.
-        ratio = min(across, along) / (max(across, along) + 2.3e-308)
-        q = ratio * ratio
-        tail = c[12] * q + c[11]
-        tail = ((tail * q + c[10]) * q + c[9]) * q + c[8]
-        tail = (((tail * q + c[7]) * q + c[6]) * q + c[5]) * q + c[4]
-        tail = (((tail * q + c[3]) * q + c[2]) * q + c[1]) * q + c[0]
-        turn = tail * ratio
-        if along > across:
-            turn = 0.5 * np.pi - turn
-        if real < 0.0:
-            turn = np.pi - turn
-        out[i] = turn if imag >= 0.0 else -turn
+        out[i] = angle_of(values[i].real, values[i].imag)

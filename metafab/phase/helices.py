@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from scipy.special import binom
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
+from metafab.core.numerics import HAS_NUMBA
 from metafab.phase.angle import angle
+from metafab.phase.panels import angles_by_panels
 from metafab.phase.pupil import phasor
 
 
@@ -64,8 +66,9 @@ class WaveSumPhase:
 
     What maximises the peaks of a PSF at given points and depths has this form (``peak``), so the optimised mask
     is known at every point: nothing is sampled or interpolated, and there are no zone boundaries left, only the
-    zeros of the sum, which are vortices. Each wave is a product of a function of x and one of y, so a tile costs
-    one small matrix product.
+    zeros of the sum, which are vortices. Each wave is a product of a function of x and one of y; compiled, the sum is
+    interpolated along y (:mod:`metafab.phase.panels`), which turns its phase by less than 1e-4 rad wherever the sum
+    exceeds 5e-4 of the sum of the weights' moduli: everywhere but in the very core of a vortex.
 
     Attributes:
         radius_um: aperture's radius R (half the side of a square one).
@@ -86,8 +89,13 @@ class WaveSumPhase:
         if self.polarisation not in {None, polarisation}:
             return np.zeros((y_um.size, x_um.size))
         sign = 1.0 if polarisation == "x" else -1.0
-        total = self.field(sign * x_um / self.radius_um, sign * y_um / self.radius_um)
-        return angle(total)
+        x, y = sign * x_um / self.radius_um, sign * y_um / self.radius_um
+        if not HAS_NUMBA or np.any(np.abs(y) > 1.0):
+            return angle(self.field(x, y))
+        tilt_y = self.tilt_rad[:, 1]
+        slope_rad = float(np.max(np.abs(tilt_y) + 2.0 * np.abs(self.defocus_rad)))
+        weighted_x = self._waves(x, self.tilt_rad[:, 0]) * self.amplitude
+        return angles_by_panels(weighted_x, lambda points: self._waves(points, tilt_y), y, slope_rad)
 
     def field(self, x: FloatArray, y: FloatArray) -> ComplexArray:
         """The sum of waves on the grid of normalised ``x`` (n_x,) and ``y`` (n_y,): shape (n_y, n_x)."""
