@@ -30,6 +30,11 @@ class TileCell:
     first_x_dbu: int
     first_y_dbu: int
 
+    def flattened(self, x_dbu: int, y_dbu: int) -> TileCell:
+        """The same sites counted from the origin of the top cell, in the lens at (x_dbu, y_dbu)."""
+        first_x_dbu, first_y_dbu = self.x_dbu + self.first_x_dbu + x_dbu, self.y_dbu + self.first_y_dbu + y_dbu
+        return TileCell(self.name, 0, 0, first_x_dbu, first_y_dbu)
+
 
 @dataclass(frozen=True)
 class Stamp:

@@ -82,8 +82,7 @@ class GdsiiWriter(MaskWriter):
     def add(self, tile: EncodedTile) -> None:
         """Append the structure of a tile, and keep its memory for another."""
         super().add(tile)
-        if isinstance(tile.content.base, np.ndarray):
-            self._spare.append(tile.content.base)
+        self._spare += [piece.base for piece in tile.content if isinstance(piece.base, np.ndarray)]
 
     def _begin_cell(self, name: str) -> None:
         self._write(record(0x0502, struct.pack(">12h", *_DATE)) + record(0x0606, text(name)))

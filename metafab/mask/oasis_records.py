@@ -82,16 +82,25 @@ def rectangle_records(
     stamp: Stamp,
     cell: TileCell,
     scan: Scan,
+    *,
+    absolute: bool = False,
 ) -> bytes:
-    """The RECTANGLE records of a tile, by size, positions relative to the record before; not yet deflated."""
+    """The RECTANGLE records of a tile, by size; not yet deflated.
+
+    Positions are relative to the record before, or ``absolute`` where other tiles go before in the same cell. Nothing
+    else is taken from before the first record.
+    """
     if not HAS_NUMBA:
-        return rectangle_records_vectorised(tile, lattice, stamp, cell, scan)
+        return rectangle_records_vectorised(tile, lattice, stamp, cell, scan, absolute=absolute)
     row, column, end_of = _sorted_by_size(tile.size_index, len(stamp.size_dbu), scan.along_y, scan.strip_sites)
     # No displacement in a tile takes more than 12 bytes, no head of a record more than 64.
     out = np.empty(12 * row.size + 64 * len(stamp.size_dbu), dtype=np.uint8)
     first_dbu = (cell.first_x_dbu, cell.first_y_dbu)
     shape = (stamp.size_dbu, stamp.corner_dbu)
-    end = _write_records(row, column, end_of, *shape, lattice.period_dbu, first_dbu, (stamp.layer, stamp.datatype), out)
+    layer_datatype = (stamp.layer, stamp.datatype)
+    end = _write_records(
+        row, column, end_of, *shape, lattice.period_dbu, first_dbu, layer_datatype, 0 if absolute else 1, out
+    )
     return out[:end].tobytes()
 
 
@@ -105,6 +114,7 @@ def _write_records(
     period: tuple[int, int],
     first_dbu: tuple[int, int],
     layer_datatype: tuple[int, int],
+    relative: int,
     out: varints.ByteArray,
 ) -> int:
     grid = math.gcd(period[0], period[1])
@@ -121,7 +131,7 @@ def _write_records(
         y = first_dbu[1] + row[here] * period[1] + corner_dbu[size, 1]
         info = (_REPETITION if count > 1 else 0) | (DATATYPE_LAYER if here == 0 else 0)
         info |= (W if width != modal[0] else 0) | (H if length != modal[1] else 0)
-        info |= (X if x != modal[2] else 0) | (Y if y != modal[3] else 0)
+        info |= (X if here == 0 or x != modal[2] else 0) | (Y if here == 0 or y != modal[3] else 0)
         end = varints.put(out, varints.put(out, end, RECTANGLE), info)
         if here == 0:
             end = varints.put(out, varints.put(out, end, layer_datatype[0]), layer_datatype[1])
@@ -130,9 +140,11 @@ def _write_records(
         if info & H:
             end = varints.put(out, end, length)
         if info & X:
-            end = varints.put(out, end, abs(x - modal[2]) << 1 | (x < modal[2]))
+            step = x - relative * modal[2]
+            end = varints.put(out, end, abs(step) << 1 | (step < 0))
         if info & Y:
-            end = varints.put(out, end, abs(y - modal[3]) << 1 | (y < modal[3]))
+            step = y - relative * modal[3]
+            end = varints.put(out, end, abs(step) << 1 | (step < 0))
         modal[0], modal[1], modal[2], modal[3] = width, length, x, y
         if count > 1:
             end = varints.put(out, varints.put(out, end, _ARBITRARY_ON_GRID), count - 2)
@@ -157,6 +169,8 @@ def rectangle_records_vectorised(
     stamp: Stamp,
     cell: TileCell,
     scan: Scan,
+    *,
+    absolute: bool = False,
 ) -> bytes:
     """As :func:`rectangle_records`, in NumPy alone: every byte is an unsigned integer, ids and flags included."""
     grid = math.gcd(*lattice.period_dbu)
@@ -173,9 +187,10 @@ def rectangle_records_vectorised(
     modal = np.concatenate([size, corner], axis=1)
     before = np.concatenate([[[-1, -1, 0, 0]], modal[:-1]])
     changed = modal != before
+    changed[0] = True
     opens, several = np.arange(used.size) == 0, count > 1
     info = changed @ np.array([W, H, X, Y]) + _REPETITION * several + DATATYPE_LAYER * opens
-    steps = _zigzag((modal - before)[:, 2:])
+    steps = _zigzag((modal if absolute else modal - before)[:, 2:])
     constants = np.broadcast_to([RECTANGLE, stamp.layer, stamp.datatype, _ARBITRARY_ON_GRID, grid], (used.size, 5))
     head = np.column_stack(
         [constants[:, 0], info, constants[:, 1:3], size, steps, constants[:, 3], count - 2, constants[:, 4]]

@@ -34,10 +34,11 @@ class OasisWriter(MaskWriter):
 
     def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
         drawn = (tile, self._drawing.lattice, stamp, cell)
-        records = rectangle_records(*drawn, best_scan(*drawn))
+        flat = self._drawing.flat
+        records = rectangle_records(*drawn, best_scan(*drawn), absolute=flat)
         packed = deflate(records)
         block = bytes([CBLOCK, 0]) + varints.unsigned(len(records)) + varints.unsigned(len(packed)) + packed
-        return np.frombuffer(bytes([XYRELATIVE]) + block, dtype=np.uint8)
+        return np.frombuffer((b"" if flat else bytes([XYRELATIVE])) + block, dtype=np.uint8)
 
     def _begin_cell(self, name: str) -> None:
         self._write(bytes([CELL]) + varints.string(name))

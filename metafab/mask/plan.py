@@ -7,13 +7,13 @@ import time
 from typing import Any
 
 from metafab.core.executor import default_workers
-from metafab.layout import Aperture
+from metafab.layout import Aperture, PillarMap, PillarTile
 from metafab.layout.assign import mapping_of
 from metafab.library import Library
-from metafab.mask.cells import pillar_stamp
-from metafab.mask.copies import biases_dbu, lens_copies
 from metafab.mask.gdsii_writer import BOUNDARY_WORDS
-from metafab.mask.write import WRITERS, drawing_of
+from metafab.mask.stamps import Stamps, shapes_per_pillar
+from metafab.mask.write import WRITERS, biased, drawing_of
+from metafab.mask.writer import MaskWriter
 from metafab.phase.profile import PhaseProfile
 from metafab.spec import Design
 
@@ -51,17 +51,16 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
     mapping_seconds += time.perf_counter()
     share = sum(figures.pillars for _, figures in tiles) / aperture.count
     seconds = {"preparing": prepared, "mapping": mapping_seconds / share / default_workers()}
-    # Copies of one bias share their cells; those of another are encoded again.
-    share_encoded = share / len(biases_dbu(lens_copies(design)))
     sizes: dict[str, int] = {}
-    stamp = pillar_stamp(table.size_dbu, design.mask.layer, design.mask.datatype)
+    sample = PillarMap(aperture.lattice, table.size_dbu, lambda: (tile for tile, _ in tiles), mapping.tile_sites)
+    stamps = Stamps(biased(sample, design.mask.bias_nm), design)
     for suffix in design.mask.formats:
         writer = WRITERS[suffix](io.BytesIO(), drawing_of(aperture.lattice, design))
-        writer.encode(tiles[0][0], stamp)
+        _encoded_bytes(writer, stamps, tiles[0][0])
         encoding = time.perf_counter()
-        encoded = sum(writer.encode(tile, stamp).content.size for tile, _ in tiles)
-        seconds[suffix] = (time.perf_counter() - encoding) / share_encoded / default_workers()
-        sizes[suffix] = round(encoded / share_encoded)
+        encoded = sum(_encoded_bytes(writer, stamps, tile) for tile, _ in tiles)
+        seconds[suffix] = (time.perf_counter() - encoding) / share / default_workers()
+        sizes[suffix] = round(encoded / share)
     return {
         "pillars": aperture.count,
         "tiles": len(places),
@@ -74,16 +73,20 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
     }
 
 
+def _encoded_bytes(writer: MaskWriter, stamps: Stamps, tile: PillarTile) -> int:
+    """Bytes of all that is drawn on the sites of a tile."""
+    return sum(piece.size for part in stamps.of(tile) for piece in writer.encode(*part).content)
+
+
 def announcement(design: Design) -> list[str]:
     """What is to be said before a mask is written: that its GDSII would be larger than many readers take.
 
-    Every pillar is a BOUNDARY of 64 bytes, once for each bias of ``mask.copies``, so that nothing needs to be mapped
-    to know it.
+    Every pillar is a BOUNDARY of 64 bytes, once for each bias of ``mask.copies`` (for each copy, if ``mask.flat``),
+    beside four in the field around it where that is inverted, so that nothing needs to be mapped to know it.
     """
     if "gds" not in design.mask.formats:
         return []
-    drawn = Aperture.of(design).count * len(biases_dbu(lens_copies(design)))
-    return _advice({"gds": drawn * BOUNDARY_WORDS * 4})
+    return _advice({"gds": Aperture.of(design).count * shapes_per_pillar(design) * BOUNDARY_WORDS * 4})
 
 
 def _advice(sizes: dict[str, int]) -> list[str]:

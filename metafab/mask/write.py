@@ -19,13 +19,12 @@ from metafab.core.files import fingerprint, whole_file, write_json
 from metafab.core.progress import Progress, silent
 from metafab.layout import Lattice, PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.geometry import whole_dbu
-from metafab.mask.cells import Stamp, count_sizes, pillar_stamp, top_name
-from metafab.mask.copies import biases_dbu, lens_copies
-from metafab.mask.dose import DoseClasses
+from metafab.mask.cells import count_sizes, top_name
+from metafab.mask.copies import lens_copies
 from metafab.mask.exposure import write_time
 from metafab.mask.gdsii_writer import GdsiiWriter
-from metafab.mask.inverse import InvertedField
 from metafab.mask.oasis_writer import OasisWriter
+from metafab.mask.stamps import Stamps
 from metafab.mask.surroundings import Surroundings, surroundings
 from metafab.mask.viewer import layer_properties
 from metafab.mask.writer import Drawing, EncodedTile, MaskWriter
@@ -75,10 +74,8 @@ def write(
     drawn = biased(pillars, design.mask.bias_nm)
     for copy in design.mask.copies:
         biased(drawn, copy.bias_nm)  # refused now rather than after an hour
-    biases = biases_dbu(lens_copies(design))
     beside = surroundings(design)
-    classes = DoseClasses(drawn, design.mask.dose)
-    inverted = InvertedField(drawn, design.mask.field_layer, biases) if design.mask.tone == "inverted" else None
+    stamps = Stamps(drawn, design)
     figures = _Figures(drawn, design)
     files = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     with ExitStack() as stack:
@@ -90,17 +87,9 @@ def write(
         threads = stack.enter_context(ThreadPoolExecutor(default_workers()))
         seen: set[tuple[int, int]] = set()
 
-        def stamped(tile: PillarTile) -> Iterator[tuple[PillarTile, Stamp]]:
-            """What is drawn on a tile's sites: the pillars of every dose class and the field, with every bias."""
-            for number, part in classes.split(tile):
-                for bias in biases:
-                    yield part, pillar_stamp(drawn.size_dbu, design.mask.layer, design.mask.datatype, number, bias)
-            if inverted is not None:
-                yield from inverted.of(tile)
-
         def encode(tile: PillarTile) -> list[EncodedTile]:
             """One tile in every format, one after the other."""
-            return [writer.encode(*part) for part in stamped(tile) for writer in writers]
+            return [writer.encode(*part) for part in stamps.of(tile) for writer in writers]
 
         sites = drawn.lattice.shape[0] * drawn.lattice.shape[1]
         ahead = default_workers() + 1
@@ -110,9 +99,7 @@ def write(
                 writers[number % len(writers)].add(cell)
             figures.add(tile)
             progress("mask", figures.sites, sites)
-        drawn_beside = [(kind.layer, kind.rectangles) for kind in beside]
-        if inverted is not None:
-            drawn_beside.append((design.mask.field_layer, inverted.without_pillars(seen, lens_copies(design))))
+        drawn_beside = [*((kind.layer, kind.rectangles) for kind in beside), *stamps.beside(seen)]
         for writer in writers:
             writer.close(drawn_beside)
         progress("mask", sites, sites)
@@ -126,7 +113,8 @@ def write(
 
 def drawing_of(lattice: Lattice, design: Design) -> Drawing:
     """What the writers know of a design's mask."""
-    return Drawing(lattice, top_name(design.name), lens_copies(design) if design.mask.copies else ())
+    copies = lens_copies(design) if design.mask.copies or design.mask.flat else ()
+    return Drawing(lattice, top_name(design.name), copies, design.mask.flat)
 
 
 class _Figures:
@@ -249,6 +237,8 @@ def _provenance(design: Design, beside: Sequence[Surroundings]) -> dict[str, Any
     options: dict[str, Any] = {}
     if design.mask.bias_nm:
         options["bias_nm"] = design.mask.bias_nm
+    if design.mask.flat:
+        options["flat"] = True
     if design.mask.dose is not None:
         options["dose"] = design.mask.dose
     if beside:

@@ -24,11 +24,13 @@ class Drawing:
         lattice: lattice of the tiles.
         top: name of the top cell.
         copies: lenses to place where there are several; without any, the top cell is the lens.
+        flat: whether the top cell is the only one and holds every rectangle, those of each copy at its place.
     """
 
     lattice: Lattice
     top: str
     copies: tuple[LensCopy, ...] = ()
+    flat: bool = False
 
 
 @dataclass(frozen=True)
@@ -38,12 +40,12 @@ class EncodedTile:
     Attributes:
         bias_dbu: of the copy of the lens that it belongs to.
         cell: their cell.
-        content: its elements, shape (n,).
+        content: its elements, shape (n,); where the mask is flat, a piece for each copy of the lens.
     """
 
     bias_dbu: int
     cell: TileCell
-    content: NDArray[np.uint8]
+    content: tuple[NDArray[np.uint8], ...]
 
 
 class MaskWriter(ABC):
@@ -62,18 +64,27 @@ class MaskWriter(ABC):
         self._drawing = drawing
         self._placed: dict[int, list[TileCell]] = {bias: [] for bias in biases_dbu(drawing.copies) or (0,)}
         self._begin_file()
+        if drawing.flat:
+            self._begin_cell(drawing.top)
 
     def encode(self, tile: PillarTile, stamp: Stamp) -> EncodedTile:
         """``stamp`` on the sites of ``tile`` as :meth:`add` takes it. Safe to call from several threads."""
         cell = tile_cell(self._drawing.lattice, tile, stamp)
-        return EncodedTile(stamp.bias_dbu, cell, self._content(tile, cell, stamp))
+        if not self._drawing.flat:
+            return EncodedTile(stamp.bias_dbu, cell, (self._content(tile, cell, stamp),))
+        copies = (copy for copy in self._drawing.copies if copy.bias_dbu == stamp.bias_dbu)
+        pieces = (self._content(tile, cell.flattened(copy.x_dbu, copy.y_dbu), stamp) for copy in copies)
+        return EncodedTile(stamp.bias_dbu, cell, tuple(pieces))
 
     def add(self, tile: EncodedTile) -> None:
         """Append the cell of a tile. Its memory may be used again: it must not be read afterwards."""
-        self._placed[tile.bias_dbu].append(tile.cell)
-        self._begin_cell(tile.cell.name)
-        self._write(tile.content.data)  # not copied: a tile may have tens of megabytes
-        self._end_cell()
+        if not self._drawing.flat:
+            self._placed[tile.bias_dbu].append(tile.cell)
+            self._begin_cell(tile.cell.name)
+        for piece in tile.content:
+            self._write(piece.data)  # not copied: a tile may have tens of megabytes
+        if not self._drawing.flat:
+            self._end_cell()
 
     def close(self, beside: Iterable[tuple[int, IntArray]] = ()) -> None:
         """Write the top cell, with (layer, rectangles) ``beside`` the pillars in it, and the end of the file.
@@ -81,6 +92,16 @@ class MaskWriter(ABC):
         Raises:
             InputError: the format cannot hold a rectangle.
         """
+        drawing = self._drawing
+        if not drawing.flat:
+            self._begin_top()
+        for layer, rectangles in beside:
+            self._draw(layer, rectangles)
+        self._end_cell()
+        self._end_file()
+
+    def _begin_top(self) -> None:
+        """The cells of the copies, and the top cell that places them or, without any, the tiles."""
         drawing = self._drawing
         if drawing.copies:
             for bias_dbu in self._placed:
@@ -92,10 +113,6 @@ class MaskWriter(ABC):
             self._place_tiles(0)
         for copy in drawing.copies:
             self._place(lens_name(copy.bias_dbu, drawing.top), copy.x_dbu, copy.y_dbu)
-        for layer, rectangles in beside:
-            self._draw(layer, rectangles)
-        self._end_cell()
-        self._end_file()
 
     def _place_tiles(self, bias_dbu: int) -> None:
         for cell in self._placed[bias_dbu]:

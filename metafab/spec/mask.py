@@ -80,7 +80,8 @@ class Mask:
     ``bias_nm`` is added to the width and length of every drawn pillar (etch compensation); pillars stand without it,
     while the gap and feature rules hold for what is drawn. ``tone`` "negative" exposes what stays; "positive" adds
     the write field on ``field_layer``, and the shop exposes field NOT pillars; "inverted" draws that very difference on
-    ``field_layer`` in rectangles, five times as many shapes.
+    ``field_layer`` in rectangles, five times as many shapes. ``flat`` puts every rectangle into the top cell, for
+    software that knows no cells; such files open far more slowly.
     """
 
     formats: tuple[Literal["gds", "oas"], ...] = ("gds", "oas")
@@ -91,6 +92,7 @@ class Mask:
     bias_nm: Real = 0.0
     tone: Literal["negative", "positive", "inverted"] = "negative"
     field_layer: Index = 2
+    flat: bool = False
     dose: Annotated[Dose | None, Field(description="omitted: one dose")] = None
     chip: Annotated[Chip | None, Field(description="omitted: the lens alone")] = None
     copies: Annotated[tuple[Copy, ...], Field(description="omitted: one lens in the middle")] = ()

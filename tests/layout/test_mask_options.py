@@ -190,6 +190,31 @@ def test_the_inverted_field_is_the_square_less_the_pillars(
         assert read_back.other_layers == {"2/0": layers["2/0"].count()}
 
 
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("tone", ["negative", "inverted"])
+def test_a_flat_mask_has_one_cell_and_the_same_geometry(
+    suffix: str, tone: str, tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    """Copies with and without bias, dose classes and a chip included; each copy is read back as it is drawn."""
+    copies = (Copy((0.0, 0.0)), Copy((140.0, 0.0), bias_nm=4.0), Copy((0.0, 140.0)))
+    design = _with(tiny_design, formats=(suffix,), tone=tone, copies=copies, chip=CHIP, dose=Dose(classes=3))
+    flat = _with(design, flat=True)
+    (tree, *_), (one, *_) = (mask.write(tiny.pillars, tmp_path / d.name, d) for d in (design, replace(flat, name="f")))
+    expected, found = _layers(tree.path), _layers(one.path)
+    assert expected.keys() == found.keys()
+    for layer, region in expected.items():
+        assert region.count() == found[layer].count()
+        assert (region ^ found[layer]).is_empty()
+    opened = kdb.Layout()
+    opened.read(str(one.path))
+    assert opened.cells() == 1
+    for number in (1, 3):
+        read_back = mask.read(one.path, flat, copy=number)
+        assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(tiny.pillars))
+        assert read_back.off_site.count == read_back.duplicates.count == 0
+    assert json.loads((tmp_path / "f" / "layout.json").read_text())["flat"] is True
+
+
 def test_pillars_beyond_their_cells_are_not_inverted(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
     copies = (Copy(at_um=(0.0, 0.0)), Copy(at_um=(50.0, 0.0), bias_nm=200.0))
     with pytest.raises(InputError, match="within their cells"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,8 +14,7 @@ from metafab.cli.whole import run_command
 from metafab.layout import Assignment
 from metafab.library import Library
 from metafab.phase.profile import PhaseProfile
-from metafab.run import Outcome
-from metafab.spec import Design
+from metafab.spec import Copy, Design
 
 
 def test_bytes_are_those_of_the_written_files(
@@ -47,23 +47,51 @@ def test_a_centimetre_lens_is_planned_from_a_few_tiles_and_oasis_proposed(
     assert "write 'oas'" in plan["advice"][0]
 
 
+class _BegunError(Exception):
+    """The first step would run now."""
+
+
 def test_a_run_announces_a_large_gdsii_before_its_first_step(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    """With a limit of one byte in place of 2^31; the announcement is out when the run begins."""
-    said = []
+    """With a limit of one byte in place of 2^31; the announcement is out when the first step begins."""
 
-    def begun(*_: object, **__: object) -> Outcome:
-        said.append(capsys.readouterr().err)
-        return Outcome({}, 0)
+    def begun(*_: object) -> None:
+        raise _BegunError
 
-    monkeypatch.setattr("metafab.run.run", begun)
+    monkeypatch.setattr("metafab.run._State.bring_up_to_date", begun)
     design = Path(__file__).parents[2] / "layouts" / "helix_small.toml"
-    run_command(design, tmp_path)
+    with pytest.raises(_BegunError):
+        run_command(design, tmp_path / "small")
+    assert capsys.readouterr().err == ""
     monkeypatch.setattr(sys.modules[mask.plan.__module__], "GDSII_COMFORT_BYTES", 1)
-    run_command(design, tmp_path)
-    assert said[0] == ""
-    assert "write 'oas'" in said[1]
+    with pytest.raises(_BegunError):
+        run_command(design, tmp_path / "large")
+    assert "write 'oas'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"tone": "inverted", "copies": (Copy((0.0, 0.0)), Copy((200.0, 0.0), 4.0), Copy((400.0, 0.0)))},
+        {"flat": True, "copies": (Copy((0.0, 0.0)), Copy((200.0, 0.0), 4.0), Copy((400.0, 0.0)))},
+    ],
+)
+def test_the_plan_counts_all_that_is_drawn(
+    options: dict[str, Any],
+    tiny: Assignment,
+    profile: PhaseProfile,
+    smooth_library: Library,
+    tiny_design: Design,
+    tmp_path: Path,
+) -> None:
+    """The field around pillars, and copies; without pillars are at most tiles at the corners, one shape each."""
+    design = replace(tiny_design, mask=replace(tiny_design.mask, **options))
+    plan = mask.plan(profile, smooth_library, design)
+    written = {file.path.suffix[1:]: file.bytes for file in mask.write(tiny.pillars, tmp_path, design)}
+    for suffix in ("gds", "oas"):
+        assert 0 < written[suffix] - plan["bytes"][suffix] < 500 + 1500 * plan["tiles"]
+    assert plan["bytes"]["gds"] >= 64 * 3 * tiny.figures["pillars"]
 
 
 def test_a_large_gdsii_is_announced_from_its_size_alone(small_design: Design) -> None:
@@ -78,3 +106,17 @@ def test_a_large_gdsii_is_announced_from_its_size_alone(small_design: Design) ->
     assert "2.2 GB" in sentence
     assert "write 'oas'" in sentence
     assert of(8000.0, "oas") == []
+
+
+def test_the_announcement_counts_the_inverted_field_and_flat_copies(small_design: Design) -> None:
+    """6.4 million pillars make a large file where each is drawn six times, or ten times the field included."""
+    device = replace(small_design.device, aperture_um=1000.0)
+
+    def of(**options: object) -> list[str]:
+        return mask.announcement(replace(small_design, device=device, mask=replace(small_design.mask, **options)))
+
+    copies = tuple(Copy((1100.0 * number, 0.0)) for number in range(6))
+    assert of(tone="positive", copies=copies) == []
+    assert of(tone="inverted") == []
+    assert "2.5 GB" in of(copies=copies, flat=True)[0]
+    assert "4.1 GB" in of(tone="inverted", copies=(*copies[:1], replace(copies[1], bias_nm=4.0)))[0]

@@ -36,11 +36,13 @@ TILES = arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=40), ele
     row=st.integers(0, 300),
     periods=st.sampled_from([(700, 700), (700, 600)]),
     scan=st.builds(Scan, along_y=st.booleans(), strip_sites=st.integers(1, 50)),
+    absolute=st.booleans(),
 )
-def test_oasis_records(index: np.ndarray, row: int, periods: tuple[int, int], scan: Scan) -> None:
+def test_oasis_records(index: np.ndarray, row: int, periods: tuple[int, int], scan: Scan, absolute: bool) -> None:
     lattice, tile, stamp = Lattice(periods, (400, 400), 0.5), PillarTile(row, 17, index), Stamp(SIZES, CORNERS, 1, 300)
     arguments = (tile, lattice, stamp, tile_cell(lattice, tile, stamp), scan)
-    assert rectangle_records(*arguments) == rectangle_records_vectorised(*arguments)
+    compiled = rectangle_records(*arguments, absolute=absolute)
+    assert compiled == rectangle_records_vectorised(*arguments, absolute=absolute)
 
 
 @given(index=TILES)

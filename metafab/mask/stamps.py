@@ -1,0 +1,55 @@
+"""What is drawn on the sites of a lens: pillars by dose class, and the field around them, with every bias."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from metafab.layout import PillarMap, PillarTile
+from metafab.mask.cells import Stamp, pillar_stamp
+from metafab.mask.copies import biases_dbu, lens_copies
+from metafab.mask.dose import DoseClasses
+from metafab.mask.hierarchy import IntArray
+from metafab.mask.inverse import RECTANGLES, InvertedField
+from metafab.spec import Design
+
+
+class Stamps:
+    """What is drawn, tile by tile.
+
+    Args:
+        drawn: the pillars with ``mask.bias_nm``.
+        design: layers, dose classes, tone and copies.
+
+    Raises:
+        InputError: the field cannot be inverted around these pillars.
+    """
+
+    def __init__(self, drawn: PillarMap, design: Design) -> None:
+        self._size_dbu = drawn.size_dbu
+        self._mask = design.mask
+        self._copies = lens_copies(design)
+        self._biases = biases_dbu(self._copies)
+        self._classes = DoseClasses(drawn, design.mask.dose)
+        inverted = design.mask.tone == "inverted"
+        self._field = InvertedField(drawn, design.mask.field_layer, self._biases) if inverted else None
+
+    def of(self, tile: PillarTile) -> Iterator[tuple[PillarTile, Stamp]]:
+        """Indices, and the rectangles that they stand for. Safe to call from several threads."""
+        for number, part in self._classes.split(tile):
+            for bias in self._biases:
+                yield part, pillar_stamp(self._size_dbu, self._mask.layer, self._mask.datatype, number, bias)
+        if self._field is not None:
+            yield from self._field.of(tile)
+
+    def beside(self, seen: set[tuple[int, int]]) -> list[tuple[int, IntArray]]:
+        """(layer, rectangles) of the field in the tiles, of every copy, that are not among ``seen`` (row, column)."""
+        if self._field is None:
+            return []
+        return [(self._mask.field_layer, self._field.without_pillars(seen, self._copies))]
+
+
+def shapes_per_pillar(design: Design) -> int:
+    """Rectangles that one pillar of the lens becomes in the file, at most."""
+    copies = lens_copies(design)
+    drawings = len(copies) if design.mask.flat else len(biases_dbu(copies))
+    return drawings * (1 + (RECTANGLES if design.mask.tone == "inverted" else 0))
