@@ -18,11 +18,17 @@ def mask(run: RunFolder, drawn: Drawn) -> str:
         distinct_sizes="sizes",
         min_gap_nm="smallest gap / nm",
         phase_rms_error_rad="phase error / rad rms",
+        mean_transmittance="mean transmittance",
         efficiency="efficiency of the mapping",
     )
     if isinstance(each := part.get("gap_rule_each"), dict):
         facts += "<h3>If every pillar kept the gap by itself</h3>"
-        facts += facts_line(each, phase_rms_error_rad="phase error / rad rms", efficiency="efficiency of the mapping")
+        facts += facts_line(
+            each,
+            phase_rms_error_rad="phase error / rad rms",
+            mean_transmittance="mean transmittance",
+            efficiency="efficiency of the mapping",
+        )
     rows = [
         [escape(str(file.get("name", ""))), html.number(file.get("bytes"))]
         for file in part.get("files", [])
