@@ -13,7 +13,7 @@ from metafab.camera.frame import RawFrame, Truth
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.camera.motion import Shutter, moved
-from metafab.camera.render import Renderer, extent
+from metafab.camera.render import Piece, Renderer, extent
 from metafab.camera.sensor import FixedPattern, expose
 from metafab.camera.windows import Window, sensor_windows
 from metafab.core.conventions import FloatArray
@@ -85,6 +85,28 @@ _MOST_BLURS = 256
 
 
 @dataclass(frozen=True)
+class Layer:
+    """What one object adds to an image, and what it hides of those behind it.
+
+    Attributes:
+        rows: of the image with its margin; likewise ``columns``.
+        columns: see ``rows``.
+        light: shape (n_rows, n_columns), electrons.
+        hidden: the same shape, 0 to 1.
+    """
+
+    rows: slice
+    columns: slice
+    light: FloatArray
+    hidden: FloatArray
+
+    @classmethod
+    def nowhere(cls) -> Layer:
+        """Of an object out of sight."""
+        return cls(slice(0, 0), slice(0, 0), *np.zeros((2, 0, 0)))
+
+
+@dataclass(frozen=True)
 class _Lens:
     """What turns a scene at rest into light on the sensor.
 
@@ -92,11 +114,13 @@ class _Lens:
         kernels: the PSF pair.
         windows: of the x and the y image.
         blurs: those of the depths that were met.
+        still: layers of the objects that do not move, by polarisation and number: each is blurred once in a film.
     """
 
     kernels: PairKernels
     windows: tuple[Window, Window]
     blurs: dict[float, tuple[FieldBlur, FieldBlur]] = field(default_factory=dict)
+    still: dict[tuple[int, int], Layer] = field(default_factory=dict)
 
     @property
     def left(self) -> int:
@@ -127,7 +151,7 @@ class _Lens:
         margin_y, margin_x = self.kernels.shape
         for polarisation, window in enumerate(self.windows):
             part = _share(progress, polarisation, len(self.windows))
-            light = _light(renderer, self.kernels, window, polarisation, self.blurs, part)
+            light = _light(renderer, self.kernels, window, polarisation, self.blurs, self.still, part)
             row, column = window.row - self.bottom - margin_y // 2, window.column - self.left - margin_x // 2
             place = mean_e[row : row + light.shape[0], column : column + light.shape[1]]
             place += light[: place.shape[0], : place.shape[1]]
@@ -145,6 +169,7 @@ def _light(
     window: Window,
     polarisation: int,
     blurs: dict[float, tuple[FieldBlur, FieldBlur]],
+    still: dict[tuple[int, int], Layer],
     progress: Progress,
 ) -> FloatArray:
     """Mean electrons of one image with its blur's margin all around: window shape plus kernel shape."""
@@ -156,31 +181,54 @@ def _light(
         # Without structure, depth does not matter: the mean of all depths' throughputs is 1.
         inner = (slice(k_y // 2, k_y // 2 + n_y), slice(k_x // 2, k_x // 2 + n_x))
         light[inner] = scene.background * window.gain * window.seen
-    for done, piece in enumerate(renderer.pieces(window.tangent_x, window.tangent_y), start=1):
-        spread, hidden = np.zeros((2, *light.shape))
-        # The steps of one piece lie beside each other: their light adds up, and so does what they hide.
-        for depth_m, coverage, brightness in zip(piece.depth_m, piece.coverage, piece.brightness, strict=True):
-            if not coverage.any():
-                continue
-            rows, columns = extent(coverage.any(axis=1)), extent(coverage.any(axis=0))
-            crop = (_beyond(piece.rows, rows), _beyond(piece.columns, columns))
-            flux = piece.share[polarisation] * window.gain[crop] * brightness[rows, columns]
-            if depth_m not in blurs:
-                blurs[depth_m] = FieldBlur.at_depth(kernels, float(depth_m))
-            lit, covered = blurs[depth_m][polarisation](
-                flux * window.seen[crop],
-                coverage[rows, columns] * window.seen[crop],
-                window.tangent_x[crop],
-                window.tangent_y[crop],
-            )
-            first = (crop[0].start, crop[1].start)
-            part = tuple(slice(start, start + n) for start, n in zip(first, lit.shape, strict=True))
-            spread[part] += lit
-            hidden[part] += covered
-        light *= 1.0 - np.clip(hidden, 0.0, 1.0)
-        light += spread
+    for done, (index, spec) in enumerate(renderer.farthest_first(), start=1):
+        place = (polarisation, index)
+        layer = still.get(place)
+        if layer is None:
+            piece = renderer.piece(index, window.tangent_x, window.tangent_y)
+            layer = Layer.nowhere() if piece is None else _blurred(piece, kernels, window, polarisation, blurs)
+            if not spec.moves:
+                still[place] = layer
+        part = light[layer.rows, layer.columns]
+        part *= 1.0 - layer.hidden
+        part += layer.light
         progress("capture", done, len(scene.objects))
     return light
+
+
+def _blurred(
+    piece: Piece,
+    kernels: PairKernels,
+    window: Window,
+    polarisation: int,
+    blurs: dict[float, tuple[FieldBlur, FieldBlur]],
+) -> Layer:
+    """A piece as one image shows it.
+
+    Its steps lie beside each other: their light adds up, and so does what they hide.
+    """
+    margins = [kernel - 1 for kernel in kernels.shape]
+    shape = tuple(n + margin for n, margin in zip(piece.coverage.shape[1:], margins, strict=True))
+    spread, hidden = np.zeros((2, *shape))
+    for depth_m, coverage, brightness in zip(piece.depth_m, piece.coverage, piece.brightness, strict=True):
+        if not coverage.any():
+            continue
+        rows, columns = extent(coverage.any(axis=1)), extent(coverage.any(axis=0))
+        crop = (_beyond(piece.rows, rows), _beyond(piece.columns, columns))
+        flux = piece.share[polarisation] * window.gain[crop] * brightness[rows, columns]
+        if depth_m not in blurs:
+            blurs[depth_m] = FieldBlur.at_depth(kernels, float(depth_m))
+        lit, covered = blurs[depth_m][polarisation](
+            flux * window.seen[crop],
+            coverage[rows, columns] * window.seen[crop],
+            window.tangent_x[crop],
+            window.tangent_y[crop],
+        )
+        part = tuple(slice(at.start, at.start + n) for at, n in zip((rows, columns), lit.shape, strict=True))
+        spread[part] += lit
+        hidden[part] += covered
+    rows, columns = (slice(at.start, at.start + n) for at, n in zip((piece.rows, piece.columns), shape, strict=True))
+    return Layer(rows, columns, spread, np.clip(hidden, 0.0, 1.0))
 
 
 def _beyond(outer: slice, inner: slice) -> slice:

@@ -16,10 +16,13 @@ _MOST_INSTANTS = 64
 
 def moved(scene: Scene, time_s: float) -> Scene:
     """The scene at a time after the start of the first frame: what comes nearer looks larger."""
-    if time_s == 0.0 or all(piece.velocity_m_per_s == (0.0, 0.0, 0.0) for piece in scene.objects):
+    if time_s == 0.0 or not any(piece.moves for piece in scene.objects):
         return scene
     objects = []
     for piece in scene.objects:
+        if not piece.moves:
+            objects.append(piece)
+            continue
         v_x, v_y, v_z = piece.velocity_m_per_s
         depth_m = piece.depth_m + v_z * time_s
         centre = (

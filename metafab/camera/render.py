@@ -64,13 +64,17 @@ class Renderer:
 
     def pieces(self, tangent_x: FloatArray, tangent_y: FloatArray) -> Iterator[Piece]:
         """All objects in sight, farthest first, on a grid with directions ``tangent_x``, ``tangent_y`` (n_y, n_x)."""
-        farthest_first = sorted(range(len(self.scene.objects)), key=lambda i: -self.scene.objects[i].depth_m)
-        for index in farthest_first:
-            piece = self._piece(index, tangent_x, tangent_y)
+        for index, _ in self.farthest_first():
+            piece = self.piece(index, tangent_x, tangent_y)
             if piece is not None:
                 yield piece
 
-    def _piece(self, index: int, tangent_x: FloatArray, tangent_y: FloatArray) -> Piece | None:
+    def farthest_first(self) -> list[tuple[int, SceneObject]]:
+        """The objects with their numbers from 0, in the order in which each hides those before it."""
+        return sorted(enumerate(self.scene.objects), key=lambda numbered: -numbered[1].depth_m)
+
+    def piece(self, index: int, tangent_x: FloatArray, tangent_y: FloatArray) -> Piece | None:
+        """What one object, numbered from 0, shows on a grid; None out of sight."""
         spec = self.scene.objects[index]
         slopes_x, slopes_y = np.gradient(tangent_x), np.gradient(tangent_y)
         pixel = max(float(np.abs(slope).max(initial=0.0)) for slope in (*slopes_x, *slopes_y))

@@ -70,6 +70,11 @@ class SceneObject:
         return ((ratio - 1.0) / (ratio + 1.0), 0.0, 0.0) if self.stokes is None else self.stokes
 
     @property
+    def moves(self) -> bool:
+        """Whether it has a velocity."""
+        return any(self.velocity_m_per_s)
+
+    @property
     def relative_depths(self) -> tuple[float, float]:
         """(nearest, farthest) change of depth over ``depth_m`` on the piece's bounding box: (0, 0) if it is flat."""
         lowest = highest = 0.0

@@ -1,0 +1,43 @@
+"""What does not move is blurred once in a film, and looks the same as if it were blurred again."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metafab.camera.capture import _Lens
+from metafab.camera.geometry import ImageMap
+from metafab.camera.kernels import PairKernels
+from metafab.camera.motion import moved
+from metafab.camera.render import Renderer
+from metafab.camera.windows import sensor_windows
+from metafab.core.progress import silent
+from metafab.spec import Scene, SceneObject
+from tests.conjugate_pair import helix_psf
+
+WALL = SceneObject(depth_m=0.0033, size=(0.1, 0.1))
+CAR = SceneObject(depth_m=0.0028, size=(0.03, 0.03), velocity_m_per_s=(0.001, 0.0, -0.001))
+POST = SceneObject(depth_m=0.0026, size=(0.01, 0.08))
+SCENE = Scene(objects=(CAR, WALL, POST), field_px=(48, 48), frames=2)
+
+
+def test_a_lens_that_remembers_what_stands_still_sees_what_a_new_one_sees() -> None:
+    psf = helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32)
+
+    def lens() -> _Lens:
+        return _Lens(PairKernels(psf), sensor_windows(SCENE, psf, ImageMap.from_psf(psf)))
+
+    first = Renderer.of(SCENE, psf.pixel_um / psf.sensor_distance_um, 1)
+    later = Renderer(moved(SCENE, 0.04), first.textures)
+    used = lens()
+    before = used.light(first, silent)
+    assert set(used.still) == {(p, index) for p in (0, 1) for index in (1, 2)}
+    after = used.light(later, silent)
+    np.testing.assert_array_equal(after, lens().light(later, silent))
+    assert np.abs(after - before).max() > 10.0
+
+
+def test_objects_at_rest_are_not_touched_by_time() -> None:
+    """Not even by rounding: what stands still is known by staying equal."""
+    objects = moved(SCENE, 0.0371).objects
+    assert objects[1] is SCENE.objects[1]
+    assert objects[0].depth_m < CAR.depth_m
