@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from hashlib import sha256
@@ -11,6 +11,7 @@ from typing import Any
 
 from metafab import __version__
 from metafab.core.files import file_sha256
+from metafab.core.source_graph import sources_of
 
 _PACKAGE = Path(__file__).parents[1]
 
@@ -25,10 +26,24 @@ def code_sha256(rooms: tuple[str, ...]) -> str:
 
 
 @cache
+def sources_sha256(modules: tuple[str, ...], rooms: tuple[str, ...]) -> str:
+    """Hash of the source of some modules, of all that they import from this package, and of whole rooms besides."""
+    digest = sha256(__version__.encode())
+    digest.update(_files_sha256(sources_of(modules)))
+    for room in rooms:
+        digest.update(_room_sha256(room))
+    return digest.hexdigest()
+
+
+@cache
 def _room_sha256(room: str) -> bytes:
-    digest = sha256()
     sources = (_PACKAGE / room).rglob("*.*")
-    for path in sorted(path for path in sources if path.suffix in {".py", ".csv", ".html", ".css", ".js"}):
+    return _files_sha256(sorted(path for path in sources if path.suffix in {".py", ".csv", ".html", ".css", ".js"}))
+
+
+def _files_sha256(paths: Iterable[Path]) -> bytes:
+    digest = sha256()
+    for path in paths:
         digest.update(path.relative_to(_PACKAGE).as_posix().encode())
         digest.update(path.read_bytes())
     return digest.digest()

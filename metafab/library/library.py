@@ -13,7 +13,7 @@ from metafab.cell import PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.files import fingerprint
-from metafab.core.provenance import code_sha256, contents_sha256
+from metafab.core.provenance import contents_sha256, sources_sha256
 from metafab.library.axes import Corner, corner_cell
 from metafab.library.models import SizeModel
 from metafab.spec import UnitCell, canonical_toml
@@ -22,6 +22,11 @@ from metafab.spec.embedded import LIBRARY_FORMAT
 if TYPE_CHECKING:
     from metafab.library.corners import Corners
     from metafab.library.surface import Surface
+
+#: What a library's numbers come from, with all that it imports; the FDTD program is started, not imported.
+BUILT_BY = ("metafab.library.build", "metafab.cell.meep_worker")
+#: Index tables, which are read, not imported.
+TABLES = ("materials",)
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,7 @@ class Library:
 
 def inputs_of(unit_cell: UnitCell) -> str:
     """Fingerprint of all that a library depends on: the unit cell, its index tables, the format, and the code."""
-    code = code_sha256(("materials", "cell", "library"))
+    code = sources_sha256(BUILT_BY, TABLES)
     return fingerprint(canonical_toml(unit_cell), contents_sha256(unit_cell), LIBRARY_FORMAT, code)
 
 

@@ -152,8 +152,8 @@ def sample(grid: SizeGrid, solve_sizes: PointSolver, tolerance: float) -> Outcom
         factor = shortfall(*misses(models.best, grid, new), disagreement.ravel()[worst]) if new else 1.0
         solved |= new
         judges, left = np.concatenate([judges, even, worst])[-JUDGES:], open_sizes.size
-    models = fit_solved(grid, solved, judges) if rounds > 1 else None
-    return Outcome(_sorted(solved), models, factor, batch[:0], 0.0, 0.0, rounds)
+    last = fit_solved(grid, solved, judges) if rounds > 1 else None
+    return Outcome(_sorted(solved), last, factor, batch[:0], 0.0, 0.0, rounds)
 
 
 def fit_solved(

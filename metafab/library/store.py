@@ -21,7 +21,7 @@ from metafab.library.models import SizeModel
 from metafab.library.rational import RationalModel, terms
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.embedded import LIBRARY_FORMAT, LIBRARY_KIND
-from metafab.spec.load import validate
+from metafab.spec.toml import validate
 
 _REMEDY = "build it with `metafab library build UNITCELL.toml`"
 _AMPLITUDES = {

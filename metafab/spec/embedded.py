@@ -7,6 +7,7 @@ from pathlib import Path
 
 from metafab.core import hdf5
 from metafab.spec.cell import UnitCell
+from metafab.spec.toml import validate
 
 LIBRARY_KIND = "metafab library"
 LIBRARY_FORMAT = 1
@@ -18,8 +19,6 @@ def unit_cell_of_library(path: Path) -> UnitCell:
     Raises:
         InputError: the file is missing, truncated, foreign or of a newer format.
     """
-    from metafab.spec.load import validate
-
     remedy = "build it with `metafab library build UNITCELL.toml`"
     with hdf5.open_kind(path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, remedy=remedy) as file:
         table = tomllib.loads(str(file.attrs["unit_cell_toml"]))

@@ -22,18 +22,29 @@ from metafab.spec import UnitCell, canonical_toml
 from tests import library_ridges as ridges
 
 ROOT = Path(__file__).parents[2]
+#: What stands for the hash of the code, here and in processes: people may edit it while tests run.
+CODE = "the code of this test run"
+#: A hang, not a slow machine: the tests wait for events, and only a fault lets so much time pass.
+HANG_S = 900.0
 #: Solves slowly enough to be caught at it: about 10 ms a size.
-BUILD = """
+BUILD = f"""
 import sys, time
 from pathlib import Path
+import metafab.library.library
 from metafab import library
 from metafab.spec import load_unit_cell
 from tests import library_ridges as ridges
+metafab.library.library.sources_sha256 = lambda modules, rooms: {CODE!r}
 def solve(cell, numerics):
     time.sleep(0.01)
     return ridges.solve(cell, numerics)
 library.build_file(load_unit_cell(Path(sys.argv[1])), Path(sys.argv[2]), solver=solve)
 """
+
+
+@pytest.fixture(autouse=True)
+def same_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metafab.library.library.sources_sha256", lambda modules, rooms: CODE)
 
 
 @pytest.fixture(scope="module")
@@ -64,10 +75,10 @@ def building(unit_cell: UnitCell, path: Path) -> Iterator[subprocess.Popen[bytes
         process.wait()
 
 
-def partial_of(path: Path, lines: int) -> Path:
-    """The checkpoint beside ``path``, once it holds so many lines."""
-    end = time.monotonic() + 60.0
-    while time.monotonic() < end:
+def partial_of(path: Path, lines: int, by: subprocess.Popen[bytes] | None = None) -> Path:
+    """The checkpoint beside ``path``, once it holds so many lines; ``by`` writes it and must not end before."""
+    end = time.monotonic() + HANG_S
+    while time.monotonic() < end and (by is None or by.poll() is None):
         for file in path.parent.glob("*.partial"):
             if file.read_bytes().count(b"\n") >= lines:
                 return file
@@ -88,7 +99,7 @@ def test_a_build_killed_outright_loses_only_what_was_in_flight(
 ) -> None:
     path = tmp_path / "library.h5"
     with building(coarse, path) as process:
-        partial_of(path, 40)
+        partial_of(path, 40, process)
         process.kill()
         process.wait()
     assert not path.exists()
@@ -103,10 +114,10 @@ def test_a_build_killed_outright_loses_only_what_was_in_flight(
 def test_the_later_of_two_builds_takes_over_the_file(coarse: UnitCell, whole: Library, tmp_path: Path) -> None:
     path = tmp_path / "library.h5"
     with building(coarse, path) as process:
-        partial_of(path, 2)
+        partial_of(path, 2, process)
         idle = ridges.DyingSolver(0)  # would raise at its first cell
         taken = library.build_file(coarse, path, solver=idle)
-        assert process.wait(60) == 0
+        assert process.wait(HANG_S) == 0
     assert idle.calls == 0
     assert same(taken, whole)
     assert not list(tmp_path.glob("*.partial"))
@@ -115,11 +126,11 @@ def test_the_later_of_two_builds_takes_over_the_file(coarse: UnitCell, whole: Li
 def test_the_later_build_goes_on_if_the_first_is_killed(coarse: UnitCell, whole: Library, tmp_path: Path) -> None:
     path = tmp_path / "library.h5"
     with building(coarse, path) as first, building(coarse, path) as second:
-        partial_of(path, 40)
+        partial_of(path, 40, first)
         # Either may hold the checkpoint; whoever is left finishes.
         first.kill()
         first.wait()
-        assert second.wait(60) == 0
+        assert second.wait(HANG_S) == 0
     assert same(library.load(path), whole)
     assert not list(tmp_path.glob("*.partial"))
 
@@ -128,7 +139,7 @@ def test_builds_to_other_targets_do_not_meet(coarse: UnitCell, tmp_path: Path) -
     """Another target error is another build: the checkpoint of the first neither blocks nor feeds it."""
     path = tmp_path / "library.h5"
     with building(coarse, path) as process:
-        partial_of(path, 40)
+        partial_of(path, 40, process)
         process.kill()
         process.wait()
     library.build_file(coarse, path, target_error=1e-2, solver=ridges.solve)
@@ -150,7 +161,7 @@ def test_a_script_without_a_guard_is_told_so_and_does_not_hang(coarse: UnitCell,
         "    library.build_file(load_unit_cell(Path('cell.toml')), Path('library.h5'), executor=executor)\n"
     )
     done = subprocess.run(
-        [sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, str(script)], cwd=tmp_path, capture_output=True, text=True, timeout=HANG_S, check=False
     )
     assert done.returncode != 0
     assert "__main__" in done.stderr
@@ -162,7 +173,7 @@ def test_libraries_of_another_solver_are_not_current(
     path = tmp_path / "library.h5"
     library.build_file(coarse, path, solver=ridges.solve)
     assert library.is_current(path, coarse)
-    monkeypatch.setattr("metafab.library.library.code_sha256", lambda rooms: "another")
+    monkeypatch.setattr("metafab.library.library.sources_sha256", lambda modules, rooms: "another")
     assert not library.is_current(path, coarse)
 
 

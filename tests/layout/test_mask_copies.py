@@ -18,7 +18,7 @@ from metafab.layout import Assignment
 from metafab.mask.copies import lens_copies
 from metafab.mask.surroundings import surroundings
 from metafab.spec import Chip, Copy, Design, Dose, Exposure, Mask
-from metafab.spec.load import canonical_toml
+from metafab.spec.toml import canonical_toml
 from tests.layout.conftest import sizes_at_sites
 
 kdb = pytest.importorskip("klayout.db")

@@ -20,7 +20,7 @@ from metafab.library.corner_model import CornerSamples, fit_corner_models
 from metafab.library.library import Library
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.cell import Axes
-from metafab.spec.load import validate
+from metafab.spec.toml import validate
 
 SPANS = {
     "wavelength_nm": (795.0, 805.0),

@@ -1,0 +1,113 @@
+"""TOML <-> a spec of any kind: every fault of a file at once, and all defaults written out."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import tomli_w
+from pydantic import TypeAdapter, ValidationError
+
+from metafab.core.errors import Fault, InputError
+
+Spec = TypeVar("Spec")
+
+#: Keys whose values are paths, relative to the file that they stand in.
+_FILE_KEYS = {"file", "texture_file"}
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The table of a TOML file, paths in it made absolute.
+
+    Raises:
+        InputError: the file is missing, unreadable or no TOML.
+    """
+    try:
+        table: dict[str, Any] = _resolved(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+        return table
+    except FileNotFoundError:
+        got, remedy = "no file at that path", "check the path"
+    except (OSError, UnicodeDecodeError) as error:
+        got, remedy = f"an unreadable file ({error})", "is it a text file in UTF-8?"
+    except tomllib.TOMLDecodeError as error:
+        got, remedy = f"invalid TOML: {error}", "correct the syntax at that place"
+    raise InputError.single(str(path), "file", "a TOML file", got, remedy)
+
+
+def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
+    """``table`` as a spec, or an :class:`InputError` with all of its faults."""
+    try:
+        checked: Spec = adapter(spec).validate_python(table)
+    except ValidationError as error:
+        raise InputError(source, faults_of(error)) from error
+    return checked
+
+
+def canonical_toml(spec: Any) -> str:
+    """A spec as TOML with every default written out, in the order of its fields: what a run folder keeps."""
+    return tomli_w.dumps(_toml_table(spec))
+
+
+@cache
+def adapter(spec: Any) -> TypeAdapter[Any]:
+    """What checks a table against a spec, made once."""
+    return TypeAdapter(spec)
+
+
+def faults_of(error: ValidationError) -> list[Fault]:
+    """Pydantic's findings in our words."""
+    faults = []
+    for item in error.errors(include_url=False):
+        field = _path(item["loc"])
+        kind, message = item["type"], item["msg"]
+        if kind in {"extra_forbidden", "unexpected_keyword_argument"}:
+            faults.append(Fault(field, "a known key", "an unknown one", "remove it or correct its spelling"))
+        elif kind in {"missing", "missing_argument"}:
+            faults.append(Fault(field, "a value", "nothing", "add the key"))
+        else:
+            expected = message.removeprefix("Input should be ").removeprefix("Value error, ")
+            got = repr(item["input"])
+            faults.append(Fault(field or "file", expected, got if len(got) <= 80 else got[:77] + "..."))
+    return faults
+
+
+def _resolved(value: Any, folder: Path, key: str = "") -> Any:
+    """The table with every path that it names made absolute; tables of an index (.csv) may stand for a record."""
+    if isinstance(value, dict):
+        return {name: _resolved(item, folder, name) for name, item in value.items()}
+    if isinstance(value, list):
+        return [_resolved(item, folder, key) for item in value]
+    if isinstance(value, str) and (key in _FILE_KEYS or value.lower().endswith(".csv")):
+        return str((folder / value).resolve())
+    return value
+
+
+def _path(location: tuple[int | str, ...]) -> str:
+    """('phase', 0, 'spiral_zones', 'zones') -> 'phase[0].spiral_zones.zones'."""
+    text = ""
+    for part in location:
+        text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else part)
+    return text
+
+
+def _toml_table(spec: Any) -> dict[str, Any]:
+    table = {}
+    for item in fields(spec):
+        value = _toml_value(getattr(spec, item.name))
+        if value is not None:
+            table[item.name] = value
+    return table
+
+
+def _toml_value(value: Any) -> Any:
+    if is_dataclass(value):
+        return _toml_table(value)
+    if isinstance(value, tuple):
+        return [_toml_value(item) for item in value]
+    if isinstance(value, Path):
+        return value.as_posix()
+    return value
