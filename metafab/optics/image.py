@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from metafab.optics.refocus import refocus
 from metafab.optics.window import WindowTransform
 
 Tangent = tuple[float, float]
+#: Whether the error of all depths is judged, of the first and the last one, or of none.
+Judged = Literal["all", "ends", "none"]
 
 _SINGLE_PRECISION_ERROR = 2e-6
 #: Measured on one core: a real operation of a matrix product, a block refocused on a ray, an entry of the matrix
@@ -81,7 +84,7 @@ class Window:
         tangent: Tangent,
         depths_m: Sequence[float],
         *,
-        judge_all: bool = True,
+        judged: Judged = "all",
     ) -> tuple[FloatArray, FloatArray]:
         """PSFs about the geometric image point, shape (n_depth, n, n), and the error of each that is judged.
 
@@ -94,18 +97,21 @@ class Window:
             polarisation: of the image point, 0 for x, 1 for y.
             tangent: object direction.
             depths_m: object depths.
-            judge_all: whether each depth is judged.
+            judged: which depths' errors are judged.
         """
         rays = [Ray.towards_image(self.imaging, polarisation, depth, tangent) for depth in depths_m]
         exact = pyramid[0].carrier.block_sites == 1 or len(pyramid) == 1
-        judged = [index for index in range(len(rays)) if judge_all or index in {0, len(rays) - 1}]
-        ways = [(pyramid[0], rays)] + ([] if exact else [(pyramid[1], [rays[index] for index in judged])])
+        last = len(rays) - 1
+        places = {"all": range(len(rays)), "ends": sorted({0, last}), "none": ()}[judged]
+        ways = [(pyramid[0], rays)]
+        if places and not exact:
+            ways.append((pyramid[1], [rays[index] for index in places]))
         fine, *coarse = self._powers(ways)
         errors = [
             (0.0 if exact else relative_l2(coarse[0][place], fine[index]) / 3.0)
             + 2.0 * self.tolerance
             + _SINGLE_PRECISION_ERROR
-            for place, index in enumerate(judged)
+            for place, index in enumerate(places)
         ]
         return fine * self._per_unit_power(pyramid[0], rays), np.array(errors)
 
@@ -118,13 +124,13 @@ class Window:
         filter_fwhm_nm: float,
         target_error: float,
         *,
-        judge_all: bool = True,
+        judged: Judged = "all",
     ) -> tuple[FloatArray, FloatArray]:
         """As :meth:`irradiance`, in the light of a filter."""
 
-        def monochromatic(imaging: Imaging, side_px: int) -> tuple[FloatArray, FloatArray]:
+        def monochromatic(imaging: Imaging, side_px: int, judge: bool) -> tuple[FloatArray, FloatArray]:
             there = replace(self, imaging=imaging, window_px=side_px)
-            return there.irradiance(pyramid, polarisation, tangent, depths_m, judge_all=judge_all)
+            return there.irradiance(pyramid, polarisation, tangent, depths_m, judged=judged if judge else "none")
 
         return band_irradiance(
             monochromatic, self.imaging, polarisation, tangent, filter_fwhm_nm, self.window_px, target_error
@@ -134,7 +140,7 @@ class Window:
         self, pupil: Pupil, polarisation: int, tangent: Tangent, depths_m: Sequence[float]
     ) -> FloatArray:
         """Irradiance of ``pupil``'s light in the window of ``polarisation``, shape (n_depth, n, n)."""
-        return self.irradiance([pupil], polarisation, tangent, depths_m)[0]
+        return self.irradiance([pupil], polarisation, tangent, depths_m, judged="none")[0]
 
     def panels_a_side(self, pupil: Pupil, target_um: tuple[float, float, float]) -> int:
         """The cheapest number of panels along a side of the window, by the cost model; odd, as the middle is bright."""

@@ -16,9 +16,9 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.executor import default_workers, open_executor
 from metafab.core.progress import Progress, silent
-from metafab.optics.band import band_ends
+from metafab.optics.band import band_ends, padded_px
 from metafab.optics.blocks import reduce_to_target
-from metafab.optics.image import Tangent, Window
+from metafab.optics.image import Judged, Tangent, Window
 from metafab.optics.imaging import Imaging
 from metafab.optics.lobe import orientation_deg
 from metafab.optics.path import Ray, power_at_aperture
@@ -75,7 +75,11 @@ def psf(
     if filter_fwhm_nm is not None:
         # Blocks and wavelengths share the target.
         target_error *= 0.5
-        windows += [replace(window, imaging=end) for end in band_ends(imaging, filter_fwhm_nm)]
+        side_px = padded_px(imaging, tangent, filter_fwhm_nm, window_px)
+        windows = [
+            replace(window, imaging=light, window_px=side_px)
+            for light in (imaging, *band_ends(imaging, filter_fwhm_nm))
+        ]
     tasks = [(p, tangent) for p in (0, 1)]
     if grid is not None:
         tasks += [(p, (float(t_x), float(t_y))) for p in (0, 1) for t_y in grid[1] for t_x in grid[0]]
@@ -87,7 +91,9 @@ def psf(
         )
         unwanted_light = pool.submit(Window.stray_irradiance, window, stray, 0, tangent, depths)
         jobs = [
-            pool.submit(_light, window, pyramids[p], p, t, depths, filter_fwhm_nm, target_error, index < 2)
+            pool.submit(
+                _light, window, pyramids[p], p, t, depths, filter_fwhm_nm, target_error, "all" if index < 2 else "ends"
+            )
             for index, (p, t) in enumerate(tasks)
         ]
         for done, job in enumerate(jobs):
@@ -140,14 +146,12 @@ def _light(
     depths_m: Sequence[float],
     filter_fwhm_nm: float | None,
     target_error: float,
-    judge_all: bool,
+    judged: Judged,
 ) -> tuple[FloatArray, FloatArray]:
     """One polarisation and direction: what an executor runs, here or elsewhere."""
     if filter_fwhm_nm is None:
-        return window.irradiance(pyramid, polarisation, tangent, depths_m, judge_all=judge_all)
-    return window.band_irradiance(
-        pyramid, polarisation, tangent, depths_m, filter_fwhm_nm, target_error, judge_all=judge_all
-    )
+        return window.irradiance(pyramid, polarisation, tangent, depths_m, judged=judged)
+    return window.band_irradiance(pyramid, polarisation, tangent, depths_m, filter_fwhm_nm, target_error, judged=judged)
 
 
 def _checked_depths(depths_m: Sequence[float] | FloatArray) -> list[float]:
