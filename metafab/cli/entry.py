@@ -12,7 +12,7 @@ from metafab.core.errors import MetafabError
 
 # Each adds its commands, in the order that --help shows.
 # isort: off
-from metafab.cli import whole, propose, cell, mask, fullwave, light, stokes, showing  # noqa: F401
+from metafab.cli import whole, propose, cell, mask, fullwave, light, stokes, compare, showing  # noqa: F401
 
 # isort: on
 

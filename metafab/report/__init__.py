@@ -12,6 +12,7 @@
 - ``write``         run folder -> ``figures/*.png`` and ``report.html``
 - ``library_page``  one library -> one picture
 - ``proposal_page``  proposed helices -> one picture
+- ``comparison_page``  a design beside other cameras -> one picture
 - ``film``          a decoded film as a moving picture
 - ``stokes_page``   a decoded full-Stokes frame -> one picture
 - ``benchmark``     benchmark rows -> table, plots, JSON
@@ -21,6 +22,7 @@ In: the files of a run folder, a Library, benchmark rows. Out: PNG, HTML, JSON.
 """
 
 from metafab.report.benchmark import benchmark_page
+from metafab.report.comparison_page import comparison_figure
 from metafab.report.film import require_film_name, write_film
 from metafab.report.library_page import library_figure
 from metafab.report.proposal_page import proposal_figure
@@ -29,6 +31,7 @@ from metafab.report.write import write
 
 __all__ = [
     "benchmark_page",
+    "comparison_figure",
     "library_figure",
     "proposal_figure",
     "require_film_name",

@@ -50,7 +50,16 @@ def draw(run: RunFolder, progress: Progress, workers: int | None = None) -> dict
     """Draw all figures of a run into ``figures/`` and return them as SVG by name; pictures of earlier runs go."""
     folder = run.path / "figures"
     folder.mkdir(exist_ok=True)
-    plans = [*_accounts(run), *_library(run), *_design(run), *_fullwave(run), *_study(run), *_light(run), *_image(run)]
+    plans = [
+        *_accounts(run),
+        *_library(run),
+        *_design(run),
+        *_fullwave(run),
+        *_study(run),
+        *_light(run),
+        *_image(run),
+        *_rivals(run),
+    ]
     drawn: dict[str, str] = {}
     progress("figures", 0, len(plans))
     for plan, text in zip(plans, shared(partial(_drawn, folder=folder), plans, workers), strict=True):
@@ -169,6 +178,15 @@ def _fullwave(run: RunFolder) -> Iterator[Plan]:
     ):
         paint = partial(figures.patch_amplitude, patch.full_wave - field, *places, title=title, largest=largest)
         yield Plan(f"patch_difference_{name}", title, paint, (4.0, 3.4), PICTURE)
+
+
+def _rivals(run: RunFolder) -> Iterator[Plan]:
+    if run.comparison is None:
+        return
+    depth = partial(figures.rival_depth_errors, run.comparison)
+    yield Plan("rival_depth", "Error of depth over depth, beside other cameras", depth, (4.6, 3.4))
+    sharp = partial(figures.rival_sharpness, run.comparison)
+    yield Plan("rival_sharpness", "Sharpness over depth, beside other cameras", sharp, (4.6, 3.4))
 
 
 def _light(run: RunFolder) -> Iterator[Plan]:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from metafab.camera.frame import RawFrame
+from metafab.comparison import Comparison
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import MetafabError
 from metafab.decode.image import Image4D
@@ -60,6 +61,7 @@ class RunFolder:
         decoded: 4D image.
         coupling: rows of one local period by full-wave solvers, where ``metafab coupling`` left them.
         patch: fields of a patch of the mask by Meep, where ``metafab patch`` left them.
+        comparison: depth and sharpness beside other cameras, where ``metafab compare`` left them.
         notes: section -> why it has nothing to show.
     """
 
@@ -78,6 +80,7 @@ class RunFolder:
     decoded: Image4D | None = None
     coupling: Coupling | None = None
     patch: Patch | None = None
+    comparison: Comparison | None = None
     notes: dict[str, str] = field(default_factory=dict)
 
     def part(self, step: str) -> dict[str, Any]:
@@ -93,7 +96,7 @@ class RunFolder:
 
 def open_run(path: Path) -> RunFolder:
     """Open the files of a run folder; one that is missing or damaged leaves a note in place of a result."""
-    from metafab import camera, decode, fullwave, library, mask, optics, phase
+    from metafab import camera, comparison, decode, fullwave, library, mask, optics, phase
     from metafab.spec import load_design
 
     notes: dict[str, str] = {}
@@ -127,6 +130,7 @@ def open_run(path: Path) -> RunFolder:
         # No step's: their absence is nothing to tell.
         coupling=fullwave.load_coupling(path / "coupling.json"),
         patch=_attempt(notes, "patch", patch_file, fullwave.load_patch) if patch_file.is_file() else None,
+        comparison=comparison.load_comparison(path / "comparison.json"),
         notes=notes,
     )
 

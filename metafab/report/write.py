@@ -53,6 +53,7 @@ def compose(run: RunFolder, drawn: dict[str, str]) -> str:
         sections.point_spread(run, drawn),
         sections.tolerances(run),
         sections.imaging(run, drawn),
+        sections.comparison(run, drawn),
         sections.phases(run, drawn),
         sections.mask(run, drawn),
         sections.fullwave(run, drawn),

@@ -6,6 +6,7 @@
 - ``mask``       the written pillars at three zooms
 - ``psf``        the pair over depth and field, orientation, peak, modulation transfer
 - ``image``      raw frame, decoded intensities, contrast, depth, depth against truth
+- ``comparison``  depth and sharpness beside other cameras
 - ``fullwave``   fields of a patch: Meep's, the library's, and their difference
 - ``accounts``   loss chain, error budget, seconds, error against time
 
@@ -13,6 +14,7 @@ In: results of the other rooms. Out: the axes that were drawn on.
 """
 
 from metafab.report.figures.accounts import error_against_time, error_budget, loss_chain, seconds
+from metafab.report.figures.comparison import rival_depth_errors, rival_sharpness
 from metafab.report.figures.fullwave import patch_amplitude, patch_phase
 from metafab.report.figures.image import confidence, contrast, depth, depth_against_truth, intensity, raw_frame
 from metafab.report.figures.library import coverage, error_map, phase_map, sensitivity_map, transmittance_map
@@ -74,6 +76,8 @@ __all__ = [
     "proposals",
     "proposed_orientation",
     "raw_frame",
+    "rival_depth_errors",
+    "rival_sharpness",
     "seconds",
     "sensitivity_map",
     "shown_depths",

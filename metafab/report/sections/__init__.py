@@ -7,6 +7,7 @@ are missing says so in a line.
 - ``accounts``  loss chain, error budget
 - ``light``     PSF pair over depth and field
 - ``imaging``   raw frame, decoded image
+- ``comparison``  the design beside other cameras
 - ``phases``    target phases, bounds of depth, colour filter
 - ``mask``      pillars, files, design rules
 - ``fullwave``  unlike neighbours
@@ -16,6 +17,7 @@ are missing says so in a line.
 """
 
 from metafab.report.sections.accounts import accounts
+from metafab.report.sections.comparison import comparison
 from metafab.report.sections.cost import cost, provenance
 from metafab.report.sections.fullwave import fullwave
 from metafab.report.sections.imaging import imaging
@@ -29,6 +31,7 @@ from metafab.report.sections.phases import phases
 __all__ = [
     "Drawn",
     "accounts",
+    "comparison",
     "cost",
     "fullwave",
     "headlines",

@@ -1,0 +1,135 @@
+"""A design beside other cameras: the likelihood against theory, the bound against closed forms, and the whole study."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import comparison
+from metafab.camera.kernels import PairKernels
+from metafab.comparison.estimate import PlaneEstimator
+from metafab.comparison.study import photographed
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.spec import Design, Scene, SceneObject
+from metafab.spec.design import Lens
+from tests.conjugate_pair import helix_psf
+
+DEPTH_M = 1.0 / np.linspace(400.0, 294.0, 13)
+LIGHT = Scene(objects=(SceneObject(depth_m=1.0, texture_contrast=0.25),), photons_per_pixel=3000.0)
+
+
+@pytest.fixture(scope="module")
+def kernels() -> PairKernels:
+    return PairKernels(helix_psf(DEPTH_M, window_px=32))
+
+
+@pytest.fixture(scope="module")
+def estimator(kernels: PairKernels) -> PlaneEstimator:
+    return PlaneEstimator.of(kernels, 96, 3000.0, 2.0)
+
+
+def pair_at(kernels: PairKernels, depth_m: float) -> FloatArray:
+    return kernels.at_depth(depth_m)[:, 0, 0]
+
+
+@pytest.mark.parametrize("depth_m", [0.0026, 0.00295, 0.0033])
+def test_the_likeliest_depth_is_that_of_the_plane(
+    kernels: PairKernels, estimator: PlaneEstimator, depth_m: float
+) -> None:
+    images = photographed(pair_at(kernels, depth_m), LIGHT, 0)
+    assert images.shape == (2, 96, 96)
+    # The bound is 0.1 % of a window without taper; a taper keeps a quarter of the area, and leaks add.
+    assert estimator.likeliest(images) == pytest.approx(depth_m, rel=0.015)
+
+
+def test_exchanged_images_tell_another_depth(kernels: PairKernels, estimator: PlaneEstimator) -> None:
+    """The depth is in the relation of the two: exchanged, they turn the other way."""
+    images = photographed(pair_at(kernels, 0.0033), LIGHT, 0)
+    assert abs(estimator.likeliest(images[::-1]) - 0.0033) > 0.0005
+
+
+def test_the_bound_falls_with_light_and_says_nothing_of_a_psf_that_stays(kernels: PairKernels) -> None:
+    dim, bright = (PlaneEstimator.of(kernels, 96, e, 0.0).bound_m(0.003, 0.25) for e in (300.0, 30000.0))
+    # Information grows with the light where the texture stands above the noise, with its square where it does not.
+    assert 10.0 <= dim / bright <= 100.0
+    still = helix_psf(np.full(5, 0.003))
+    same = dataclasses.replace(still, depth_m=np.linspace(0.0025, 0.0034, 5))
+    assert PlaneEstimator.of(PairKernels(same), 96, 3000.0, 0.0).bound_m(0.003, 0.25) > 1.0
+
+
+def test_two_equal_images_of_a_gaussian_texture_have_whittles_information() -> None:
+    """A kernel that is only scaled by g: each of the frequencies tells (P g^2)' / (P g^2 + N / 2), closed form."""
+    gains = np.linspace(1.0, 2.0, 9)
+    psf = np.zeros((2, 9, 8, 8))
+    psf[:, :, 4, 4] = gains / 2.4**2
+    base = helix_psf(np.linspace(0.0025, 0.0034, 9), window_px=8)
+    # Deltas narrower than a pixel are spread over it by the pixel's aperture: the sinc of its width.
+    kernels = PairKernels(dataclasses.replace(base, psf=psf))
+    estimator = PlaneEstimator.of(kernels, 32, 1e6, 0.0)
+    index = 30
+    transfer = estimator.transfer[index, 0]
+    slope = (estimator.transfer[index + 1, 0] - estimator.transfer[index - 1, 0]) / (
+        estimator.depth_m[index + 1] - estimator.depth_m[index - 1]
+    )
+    from metafab.camera.quality import texture_power
+
+    power = texture_power(32, 1e6, 0.25)
+    share = 2.0 * power * 2.0 * (transfer.conj() * slope).real / (2.0 * power * np.abs(transfer) ** 2 + 1e6)
+    weight = estimator._weight()
+    expected = (0.5 * float((weight * share**2).sum())) ** -0.5
+    assert estimator.bound_m(float(estimator.depth_m[index]), 0.25) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_cepstrum_finds_the_turn_of_two_lobes() -> None:
+    """Two points whose line turns by 90 degrees over the range, at 9 pixels from each other."""
+    base = helix_psf(DEPTH_M, window_px=32)
+    psf = np.zeros_like(base.psf)
+    y, x = np.mgrid[-16:16, -16:16]
+    for index, angle in enumerate(np.radians(np.linspace(20.0, 110.0, DEPTH_M.size))):
+        for sign in (-4.5, 4.5):
+            lobe = np.exp(-0.5 * ((x - sign * math.cos(angle)) ** 2 + (y - sign * math.sin(angle)) ** 2) / 1.2**2)
+            psf[:, index] += lobe / lobe.sum() / 2.0 / base.pixel_um**2
+    kernels = PairKernels(dataclasses.replace(base, psf=psf))
+    estimator = PlaneEstimator.of(kernels, 96, 3000.0, 2.0)
+    found = [estimator.by_cepstrum(photographed(pair_at(kernels, z), LIGHT, 1)) for z in (0.0027, 0.0032)]
+    # A degree of turn is 0.3 % of depth; a ripple of 10 periods over the window turns by a few.
+    assert found == pytest.approx([0.0027, 0.0032], rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def design(small_design: Design) -> Design:
+    """Half the small lens, its helix not optimised: quick."""
+    device = dataclasses.replace(small_design.device, aperture_um=100.0)
+    terms = tuple(dataclasses.replace(t, optimise="none") if hasattr(t, "optimise") else t for t in small_design.phase)
+    verify = dataclasses.replace(small_design.verify, depths_m=(0.0014, 0.0048), window_px=48)
+    return dataclasses.replace(small_design, device=device, phase=terms, verify=verify)
+
+
+def test_a_helix_pair_tells_depth_where_a_lens_in_focus_does_not(design: Design, tmp_path: Path) -> None:
+    found = comparison.compare(design, planes=2)
+    assert found.error.shape == found.bound.shape == (5, found.depth_m.size)
+    own, lens = found.error[0], found.error[found.methods.index("standard lens")]
+    # On both sides of its focus a lens looks the same: some depth is taken for its twin.
+    assert lens.max() > 3.0 * own.max()
+    assert own.max() < 0.1
+    by_name = dict(zip(found.cameras, found.restored, strict=True))
+    # A helix stays as sharp over the range; a lens that is focused at its end does not.
+    assert np.ptp(by_name["this design"]) < 0.5 * np.ptp(by_name["lens, focused nearer"])
+    assert by_name["standard lens"].min() < by_name["this design"].min()
+    comparison.save_comparison(found, tmp_path / "comparison.json")
+    back = comparison.load_comparison(tmp_path / "comparison.json")
+    assert back is not None
+    assert back.methods == found.methods
+    np.testing.assert_allclose(back.error, found.error, rtol=1e-12)
+    (tmp_path / "comparison.json").write_text("{}")
+    assert comparison.load_comparison(tmp_path / "comparison.json") is None
+
+
+def test_a_plain_lens_has_nothing_to_compare(design: Design) -> None:
+    with pytest.raises(InputError, match="split_lens"):
+        comparison.compare(dataclasses.replace(design, phase=(Lens(),)))
