@@ -28,7 +28,7 @@ RECTANGLE = 20
 W, H, X, Y, _REPETITION, DATATYPE_LAYER = 0b100_0000, 0b10_0000, 0b1_0000, 0b1000, 0b100, 0b011
 _ARBITRARY_ON_GRID = 11
 
-# Of libdeflate, which takes a third of zlib's time for fewer bytes. docs/benchmarks.md has the bytes and seconds of
+# Of libdeflate, which takes half of zlib's time for fewer bytes. docs/benchmarks.md has the bytes and seconds of
 # each level: those from 10 on save another 5 % in six times the time.
 _DEFLATE_LEVEL = 7
 
