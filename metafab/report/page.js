@@ -4,6 +4,11 @@
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
 
+  // A device without a scene, or a run without corners, has no such section.
+  for (const link of document.querySelectorAll("nav a")) {
+    if (!document.querySelector(link.hash)) link.remove();
+  }
+
   const picture = (url) => new Promise((done, failed) => {
     const image = new Image();
     image.onload = () => done(image);

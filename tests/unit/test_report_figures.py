@@ -137,7 +137,7 @@ def test_field_of_view_is_drawn_in_its_order() -> None:
     row, column = np.unravel_index(int(mosaic.argmax()), mosaic.shape)
     assert row < mosaic.shape[0] / 2
     assert column > mosaic.shape[1] * 2 / 3
-    assert [label.get_text() for label in axes.get_xticklabels()] == ["−0.1", "0", "0.1"]
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["−5.7", "0", "5.7"]
 
 
 def test_loss_chain_falls_and_names_its_comparison() -> None:

@@ -16,6 +16,7 @@ import pytest
 from metafab.core.errors import InputError
 from metafab.core.progress import silent
 from metafab.library.library import Library
+from metafab.optics import without_depths
 from metafab.report.draw import draw
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import CSS_VARIABLES
@@ -171,3 +172,24 @@ def test_any_number_of_workers_draws_the_same(full_run: RunFolder, page: str) ->
     before = [path.read_bytes() for path in pictures]
     assert compose(full_run, draw(full_run, silent, workers=1)) == page
     assert [path.read_bytes() for path in pictures] == before
+
+
+def test_a_device_without_a_scene_has_no_section_of_an_image(full_run: RunFolder) -> None:
+    assert '<section id="image">' in compose(full_run, {})
+    notes = {**full_run.notes, "raw": "no raw.h5"}
+    run = replace(full_run, raw=None, decoded=None, design_table={"name": "deflector"}, notes=notes)
+    text = compose(run, {})
+    assert '<section id="image">' not in text
+    assert "no raw.h5" not in text
+
+
+def test_one_depth_alone_is_not_drawn_over_depth(full_run: RunFolder) -> None:
+    assert full_run.psf is not None
+    drawn = {name: f"<svg>{name}</svg>" for name in ("psf_pair", "psf_orientation", "psf_peak", "psf_mtf")}
+    several = compose(full_run, drawn)
+    nearest = without_depths(full_run.psf, full_run.psf.depth_m > full_run.psf.depth_m[0])
+    one = compose(replace(full_run, psf=nearest), drawn)
+    assert all(f"<svg>{name}</svg>" in several for name in drawn)
+    assert [name for name in drawn if f"<svg>{name}</svg>" in one] == ["psf_pair", "psf_mtf"]
+    assert 'value="0" hidden' in one
+    assert 'value="0" hidden' not in several

@@ -22,7 +22,8 @@ def loss_chain(stages: Sequence[tuple[str, float]], axes: Axes) -> Axes:
     before = [1.0, *shares[:-1]]
     for place, (share, last) in enumerate(zip(shares, before, strict=True)):
         axes.barh(place, 100.0 * max(last - share, 0.0), left=100.0 * share, height=0.36, color=X_COLOUR, alpha=0.55)
-    labels = [f"{100.0 * s:.1f} %" + (f"   × {s / b:.3f}" if b else "") for s, b in zip(shares, before, strict=True)]
+    labels = [f"{100.0 * s:.1f} %" + (f"  × {s / b:.3f}" if b else "") for s, b in zip(shares, before, strict=True)]
+    labels[:1] = [f"{100.0 * share:.1f} %" for share in shares[:1]]  # nothing stands before the first
     _bars(names, [100.0 * share for share in shares], axes, GOOD, [""] * len(shares))
     for place, label in enumerate(labels):
         axes.annotate(label, (1.0, place), (6, 0), xycoords=("axes fraction", "data"), textcoords="offset points",
@@ -101,6 +102,6 @@ def _bars(names: Sequence[str], values: Sequence[float], axes: Axes, colour: str
     for place, name, value, label in zip(places, names, values, labels, strict=True):
         text: dict[str, Any] = {"textcoords": "offset points", "fontsize": 8.5, "color": INK}
         axes.annotate(label, (value, place), (4, 0), va="center", **text)
-        axes.annotate(name, (0.0, place - 0.22), (0, 1.5), xycoords=("axes fraction", "data"), va="bottom", **text)
+        axes.annotate(name, (0.0, place - 0.22), (3, 1.5), xycoords=("axes fraction", "data"), va="bottom", **text)
     axes.set_yticks([])
     axes.set_ylim(len(names) - 0.6, -0.75)  # the first row on top

@@ -129,9 +129,9 @@ def over_field(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
     mosaic = lit.transpose(0, 2, 1, 3).reshape(rows * side, columns * side)
     show_map(axes, mosaic, (0.0, columns, 0.0, rows), cmap=LIGHT_MAP, vmin=0.0, interpolation="bilinear")
     title = f"PSF of {polarisation} over the field, {depth_text(float(psf.depth_m[psf.depth_m.size // 2]))}"
-    dress(axes, "object direction x / z", "object direction y / z", title, POLARISATION_COLOUR[polarisation])
-    axes.set_xticks(np.arange(columns) + 0.5, _signed(psf.field.tangent_x))
-    axes.set_yticks(np.arange(rows) + 0.5, _signed(psf.field.tangent_y))
+    dress(axes, "object direction x / °", "object direction y / °", title, POLARISATION_COLOUR[polarisation])
+    axes.set_xticks(np.arange(columns) + 0.5, _degrees(psf.field.tangent_x))
+    axes.set_yticks(np.arange(rows) + 0.5, _degrees(psf.field.tangent_y))
     for line in range(1, columns):
         axes.axvline(line, color="#ffffff", linewidth=0.5, alpha=0.35)
     for line in range(1, rows):
@@ -192,12 +192,13 @@ def distortion(space: Mapping[str, Any], axes: Axes) -> Axes:
     for index, p in enumerate(POLARISATIONS):
         axes.quiver(
             x, y, shift[index, ..., 0], shift[index, ..., 1], color=POLARISATION_COLOUR[p], angles="xy",
-            scale_units="xy", scale=scale, width=0.006, label=f"{p} polarisation",
+            scale_units="xy", scale=scale, width=0.006, label=p,
         )  # fmt: skip
     axes.margins(0.14)
     title = f"Distortion, at most {largest:.3g} µm"
     dress(axes, "object direction x / °", "object direction y / °", title)
-    legend(axes)
+    # Beside the title: inside, it would lie over arrows.
+    legend(axes, loc="lower right", bbox_to_anchor=(1.04, 0.985), ncols=2, columnspacing=0.9, handlelength=1.0)
     return axes
 
 
@@ -207,8 +208,8 @@ def depth_text(depth_m: float) -> str:
     return f"{scale * depth_m:.4g} {unit}"
 
 
-def _signed(values: FloatArray) -> list[str]:
-    return [f"{value:.2g}".replace("-", "−") for value in values]
+def _degrees(tangents: FloatArray) -> list[str]:
+    return [f"{angle:.2g}".replace("-", "−") for angle in np.degrees(np.arctan(tangents))]
 
 
 def _unwrapped(psf: Psf) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from html import escape
 
 from metafab.report import html
@@ -19,7 +20,7 @@ def accounts(run: RunFolder, drawn: Drawn) -> str:
             escape(str(line.get("source", ""))),
             html.number(line["value"]) if line.get("value") is not None else "not measured",
             escape(str(line.get("unit", ""))),
-            escape(str(line.get("how", ""))),
+            re.sub(r"`(.+?)`", r"<code>\1</code>", escape(str(line.get("how", "")))),
         ]
         for line in budget
     ]

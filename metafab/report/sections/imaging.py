@@ -10,7 +10,10 @@ from metafab.report.sections.parts import Drawn, facts_line
 
 
 def imaging(run: RunFolder, drawn: Drawn) -> str:
-    """Raw frame, and what the decoder makes of it."""
+    """Raw frame, and what the decoder makes of it; nothing for a device that photographs no scene."""
+    asked = "scene" in run.design_table or not run.design_table
+    if not asked and run.raw is None and run.decoded is None:
+        return ""
     live = ""
     if run.decoded is not None:
         live = (

@@ -16,6 +16,9 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
     """The pair over depth: live, then on paper."""
     if run.psf is None:
         return html.section("psf", "Point-spread functions", html.note(run.notes.get("psf", "no PSF")))
+    several = run.psf.depth_m.size > 1
+    still = "" if several else " hidden"
+    over_depth = ("psf_orientation", "psf_peak") if several else ()
     viewer = (
         '<div class="viewer" id="psf-viewer" hidden>'
         '<div class="pair">'
@@ -24,21 +27,21 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         '<figure><canvas data-pol="1" role="img" aria-label="PSF of y polarisation"></canvas>'
         '<figcaption class="y">y polarisation</figcaption></figure></div>'
         '<div class="controls"><label>Object depth <output class="depth"></output>'
-        '<input type="range" min="0" step="1" value="0"></label>'
+        f'<input type="range" min="0" step="1" value="0"{still}></label>'
         '<div class="choice" role="group" aria-label="What is shown"></div>'
-        '<button type="button" class="play" aria-pressed="false">Play</button></div>'
+        f'<button type="button" class="play" aria-pressed="false"{still}>Play</button></div>'
         '<p class="readout" aria-live="polite"></p></div>'
     )
     return html.section(
         "psf",
         "Point-spread functions",
         html.paragraph(
-            "The pair is simulated from the pillars in the written file. Crosshairs meet in the geometric image point; "
+            "Simulated from the pillars in the written file. Crosshairs meet in the geometric image point; "
             "arrows run from there to the maximum."
         ),
         viewer,
         html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
-        html.grid(html.figure(drawn[n]) for n in ("psf_orientation", "psf_peak", "psf_mtf") if n in drawn),
+        html.grid(html.figure(drawn[n]) for n in (*over_depth, "psf_mtf") if n in drawn),
         _merit(run),
         html.grid(html.figure(drawn[n]) for n in ("psf_field_x", "psf_field_y") if n in drawn),
         html.grid(html.figure(drawn[n]) for n in ("depth_bias", "distortion") if n in drawn),
@@ -54,8 +57,8 @@ def _merit(run: RunFolder) -> str:
     rows = [
         [
             escape(depth_text(depth)),
-            *(html.number(merit[f"{key}_{p}"][d]) for key in ("pinhole_efficiency", "strehl") for p in "xy"),
-            html.number(merit["extinction_ratio"][d]),
+            *(_share(merit[f"{key}_{p}"][d]) for key in ("pinhole_efficiency", "strehl") for p in "xy"),
+            _ratio(merit["extinction_ratio"][d]),
             *(html.number(value) for value in merit["main_lobe_x_um"][d]),
         ]
         for d, depth in enumerate(merit["depth_m"])
@@ -63,9 +66,11 @@ def _merit(run: RunFolder) -> str:
     head = ["depth", "efficiency x", "efficiency y", "peak x", "peak y", "extinction", "lobe x / µm", "lobe y / µm"]
     text = (
         f"Efficiency: through a pinhole of {merit['pinhole_um']:g} µm, of the light at the aperture. Peak: over that "
-        f"of the target phases. The pair turns by {merit['rotation_deg']:.1f}°, the target phases by "
-        f"{merit['ideal_rotation_deg']:.1f}°."
+        "of the target phases."
     )
+    if len(rows) > 1:
+        turns = (merit["rotation_deg"], merit["ideal_rotation_deg"])
+        text += " The pair turns by {:.1f}°, the target phases by {:.1f}°.".format(*turns)
     return html.table(head, rows, ["n"] * len(head)) + html.paragraph(text, "caption") + _measured(merit)
 
 
@@ -85,6 +90,34 @@ def _measured(merit: Mapping[str, Any]) -> str:
     return html.table(["", "simulated", "measured"], rows, ["", "n", "n"]) + html.paragraph(source, "caption")
 
 
+#: Corners of the cell, by the first word of their names: what readers call them, and their unit.
+_CORNERS = {
+    "cd_bias_nm": ("CD bias", " nm"),
+    "height_nm": ("height", " nm"),
+    "sidewall_angle_deg": ("sidewall", "°"),
+    "pillar_n_shift": ("pillar index", ""),
+}
+
+
+def _corner(name: str) -> str:
+    """A corner's name for readers: ``cd_bias_nm -10`` as CD bias −10 nm."""
+    key, _, value = name.partition(" ")
+    if key not in _CORNERS:
+        return name.replace("_", " ")
+    what, unit = _CORNERS[key]
+    return f"{what} {value.replace('-', '−')}{unit}"
+
+
+def _share(value: Any) -> str:
+    """Three decimals, which stand in line below each other; what is no number as the summary has it."""
+    return f"{value:.3f}" if isinstance(value, float) else html.number(value)
+
+
+def _ratio(value: Any) -> str:
+    """A ratio to three digits, a large one to whole numbers."""
+    return html.number(round(value) if isinstance(value, float) and value >= 100.0 else value)
+
+
 def tolerances(run: RunFolder) -> str:
     """What corners of fabrication do; nothing where nobody asked."""
     part = run.part("tolerance")
@@ -94,14 +127,14 @@ def tolerances(run: RunFolder) -> str:
     nearest = min(part["depth_m"])
     rows = [
         [
-            escape(row["corner"].replace("_", " ")),
+            escape(_corner(row["corner"])),
             html.number(row["change"], 2),
-            html.number(row["peak_ratio"]),
-            html.number(row["efficiency"]),
-            html.number(row["extinction_ratio"]),
+            _share(row["peak_ratio"]),
+            _share(row["efficiency"]),
+            _ratio(row["extinction_ratio"]),
             html.number(row["turn_deg"], 2),
             html.number(None if row["depth_error_m"] is None else 100.0 * row["depth_error_m"] / nearest, 2),
-            f"{100.0 * row['relative_error']:.0f}\u202f%",
+            f"{html.number(100.0 * row['relative_error'], 2)}\u202f%",
         ]
         for row in part["rows"]
     ]

@@ -26,7 +26,8 @@ def headlines(run: RunFolder) -> str:
         items.append(html.headline(html.number(broken), "rules broken", "bad" if broken else "good"))
     seconds = run.part("seconds")
     if seconds:
-        items.append(html.headline(f"{sum(seconds.values()):.3g}\u202fs", "from unit cell to depth map"))
+        last = "PSF" if nmae is None else "depth map"
+        items.append(html.headline(f"{sum(seconds.values()):.3g}\u202fs", f"from unit cell to {last}"))
     return f'<ul class="headlines">{"".join(items)}</ul>' if items else ""
 
 
