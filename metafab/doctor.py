@@ -6,6 +6,7 @@ import platform
 import shutil
 import subprocess
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,14 +15,21 @@ from typing import Any
 from metafab import __version__
 from metafab.core.executor import default_workers
 from metafab.core.numerics import HAS_NUMBA
+from metafab.core.progress import Progress, silent
 from metafab.run import versions
 
 
-def examine() -> dict[str, Any]:
-    """Everything that ``metafab doctor`` shows; ``self_test`` holds one flag a check."""
+def examine(*, rehearse: bool = False, progress: Progress = silent) -> dict[str, Any]:
+    """Everything that ``metafab doctor`` shows; ``self_test`` holds one flag a check.
+
+    Args:
+        rehearse: take a small lens through all steps as well, which compiles the kernels that a first run would.
+        progress: callback of the rehearsal.
+    """
     from metafab.cell import meep
     from metafab.cell.meep import kept
 
+    tests = SELF_TESTS | ({"rehearsal": partial(_rehearsal_passes, progress)} if rehearse else {})
     candidates = meep.find()
     best = next((candidate for candidate in candidates if candidate.found), None)
     return {
@@ -40,7 +48,7 @@ def examine() -> dict[str, Any]:
         "mpi": _first_line("mpirun", "--version"),
         "klayout": {"python": find_spec("klayout") is not None, "program": shutil.which("klayout")},
         "compiled_kernels": HAS_NUMBA,
-        "self_test": {name: _passes(test) for name, test in SELF_TESTS.items()},
+        "self_test": {name: _passes(test) for name, test in tests.items()},
     }
 
 
@@ -64,6 +72,13 @@ def _hdf5_writes() -> bool:
             hdf5.put(file, "x", [1.0, 2.0], units="1", description="two numbers", dims=("x",))
         with hdf5.open_kind(path, kind="self-test", format_version=1, remedy="") as file:
             return bool(file["x"][1] == 2.0)
+
+
+def _rehearsal_passes(progress: Progress) -> bool:
+    """A small lens from unit cell to depth map."""
+    from metafab.rehearsal import rehearse
+
+    return rehearse(progress).passed
 
 
 SELF_TESTS: dict[str, Callable[[], bool]] = {

@@ -41,11 +41,17 @@ def benchmark_command(
 
 
 @app.command("doctor")
-def doctor_command(json_: Json = False) -> None:
+def doctor_command(
+    rehearse: Annotated[
+        bool, typer.Option("--rehearse", help="Also take a small lens from unit cell to depth map: half a minute.")
+    ] = False,
+    json_: Json = False,
+) -> None:
     """What is installed, which Meep was found where, and a short self-test."""
     from metafab.doctor import examine
 
-    findings = examine()
+    with progress_bars() as progress:
+        findings = examine(rehearse=rehearse, progress=progress)
     show(findings, json_)
     if not all(findings["self_test"].values()):
         raise typer.Exit(1)

@@ -13,8 +13,8 @@ PACKAGE = Path(__file__).parents[2] / "metafab"
 #: The rooms in the order in which data flows; a room may import only rooms before it.
 ORDER = [
     "core", "spec", "materials", "cell", "library", "phase", "layout", "mask", "drc",
-    "optics", "fullwave", "camera", "decode", "stokes", "comparison", "report", "benchmark", "run", "steps", "rehearsal",
-    "doctor", "cli",
+    "optics", "fullwave", "camera", "decode", "stokes", "comparison", "report", "benchmark", "run", "steps",
+    "rehearsal", "doctor", "cli",
 ]  # fmt: skip
 
 #: module -> the only files that may import it
