@@ -73,7 +73,7 @@ def rivals(design: Design, depth_m: FloatArray, *, progress: Progress = silent) 
     found = []
     for done, (name, phase, base) in enumerate(others, start=1):
         stack, nodes = _stack(replace(base, phase=phase), depth_m)
-        known = PairKernels(_only(stack, np.isin(stack.depth_m, nodes)))
+        known = PairKernels(without_depths(stack, ~np.isin(stack.depth_m, nodes)))
         found.append(Rival(name, phase == design.phase, PairKernels(stack), known))
         progress("PSFs", done, len(others))
     return tuple(found)
@@ -89,7 +89,3 @@ def _stack(design: Design, depth_m: FloatArray) -> tuple[Psf, FloatArray]:
     every = np.unique(np.concatenate([nodes, depth_m]))
     source = ideal_field(profile_of(design), lattice_of(design), design.device)
     return psf(source, imaging, every, window_px=design.verify.window_px, target_error=target, workers=1), nodes
-
-
-def _only(stack: Psf, kept: FloatArray) -> Psf:
-    return without_depths(stack, ~np.asarray(kept, dtype=bool))

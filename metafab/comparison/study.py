@@ -159,10 +159,10 @@ def load_comparison(path: Path) -> Comparison | None:
         table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if table.pop("kind") != KIND or table.pop("format_version") > FORMAT:
             return None
-        arrays = {
-            name: np.array(table.pop(name), dtype=np.float64) for name in ("depth_m", "error", "bound", "restored")
-        }
-        names = {name: tuple(table.pop(name)) for name in ("methods", "cameras")}
-        return Comparison(**arrays, **names, **table)
+        for name in ("depth_m", "error", "bound", "restored"):
+            table[name] = np.array(table[name], dtype=np.float64)
+        for name in ("methods", "cameras"):
+            table[name] = tuple(table[name])
+        return Comparison(**table)
     except (OSError, ValueError, TypeError, KeyError):
         return None

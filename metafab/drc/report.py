@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from html import escape
 from pathlib import Path
 from typing import Literal
-from html import escape
 
 from metafab.core.files import whole_file, write_json
 from metafab.spec import Design
