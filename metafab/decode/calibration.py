@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, PPoly
 from scipy.ndimage import spline_filter1d
 from scipy.sparse import csr_matrix
 
@@ -120,8 +120,8 @@ def stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.f
     place_y = stretch[1, 0] * x + stretch[1, 1] * y + n_y // 2
     inside = (place_x >= 0) & (place_x <= n_x - 1) & (place_y >= 0) & (place_y <= n_y - 1)
     first_x, first_y = np.floor(place_x).astype(int) - 2, np.floor(place_y).astype(int) - 2
-    weight_x = np.stack([_QUINTIC(place_x - (first_x + i)) * inside for i in range(6)])
-    weight_y = np.stack([_QUINTIC(place_y - (first_y + i)) for i in range(6)])
+    weight_x = _quintic_weights(place_x - (first_x + 2)) * inside
+    weight_y = _quintic_weights(place_y - (first_y + 2))
     row = np.stack([_mirrored(first_y + j, n_y) for j in range(6)])
     column = np.stack([_mirrored(first_x + i, n_x) for i in range(6)])
     source = (row[:, None] * n_x + column[None, :]).reshape(36, -1)
@@ -131,7 +131,13 @@ def stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.f
     return np.asarray((matrix @ coefficients.reshape(-1, n_y * n_x).T).T.reshape(kernels.shape), dtype=np.float32)
 
 
-_QUINTIC = BSpline.basis_element(np.arange(-3.0, 4.0), extrapolate=False)
+#: Powers (highest first) of each of the quintic B-spline's six pieces; SciPy puts five empty ones and one of 0 before.
+_QUINTIC = PPoly.from_spline(BSpline.basis_element(np.arange(-3.0, 4.0))).c[:, 5:11]
+
+
+def _quintic_weights(fraction: FloatArray) -> FloatArray:
+    """Of the six coefficients about a place, by its fraction of a pixel beyond the third: shape (6, ...)."""
+    return np.stack([np.polyval(_QUINTIC[:, 5 - i], fraction) for i in range(6)])
 
 
 def _mirrored(index: NDArray[np.intp], count: int) -> NDArray[np.intp]:

@@ -17,7 +17,7 @@ from metafab.core.progress import Progress, silent
 from metafab.decode import segment as segments
 from metafab.decode.calibration import Calibration
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth, pixel_depth
-from metafab.decode.filters import CrossFilters
+from metafab.decode.filters import BASIS_ERROR, CrossFilters
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
 from metafab.decode.levels import Levels
@@ -95,6 +95,7 @@ class Decoder:
         frame_shape: tuple[int, int],
         origin_um: tuple[float, float],
         x_window: tuple[int, int, int, int] | None = None,
+        basis_error: float = BASIS_ERROR,
     ) -> Decoder | None:
         """A decoder, or None if no part of such frames holds both images.
 
@@ -103,6 +104,7 @@ class Decoder:
             frame_shape: (n_y, n_x) of the frames.
             origin_um: (x, y) on the sensor of pixel [0, 0].
             x_window: (row, column, rows, columns) of the x image; without it, all that has its twin in the frame.
+            basis_error: what the mixtures of filters may leave out (relative L2): more is faster, and less exact.
         """
         kernels, image_map = PairKernels(psf), ImageMap.from_psf(psf)
         place = (image_map, frame_shape, origin_um, psf.pixel_um, MARGIN_PX)
@@ -111,7 +113,7 @@ class Decoder:
             return None
         calibration = Calibration(kernels, grid, image_map)
         vergences = np.linspace(1.0 / psf.depth_m.max(), 1.0 / psf.depth_m.min(), _CANDIDATES)
-        return cls(calibration, CrossFilters.of(calibration, vergences), Restorer.of(calibration))
+        return cls(calibration, CrossFilters.of(calibration, vergences, basis_error), Restorer.of(calibration))
 
     @property
     def nbytes(self) -> int:

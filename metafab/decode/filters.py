@@ -29,7 +29,7 @@ from metafab.decode.volume import Volume
 from metafab.phase.information import Texture, twin_information
 
 #: What the mixtures of the basis may leave out of the filters (relative L2, weighted as the likelihood is).
-_BASIS_ERROR = 0.02
+BASIS_ERROR = 0.02
 #: Finer structure is left out where all of it knows less than this share of what is known about depth.
 _NEGLIGIBLE_SHARE = 0.1
 #: (step, fewest pixels of a window that is worth it): small windows are cheap, and hold outlines above all.
@@ -64,13 +64,21 @@ class CrossFilters:
     power: FloatArray
 
     @classmethod
-    def of(cls, calibration: Calibration, vergences_per_m: FloatArray) -> CrossFilters:
-        """Filters of a calibration at candidate depths."""
+    def of(
+        cls, calibration: Calibration, vergences_per_m: FloatArray, basis_error: float = BASIS_ERROR
+    ) -> CrossFilters:
+        """Filters of a calibration at candidate depths.
+
+        Args:
+            calibration: the pair.
+            vergences_per_m: 1/depth of the candidates, equally spaced.
+            basis_error: what the mixtures may leave out: more is faster, and less exact.
+        """
         grid = calibration.grid
         every = coarsest_step(calibration)
         reduction = Reduction(every, grid.shape, grid.margin)
         filters, power = _cross_filters(calibration, vergences_per_m, every)
-        kernels, shares = _low_rank(filters, power, every)
+        kernels, shares = _low_rank(filters, power, every, basis_error)
         weights = calibration.block_weights(reduction.shape, every, BLOCK_PX // every)
         by_block = np.einsum("yxf,pvfk->pyxkv", weights, shares, optimize=True)
         return cls(
@@ -161,7 +169,9 @@ def _cross_filters(
     return transfer[::-1] * np.sqrt(2.0 / total), power.astype(np.float64)
 
 
-def _low_rank(filters: NDArray[np.complex64], power: FloatArray, every: int) -> tuple[FloatArray, NDArray[np.float32]]:
+def _low_rank(
+    filters: NDArray[np.complex64], power: FloatArray, every: int, error: float
+) -> tuple[FloatArray, NDArray[np.float32]]:
     """Basis kernels and the share of each in each filter.
 
     Returns:
@@ -176,20 +186,20 @@ def _low_rank(filters: NDArray[np.complex64], power: FloatArray, every: int) -> 
     weight[:, 1:-1] *= np.sqrt(2.0)
     rows = (filters * weight).astype(np.complex64).reshape(-1, n_y * n_kx)
     table = np.concatenate([rows.real, rows.imag], axis=1)
-    vectors = _range(table)
+    vectors = _range(table, error)
     kernels = scipy.fft.irfft2((vectors.T @ filters.reshape(-1, n_y * n_kx)).reshape(-1, n_y, n_kx), size)
     return kernels, vectors.reshape(*filters.shape[:3], -1)
 
 
-def _range(table: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Orthonormal columns that hold the columns of ``table`` to within ``_BASIS_ERROR``: shape (n_rows, n_basis)."""
+def _range(table: NDArray[np.float32], error: float) -> NDArray[np.float32]:
+    """Orthonormal columns that hold the columns of ``table`` to within ``error``: shape (n_rows, n_basis)."""
     most = min(_LARGEST_BASIS, *table.shape)
     probes = np.random.default_rng(0).standard_normal((table.shape[1], most)).astype(np.float32)
     first, _ = np.linalg.qr(table @ probes)
     first, _ = np.linalg.qr(table @ (table.T @ first))
     left, singular, _ = np.linalg.svd(first.T @ table, full_matrices=False)
     missing = 1.0 - np.cumsum(singular.astype(np.float64) ** 2) / np.sum(table.astype(np.float64) ** 2)
-    enough = np.flatnonzero(missing < _BASIS_ERROR**2)
+    enough = np.flatnonzero(missing < error**2)
     count = int(enough[0]) + 1 if enough.size else most
     return np.asarray(first @ left[:, :count], dtype=np.float32)
 

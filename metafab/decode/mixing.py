@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
+from metafab.core.numerics import HAS_NUMBA, compiled, compiled_parallel, prange
 
 
 def agreement(
@@ -45,6 +45,17 @@ def covered(mask: NDArray[np.bool_], block: int) -> NDArray[np.bool_]:
     return np.asarray(whole[: mask.shape[0], : mask.shape[1]])
 
 
+@compiled
+def _mix(images: NDArray[np.float32], shares: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    """Sum of images (n, n_px) by their shares (n,), four at once; n is a multiple of four."""
+    out[:] = np.float32(0.0)
+    for k in range(0, shares.size, 4):
+        a, b, c, d = images[k], images[k + 1], images[k + 2], images[k + 3]
+        of_a, of_b, of_c, of_d = shares[k], shares[k + 1], shares[k + 2], shares[k + 3]
+        for p in range(out.size):
+            out[p] += (of_a * a[p] + of_b * b[p]) + (of_c * c[p] + of_d * d[p])
+
+
 @compiled_parallel
 def _products(
     x_passed: NDArray[np.float32],
@@ -54,27 +65,35 @@ def _products(
     wanted: NDArray[np.bool_],
 ) -> NDArray[np.float32]:
     n_basis, n_y, n_x = x_passed.shape
-    count = shares.shape[4]
+    count, px, padded = shares.shape[4], block * block, 4 * ((n_basis + 3) // 4)
     parts = np.zeros((3, count, n_y, n_x), dtype=np.float32)
     for row in prange(wanted.shape[0]):
-        a, b = np.empty(count, dtype=np.float32), np.empty(count, dtype=np.float32)
+        # A block's pixels lie side by side, and images are padded to fours: both let the mixing be vectorised.
+        inputs = np.zeros((2, padded, px), dtype=np.float32)
+        share = np.zeros((2, count, padded), dtype=np.float32)
+        mixed = np.empty((2, px), dtype=np.float32)
+        top, rows = row * block, min(block, n_y - row * block)
         for column in range(wanted.shape[1]):
             if not wanted[row, column]:
                 continue
-            of_x, of_y = shares[0, row, column], shares[1, row, column]
-            for i in range(row * block, min((row + 1) * block, n_y)):
-                for j in range(column * block, min((column + 1) * block, n_x)):
-                    a[:] = np.float32(0.0)
-                    b[:] = np.float32(0.0)
-                    for k in range(n_basis):
-                        x, y = x_passed[k, i, j], y_passed[k, i, j]
-                        for v in range(count):
-                            a[v] += of_x[k, v] * x
-                            b[v] += of_y[k, v] * y
-                    for v in range(count):
-                        parts[0, v, i, j] = a[v] * b[v]
-                        parts[1, v, i, j] = a[v] * a[v]
-                        parts[2, v, i, j] = b[v] * b[v]
+            left, columns = column * block, min(block, n_x - column * block)
+            for k in range(n_basis):
+                for i in range(rows):
+                    for j in range(columns):
+                        inputs[0, k, i * block + j] = x_passed[k, top + i, left + j]
+                        inputs[1, k, i * block + j] = y_passed[k, top + i, left + j]
+                for v in range(count):
+                    share[0, v, k] = shares[0, row, column, k, v]
+                    share[1, v, k] = shares[1, row, column, k, v]
+            for v in range(count):
+                for image in range(2):
+                    _mix(inputs[image], share[image, v], mixed[image])
+                for i in range(rows):
+                    for j in range(columns):
+                        x, y = mixed[0, i * block + j], mixed[1, i * block + j]
+                        parts[0, v, top + i, left + j] = x * y
+                        parts[1, v, top + i, left + j] = x * x
+                        parts[2, v, top + i, left + j] = y * y
     return parts
 
 

@@ -122,8 +122,12 @@ def _down_columns(
             whole = int(np.floor(place))
             step = int((place - whole) * steps + 0.5)
             total = np.float32(0.0)
-            for k in range(taps):
-                total += table[step, k] * image[min(max(whole - reach + k, 0), last), j]
+            if whole >= reach and whole + taps - reach <= last + 1:
+                for k in range(taps):
+                    total += table[step, k] * image[whole - reach + k, j]
+            else:
+                for k in range(taps):
+                    total += table[step, k] * image[min(max(whole - reach + k, 0), last), j]
             out[i, j] = total
     return out
 

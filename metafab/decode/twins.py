@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,13 @@ from scipy.ndimage import uniform_filter
 from metafab.camera.frame import RawFrame
 from metafab.camera.geometry import ImageMap
 from metafab.core.conventions import FloatArray
+from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.decode.resample import Resampler
 
 #: Squares of brighter values would not fit single precision; nothing real comes near.
 _BRIGHTEST = 1e15
+#: What frames are made of, in the machine's byte order; all else is converted first.
+_COMPILED_FOR = (np.dtype(np.float32), np.dtype(np.float64), np.dtype(np.uint8), np.dtype(np.uint16))
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,7 @@ class TwinGrid:
         row, column = first_row - margin, first_column - margin
         x_um = np.asarray(origin_um[0] + pixel_um * (column + np.arange(columns + 2 * margin)), dtype=np.float64)
         y_um = np.asarray(origin_um[1] + pixel_um * (row + np.arange(rows + 2 * margin)), dtype=np.float64)
-        tangent_x, tangent_y = _directions(image_map, x_um, y_um)
-        place_x, place_y = image_map.to_sensor_um(1, tangent_x, tangent_y)
+        tangent_x, tangent_y, place_x, place_y, area = _maps(image_map, x_um, y_um)
         return cls(
             frame_shape,
             (float(x_um[margin]), float(y_um[margin])),
@@ -77,7 +80,7 @@ class TwinGrid:
             tangent_y,
             (place_y - origin_um[1]) / pixel_um,
             (place_x - origin_um[0]) / pixel_um,
-            image_map.area_um2(1, tangent_x, tangent_y) / image_map.area_um2(0, tangent_x, tangent_y),
+            area,
         )
 
     @classmethod
@@ -155,29 +158,28 @@ class Twins:
     bad: NDArray[np.bool_]
 
 
-def _directions(image_map: ImageMap, x_um: FloatArray, y_um: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Directions behind a grid of the x image: solved on some of it and interpolated, for they vary slowly."""
+def _maps(image_map: ImageMap, x_um: FloatArray, y_um: FloatArray) -> tuple[FloatArray, ...]:
+    """Of a grid of the x image: directions behind it along x and y, places of its twins, and their relative area.
+
+    All are solved on some of the grid and interpolated, for they vary slowly.
+    """
     knots_y, knots_x = np.linspace(y_um[0], y_um[-1], 17), np.linspace(x_um[0], x_um[-1], 17)
-    some_x, some_y = image_map.to_tangent(0, *np.meshgrid(knots_x, knots_y))
-    x, y = (RectBivariateSpline(knots_y, knots_x, some, kx=5, ky=5)(y_um, x_um) for some in (some_x, some_y))
-    return np.asarray(x), np.asarray(y)
+    tangents = image_map.to_tangent(0, *np.meshgrid(knots_x, knots_y))
+    area = image_map.area_um2(1, *tangents) / image_map.area_um2(0, *tangents)
+    some = (*tangents, *image_map.to_sensor_um(1, *tangents), area)
+    return tuple(np.asarray(RectBivariateSpline(knots_y, knots_x, part, kx=5, ky=5)(y_um, x_um)) for part in some)
 
 
 def extract(frame: RawFrame, grid: TwinGrid) -> Twins:
     """Both images from a frame; broken pixels are replaced by their neighbours' mean and marked."""
-    given = np.asarray(frame.frame)
-    with np.errstate(over="ignore"):
-        values = np.asarray(given, dtype=np.float32)
-    values = np.where(np.abs(values) < _BRIGHTEST, values, np.float32(np.nan))
-    broken = ~np.isfinite(values)
-    if frame.saturation_e is not None:
-        with np.errstate(invalid="ignore"):
-            broken |= given >= frame.saturation_e
+    limit = np.inf if frame.saturation_e is None else float(frame.saturation_e)
+    values, broken = _checked(np.asarray(frame.frame), limit)
     any_broken = bool(broken.any())
     if any_broken:
         values = _mended(values, broken)
-    image = np.stack([_cut(values, grid), grid.resampler(values)])
-    image[1] *= grid.twin_area
+    image = np.empty((2, *grid.tangent_x.shape), dtype=np.float32)
+    image[0] = _cut(values, grid)
+    np.multiply(grid.resampler(values), grid.twin_area, out=image[1], casting="same_kind")
     bad = np.zeros(grid.shape, dtype=bool)
     if any_broken:
         twin = grid.resampler(uniform_filter(broken.astype(np.float32), 3)) > 0.05
@@ -185,9 +187,40 @@ def extract(frame: RawFrame, grid: TwinGrid) -> Twins:
     return Twins(grid, image, bad)
 
 
+def _checked(given: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Values in single precision, and which of them are saturated, too bright or not a number."""
+    if given.dtype not in _COMPILED_FOR:
+        given = given.astype(np.float64)
+    if HAS_NUMBA:
+        return _checked_loop(given, saturation)
+    with np.errstate(over="ignore", invalid="ignore"):
+        fine = np.abs(given) < _BRIGHTEST
+        return np.where(fine, given, np.nan).astype(np.float32), ~fine | (given >= saturation)
+
+
+@compiled
+def _checked_loop(given: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    values = np.empty(given.shape, dtype=np.float32)
+    broken = np.empty(given.shape, dtype=np.bool_)
+    for i in range(given.shape[0]):
+        for j in range(given.shape[1]):
+            value = np.float64(given[i, j])
+            fine = abs(value) < _BRIGHTEST
+            values[i, j] = value if fine else np.nan
+            broken[i, j] = not fine or value >= saturation
+    return values, broken
+
+
 def _cut(values: np.ndarray, grid: TwinGrid) -> np.ndarray:
     """The x image with its margin; beyond the frame, the frame's edge."""
     n_y, n_x = grid.tangent_x.shape
+    if (
+        grid.row >= 0
+        and grid.column >= 0
+        and grid.row + n_y <= values.shape[0]
+        and grid.column + n_x <= values.shape[1]
+    ):
+        return values[grid.row : grid.row + n_y, grid.column : grid.column + n_x]
     rows = np.clip(grid.row + np.arange(n_y), 0, values.shape[0] - 1)
     columns = np.clip(grid.column + np.arange(n_x), 0, values.shape[1] - 1)
     return np.asarray(values[np.ix_(rows, columns)])
