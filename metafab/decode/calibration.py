@@ -132,7 +132,7 @@ def stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.f
 
 
 #: Powers (highest first) of each of the quintic B-spline's six pieces; SciPy puts five empty ones and one of 0 before.
-_QUINTIC = PPoly.from_spline(BSpline.basis_element(np.arange(-3.0, 4.0))).c[:, 5:11]
+_QUINTIC = PPoly.from_spline(BSpline.basis_element(np.arange(-3.0, 4.0)).tck).c[:, 5:11]
 
 
 def _quintic_weights(fraction: FloatArray) -> FloatArray:
