@@ -155,7 +155,8 @@ def run(
     summary = state.summary()
     if coupling := recorded_coupling(job):
         summary["coupling"] = coupling
-    summary["tolerance"] = summary["tolerance"] or recorded_tolerance(job)
+    if tolerance := recorded_tolerance(job):
+        summary["tolerance"] = tolerance
     summary["error_budget"] = plain(error_budget(summary))
     # The page shows the summary, so it is written before the page is made and again with what the page cost.
     if not state.stands(REPORT):

@@ -30,8 +30,7 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
 
 def main() -> None:
     """Run the command line and translate errors into one clear message and an exit code."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         app(spread_depths(sys.argv[1:]))
     except MetafabError as error:
@@ -43,3 +42,6 @@ def main() -> None:
     except (OSError, MemoryError) as error:
         print(f"metafab: {type(error).__name__}: {error}", file=sys.stderr)
         sys.exit(1)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -31,9 +31,9 @@ def expose_film(
     """The frames of a scene, each kept as it comes: in ``path`` itself, or numbered from 1 where they are several."""
     from metafab import camera, optics
 
+    psf, shown = optics.load(psf_path), replace(scene, frames=frames)
     inputs = fingerprint(scene, frames, seed, file_sha256(psf_path))
-    shown = replace(scene, frames=frames)
-    for number, frame in enumerate(camera.film(shown, optics.load(psf_path), seed=seed, progress=progress), start=1):
+    for number, frame in enumerate(camera.film(shown, psf, seed=seed, progress=progress), start=1):
         own = path if frames == 1 else path.with_name(f"{path.stem}_{number:04d}{path.suffix}")
         camera.save(frame, own, inputs_sha256=inputs)
         yield frame, own

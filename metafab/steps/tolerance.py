@@ -44,6 +44,8 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
 
 def recorded_tolerance(job: Job) -> dict[str, Any]:
     """What ``metafab tolerance`` found on a mask of this run, {} if nothing."""
+    if not (job.folder / FILE).is_file():
+        return {}
     from metafab import optics
 
     found = optics.load_tolerance(job.folder / FILE)

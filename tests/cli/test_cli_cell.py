@@ -83,7 +83,7 @@ def test_what_cannot_be_solved_is_refused(
 
 @pytest.mark.parametrize(
     ("options", "field"),
-    [(("--angle-deg", "20", "--azimuth-deg", "nan"), "azimuth_deg"), (("--wavelength-nm", "1e-3"), "period_nm")],
+    [(("--angle-deg", "20", "--azimuth-deg", "nan"), "--azimuth-deg"), (("--wavelength-nm", "1e-3"), "period_nm")],
 )
 def test_cells_that_cannot_be_solved_are_refused_by_name(tmp_path: Path, options: tuple[str, ...], field: str) -> None:
     answer = metafab("cell", _file(tmp_path), *SIZES, *options)

@@ -53,4 +53,4 @@ def test_without_rows_nothing_is_measured_and_nothing_hashed(tmp_path: Path, sma
 
 
 def test_the_page_is_made_again_when_they_come() -> None:
-    assert REPORT.reads == ("coupling.json", "patch.h5")
+    assert REPORT.reads == ("coupling.json", "patch.h5", "tolerance.json")
