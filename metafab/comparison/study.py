@@ -6,7 +6,6 @@ tried lie between those of the calibration. Planes fill the view and stand on th
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from metafab.camera.texture import make_texture
 from metafab.comparison.estimate import PlaneEstimator
 from metafab.comparison.rivals import Rival, rivals
 from metafab.core.conventions import FloatArray
-from metafab.core.files import write_json
+from metafab.core.files import read_json, write_json
 from metafab.core.progress import Progress, silent
 from metafab.spec import Design, Scene, SceneObject
 
@@ -155,14 +154,12 @@ def save_comparison(comparison: Comparison, path: Path) -> None:
 
 def load_comparison(path: Path) -> Comparison | None:
     """Read ``comparison.json``; None where there is none, or one that is not ours."""
-    try:
-        table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if table.pop("kind") != KIND or table.pop("format_version") > FORMAT:
-            return None
-        for name in ("depth_m", "error", "bound", "restored"):
-            table[name] = np.array(table[name], dtype=np.float64)
-        for name in ("methods", "cameras"):
-            table[name] = tuple(table[name])
-        return Comparison(**table)
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
+    return read_json(path, KIND, FORMAT, _comparison)
+
+
+def _comparison(table: dict[str, Any]) -> Comparison:
+    for name in ("depth_m", "error", "bound", "restored"):
+        table[name] = np.array(table[name], dtype=np.float64)
+    for name in ("methods", "cameras"):
+        table[name] = tuple(table[name])
+    return Comparison(**table)

@@ -7,13 +7,15 @@ import json
 import os
 import re
 import secrets
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+
+Made = TypeVar("Made")
 
 
 @contextmanager
@@ -84,6 +86,24 @@ def write_json(path: Path, value: Any) -> None:
     """Write ``value`` as indented JSON, whole or not at all."""
     with whole_file(path) as part:
         part.write_text(json.dumps(plain(value), indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def read_json(path: Path, kind: str, format_version: int, make: Callable[[dict[str, Any]], Made]) -> Made | None:
+    """What ``make`` makes of a file of a kind; None where there is none, or one that is not ours or of a newer format.
+
+    Args:
+        path: what :func:`write_json` wrote, with ``kind`` and ``format_version`` among its keys.
+        kind: which kind of file.
+        format_version: the newest that can be read.
+        make: takes the other keys; what they lack or hold wrongly makes the file none of ours.
+    """
+    try:
+        table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if table["kind"] != kind or table["format_version"] > format_version:
+            return None
+        return make({key: value for key, value in table.items() if key not in {"kind", "format_version"}})
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
 
 
 def fingerprint(*parts: Any) -> str:

@@ -7,7 +7,6 @@ the light that focuses, all others are lost or stray.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
 from metafab.cell.rcwa.row import RowNumerics, solve_row
 from metafab.cell.supercell import Supercell, SupercellResponse
 from metafab.core.conventions import POLARISATIONS, Polarisation
-from metafab.core.files import write_json
+from metafab.core.files import read_json, write_json
 from metafab.core.progress import Progress, silent
 from metafab.fullwave.written import Axis, line_at, local_period_sites, supercell_at
 from metafab.layout import PillarMap
@@ -155,14 +154,12 @@ def save_coupling(coupling: Coupling, path: Path) -> None:
 
 def load_coupling(path: Path) -> Coupling | None:
     """Read ``coupling.json``; None where there is none, or one that is not ours."""
-    try:
-        table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if table["kind"] != KIND or table["format_version"] > FORMAT:
-            return None
-        rows = tuple(CouplingRow(**row) for row in table["rows"])
-        return Coupling(table["mask_sha256"], rows) if rows else None
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
+    return read_json(path, KIND, FORMAT, _coupling)
+
+
+def _coupling(table: dict[str, Any]) -> Coupling | None:
+    rows = tuple(CouplingRow(**row) for row in table["rows"])
+    return Coupling(table["mask_sha256"], rows) if rows else None
 
 
 def _along(

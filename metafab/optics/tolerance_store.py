@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from metafab.core.files import write_json
+from metafab.core.files import read_json, write_json
 from metafab.optics.tolerance import ToleranceRow, ToleranceTable
 
 KIND = "metafab tolerance"
@@ -34,20 +33,18 @@ def tolerance_figures(table: ToleranceTable) -> dict[str, Any]:
 
 def load_tolerance(path: Path) -> tuple[ToleranceTable, str] | None:
     """The table and the hash of its mask; None where there is none, or one that is not ours."""
-    try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        if content["kind"] != KIND or content["format_version"] > FORMAT:
-            return None
-        table = ToleranceTable(
-            nominal=_row(content["nominal"]),
-            rows=tuple(_row(row) for row in content["rows"]),
-            depth_m=np.array(content["depth_m"], dtype=np.float64),
-            error=float(content["error"]),
-            block_sites=int(content["block_sites"]),
-        )
-        return table, str(content["mask_sha256"])
-    except (OSError, ValueError, TypeError, KeyError):
-        return None
+    return read_json(path, KIND, FORMAT, _table)
+
+
+def _table(content: dict[str, Any]) -> tuple[ToleranceTable, str]:
+    table = ToleranceTable(
+        nominal=_row(content["nominal"]),
+        rows=tuple(_row(row) for row in content["rows"]),
+        depth_m=np.array(content["depth_m"], dtype=np.float64),
+        error=float(content["error"]),
+        block_sites=int(content["block_sites"]),
+    )
+    return table, str(content["mask_sha256"])
 
 
 def _row(entry: dict[str, Any]) -> ToleranceRow:
