@@ -65,6 +65,7 @@ def drc_command(
     copy: Copy = 1,
     output: Output = None,
     workers: Workers = None,
+    cluster: Cluster = None,
     json_: Json = False,
 ) -> None:
     """Check the design rules on a written file; exits with 2 if any is violated."""
@@ -73,7 +74,7 @@ def drc_command(
 
     spec = load_design(design)
     with progress_bars() as progress:
-        result = drc.check(layout, spec, engine=engine, workers=workers, progress=progress, copy=copy)
+        result = drc.check(layout, spec, engine=engine, workers=workers, cluster=cluster, progress=progress, copy=copy)
     if output is not None:
         drc.save([result], output, mask.top_name(spec.name))
     show(result, json_)

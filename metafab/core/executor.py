@@ -10,10 +10,11 @@ import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from itertools import islice
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from metafab.core.errors import InputError, MissingToolError
 
@@ -34,6 +35,43 @@ class SerialExecutor(Executor):
         except Exception as error:  # what a pool would hand over, too
             future.set_exception(error)
         return future
+
+
+class ClusterExecutor(Executor):
+    """Runs calls on the workers of a Dask client.
+
+    Args:
+        client: of ``distributed``; stays open.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._calls = client.get_executor()
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Call ``fn`` on a worker; a call whose worker dies is made again by another."""
+        return cast("Future[Result]", self._calls.submit(fn, *args, **kwargs))
+
+    def submit_with(self, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
+        """What submits ``function`` of an item: the function travels to each worker once, and not with each item.
+
+        The function is itself the result of a call, which Dask makes again should every worker that holds it die.
+        """
+        shared = self._client.submit(_same, function, pure=False)
+        return partial(self.submit, _call, shared)
+
+    @property
+    def slots(self) -> int:
+        """Calls that can run at the same time."""
+        return max(1, int(sum(self._client.nthreads().values())))
+
+
+def _same(function: Callable[[Item], Result]) -> Callable[[Item], Result]:
+    return function
+
+
+def _call(function: Callable[[Item], Result], item: Item) -> Result:
+    return function(item)
 
 
 def default_workers() -> int:
@@ -73,7 +111,7 @@ def open_executor(workers: int | None = None, cluster: str | None = None) -> Ite
                 "start one with `dask scheduler` and give the address that it prints",
             ) from error
         try:
-            yield client.get_executor()
+            yield ClusterExecutor(client)
         finally:
             client.close()
         return
@@ -98,6 +136,22 @@ def open_executor(workers: int | None = None, cluster: str | None = None) -> Ite
                 os.environ[name] = value
 
 
+def open_threads(workers: int | None = None, cluster: str | None = None) -> AbstractContextManager[Executor]:
+    """Threads of this process, for work that leaves them free to run and shares what it holds; or a cluster.
+
+    Raises:
+        InputError, MissingToolError: as :func:`open_executor`.
+    """
+    return ThreadPoolExecutor(workers or default_workers()) if cluster is None else open_executor(cluster=cluster)
+
+
+def _submitter(executor: Executor, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
+    """What submits ``function`` of an item."""
+    if isinstance(executor, ClusterExecutor):
+        return executor.submit_with(function)
+    return lambda item: executor.submit(function, item)
+
+
 def stream(
     executor: Executor, function: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = 8
 ) -> Iterator[tuple[Item, Result]]:
@@ -105,11 +159,12 @@ def stream(
 
     Memory stays bounded however many items there are: at most ``ahead`` are submitted and not yet yielded.
     """
+    submit = _submitter(executor, function)
     source = iter(items)
     pending: dict[Future[Result], Item] = {}
     while True:
         for item in islice(source, ahead - len(pending)):
-            pending[executor.submit(function, item)] = item
+            pending[submit(item)] = item
         if not pending:
             return
         done, _ = wait(pending, return_when=FIRST_COMPLETED)
@@ -120,16 +175,22 @@ def stream(
 def in_order(
     executor: Executor, function: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = 8
 ) -> Iterator[Result]:
-    """Apply ``function`` to each item and yield the results in the order of the items, few in flight at a time."""
+    """Apply ``function`` to each item and yield the results in the order of the items, few in flight at a time.
+
+    On a cluster there are as many in flight as keep it busy, and ``function`` is sent to each worker once.
+    """
+    submit = _submitter(executor, function)
+    if isinstance(executor, ClusterExecutor):
+        ahead = max(ahead, 2 * executor.slots)
     source = iter(items)
     pending: deque[Future[Result]] = deque()
     try:
         for item in islice(source, ahead):
-            pending.append(executor.submit(function, item))
+            pending.append(submit(item))
         while pending:
             result = pending.popleft().result()
             for item in islice(source, 1):
-                pending.append(executor.submit(function, item))
+                pending.append(submit(item))
             yield result
     finally:
         for future in pending:

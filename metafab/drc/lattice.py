@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from hashlib import sha256
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.executor import default_workers, in_order
+from metafab.core.executor import in_order, open_threads
 from metafab.core.progress import Progress, silent
 from metafab.drc.report import MARKERS, RULES, DrcReport, Marker, upright_side_nm
 from metafab.layout import Aperture, smallest_gap
 from metafab.layout.pillars import SizeIndexArray
 from metafab.mask import ReadBack
+from metafab.mask.cells import count_sizes
 from metafab.spec import Design
 
 _BAND_ROWS = 256
@@ -46,7 +47,11 @@ def _nothing(design: Design) -> _Findings:
 
 
 def check_lattice(
-    read_back: ReadBack, design: Design, workers: int | None = None, progress: Progress = silent
+    read_back: ReadBack,
+    design: Design,
+    workers: int | None = None,
+    progress: Progress = silent,
+    cluster: str | None = None,
 ) -> DrcReport:
     """All rules of :data:`RULES` on what was read from a file.
 
@@ -55,21 +60,23 @@ def check_lattice(
         design: rules, aperture.
         workers: threads; the cores unless given.
         progress: told about rows.
+        cluster: address of a Dask scheduler whose workers check the bands.
     """
-    bands = _Bands(read_back, design)
+    size_index = read_back.pillars.to_array()
     total = _of_leftovers(read_back, design)
     # Of the other copies nothing but the count is looked at: every site inside the aperture has a pillar.
     sites = Aperture.of(design).count if read_back.other_copies else 0
     total.counts["missing"] += sum(max(0, sites - count) for count in read_back.other_copies.values())
-    n_y = bands.size_index.shape[0]
-    with ThreadPoolExecutor(workers or default_workers()) as threads:
-        for done, findings in enumerate(in_order(threads, bands.check, range(0, n_y, _BAND_ROWS)), start=1):
+    n_y = len(size_index)
+    with open_threads(workers, cluster) as executor:
+        rules = _BandRules(read_back, design)
+        for done, findings in enumerate(in_order(executor, rules, _bands(size_index)), start=1):
             for rule in total.counts:
                 total.counts[rule] += findings.counts[rule]
                 total.boxes_nm[rule] += findings.boxes_nm[rule]
             total.smallest_gap_dbu = min(total.smallest_gap_dbu, findings.smallest_gap_dbu)
             progress("rules", min(done * _BAND_ROWS, n_y), n_y)
-    on_sites = int(np.count_nonzero(bands.size_index))
+    on_sites = int(np.count_nonzero(size_index))
     rectangles = on_sites + read_back.off_site.count + read_back.off_grid.count + read_back.duplicates.count
     unit_nm = design.mask.database_unit_nm
     return DrcReport(
@@ -81,7 +88,7 @@ def check_lattice(
         min_gap_nm=float(total.smallest_gap_dbu * unit_nm) if np.isfinite(total.smallest_gap_dbu) else None,
         other_layers=read_back.other_layers,
         other_copies=read_back.other_copies,
-        pillars_sha256=_pillars_sha256(read_back.pillars.size_dbu, bands.size_index),
+        pillars_sha256=_pillars_sha256(read_back.pillars.size_dbu, size_index),
     )
 
 
@@ -114,12 +121,31 @@ def _of_leftovers(read_back: ReadBack, design: Design) -> _Findings:
     return found
 
 
-class _Bands:
-    """Rules on the pillars at their sites."""
+class _Band(NamedTuple):
+    """Some rows of sites.
+
+    Attributes:
+        row: the first of them.
+        size_index: shape (rows, n_x).
+        and_next: the same rows and, if there is one, the row after them.
+    """
+
+    row: int
+    size_index: SizeIndexArray
+    and_next: SizeIndexArray
+
+
+def _bands(size_index: SizeIndexArray) -> Iterator[_Band]:
+    for row in range(0, len(size_index), _BAND_ROWS):
+        and_next = size_index[row : row + _BAND_ROWS + 1]
+        yield _Band(row, and_next[:_BAND_ROWS], and_next)
+
+
+class _BandRules:
+    """Rules on the pillars at their sites, a band at a time."""
 
     def __init__(self, read_back: ReadBack, design: Design) -> None:
         pillars = read_back.pillars
-        self.size_index: SizeIndexArray = pillars.to_array()
         self._lattice = pillars.lattice
         self._at_nm = np.array(read_back.at_nm)
         self._size_dbu = pillars.size_dbu
@@ -134,48 +160,50 @@ class _Bands:
         if upright_nm is not None:
             self._too_small["aspect_ratio"] = self._size_dbu.min(axis=1) < upright_nm / unit_nm - _SLACK_DBU
 
-    def check(self, first_row: int) -> _Findings:
+    def __call__(self, band: _Band) -> _Findings:
         """All rules for the rows of a band; pairs with the row above the band belong to it."""
         found = _nothing(self._design)
-        rows = min(_BAND_ROWS, self.size_index.shape[0] - first_row)
-        band = self.size_index[first_row : first_row + rows]
-        used = np.bincount(band.ravel(), minlength=len(self._size_dbu))
+        used = count_sizes(band.size_index, len(self._size_dbu))
         for rule, bad in self._too_small.items():
             count = int(used[1:] @ bad[1:])
             if count:
-                row, column = np.nonzero(bad[band] & (band > 0))
-                found.add(rule, count, self._boxes(row[:MARKERS] + first_row, column[:MARKERS]))
-        self._check_aperture(first_row, band, found)
-        self._check_gaps(first_row, rows, found)
+                row, column = np.nonzero(bad[band.size_index] & (band.size_index > 0))
+                found.add(rule, count, self._boxes(band, row[:MARKERS], column[:MARKERS]))
+        self._check_aperture(band, found)
+        self._check_gaps(band, found)
         return found
 
-    def _check_aperture(self, first_row: int, band: SizeIndexArray, found: _Findings) -> None:
-        inside = self._aperture.inside(first_row, 0, band.shape)
-        wrong = inside != (band > 0)
+    def _check_aperture(self, band: _Band, found: _Findings) -> None:
+        inside = self._aperture.inside(band.row, 0, band.size_index.shape)
+        wrong = inside != (band.size_index > 0)
         if wrong.any():
             for rule, bad in (("aperture", wrong & ~inside), ("missing", wrong & inside)):
                 row, column = np.nonzero(bad)
-                found.add(rule, row.size, self._boxes(row[:MARKERS] + first_row, column[:MARKERS]))
+                found.add(rule, row.size, self._boxes(band, row[:MARKERS], column[:MARKERS]))
 
-    def _check_gaps(self, first_row: int, rows: int, found: _Findings) -> None:
-        block = self.size_index[first_row : first_row + rows + 1]
-        gaps = smallest_gap(block, self._size_dbu, self._lattice, self._gap_dbu, rows)
+    def _check_gaps(self, band: _Band, found: _Findings) -> None:
+        gaps = smallest_gap(band.and_next, self._size_dbu, self._lattice, self._gap_dbu, len(band.size_index))
         found.smallest_gap_dbu = gaps.smallest_dbu
         if gaps.below:
-            row, column = np.divmod(gaps.too_small, block.shape[1])
+            row, column = np.divmod(gaps.too_small, band.and_next.shape[1])
             down, right = np.array(self._lattice.pairs)[gaps.neighbour].T
-            here = self._boxes(row + first_row, column)
-            there = self._boxes(row + down + first_row, column + right)
+            here = self._boxes(band, row, column)
+            there = self._boxes(band, row + down, column + right)
             low = np.minimum(here[:, :2], there[:, :2])
             high = np.maximum(here[:, :2] + here[:, 2:], there[:, :2] + there[:, 2:])
             boxes = np.concatenate([low, high - low], axis=1)
             found.add("min_gap", gaps.below, boxes)
             found.add("overlap", gaps.overlapping, boxes)
 
-    def _boxes(self, row: NDArray[np.int64], column: NDArray[np.int64]) -> FloatArray:
-        """The pillar at each site, or its unit cell where there is none: x, y, width, height in nm."""
-        size = self._size_nm[self.size_index[row, column]]
+    def _boxes(self, band: _Band, row: NDArray[np.int64], column: NDArray[np.int64]) -> FloatArray:
+        """The pillar at each site, or its unit cell where there is none: x, y, width, height in nm.
+
+        Rows are counted from the band's first.
+        """
+        size = self._size_nm[band.and_next[row, column]]
         cell = np.multiply(self._lattice.cell_dbu, self._lattice.database_unit_nm, dtype=np.float64)
         size = np.where(size > 0, size, cell)
-        centre = np.stack([self._lattice.x_um()[column], self._lattice.y_um()[row]], axis=1) * 1e3 + self._at_nm
+        centre = (
+            np.stack([self._lattice.x_um()[column], self._lattice.y_um()[band.row + row]], axis=1) * 1e3 + self._at_nm
+        )
         return np.concatenate([centre - size / 2.0, size], axis=1)

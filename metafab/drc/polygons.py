@@ -6,11 +6,13 @@ The only file of metafab that imports klayout (GPL, an optional extra).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from metafab.core.errors import InputError, MissingToolError
-from metafab.core.executor import default_workers
+from metafab.core.executor import SerialExecutor, default_workers, in_order, open_executor
 from metafab.core.progress import Progress, silent
 from metafab.drc.report import MARKERS, DrcReport, Marker, upright_side_nm
 from metafab.mask.read import format_of
@@ -33,24 +35,89 @@ _output(gaps, raw.isolated_check(gap_dbu), false);
 _GRID = "_output(grid, raw.grid_check(grid_dbu, grid_dbu), false);"
 _SLENDER = "_output(slender, raw.width_check(upright_dbu), false);"
 
+_Boxes: TypeAlias = dict[str, set[tuple[int, int, int, int]]]
 
-def check_polygons(path: Path, design: Design, workers: int | None = None, progress: Progress = silent) -> DrcReport:
+
+def check_polygons(
+    path: Path,
+    design: Design,
+    workers: int | None = None,
+    progress: Progress = silent,
+    cluster: str | None = None,
+) -> DrcReport:
     """Width, length, gap, overlap, grid and foreign shapes by KLayout, tile by tile on all cores.
 
     Args:
         path: GDSII or OASIS file.
         design: rules, layer, unit.
         workers: threads; the cores unless given.
-        progress: told about tiles.
+        progress: told about rows of tiles.
+        cluster: address of a Dask scheduler whose workers take the rows, each on one thread. A worker reads the file
+            for itself, once.
 
     Raises:
         MissingToolError: KLayout is not installed.
         InputError: the file cannot be read.
     """
+    rules = _RowRules(path.resolve(), design, 1 if cluster else workers or default_workers())
+    opened = rules.opened
+    found: _Boxes = {rule: set() for rule in rules.seen}
+    with SerialExecutor() if cluster is None else open_executor(cluster=cluster) as executor:
+        for done, boxes in enumerate(in_order(executor, rules, range(opened.rows), ahead=1), start=1):
+            # Sets, because neighbouring tiles see violations on their seam twice.
+            for rule, seen in found.items():
+                seen.update(boxes[rule])
+            progress("design rules", done, opened.rows)
+    unit_nm = opened.unit_nm
+    return DrcReport(
+        file=path.name,
+        engine="polygons",
+        pillars=opened.count,
+        violations={rule: len(boxes) for rule, boxes in found.items()},
+        markers={
+            rule: tuple(Marker(*(side * unit_nm for side in box)) for box in sorted(boxes)[:MARKERS])
+            for rule, boxes in found.items()
+            if boxes
+        },
+    )
+
+
+@dataclass(frozen=True)
+class _Opened:
+    """A file that KLayout has read.
+
+    Attributes:
+        layout: KLayout's layout; must outlive ``pillars``.
+        pillars: what is drawn on the pillars' layer.
+        left_um: of the box around them; likewise ``bottom_um``.
+        columns: tiles that cover the box; likewise ``rows``.
+        unit_nm: database unit.
+    """
+
+    layout: Any
+    pillars: Any
+    left_um: float
+    bottom_um: float
+    columns: int
+    rows: int
+    unit_nm: float
+
+    @property
+    def count(self) -> int:
+        """Shapes, members of arrays one by one."""
+        return int(_klayout().Region(self.pillars).count())
+
+
+def _klayout() -> Any:
     try:
         import klayout.db as kdb
     except ImportError as error:
         raise MissingToolError("`--engine polygons` needs KLayout: pip install 'metafab[drc]'") from error
+    return kdb
+
+
+def _open(path: Path, design: Design) -> _Opened:
+    kdb = _klayout()
     format_of(path)
     layout = kdb.Layout(False)  # not to be edited: arrays stay arrays, in half the memory
     try:
@@ -67,66 +134,78 @@ def check_polygons(path: Path, design: Design, workers: int | None = None, progr
     # Within a box, the members of arrays are counted one by one, and not each array as one.
     everything = tops[0].bbox().enlarged(1, 1)
     pillars = kdb.RecursiveShapeIterator(layout, tops[0], layers, everything, True)
-    found = _run(kdb, layout, pillars, design, workers or default_workers(), progress)
-    counts = {rule: len(boxes) for rule, boxes in found.items()}
-    unit_nm = layout.dbu * 1e3
-    return DrcReport(
-        file=path.name,
-        engine="polygons",
-        pillars=kdb.Region(pillars).count(),
-        violations=counts,
-        markers={
-            rule: tuple(Marker(*(side * unit_nm for side in box)) for box in sorted(boxes)[:MARKERS])
-            for rule, boxes in found.items()
-            if boxes
-        },
-    )
-
-
-def _run(
-    kdb: Any, layout: Any, pillars: Any, design: Design, workers: int, progress: Progress
-) -> dict[str, set[tuple[int, int, int, int]]]:
-    """Boxes of the violations of each rule; sets, because neighbouring tiles see those on their seam twice."""
-    unit_nm = layout.dbu * 1e3
-    upright_nm = upright_side_nm(design)
-    limits = {"gap": design.rules.min_gap_nm, "feature": design.rules.min_feature_nm, "upright": upright_nm or 0.0}
-    found: dict[str, set[tuple[int, int, int, int]]] = {
-        rule: set() for rule in ("min_width", "min_length", "min_gap", "overlap", "grid", "foreign")
-    }
-    if upright_nm is not None:
-        found["aspect_ratio"] = set()
     box = kdb.Region(pillars).bbox().to_dtype(layout.dbu)
     columns, rows = (max(1, math.ceil(length / _TILE_UM)) for length in (box.width(), box.height()))
-    grid = max(1, round(design.mask.database_unit_nm / unit_nm))
-    # Whole numbers of units are on a grid of one unit, whatever they are.
-    script = _SCRIPT + (_GRID if grid > 1 else "") + (_SLENDER if upright_nm is not None else "")
-    for row in range(rows):
+    return _Opened(layout, pillars, box.left, box.bottom, columns, rows, layout.dbu * 1e3)
+
+
+@dataclass(frozen=True)
+class _RowRules:
+    """The rules on one row of tiles; reads the file when it is first called in a process.
+
+    Attributes:
+        path: the file.
+        design: rules, layer, unit.
+        threads: of KLayout.
+    """
+
+    path: Path
+    design: Design
+    threads: int
+
+    @cached_property
+    def opened(self) -> _Opened:
+        """The file, read."""
+        return _open(self.path, self.design)
+
+    @property
+    def seen(self) -> list[str]:
+        """The rules that are looked at."""
+        rules = ["min_width", "min_length", "min_gap", "overlap", "grid", "foreign"]
+        return rules if upright_side_nm(self.design) is None else [*rules, "aspect_ratio"]
+
+    def __getstate__(self) -> tuple[Path, Design, int]:
+        """What travels to another process, which reads the file for itself."""
+        return self.path, self.design, self.threads
+
+    def __setstate__(self, state: tuple[Path, Design, int]) -> None:
+        for name, value in zip(("path", "design", "threads"), state, strict=True):
+            object.__setattr__(self, name, value)
+
+    def __call__(self, row: int) -> _Boxes:
+        """Boxes of the violations of each rule in a row of tiles."""
+        kdb, opened = _klayout(), self.opened
+        unit_nm, upright_nm = opened.unit_nm, upright_side_nm(self.design)
+        rules = self.design.rules
+        limits = {"gap": rules.min_gap_nm, "feature": rules.min_feature_nm, "upright": upright_nm or 0.0}
+        grid = max(1, round(self.design.mask.database_unit_nm / unit_nm))
         outputs = {name: kdb.Region() for name in ("foreign", "overlap")}
         outputs |= {name: kdb.EdgePairs() for name in ("grid", "narrow", "slender", "gaps")}
         processor = kdb.TilingProcessor()
         processor.tile_size(_TILE_UM, _TILE_UM)
-        processor.tile_origin(box.left, box.bottom + row * _TILE_UM)
-        processor.tiles(columns, 1)
+        processor.tile_origin(opened.left_um, opened.bottom_um + row * _TILE_UM)
+        processor.tiles(opened.columns, 1)
         processor.tile_border(2e-3 * max(limits.values()), 2e-3 * max(limits.values()))
-        processor.threads = workers
-        processor.input("pillars", pillars)
+        processor.threads = self.threads
+        processor.input("pillars", opened.pillars)
         for name, limit_nm in limits.items():
             processor.var(f"{name}_dbu", max(1, round(limit_nm / unit_nm)))
         processor.var("grid_dbu", grid)
         for name, collection in outputs.items():
             processor.output(name, collection)
-        processor.queue(script)
+        # Whole numbers of units are on a grid of one unit, whatever they are.
+        processor.queue(_SCRIPT + (_GRID if grid > 1 else "") + (_SLENDER if upright_nm is not None else ""))
         processor.execute("design rules")
+        found: _Boxes = {rule: set() for rule in self.seen}
         for pair in outputs["narrow"].each():
             found["min_width" if pair.first.dx() == 0 else "min_length"].add(_box(pair.bbox()))
-        if upright_nm is not None:
-            found["aspect_ratio"] |= {_box(pair.bbox()) for pair in outputs["slender"].each()}
-        found["min_gap"] |= {_box(pair.bbox()) for pair in outputs["gaps"].each()}
-        found["grid"] |= {_box(pair.bbox()) for pair in outputs["grid"].each()}
-        found["overlap"] |= {_box(polygon.bbox()) for polygon in outputs["overlap"].each()}
-        found["foreign"] |= {_box(polygon.bbox()) for polygon in outputs["foreign"].each()}
-        progress("design rules", row + 1, rows)
-    return found
+        pairs = {"min_gap": "gaps", "grid": "grid", "aspect_ratio": "slender"}
+        for rule, name in pairs.items():
+            if rule in found:
+                found[rule] |= {_box(pair.bbox()) for pair in outputs[name].each()}
+        for rule in ("overlap", "foreign"):
+            found[rule] |= {_box(polygon.bbox()) for polygon in outputs[rule].each()}
+        return found
 
 
 def _box(box: Any) -> tuple[int, int, int, int]:

@@ -67,7 +67,8 @@ def assign(
         profile: target phases.
         library: response of every size.
         design: lattice, aperture, rules, mask grid.
-        executor: runs tiles; threads of this process unless given.
+        executor: runs tiles; threads of this process unless given. It must stay open while the map of a lens of more
+            than :data:`KEPT_SITES` sites is read.
         progress: told about tiles.
 
     Raises:
@@ -93,7 +94,7 @@ def assign(
 
         def tiles() -> Iterator[PillarTile]:
             with ThreadPoolExecutor(default_workers()) as threads:
-                for tile, _ in in_order(threads, mapping, places):
+                for tile, _ in in_order(executor or threads, mapping, places):
                     yield tile
 
         pillars = PillarMap(lattice, table.size_dbu, tiles, mapping.tile_sites)

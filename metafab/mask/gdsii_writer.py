@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from contextlib import suppress
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +18,47 @@ from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.layout.pillars import PillarTile
 from metafab.mask.cells import Stamp, TileCell
 from metafab.mask.hierarchy import IntArray
-from metafab.mask.writer import EncodedTile, MaskWriter
+from metafab.mask.writer import EncodedTile, MaskWriter, TileEncoder
 
 BOUNDARY_WORDS = 16
 
 # A fixed date in every header, so that the same layout gives the same bytes: 2000-01-01 00:00:00.
 _DATE = (2000, 1, 1, 0, 0, 0) * 2
+
+
+@dataclass(frozen=True)
+class GdsiiEncoder(TileEncoder):
+    """Tiles as boundaries.
+
+    Attributes:
+        spare: memory of tiles that are written; fresh pages of the system cost as much time as the file.
+    """
+
+    spare: list[NDArray[np.int32]] = field(default_factory=list)
+
+    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
+        fill = fill_boundaries if HAS_NUMBA else fill_boundaries_vectorised
+        if max(stamp.layer, stamp.datatype) >= 2**15:
+            raise _beyond(0, f"{stamp.layer}/{stamp.datatype}")
+        words = self._buffer(int(np.count_nonzero(tile.size_index)))
+        fill(
+            np.ascontiguousarray(tile.size_index),
+            stamp.size_dbu,
+            stamp.corner_dbu,
+            self.drawing.lattice.period_dbu,
+            (cell.first_x_dbu, cell.first_y_dbu),
+            boundary_template(stamp.layer, stamp.datatype),
+            words,
+        )
+        return words.reshape(-1).view(np.uint8)
+
+    def _buffer(self, pillars: int) -> NDArray[np.int32]:
+        """Words for some pillars, shape (pillars, 16), in spare memory if there is a piece that is large enough."""
+        with suppress(IndexError):
+            spare = self.spare.pop()
+            if len(spare) >= pillars:
+                return spare[:pillars]
+        return np.empty((pillars, BOUNDARY_WORDS), dtype=np.int32)
 
 
 class GdsiiWriter(MaskWriter):
@@ -34,9 +70,9 @@ class GdsiiWriter(MaskWriter):
         reach = max(n * p for n, p in zip(lattice.shape[::-1], lattice.period_dbu, strict=True)) // 2 + 1
         reach += max((max(abs(copy.x_dbu), abs(copy.y_dbu)) for copy in drawing.copies), default=0)
         if reach >= 2**31:
-            raise self._beyond(reach, "any")
-        # Memory that the system has handed out once is written to again: fresh pages cost as much time as the file.
+            raise _beyond(reach, "any")
         self._spare: list[NDArray[np.int32]] = []
+        self.encoder = GdsiiEncoder(drawing, self._spare)
         unit_m = lattice.database_unit_nm * 1e-9
         self._write(
             record(0x0002, struct.pack(">h", 600))
@@ -45,44 +81,11 @@ class GdsiiWriter(MaskWriter):
             + record(0x0305, excess_64(unit_m / 1e-6) + excess_64(unit_m))
         )
 
-    @staticmethod
-    def _beyond(reach: int, layer: str) -> InputError:
-        return InputError.single(
-            "mask",
-            "formats",
-            "coordinates of 32 bits and layers below 32768 for 'gds'",
-            f"{reach} database units, layer {layer}",
-            "write 'oas', which has no such limits",
-        )
-
-    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
-        fill = fill_boundaries if HAS_NUMBA else fill_boundaries_vectorised
-        if max(stamp.layer, stamp.datatype) >= 2**15:
-            raise self._beyond(0, f"{stamp.layer}/{stamp.datatype}")
-        words = self._buffer(int(np.count_nonzero(tile.size_index)))
-        fill(
-            np.ascontiguousarray(tile.size_index),
-            stamp.size_dbu,
-            stamp.corner_dbu,
-            self._drawing.lattice.period_dbu,
-            (cell.first_x_dbu, cell.first_y_dbu),
-            boundary_template(stamp.layer, stamp.datatype),
-            words,
-        )
-        return words.reshape(-1).view(np.uint8)
-
-    def _buffer(self, pillars: int) -> NDArray[np.int32]:
-        """Words for some pillars, shape (pillars, 16), in spare memory if there is a piece that is large enough."""
-        with suppress(IndexError):
-            spare = self._spare.pop()
-            if len(spare) >= pillars:
-                return spare[:pillars]
-        return np.empty((pillars, BOUNDARY_WORDS), dtype=np.int32)
-
     def add(self, tile: EncodedTile) -> None:
-        """Append the structure of a tile, and keep its memory for another."""
+        """Append the structure of a tile, and keep its memory for another if it was encoded in this process."""
         super().add(tile)
-        self._spare += [piece.base for piece in tile.content if isinstance(piece.base, np.ndarray)]
+        bases = (piece.base for piece in tile.content)
+        self._spare += [base for base in bases if isinstance(base, np.ndarray) and base.ndim == 2]
 
     def _begin_cell(self, name: str) -> None:
         self._write(record(0x0502, struct.pack(">12h", *_DATE)) + record(0x0606, text(name)))
@@ -94,7 +97,7 @@ class GdsiiWriter(MaskWriter):
     def _draw(self, layer: int, rectangles: IntArray) -> None:
         reach = int(np.abs(rectangles).sum(axis=1).max(initial=0))
         if max(reach, layer << 16) >= 2**31:
-            raise self._beyond(reach, f"{layer}/0")
+            raise _beyond(reach, f"{layer}/0")
         words = np.tile(boundary_template(layer, 0), (len(rectangles), 1))
         low, high = rectangles[:, :2], rectangles[:, :2] + rectangles[:, 2:]
         words[:, 5:15:2] = np.stack([low, high, high, low, low], axis=1)[:, :, 0]
@@ -106,6 +109,16 @@ class GdsiiWriter(MaskWriter):
 
     def _end_file(self) -> None:
         self._write(record(0x0400))
+
+
+def _beyond(reach: int, layer: str) -> InputError:
+    return InputError.single(
+        "mask",
+        "formats",
+        "coordinates of 32 bits and layers below 32768 for 'gds'",
+        f"{reach} database units, layer {layer}",
+        "write 'oas', which has no such limits",
+    )
 
 
 def record(kind: int, data: bytes = b"") -> bytes:

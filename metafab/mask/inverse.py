@@ -36,8 +36,7 @@ class InvertedField:
     """
 
     def __init__(self, pillars: PillarMap, layer: int, biases_dbu: tuple[int, ...]) -> None:
-        self._map = pillars
-        lattice = pillars.lattice
+        self._lattice, self._tile_sites = lattice, _ = pillars.lattice, pillars.tile_sites
         if lattice.hexagonal:
             expected = "a rectangular lattice, in whose cells the field is divided"
             raise InputError.single("mask", "tone", expected, "a hexagonal one", "use 'positive'")
@@ -76,7 +75,7 @@ class InvertedField:
 
     def without_pillars(self, seen: set[tuple[int, int]], copies: tuple[LensCopy, ...]) -> IntArray:
         """Rectangles, shape (n, 4), of the tiles of every copy that are not among ``seen`` (row, column)."""
-        lattice, step = self._map.lattice, self._map.tile_sites
+        lattice, step = self._lattice, self._tile_sites
         (n_y, n_x), (p_x, p_y) = lattice.shape, lattice.period_dbu
         left, bottom = (int(centres[0]) - p // 2 for centres, p in ((lattice.x_dbu(), p_x), (lattice.y_dbu(), p_y)))
         found = [

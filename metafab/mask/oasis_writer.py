@@ -17,28 +17,32 @@ from metafab.mask import varints
 from metafab.mask.cells import Stamp, TileCell
 from metafab.mask.hierarchy import IntArray
 from metafab.mask.oasis_records import DATATYPE_LAYER, RECTANGLE, H, W, X, Y, best_scan, deflate, rectangle_records
-from metafab.mask.writer import MaskWriter
+from metafab.mask.writer import MaskWriter, TileEncoder
 
 MAGIC = b"%SEMI-OASIS\r\n"
 START, END, CELL, XYRELATIVE, PLACEMENT, CBLOCK = 1, 2, 14, 16, 17, 34
 _END_BYTES = 256
 
 
-class OasisWriter(MaskWriter):
-    """Writes OASIS."""
-
-    def _begin_file(self) -> None:
-        self._crc = 0
-        per_um = 1e3 / self._drawing.lattice.database_unit_nm
-        self._write(MAGIC + bytes([START]) + varints.string("1.0") + _real(per_um) + bytes(13))
+class OasisEncoder(TileEncoder):
+    """Tiles as CBLOCKs."""
 
     def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
-        drawn = (tile, self._drawing.lattice, stamp, cell)
-        flat = self._drawing.flat
+        drawn = (tile, self.drawing.lattice, stamp, cell)
+        flat = self.drawing.flat
         records = rectangle_records(*drawn, best_scan(*drawn), absolute=flat)
         packed = deflate(records)
         block = bytes([CBLOCK, 0]) + varints.unsigned(len(records)) + varints.unsigned(len(packed)) + packed
         return np.frombuffer((b"" if flat else bytes([XYRELATIVE])) + block, dtype=np.uint8)
+
+
+class OasisWriter(MaskWriter):
+    """Writes OASIS."""
+
+    def _begin_file(self) -> None:
+        self._crc, self.encoder = 0, OasisEncoder(self._drawing)
+        per_um = 1e3 / self._drawing.lattice.database_unit_nm
+        self._write(MAGIC + bytes([START]) + varints.string("1.0") + _real(per_um) + bytes(13))
 
     def _begin_cell(self, name: str) -> None:
         self._write(bytes([CELL]) + varints.string(name))

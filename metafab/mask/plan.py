@@ -75,7 +75,7 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
 
 def _encoded_bytes(writer: MaskWriter, stamps: Stamps, tile: PillarTile) -> int:
     """Bytes of all that is drawn on the sites of a tile."""
-    return sum(piece.size for part in stamps.of(tile) for piece in writer.encode(*part).content)
+    return sum(piece.size for part in stamps.of(tile) for piece in writer.encoder(*part).content)
 
 
 def announcement(design: Design) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +27,7 @@ from metafab.mask.oasis_writer import OasisWriter
 from metafab.mask.stamps import Stamps
 from metafab.mask.surroundings import Surroundings, surroundings
 from metafab.mask.viewer import layer_properties
-from metafab.mask.writer import Drawing, EncodedTile, MaskWriter
+from metafab.mask.writer import Drawing, EncodedTile, MaskWriter, TileEncoder
 from metafab.spec import Design
 
 WRITERS: dict[str, type[MaskWriter]] = {"gds": GdsiiWriter, "oas": OasisWriter}
@@ -48,6 +48,7 @@ def write(
     design: Design,
     progress: Progress = silent,
     mapping: Mapping[str, Any] | None = None,
+    executor: Executor | None = None,
 ) -> tuple[WrittenFile, ...]:
     """Write ``layout.gds`` and ``layout.oas`` (as ``mask.formats`` asks), ``layout.lyp`` and ``layout.json``.
 
@@ -63,6 +64,7 @@ def write(
         design: formats, layer, unit, write field, name.
         progress: told about pillars written.
         mapping: how well the pillars follow their targets, for ``layout.json``.
+        executor: encodes tiles; threads of this process unless given. The file is written here.
 
     Returns:
         The files in the order of their names above.
@@ -84,16 +86,11 @@ def write(
             part = stack.enter_context(whole_file(path))
             stream = stack.enter_context(part.open("wb", buffering=_BUFFER_BYTES))
             writers.append(WRITERS[suffix](stream, drawing_of(drawn.lattice, design)))
-        threads = stack.enter_context(ThreadPoolExecutor(default_workers()))
+        executor = executor or stack.enter_context(ThreadPoolExecutor(default_workers()))
+        encode = _Encoding(stamps, tuple(writer.encoder for writer in writers))
         seen: set[tuple[int, int]] = set()
-
-        def encode(tile: PillarTile) -> list[EncodedTile]:
-            """One tile in every format, one after the other."""
-            return [writer.encode(*part) for part in stamps.of(tile) for writer in writers]
-
         sites = drawn.lattice.shape[0] * drawn.lattice.shape[1]
-        ahead = default_workers() + 1
-        for tile, cells in in_order(threads, lambda tile: (tile, encode(tile)), _filled(drawn), ahead=ahead):
+        for tile, cells in in_order(executor, encode, _filled(drawn), ahead=default_workers() + 1):
             seen.add((tile.row, tile.column))
             for number, cell in enumerate(cells):
                 writers[number % len(writers)].add(cell)
@@ -109,6 +106,18 @@ def write(
     write_json(directory / "layout.json", sidecar if mapping is None else {**sidecar, "mapping": dict(mapping)})
     paths = [*files.values(), directory / "layout.lyp", directory / "layout.json"]
     return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
+
+
+@dataclass(frozen=True)
+class _Encoding:
+    """A tile in every format, one after the other, for each of its stamps."""
+
+    stamps: Stamps
+    encoders: tuple[TileEncoder, ...]
+
+    def __call__(self, tile: PillarTile) -> tuple[PillarTile, list[EncodedTile]]:
+        """The tile, and what is drawn on its sites."""
+        return tile, [encoder(*part) for part in self.stamps.of(tile) for encoder in self.encoders]
 
 
 def drawing_of(lattice: Lattice, design: Design) -> Drawing:

@@ -48,6 +48,30 @@ class EncodedTile:
     content: tuple[NDArray[np.uint8], ...]
 
 
+@dataclass(frozen=True)
+class TileEncoder(ABC):
+    """Tiles -> bytes of a format; knows nothing of the file and may travel to another process.
+
+    Attributes:
+        drawing: what is drawn.
+    """
+
+    drawing: Drawing
+
+    def __call__(self, tile: PillarTile, stamp: Stamp) -> EncodedTile:
+        """``stamp`` on the sites of ``tile`` as :meth:`MaskWriter.add` takes it. Safe to call from several threads."""
+        cell = tile_cell(self.drawing.lattice, tile, stamp)
+        if not self.drawing.flat:
+            return EncodedTile(stamp.bias_dbu, cell, (self._content(tile, cell, stamp),))
+        copies = (copy for copy in self.drawing.copies if copy.bias_dbu == stamp.bias_dbu)
+        pieces = (self._content(tile, cell.flattened(copy.x_dbu, copy.y_dbu), stamp) for copy in copies)
+        return EncodedTile(stamp.bias_dbu, cell, tuple(pieces))
+
+    @abstractmethod
+    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
+        """The elements of the cell of a tile."""
+
+
 class MaskWriter(ABC):
     """Writes a mask by streaming; memory stays that of the tiles in flight.
 
@@ -55,9 +79,14 @@ class MaskWriter(ABC):
         stream: binary stream at its start.
         drawing: what is drawn.
 
+    Attributes:
+        encoder: makes of tiles what :meth:`add` takes.
+
     Raises:
         InputError: the format cannot hold it.
     """
+
+    encoder: TileEncoder
 
     def __init__(self, stream: BinaryIO, drawing: Drawing) -> None:
         self._stream = stream
@@ -66,15 +95,6 @@ class MaskWriter(ABC):
         self._begin_file()
         if drawing.flat:
             self._begin_cell(drawing.top)
-
-    def encode(self, tile: PillarTile, stamp: Stamp) -> EncodedTile:
-        """``stamp`` on the sites of ``tile`` as :meth:`add` takes it. Safe to call from several threads."""
-        cell = tile_cell(self._drawing.lattice, tile, stamp)
-        if not self._drawing.flat:
-            return EncodedTile(stamp.bias_dbu, cell, (self._content(tile, cell, stamp),))
-        copies = (copy for copy in self._drawing.copies if copy.bias_dbu == stamp.bias_dbu)
-        pieces = (self._content(tile, cell.flattened(copy.x_dbu, copy.y_dbu), stamp) for copy in copies)
-        return EncodedTile(stamp.bias_dbu, cell, tuple(pieces))
 
     def add(self, tile: EncodedTile) -> None:
         """Append the cell of a tile. Its memory may be used again: it must not be read afterwards."""
@@ -120,10 +140,6 @@ class MaskWriter(ABC):
 
     def _write(self, data: bytes | memoryview) -> None:
         self._stream.write(data)
-
-    @abstractmethod
-    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
-        """The elements of the cell of a tile."""
 
     @abstractmethod
     def _begin_file(self) -> None: ...

@@ -12,7 +12,10 @@ from metafab.steps.outputs import in_folder
 def _drc(job: Job) -> dict[str, Any]:
     from metafab import drc, mask
 
-    reports = [drc.check(path, job.design, workers=job.workers, progress=job.progress) for path in mask_paths(job)]
+    reports = [
+        drc.check(path, job.design, workers=job.workers, cluster=job.cluster, progress=job.progress)
+        for path in mask_paths(job)
+    ]
     drc.save(reports, job.folder, mask.top_name(job.design.name))
     first = reports[0]
     worst = {rule: max(report.violations[rule] for report in reports) for rule in first.violations}

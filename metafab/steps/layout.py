@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from metafab.core.executor import open_threads
 from metafab.run import Job, Step
 from metafab.steps.library import open_library
 from metafab.steps.outputs import in_folder
@@ -14,8 +15,16 @@ def write_layout(job: Job) -> dict[str, Any]:
     """Map the target phases to pillars and write the mask files."""
     from metafab import layout, mask
 
-    assignment = layout.assign(job.profile, open_library(job), job.design, progress=job.progress)
-    files = mask.write(assignment.pillars, job.folder, job.design, progress=job.progress, mapping=assignment.figures)
+    with open_threads(job.workers, job.cluster) as executor:
+        assignment = layout.assign(job.profile, open_library(job), job.design, executor=executor, progress=job.progress)
+        files = mask.write(
+            assignment.pillars,
+            job.folder,
+            job.design,
+            executor=executor,
+            progress=job.progress,
+            mapping=assignment.figures,
+        )
     return {**assignment.figures, "files": [{"name": file.path.name, "bytes": file.bytes} for file in files]}
 
 
