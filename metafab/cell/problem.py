@@ -9,7 +9,7 @@ from functools import partial
 from typing import get_args
 
 from metafab.cell import rcwa
-from metafab.cell.response import CellNumerics, CellResponse, PillarCell, SizesAt, Slice
+from metafab.cell.response import CellNumerics, CellResponse, PillarCell, Shape, SizesAt, Slice
 from metafab.core.conventions import Side
 from metafab.core.errors import Fault, InputError
 from metafab.core.executor import SerialExecutor, stream
@@ -73,6 +73,8 @@ def pillar_cell(
         sidewall_angle_deg=unit_cell.cell.sidewall_angle_deg or 90.0,
         sizes_at=unit_cell.cell.sizes_at or "middle",
         is_staggered=unit_cell.cell.is_hexagonal,
+        shape=unit_cell.cell.shape,
+        corner_radius_nm=unit_cell.cell.corner_radius_nm or 0.0,
     )
     check(cell)
     return cell
@@ -95,7 +97,12 @@ def check(cell: PillarCell) -> None:
         for axis, period in zip("xy", cell.period_nm, strict=True)
         if not 0.0 < period < math.inf
     ]
-    faults += _faults_of_choices(("side", cell.side, get_args(Side)), ("sizes_at", cell.sizes_at, get_args(SizesAt)))
+    faults += _faults_of_choices(
+        ("side", cell.side, get_args(Side)),
+        ("sizes_at", cell.sizes_at, get_args(SizesAt)),
+        ("shape", cell.shape, get_args(Shape)),
+    )
+    faults += _faults_of_corners(cell)
     faults.extend(
         Fault(name, f"0 to the period of {period:g} nm", f"{size:g} nm")
         for name, size, period in zip(
@@ -148,6 +155,19 @@ def check(cell: PillarCell) -> None:
         faults = _faults_of_width(cell)
     if faults:
         raise InputError("cell", faults)
+
+
+def _faults_of_corners(cell: PillarCell) -> list[Fault]:
+    """Corners that cannot be rounded, and crosses that a cell cannot hold."""
+    faults = []
+    if not 0.0 <= cell.corner_radius_nm < math.inf:
+        faults.append(Fault("corner_radius_nm", "a length from 0", f"{cell.corner_radius_nm:g} nm"))
+    elif cell.corner_radius_nm and cell.shape != "rectangle":
+        faults.append(Fault("corner_radius_nm", f"0 for the shape {cell.shape}", f"{cell.corner_radius_nm:g} nm"))
+    if cell.shape == "cross" and max(cell.width_nm, cell.length_nm) > min(cell.period_nm):
+        span = max(cell.width_nm, cell.length_nm)
+        faults.append(Fault("width_nm, length_nm", f"a cross within {min(cell.period_nm):g} nm", f"{span:g} nm"))
+    return faults
 
 
 def check_numerics(numerics: CellNumerics) -> None:
@@ -220,6 +240,8 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
         if cell.is_sloped:
             angle = f"{cell.sidewall_angle_deg:g}"
             raise InputError.single("cell", "sidewall_angle_deg", "90 for meep", angle, "solve with rcwa")
+        if cell.is_shaped:
+            raise InputError.single("cell", "shape, corner_radius_nm", "a rectangle for meep", cell.shape, "use rcwa")
         if cell.is_birefringent:
             index = f"{cell.n_substrate_z}"
             raise InputError.single("cell", "n_substrate_z", "not given for meep", index, "solve with rcwa")
@@ -237,6 +259,7 @@ def _check_staggered(cell: PillarCell, numerics: CellNumerics) -> None:
         "under, over": bool(cell.under or cell.over),
         "sidewall_angle_deg": cell.is_sloped,
         "n_substrate_z": cell.is_birefringent,
+        "shape, corner_radius_nm": cell.is_shaped,
     }
     faults = [
         Fault(name, "rcwa, upright pillars without layers and light along z on a hexagonal lattice", "another")

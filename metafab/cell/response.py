@@ -14,6 +14,8 @@ from metafab.core.conventions import ComplexArray, FloatArray, Side
 
 #: Where a sloped pillar has the stated width and length.
 SizesAt = Literal["bottom", "middle", "top"]
+#: Cross-section of a pillar within its width and length; a cross is a rectangle and the same turned by 90 degrees.
+Shape = Literal["rectangle", "ellipse", "cross"]
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,9 @@ class PillarCell:
         sizes_at: where on the pillar its width and length are those stated.
         is_staggered: whether every other row of pillars stands half a period aside (a hexagonal lattice); the period
             along y is then the distance of rows. By rcwa, of upright pillars without layers, with light along z.
+        shape: of the cross-section, within width and length: a rectangle, an ellipse (a circle where both are equal),
+            or a cross, the rectangle together with itself turned by 90 degrees; beside rectangles rcwa only.
+        corner_radius_nm: of a rectangle's four edges, as resist and etch round them; half a side at most counts.
     """
 
     period_nm: tuple[float, float]
@@ -81,6 +86,13 @@ class PillarCell:
     sidewall_angle_deg: float = 90.0
     sizes_at: SizesAt = "middle"
     is_staggered: bool = False
+    shape: Shape = "rectangle"
+    corner_radius_nm: float = 0.0
+
+    @property
+    def is_shaped(self) -> bool:
+        """Whether the cross-section is more than one rectangle."""
+        return self.shape != "rectangle" or self.corner_radius_nm > 0.0
 
     @property
     def is_sloped(self) -> bool:

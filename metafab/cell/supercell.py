@@ -48,6 +48,7 @@ class Supercell:
             "sidewall_angle_deg": cell.is_sloped,
             "n_substrate_z": cell.is_birefringent,
             "is_staggered": cell.is_staggered,
+            "shape, corner_radius_nm": cell.is_shaped,
         }
         faults = [
             Fault(name, "the plain cell's for supercells", "another", "leave it out to see how neighbours couple")

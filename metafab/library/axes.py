@@ -95,7 +95,7 @@ class CornerBox:
         for name, place in zip(self.variables, scaled.tolist(), strict=True):
             low, high = (_straight(name, at) for at in self.spans[name])
             value = low + 0.5 * (place + 1.0) * (high - low)
-            corner[name] = math.degrees(math.asin(math.sqrt(max(value, 0.0)))) if name in _ANGLES else value
+            corner[name] = _bent(name, value)
         return corner
 
     def places(self, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray) -> FloatArray:
@@ -105,13 +105,14 @@ class CornerBox:
 
 
 def corner_unit_cell(unit_cell: UnitCell, corner: Corner) -> UnitCell:
-    """The unit cell at a corner, as far as its spec can say it: wavelength, height, walls; without axes of its own."""
+    """The unit cell at a corner, as far as its spec can say it: wavelength and geometry; without axes of its own."""
     wavelength_nm = corner.get("wavelength_nm", unit_cell.illumination.wavelength_nm)
     light = replace(unit_cell.illumination, wavelength_nm=wavelength_nm)
     geometry = replace(
         unit_cell.cell,
         height_nm=corner.get("height_nm", unit_cell.cell.height_nm),
         sidewall_angle_deg=corner.get("sidewall_angle_deg", unit_cell.cell.sidewall_angle_deg),
+        corner_radius_nm=corner.get("corner_radius_nm", unit_cell.cell.corner_radius_nm),
     )
     return replace(unit_cell, cell=geometry, illumination=light, sweep=replace(unit_cell.sweep, axes=None))
 
@@ -136,5 +137,14 @@ def corner_cell(unit_cell: UnitCell, width_nm: float, length_nm: float, corner: 
 
 
 def _straight(name: str, value: float) -> float:
-    """The value in which the response is smooth: sin^2 of an angle, any other value itself."""
+    """The value in which the response is smooth: sin^2 of an angle, the area that rounding takes, any other itself."""
+    if name == "corner_radius_nm":
+        return value**2
     return math.sin(math.radians(value)) ** 2 if name in _ANGLES else value
+
+
+def _bent(name: str, straight: float) -> float:
+    """The inverse of :func:`_straight`."""
+    if name == "corner_radius_nm":
+        return math.sqrt(max(straight, 0.0))
+    return math.degrees(math.asin(math.sqrt(max(straight, 0.0)))) if name in _ANGLES else straight

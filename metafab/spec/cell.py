@@ -79,16 +79,19 @@ class CellGeometry:
     pillar narrows upwards. ``sizes_at`` says where on its height widths and lengths are meant, the middle if not given.
     ``film`` lists closed films between substrate and pillars, from the substrate on, and ``cap`` layers on each pillar,
     from the pillar on, with its outline and the ambient around them; none if not given.
+    ``shape`` is the cross-section within width and length: a rectangle, an ellipse (a circle where both are equal), or
+    a cross, the rectangle together with itself turned by 90 degrees. ``corner_radius_nm`` rounds a rectangle's corners.
     """
 
     period_nm: tuple[Positive, Positive]
     height_nm: Positive
-    shape: Literal["rectangle"] = "rectangle"
+    shape: Literal["rectangle", "ellipse", "cross"] = "rectangle"
     sidewall_angle_deg: SidewallAngle | None = None
     sizes_at: Literal["bottom", "middle", "top"] | None = None
     film: tuple[Layer, ...] | None = None
     cap: tuple[Layer, ...] | None = None
     lattice: Literal["rectangular", "hexagonal"] | None = None
+    corner_radius_nm: NonNegative | None = None
 
     @field_validator("period_nm", mode="before")
     @classmethod
@@ -107,6 +110,12 @@ class CellGeometry:
                 f"apart, got {rows_nm:g} nm"
             )
         object.__setattr__(self, "period_nm", (along_row, float(round(regular_nm))))
+        return self
+
+    @model_validator(mode="after")
+    def _corners(self) -> CellGeometry:
+        if self.corner_radius_nm and self.shape != "rectangle":
+            raise ValueError(f"`corner_radius_nm` rounds a rectangle's corners, not those of the shape {self.shape!r}")
         return self
 
     @property
@@ -148,8 +157,9 @@ class Illumination:
 class Axes:
     """What a library covers beyond sizes, each as [lowest, highest] around the unit cell's own value; all optional.
 
-    ``wavelength_nm``, ``height_nm`` and ``sidewall_angle_deg`` contain the cell's own. ``cd_bias_nm`` is added to
-    width and length alike, ``pillar_n_shift`` to the real part of the pillar's index; both contain 0.
+    ``wavelength_nm``, ``height_nm``, ``sidewall_angle_deg`` and ``corner_radius_nm`` contain the cell's own.
+    ``cd_bias_nm`` is added to width and length alike, ``pillar_n_shift`` to the real part of the pillar's index; both
+    contain 0.
     ``angle_x_deg`` is the angle of incidence in the x-z plane, inside the medium that the light comes from, from 0 on
     (t is even in it); ``angle_y_deg`` likewise in the y-z plane. Light in any other plane mixes the polarisations,
     which a library does not hold, so only one of the two can be asked.
@@ -158,6 +168,7 @@ class Axes:
     wavelength_nm: tuple[Positive, Positive] | None = None
     height_nm: tuple[Positive, Positive] | None = None
     sidewall_angle_deg: tuple[SidewallAngle, SidewallAngle] | None = None
+    corner_radius_nm: tuple[NonNegative, NonNegative] | None = None
     cd_bias_nm: tuple[Real, Real] | None = None
     pillar_n_shift: tuple[Real, Real] | None = None
     angle_x_deg: tuple[NonNegative, NonNegative] | None = None
@@ -259,6 +270,7 @@ class UnitCell:
             "wavelength_nm": self.illumination.wavelength_nm,
             "height_nm": self.cell.height_nm,
             "sidewall_angle_deg": self.cell.sidewall_angle_deg or 90.0,
+            "corner_radius_nm": self.cell.corner_radius_nm or 0.0,
         }
         return own.get(axis, 0.0)
 

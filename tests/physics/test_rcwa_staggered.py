@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -11,45 +10,22 @@ import pytest
 from metafab.cell import CellNumerics, PillarCell, rcwa, solve
 from metafab.cell.rcwa.jones import distance
 from metafab.core.errors import InputError
+from tests.plain_modes import transmitted
 
 CELL = PillarCell((350.0, 303.0), 150.0, 120.0, 300.0, 1.6, (1.0, 1.0), 1.0, 800.0, is_staggered=True)
 
 
 def _plain_fourier(cell: PillarCell, orders: int) -> np.ndarray:
-    """(t_xx, t_yy) of a slab in vacuum by the plain direct rule: no symmetry, no stretched axes, no doubling.
-
-    de/dz = i P h and dh/dz = i Q e over exp(i (k_x x + k_y y)), for e = (E_x, E_y), h = (H_y, -H_x).
-    """
+    """(t_xx, t_yy) by plain Fourier modes of the centred cell of two rows."""
     p, rows = cell.period_nm
-    k0 = 2.0 * math.pi / cell.wavelength_nm
-    m, n = (
-        axis.ravel() for axis in np.meshgrid(np.arange(-orders, orders + 1), np.arange(-2 * orders, 2 * orders + 1))
-    )
-    k_x, k_y = (np.diag(2.0 * np.pi * number / length / k0) for number, length in ((m, p), (n, 2.0 * rows)))
-    d_m, d_n = m[:, None] - m, n[:, None] - n
-    one = cell.width_nm * cell.length_nm / (2.0 * p * rows) * np.sinc(d_m * cell.width_nm / p)
-    one = one * np.sinc(d_n * cell.length_nm / (2.0 * rows))
-    eps = np.eye(m.size) + (complex(cell.n_pillar) ** 2 - 1.0) * one * (1.0 + (-1.0) ** (d_m * cell.is_staggered + d_n))
-    eta, unit = np.linalg.inv(eps), np.eye(m.size)
-    to_e = np.block([[unit - k_x @ eta @ k_x, -k_x @ eta @ k_y], [-k_y @ eta @ k_x, unit - k_y @ eta @ k_y]])
-    to_h = np.block([[eps - k_y @ k_y, k_y @ k_x], [k_x @ k_y, eps - k_x @ k_x]])
-    beta_squared, modes = np.linalg.eig(to_e @ to_h)
-    beta = np.sqrt(beta_squared.astype(complex))
-    beta = np.where(beta.imag < 0.0, -beta, beta)
-    magnetic = to_h @ modes / beta
-    free = np.sqrt((1.0 - np.diag(k_x) ** 2 - np.diag(k_y) ** 2).astype(complex))
-    outside = np.block([[unit - k_y @ k_y, k_y @ k_x], [k_x @ k_y, unit - k_x @ k_x]]) / np.tile(free, 2)
-    decay = np.exp(1j * beta * k0 * cell.height_nm)
-    # Unknown: forward modes from the front, backward ones from the end; h = +-(outside) e in vacuum.
-    incident = np.zeros((2 * m.size, 2))
-    middle = int(np.flatnonzero((m == 0) & (n == 0))[0])
-    incident[middle, 0] = incident[m.size + middle, 1] = 1.0
-    front = np.hstack([outside @ modes + magnetic, (outside @ modes - magnetic) * decay])
-    end = np.hstack([(outside @ modes - magnetic) * decay, outside @ modes + magnetic])
-    sent = np.vstack([2.0 * outside @ incident, np.zeros_like(incident)])
-    forward, backward = np.split(np.linalg.solve(np.vstack([front, end]), sent), 2)
-    leaving = modes @ (decay[:, None] * forward + backward)
-    return np.array([leaving[middle, 0], leaving[m.size + middle, 1]])
+
+    def indicator(m: np.ndarray, n: np.ndarray) -> np.ndarray:
+        one = cell.width_nm * cell.length_nm / (2.0 * p * rows) * np.sinc(m * cell.width_nm / p)
+        one = one * np.sinc(n * cell.length_nm / (2.0 * rows))
+        return np.asarray(one * (1.0 + (-1.0) ** (m * cell.is_staggered + n)))
+
+    most = orders, 2 * orders
+    return transmitted((p, 2.0 * rows), most, indicator, cell.n_pillar, cell.height_nm, cell.wavelength_nm)
 
 
 @pytest.mark.parametrize("width_nm", [150.0, 220.0])  # pillars of neighbouring rows apart, and overlapping along x

@@ -1,4 +1,4 @@
-"""Rigorous coupled-wave analysis of a rectangular pillar: a PillarCell in, a certified CellResponse out.
+"""Rigorous coupled-wave analysis of a pillar: a PillarCell in, a certified CellResponse out.
 
 From one axis to the answer:
 
@@ -7,6 +7,8 @@ From one axis to the answer:
 - ``transverse``     coefficients of a symmetry class, paired and turned to TM and TE
 - ``factorisation``  Maxwell's equations of the layer as two matrices, by Li's rules
 - ``staggered``      the same for a hexagonal lattice
+- ``cross_section``  crosses, ellipses and rounded corners as nested rectangles
+- ``nested``         the same for nested rectangles
 - ``eigenmodes``     modes of the layer, plane waves of the half spaces
 - ``birefringence``  plane waves of a birefringent half space
 - ``doubling``       one incident wave through the layer by doubling thickness: the fast way, tested as it goes

@@ -15,10 +15,10 @@ last difference so large that the ladder has not begun to converge counts in ful
 Of a sloped pillar the error of its steps is added (:mod:`metafab.cell.rcwa.slicing`), and no bound is below what
 rounding may come to in ill-conditioned modes (:mod:`metafab.cell.rcwa.conditioning`). Where nothing was measured, the
 last two differences count threefold. That is so for holes, light at an angle, birefringent substrates, sloped walls,
-layers under or over the pillar, pillars more than two wavelengths tall, periods that differ by more than 3 % or exceed
-1.65 wavelengths inside the densest medium (which need more orders), sizes above 0.7 of the period, indices that differ
-more than fourfold or absorb strongly, and metals, where the field at the corners has no limit that Fourier methods
-approach steadily.
+layers under or over the pillar, cross-sections other than one rectangle, pillars more than two wavelengths tall,
+periods that differ by more than 3 % or exceed 1.65 wavelengths inside the densest medium (which need more orders),
+sizes above 0.7 of the period, indices that differ more than fourfold or absorb strongly, and metals, where the field at
+the corners has no limit that Fourier methods approach steadily.
 tests/physics/test_rcwa_certificate.py also looks far from the pillars that were measured.
 """
 
@@ -202,7 +202,7 @@ def is_measured(cell: PillarCell) -> bool:
     return (
         cell.angle_deg == 0.0
         and not cell.is_birefringent
-        and not (cell.under or cell.over or cell.is_sloped)
+        and not (cell.under or cell.over or cell.is_sloped or cell.is_shaped)
         and around.real <= pillar.real <= _STEEPEST * around.real
         and max(pillar.imag / pillar.real, around.imag / around.real) <= _DIMMEST
         and max(cell.period_nm) <= _LONGEST * min(cell.period_nm)

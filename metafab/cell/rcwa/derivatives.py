@@ -108,6 +108,8 @@ def _check(cell: PillarCell) -> None:
         raise InputError.single("cell", "under, over", "empty for derivatives", "layers")
     if cell.is_sloped:
         raise InputError.single("cell", "sidewall_angle_deg", "90 for derivatives", f"{cell.sidewall_angle_deg:g}")
+    if cell.is_shaped:
+        raise InputError.single("cell", "shape, corner_radius_nm", "a plain rectangle for derivatives", cell.shape)
     if cell.is_birefringent:
         raise InputError.single("cell", "n_substrate_z", "that of an isotropic substrate", f"{cell.n_substrate_z}")
     for name, size, period in zip(

@@ -57,6 +57,8 @@ def fourier_limit(cell: PillarCell, orders: Sequence[int] = (8, 9, 10, 11, 12)) 
         raise InputError.single("fourier_limit", "orders", "three or more different numbers from 2", f"{orders}")
     if cell.is_sloped:
         raise InputError.single("cell", "sidewall_angle_deg", "90 to extrapolate", f"{cell.sidewall_angle_deg:g}")
+    if cell.is_shaped:
+        raise InputError.single("cell", "shape, corner_radius_nm", "a plain rectangle to extrapolate", cell.shape)
     solved = [zero_order(cell, count, "fourier") for count in numbers]
     values = np.array([np.stack([each.t, each.r]) for each in solved]).reshape(len(solved), -1)
     count = np.array(numbers, dtype=np.float64)

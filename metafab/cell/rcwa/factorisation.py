@@ -35,17 +35,37 @@ def layer_matrices(
         P and Q, each of shape (n, n).
     """
     u, v = basis.u, basis.v
-    n_u = u.label_a.size * v.label_a.size
     contrast_u, contrast_v = (inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
     _diagonal(contrast_u)[:] -= eps_around
     _diagonal(contrast_v)[:] -= eps_around
+    eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
+    return assembled(basis, k0_per_nm, kron(contrast_u, v.a), kron(u.b, contrast_v), eta_z, eps_around)
+
+
+def assembled(
+    basis: TransverseBasis,
+    k0_per_nm: float,
+    contrast_u: Matrix,
+    contrast_v: Matrix,
+    eta_z: Matrix,
+    eps_around: complex,
+) -> tuple[Matrix, Matrix]:
+    """P and Q in the (TM, TE) basis from what the layer does to each component of E.
+
+    Args:
+        basis: symmetry class, n coefficients.
+        k0_per_nm: vacuum wave number.
+        contrast_u: permittivity for E_u less ``eps_around``, shape (n_u, n_u); likewise ``contrast_v`` for E_v.
+        contrast_v: see ``contrast_u``.
+        eta_z: inverse of the permittivity for E_z.
+        eps_around: permittivity that is everywhere.
+    """
     # In (TM, TE) E_z drives TM waves only and H_z TE waves only, each the one of its own wave vector.
-    q = np.zeros((basis.size, basis.size), dtype=contrast_u.dtype)
-    q[:n_u, :n_u] = kron(contrast_u, v.a)
-    q[n_u:, n_u:] = kron(u.b, contrast_v)
+    n_u = len(contrast_u)
+    q = np.zeros((basis.size, basis.size), dtype=np.result_type(contrast_u, contrast_v))
+    q[:n_u, :n_u], q[n_u:, n_u:] = contrast_u, contrast_v
     q = basis.turn(q)
     _diagonal(q)[:] += eps_around - np.where(basis.is_tm, 0.0, basis.k_squared / k0_per_nm**2)
-    eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
     k = basis.k_with_e_z / k0_per_nm
     p = np.eye(basis.size, dtype=eta_z.dtype)
     p[basis.with_e_z[:, None], basis.with_e_z] -= k[:, None] * eta_z * k

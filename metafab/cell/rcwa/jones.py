@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import islice
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -23,9 +24,11 @@ from metafab.cell.rcwa.basis import (
 )
 from metafab.cell.rcwa.birefringence import TensorWaves, magnetic, tensor_waves
 from metafab.cell.rcwa.conditioning import NO_MODES, Conditioning, conditioning
+from metafab.cell.rcwa.cross_section import Rectangles, rectangles
 from metafab.cell.rcwa.doubling import Faces, through_by_doubling
 from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, plane_waves
 from metafab.cell.rcwa.factorisation import largest_eigenvalue, layer_matrices
+from metafab.cell.rcwa.nested import nested_matrices
 from metafab.cell.rcwa.outlines import outline_bases
 from metafab.cell.rcwa.stack import StackLayer, through_stack
 from metafab.cell.rcwa.staggered import staggered_matrices
@@ -66,13 +69,13 @@ class SymmetryClass:
     """Fields of one symmetry, with the outer indices that their polarisation sees.
 
     Attributes:
-        bases: one for each layer from the substrate on; they differ in the layer's outline alone.
+        bases: for each layer from the substrate on, those of its rectangles; they differ in their outline alone.
         layers: what they hold, each with its sizes.
         n_in: index of the half space that the light comes from.
         n_out: index of the half space behind.
     """
 
-    bases: tuple[TransverseBasis, ...]
+    bases: tuple[tuple[TransverseBasis, ...], ...]
     layers: tuple[Slice, ...]
     n_in: complex
     n_out: complex
@@ -80,7 +83,7 @@ class SymmetryClass:
     @property
     def basis(self) -> TransverseBasis:
         """What all layers share: coefficients and wave numbers (and the overlap of the first)."""
-        return self.bases[0]
+        return self.bases[0][0]
 
 
 @dataclass(frozen=True)
@@ -218,7 +221,8 @@ def symmetry_classes(
     if cell.is_staggered:
         yield from _staggered_classes(cell, layers, orders, formulation)
         return
-    sizes = [(each.width_nm or 0.0, each.length_nm or 0.0) for each in layers]
+    outlines = [_outline(cell, each, max(orders)) for each in layers]
+    sizes = [size for outline in outlines for size in outline]
     # A sloped pillar's ends, whatever the steps, so that more of them change the steps and not the coordinates.
     ends = [cell.sizes_nm(0.0), cell.sizes_nm(1.0)] if cell.is_sloped else []
     x, y = (
@@ -226,17 +230,26 @@ def symmetry_classes(
         for axis in (0, 1)
     )
     x, y = x[: len(sizes)], y[: len(sizes)]
+    counts = tuple(map(len, outlines))
     if cell.angle_deg == 0.0:
         for i, even_first in enumerate((True, False)):
             both = ([symmetric_axis(each, even_first=even_first) for each in axis] for axis in (x, y))
-            yield SymmetryClass(_over_outlines(*both), layers, cell.n_in[i], cell.n_out[i])
+            yield SymmetryClass(_over_outlines(*both, counts=counts), layers, cell.n_in[i], cell.n_out[i])
         return
     _check_oblique(cell)
     k_x, k_y = in_plane_per_nm(cell)
     # With parity along one axis only, each of its two classes holds one polarisation.
     for u in zip(*(_families(each, k_x) for each in x), strict=True):
         for v in zip(*(_families(each, k_y) for each in y), strict=True):
-            yield SymmetryClass(_over_outlines(u, v), layers, cell.n_in[0], cell.n_out[0])
+            yield SymmetryClass(_over_outlines(u, v, counts=counts), layers, cell.n_in[0], cell.n_out[0])
+
+
+def _outline(cell: PillarCell, layer: Slice, orders: int) -> Rectangles:
+    """Rectangles of one layer; a closed film is as good as one."""
+    width_nm, length_nm = layer.width_nm or 0.0, layer.length_nm or 0.0
+    if layer.n_inside == layer.n_around:
+        return ((width_nm, length_nm),)
+    return rectangles(cell, width_nm, length_nm, orders)
 
 
 def _staggered_classes(
@@ -252,7 +265,7 @@ def _staggered_classes(
     )
     for i, even_first in enumerate((True, False)):
         both = ([symmetric_axis(each, even_first=even_first) for each in axis] for axis in (x, y))
-        yield SymmetryClass(_over_outlines(*both), layers, cell.n_in[i], cell.n_out[i])
+        yield SymmetryClass(_over_outlines(*both, counts=(2,)), layers, cell.n_in[i], cell.n_out[i])
 
 
 def in_plane_per_nm(cell: PillarCell) -> tuple[float, float]:
@@ -261,9 +274,14 @@ def in_plane_per_nm(cell: PillarCell) -> tuple[float, float]:
     return _k0_per_nm(cell) * k_x, _k0_per_nm(cell) * k_y
 
 
-def _over_outlines(u: Sequence[AxisParity], v: Sequence[AxisParity]) -> tuple[TransverseBasis, ...]:
+def _over_outlines(
+    u: Sequence[AxisParity], v: Sequence[AxisParity], *, counts: tuple[int, ...]
+) -> tuple[tuple[TransverseBasis, ...], ...]:
+    """A basis for each outline along both axes, ``counts`` of them to each layer."""
     first = transverse_basis(u[0], v[0])
-    return (first, *(replace(first, u=of_x, v=of_y) for of_x, of_y in zip(u[1:], v[1:], strict=True)))
+    bases = (first, *(replace(first, u=of_x, v=of_y) for of_x, of_y in zip(u[1:], v[1:], strict=True)))
+    each = iter(bases)
+    return tuple(tuple(islice(each, count)) for count in counts)
 
 
 def through_case(cell: PillarCell, case: SymmetryClass, outside: Outside, incident: ComplexArray) -> Faces:
@@ -320,9 +338,12 @@ def matrices(cell: PillarCell, case: SymmetryClass, index: int = 0) -> tuple[Mat
     """P and Q of one layer of a class, in (TM, TE)."""
     layer = case.layers[index]
     media = permittivity(layer.n_inside), permittivity(layer.n_around)
+    bases = case.bases[index]
     if cell.is_staggered:
-        return staggered_matrices(case.bases[0], case.bases[1], _k0_per_nm(cell), *media)
-    return layer_matrices(case.bases[index], _k0_per_nm(cell), *media)
+        return staggered_matrices(bases[0], bases[1], _k0_per_nm(cell), *media)
+    if len(bases) > 1:
+        return nested_matrices(bases, _k0_per_nm(cell), *media)
+    return layer_matrices(bases[0], _k0_per_nm(cell), *media)
 
 
 def _thickness_k0(cell: PillarCell, case: SymmetryClass, index: int) -> float:
@@ -345,7 +366,7 @@ def one_thread() -> AbstractContextManager[Any]:
 
 def polarisations_swap(cell: PillarCell) -> bool:
     """Whether x and y light see the same cell, turned by 90 degrees."""
-    same_sizes = all(each.width_nm == each.length_nm for each in layers_of(cell))
+    same_sizes = cell.shape == "cross" or all(each.width_nm == each.length_nm for each in layers_of(cell))
     same_sizes = same_sizes and cell.period_nm[0] == cell.period_nm[1] and not cell.is_staggered
     return same_sizes and cell.angle_deg == 0.0 and cell.n_substrate[0] == cell.n_substrate[1]
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.cell.rcwa.basis import Matrix
-from metafab.cell.rcwa.factorisation import inverse_rule, kron
+from metafab.cell.rcwa.factorisation import assembled, inverse_rule, kron
 from metafab.cell.rcwa.transverse import TransverseBasis
 from metafab.core.conventions import FloatArray
 
@@ -58,18 +58,10 @@ def staggered_matrices(
     v_a, v_b = _strips(basis.v.a, gap.v.a), _strips(basis.v.b, gap.v.b)
     eps_u = _permittivity(v_a, u_a, eps_pillar, eps_around, normal_first=False)
     eps_v = _permittivity(u_b, v_b, eps_pillar, eps_around, normal_first=True)
-    n_u = len(eps_u)
-    q = np.zeros((basis.size, basis.size), dtype=np.result_type(eps_u, eps_v))
-    q[:n_u, :n_u], q[n_u:, n_u:] = eps_u, eps_v
-    q = basis.turn(q)
-    transverse = np.where(basis.is_tm, 0.0, basis.k_squared / k0_per_nm**2)
-    q[np.diag_indices_from(q)] -= transverse
     pillars = kron(u_b.first, v_a.first) + kron(u_b.second, v_a.second)
     eta_z = np.linalg.inv(eps_around * np.eye(len(pillars)) + (eps_pillar - eps_around) * pillars)
-    k = basis.k_with_e_z / k0_per_nm
-    p = np.eye(basis.size, dtype=eta_z.dtype)
-    p[basis.with_e_z[:, None], basis.with_e_z] -= k[:, None] * eta_z * k
-    return p, q
+    around_u, around_v = (eps_around * np.eye(len(eps)) for eps in (eps_u, eps_v))
+    return assembled(basis, k0_per_nm, eps_u - around_u, eps_v - around_v, eta_z, eps_around)
 
 
 def _strips(outline: FloatArray, gap: FloatArray) -> Strips:
