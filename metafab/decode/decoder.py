@@ -240,7 +240,7 @@ class Decoder:
         mismatch = _mismatch(volume, seen, small, found)
         details: dict[str, float | str] = {
             "layers": float(layers),
-            "basis_images": float(self.filters.basis.shape[0]),
+            "basis_images": float(self.filters.basis.shape[1]),
             "step_px": float(every),
             "pixels": float(lit.size),
             "pixels_without_signal": float((~lit).sum()),

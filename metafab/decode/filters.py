@@ -39,7 +39,7 @@ _ROOM = 2
 #: Share of the strongest frequency's power below which a frequency is not normalised: it is noise.
 _FAINTEST = 1e-4
 #: Side of the squares over which the pair is taken as one, pixels of the frame; all steps divide it.
-BLOCK_PX = 12
+BLOCK_PX = 24
 _LARGEST_BASIS = 64
 #: Structure slower than this many times the lowest frequency varies with the light, and reaches far across outlines.
 _HIGH_PASS = 3.0
@@ -52,8 +52,8 @@ class CrossFilters:
     Attributes:
         reduction: which pixels are compared.
         vergences_per_m: shape (n_candidates,), 1/depth, equally spaced.
-        basis: shape (n_basis, n_ky, n_kx), what each image is passed through.
-        shares: shape (2, n_block_y, n_block_x, n_basis, n_candidates), of the basis in the filter of each image.
+        basis: shape (2, n_basis, n_ky, n_kx), what each image is passed through.
+        shares: shape (2, n_block_y, n_block_x, n_candidates, n_basis), of its basis in the filter of each image.
         power: shape (n_ky, n_kx), mean of |H|^2 over depth and polarisation in the middle of the window.
     """
 
@@ -80,7 +80,7 @@ class CrossFilters:
         filters, power = _cross_filters(calibration, vergences_per_m, every)
         kernels, shares = _low_rank(filters, power, every, basis_error)
         weights = calibration.block_weights(reduction.shape, every, BLOCK_PX // every)
-        by_block = np.einsum("yxf,pvfk->pyxkv", weights, shares, optimize=True)
+        by_block = np.einsum("yxf,pvfk->pyxvk", weights, shares, optimize=True)
         return cls(
             reduction,
             vergences_per_m,
@@ -112,12 +112,15 @@ class CrossFilters:
             last: agreement that is kept where nothing is lit.
         """
         weight = self._weight(levels)
-        passed = []
-        for number, spectrum in enumerate(spectra, start=1):
-            through = scipy.fft.irfft2(spectrum * weight * self.basis, self.reduction.size, workers=2, overwrite_x=True)
-            passed.append(through[:, *self.reduction.inner])
-            progress("decode", number, len(spectra))
-        parts = agreement(passed[0], passed[1], self.shares, self.block, lit)
+        rows, columns = self.reduction.inner
+        passed = np.empty((2, self.basis.shape[1], *self.reduction.shape), dtype=np.float32)
+        for number, spectrum in enumerate(spectra):
+            # Rows of the margin are not needed, and not transformed back.
+            mixed = self.basis[number] * (spectrum * weight)
+            mixed = scipy.fft.ifft(mixed, axis=-2, workers=2, overwrite_x=True)[:, rows]
+            passed[number] = scipy.fft.irfft(mixed, self.reduction.size[1], workers=2, overwrite_x=True)[..., columns]
+            progress("decode", number + 1, len(spectra))
+        parts = agreement(passed, self.shares, self.block, lit)
         if last is not None:
             np.copyto(parts, last.parts, where=~covered(lit, self.block))
         return Volume(self.vergences_per_m, parts, *self._samples(weight))
@@ -172,10 +175,10 @@ def _cross_filters(
 def _low_rank(
     filters: NDArray[np.complex64], power: FloatArray, every: int, error: float
 ) -> tuple[FloatArray, NDArray[np.float32]]:
-    """Basis kernels and the share of each in each filter.
+    """Basis kernels of each image, and the share of each in each of its filters.
 
     Returns:
-        Shapes (n_basis, m_y, m_x), origin at [0, 0], and (2, n_candidates, n_field, n_basis).
+        Shapes (2, n_basis, m_y, m_x), origin at [0, 0], and (2, n_candidates, n_field, n_basis).
     """
     n_y, n_kx = filters.shape[-2:]
     size = (n_y, 2 * (n_kx - 1))
@@ -184,10 +187,14 @@ def _low_rank(
     weight = np.sqrt(power / (k2 + LOWEST_FREQUENCY**2)) * _high_pass(k2)
     weight[n_y // 2] = weight[:, -1] = 0.0
     weight[:, 1:-1] *= np.sqrt(2.0)
-    rows = (filters * weight).astype(np.complex64).reshape(-1, n_y * n_kx)
-    table = np.concatenate([rows.real, rows.imag], axis=1)
-    vectors = _range(table, error)
-    kernels = scipy.fft.irfft2((vectors.T @ filters.reshape(-1, n_y * n_kx)).reshape(-1, n_y, n_kx), size)
+    found = []
+    for rows in (filters * weight).astype(np.complex64).reshape(2, -1, n_y * n_kx):
+        found.append(_range(np.concatenate([rows.real, rows.imag], axis=1), error))
+    vectors = np.zeros((2, found[0].shape[0], max(one.shape[1] for one in found)), dtype=np.float32)
+    for one, place in zip(found, vectors, strict=True):
+        place[:, : one.shape[1]] = one
+    transfer = vectors.swapaxes(1, 2) @ filters.reshape(2, -1, n_y * n_kx)
+    kernels = np.asarray(scipy.fft.irfft2(transfer.reshape(2, -1, n_y, n_kx), size), dtype=np.float64)
     return kernels, vectors.reshape(*filters.shape[:3], -1)
 
 
@@ -208,8 +215,8 @@ def _on_grid(kernels: FloatArray, size: tuple[int, int]) -> NDArray[np.complex64
     """Transforms of kernels on a larger (or smaller) grid of the same pixels."""
     n_y, n_x = (min(a, b) for a, b in zip(kernels.shape[-2:], size, strict=True))
     centred = np.roll(kernels, (n_y // 2, n_x // 2), axis=(-2, -1))[..., :n_y, :n_x]
-    place = np.zeros((kernels.shape[0], *size), dtype=np.float32)
-    place[:, :n_y, :n_x] = centred
+    place = np.zeros((*kernels.shape[:-2], *size), dtype=np.float32)
+    place[..., :n_y, :n_x] = centred
     place = np.roll(place, (-(n_y // 2), -(n_x // 2)), axis=(-2, -1))
     return np.asarray(scipy.fft.rfft2(place), dtype=np.complex64)
 

@@ -9,26 +9,25 @@ from metafab.core.numerics import HAS_NUMBA, compiled, compiled_parallel, prange
 
 
 def agreement(
-    x_passed: NDArray[np.float32],
-    y_passed: NDArray[np.float32],
-    shares: NDArray[np.float32],
-    block: int,
-    lit: NDArray[np.bool_],
+    passed: NDArray[np.float32], shares: NDArray[np.float32], block: int, lit: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
     """Products of the two mixtures a of the x images and b of the y images: a b, a^2, b^2.
 
     Args:
-        x_passed: shape (n_basis, n_y, n_x).
-        y_passed: the same shape.
-        shares: shape (2, n_block_y, n_block_x, n_basis, n_mixtures).
+        passed: shape (2, n_basis, n_y, n_x), the images of x and of y.
+        shares: shape (2, n_block_y, n_block_x, n_mixtures, n_basis).
         block: pixels a side of a block, all of which take the same shares.
         lit: shape (n_y, n_x); blocks without any are left 0.
 
     Returns:
         Shape (3, n_mixtures, n_y, n_x).
     """
-    mix = _products if HAS_NUMBA else _products_plain
-    return mix(x_passed, y_passed, shares, block, touched(lit, block))
+    wanted = touched(lit, block)
+    rows, columns = lit.shape
+    extra = (wanted.shape[0] * block - rows, wanted.shape[1] * block - columns)
+    if any(extra):
+        passed = np.pad(passed, ((0, 0), (0, 0), (0, extra[0]), (0, extra[1])))
+    return (_products if HAS_NUMBA else _products_plain)(passed, shares, block, wanted)[..., :rows, :columns]
 
 
 def touched(mask: NDArray[np.bool_], block: int) -> NDArray[np.bool_]:
@@ -47,68 +46,67 @@ def covered(mask: NDArray[np.bool_], block: int) -> NDArray[np.bool_]:
 
 @compiled
 def _mix(images: NDArray[np.float32], shares: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-    """Sum of images (n, n_px) by their shares (n,), four at once; n is a multiple of four."""
+    """Sums of images (n, n_px) by shares (n_mixtures, n); rows of ``out`` beyond the mixtures repeat the last.
+
+    Four sums of two images at once: each value that is read serves several products.
+    """
+    most, last_image = shares.shape[0] - 1, images.shape[0] - 1
     out[:] = np.float32(0.0)
-    for k in range(0, shares.size, 4):
-        a, b, c, d = images[k], images[k + 1], images[k + 2], images[k + 3]
-        of_a, of_b, of_c, of_d = shares[k], shares[k + 1], shares[k + 2], shares[k + 3]
-        for p in range(out.size):
-            out[p] += (of_a * a[p] + of_b * b[p]) + (of_c * c[p] + of_d * d[p])
+    for v in range(0, out.shape[0], 4):
+        v0, v1, v2, v3 = min(v, most), min(v + 1, most), min(v + 2, most), min(v + 3, most)
+        o0, o1, o2, o3 = out[v], out[v + 1], out[v + 2], out[v + 3]
+        for k in range(0, images.shape[0], 2):
+            last = min(k + 1, last_image)
+            once = np.float32(last - k)
+            a, b = images[k], images[last]
+            a0, a1, a2, a3 = shares[v0, k], shares[v1, k], shares[v2, k], shares[v3, k]
+            b0, b1 = once * shares[v0, last], once * shares[v1, last]
+            b2, b3 = once * shares[v2, last], once * shares[v3, last]
+            for p in range(a.size):
+                x, y = a[p], b[p]
+                o0[p] += a0 * x + b0 * y
+                o1[p] += a1 * x + b1 * y
+                o2[p] += a2 * x + b2 * y
+                o3[p] += a3 * x + b3 * y
 
 
 @compiled_parallel
 def _products(
-    x_passed: NDArray[np.float32],
-    y_passed: NDArray[np.float32],
-    shares: NDArray[np.float32],
-    block: int,
-    wanted: NDArray[np.bool_],
+    passed: NDArray[np.float32], shares: NDArray[np.float32], block: int, wanted: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    n_basis, n_y, n_x = x_passed.shape
-    count, px, padded = shares.shape[4], block * block, 4 * ((n_basis + 3) // 4)
-    parts = np.zeros((3, count, n_y, n_x), dtype=np.float32)
+    """As :func:`agreement`, for images of whole blocks."""
+    n_basis, count = shares.shape[4], shares.shape[3]
+    parts = np.zeros((3, count, wanted.shape[0] * block, wanted.shape[1] * block), dtype=np.float32)
     for row in prange(wanted.shape[0]):
-        # A block's pixels lie side by side, and images are padded to fours: both let the mixing be vectorised.
-        inputs = np.zeros((2, padded, px), dtype=np.float32)
-        share = np.zeros((2, count, padded), dtype=np.float32)
-        mixed = np.empty((2, px), dtype=np.float32)
-        top, rows = row * block, min(block, n_y - row * block)
+        # A block's pixels lie side by side, so that the mixing runs over all of them at once.
+        inputs = np.zeros((2, n_basis, block * block), dtype=np.float32)
+        mixed = np.empty((2, 4 * ((count + 3) // 4), block * block), dtype=np.float32)
         for column in range(wanted.shape[1]):
             if not wanted[row, column]:
                 continue
-            left, columns = column * block, min(block, n_x - column * block)
-            for k in range(n_basis):
-                for i in range(rows):
-                    for j in range(columns):
-                        inputs[0, k, i * block + j] = x_passed[k, top + i, left + j]
-                        inputs[1, k, i * block + j] = y_passed[k, top + i, left + j]
-                for v in range(count):
-                    share[0, v, k] = shares[0, row, column, k, v]
-                    share[1, v, k] = shares[1, row, column, k, v]
+            for image in range(2):
+                for k in range(n_basis):
+                    for i in range(block):
+                        for j in range(block):
+                            inputs[image, k, i * block + j] = passed[image, k, row * block + i, column * block + j]
+                _mix(inputs[image], shares[image, row, column], mixed[image])
             for v in range(count):
-                for image in range(2):
-                    _mix(inputs[image], share[image, v], mixed[image])
-                for i in range(rows):
-                    for j in range(columns):
-                        x, y = mixed[0, i * block + j], mixed[1, i * block + j]
-                        parts[0, v, top + i, left + j] = x * y
-                        parts[1, v, top + i, left + j] = x * x
-                        parts[2, v, top + i, left + j] = y * y
+                for i in range(block):
+                    for j in range(block):
+                        a, b = mixed[0, v, i * block + j], mixed[1, v, i * block + j]
+                        parts[0, v, row * block + i, column * block + j] = a * b
+                        parts[1, v, row * block + i, column * block + j] = a * a
+                        parts[2, v, row * block + i, column * block + j] = b * b
     return parts
 
 
 def _products_plain(
-    x_passed: NDArray[np.float32],
-    y_passed: NDArray[np.float32],
-    shares: NDArray[np.float32],
-    block: int,
-    wanted: NDArray[np.bool_],
+    passed: NDArray[np.float32], shares: NDArray[np.float32], block: int, wanted: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    _, n_y, n_x = x_passed.shape
-    parts = np.zeros((3, shares.shape[4], n_y, n_x), dtype=np.float32)
+    _, _, n_y, n_x = passed.shape
+    parts = np.zeros((3, shares.shape[3], n_y, n_x), dtype=np.float32)
     for row, column in np.argwhere(wanted):
         part = (..., slice(row * block, (row + 1) * block), slice(column * block, (column + 1) * block))
-        a = np.tensordot(shares[0, row, column], x_passed[part], axes=(0, 0))
-        b = np.tensordot(shares[1, row, column], y_passed[part], axes=(0, 0))
+        a, b = (np.tensordot(shares[p, row, column], passed[p][part], axes=(1, 0)) for p in (0, 1))
         parts[part] = np.stack([a * b, a * a, b * b])
     return parts

@@ -87,15 +87,29 @@ def test_enlarging_is_linear_in_between() -> None:
 
 
 @settings(max_examples=25, deadline=None)
-@given(n_y=st.integers(1, 17), n_x=st.integers(1, 17), block=st.integers(1, 5), seed=st.integers(0, 99))
-def test_the_plain_mixtures_are_the_compiled_ones(n_y: int, n_x: int, block: int, seed: int) -> None:
+@given(
+    n_y=st.integers(1, 17),
+    n_x=st.integers(1, 17),
+    block=st.integers(1, 5),
+    n_basis=st.integers(1, 4),
+    n_mixtures=st.integers(1, 6),
+    seed=st.integers(0, 99),
+)
+def test_mixtures_are_sums_by_their_blocks_shares(
+    n_y: int, n_x: int, block: int, n_basis: int, n_mixtures: int, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
-    x, y = rng.normal(size=(2, 3, n_y, n_x)).astype(np.float32)
-    shares = rng.normal(size=(2, -(-n_y // block), -(-n_x // block), 3, 5)).astype(np.float32)
+    passed = rng.normal(size=(2, n_basis, n_y, n_x)).astype(np.float32)
+    blocks = -(-n_y // block), -(-n_x // block)
+    shares = rng.normal(size=(2, *blocks, n_mixtures, n_basis)).astype(np.float32)
     lit = rng.random((n_y, n_x)) < 0.1
     wanted = mixing.touched(lit, block)
-    want = mixing._products_plain(x, y, shares, block, wanted)
-    np.testing.assert_allclose(mixing.agreement(x, y, shares, block, lit), want, atol=1e-4)
+    want = mixing._products_plain(passed, shares, block, wanted)
+    np.testing.assert_allclose(mixing.agreement(passed, shares, block, lit), want, atol=1e-4)
+    whole = [np.repeat(np.repeat(shares[p], block, axis=0), block, axis=1)[:n_y, :n_x] for p in (0, 1)]
+    a, b = (np.einsum("yxvk,kyx->vyx", part, images) for part, images in zip(whole, passed, strict=True))
+    of_lit = mixing.covered(lit, block)
+    np.testing.assert_allclose(want, np.stack([a * b, a * a, b * b]) * of_lit, atol=1e-4)
     assert not want[..., ~mixing.covered(lit, block)].any()
     assert mixing.covered(lit, block)[lit].all()
 
