@@ -1,130 +1,231 @@
-"""PSF benchmarks: error against the direct sum over every pillar, seconds and memory."""
+"""PSF benchmarks: error against the direct sum over every pillar, seconds and memory, goals, and other libraries.
+
+Four tables in one: true errors on and off the axis; what each part takes beside what it was to take (``goal_s``,
+``goal_mb``); stacks of a filter and over the field; and other libraries on the same task (``psf_beside.py``), which run
+in the interpreters that METAFAB_PEERS_PYTHON names.
+"""
 
 from __future__ import annotations
 
 import math
 import resource
+import runpy
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+import tracemalloc
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
-from metafab.layout.geometry import lattice_of
-from metafab.layout.pillars import PillarMap
-from metafab.optics import Imaging, Psf, WrittenField, depth_nodes, direct_irradiance, psf, relative_l2
-from metafab.phase import SpiralZonesPhase, SplitLensPhase
-from metafab.spec import Design, load_design
+from metafab.core.progress import silent
+from metafab.optics import Imaging, PsfBasis, WrittenField, direct_irradiance, psf, relative_l2
+from metafab.optics.blocks import reduce_to_target
+from metafab.optics.image import Tangent, Window
+from metafab.optics.kernel import WindowKernel
+from metafab.optics.pupil import Pupil, reduce_field
 
-LAYOUTS = Path(__file__).parent.parent / "layouts"
-LEVELS = 30
-REFERENCE_POINTS = 12
+WINDOW_PX, REFERENCE_POINTS = 64, 10
+TARGETS = (1e-2, 1e-3, 1e-4)
+#: Half the field of the paper's aperture stop.
+EDGE = math.tan(math.radians(3.6))
+DIRECTIONS = {
+    "axis": (0.0, 0.0),
+    "+3.6 degrees in x and y": (EDGE, EDGE),
+    "-3.6 degrees in x and y": (-EDGE, -EDGE),
+}
+#: Of one window from prepared blocks, by direction.
+WINDOW_GOAL_S = {"axis": 4e-3}
+WINDOW_GOAL_OFF_AXIS_S = 20e-3
+STACK_GOAL_S = {1e-3: 0.15, 1e-4: 1.0}
+BAND_GOAL_S = {1e-2: 0.05, 1e-3: 0.25}
+PASS_GOAL_S, PASS_GOAL_MB = 0.15, 300.0
+LIBRARY_GOAL_S, LIBRARY_GOAL_RANK = 10.0, 90
+REPEATS = 5
+
+Found = TypeVar("Found")
+_lens = runpy.run_path(str(Path(__file__).with_name("psf_lens.py")))
+_beside = runpy.run_path(str(Path(__file__).with_name("psf_beside.py")))
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
-    """Error, seconds and peak memory of PSF stacks; the 2 mm lens unless ``quick``.
+    """All tables for the 2 mm lens; for a tenth of it, at one direction and target, if ``quick``.
 
-    The mask holds 30 x 30 phase levels at 90 % amplitude of Eqs. 2 to 4, so that nothing but the optics room
-    counts. ``error`` is the true one, on 12 x 12 points spread over the window, the worst of objects at 25, 30 and
-    60 cm; ``stated`` the largest of the result.
+    Seconds are processor time on one thread, the best of several, where the row has ``goal_s``.
     """
-    design = load_design(LAYOUTS / ("helix_small.toml" if quick else "helix_2mm.toml"))
+    design = _lens["lens_design"](200.0 if quick else 2000.0)
     imaging = Imaging.of(design)
-    source = _mask(design, imaging)
-    near, far = design.verify.depths_m[0], design.verify.depths_m[-1]
-    judged = [near, (near + far) / 2.0, 2.0 * far] if quick else [0.25, 0.30, 0.60]
-    # Field of +-3.6 degrees, the paper's aperture stop.
-    edge = math.tan(math.radians(3.6))
-    nodes = depth_nodes(imaging, near, far, 1e-3)
+    source = _lens["lens_field"](design, imaging)
+    near = design.verify.depths_m[0]
+    depths = np.array([near, 1.2 * near, 2.4 * near])
     psf(source, imaging, [near], window_px=16)  # compiles
+    table = []
+    for name, tangent in list(DIRECTIONS.items())[: 1 if quick else None]:
+        table += _errors(source, imaging, depths, name, tangent, TARGETS[1:2] if quick else TARGETS)
+    stack = near / np.linspace(1.0, 1.0 / 2.4, 21)
+    parts = [
+        _parts(source, imaging, stack, name, target)
+        for name in (("axis",) if quick else DIRECTIONS)
+        for target in (TARGETS[1:2] if quick else TARGETS)
+    ]
+    table += [row for part in parts for row in part]
+    table += _bands(source, imaging, depths[1])
+    table += _library(source, imaging, stack, 3 if quick else 9)
+    return table + _beside["peer_rows"](quick, _own(table, design.device.aperture_um))
+
+
+def _errors(
+    source: WrittenField,
+    imaging: Imaging,
+    depths_m: FloatArray,
+    name: str,
+    tangent: Tangent,
+    targets: tuple[float, ...],
+) -> list[dict[str, Any]]:
+    """True error of either polarisation at each target, the worst depth; ``stated`` is the largest of the result."""
+    truth = [_truth(source, imaging, depths_m, tangent, p) for p in (0, 1)]
+    step = WINDOW_PX // REFERENCE_POINTS
+    places = slice(0, step * REFERENCE_POINTS, step)
     found = []
-    for name, tangent in (
-        ("axis", (0.0, 0.0)),
-        ("3.6 degrees", (edge, 0.5 * edge)),
-        ("-3.6 degrees", (-edge, 0.5 * edge)),
-    ):
-        truth = _truth(source, imaging, judged, tangent)
-        for target in (1e-2, 1e-3, 1e-4):
-            row, result = _timed(
-                f"{design.name}, {name}, {len(judged)} depths, target {target:g}",
-                lambda target=target, tangent=tangent: psf(
-                    source, imaging, judged, tangent=tangent, target_error=target
-                ),
-            )
-            step = result.psf.shape[-1] // REFERENCE_POINTS
-            sampled = result.psf[0, :, ::step, ::step][:, :REFERENCE_POINTS, :REFERENCE_POINTS]
-            error = max(relative_l2(*pair) for pair in zip(sampled, truth, strict=True))
-            found.append({**row, "error": error, "stated": float(result.error.max())})
-    for target in (1e-2, 1e-3):
-        row, result = _timed(
-            f"{design.name}, axis, {nodes.size} depths, filter of 10 nm, target {target:g}",
-            lambda target=target: psf(source, imaging, nodes, target_error=target, filter_fwhm_nm=10.0),
+    for target in targets:
+        cost, result = _timed(
+            lambda target=target: psf(source, imaging, depths_m, tangent=tangent, target_error=target, workers=1), 1
         )
-        found.append({**row, "error": float(result.error.max()), "stated": float(result.error.max())})
-    for points in (5,) if quick else (5, 9):
-        grid = (np.linspace(-edge, edge, points),) * 2
-        row, result = _timed(
-            f"{design.name}, field {points} x {points}, {nodes.size} depths",
-            lambda grid=grid: psf(source, imaging, nodes, field_tangents=grid),
+        errors = [
+            [relative_l2(image[places, places], true) for image, true in zip(*pair, strict=True)]
+            for pair in zip(result.psf, truth, strict=True)
+        ]
+        found.append(
+            {
+                **cost,
+                "name": f"pair at {len(depths_m)} depths, {name}, target {target:g}",
+                "error": float(np.max(errors)),
+                "error_x": float(np.max(errors[0])),
+                "error_y": float(np.max(errors[1])),
+                "stated": float(result.error.max()),
+                "blocks": result.details["blocks"],
+                "target": target,
+                "direction": name,
+            }
         )
-        found.append({**row, "error": float(result.details["field_error"]), "stated": float(result.error.max())})
     return found
 
 
-def _timed(name: str, run: Callable[[], Psf]) -> tuple[dict[str, Any], Psf]:
-    wall, cpu = time.perf_counter(), time.process_time()
-    result = run()
-    row = {
-        "name": name,
-        "seconds": time.perf_counter() - wall,
-        "cpu_seconds": time.process_time() - cpu,
-        "blocks": result.details["blocks"],
-        "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
-    }
-    return row, result
-
-
 def _truth(
-    source: WrittenField, imaging: Imaging, depths_m: Sequence[float], tangent: tuple[float, float]
+    source: WrittenField, imaging: Imaging, depths_m: FloatArray, tangent: Tangent, polarisation: int
 ) -> FloatArray:
-    """The direct sum on every fifth point of a 64 px window along either side, shape (n_depth, 12, 12)."""
-    step = 64 // REFERENCE_POINTS
-    axis = (np.arange(REFERENCE_POINTS) * step - 32) * imaging.pixel_um
-    centre = imaging.image_point_um(0, tangent)
+    """The direct sum on every sixth point of the window along either side, shape (n_depth, 10, 10)."""
+    axis = (np.arange(REFERENCE_POINTS) * (WINDOW_PX // REFERENCE_POINTS) - WINDOW_PX // 2) * imaging.pixel_um
+    centre = imaging.image_point_um(polarisation, tangent)
     x, y = np.meshgrid(centre[0] + axis, centre[1] + axis)
-    truth = direct_irradiance(source, imaging, depths_m, tangent, x.ravel(), y.ravel(), 0)
+    truth = direct_irradiance(source, imaging, depths_m, tangent, x.ravel(), y.ravel(), polarisation)
     return truth.reshape(len(depths_m), REFERENCE_POINTS, REFERENCE_POINTS)
 
 
-def _mask(design: Design, imaging: Imaging) -> WrittenField:
-    lattice = lattice_of(design)
-    x, y = lattice.x_um(), lattice.y_um()
-    radius = 0.5 * design.device.aperture_um
-    terms = (
-        SpiralZonesPhase(4, 0.5, radius),
-        SplitLensPhase(imaging.wavelength_um, 1e3 * imaging.focal_length_mm, imaging.split_angle_deg),
-    )
-    index = np.zeros(lattice.shape, dtype=np.uint16)
-    for row in range(0, y.size, 256):
-        part = slice(row, row + 256)
-        levels = [
-            np.rint(sum(t(x, y[part], p) for t in terms) / (2.0 * np.pi) * LEVELS).astype(np.int64) % LEVELS
-            for p in ("x", "y")
-        ]
-        inside = np.hypot(x[None, :], y[part, None]) <= radius
-        index[part] = np.where(inside, 1 + levels[0] + LEVELS * levels[1], 0)
-    phasor = np.exp(2j * np.pi * np.arange(LEVELS) / LEVELS)
-    table = np.zeros((LEVELS * LEVELS + 1, 2), dtype=np.complex128)
-    table[1:, 0], table[1:, 1] = 0.9 * np.tile(phasor, LEVELS), 0.9 * np.repeat(phasor, LEVELS)
-    pillars = PillarMap.from_array(replace(lattice), np.zeros((table.shape[0], 2), np.int32), index, 286)
-    return WrittenField(pillars, table)
+def _parts(
+    source: WrittenField, imaging: Imaging, stack_m: FloatArray, name: str, target: float
+) -> list[dict[str, Any]]:
+    """One polarisation: the pass over the pillars, one window, 21 depths; blocks are those that the pair takes."""
+    tangent, window = DIRECTIONS[name], _window(imaging, target)
+    with threadpool_limits(1, "blas"):
+        pyramid = _blocks(source, window, stack_m, tangent, target)
+        carrier = pyramid[0].carrier
+        tracemalloc.start()
+        over_pillars, _ = _timed(lambda: reduce_field(source, [carrier], imaging.wavenumber, workers=1), 1)
+        traced_mb = tracemalloc.get_traced_memory()[1] / 1e6
+        tracemalloc.stop()
+        over_pillars, _ = _timed(lambda: reduce_field(source, [carrier], imaging.wavenumber, workers=1))
+        middle = stack_m[len(stack_m) // 2 :][:1]
+        one, (_, error) = _timed(lambda: window.irradiance(pyramid, 0, tangent, middle))
+        blind, _ = _timed(lambda: window.irradiance(pyramid[:1], 0, tangent, middle, judged="none"))
+        first, _ = _timed(lambda: _without_kernels(window.irradiance, pyramid[:1], 0, tangent, middle, judged="none"))
+        many, (_, errors) = _timed(lambda: window.irradiance(pyramid, 0, tangent, stack_m))
+    after = f"{name}, target {target:g}"
+    stated, worst = float(error.max()), float(errors.max())
+    whole_s = over_pillars["seconds"] + many["seconds"]
+    goal_s = (WINDOW_GOAL_S.get(name, WINDOW_GOAL_OFF_AXIS_S)) if target == 1e-3 else None
+    found = [
+        {**over_pillars, "name": f"pass over the pillars, {after}", "error": stated, "traced_mb": traced_mb,
+         "goal_s": PASS_GOAL_S, "goal_mb": PASS_GOAL_MB},
+        {**blind, "name": f"one window from blocks, {after}", "error": stated, "goal_s": goal_s},
+        {**first, "name": f"the same, the window's kernel built first, {after}", "error": stated, "goal_s": goal_s},
+        {**one, "name": f"one window from blocks with its error, {after}", "error": stated},
+        {**many, "name": f"pass and {len(stack_m)} depths with their errors, {after}", "error": worst,
+         "seconds": whole_s, "goal_s": STACK_GOAL_S.get(target)},
+    ]  # fmt: skip
+    seconds = {"window": blind["seconds"], "pass": over_pillars["seconds"], "stack": many["seconds"]}
+    found[-1] |= {f"seconds_{part}": value for part, value in seconds.items()} | {"target": target, "direction": name}
+    return found
 
 
-if __name__ == "__main__":
-    import sys
+def _without_kernels(run: Callable[..., Found], *given: Any, **options: Any) -> Found:
+    """As if for the first time."""
+    WindowKernel.forget()
+    return run(*given, **options)
 
-    for row in rows("--full" not in sys.argv):
-        print({key: (f"{value:.3g}" if isinstance(value, float) else value) for key, value in row.items()})
+
+def _window(imaging: Imaging, target: float) -> Window:
+    return Window(imaging, WINDOW_PX, min(0.1 * target, 1e-3))
+
+
+def _blocks(source: WrittenField, window: Window, depths_m: FloatArray, tangent: Tangent, target: float) -> list[Pupil]:
+    with ThreadPoolExecutor(1) as pool:
+        pyramids, _ = reduce_to_target(
+            source, [window], [float(z) for z in depths_m], tangent, None, target, pool, silent, workers=1
+        )
+    return pyramids[0]
+
+
+def _bands(source: WrittenField, imaging: Imaging, depth_m: float) -> list[dict[str, Any]]:
+    """A PSF of one polarisation in the light of a filter of 10 nm, from prepared blocks."""
+    found = []
+    for target, goal_s in BAND_GOAL_S.items():
+        half, tangent, window = 0.5 * target, DIRECTIONS["axis"], _window(imaging, target)
+        with threadpool_limits(1, "blas"):
+            pyramid = _blocks(source, window, np.array([depth_m]), tangent, half)
+            light = partial(_without_kernels, window.band_irradiance, pyramid, 0, tangent, [depth_m], 10.0, half)
+            cost, (_, error) = _timed(light)
+        name = f"one window in the light of 10 nm from blocks, target {target:g}"
+        found.append({**cost, "name": name, "error": float(error.max()), "goal_s": goal_s})
+    return found
+
+
+def _library(source: WrittenField, imaging: Imaging, stack_m: FloatArray, points: int) -> list[dict[str, Any]]:
+    """PSFs over field and depth, and the basis that carries them; wall-clock seconds on all cores."""
+    grid = (np.linspace(-EDGE, EDGE, points),) * 2
+    begun, start = time.process_time(), time.perf_counter()
+    cost, result = _timed(lambda: psf(source, imaging, stack_m, field_tangents=grid), 1)
+    basis = PsfBasis.of(result, 1e-2)
+    wall_s = time.perf_counter() - start
+    name = f"library of {points} x {points} directions, {len(stack_m)} depths, pair, and its basis at 1e-2"
+    return [
+        {**cost, "name": name, "error": basis.error, "cpu_seconds": time.process_time() - begun,
+         "seconds": wall_s, "goal_s": LIBRARY_GOAL_S, "rank": basis.rank, "goal_rank": LIBRARY_GOAL_RANK}
+    ]  # fmt: skip
+
+
+def _own(table: list[dict[str, Any]], aperture_um: float) -> list[dict[str, Any]]:
+    """Our answers on the axis for the peers' ratios, with true errors; none for a lens that is not theirs."""
+    if aperture_um != _beside["APERTURES_UM"][-1]:
+        return []
+    errors = {row["target"]: row["error"] for row in table if row.get("direction") == "axis" and "error_x" in row}
+    return [
+        {**row, "error": errors[row["target"]]}
+        for row in table
+        if row.get("direction") == "axis" and "seconds_stack" in row
+    ]
+
+
+def _timed(run: Callable[[], Found], repeats: int = REPEATS) -> tuple[dict[str, Any], Found]:
+    """The best of several."""
+    seconds = []
+    for _ in range(repeats):
+        begun = time.process_time()
+        result = run()
+        seconds.append(time.process_time() - begun)
+    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+    return {"seconds": min(seconds), "peak_rss_mb": peak_mb}, result

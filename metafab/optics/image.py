@@ -29,10 +29,11 @@ Judged = Literal["all", "ends", "none"]
 
 _SINGLE_PRECISION_ERROR = 2e-6
 #: Measured on one core: a real operation of a matrix product, a block refocused on a ray, an entry of the matrix
-#: whose singular values split the kernel's rest.
+#: whose singular values split the kernel's rest, and what a panel takes however small it is.
 _SECONDS_PER_OPERATION = 3e-11
 _SECONDS_PER_BLOCK = 8e-8
 _SECONDS_PER_ENTRY = 4e-7
+_SECONDS_PER_PANEL = 2e-3
 _PANELS_A_SIDE = (1, 3, 5, 7, 9, 13, 17, 25, 33, 49, 65)
 _SMALLEST_PANEL_PX = 16
 #: Depths over which the cost model spreads a panel's kernel: the same for any stack, so that errors are the same.
@@ -158,7 +159,8 @@ class Window:
         gather = 12.0 * q_y * n_x * (n_y + q_x)
         images = 16.0 * terms * side * q_y * (q_x + side)
         per_depth = _SECONDS_PER_OPERATION * (gather + images) + _SECONDS_PER_BLOCK * pupil.power.size
-        return float(panels**2 * (per_depth + _SECONDS_PER_ENTRY * rest**4 / _USUAL_DEPTHS))
+        kernel = _SECONDS_PER_PANEL + _SECONDS_PER_ENTRY * rest**4
+        return float(panels**2 * (per_depth + kernel / _USUAL_DEPTHS))
 
     def _powers(self, ways: Sequence[tuple[Pupil, Sequence[Ray]]]) -> list[FloatArray]:
         """Squared fields of each pupil behind its rays, (n_ray, n, n) each; panels' kernels are built once."""

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,9 @@ from metafab.optics.chebyshev import Span
 
 #: Block phases are reduced in double precision; what is left fits single precision: 1e-6 of the field at most.
 SingleComplexArray = NDArray[np.complex64]
+
+#: Kernels that are kept, least used first to go, and the largest window of one: 2 MB each, where terms are many.
+_KERNELS_KEPT, _LARGEST_KEPT_PX = 16, 128
 
 
 @dataclass(frozen=True)
@@ -61,7 +65,7 @@ class WindowKernel:
         pixel_um: float,
         tolerance: float,
     ) -> WindowKernel:
-        """Sample and split the kernel.
+        """Sample and split the kernel; kernels of usual windows are kept for the next depth, mask or halved block.
 
         Args:
             wavenumber: k, rad/um.
@@ -71,29 +75,13 @@ class WindowKernel:
             pixel_um: distance of points.
             tolerance: relative error, 1e-7 or more.
         """
-        k = wavenumber
-        offsets = np.multiply(np.arange(window_px) - window_px // 2, pixel_um, dtype=np.float64)
-        span = (float(offsets[0]), float(offsets[-1]))
-        changes_rad = largest_changes_rad(k, target_um, lens_um, span)
-        x, y = (
-            chebyshev.points(s, chebyshev.points_needed(c, tolerance))
-            for s, c in zip(lens_um, changes_rad[:2], strict=True)
-        )
-        over_window, over_lens = _split_rest(k, target_um, lens_um, span, changes_rad[2], tolerance)
-        to_window = chebyshev.interpolation(span, over_window.shape[1], offsets)
-        to_x, to_y = (chebyshev.interpolation(s, over_lens.shape[1], at) for s, at in zip(lens_um, (x, y), strict=True))
-        along_x, _, _ = _changes_um(target_um, x[:, None], 0.0, offsets[None, :], 0.0)
-        _, along_y, _ = _changes_um(target_um, 0.0, y[None, :], 0.0, offsets[:, None])
-        return cls(
-            k,
-            target_um,
-            offsets,
-            lens_um,
-            np.exp(1j * k * along_y).astype(np.complex64),
-            np.exp(1j * k * along_x).astype(np.complex64),
-            (to_window @ over_window @ to_window.T).astype(np.complex64),
-            (to_y @ over_lens @ to_x.T).astype(np.complex64),
-        )
+        build = _build if window_px <= _LARGEST_KEPT_PX else _build.__wrapped__
+        return build(wavenumber, target_um, lens_um, window_px, pixel_um, tolerance)
+
+    @staticmethod
+    def forget() -> None:
+        """Drop the kernels that were kept."""
+        _build.cache_clear()
 
     @property
     def rank(self) -> int:
@@ -108,6 +96,35 @@ def largest_changes_rad(
     corners = np.array(np.meshgrid(*lens_um, window_um, window_um, indexing="ij")).reshape(4, -1)
     x, y, rest = (wavenumber * float(np.abs(change).max()) for change in _changes_um(target_um, *corners))
     return x, y, rest
+
+
+@lru_cache(maxsize=_KERNELS_KEPT)
+def _build(
+    k: float, target_um: tuple[float, float, float], lens_um: tuple[Span, Span], window_px: int, pixel_um: float,
+    tolerance: float,
+) -> WindowKernel:  # fmt: skip
+    offsets = np.multiply(np.arange(window_px) - window_px // 2, pixel_um, dtype=np.float64)
+    span = (float(offsets[0]), float(offsets[-1]))
+    changes_rad = largest_changes_rad(k, target_um, lens_um, span)
+    x, y = (
+        chebyshev.points(s, chebyshev.points_needed(c, tolerance))
+        for s, c in zip(lens_um, changes_rad[:2], strict=True)
+    )
+    over_window, over_lens = _split_rest(k, target_um, lens_um, span, changes_rad[2], tolerance)
+    to_window = chebyshev.interpolation(span, over_window.shape[1], offsets)
+    to_x, to_y = (chebyshev.interpolation(s, over_lens.shape[1], at) for s, at in zip(lens_um, (x, y), strict=True))
+    along_x, _, _ = _changes_um(target_um, x[:, None], 0.0, offsets[None, :], 0.0)
+    _, along_y, _ = _changes_um(target_um, 0.0, y[None, :], 0.0, offsets[:, None])
+    return WindowKernel(
+        k,
+        target_um,
+        offsets,
+        lens_um,
+        np.exp(1j * k * along_y).astype(np.complex64),
+        np.exp(1j * k * along_x).astype(np.complex64),
+        (to_window @ over_window @ to_window.T).astype(np.complex64),
+        (to_y @ over_lens @ to_x.T).astype(np.complex64),
+    )
 
 
 def _split_rest(

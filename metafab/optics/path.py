@@ -119,6 +119,8 @@ def power_at_aperture(imaging: Imaging, ray: Ray) -> float:
 
 
 def _power_in_circle(radius_um: float, ray: Ray) -> float:
+    if radius_um == 0.0:
+        return 0.0
     node, weight = _gauss_legendre()
     azimuth = 2.0 * np.pi * np.arange(48) / 48
     radius = radius_um * np.sqrt(0.5 * (1.0 + node))[:, None]

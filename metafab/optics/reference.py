@@ -51,14 +51,14 @@ def direct_irradiance(
         amplitude = tile.amplitude(polarisation)
         n_y, n_x = amplitude.shape
         x, y = site_x[tile.column : tile.column + n_x], site_y[tile.row : tile.row + n_y]
-        lit = np.array([amplitude * _incident_wave(*point, x, y, imaging.wavenumber) for point in objects])
+        lit = np.array([amplitude * incident_wave(*point, x, y, imaging.wavenumber) for point in objects])
         _accumulate(field, u, v, lit, x, y, imaging.sensor_distance_um, imaging.wavenumber)
     incident = np.array([_incident_power(imaging, *point) for point in objects])
     irradiance = np.asarray(np.abs(field * source.lattice.cell_um2) ** 2 / incident[:, None])
     return irradiance[0] if np.ndim(depth_m) == 0 else irradiance
 
 
-def _incident_wave(
+def incident_wave(
     object_x: float, object_y: float, depth_um: float, x_um: FloatArray, y_um: FloatArray, wavenumber: float
 ) -> ComplexArray:
     """Square root of the flux z / R^3 of a spherical wave through the lens plane, with its phase, shape (n_y, n_x)."""

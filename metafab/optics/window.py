@@ -63,7 +63,8 @@ class WindowTransform:
         total = np.zeros(self.by_order.shape[1:], dtype=np.complex64)
         for terms, order, weight in zip(self._terms(), self.by_order, weights, strict=True):
             images = kernel.left @ (kernel.over_lens[terms] * weight) @ kernel.right
-            total += order * np.einsum("mvu,mvu->vu", kernel.over_window[terms], images)
+            images *= kernel.over_window[terms]
+            total += order * images.sum(axis=0)
         return total
 
     def _terms(self) -> list[slice]:

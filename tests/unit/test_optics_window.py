@@ -86,3 +86,20 @@ def test_refocusing_is_the_same_without_compilation(monkeypatch: pytest.MonkeyPa
 def test_one_site_is_a_block_without_diffraction() -> None:
     pupil = _random_pupil(block=1)
     assert np.all(_transform(pupil, 1e-4).by_order == 1.0)
+
+
+def test_kernels_of_usual_windows_are_kept_until_forgotten() -> None:
+    """Another depth or mask finds the same object; large windows, which would fill memory, are built anew."""
+    box, target_um = ((-20.0, 20.0), (-20.0, 20.0)), OPTICS.image_point_um(0, (0.0, 0.0))
+
+    def kernel(side_px: int) -> WindowKernel:
+        return WindowKernel.build(K, (*target_um, OPTICS.sensor_distance_um), box, side_px, 0.3, 1e-3)
+
+    first = kernel(COUNT)
+    assert kernel(COUNT) is first
+    assert kernel(160) is not kernel(160)
+    WindowKernel.forget()
+    again = kernel(COUNT)
+    assert again is not first
+    for name in ("left", "right", "over_window", "over_lens"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
