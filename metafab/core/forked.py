@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import sys
 import threading
@@ -42,6 +43,7 @@ def shared(function: Callable[[Item], Result], items: Sequence[Item], workers: i
 
 def _inherit(function: Callable[[Any], Any], items: Sequence[Any]) -> None:
     _inherited[:] = function, items
+    gc.freeze()  # what was inherited stays: looking through it for garbage would copy its pages, too
 
 
 def _apply(index: int) -> Any:

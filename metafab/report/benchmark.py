@@ -10,7 +10,8 @@ from typing import Any
 from metafab import __version__
 from metafab.core.files import whole_file, write_json
 from metafab.report import figures, html
-from metafab.report.style import panel, save_png, svg
+from metafab.report.render import save_both
+from metafab.report.style import panel
 
 _FIRST = ("room", "name", "error", "seconds", "peak_rss_mb")
 
@@ -34,8 +35,8 @@ def benchmark_page(rows: Sequence[Mapping[str, Any]], directory: Path) -> tuple[
         figure, axes = panel((7.2, 3.6), (0.7, 3.0, 0.52, 0.36))
         figures.error_against_time(own, axes)
         name = f"benchmark_{room or 'all'}"
-        plots.append(save_png(figure, directory / f"{name}.png"))
-        picture = html.figure(svg(figure, name, f"Error against time, {room}"))
+        plots.append(directory / f"{name}.png")
+        picture = html.figure(save_both(figure, plots[-1], f"Error against time, {room}"))
         parts.append(html.section(name, room.capitalize() or "Benchmark", picture, _table(own)))
     page = directory / "benchmark.html"
     with whole_file(page) as part:

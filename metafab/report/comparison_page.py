@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from metafab.comparison import Comparison
 from metafab.report import figures
-from metafab.report.style import save_png
+from metafab.report.render import save_png
 
 
 def comparison_figure(comparison: Comparison, path: Path) -> Path:

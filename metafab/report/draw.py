@@ -17,8 +17,9 @@ from metafab.core.progress import Progress
 from metafab.report import figures
 from metafab.report.accounts import budget_of, chain_of, depths_against_truth, modulation_of, seconds_of
 from metafab.report.mask_picture import picture_of
+from metafab.report.render import save_both
 from metafab.report.run_folder import RunFolder
-from metafab.report.style import BARS, MAP, PICTURE, PLOT, Margins, panel, save_png, svg
+from metafab.report.style import BARS, MAP, PICTURE, PLOT, Margins, panel
 
 
 @dataclass(frozen=True)
@@ -73,9 +74,7 @@ def draw(run: RunFolder, progress: Progress, workers: int | None = None) -> dict
 
 def _drawn(plan: Plan, folder: Path) -> str:
     """The figure as SVG; as PNG it goes to ``folder``."""
-    figure = plan.figure()
-    save_png(figure, folder / f"{plan.name}.png")
-    return svg(figure, plan.name, plan.label)
+    return save_both(plan.figure(), folder / f"{plan.name}.png", plan.label)
 
 
 def _accounts(run: RunFolder) -> Iterator[Plan]:
@@ -193,7 +192,7 @@ def _light(run: RunFolder) -> Iterator[Plan]:
     psf, ideal = run.psf, run.ideal_psf
     if psf is None:
         return
-    size = (1.15 * figures.shown_depths(psf).size + 0.4, 2.8)
+    size = (1.15 * figures.shown_depths(psf).size + 0.4, 2.66)
     yield Plan("psf_pair", "PSF pair over depth", partial(figures.pair_over_depth, psf), size, (0.3, 0.1, 0.05, 0.3))
     yield Plan("psf_orientation", "Orientation over depth", partial(figures.orientation, psf, ideal=ideal))
     yield Plan("psf_peak", "Peak irradiance over depth", partial(figures.peak, psf, ideal=ideal))

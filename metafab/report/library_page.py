@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from metafab.core.conventions import POLARISATIONS
 from metafab.library.library import Library
 from metafab.report import figures
-from metafab.report.style import save_png
+from metafab.report.render import save_png
 
 
 def library_figure(library: Library, path: Path) -> Path:

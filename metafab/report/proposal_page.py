@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from metafab.phase import Proposal
 from metafab.report import figures
-from metafab.report.style import save_png
+from metafab.report.render import save_png
 
 
 def proposal_figure(found: Sequence[Proposal], path: Path) -> Path:

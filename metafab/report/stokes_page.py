@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from metafab.report.style import CONTRAST_MAP, DEPTH_MAP, bare, colour_bar, depth_unit, save_png, show_map
+from metafab.report.render import save_png
+from metafab.report.style import CONTRAST_MAP, DEPTH_MAP, bare, colour_bar, depth_unit, show_map
 from metafab.stokes import STATES, StokesFrame, StokesImage
 
 

@@ -1,4 +1,4 @@
-"""One look for all pictures: palette, colour maps, panels, and their two forms (PNG for paper, SVG for the page).
+"""One look for all pictures: palette, colour maps, panels, scales.
 
 Colours come in two kinds. Named inks (text, rules, the two polarisations) turn into CSS variables in the SVG form, so
 that the page can redraw them for dark rooms. Colour maps stay what they are: cyclic for phase, perceptually uniform
@@ -7,26 +7,18 @@ for everything else, all readable without red-green vision.
 
 from __future__ import annotations
 
-import io
-import re
-from html import escape
-from pathlib import Path
+import math
+from collections.abc import Sequence
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.cm import ScalarMappable
-from matplotlib.colorbar import Colorbar
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
+from matplotlib.ticker import LogFormatter
 from numpy.typing import ArrayLike
-from PIL import Image
-
-from metafab.core.files import whole_file
 
 #: Inks of figures, and the CSS variables that they become.
 INK, MUTED, HAIRLINE = "#20242c", "#6a7280", "#d3d8e0"
@@ -53,8 +45,7 @@ CONTRAST_MAP = LinearSegmentedColormap.from_list(
     "polarisation_contrast", ["#0f4a80", Y_COLOUR, "#a9c9e4", "#f4f2ee", "#ecbf9f", X_COLOUR, "#8a2f08"]
 )
 
-_DPI = 160
-
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 Margins = tuple[float, float, float, float]
 #: (left, right, low, high) of a picture, in the units of its axes.
@@ -112,16 +103,70 @@ def show_map(axes: Axes, values: ArrayLike, extent: Extent, **options: Any) -> A
     return axes.imshow(np.ma.masked_invalid(values), extent=extent, **options)
 
 
-def colour_bar(mappable: ScalarMappable, axes: Axes, label: str, **options: Any) -> Colorbar:
-    """A slim colour bar with its unit."""
-    # Beside the picture, whatever its proportions, and as wide on every figure.
+def colour_bar(
+    mappable: ScalarMappable, axes: Axes, label: str, ticks: Sequence[float] = (), names: Sequence[str] = ()
+) -> Axes:
+    """A slim colour bar with its unit, beside the picture whatever its proportions, and as wide on every figure.
+
+    Drawn as a picture of the colours: matplotlib's own takes four times as long.
+
+    Args:
+        mappable: whose colours and limits it shows.
+        axes: of the picture.
+        label: what the colours stand for, with its unit.
+        ticks: where ticks stand; at round values if none is given.
+        names: a text for each of ``ticks``.
+    """
     width, _ = _size_in(axes)
-    place = axes.inset_axes((1.0 + 0.10 / width, 0.0, 0.13 / width, 1.0))
-    bar: Colorbar = axes.get_figure(root=True).colorbar(mappable, cax=place, **options)  # type: ignore[union-attr]
-    bar.set_label(label, fontsize=9, color=INK)
-    bar.ax.tick_params(labelsize=8.5, colors=MUTED, labelcolor=INK, length=3, width=0.7)
-    bar.outline.set_visible(False)
+    bar = axes.inset_axes((1.0 + 0.10 / width, 0.0, 0.13 / width, 1.0))
+    shades = np.linspace(0.0, 1.0, 256)[:, None]
+    across: dict[str, Any] = {
+        "transform": bar.transAxes,
+        "extent": (0.0, 1.0, 0.0, 1.0),
+        "origin": "lower",
+        "aspect": "auto",
+    }
+    bar.imshow(shades, cmap=mappable.cmap, **across)
+    if isinstance(mappable.norm, LogNorm):
+        logarithmic(bar, "y")
+    low, high = mappable.get_clim()
+    # Room around a value that stands alone.
+    bar.set(xticks=(), ylim=bar.yaxis.get_major_locator().nonsingular(low, high))
+    if ticks:
+        bar.set_yticks(ticks, names or None)
+        bar.minorticks_off()
+    bar.yaxis.tick_right()
+    bar.yaxis.set_label_position("right")
+    bar.set_ylabel(label, fontsize=9, color=INK)
+    bar.tick_params(labelsize=8.5, colors=MUTED, labelcolor=INK, length=3, width=0.7)
+    bar.spines[:].set_visible(False)
     return bar
+
+
+def logarithmic(axes: Axes, which: str) -> None:
+    """Logarithmic scales along ``which`` ("x", "y" or "xy"), with ticks as plain text."""
+    for letter in which:
+        axes.set(**{f"{letter}scale": "log"})
+        axis = axes.xaxis if letter == "x" else axes.yaxis
+        axis.set_major_formatter(_Powers())
+        axis.set_minor_formatter(_Powers())  # silent where there are powers enough
+
+
+class _Powers(LogFormatter):
+    """0.01, 2, 10⁵: matplotlib's own calls for its typesetter of formulas, which takes longer to load than to draw."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return power_text(x) if super().__call__(x, pos) else ""
+
+
+def power_text(value: float) -> str:
+    """A positive number of one or few digits as a tick's text."""
+    exponent = math.floor(math.log10(value) + 1e-9)
+    if -3 <= exponent <= 3:
+        return f"{value:g}"
+    digits = f"{value / 10.0**exponent:g}"
+    power = "10" + str(exponent).translate(_RAISED)
+    return power if digits == "1" else f"{digits}×{power}"
 
 
 def legend(axes: Axes, **options: Any) -> None:
@@ -144,51 +189,6 @@ def depth_unit(depth_m: ArrayLike) -> tuple[float, str]:
     """The unit that suits some depths, as (how many of it make a metre, its name)."""
     largest = float(np.nanmax(np.asarray(depth_m, dtype=np.float64), initial=0.0))
     return (1e3, "mm") if largest < 0.02 else (1e2, "cm") if largest < 1.0 else (1.0, "m")
-
-
-def save_png(figure: Figure, path: Path) -> Path:
-    """The figure as a PNG on white, whole or not at all; the same figure gives the same bytes."""
-    figure.set_dpi(_DPI)
-    figure.set_facecolor("white")
-    canvas: Any = FigureCanvasAgg(figure)
-    canvas.draw()
-    picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-    with whole_file(path) as part:
-        picture.save(part, format="PNG", dpi=(_DPI, _DPI), compress_level=4)
-    return path
-
-
-def svg(figure: Figure, name: str, label: str) -> str:
-    """The figure as an SVG element to stand inside a page: inks follow the page's theme, text its typeface.
-
-    Args:
-        figure: what to show.
-        name: prefix of all identifiers, unique on the page.
-        label: what a screen reader says.
-    """
-    stream = io.StringIO()
-    figure.set_dpi(_DPI)  # of pictures inside the drawing
-    figure.set_facecolor("none")
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "metafab"}):
-        # The canvas' own method: savefig would draw every figure twice.
-        canvas: Any = FigureCanvasSVG(figure)
-        canvas.print_svg(stream, metadata={"Date": None, "Creator": None})
-    text = stream.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
-    text = re.sub(r'\bid="', f'id="{name}-', text)
-    text = re.sub(r"url\(#", f"url(#{name}-", text)
-    text = re.sub(r'href="#', f'href="#{name}-', text)
-    text = re.sub(r"font-family: [^;\"]*", "font-family: inherit", text)
-    text = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1; font-family: inherit", text)
-    for colour, variable in CSS_VARIABLES.items():
-        text = text.replace(colour, f"var({variable})")
-    # The page sets the size; the view box keeps the proportions.
-    head, body = text.split(">", 1)
-    head = re.sub(r' (?:width|height|version)="[^"]*"', "", head)
-    body = re.sub(r"\n\s*", " ", body).strip()
-    return f'{head} class="plot" role="img" aria-label="{escape(label)}">{body}'
 
 
 def _size_in(axes: Axes) -> tuple[float, float]:

@@ -7,9 +7,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import NullFormatter
 
-from metafab.report.style import GOOD, INK, MUTED, X_COLOUR, Y_COLOUR, dress, legend
+from metafab.report.style import GOOD, INK, MUTED, X_COLOUR, Y_COLOUR, dress, legend, logarithmic
 
 _MARKERS = "osD^vP*X<>"
 #: Of series: inks of the house first, then hues that stay apart without red-green vision (after Okabe and Ito, 2008).
@@ -38,8 +37,7 @@ def error_budget(lines: Sequence[tuple[str, float, str]], axes: Axes) -> Axes:
     values = [value for _, value, _ in lines]
     labels = [f"{value:.2g}" for value in values]
     _bars([source for source, _, _ in lines], values, axes, X_COLOUR, labels)
-    axes.set_xscale("log")
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    logarithmic(axes, "x")
     if values:
         axes.set_xlim(min(values) / 3.0, max(values) * 1.5)
     return dress(axes, f"error / {lines[0][2]}" if lines else "", "", "Error budget")
@@ -59,7 +57,7 @@ def error_against_time(rows: Sequence[Mapping[str, Any]], axes: Axes) -> Axes:
     Rows that name their ``series`` are joined to one line each, with its name beside; others are points in a legend.
     """
     shown = [row for row in rows if (row["error"] or 0.0) > 0.0 and (row["seconds"] or 0.0) > 0.0]
-    axes.set(xscale="log", yscale="log")
+    logarithmic(axes, "xy")
     series = list(dict.fromkeys(str(row["series"]) for row in shown if "series" in row))
     for index, name in enumerate(series):
         own = sorted((row for row in shown if row.get("series") == name), key=lambda row: float(row["seconds"]))

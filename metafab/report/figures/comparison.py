@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib.axes import Axes
 
 from metafab.comparison import Comparison
-from metafab.report.style import GOOD, IDEAL, INK, MUTED, X_COLOUR, Y_COLOUR, depth_unit, dress, legend
+from metafab.report.style import GOOD, IDEAL, INK, MUTED, X_COLOUR, Y_COLOUR, depth_unit, dress, legend, logarithmic
 
 _INKS = (X_COLOUR, IDEAL, Y_COLOUR, GOOD, INK)
 
@@ -17,7 +17,7 @@ def rival_depth_errors(comparison: Comparison, axes: Axes) -> Axes:
         axes.plot(scale * comparison.depth_m, 100.0 * error, "o-", color=ink, linewidth=1.4, markersize=3, label=name)
         axes.plot(scale * comparison.depth_m, 100.0 * bound, color=ink, linewidth=1.0, linestyle=":")
     dress(axes, f"object depth / {unit}", "rms error of depth, %", "Depth of a textured plane")
-    axes.set_yscale("log")
+    logarithmic(axes, "y")
     axes.set_ylim(top=20.0 * 100.0 * float(comparison.error.max()))
     return _finished(axes)
 

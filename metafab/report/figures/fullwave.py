@@ -23,8 +23,7 @@ def patch_phase(field: ComplexArray, x_um: FloatArray, y_um: FloatArray, axes: A
     """
     extent = _extent(x_um, y_um)
     image = show_map(axes, np.angle(field), extent, cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
-    bar = colour_bar(image, axes, "phase / rad", ticks=(-math.pi, 0.0, math.pi))
-    bar.set_ticklabels(["−π", "0", "π"])
+    colour_bar(image, axes, "phase / rad", (-math.pi, 0.0, math.pi), ("−π", "0", "π"))
     bare(axes, title)
     scale_bar(axes, extent, INK)
     return axes

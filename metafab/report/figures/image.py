@@ -56,9 +56,7 @@ def contrast(decoded: Image4D, axes: Axes) -> Axes:
     norm = LogNorm(1.0 / reach, reach)
     image = show_map(axes, decoded.contrast, _extent(decoded), cmap=CONTRAST_MAP, norm=norm)
     ticks = [tick for tick in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if 1.0 / reach <= tick <= reach]
-    bar = colour_bar(image, axes, "I_x / I_y", ticks=ticks)
-    bar.ax.minorticks_off()
-    bar.set_ticklabels([f"{tick:g}" for tick in ticks])
+    colour_bar(image, axes, "I_x / I_y", ticks, [f"{tick:g}" for tick in ticks])
     return _few_ticks(dress(axes, "x / µm", "y / µm", "Polarisation contrast"))
 
 

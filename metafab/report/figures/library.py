@@ -7,7 +7,6 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
-from matplotlib.ticker import NullFormatter
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation, power_transmittance
 from metafab.library.library import Library
@@ -38,8 +37,7 @@ def phase_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
     phase = np.angle(_t(library, polarisation))
     image = show_map(axes, phase, _extent(library), cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
     _ridges(library, axes, polarisation, "#ffffff")
-    bar = colour_bar(image, axes, "phase / rad", ticks=_PI_TICKS)
-    bar.set_ticklabels(list(_PI_LABELS))
+    colour_bar(image, axes, "phase / rad", _PI_TICKS, _PI_LABELS)
     return _dress_map(axes, f"Phase of t, {polarisation} polarisation", polarisation)
 
 
@@ -60,8 +58,7 @@ def error_map(library: Library, axes: Axes) -> Axes:
     low = min(float(positive.min()) if positive.size else high, 0.1 * high)  # at least a decade, for readable ticks
     norm = LogNorm(low, high)
     image = show_map(axes, np.maximum(error, low), _extent(library), cmap=ERROR_MAP, norm=norm)
-    bar = colour_bar(image, axes, "absolute error of t")
-    bar.ax.yaxis.set_minor_formatter(NullFormatter())
+    colour_bar(image, axes, "absolute error of t")
     return _dress_map(axes, "Error of every point")
 
 
@@ -70,8 +67,7 @@ def sensitivity_map(library: Library, axes: Axes, polarisation: Polarisation) ->
     slope = phase_slope_per_nm(library)[..., 0 if polarisation == "x" else 1]
     turn = np.minimum(np.abs(CD_BIAS_NM * slope), math.pi)
     image = show_map(axes, turn, _extent(library), cmap=ERROR_MAP, vmin=0.0, vmax=math.pi)
-    bar = colour_bar(image, axes, "phase turn / rad", ticks=(0.0, math.pi / 2, math.pi))
-    bar.set_ticklabels(["0", "π/2", "≥ π"])
+    colour_bar(image, axes, "phase turn / rad", (0.0, math.pi / 2, math.pi), ("0", "π/2", "≥ π"))
     return _dress_map(axes, f"Turn by ±{CD_BIAS_NM:g} nm of CD, {polarisation} polarisation", polarisation)
 
 

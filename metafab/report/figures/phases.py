@@ -24,8 +24,7 @@ def aperture_phase(
     """
     extent = (-half_side_um, half_side_um, -half_side_um, half_side_um)
     image = show_map(axes, wrap_phase(phase_rad), extent, cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
-    bar = colour_bar(image, axes, "phase / rad", ticks=(-math.pi, 0.0, math.pi))
-    bar.set_ticklabels(["−π", "0", "π"])
+    colour_bar(image, axes, "phase / rad", (-math.pi, 0.0, math.pi), ("−π", "0", "π"))
     bare(axes, title, POLARISATION_COLOUR[polarisation])
     scale_bar(axes, extent, INK)
     return axes

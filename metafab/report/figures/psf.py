@@ -47,34 +47,36 @@ def lit_half_px(psf: Psf) -> int:
 
 
 def pair_over_depth(psf: Psf, axes: Axes) -> Axes:
-    """Both PSFs over depth, one scale for all (Fig. 2h of Shen 2023), on a grid in place of ``axes``.
+    """Both PSFs over depth, one scale for all (Fig. 2h of Shen 2023), side by side on ``axes``.
 
     Crosshairs meet in the geometric image point; arrows run from there to the maximum.
     """
     chosen, half = shown_depths(psf), lit_half_px(psf)
-    axes.set_axis_off()
     _, _, n_y, n_x = psf.psf.shape
     reach = (half + 0.5) * psf.pixel_um
-    extent = (-reach, reach, -reach, reach)
+    step = 2.0 * reach / 0.96
     brightest = float(psf.psf.max()) or 1.0
+    bare(axes)
     for row, polarisation in enumerate(POLARISATIONS):
+        y = (0.5 - row) * step
         for column, depth in enumerate(chosen):
-            place = (column / chosen.size, 0.5 * (1 - row), 0.96 / chosen.size, 0.48)
-            cell = axes.inset_axes(place)
+            x = (column + 0.5) * step
+            extent = (x - reach, x + reach, y - reach, y + reach)
             picture = psf.psf[row, depth, n_y // 2 - half : n_y // 2 + half + 1, n_x // 2 - half : n_x // 2 + half + 1]
-            show_map(cell, picture, extent, cmap=LIGHT_MAP, vmin=0.0, vmax=brightest, interpolation="bilinear")
-            cell.axhline(0.0, color="#ffffff", linewidth=0.6, alpha=0.55)
-            cell.axvline(0.0, color="#ffffff", linewidth=0.6, alpha=0.55)
+            show_map(axes, picture, extent, cmap=LIGHT_MAP, vmin=0.0, vmax=brightest, interpolation="bilinear")
+            for along, across in (((x - reach, x + reach), (y, y)), ((x, x), (y - reach, y + reach))):
+                axes.plot(along, across, color="#ffffff", linewidth=0.6, alpha=0.55, solid_capstyle="butt")
             peak_y, peak_x = np.unravel_index(int(np.argmax(picture)), picture.shape)
-            tip = ((peak_x - half) * psf.pixel_um, (peak_y - half) * psf.pixel_um)
+            tip = (x + (peak_x - half) * psf.pixel_um, y + (peak_y - half) * psf.pixel_um)
             arrow = {"arrowstyle": "->", "color": "#7fe3c4", "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0}
-            cell.annotate("", tip, (0.0, 0.0), arrowprops=arrow)
-            bare(cell, depth_text(float(psf.depth_m[depth])) if row == 0 else "")
-            if column == 0:
-                cell.set_ylabel(f"PSF of {polarisation}", fontsize=9, color=POLARISATION_COLOUR[polarisation])
-                cell.yaxis.set_label_coords(-0.06, 0.5)
-                if row == 0:
-                    scale_bar(cell, extent)
+            axes.annotate("", tip, (x, y), arrowprops=arrow)
+            if row == 0:
+                above: dict[str, Any] = {"textcoords": "offset points", "fontsize": 9.5, "color": INK}
+                axes.annotate(depth_text(float(psf.depth_m[depth])), (x - reach, y + reach), (0, 7), **above)
+        name: dict[str, Any] = {"fontsize": 9, "color": POLARISATION_COLOUR[polarisation], "rotation": 90}
+        axes.text(-0.06 * step, y, f"PSF of {polarisation}", ha="right", va="center", **name)
+    scale_bar(axes, (0.02 * step, 0.98 * step, 0.02 * step, 0.98 * step))
+    axes.set(xlim=(0.0, chosen.size * step), ylim=(-step, step), aspect="equal", anchor="NW")
     return axes
 
 

@@ -10,7 +10,19 @@ from matplotlib.axes import Axes
 
 from metafab.core.conventions import FloatArray
 from metafab.phase import BandwidthBudget, DepthBounds, LobeOverDepth, Proposal
-from metafab.report.style import GOOD, HAIRLINE, IDEAL, INK, MUTED, X_COLOUR, Y_COLOUR, depth_unit, dress, legend
+from metafab.report.style import (
+    GOOD,
+    HAIRLINE,
+    IDEAL,
+    INK,
+    MUTED,
+    X_COLOUR,
+    Y_COLOUR,
+    depth_unit,
+    dress,
+    legend,
+    logarithmic,
+)
 
 _INKS = (X_COLOUR, IDEAL, Y_COLOUR, GOOD, INK)
 _FOCUS = "vergence from the focus / dioptre"
@@ -45,7 +57,7 @@ def depth_bounds(bounds: DepthBounds, axes: Axes, of: Literal["point", "texture"
         axes.plot(scale * bounds.depth_m, 1e3 * curve, color=ink, linewidth=1.5, label=label)
     title = "Smallest error, known point source" if of == "point" else "Smallest error, unknown texture"
     dress(axes, f"object depth / {unit}", "σ of depth / mm", title)
-    axes.set_yscale("log")
+    logarithmic(axes, "y")
     finite = 1e3 * curves[np.isfinite(curves)]
     if finite.size:
         axes.set_ylim(0.6 * float(finite.min()), 6.0 * float(finite.max()))
@@ -60,7 +72,7 @@ def filter_tradeoff(budget: BandwidthBudget, axes: Axes) -> Axes:
         axes.plot(curves.fwhm_nm, error, color=ink, linewidth=1.5, label=f"split by {angle:.3g}°")
     axes.plot(curves.fwhm_nm[chosen], curves.relative_error[-1, chosen], "o", color=X_COLOUR, label="this design")
     dress(axes, "width of the filter / nm", "σ of depth, relative", "Light against smear")
-    axes.set_xscale("log")
+    logarithmic(axes, "x")
     ticks = [tick for tick in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200) if _within(tick, curves.fwhm_nm)]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
     axes.set_xticks([], minor=True)
