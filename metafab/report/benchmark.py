@@ -7,6 +7,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
+
 from metafab import __version__
 from metafab.core.files import whole_file, write_json
 from metafab.report import figures, html
@@ -32,8 +34,7 @@ def benchmark_page(rows: Sequence[Mapping[str, Any]], directory: Path) -> tuple[
     parts, plots = [], []
     for room in dict.fromkeys(str(row.get("room", "")) for row in rows):
         own = [row for row in rows if str(row.get("room", "")) == room]
-        figure, axes = panel((7.2, 3.6), (0.7, 3.0, 0.52, 0.36))
-        figures.error_against_time(own, axes)
+        figure = _plot(own)
         name = f"benchmark_{room or 'all'}"
         plots.append(directory / f"{name}.png")
         picture = html.figure(save_both(figure, plots[-1], f"Error against time, {room}"))
@@ -42,6 +43,16 @@ def benchmark_page(rows: Sequence[Mapping[str, Any]], directory: Path) -> tuple[
     with whole_file(page) as part:
         part.write_text(_page("\n".join(parts)), encoding="utf-8")
     return (page, data, *plots)
+
+
+def _plot(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Error against time, with room on the right for the longest name and below for all of them."""
+    named = [str(row.get("series", row["name"])) for row in rows]
+    beside_in = 0.6 + 0.068 * max(map(len, named))  # text of 8.5 points
+    tall_in = max(3.6, 1.0 + 0.19 * len(dict.fromkeys(named)))
+    figure, axes = panel((4.2 + beside_in, tall_in), (0.7, beside_in, 0.52, 0.36))
+    figures.error_against_time(rows, axes)
+    return figure
 
 
 def _table(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+from PIL import Image
 
 from metafab.report import benchmark_page, figures
 from metafab.report.style import panel
@@ -63,3 +65,16 @@ def test_a_skipped_row_reaches_table_and_json_with_its_reason(tmp_path: Path) ->
     text = page.read_text(encoding="utf-8")
     assert "not installed" in text
     assert text.count("<tr>") == 1 + len(ROWS)
+
+
+@pytest.mark.parametrize("series", [True, False], ids=["lines", "points"])
+@pytest.mark.parametrize("name", ["a", "a name of a case, as long as the longest that the rooms give, 2048 x 2048"])
+def test_no_name_is_cut_at_the_rim(series: bool, name: str, tmp_path: Path) -> None:
+    """Ink of the last columns and rows of the picture would be text that goes on outside it."""
+    rows = [_row(f"{name} {k}", 0.1 * (k + 1), 10.0**-k) for k in range(14)]
+    if not series:
+        rows = [{key: value for key, value in row.items() if key != "series"} for row in rows]
+    *_, plot = benchmark_page(rows, tmp_path)
+    picture = np.asarray(Image.open(plot).convert("L"))
+    assert picture[:, -3:].min() == 255
+    assert picture[-3:].min() == picture[:3].min() == 255
