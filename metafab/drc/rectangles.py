@@ -8,7 +8,6 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from metafab.core.executor import default_workers
 from metafab.core.progress import Progress, silent
@@ -55,21 +54,18 @@ def check_rectangles(path: Path, design: Design, workers: int | None = None, pro
     with ThreadPoolExecutor(workers or default_workers()) as threads:
         rows, total, large = Rows(limits.row, limits.gap, threads), 0, [np.empty((0, 4), dtype=np.int64)]
         for chunk in shapes.chunks():
-            boxes = _moved(chunk)
-            small = limits.small(boxes)
-            rows.count(boxes if small.all() else boxes[small])
-            large.append(boxes[~small])
-            total += len(boxes)
+            small, others = limits.divide(chunk)
+            rows.count(small, chunk.shift)
+            large.append(others)
+            total += len(chunk.rectangles)
             for other in chunk.others:
                 found.add("foreign", _box_of(other), other.count)
         pairs, done = _Pairs(found, np.concatenate(large), limits.gap), 0
         for chunk in shapes.chunks():
-            boxes = _moved(chunk)
-            _check_each(boxes, limits, found)
-            small = limits.small(boxes)
-            boxes = boxes if small.all() else boxes[small]
-            pairs.add_large(boxes)
-            for near in rows.place(boxes):
+            _check_each(chunk, limits, found)
+            small, _ = limits.divide(chunk)
+            pairs.add_large(small, chunk.shift)
+            for near in rows.place(small, chunk.shift):
                 pairs.add(near)
             done += len(chunk.rectangles)
             progress("rules", done, total)
@@ -125,9 +121,13 @@ class _Limits:
             (ratio.numerator, ratio.denominator),
         )
 
-    def small(self, boxes: IntArray) -> NDArray[np.bool_]:
-        """Which rectangles the rows take; others, such as a frame on the pillars' layer, are few."""
-        return np.asarray(np.all(boxes[:, 2:] < min(self.row - self.gap, 2**16), axis=1))
+    def divide(self, chunk: Chunk) -> tuple[IntArray, IntArray]:
+        """The rectangles that the rows take, not yet moved, and the others, moved, such as a frame: these are few."""
+        boxes, limit = chunk.rectangles, min(self.row - self.gap, 2**16)
+        if boxes[:, 2:].max(initial=0) < limit:
+            return boxes, np.empty((0, 4), dtype=np.int64)  # no view, which would keep them all
+        small = np.all(boxes[:, 2:] < limit, axis=1)
+        return boxes[small], _moved(boxes[~small], chunk.shift)
 
 
 class _Pairs:
@@ -158,10 +158,10 @@ class _Pairs:
                 kept = near.kind >= level
                 self._found.add(rule, _joint(near.one[kept], near.other[kept]), int(near.counts[level]))
 
-    def add_large(self, boxes: IntArray) -> None:
-        """Compare some of the others with those that are too large for the rows."""
+    def add_large(self, boxes: IntArray, shift: IntArray) -> None:
+        """Compare some of the others, moved by ``shift``, with those that are too large for the rows."""
         for box in self._large:
-            self._compare(box, boxes)
+            self._compare(box, _moved(boxes, shift))
 
     def _compare(self, box: IntArray, others: IntArray) -> None:
         gap = np.maximum(others[:, :2] - box[:2] - box[2:], box[:2] - others[:, :2] - others[:, 2:])
@@ -180,8 +180,8 @@ def _rules(design: Design) -> list[str]:
     return rules if design.rules.max_aspect_ratio is None else [*rules, "aspect_ratio"]
 
 
-def _moved(chunk: Chunk) -> IntArray:
-    return np.asarray(chunk.rectangles + np.append(chunk.shift, [0, 0]))
+def _moved(boxes: IntArray, shift: IntArray) -> IntArray:
+    return np.asarray(boxes + np.append(shift, [0, 0]))
 
 
 def _box_of(other: Other) -> IntArray:
@@ -194,16 +194,18 @@ def _joint(one: IntArray, other: IntArray) -> IntArray:
     return np.concatenate([low, high - low], axis=1)
 
 
-def _check_each(boxes: IntArray, limits: _Limits, found: _Found) -> None:
+def _check_each(chunk: Chunk, limits: _Limits, found: _Found) -> None:
     """Rules of single rectangles."""
+    boxes = chunk.rectangles
     smallest = boxes[:, 2:].min(axis=0, initial=2**62)
     for rule, column in (("min_width", 0), ("min_length", 1)):
         if smallest[column] < limits.side:
-            found.add(rule, boxes[boxes[:, 2 + column] < limits.side])
+            found.add(rule, _moved(boxes[boxes[:, 2 + column] < limits.side], chunk.shift))
     if limits.upright is not None and smallest.min() < limits.upright:
-        found.add("aspect_ratio", boxes[boxes[:, 2:].min(axis=1) < limits.upright])
+        found.add("aspect_ratio", _moved(boxes[boxes[:, 2:].min(axis=1) < limits.upright], chunk.shift))
     times, of = limits.grid
     if of > 1:
-        off = np.any(boxes * times % of != 0, axis=1)
+        moved = _moved(boxes, chunk.shift)
+        off = np.any(moved * times % of != 0, axis=1)
         if off.any():
-            found.add("grid", boxes[off])
+            found.add("grid", moved[off])

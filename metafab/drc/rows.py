@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Iterator
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from metafab.mask.hierarchy import IntArray
 #: Rows of a band.
 _BAND_ROWS = 128
 #: Bands that wait to be compared; beyond, the reader waits.
-_WAITING = 8
+_WAITING = 2
 
 
 @dataclass
@@ -48,10 +49,10 @@ class Near:
 
 @dataclass
 class _Band:
-    """Some rows: where each begins, how far it is filled, and the rectangles.
+    """Some rows: where each begins, how far it is filled, and the rectangles; behind them room for the row above.
 
     Attributes:
-        start: shape (rows + 1,).
+        start: shape (rows + 2,), the last row is the one above.
         filled: shape (rows,).
         corner: shape (n, 2), x and y, file units; ``size`` likewise, width and length.
         size: see ``corner``.
@@ -62,27 +63,23 @@ class _Band:
     corner: NDArray[np.int32]
     size: NDArray[np.uint16]
 
-    @classmethod
-    def of(cls, numbers: IntArray) -> _Band:
-        """Room for so many rectangles in each row."""
-        start = np.append(0, np.cumsum(numbers))
-        count = int(start[-1])
-        return cls(start, start[:-1].copy(), np.empty((count, 2), np.int32), np.empty((count, 2), np.uint16))
-
-    def sort(self) -> _Band:
-        """Sort each row along x; returns a copy of the first row, as a band of its own."""
-        _sort(self.start, self.corner, self.size)
+    def sort(self) -> _Row:
+        """Sort each row along x; returns a copy of the first row, for the band below."""
+        _sort(self.start[:-1], self.corner, self.size)
         end = self.start[1]
-        return _Band(self.start[:2].copy(), self.filled[:1].copy(), self.corner[:end].copy(), self.size[:end].copy())
+        return _Row(self.corner[:end].copy(), self.size[:end].copy())
 
-    def below(self, row: _Band) -> _Band:
-        """This band with a row above it."""
-        return _Band(
-            np.append(self.start, self.start[-1] + row.start[-1]),
-            self.filled,
-            np.concatenate([self.corner, row.corner]),
-            np.concatenate([self.size, row.size]),
-        )
+    def add_above(self, row: _Row) -> None:
+        """Put the row above behind the others."""
+        first, end = self.start[-2:]
+        self.corner[first:end], self.size[first:end] = row.corner, row.size
+
+
+class _Row(NamedTuple):
+    """A sorted row of a band; see :class:`_Band`."""
+
+    corner: NDArray[np.int32]
+    size: NDArray[np.uint16]
 
 
 class Rows:
@@ -100,86 +97,115 @@ class Rows:
         self._last_chunk: dict[int, int] = {}
         self._counted = self._placed = 0
         self._bands: dict[int, _Band] = {}
-        self._first_rows: dict[int, Future[_Band]] = {}
-        self._jobs: deque[Future[Near]] = deque()
+        self._first_rows: dict[int, Future[_Row]] = {}
+        self._jobs: deque[tuple[Future[Near], _Band]] = deque()
+        # Memory of bands that are compared: handed back to the system, it would come in pieces of another size.
+        self._spare: list[_Band] = []
 
-    def count(self, boxes: IntArray) -> None:
-        """Note how many of the rectangles of a chunk, shape (n, 4), belong to each row."""
+    def count(self, boxes: IntArray, shift: IntArray) -> None:
+        """Note how many of the rectangles of a chunk, shape (n, 4), moved by ``shift``, belong to each row."""
         self._counted += 1
-        indices = self._bands_of(boxes)
+        indices = self._bands_of(boxes, shift)
         numbers = np.zeros((len(indices), _BAND_ROWS), dtype=np.int64)
-        _count(boxes, self._height, indices.start * _BAND_ROWS, numbers.reshape(-1))
+        _count(boxes, shift, self._height, indices.start * _BAND_ROWS, numbers.reshape(-1))
         for index, number in zip(indices, numbers, strict=True):
             if number.any():
                 self._numbers[index] = self._numbers.get(index, 0) + number
                 self._last_chunk[index] = self._counted
 
-    def place(self, boxes: IntArray) -> Iterator[Near]:
+    def place(self, boxes: IntArray, shift: IntArray) -> Iterator[Near]:
         """Put the next chunk, as it was counted, into its rows; yields what was found in bands that are complete."""
         self._placed += 1
-        for index in self._bands_of(boxes):
-            if index in self._numbers and index not in self._bands:
-                self._bands[index] = _Band.of(self._numbers[index])
-            if index in self._bands:
+        for index in self._bands_of(boxes, shift):
+            if index in self._numbers and index not in self._first_rows:
+                if index not in self._bands:
+                    self._bands[index] = self._empty_band(index)
                 band = self._bands[index]
-                _place(boxes, self._height, index * _BAND_ROWS, band.filled, band.corner, band.size)
+                _place(boxes, shift, self._height, index * _BAND_ROWS, band.filled, band.corner, band.size)
         for index, band in self._bands.items():
             if self._last_chunk[index] <= self._placed and index not in self._first_rows:
                 self._first_rows[index] = self._executor.submit(band.sort)
         for index in sorted(self._bands.keys() & self._first_rows.keys()):
             if index + 1 in self._first_rows or index + 1 not in self._numbers:
-                above = self._first_rows.get(index + 1)
-                self._jobs.append(
-                    self._executor.submit(_compare, self._bands.pop(index), self._first_rows[index], above, self._gap)
-                )
-                del self._numbers[index]
+                band, above = self._bands.pop(index), self._first_rows.get(index + 1)
+                job = self._executor.submit(_compare, band, self._first_rows[index], above, self._gap)
+                self._jobs.append((job, band))
         while len(self._jobs) > _WAITING:
-            yield self._jobs.popleft().result()
+            yield self._compared()
 
     def finish(self) -> Iterator[Near]:
         """What was found in the last bands, once every chunk is placed."""
         while self._jobs:
-            yield self._jobs.popleft().result()
+            yield self._compared()
 
-    def _bands_of(self, boxes: IntArray) -> range:
+    def _compared(self) -> Near:
+        job, band = self._jobs.popleft()
+        near = job.result()
+        self._spare.append(band)
+        return near
+
+    def _empty_band(self, index: int) -> _Band:
+        """Room for the rectangles of a band, and of the row above it, in spare memory if there is enough."""
+        numbers = self._numbers[index]
+        above = self._numbers[index + 1][0] if index + 1 in self._numbers else 0
+        start = np.concatenate([[0], np.cumsum(numbers), [numbers.sum() + above]])
+        largest = max(int(band.sum()) for band in self._numbers.values()) + int(numbers.max()) if not self._spare else 0
+        if self._spare and len(self._spare[-1].corner) >= start[-1]:
+            spare = self._spare.pop()
+            return _Band(start, start[:-2].copy(), spare.corner, spare.size)
+        room = max(largest, int(start[-1]))
+        return _Band(start, start[:-2].copy(), np.empty((room, 2), np.int32), np.empty((room, 2), np.uint16))
+
+    def _bands_of(self, boxes: IntArray, shift: IntArray) -> range:
         """The bands that rectangles may belong to."""
         if not len(boxes):
             return range(0)
-        band = self._height * _BAND_ROWS
-        return range(int(boxes[:, 1].min()) // band, int(boxes[:, 1].max()) // band + 1)
+        band, bottom = self._height * _BAND_ROWS, boxes[:, 1]
+        return range(int(bottom.min() + shift[1]) // band, int(bottom.max() + shift[1]) // band + 1)
 
 
-def _compare(band: _Band, first_row: Future[_Band], above: Future[_Band] | None, gap: float) -> Near:
+def _compare(band: _Band, first_row: Future[_Row], above: Future[_Row] | None, gap: float) -> Near:
     """Near pairs of a band, with the row above it; both are sorted by calls that were made before this one."""
     first_row.result()
-    whole = band if above is None else band.below(above.result())
+    if above is not None:
+        band.add_above(above.result())
     pairs, counts = np.empty((MARKERS, 3), dtype=np.int64), np.zeros(3, dtype=np.int64)
-    square = _sweep(whole.start, len(band.filled), whole.corner, whole.size, gap, pairs, counts)
+    square = _sweep(band.start, len(band.filled), band.corner, band.size, gap, pairs, counts)
     pairs = pairs[: min(int(counts[0]), MARKERS)]
     one, other = (
-        np.concatenate([whole.corner[pairs[:, k]], whole.size[pairs[:, k]]], axis=1).astype(np.int64) for k in (0, 1)
+        np.concatenate([band.corner[pairs[:, k]], band.size[pairs[:, k]]], axis=1).astype(np.int64) for k in (0, 1)
     )
     return Near(float(square), counts, one, other, pairs[:, 2])
 
 
 @compiled
-def _count(boxes: IntArray, height: int, first: int, number: IntArray) -> None:
-    """Rectangles of each row, counted from the row ``first``."""
+def _count(boxes: IntArray, shift: IntArray, height: int, first: int, number: IntArray) -> None:
+    """Rectangles, moved by ``shift``, of each row, counted from the row ``first``."""
     for i in range(len(boxes)):
-        number[boxes[i, 1] // height - first] += 1
+        number[(boxes[i, 1] + shift[1]) // height - first] += 1
 
 
 @compiled
 def _place(
-    boxes: IntArray, height: int, first: int, filled: IntArray, corner: NDArray[np.int32], size: NDArray[np.uint16]
+    boxes: IntArray,
+    shift: IntArray,
+    height: int,
+    first: int,
+    filled: IntArray,
+    corner: NDArray[np.int32],
+    size: NDArray[np.uint16],
 ) -> None:
-    """Put the rectangles that belong to a band at the end of what its rows, from ``first`` on, are filled with."""
+    """Put the rectangles, moved by ``shift``, that belong to a band at the end of what its rows are filled with.
+
+    The band's rows begin with ``first``.
+    """
     low, high = first * height, (first + len(filled)) * height
     for i in range(len(boxes)):
-        if low <= boxes[i, 1] < high:
-            row = (boxes[i, 1] - low) // height
+        y = boxes[i, 1] + shift[1]
+        if low <= y < high:
+            row = (y - low) // height
             place = filled[row]
-            corner[place, 0], corner[place, 1] = boxes[i, 0], boxes[i, 1]
+            corner[place, 0], corner[place, 1] = boxes[i, 0] + shift[0], y
             size[place, 0], size[place, 1] = boxes[i, 2], boxes[i, 3]
             filled[row] = place + 1
 

@@ -122,12 +122,14 @@ class PillarMap:
         size_dbu: shape (n_sizes + 1, 2), (width, length) of each size index; row 0 is (0, 0), no pillar.
         tiles: opens the stream; tiles cover the lattice once, row by row of tiles, empty ones may be left out.
         tile_sites: sites a side of a tile (edge tiles are smaller).
+        whole: shape ``lattice.shape``, the indices of all tiles; None where these are held nowhere.
     """
 
     lattice: Lattice
     size_dbu: NDArray[np.int32]
     tiles: Callable[[], Iterator[PillarTile]]
     tile_sites: int
+    whole: SizeIndexArray | None = None
 
     @classmethod
     def from_array(
@@ -144,10 +146,12 @@ class PillarMap:
                     if block.any():
                         yield PillarTile(row, column, block)
 
-        return cls(lattice, size_dbu, tiles, tile_sites)
+        return cls(lattice, size_dbu, tiles, tile_sites, size_index)
 
     def to_array(self) -> SizeIndexArray:
-        """All tiles as one array of shape ``lattice.shape`` (2 bytes a site)."""
+        """All tiles as one array of shape ``lattice.shape`` (2 bytes a site); not to be written to."""
+        if self.whole is not None:
+            return self.whole
         whole = np.zeros(self.lattice.shape, dtype=np.uint16)
         for tile in self.tiles():
             n_y, n_x = tile.size_index.shape

@@ -22,7 +22,7 @@ from metafab.core.numerics import HAS_NUMBA
 from metafab.core.progress import Progress, silent
 from metafab.mask.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of, rectangle_of
 from metafab.mask.oasis_records import RECTANGLE
-from metafab.mask.oasis_rectangles import LARGEST_CHUNK, read_rectangles
+from metafab.mask.oasis_rectangles import LARGEST_CHUNK, RUN, read_rectangles
 from metafab.mask.oasis_shapes import SHAPES, Modal, read_shape
 from metafab.mask.oasis_stream import DamagedError, Stream
 from metafab.mask.oasis_writer import CBLOCK, END, MAGIC, PLACEMENT, START
@@ -387,8 +387,7 @@ class _Pass:
             [modal.layer, modal.datatype, *modal.geometry, modal.width, modal.height, -1, modal.relative],
             dtype=np.int64,
         )
-        # A list has a byte at least for each copy; regular arrays have more copies than bytes.
-        capacity = min(max(stream.data.size - stream.position, 1 << 17), LARGEST_CHUNK)
+        capacity = LARGEST_CHUNK if self._indexing else RUN
         out = np.empty((0 if self._indexing else capacity, 4), dtype=np.int64)
         end, count = read_rectangles(stream.data, stream.position, state, self._reader.layer, out, capacity)
         if end == stream.position:

@@ -10,8 +10,10 @@ from metafab.mask.hierarchy import IntArray
 from metafab.mask.oasis_records import RECTANGLE
 from metafab.mask.oasis_stream import read_displacement, read_unsigned
 
-#: Rectangles of a run at most; longer repetitions are left to the reader of single records.
+#: Rectangles that are handed on together at most; longer repetitions are left to the reader of single records.
 LARGEST_CHUNK = 1 << 21
+#: Rectangles of a run, which stay in the cache. Pieces of one size, handed back, serve the next.
+RUN = 1 << 16
 
 _REGULAR = 3  # copies at equal steps, no list
 
