@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
@@ -35,9 +36,14 @@ def paragraph(text: str, kind: str = "") -> str:
     return f'<p class="{kind}">{text}</p>' if kind else f"<p>{text}</p>"
 
 
+def prose(text: Any) -> str:
+    """A sentence as HTML: what stands in backticks is code."""
+    return re.sub(r"`(.+?)`", r"<code>\1</code>", escape(str(text)))
+
+
 def note(text: str) -> str:
     """A plain remark in place of something that is not there."""
-    return paragraph(escape(text) + ".", "note")
+    return paragraph(prose(text) + ".", "note")
 
 
 def figure(svg: str, caption: str = "") -> str:

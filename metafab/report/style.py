@@ -78,7 +78,7 @@ def dress(axes: Axes, x_label: str = "", y_label: str = "", title: str = "", tit
     axes.xaxis.set_label_coords(0.5, -0.31 / height)
     axes.yaxis.set_label_coords(-0.55 / width, 0.5)
     axes.set_title(title, fontsize=9.5, color=title_ink, loc="left", y=1.0, pad=7)
-    axes.tick_params(labelsize=8.5, colors=MUTED, labelcolor=INK, length=3, width=0.7)
+    axes.tick_params(which="both", labelsize=8.5, colors=MUTED, labelcolor=INK, length=3, width=0.7)
     axes.set_facecolor("none")
     for side, spine in axes.spines.items():
         spine.set_visible(side in {"left", "bottom"})
@@ -138,7 +138,7 @@ def colour_bar(
     bar.yaxis.tick_right()
     bar.yaxis.set_label_position("right")
     bar.set_ylabel(label, fontsize=9, color=INK)
-    bar.tick_params(labelsize=8.5, colors=MUTED, labelcolor=INK, length=3, width=0.7)
+    bar.tick_params(which="both", labelsize=8.5, colors=MUTED, labelcolor=INK, length=3, width=0.7)
     bar.spines[:].set_visible(False)
     return bar
 
@@ -162,7 +162,7 @@ class _Powers(LogFormatter):
 def power_text(value: float) -> str:
     """A positive number of one or few digits as a tick's text."""
     exponent = math.floor(math.log10(value) + 1e-9)
-    if -3 <= exponent <= 3:
+    if -4 <= exponent <= 4:
         return f"{value:g}"
     digits = f"{value / 10.0**exponent:g}"
     power = "10" + str(exponent).translate(_RAISED)

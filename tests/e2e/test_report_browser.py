@@ -74,6 +74,18 @@ window.addEventListener("load", () => setTimeout(async () => {
   relief.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
   await new Promise((done) => setTimeout(done, 500));
   found.relief.push(shape());
+  const light = (colour) => colour.match(/[\\d.]+/g).slice(0, 3).map((part) => part / 255)
+    .map((part) => part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4)
+    .reduce((sum, part, i) => sum + part * [0.2126, 0.7152, 0.0722][i], 0);
+  const paper = light(getComputedStyle(document.body).backgroundColor);
+  found.paper = paper;
+  const texts = document.querySelectorAll("svg.plot text, p, td, th, h1, h2, h3, li, summary, figcaption");
+  found.faint = [...texts].filter((text) => {
+    const colour = getComputedStyle(text)[text.tagName === "text" ? "fill" : "color"];
+    if (colour === "rgb(255, 255, 255)") return false;  // stands on a dark picture
+    const [low, high] = [light(colour), paper].sort((a, b) => a - b);
+    return (high + 0.05) / (low + 0.05) < 3;
+  }).map((text) => text.textContent);
   found.sticks_out = document.documentElement.scrollWidth - document.documentElement.clientWidth;
   found.width = innerWidth;
   found.faults = window.faults;
@@ -99,7 +111,7 @@ def live_page(tmp_path_factory: pytest.TempPathFactory, smooth_library: Library)
     return compose(run, draw(run, silent))
 
 
-def _browse(page: str, folder: Path, width: int) -> dict[str, Any]:
+def _browse(page: str, folder: Path, width: int, *, dark: bool) -> dict[str, Any]:
     (folder / "page.html").write_text(page.replace("<body>", "<body>" + PROBE, 1), encoding="utf-8")
     frame = folder / "frame.html"
     frame.write_text(FRAME.replace("WIDTH", str(width)), encoding="utf-8")
@@ -110,6 +122,8 @@ def _browse(page: str, folder: Path, width: int) -> dict[str, Any]:
         "--allow-file-access-from-files", f"--user-data-dir={folder / 'profile'}", "--window-size=1400,1000",
         "--virtual-time-budget=8000", "--dump-dom", frame.as_uri(),
     ]  # fmt: skip
+    if dark:
+        command.insert(-2, "--blink-settings=preferredColorScheme=0")
     environment = {**os.environ, "HOME": str(folder)}
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, env=environment)
     match = re.search(r'data-found="([^"]*)"', done.stdout)
@@ -119,9 +133,11 @@ def _browse(page: str, folder: Path, width: int) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("width", [1280, 390])
-def test_live_views_answer(live_page: str, tmp_path: Path, width: int) -> None:
-    found = _browse(live_page, tmp_path, width)
+@pytest.mark.parametrize(("width", "dark"), [(1280, False), (390, True)], ids=["wide and light", "narrow and dark"])
+def test_live_views_answer(live_page: str, tmp_path: Path, width: int, dark: bool) -> None:
+    found = _browse(live_page, tmp_path, width, dark=dark)
+    assert (found["paper"] < 0.05) == dark
+    assert found["faint"] == [], "large text and figures need a contrast of 3 (WCAG 1.4.11)"
     assert found["faults"] == []
     assert found["width"] == width
     assert found["sticks_out"] <= 0

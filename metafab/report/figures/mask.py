@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
-from matplotlib.patches import Rectangle
+from matplotlib.patches import PathPatch, Rectangle
+from matplotlib.path import Path
 
 from metafab.core.conventions import FloatArray
 from metafab.report.style import GOOD, HAIRLINE, INK, SHARE_MAP, X_COLOUR, bare, colour_bar, dress, scale_bar, show_map
@@ -55,7 +55,8 @@ def pillar_rectangles(rectangles_um: FloatArray, axes: Axes, title: str, *, labe
         ],
         axis=1,
     )
-    axes.add_collection(PolyCollection(list(corners), facecolors=GOOD, edgecolors="none", rasterized=len(x) > 400))
+    # One outline for all: as fast as a picture, and it follows the page's theme.
+    axes.add_patch(PathPatch(Path.make_compound_path_from_polys(corners), facecolor=GOOD, linewidth=0.0))
     dress(axes, "x / µm", "y / µm", title)
     axes.set(xlim=(x.min() - 0.2, x.max() + 0.2), ylim=(y.min() - 0.2, y.max() + 0.2), aspect="equal")
     for spine in axes.spines.values():

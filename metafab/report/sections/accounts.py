@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from html import escape
 
 from metafab.report import html
@@ -20,7 +19,7 @@ def accounts(run: RunFolder, drawn: Drawn) -> str:
             escape(str(line.get("source", ""))),
             html.number(line["value"]) if line.get("value") is not None else "not measured",
             escape(str(line.get("unit", ""))),
-            re.sub(r"`(.+?)`", r"<code>\1</code>", escape(str(line.get("how", "")))),
+            html.prose(line.get("how", "")),
         ]
         for line in budget
     ]

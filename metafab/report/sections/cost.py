@@ -26,7 +26,7 @@ def cost(run: RunFolder, drawn: Drawn) -> str:
         else html.note("summary.json holds no timings"),
         html.table(
             ["skipped", "why that was safe"],
-            [[escape(str(line.get("step", ""))), escape(str(line.get("why", "")))] for line in skipped],
+            [[escape(str(line.get("step", ""))), html.prose(line.get("why", ""))] for line in skipped],
             kind="stack",
         )
         if skipped
