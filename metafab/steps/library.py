@@ -6,10 +6,15 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from metafab.core.latest import Latest, file_mark
 from metafab.run import Job, Step
 
 if TYPE_CHECKING:
     from metafab.library import Library
+
+
+#: Steps share it, and with it the continuous functions of size that it grows.
+_OPENED: Latest[Library] = Latest()
 
 
 def library_path(job: Job) -> Path:
@@ -37,7 +42,7 @@ def open_library(job: Job) -> Library:
     if not library_stands(job):
         with open_executor(job.workers, job.cluster) as executor:
             return library.build_file(job.design.unit_cell, path, executor=executor, progress=job.progress)
-    return library.load(path)
+    return _OPENED.of(file_mark(path), lambda: library.load(path))
 
 
 def _library(job: Job) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.files import file_sha256, fingerprint
+from metafab.core.latest import Latest, file_mark
 from metafab.run import Job, Step
 from metafab.spec import Design
 from metafab.steps.layout import mask_paths
@@ -20,8 +21,11 @@ from metafab.steps.library import library_path, open_library
 from metafab.steps.outputs import in_folder
 
 if TYPE_CHECKING:
+    from metafab.layout import PillarMap
     from metafab.optics import Imaging, Psf, Source, WrittenField
 
+
+_READ: Latest[PillarMap] = Latest()
 
 #: The decoder's calibration reaches beyond the scene by this share of its range of vergence.
 DEPTH_MARGIN = 0.08
@@ -44,10 +48,24 @@ def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
 def mask_source(job: Job, path: Path, copy: int = 1) -> WrittenField:
     """What light the pillars of a written file let through; of several lenses, those of one, counted from 1.
 
+    Steps that follow each other share the pillars as long as file and design are the same.
+
     Raises:
         InputError: the file cannot be read, or holds shapes that are no pillars of the lattice: nothing is dropped.
     """
-    from metafab import mask, optics
+    from metafab import optics
+
+    if path.is_file():
+        key = (file_mark(path), fingerprint(job.design), copy)
+        standing = _READ.of(key, lambda: _standing_pillars(job, path, copy))
+    else:
+        standing = _standing_pillars(job, path, copy)
+    return optics.written_field(standing, open_library(job))
+
+
+def _standing_pillars(job: Job, path: Path, copy: int) -> PillarMap:
+    """The pillars of a file, without the bias that they are drawn with."""
+    from metafab import mask
 
     back = mask.read(path, job.design, progress=job.progress, copy=copy)
     unplaced = {
@@ -64,8 +82,7 @@ def mask_source(job: Job, path: Path, copy: int = 1) -> WrittenField:
             ", ".join(f"{count} {what}" for what, count in unplaced.items() if count),
             "their light cannot be simulated; `metafab drc` says where they are",
         )
-    standing = mask.biased(back.pillars, -job.design.mask.bias_nm)
-    return optics.written_field(standing, open_library(job))
+    return mask.biased(back.pillars, -job.design.mask.bias_nm)
 
 
 def ideal_source(job: Job) -> Source:
