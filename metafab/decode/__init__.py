@@ -11,9 +11,13 @@
 - ``mixing``       mixtures of a few filtered images, by place and candidate
 - ``pooling``      means over windows of many pictures at once
 - ``volume``       agreement of the twins over place and depth
+- ``peaks``        the best candidate in a window about each pixel
 - ``depth``        depth of each pixel, with its error
 - ``segment``      segments, and the depth of each
 - ``restore``      all-in-focus images
+- ``seen``         a frame at first sight
+- ``regions``      the segments of a frame
+- ``compose``      all that is known put together
 - ``decoder``      all of it: ``decode`` and, for many frames, ``Decoder``
 - ``video``        a decoder that remembers what has not changed
 - ``pinhole``      calibration of a camera from photographs of a point

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.decode.peaks import peaks
 from metafab.decode.reduce import enlarged, repeated
-from metafab.decode.volume import Volume, correlation
+from metafab.decode.volume import Volume
 
 #: Correlation of the twins, in standard deviations of what pure noise gives, from which there is texture.
 _SIGNIFICANT = 5.0
@@ -51,10 +52,9 @@ def pixel_depth(volume: Volume, window: int, noise_variance: FloatArray) -> Pixe
     first = int(window >= _WIDE and min(shape) > 2 * window)
     if first:  # windows this wide say the same at every second pixel
         volume, window = volume.halved(), window // 2 | 1
-    parts = volume.pooled(window)
-    vergence, error, inside = _best(volume, correlation(parts), window)
+    vergence, error, inside, common = _best(volume, window)
     noise = volume.noise_gain * np.sqrt(noise_variance[0] * noise_variance[1])[:: 1 + first, :: 1 + first]
-    significant = parts[0].max(axis=0) > _SIGNIFICANT * noise / np.sqrt(window**2 * volume.samples)
+    significant = common > _SIGNIFICANT * noise / np.sqrt(window**2 * volume.samples)
     claimed = repeated(significant & inside & (error < _LARGEST_ERROR), 1 + first, shape)
     vergence, error = (enlarged(values, 1 + first, shape) for values in (vergence, error))
     agreed = claimed
@@ -62,7 +62,7 @@ def pixel_depth(volume: Volume, window: int, noise_variance: FloatArray) -> Pixe
         if min(volume.parts.shape[-2:]) < 2 * window:
             break
         volume = volume.halved()
-        wider, its_error, its_inside = _best(volume, correlation(volume.pooled(window)), window)
+        wider, its_error, its_inside, _ = _best(volume, window)
         wider, its_error = (enlarged(values, 2**level, shape) for values in (wider, its_error))
         inside = enlarged(its_inside.astype(np.float32), 2**level, shape) == 1.0
         agreed = agreed & inside & (np.abs(wider / vergence - 1.0) < _SAME_DEPTH * error) & (its_error < error)
@@ -70,19 +70,21 @@ def pixel_depth(volume: Volume, window: int, noise_variance: FloatArray) -> Pixe
     return PixelDepth(vergence, np.where(claimed, error, np.inf), claimed)
 
 
-def _best(
-    volume: Volume, agreement: NDArray[np.float32], window: int
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """The best of the candidates refined by a parabola, its relative standard error, and whether it is a maximum."""
+def _best(volume: Volume, window: int) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.float32]]:
+    """The depth at which the twins agree best in a window about each pixel.
+
+    Returns:
+        Vergence by a parabola through the best candidate and its neighbours, its relative standard error, whether it is
+        a maximum, and the largest mean product of the twins.
+    """
     count = volume.vergences_per_m.size
-    best = agreement.argmax(axis=0)
-    inner = np.clip(best, 1, count - 2)
-    below, at, above = (np.take_along_axis(agreement, (inner + d)[None], axis=0)[0] for d in (-1, 0, 1))
+    best, around, common = peaks(volume.parts, window)
+    below, at, above = around
     shift, peak, curvature = parabola(below, at, above)
-    vergence = volume.vergences_per_m[inner] + volume.step_per_m * np.clip(shift, -1.0, 1.0)
+    vergence = volume.vergences_per_m[np.clip(best, 1, count - 2)] + volume.step_per_m * np.clip(shift, -1.0, 1.0)
     error = standard_error(peak, curvature / volume.step_per_m**2, window**2 * volume.samples) / np.abs(vergence)
     # At an end of the range the true depth may lie beyond it.
-    return vergence, error, (best > 0) & (best < count - 1)
+    return vergence, error, (best > 0) & (best < count - 1), common
 
 
 def parabola(below: FloatArray, at: FloatArray, above: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -12,6 +12,7 @@ comes out where it stands, so that the place of the mixed pixel is the one whose
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,12 +115,16 @@ class CrossFilters:
         weight = self._weight(levels)
         rows, columns = self.reduction.inner
         passed = np.empty((2, self.basis.shape[1], *self.reduction.shape), dtype=np.float32)
-        for number, spectrum in enumerate(spectra):
+
+        def passes(image: int) -> None:
+            mixed = self.basis[image] * (spectra[image] * weight)
             # Rows of the margin are not needed, and not transformed back.
-            mixed = self.basis[number] * (spectrum * weight)
-            mixed = scipy.fft.ifft(mixed, axis=-2, workers=2, overwrite_x=True)[:, rows]
-            passed[number] = scipy.fft.irfft(mixed, self.reduction.size[1], workers=2, overwrite_x=True)[..., columns]
-            progress("decode", number + 1, len(spectra))
+            mixed = scipy.fft.ifft(mixed, axis=-2, overwrite_x=True)[:, rows]
+            passed[image] = scipy.fft.irfft(mixed, self.reduction.size[1], overwrite_x=True)[..., columns]
+
+        with ThreadPoolExecutor(2) as pool:
+            for done, _ in enumerate(pool.map(passes, range(2)), start=1):
+                progress("decode", done, 2)
         parts = agreement(passed, self.shares, self.block, lit)
         if last is not None:
             np.copyto(parts, last.parts, where=~covered(lit, self.block))

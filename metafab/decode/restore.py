@@ -10,6 +10,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
 from metafab.decode.calibration import Calibration
 from metafab.decode.levels import Levels
 from metafab.decode.tiles import Tiling
@@ -83,13 +84,8 @@ class Restorer:
             tiles = tiling.touched(mask)
             if not tiles.size:
                 continue
-            transfer = self._transfer(float(vergence))[:, tiles]
-            power = transfer.real**2 + transfer.imag**2
-            power += ratio
-            np.conjugate(transfer, out=transfer)
-            transfer /= power
-            transfer *= spectra[:, place[tiles]]
-            layer = tiling.join(scipy.fft.irfft2(transfer, tiling.size, workers=2, overwrite_x=True), tiles)
+            filtered = _wiener(self._transfer(float(vergence)), spectra, ratio, tiles, place[tiles])
+            layer = tiling.join(scipy.fft.irfft2(filtered, tiling.size, workers=2, overwrite_x=True), tiles)
             np.copyto(sharp, layer, where=mask)
         return np.maximum(sharp, 0.0, out=sharp)
 
@@ -116,3 +112,54 @@ class Restorer:
         if len(self._kept) > _KEPT_DEPTHS:
             self._kept.popitem(last=False)
         return self._kept[step]
+
+
+def _wiener(
+    transfer: NDArray[np.complex64],
+    spectra: NDArray[np.complex64],
+    ratio: NDArray[np.float32],
+    tiles: NDArray[np.intp],
+    place: NDArray[np.intp],
+) -> NDArray[np.complex64]:
+    """Spectra times H* / (|H|^2 + ratio): shape (2, tiles.size, n_ky, n_kx).
+
+    Args:
+        transfer: H of all tiles, shape (2, n_tiles, n_ky, n_kx).
+        spectra: of some tiles' images, shape (2, n, n_ky, n_kx).
+        ratio: noise over texture, shape (n_ky, n_kx).
+        tiles: the tiles that are wanted.
+        place: where each of them is among the spectra.
+    """
+    return (_wiener_loop if HAS_NUMBA else _wiener_plain)(transfer, spectra, ratio, tiles, place)
+
+
+def _wiener_plain(
+    transfer: NDArray[np.complex64],
+    spectra: NDArray[np.complex64],
+    ratio: NDArray[np.float32],
+    tiles: NDArray[np.intp],
+    place: NDArray[np.intp],
+) -> NDArray[np.complex64]:
+    chosen = transfer[:, tiles]
+    return np.asarray(np.conj(chosen) * spectra[:, place] / (chosen.real**2 + chosen.imag**2 + ratio))
+
+
+@compiled_parallel
+def _wiener_loop(
+    transfer: NDArray[np.complex64],
+    spectra: NDArray[np.complex64],
+    ratio: NDArray[np.float32],
+    tiles: NDArray[np.intp],
+    place: NDArray[np.intp],
+) -> NDArray[np.complex64]:
+    _, _, n_y, n_x = transfer.shape
+    out = np.empty((2, tiles.size, n_y, n_x), dtype=np.complex64)
+    for t in prange(tiles.size):
+        for image in range(2):
+            for i in range(n_y):
+                for j in range(n_x):
+                    h, s = transfer[image, tiles[t], i, j], spectra[image, place[t], i, j]
+                    power = h.real * h.real + h.imag * h.imag + ratio[i, j]
+                    real = (h.real * s.real + h.imag * s.imag) / power
+                    out[image, t, i, j] = complex(real, (h.real * s.imag - h.imag * s.real) / power)
+    return out

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter, uniform_filter
 
 from metafab.camera.frame import RawFrame
-from metafab.decode.decoder import Decoder, Seen
+from metafab.decode.decoder import Decoder
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
 from metafab.decode.levels import Levels
+from metafab.decode.seen import Seen
 from metafab.decode.volume import Volume
 
 #: Side of the window over which changes are pooled, and how many standard deviations of noise a change must pass.

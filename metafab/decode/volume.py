@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.decode.pooling import halved, window_means
+from metafab.decode.pooling import halved
 from metafab.optics.field import spline_weights
 
 
@@ -33,10 +33,6 @@ class Volume:
         """Spacing of the candidates."""
         return float(self.vergences_per_m[1] - self.vergences_per_m[0])
 
-    def pooled(self, window: int) -> NDArray[np.float32]:
-        """Means over a square window about each pixel: as ``parts``."""
-        return window_means(self.parts, window)
-
     def halved(self) -> Volume:
         """Every second pixel, a mean of what lies about it."""
         return Volume(self.vergences_per_m, halved(self.parts), 4.0 * self.samples, self.noise_gain)
@@ -44,7 +40,8 @@ class Volume:
     def at(self, vergence_per_m: float) -> NDArray[np.float32]:
         """The products at any depth, interpolated between the candidates: shape (3, n_y, n_x)."""
         weights = spline_weights(self.vergences_per_m, vergence_per_m).astype(np.float32)
-        return np.asarray(np.tensordot(weights, self.parts, axes=(0, 1)))
+        flat = self.parts.reshape(*self.parts.shape[:2], -1)
+        return np.asarray((weights @ flat).reshape(3, *self.parts.shape[-2:]))
 
     def over(self, mask: NDArray[np.bool_]) -> FloatArray:
         """Sums over the pixels of a mask: shape (3, n)."""

@@ -1,0 +1,172 @@
+"""Depths, segments and sharp images put together: the Image4D of a frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, distance_transform_edt, uniform_filter
+
+from metafab.camera.frame import RawFrame
+from metafab.core.conventions import FloatArray
+from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth
+from metafab.decode.image import Image4D
+from metafab.decode.reduce import enlarged, repeated
+from metafab.decode.regions import Regions
+from metafab.decode.restore import Restorer
+from metafab.decode.seen import WINDOW_PX, Seen
+from metafab.decode.segment import grown
+from metafab.decode.twins import TwinGrid
+from metafab.decode.volume import Volume
+
+#: Share of the twins' power that they do not have in common, noise taken off, from which the calibration is doubted.
+_LARGEST_MISMATCH = 0.05
+
+
+def full_depth_m(pixels: PixelDepth, every: int, shape: tuple[int, int]) -> FloatArray:
+    """Depth of each pixel by itself on the frame's pixels, NaN where none is claimed."""
+    depth = 1.0 / np.maximum(pixels.vergence_per_m, 1e-12)
+    depth_m = enlarged(depth.astype(np.float32), every, shape).astype(np.float64)
+    depth_m[~repeated(pixels.claimed, every, shape)] = np.nan
+    return depth_m
+
+
+def sharpened(
+    seen: Seen,
+    regions: Regions,
+    restorer: Restorer,
+    middle_per_m: float,
+    changed: NDArray[np.bool_] | None,
+    last: Image4D | None,
+) -> NDArray[np.float32]:
+    """Both images, sharp at the depth of the nearest segment; with ``last``, that is kept where nothing ``changed``.
+
+    Returns:
+        Shape (2, n_y, n_x), electrons.
+    """
+    every, shape = seen.reduction.every, seen.twins.grid.shape
+    wide = grown(regions.label, float(sum(regions.label.shape))) if regions.depths else np.ones_like(regions.label)
+    wide = np.where(binary_dilation(seen.lit, iterations=2), wide, 0)
+    vergences = regions.vergences_per_m(middle_per_m)
+    if last is None or changed is None:
+        return restorer(seen.twins.image, seen.levels, repeated(wide, every, shape), vergences)
+    wide = np.where(changed, wide, 0)
+    images = restorer(seen.twins.image, seen.levels, repeated(wide, every, shape), vergences)
+    unchanged = ~repeated(changed, every, shape)
+    for sharp, before in zip(images, (last.intensity_x, last.intensity_y), strict=True):
+        np.copyto(sharp, before, where=unchanged, casting="same_kind")
+    return images
+
+
+def composed(
+    frame: RawFrame,
+    seen: Seen,
+    volume: Volume,
+    pixels: PixelDepth,
+    regions: Regions,
+    images: NDArray[np.float32],
+    basis_images: int,
+) -> Image4D:
+    """All that is known about a frame, on its own pixels."""
+    every, shape = seen.reduction.every, seen.twins.grid.shape
+    lit = _lit(images, seen.floor_e) & ~seen.twins.bad
+    dark = ~lit
+    claimed = pixels.claimed & (regions.near > 0)
+    about = distance_transform_edt(~claimed) <= WINDOW_PX / every if claimed.any() else claimed
+    known = (regions.near > 0) & about
+    depths = np.array([np.nan, *(1.0 / depth.vergence_per_m for depth in regions.depths)])
+    errors = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])
+    error = np.minimum(np.where(claimed, pixels.relative_error, np.inf), errors[regions.near])
+    trust = np.where(known, 1.0 / (1.0 + (error / HALF_CONFIDENCE) ** 2), 0.0)
+    segment, depth_m, confidence = (
+        repeated(part, every, shape) for part in (regions.near, np.where(known, depths[regions.near], np.nan), trust)
+    )
+    segment[dark], depth_m[dark], confidence[dark] = 0, np.nan, 0.0
+    pixel_m = full_depth_m(PixelDepth(pixels.vergence_per_m, pixels.relative_error, claimed), every, shape)
+    pixel_m[dark] = np.nan
+    contrast = np.full(shape, np.nan)
+    np.divide(images[0], images[1], out=contrast, where=lit & (images[1] > 0.0))
+    details: dict[str, float | str] = {
+        "layers": float(regions.layers),
+        "basis_images": float(basis_images),
+        "step_px": float(every),
+        "pixels": float(lit.size),
+        "pixels_without_signal": float(dark.sum()),
+        "pixels_without_texture": float((lit & np.isnan(depth_m)).sum()),
+        "pixels_broken": float(seen.twins.bad.sum()),
+        **_doubts(volume, seen, regions),
+    }
+    return Image4D(
+        images[0].astype(np.float64),
+        images[1].astype(np.float64),
+        contrast,
+        depth_m,
+        confidence,
+        segment,
+        seen.twins.grid.origin_um,
+        frame.pixel_um,
+        tuple(_row(number, regions, segment, images, every) for number in range(1, len(regions.depths) + 1)),
+        pixel_m,
+        details=details,
+    )
+
+
+def empty(shape: tuple[int, ...], frame: RawFrame, reason: str, grid: TwinGrid | None = None) -> Image4D:
+    """No depth anywhere, and why."""
+    dark, unknown = np.zeros(shape), np.full(shape, np.nan)
+    return Image4D(
+        dark,
+        dark.copy(),
+        unknown,
+        unknown.copy(),
+        dark.copy(),
+        np.zeros(shape, dtype=np.int32),
+        frame.origin_um if grid is None else grid.origin_um,
+        frame.pixel_um,
+        depth_pixel_m=unknown.copy(),
+        details={"reason": reason},
+    )
+
+
+def _lit(images: NDArray[np.float32], floor_e: float) -> NDArray[np.bool_]:
+    """Pixels with light of either polarisation."""
+    return np.asarray(uniform_filter(images[0] + images[1], 3, mode="nearest") > floor_e)
+
+
+def _row(
+    number: int, regions: Regions, segment: NDArray[np.int32], images: NDArray[np.float32], every: int
+) -> dict[str, float]:
+    depth, mask = regions.depths[number - 1], segment == number
+    inner = repeated(regions.inner[number - 1], every, segment.shape) & mask
+    x, y = (float(image[inner].sum(dtype=np.float64)) for image in images)
+    return {
+        "number": float(number),
+        "pixels": float(mask.sum()),
+        "depth_m": 1.0 / depth.vergence_per_m,
+        "error_m": depth.relative_error / depth.vergence_per_m,
+        "contrast": x / max(y, 1e-30),
+        "correlation": depth.correlation,
+    }
+
+
+def _doubts(volume: Volume, seen: Seen, regions: Regions) -> dict[str, float | str]:
+    """What the twins do not have in common, and a warning where the calibration does not seem to be the camera's."""
+    mismatch = _mismatch(volume, seen, regions)
+    if mismatch is None:
+        return {"warning": "the twins agree at no depth: no texture, or another camera's calibration"}
+    if mismatch <= _LARGEST_MISMATCH:
+        return {"twin_mismatch": mismatch}
+    warning = f"the twins differ by {mismatch:.0%} of their power: is this the camera's calibration?"
+    return {"twin_mismatch": mismatch, "warning": warning}
+
+
+def _mismatch(volume: Volume, seen: Seen, regions: Regions) -> float | None:
+    """Share of the twins' power that is neither common to both nor noise, over all segments; None without any."""
+    if not regions.depths:
+        return None
+    inside = regions.label > 0
+    mean = np.maximum(seen.inner[:, inside], 0.0).mean(axis=1) + seen.levels.read_noise_e**2
+    noise = volume.noise_gain * float(np.sqrt(mean[0] * mean[1]))
+    weights = np.bincount(regions.label[inside], minlength=len(regions.depths) + 1)[1:]
+    common = float(np.average([depth.correlation * depth.power for depth in regions.depths], weights=weights))
+    power = float(np.average([depth.power for depth in regions.depths], weights=weights))
+    return max(0.0, 1.0 - common / max(power - noise, 1e-30)) if power > noise else 1.0

@@ -1,0 +1,98 @@
+"""A frame at first sight: its twins, how bright and how textured they are, and where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from metafab.camera.frame import RawFrame
+from metafab.core.conventions import FloatArray
+from metafab.decode.levels import Levels
+from metafab.decode.reduce import Reduction
+from metafab.decode.twins import TwinGrid, Twins, extract
+
+#: Side of the narrowest window that says a depth, pixels of the frame.
+WINDOW_PX = 28
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A frame at first sight.
+
+    Attributes:
+        twins: both images.
+        levels: their noise and texture.
+        reduction: which of their pixels are compared.
+        spectra: transforms of those pixels.
+        small: those pixels, with margin.
+    """
+
+    twins: Twins
+    levels: Levels
+    reduction: Reduction
+    spectra: NDArray[np.complex64]
+    small: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, frame: RawFrame, grid: TwinGrid, reduction: Reduction, levels: Levels | None = None) -> Seen | str:
+        """Look at a frame, or say why there is nothing to be seen.
+
+        Args:
+            frame: of the grid's shape.
+            grid: where its twins stand.
+            reduction: every few pixels of the grid.
+            levels: of an earlier frame in the same light; measured by default.
+        """
+        twins = extract(frame, grid)
+        if twins.bad.all():
+            return "all pixels are saturated or invalid"
+        spectra = reduction.spectra(twins.image)
+        small = reduction.images(spectra)
+        levels = Levels.of(small, frame.read_noise_e) if levels is None else levels
+        if levels.signal <= 0.0:
+            return "there is no light in the frame"
+        return cls(twins, levels, reduction, spectra, small)
+
+    @property
+    def window(self) -> int:
+        """Side of the narrowest window, in compared pixels; odd."""
+        return round(WINDOW_PX / self.reduction.every) | 1
+
+    @property
+    def floor_e(self) -> float:
+        """Light of both polarisations below which a pixel is dark, electrons."""
+        return max(0.35 * self.levels.signal, 6.0 * self.levels.read_noise_e)
+
+    @property
+    def inner(self) -> NDArray[np.float32]:
+        """The compared pixels without margin: shape (2, n_y, n_x)."""
+        return self.small[:, *self.reduction.inner]
+
+    @cached_property
+    def lit(self) -> NDArray[np.bool_]:
+        """Where there is light: shape (n_y, n_x)."""
+        return np.asarray(self.inner.sum(axis=0) > self.floor_e)
+
+    @cached_property
+    def mean(self) -> NDArray[np.float32]:
+        """Brightness over a window: shape (2, n_y, n_x)."""
+        return np.asarray(uniform_filter(self.inner, (0, self.window, self.window)))
+
+    @cached_property
+    def variance(self) -> FloatArray:
+        """Variance of a pixel of the frame about each compared one: shape (2, n_y, n_x), never 0."""
+        least = self.levels.read_noise_e**2 + 1e-9 * self.levels.noise_variance
+        return np.asarray(np.maximum(self.mean, 0.0) + least)
+
+    @cached_property
+    def uneven(self) -> NDArray[np.bool_]:
+        """Where the brightness of either image varies over a window by more than its noise."""
+        square = uniform_filter(self.inner**2, (0, self.window, self.window))
+        noise = self.reduction.variance_left * (np.maximum(self.mean, 0.0) + self.levels.read_noise_e**2)
+        # The mean square of n nearly independent deviations is 1 +- sqrt(2 / n) of their variance.
+        most = noise * (1.0 + 6.0 * np.sqrt(2.0) / self.window)
+        return np.asarray((square - self.mean**2 > most).any(axis=0))
