@@ -5,7 +5,7 @@ from the one before (modal width, height and layer, relative positions).
 
 How small a tile becomes is a matter of the order in which places are listed: neighbouring sizes follow one another,
 and deflate lives on their lists having stretches in common. Which order has more of them depends on how the phase
-runs through the tile, so that some sizes are listed both ways, and the shorter wins.
+runs through the tile, so that some sizes are listed in several orders, and the shortest wins.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class Scan:
     strip_sites: int
 
 
-#: Tiles are listed by the better of these.
-SCANS = (Scan(along_y=False, strip_sites=238), Scan(along_y=True, strip_sites=238))
+#: Tiles are listed by the best of these; the last takes whole rows.
+SCANS = (Scan(along_y=False, strip_sites=238), Scan(along_y=True, strip_sites=238), Scan(False, strip_sites=1 << 16))
 
-# The share of the sizes that is listed both ways to find the better.
+# The share of the sizes that is listed by each to find the best.
 _TRIED_SHARE = 16
 
 
