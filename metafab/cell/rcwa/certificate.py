@@ -19,13 +19,18 @@ layers under or over the pillar, cross-sections other than one rectangle, pillar
 periods that differ by more than 3 % or exceed 1.65 wavelengths inside the densest medium (which need more orders),
 sizes above 0.7 of the period, indices that differ more than fourfold or absorb strongly, and metals, where the field at
 the corners has no limit that Fourier methods approach steadily.
+
+Cross-sections of several rectangles converge as a power of the truncation, and two rungs side by side then tell little:
+d(M, k) is the error at M times (M / k)^p - 1. The bound is the largest error that any earlier rung implies, with the
+margin over the worst of 48 pillars of four materials against references of 18 orders, and no less than threefold the
+last two differences.
 tests/physics/test_rcwa_certificate.py also looks far from the pillars that were measured.
 """
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -107,6 +112,33 @@ _FULLEST = 0.7
 _UNMEASURED = 3.0
 
 
+@dataclass(frozen=True)
+class PowerLaw:
+    """Convergence of a cross-section that is more than one rectangle.
+
+    Attributes:
+        power: the error falls at least as the truncation to minus this power.
+        from_orders: from here on.
+    """
+
+    power: float
+    from_orders: int
+
+    def bound(self, orders: int, earlier: dict[int, float]) -> float:
+        """Bound on the error at ``orders`` from the differences to earlier truncations; infinite below the first."""
+        if orders < self.from_orders or not earlier:
+            return float("inf")
+        implied = (apart / (float(orders / count) ** self.power - 1.0) for count, apart in earlier.items())
+        return _LAW_MARGIN * max(implied)
+
+
+#: Curved outlines converge more slowly than corners between straight walls.
+_CURVED, _STRAIGHT = PowerLaw(1.5, 7), PowerLaw(2.0, 6)
+_LAW_MARGIN = 1.4
+#: The climb of a power law begins low: far rungs tell most.
+_FAR_TARGET = 4e-3
+
+
 def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResponse:  # noqa: B008 (frozen)
     """Jones matrices of ``cell``, with a bound on their error that is at most the target where it converged.
 
@@ -119,11 +151,11 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     """
     started = time.perf_counter()
     cut = slicing(cell, numerics)
-    measured = is_measured(cell)
+    measured, law = is_measured(cell), power_law(cell)
     solved: dict[int, ZeroOrder] = {}
-    for orders in climb(numerics, measured=measured):
+    for orders in climb(numerics, measured=measured, law=law):
         solved[orders] = smooth(cell, orders, numerics.formulation, cut.steps)
-        error = bound(orders, solved, numerics.formulation, measured=measured) + cut.error
+        error = bound(orders, solved, numerics.formulation, measured=measured, law=law) + cut.error
         error = max(error, solved[orders].conditioning.rounding)
         if error <= numerics.target_error:
             break
@@ -156,11 +188,13 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     )
 
 
-def climb(numerics: CellNumerics, *, measured: bool = False) -> tuple[int, ...]:
+def climb(numerics: CellNumerics, *, measured: bool = False, law: PowerLaw | None = None) -> tuple[int, ...]:
     """Truncations to try for the target, up to ``numerics.max_orders``: two at least, where so many are allowed.
 
-    ``measured`` tells whether the cell is of the kind that the claims were measured on.
+    ``measured`` tells whether the cell is of the kind that the claims were measured on, ``law`` how else it converges.
     """
+    if law is not None:
+        numerics = replace(numerics, target_error=max(numerics.target_error, _FAR_TARGET))
     below: tuple[int, ...] = ()
     for least_target, all_rungs in reversed(_CLIMBS[numerics.formulation]):
         rungs = tuple(orders for orders in all_rungs if orders <= numerics.max_orders)
@@ -174,11 +208,16 @@ def climb(numerics: CellNumerics, *, measured: bool = False) -> tuple[int, ...]:
 
 
 def bound(
-    orders: int, solved: dict[int, ZeroOrder], formulation: Formulation = "adaptive", *, measured: bool = True
+    orders: int,
+    solved: dict[int, ZeroOrder],
+    formulation: Formulation = "adaptive",
+    *,
+    measured: bool = True,
+    law: PowerLaw | None = None,
 ) -> float:
     """Bound on the error of ``solved[orders]`` from the earlier solutions; infinite where they do not suffice.
 
-    ``measured`` tells whether the cell is of the kind that the claims were measured on.
+    ``measured`` tells whether the cell is of the kind that the claims were measured on, ``law`` how else it converges.
     """
     earlier = {count: distance(solved[orders], solution) for count, solution in solved.items() if count < orders}
     claims = [
@@ -187,11 +226,19 @@ def bound(
     if not claims:
         return float("inf")
     if not measured:
-        return max(claims[0].floor, *(_UNMEASURED * earlier[count] for count in sorted(earlier)[-2:]))
+        by_law = 0.0 if law is None else law.bound(orders, earlier)
+        return max(by_law, claims[0].floor, *(_UNMEASURED * earlier[count] for count in sorted(earlier)[-2:]))
     nearest = earlier[max(earlier)]
     if nearest > _NOT_CONVERGING:
         return nearest
     return min(max(claim.floor, *(share * earlier[count] for count, share in claim.shares)) for claim in claims)
+
+
+def power_law(cell: PillarCell) -> PowerLaw | None:
+    """How a cross-section of several rectangles converges; None for a single one."""
+    if not cell.is_shaped:
+        return None
+    return _CURVED if cell.shape == "ellipse" else _STRAIGHT
 
 
 def is_measured(cell: PillarCell) -> bool:

@@ -16,7 +16,7 @@ from functools import partial
 import numpy as np
 
 from metafab.cell.rcwa.basis import AxisParity, Formulation
-from metafab.cell.rcwa.certificate import climb
+from metafab.cell.rcwa.certificate import climb, power_law
 from metafab.cell.rcwa.jones import in_plane_per_nm, one_thread, shares_of_power, solved_classes
 from metafab.cell.rcwa.slicing import slicing, smooth_array
 from metafab.cell.response import CellNumerics, PillarCell
@@ -82,12 +82,13 @@ def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Di
     sides = [propagating_orders(cell, index) for index in (cell.n_out, cell.n_in)]
     farthest = max(abs(number) for side in sides for order in side for number in order)
     error, orders = math.inf, 0
-    for orders in climb(numerics):
+    law = power_law(cell)
+    for orders in climb(numerics, law=law):
         solved[orders] = smooth_array(cell, cut.steps, partial(_listed, cell, orders, numerics.formulation, sides))
         if len(solved) > 1 and orders >= farthest:
-            earlier = sorted(solved)[-3:-1]
-            changes = [float(np.abs(solved[orders] - solved[count]).max()) for count in earlier]
-            error = _SHARE * max(changes) + 2.0 * cut.error
+            changes = {count: float(np.abs(solved[orders] - solved[count]).max()) for count in sorted(solved)[:-1]}
+            by_law = 0.0 if law is None else law.bound(orders, changes)
+            error = max(by_law, *(_SHARE * changes[count] for count in sorted(changes)[-2:])) + 2.0 * cut.error
         if error <= numerics.target_error:
             break
     values = iter(solved[orders])
