@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt, uniform_filter
+from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from metafab.camera.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth
 from metafab.decode.image import Image4D
+from metafab.decode.pooling import label_sums, window_means
 from metafab.decode.reduce import enlarged, repeated
 from metafab.decode.regions import Regions
-from metafab.decode.restore import Restorer
+from metafab.decode.restore import LitTiles, Restorer
 from metafab.decode.seen import WINDOW_PX, Seen
 from metafab.decode.segment import grown
 from metafab.decode.twins import TwinGrid
@@ -34,6 +35,7 @@ def sharpened(
     seen: Seen,
     regions: Regions,
     restorer: Restorer,
+    tiles: LitTiles,
     middle_per_m: float,
     changed: NDArray[np.bool_] | None,
     last: Image4D | None,
@@ -45,16 +47,21 @@ def sharpened(
     """
     every, shape = seen.reduction.every, seen.twins.grid.shape
     wide = grown(regions.label, float(sum(regions.label.shape))) if regions.depths else np.ones_like(regions.label)
-    wide = np.where(binary_dilation(seen.lit, iterations=2), wide, 0)
+    wide = np.where(lit_about(seen), wide, 0)
     vergences = regions.vergences_per_m(middle_per_m)
     if last is None or changed is None:
-        return restorer(seen.twins.image, seen.levels, repeated(wide, every, shape), vergences)
+        return restorer(tiles, seen.levels, repeated(wide, every, shape), vergences)
     wide = np.where(changed, wide, 0)
-    images = restorer(seen.twins.image, seen.levels, repeated(wide, every, shape), vergences)
+    images = restorer(tiles, seen.levels, repeated(wide, every, shape), vergences)
     unchanged = ~repeated(changed, every, shape)
     for sharp, before in zip(images, (last.intensity_x, last.intensity_y), strict=True):
         np.copyto(sharp, before, where=unchanged, casting="same_kind")
     return images
+
+
+def lit_about(seen: Seen) -> NDArray[np.bool_]:
+    """What is lit and two pixels around it, where images are made sharp."""
+    return np.asarray(binary_dilation(seen.lit, iterations=2))
 
 
 def composed(
@@ -104,7 +111,7 @@ def composed(
         segment,
         seen.twins.grid.origin_um,
         frame.pixel_um,
-        tuple(_row(number, regions, segment, images, every) for number in range(1, len(regions.depths) + 1)),
+        _rows(regions, segment, images, every),
         pixel_m,
         details=details,
     )
@@ -129,23 +136,27 @@ def empty(shape: tuple[int, ...], frame: RawFrame, reason: str, grid: TwinGrid |
 
 def _lit(images: NDArray[np.float32], floor_e: float) -> NDArray[np.bool_]:
     """Pixels with light of either polarisation."""
-    return np.asarray(uniform_filter(images[0] + images[1], 3, mode="nearest") > floor_e)
+    return np.asarray(window_means(images[0] + images[1], 3) > floor_e)
 
 
-def _row(
-    number: int, regions: Regions, segment: NDArray[np.int32], images: NDArray[np.float32], every: int
-) -> dict[str, float]:
-    depth, mask = regions.depths[number - 1], segment == number
-    inner = repeated(regions.inner[number - 1], every, segment.shape) & mask
-    x, y = (float(image[inner].sum(dtype=np.float64)) for image in images)
-    return {
-        "number": float(number),
-        "pixels": float(mask.sum()),
-        "depth_m": 1.0 / depth.vergence_per_m,
-        "error_m": depth.relative_error / depth.vergence_per_m,
-        "contrast": x / max(y, 1e-30),
-        "correlation": depth.correlation,
-    }
+def _rows(
+    regions: Regions, segment: NDArray[np.int32], images: NDArray[np.float32], every: int
+) -> tuple[dict[str, float], ...]:
+    """What is known of each segment: its contrast from its inside."""
+    count = len(regions.depths)
+    pixels = np.bincount(segment.ravel(), minlength=count + 1)
+    light_x, light_y = label_sums(images, repeated(regions.inner, every, segment.shape) * (segment > 0), count)
+    return tuple(
+        {
+            "number": float(number),
+            "pixels": float(pixels[number]),
+            "depth_m": 1.0 / depth.vergence_per_m,
+            "error_m": depth.relative_error / depth.vergence_per_m,
+            "contrast": float(light_x[number - 1] / max(light_y[number - 1], 1e-30)),
+            "correlation": depth.correlation,
+        }
+        for number, depth in enumerate(regions.depths, start=1)
+    )
 
 
 def _doubts(volume: Volume, seen: Seen, regions: Regions) -> dict[str, float | str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +15,12 @@ from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.progress import Progress, silent
 from metafab.decode.calibration import Calibration
-from metafab.decode.compose import composed, empty, full_depth_m, sharpened
+from metafab.decode.compose import composed, empty, full_depth_m, lit_about, sharpened
 from metafab.decode.filters import BASIS_ERROR, CrossFilters
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
 from metafab.decode.levels import Levels
+from metafab.decode.reduce import repeated
 from metafab.decode.regions import find_regions, textured_pixels
 from metafab.decode.restore import Restorer
 from metafab.decode.seen import Seen
@@ -162,10 +164,14 @@ class Decoder:
     ) -> Image4D:
         """Depth, segments and sharp images; with ``last``, its brightness is kept where nothing ``changed``."""
         started = time.perf_counter() if started is None else started
-        pixels = textured_pixels(seen, volume)
-        regions = find_regions(seen, volume, pixels)
+        every, shape = self.filters.reduction.every, self.calibration.grid.shape
+        with ThreadPoolExecutor(1) as beside:
+            lit = repeated(lit_about(seen), every, shape)
+            tiles = beside.submit(self.restorer.transformed, seen.twins.image, lit)
+            pixels = textured_pixels(seen, volume)
+            regions = find_regions(seen, volume, pixels)
         middle_per_m = float(np.median(volume.vergences_per_m))
-        images = sharpened(seen, regions, self.restorer, middle_per_m, changed, last)
+        images = sharpened(seen, regions, self.restorer, tiles.result(), middle_per_m, changed, last)
         image = composed(frame, seen, volume, pixels, regions, images, self.filters.basis.shape[1])
         return judged(image, frame, seconds=time.perf_counter() - started)
 

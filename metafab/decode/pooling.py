@@ -1,4 +1,4 @@
-"""Means over windows of many pictures at once."""
+"""Means over windows and sums over regions of many pictures at once."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from metafab.core.conventions import FloatArray
 from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
 
 
@@ -89,3 +90,30 @@ def _halved_plain(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
         before = np.concatenate([values[:1], values[:-1]])
         pictures = np.moveaxis(0.5 * values[::2] + 0.25 * (after[::2] + before[::2]), 0, axis)
     return np.ascontiguousarray(pictures)
+
+
+def label_sums(pictures: NDArray[np.float32], label: NDArray[np.int32], count: int) -> FloatArray:
+    """Sums over the pixels of each label from 1 to ``count``: shape (n, count).
+
+    Args:
+        pictures: shape (n, n_y, n_x).
+        label: shape (n_y, n_x), 0 for none.
+        count: the largest label.
+    """
+    flat, number = pictures.reshape(pictures.shape[0], -1), label.ravel()
+    return (_label_sums if HAS_NUMBA else _label_sums_plain)(flat, number, count)
+
+
+def _label_sums_plain(flat: NDArray[np.float32], number: NDArray[np.int32], count: int) -> FloatArray:
+    sums = [np.bincount(number, weights=row, minlength=count + 1)[1:] for row in flat]
+    return np.asarray(np.stack(sums), dtype=np.float64)
+
+
+@compiled_parallel
+def _label_sums(flat: NDArray[np.float32], number: NDArray[np.int32], count: int) -> FloatArray:
+    sums = np.zeros((flat.shape[0], count + 1))
+    for p in prange(flat.shape[0]):
+        for i in range(number.size):
+            if number[i] > 0:
+                sums[p, number[i]] += np.float64(flat[p, i])
+    return sums[:, 1:].copy()

@@ -27,15 +27,15 @@ class Regions:
     Attributes:
         layers: depths at which many pixels lie.
         depths: of each segment.
-        inner: of each segment, shape (n_y, n_x), the pixels that its depth is from.
         label: shape (n_y, n_x), number of each pixel's segment from 1; 0 for none.
+        inner: the same, of the pixels alone that its depth is from.
         near: the same, with the pixels along the outlines.
     """
 
     layers: int
     depths: tuple[segments.SegmentDepth, ...]
-    inner: tuple[NDArray[np.bool_], ...]
     label: NDArray[np.int32]
+    inner: NDArray[np.int32]
     near: NDArray[np.int32]
 
     def vergences_per_m(self, otherwise: float) -> FloatArray:
@@ -58,26 +58,39 @@ def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth) -> Regions:
     candidates = volume.vergences_per_m
     separation = float(candidates[-1] - candidates[0]) * _LAYER_SHARE
     layers = segments.depth_layers(pixels, separation)
+    shape = volume.parts.shape[-2:]
+    label, inner = np.zeros((2, *shape), dtype=np.int32)
     found: list[segments.SegmentDepth] = []
-    inside: list[NDArray[np.bool_]] = []
-    label = np.zeros(volume.parts.shape[-2:], dtype=np.int32)
-    unseen = np.zeros(label.shape, dtype=bool)
+    unseen = np.zeros(shape, dtype=bool)
     if layers.size:
         layer = segments.assign(volume, layers, pixels, separation, every)
-        parts = segments.split(layer, seen.lit, WINDOW_PX, every)
-        for number in range(1, int(parts.max(initial=0)) + 1):
-            mask = parts == number
-            if not segments.textured(mask, seen.uneven, _OUTLINE_REACH_PX // every):
-                unseen |= mask
-                continue
-            inner = segments.interior(parts, number, every)
-            depth = segments.segment_depth(volume, inner)
+        parts, inside, unseen = _textured(seen, segments.split(layer, seen.lit, WINDOW_PX, every))
+        count = int(parts.max(initial=0))
+        sizes = np.bincount(inside.ravel(), minlength=count + 1)[1:]
+        number = np.zeros(count + 1, dtype=np.int32)
+        for part, (sums, size) in enumerate(zip(volume.over(inside, count), sizes.tolist(), strict=True), start=1):
+            depth = segments.segment_depth(volume, sums, float(size))
             if depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0:
                 found.append(depth)
-                inside.append(inner)
-                label[mask] = len(found)
+                number[part] = len(found)
+        label, inner = number[parts], number[inside]
     near = segments.grown(label, WINDOW_PX / every)
     if unseen.any():
         away = distance_transform_edt(~unseen)
         near[(away <= WINDOW_PX / every) & (label == 0)] = 0
-    return Regions(layers.size, tuple(found), tuple(inside), label, near)
+    return Regions(layers.size, tuple(found), label, inner, near)
+
+
+def _textured(seen: Seen, parts: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
+    """The parts that show texture, numbered anew from 1, their interiors, and the pixels of the others."""
+    every, kept = seen.reduction.every, 0
+    label, inner = np.zeros((2, *parts.shape), dtype=np.int32)
+    unseen = np.zeros(parts.shape, dtype=bool)
+    for number in range(1, int(parts.max(initial=0)) + 1):
+        mask = parts == number
+        if segments.textured(mask, seen.uneven, _OUTLINE_REACH_PX // every):
+            kept += 1
+            label[mask], inner[segments.interior(parts, number, every)] = kept, kept
+        else:
+            unseen |= mask
+    return label, inner, unseen

@@ -19,9 +19,22 @@ from metafab.decode.tiles import Tiling
 _TILE_CHANGE = 0.2
 _CORES_PX = (32.0, 256.0)
 #: Transfer functions are kept for this many depths, the last used.
-_KEPT_DEPTHS = 6
+_KEPT_DEPTHS = 12
 #: Their depths are a grid of this many steps over the calibrated range: less than a degree of the pair's turn.
 _DEPTH_STEPS = 96
+
+
+@dataclass(frozen=True)
+class LitTiles:
+    """The transformed tiles of a frame.
+
+    Attributes:
+        place: shape (n_tiles,), where each tile of the tiling is among the spectra, if it is.
+        spectra: shape (2, n, n_ky, n_kx).
+    """
+
+    place: NDArray[np.intp]
+    spectra: NDArray[np.complex64]
 
 
 @dataclass(frozen=True)
@@ -52,8 +65,20 @@ class Restorer:
         """Memory of the transfer functions that are kept."""
         return sum(transfer.nbytes for transfer in self._kept.values())
 
+    def transformed(self, images: NDArray[np.float32], lit: NDArray[np.bool_]) -> LitTiles:
+        """The tiles of both images that hold anything lit, as spectra.
+
+        Args:
+            images: shape (2, n_y + 2 margin, n_x + 2 margin), electrons a pixel.
+            lit: shape (n_y, n_x).
+        """
+        tiles = self.tiling.touched(lit)
+        place = np.zeros(self.tiling.n_tiles, dtype=np.intp)
+        place[tiles] = np.arange(tiles.size)
+        return LitTiles(place, np.stack([scipy.fft.rfft2(self.tiling.cut(image, tiles)) for image in images]))
+
     def __call__(
-        self, images: NDArray[np.float32], levels: Levels, label: NDArray[np.int32], vergences_per_m: FloatArray
+        self, seen: LitTiles, levels: Levels, label: NDArray[np.int32], vergences_per_m: FloatArray
     ) -> NDArray[np.float32]:
         """Both images, sharp where ``label`` says at which depth they are; 0 where it is 0, never negative.
 
@@ -61,7 +86,7 @@ class Restorer:
         :meth:`Levels.texture_spectrum` in white noise; it keeps the mean.
 
         Args:
-            images: shape (2, n_y + 2 margin, n_x + 2 margin), electrons a pixel.
+            seen: tiles that hold all of ``label``.
             levels: noise and texture of the frame.
             label: shape (n_y, n_x), number of each pixel's depth from 1.
             vergences_per_m: 1/depth of each number.
@@ -74,17 +99,13 @@ class Restorer:
         noise_to_signal = levels.noise_variance / np.maximum(levels.texture_spectrum(ky * ky + kx * kx), 1e-300)
         noise_to_signal[0, 0] = 0.0
         ratio = noise_to_signal.astype(np.float32)
-        lit = tiling.touched(label > 0)
-        place = np.zeros(tiling.n_tiles, dtype=np.intp)
-        place[lit] = np.arange(lit.size)
-        spectra = np.stack([scipy.fft.rfft2(tiling.cut(image, lit), workers=2) for image in images])
         sharp = np.zeros((2, *tiling.shape), dtype=np.float32)
         for number, vergence in enumerate(vergences_per_m, start=1):
             mask = label == number
             tiles = tiling.touched(mask)
             if not tiles.size:
                 continue
-            filtered = _wiener(self._transfer(float(vergence)), spectra, ratio, tiles, place[tiles])
+            filtered = _wiener(self._transfer(float(vergence)), seen.spectra, ratio, tiles, seen.place[tiles])
             layer = tiling.join(scipy.fft.irfft2(filtered, tiling.size, workers=2, overwrite_x=True), tiles)
             np.copyto(sharp, layer, where=mask)
         return np.maximum(sharp, 0.0, out=sharp)

@@ -15,12 +15,12 @@ from scipy.ndimage import (
     distance_transform_cdt,
     distance_transform_edt,
     gaussian_filter1d,
-    uniform_filter,
 )
 from scipy.ndimage import label as connected
 
 from metafab.core.conventions import FloatArray
 from metafab.decode.depth import PixelDepth, parabola, standard_error
+from metafab.decode.pooling import window_means
 from metafab.decode.volume import Volume, correlation
 
 #: Half a window: less cannot be told from the mixture of depths along an outline.
@@ -90,13 +90,11 @@ def assign(volume: Volume, layers: FloatArray, pixels: PixelDepth, step_per_m: f
         step_per_m: difference of vergence that counts.
         every: pixels of the frame a pixel of the volume.
     """
-    window = _OUTLINE_WINDOW_PX // every | 1
-    scores = []
-    for vergence in layers:
-        parts = np.stack([uniform_filter(part, window, mode="reflect") for part in volume.at(float(vergence))])
-        score = correlation(parts) - 0.05 * np.minimum(np.abs(pixels.vergence_per_m - vergence) / step_per_m, 4.0)
-        scores.append(uniform_filter(score, 3, mode="nearest"))
-    label = (np.argmax(scores, axis=0) + 1).astype(np.int32)
+    parts = window_means(volume.at(layers), _OUTLINE_WINDOW_PX // every | 1)
+    away_per_m = np.abs(pixels.vergence_per_m - layers[:, None, None])
+    scores = correlation(parts) - 0.05 * np.minimum(away_per_m / step_per_m, 4.0)
+    smooth = window_means(scores.astype(np.float32), 3)
+    label = (np.argmax(smooth, axis=0) + 1).astype(np.int32)
     near = pixels.claimed
     if near.any() and not near.all():
         away, (row, column) = distance_transform_edt(~near, return_indices=True)
@@ -139,16 +137,16 @@ def grown(segment: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
     return np.where(away <= reach, segment[row, column], 0).astype(np.int32)
 
 
-def segment_depth(volume: Volume, inner: NDArray[np.bool_]) -> SegmentDepth:
+def segment_depth(volume: Volume, sums: FloatArray, pixels: float) -> SegmentDepth:
     """The vergence at which a segment's twins agree best: the peak of a spline through all candidates.
 
     Its error is infinite where they do not agree, or best at an end of the candidates.
 
     Args:
         volume: agreement of the twins.
-        inner: the pixels that count: the segment's :func:`interior`.
+        sums: shape (3, n), its products summed over the segment's :func:`interior`.
+        pixels: how many those are.
     """
-    sums = volume.over(inner)
     agreement = correlation(sums)
     nodes = volume.vergences_per_m
     if not np.isfinite(agreement).all() or agreement.max() <= 0.0:
@@ -162,10 +160,10 @@ def segment_depth(volume: Volume, inner: NDArray[np.bool_]) -> SegmentDepth:
     shift, peak, curvature = parabola(values[best - 1], values[best], values[best + 1])
     step = fine[1] - fine[0]
     vergence = float(fine[best] + step * np.clip(shift, -1.0, 1.0))
-    samples = max(float(inner.sum()) * volume.samples, 1.0)
+    samples = max(pixels * volume.samples, 1.0)
     error = float(standard_error(np.array(peak), np.array(curvature / step**2), samples)) / abs(vergence)
     nearest = int(np.abs(nodes - vergence).argmin())
-    power = float(np.sqrt(sums[1, nearest] * sums[2, nearest])) / max(float(inner.sum()), 1.0)
+    power = float(np.sqrt(sums[1, nearest] * sums[2, nearest])) / max(pixels, 1.0)
     return SegmentDepth(vergence, error, float(peak), power)
 
 

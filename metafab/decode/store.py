@@ -44,7 +44,7 @@ def save(image: Image4D, path: Path, *, inputs_sha256: str = "") -> None:
             file.attrs["nmae"] = image.nmae
 
 
-def load(path: Path) -> Image4D:
+def load(path: Path | str) -> Image4D:
     """Read a decoded image.
 
     Raises:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.decode.pooling import halved
+from metafab.decode.pooling import halved, label_sums
 from metafab.optics.field import spline_weights
 
 
@@ -37,15 +37,16 @@ class Volume:
         """Every second pixel, a mean of what lies about it."""
         return Volume(self.vergences_per_m, halved(self.parts), 4.0 * self.samples, self.noise_gain)
 
-    def at(self, vergence_per_m: float) -> NDArray[np.float32]:
-        """The products at any depth, interpolated between the candidates: shape (3, n_y, n_x)."""
-        weights = spline_weights(self.vergences_per_m, vergence_per_m).astype(np.float32)
+    def at(self, vergences_per_m: FloatArray) -> NDArray[np.float32]:
+        """The products at any depths, interpolated between the candidates: shape (3, n, n_y, n_x)."""
+        weights = spline_weights(self.vergences_per_m, vergences_per_m).astype(np.float32)
         flat = self.parts.reshape(*self.parts.shape[:2], -1)
-        return np.asarray((weights @ flat).reshape(3, *self.parts.shape[-2:]))
+        return np.asarray((weights @ flat).reshape(3, -1, *self.parts.shape[-2:]))
 
-    def over(self, mask: NDArray[np.bool_]) -> FloatArray:
-        """Sums over the pixels of a mask: shape (3, n)."""
-        return np.asarray(self.parts[:, :, mask].sum(axis=-1, dtype=np.float64))
+    def over(self, label: NDArray[np.int32], count: int) -> FloatArray:
+        """Sums over the pixels of each label from 1 to ``count``: shape (count, 3, n)."""
+        sums = label_sums(self.parts.reshape(-1, *label.shape), label, count)
+        return np.moveaxis(sums.reshape(*self.parts.shape[:2], count), -1, 0)
 
 
 def correlation(parts: np.ndarray) -> np.ndarray:

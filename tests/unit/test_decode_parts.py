@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import uniform_filter
 
-from metafab.decode import mixing, pooling, resample
+from metafab.decode import mixing, peaks, pooling, resample, restore
 from metafab.decode.depth import parabola, standard_error
 from metafab.decode.judge import structural_similarity
 from metafab.decode.reduce import Reduction, enlarged, repeated
@@ -39,10 +39,10 @@ def test_the_plain_resampler_does_what_the_compiled_one_does() -> None:
     i, j = np.mgrid[:50, :60].astype(float)
     made = Resampler.of(i * 1.05 - 2.0 + 0.01 * j, j * 0.97 + 3.0 - 0.02 * i, image.shape)
     rows = image[made.first_row : made.first_row + made.column.shape[0]]
-    along = resample._along_rows_plain(rows, made.column, resample._TABLE)
-    np.testing.assert_allclose(resample._along_rows(rows, made.column, resample._TABLE), along, atol=1e-5)
-    down = resample._down_columns_plain(along, made.row, resample._TABLE)
-    np.testing.assert_allclose(resample._down_columns(along, made.row, resample._TABLE), down, atol=1e-5)
+    along = resample._across_plain(rows, made.column, resample._TABLE)
+    np.testing.assert_allclose(resample._across(rows, made.column, resample._TABLE), along, atol=1e-5)
+    down = resample._across_plain(along, made.row, resample._TABLE)
+    np.testing.assert_allclose(resample._across(along, made.row, resample._TABLE), down, atol=1e-5)
     np.testing.assert_allclose(made(image), down, atol=1e-5)
 
 
@@ -152,14 +152,68 @@ def test_means_are_those_of_the_plain_filter(n_y: int, n_x: int, reach: int, see
     )
 
 
+@settings(max_examples=25, deadline=None)
+@given(n_y=st.integers(1, 9), n_x=st.integers(1, 9), count=st.integers(0, 4), seed=st.integers(0, 99))
+def test_sums_by_label_are_sums_over_masks(n_y: int, n_x: int, count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pictures = rng.normal(size=(3, n_y, n_x)).astype(np.float32)
+    label = rng.integers(0, count + 1, (n_y, n_x)).astype(np.int32)
+    want = [[picture[label == k].sum(dtype=np.float64) for k in range(1, count + 1)] for picture in pictures]
+    for got in (
+        pooling.label_sums(pictures, label, count),
+        pooling._label_sums_plain(pictures.reshape(3, -1), label.ravel(), count),
+    ):
+        assert got.shape == (3, count)
+        np.testing.assert_allclose(got, np.reshape(want, (3, count)), atol=1e-12)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    n_y=st.integers(1, 20),
+    n_x=st.integers(1, 20),
+    count=st.integers(3, 6),
+    reach=st.integers(0, 4),
+    seed=st.integers(0, 99),
+)
+def test_compiled_peaks_are_the_plain_ones(n_y: int, n_x: int, count: int, reach: int, seed: int) -> None:
+    parts = np.random.default_rng(seed).random((3, count, n_y, n_x)).astype(np.float32)
+    parts[0] -= 0.5
+    window = 2 * reach + 1
+    best, around, common = peaks.peaks(parts, window)
+    _, want_around, want_common = peaks._peaks_plain(parts, window)
+    # Candidates may be as good as each other to single precision.
+    agreement = correlation(pooling.window_means(parts, window))
+    chosen = np.take_along_axis(agreement, best[None], axis=0)[0]
+    np.testing.assert_allclose(chosen, agreement.max(axis=0), atol=1e-5)
+    np.testing.assert_allclose(common, want_common, atol=1e-5)
+    same = best == agreement.argmax(axis=0)
+    np.testing.assert_allclose(around[:, same], want_around[:, same], atol=1e-4)
+
+
+def test_the_compiled_wiener_filter_is_the_plain_one() -> None:
+    rng = np.random.default_rng(2)
+    transfer, spectra = (
+        (rng.normal(size=(2, n, 4, 3)) + 1j * rng.normal(size=(2, n, 4, 3))).astype(np.complex64) for n in (5, 3)
+    )
+    ratio = rng.random((4, 3)).astype(np.float32)
+    tiles, place = np.array([4, 1]), np.array([0, 2])
+    want = np.conj(transfer[:, tiles]) * spectra[:, place] / (np.abs(transfer[:, tiles]) ** 2 + ratio)
+    for filtered in (restore._wiener, restore._wiener_plain):
+        np.testing.assert_allclose(filtered(transfer, spectra, ratio, tiles, place), want, rtol=1e-4, atol=1e-6)
+
+
 def test_a_volume_between_its_candidates() -> None:
     """Products that are cubic in vergence are interpolated exactly."""
     nodes = np.linspace(1.0, 2.0, 9)
     parts = (nodes[None, :, None, None] ** 3 * np.array([1.0, 2.0, 3.0])[:, None, None, None]).astype(np.float32)
     volume = Volume(nodes, np.broadcast_to(parts, (3, 9, 4, 4)).copy(), 1.0, 1.0)
-    np.testing.assert_allclose(volume.at(1.37)[:, 0, 0], 1.37**3 * np.array([1.0, 2.0, 3.0]), rtol=1e-5)
+    np.testing.assert_allclose(volume.at(np.array([1.37]))[:, 0, 0, 0], 1.37**3 * np.array([1.0, 2.0, 3.0]), rtol=1e-5)
     assert volume.halved().parts.shape == (3, 9, 2, 2)
-    np.testing.assert_allclose(volume.over(np.ones((4, 4), dtype=bool))[0], 16.0 * nodes**3, rtol=1e-6)
+    label = np.array([[0, 1, 1, 2]] * 4, dtype=np.int32)
+    sums = volume.over(label, 3)
+    assert sums.shape == (3, 3, 9)
+    for number, pixels in ((1, 8.0), (2, 4.0), (3, 0.0)):
+        np.testing.assert_allclose(sums[number - 1, 2], 3.0 * pixels * nodes**3, rtol=1e-6)
 
 
 def test_correlation_is_blind_to_contrast() -> None:
