@@ -39,7 +39,7 @@ def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
         _image(group, "label", truth.label, "1", "object number from 1, 0 for none")
 
 
-def load(path: Path) -> RawFrame:
+def load(path: Path | str) -> RawFrame:
     """Read a frame.
 
     Raises:

@@ -82,13 +82,13 @@ def put(
 
 
 @contextmanager
-def open_kind(path: Path, *, kind: str, format_version: int, remedy: str) -> Iterator[h5py.File]:
+def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) -> Iterator[h5py.File]:
     """Open an existing file of a kind for reading, or say in one line why it cannot be used.
 
     Raises:
         InputError: the file is missing, truncated, not HDF5, of another kind, or of a newer format.
     """
-    expected = f"a {kind} file (HDF5, format {format_version} or older)"
+    path, expected = Path(path), f"a {kind} file (HDF5, format {format_version} or older)"
     if not path.is_file():
         raise InputError.single(str(path), "file", expected, "nothing at that path", remedy)
     try:

@@ -105,7 +105,7 @@ def _corners(group: h5py.Group) -> Corners:
     return Corners(tuple(models), factor, floor, place, certificate, _details(group))
 
 
-def load(path: Path) -> Library:
+def load(path: Path | str) -> Library:
     """Read a library.
 
     Raises:

@@ -51,7 +51,7 @@ def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
             _put_field(file.create_group("field"), psf.field)
 
 
-def load(path: Path) -> Psf:
+def load(path: Path | str) -> Psf:
     """Read a file that :func:`save` wrote.
 
     Raises:
@@ -71,7 +71,7 @@ def load(path: Path) -> Psf:
             field=_field(file["field"]) if "field" in file else None,
             details={k: _number(v) for k, v in json.loads(str(file.attrs["details"])).items()},
         )
-    _check(psf, path)
+    _check(psf, Path(path))
     return psf
 
 

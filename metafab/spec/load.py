@@ -15,22 +15,22 @@ from metafab.spec.scene import Scene
 from metafab.spec.toml import adapter, faults_of, read_toml, validate
 
 
-def load_unit_cell(path: Path) -> UnitCell:
+def load_unit_cell(path: Path | str) -> UnitCell:
     """Read a unit-cell file.
 
     Raises:
         InputError: the file cannot be read, or holds faults (all of them are reported).
     """
-    return validate(UnitCell, read_toml(path), str(path))
+    return validate(UnitCell, read_toml(Path(path)), str(path))
 
 
-def load_scene(path: Path) -> Scene:
+def load_scene(path: Path | str) -> Scene:
     """Read a scene file (the keys of a design's ``[scene]`` table at top level, or under ``[scene]``)."""
-    table = read_toml(path)
+    table = read_toml(Path(path))
     return validate(Scene, table.get("scene", table), str(path))
 
 
-def load_design(path: Path) -> Design:
+def load_design(path: Path | str) -> Design:
     """Read a design file, with the unit cell and the scene that it names.
 
     ``library`` is a unit-cell file or a built library, relative to the design; ``scene`` a table or a file.
@@ -38,6 +38,7 @@ def load_design(path: Path) -> Design:
     Raises:
         InputError: all faults of the design, its unit cell and its scene, each with its path.
     """
+    path = Path(path)
     table = read_toml(path)
     faults: list[Fault] = []
     table["unit_cell"] = _referenced_unit_cell(path, table, faults)

@@ -29,7 +29,7 @@ def path(built: Library, tmp_path: Path) -> Path:
 
 
 def test_a_library_comes_back_exactly(built: Library, path: Path) -> None:
-    again = library.load(path)
+    again = library.load(str(path))
     for name in ("wavelength_nm", "width_nm", "length_nm", "t_xx", "t_yy", "r_xx", "r_yy", "error"):
         assert np.array_equal(getattr(again, name), getattr(built, name)), name
     assert again.unit_cell == built.unit_cell == unit_cell_of_library(path)

@@ -31,7 +31,8 @@ def test_paper_design_holds_the_paper_numbers() -> None:
     assert design.device.focal_length_mm == 20.0
     assert design.split_angle_deg == 8.0
     assert design.wavelength_um == pytest.approx(0.8)
-    cell = design.unit_cell
+    cell = load_unit_cell(str(CELL))
+    assert cell == design.unit_cell
     assert cell.cell.period_nm == (350.0, 350.0)
     assert cell.cell.height_nm == 600.0
     assert cell.sweep.width_nm == cell.sweep.length_nm == (100.0, 250.0)

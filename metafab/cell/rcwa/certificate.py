@@ -129,7 +129,7 @@ class PowerLaw:
         if orders < self.from_orders or not earlier:
             return float("inf")
         implied = (apart / (float(orders / count) ** self.power - 1.0) for count, apart in earlier.items())
-        return _LAW_MARGIN * max(implied)
+        return float(_LAW_MARGIN * max(implied))
 
 
 #: Curved outlines converge more slowly than corners between straight walls.
