@@ -20,6 +20,7 @@ from metafab.layout.figures import TileFigures
 from metafab.layout.geometry import tile_sites
 from metafab.layout.mapping import Mapping
 from metafab.layout.neighbours import JointSizes
+from metafab.layout.outlines import Outline
 from metafab.layout.pillars import Lattice, PillarMap, PillarTile
 from metafab.library import Library, SizeTable, build_size_table, global_offsets
 from metafab.phase.profile import PhaseProfile
@@ -114,7 +115,8 @@ def mapping_of(profile: PhaseProfile, library: Library, design: Design) -> Mappi
     aperture = Aperture.of(design)
     joint = _joint(library, design, table, aperture.lattice) if design.rules.gap_rule == "pairs" else None
     offsets = constant_phases(profile, table, aperture)
-    return Mapping(profile, table if joint is None else joint.table, aperture, offsets, tile_sites(design), joint)
+    sizes = table if joint is None else joint.table
+    return Mapping(profile, sizes, aperture, offsets, tile_sites(design), joint, Outline.of(design))
 
 
 def allowed_sizes(library: Library, design: Design) -> SizeTable:
@@ -127,6 +129,8 @@ def allowed_sizes(library: Library, design: Design) -> SizeTable:
         max_width_nm=p_x - gap_nm,
         max_length_nm=p_y - gap_nm,
         min_feature_nm=design.min_side_nm,
+        cd_sigma_nm=design.rules.cd_sigma_nm,
+        isotropic=design.rules.polarisation_independent,
     )
 
 
@@ -143,10 +147,12 @@ def _joint(library: Library, design: Design, plain: SizeTable, lattice: Lattice)
         },
         min_feature_nm=design.min_side_nm,
         cells=2,
+        cd_sigma_nm=design.rules.cd_sigma_nm,
+        isotropic=design.rules.polarisation_independent,
     )
     if len(wide.size_dbu) == len(plain.size_dbu):
         return None
-    return JointSizes.of(wide, plain, lattice, gap_nm / design.mask.database_unit_nm)
+    return JointSizes.of(wide, plain, lattice, gap_nm / design.mask.database_unit_nm, Outline.of(design))
 
 
 def constant_phases(profile: PhaseProfile, table: SizeTable, aperture: Aperture) -> tuple[float, float]:

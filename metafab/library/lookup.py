@@ -116,6 +116,7 @@ def build_size_table(
     cells: int = 512,
     cd_sigma_nm: float = 0.0,
     max_error: float = math.inf,
+    isotropic: bool = False,
 ) -> SizeTable:
     """The mapping table of a library under a process' rules.
 
@@ -130,13 +131,18 @@ def build_size_table(
             is then the one expected under such a bias: t is damped by exp(-(cd_sigma d phi/d bias)^2 / 2), so
             sizes whose phase turns fast give way to calm ones. 0 maps to the nominal field.
         max_error: sizes whose stated error is larger are not used.
+        isotropic: use only sizes that the lattice's symmetry makes answer both polarisations alike: pillars as wide as
+            long, and every cross, in a square cell.
 
     Raises:
         InputError: no size is left, a size is not exact in database units, or there are more than 65535 sizes.
     """
     if cells < 2 or cells & (cells - 1):
         raise ValueError(f"`cells`: expected a power of two from 2, got {cells}")
-    row, column = _admitted(library, max_width_nm, max_length_nm, min_feature_nm, max_error)
+    known = np.broadcast_to(library.error, library.t_xx.shape)[0] <= max_error
+    if isotropic:
+        known = known & isotropic_sizes(library)
+    row, column = _admitted(library, max_width_nm, max_length_nm, min_feature_nm, known)
     size_nm = np.stack([library.width_nm[column], library.length_nm[row]], axis=-1)
     size_dbu = _exact_dbu(size_nm, database_unit_nm)
     t_grid = np.stack([library.t_xx[0], library.t_yy[0]], axis=-1)
@@ -178,6 +184,20 @@ def global_offsets(table: SizeTable, histogram: NDArray[np.int64]) -> tuple[floa
     return float(wrap_phase(column * step)), float(wrap_phase(row * step))
 
 
+def isotropic_sizes(library: Library) -> NDArray[np.bool_]:
+    """Which sizes answer both polarisations alike by symmetry; shape (n_length, n_width).
+
+    Raises:
+        InputError: the cell itself tells x from y, so that no size does.
+    """
+    unit_cell = library.unit_cell
+    if not unit_cell.is_square:
+        expected = "a square lattice on an isotropic substrate, of which a quarter turn makes the same"
+        raise InputError.single("library", "cell.period_nm", expected, "one that tells x from y")
+    alike = np.abs(library.length_nm[:, None] - library.width_nm[None, :]) < 1e-6
+    return np.ones_like(alike) if unit_cell.cell.shape == "cross" else alike
+
+
 def phase_slope_per_nm(library: Library) -> FloatArray:
     """How fast the phase turns when width and length grow together (a bias of the critical dimension).
 
@@ -217,19 +237,19 @@ def _gradient(t: ComplexArray, size_nm: FloatArray, axis: int) -> ComplexArray:
 
 
 def _admitted(
-    library: Library, max_width_nm: float, max_length_nm: float, min_feature_nm: float, max_error: float
+    library: Library, max_width_nm: float, max_length_nm: float, min_feature_nm: float, usable: NDArray[np.bool_]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the sizes that the rules and ``max_error`` leave."""
+    """Rows and columns of the ``usable`` sizes that the rules leave; ``usable`` has shape (n_length, n_width)."""
     tolerance_nm = 1e-6
     smallest_nm = min_feature_nm - tolerance_nm
     width_fits = (library.width_nm >= smallest_nm) & (library.width_nm <= max_width_nm + tolerance_nm)
     length_fits = (library.length_nm >= smallest_nm) & (library.length_nm <= max_length_nm + tolerance_nm)
-    known = np.broadcast_to(library.error, library.t_xx.shape)[0] <= max_error
-    row, column = np.nonzero(length_fits[:, None] & width_fits[None, :] & known)
+    row, column = np.nonzero(length_fits[:, None] & width_fits[None, :] & usable)
     if not 0 < row.size <= _LARGEST_INDEX:
         got = (
-            f"{row.size} of {known.size} sizes within widths {min_feature_nm:g} to {max_width_nm:g} nm, lengths "
-            f"{min_feature_nm:g} to {max_length_nm:g} nm and errors up to {max_error:g}"
+            f"{row.size} of {usable.size} sizes within widths {min_feature_nm:g} to {max_width_nm:g} nm and lengths "
+            f"{min_feature_nm:g} to {max_length_nm:g} nm, {int(np.count_nonzero(usable))} of all being known and "
+            "symmetric enough"
         )
         remedy = "relax the rules or rebuild the library" if row.size == 0 else "use a coarser `sweep.size_grid_nm`"
         raise InputError.single("library", "sweep", f"1 to {_LARGEST_INDEX} sizes that the rules allow", got, remedy)

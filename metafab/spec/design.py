@@ -196,13 +196,24 @@ class Rules:
 
     With ``gap_rule`` "each", no pillar is wider or longer than the period less ``min_gap_nm``, whatever stands beside
     it; with "pairs", a pillar may be larger where its neighbours leave the gap. ``max_aspect_ratio`` limits the
-    height over the shorter side.
+    height over the shorter side. ``cd_sigma_nm`` is the standard deviation of a bias that fabrication adds to width
+    and length alike: sizes are chosen for the field expected under it, so that those whose phase turns fast give way
+    to calm ones. With ``polarisation_independent`` only sizes are used that answer both polarisations alike by
+    symmetry: pillars as wide as long, and crosses, in a square cell.
     """
 
     min_gap_nm: Positive = 100.0
     min_feature_nm: Positive = 100.0
     max_aspect_ratio: Positive | None = None
     gap_rule: Literal["each", "pairs"] = "each"
+    cd_sigma_nm: NonNegative = 0.0
+    polarisation_independent: bool = False
+
+    @model_validator(mode="after")
+    def _one_weight(self) -> Rules:
+        if self.cd_sigma_nm and self.gap_rule == "pairs":
+            raise ValueError('`cd_sigma_nm` weighs sizes one by one; it goes with `gap_rule = "each"`')
+        return self
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -215,9 +226,27 @@ class Sensor:
 
 @dataclass(frozen=True, config=CONFIG)
 class Optics:
-    """What stands before the sensor besides the lens: a colour filter of this full width about the wavelength."""
+    """What stands in the light besides the lens; nothing where a key is left out.
 
-    filter_fwhm_nm: Annotated[float, Field(strict=True, gt=0.0, le=100.0)]
+    ``filter_fwhm_nm`` is a colour filter's full width about the wavelength. ``substrate_um`` is the thickness of the
+    substrate between scene and pillars, which refracts as a plane-parallel plate of the unit cell's index. A round stop
+    of diameter ``stop_um`` and an amplitude of the user's own stand in the plane of the pillars; the amplitude (0 to 1)
+    is a .npy, .csv or .h5 file on a square grid about the axis, (n_y, n_x), lowest y first. Efficiencies remain shares
+    of the light at the device's aperture.
+    """
+
+    filter_fwhm_nm: Annotated[float | None, Field(strict=True, gt=0.0, le=100.0)] = None
+    substrate_um: Annotated[float, Field(strict=True, ge=0.0, le=20_000.0)] = 0.0
+    stop_um: Positive | None = None
+    amplitude_file: Path | None = None
+    amplitude_pitch_um: Positive | None = None
+    amplitude_dataset: str = "amplitude"
+
+    @model_validator(mode="after")
+    def _samples_have_a_pitch(self) -> Optics:
+        if (self.amplitude_file is None) != (self.amplitude_pitch_um is None):
+            raise ValueError("`amplitude_file` and `amplitude_pitch_um`, the distance of its samples, go together")
+        return self
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -304,7 +333,9 @@ class Design:
     verify: Verify
     scene: Scene | None = None
     numerics: Numerics = Field(default_factory=Numerics)
-    optics: Annotated[Optics | None, Field(description="omitted: one wavelength, and no budget of bandwidth")] = None
+    optics: Annotated[
+        Optics | None, Field(description="omitted: one wavelength, no budget of bandwidth, and nothing before the lens")
+    ] = None
     tolerance: Annotated[Tolerances | None, Field(description="omitted: no table of corners")] = None
     measured: Annotated[Measured | None, Field(description="omitted: nothing to compare with")] = None
 
@@ -313,6 +344,25 @@ class Design:
         informed = any(isinstance(term, SpiralZones) and term.optimise == "blind_information" for term in self.phase)
         if informed and self.scene is None:
             raise ValueError("`optimise` = 'blind_information' needs a `scene`: its photons and noise decide")
+        return self
+
+    @model_validator(mode="after")
+    def _light_reaches_the_lens(self) -> Design:
+        if self.optics is None:
+            return self
+        substrate_um, stop_um = self.optics.substrate_um, self.optics.stop_um
+        if substrate_um > 0.0 and self.unit_cell.illumination.side != "substrate":
+            raise ValueError(
+                "`optics.substrate_um` is for light from the substrate's side; here it comes from the other"
+            )
+        nearest_m = min(self.sensor.focus_depth_m, *self.depths_m)
+        if substrate_um >= 1e6 * nearest_m:
+            raise ValueError(f"`optics.substrate_um` must end before the nearest object, {1e6 * nearest_m:g} um away")
+        if stop_um is not None and stop_um > self.device.aperture_um:
+            raise ValueError(
+                f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um: a wider stop "
+                "stops nothing"
+            )
         return self
 
     @property

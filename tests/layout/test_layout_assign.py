@@ -143,3 +143,16 @@ def test_without_numba_the_map_is_the_same(
     # Sums in another order, of terms to 1e-12.
     for name in ("phase_rms_error_rad", "field_overlap", "mean_transmittance", "min_gap_nm"):
         assert plain.figures[name] == pytest.approx(tiny.figures[name], rel=1e-10)
+
+
+def test_rules_may_ask_for_one_response_to_both_polarisations_and_for_calm_sizes(
+    profile: PhaseProfile, smooth_library: Library, tiny_design: Design
+) -> None:
+    alike = replace(tiny_design, rules=replace(tiny_design.rules, polarisation_independent=True))
+    sizes = layout.assign(profile, smooth_library, alike).pillars
+    used = sizes.size_nm()[np.unique(sizes.to_array())]
+    assert len(used) > 5
+    assert np.array_equal(used[:, 0], used[:, 1])
+    calm = replace(tiny_design, rules=replace(tiny_design.rules, cd_sigma_nm=20.0))
+    tables = [allowed_sizes(smooth_library, design) for design in (tiny_design, calm)]
+    assert np.any(tables[0].size_index != tables[1].size_index)

@@ -131,6 +131,19 @@ def test_a_cd_bias_moves_the_choice_to_calm_sizes(smooth_library: Library) -> No
     assert mean_slope(5.0) < 0.8 * mean_slope(0.0)
 
 
+def test_isotropic_sizes_are_as_wide_as_long_or_crosses_of_a_square_cell(smooth_library: Library) -> None:
+    table = build_size_table(smooth_library, database_unit_nm=0.5, cells=16, isotropic=True)
+    assert np.all(table.size_dbu[:, 0] == table.size_dbu[:, 1])
+    assert len(table.size_dbu) == 1 + smooth_library.width_nm.size
+    np.testing.assert_allclose(table.t[:, 0], table.t[:, 1])
+    cell = smooth_library.unit_cell
+    cross = replace(smooth_library, unit_cell=replace(cell, cell=replace(cell.cell, shape="cross")))
+    assert len(build_size_table(cross, database_unit_nm=0.5, cells=16, isotropic=True).size_dbu) > len(table.size_dbu)
+    oblong = replace(smooth_library, unit_cell=replace(cell, cell=replace(cell.cell, period_nm=(350.0, 400.0))))
+    with pytest.raises(InputError, match="tells x from y"):
+        build_size_table(oblong, database_unit_nm=0.5, cells=16, isotropic=True)
+
+
 def test_global_offsets_find_the_best_place_of_all(table: SizeTable) -> None:
     """Against trying every offset by brute force, for targets bunched around (1.0, -2.0)."""
     rng = np.random.default_rng(7)
