@@ -2,6 +2,8 @@
 
 - ``imaging``      Imaging: geometry of lens and sensor; image points by the grating law; nodes over depth, field
 - ``source``       what leaves the metasurface: pillars through a library, or target phases
+- ``apodisation``  a stop and an amplitude in the plane of the pillars
+- ``plate``        the substrate between scene and pillars
 - ``path``         exact path lengths and amplitudes from object over lens to sensor
 - ``pupil``        Pupil: a streaming pass from pillars to block sums
 - ``chebyshev``    interpolation between Chebyshev points
@@ -36,6 +38,7 @@ In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.libra
 """
 
 from metafab.optics import metrics
+from metafab.optics.apodisation import Apodisation, apodised
 from metafab.optics.basis import PsfBasis
 from metafab.optics.chain import Loss, Wavefront, loss_chain, wavefront
 from metafab.optics.corners import CornerField, corner_fields
@@ -47,9 +50,10 @@ from metafab.optics.image import relative_l2
 from metafab.optics.imaging import Imaging, depth_nodes, field_tangents
 from metafab.optics.lobe import main_lobe_px, orientation_deg
 from metafab.optics.mtf import lens_modulation, modulation_transfer
+from metafab.optics.plate import Plate
 from metafab.optics.point_spread import Psf, PsfField
 from metafab.optics.reference import direct_irradiance
-from metafab.optics.source import IdealField, Source, WrittenField, ideal_field, written_field
+from metafab.optics.source import ApodisedField, IdealField, Source, WrittenField, ideal_field, written_field
 from metafab.optics.space_variance import SpaceVariance, aberration_dioptre, seen_bias_dioptre, space_variance
 from metafab.optics.spectrum import AngularSpectrum
 from metafab.optics.stack import psf
@@ -59,10 +63,13 @@ from metafab.optics.tolerance_store import load_tolerance, save_tolerance, toler
 
 __all__ = [
     "AngularSpectrum",
+    "Apodisation",
+    "ApodisedField",
     "CornerField",
     "IdealField",
     "Imaging",
     "Loss",
+    "Plate",
     "PointSource",
     "Psf",
     "PsfBasis",
@@ -75,6 +82,7 @@ __all__ = [
     "Wavefront",
     "WrittenField",
     "aberration_dioptre",
+    "apodised",
     "at_depths",
     "at_tangent",
     "concatenate",

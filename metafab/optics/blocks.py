@@ -55,7 +55,7 @@ def reduce_to_target(
     mean_depth = 1.0 / mean_vergence if mean_vergence > 0.0 else math.inf
     rays = [Ray.towards_image(imaging, p, mean_depth, (middle[0], middle[1])) for p in (0, 1)]
     block = _first_block(source, rays, windows[0])
-    stray = Carrier(1, Ray.towards_image(imaging, 0, mean_depth, tangent), _stray_block(imaging, source, block))
+    stray = Carrier(1, Ray.towards_image(imaging, 0, mean_depth, tangent).in_air, _stray_block(imaging, source, block))
     stray_pupil: Pupil | None = None
     ends = sorted({depths_m[0], depths_m[-1]})
 
@@ -71,7 +71,9 @@ def reduce_to_target(
 
     while True:
         _require_memory(source, block)
-        carriers = [Carrier(p, ray, block) for p, ray in enumerate(rays)] + ([stray] if stray_pupil is None else [])
+        carriers = [Carrier(p, ray.in_air, block) for p, ray in enumerate(rays)] + (
+            [stray] if stray_pupil is None else []
+        )
         first, second, *rest = reduce_field(source, carriers, imaging.wavenumber, workers=workers, progress=progress)
         stray_pupil = rest[0] if rest else stray_pupil
         assert stray_pupil is not None

@@ -96,6 +96,7 @@ def loss_chain(
     through_pinhole: FloatArray,
     ideal_through_pinhole: FloatArray,
     coupling: float | None = None,
+    stopped: FloatArray | None = None,
 ) -> list[Loss]:
     """The factors from the aperture to the pinhole; each argument but ``coupling`` holds x and y.
 
@@ -104,15 +105,22 @@ def loss_chain(
         transmitted: share of the light at the aperture that leaves the pillars.
         through_pinhole: share that passes the pinhole behind the written mask, as the library's pillars would have it.
         ideal_through_pinhole: the same of the target phases.
+        stopped: share of the light at the aperture that passes a stop or an amplitude before the pillars, which
+            ``transmitted`` and both efficiencies hold, too; None where there is none.
         coupling: efficiency of full-wave rows over that of the same rows by the library; None where not measured.
 
     Returns:
         Losses whose factors multiply to ``through_pinhole`` times ``coupling``.
     """
     overlap, best = np.array(front.overlap), np.array(front.best_overlap)
+    before = [] if stopped is None else [_loss("stop and amplitude before the pillars", stopped)]
+    if stopped is not None:
+        transmitted, ideal_through_pinhole = transmitted / stopped, ideal_through_pinhole / stopped
+        through_pinhole = through_pinhole / stopped
     # Dark sites take their power, and once more of the amplitude at the image.
     wanted = transmitted * overlap * front.filled
     return [
+        *before,
         _loss("through the pillars", transmitted),
         _loss("wave that the library can follow", best),
         _loss("sizes snapped to the grid", overlap / best),

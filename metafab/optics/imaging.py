@@ -10,6 +10,8 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray, Polarisation, sensor_distance_um
 from metafab.core.errors import InputError
+from metafab.materials import refractive_index
+from metafab.optics.plate import Plate
 from metafab.spec import Design
 from metafab.spec.design import Grating
 
@@ -34,6 +36,7 @@ class Imaging:
         deflection: direction cosines (x, y) that gratings add, for x and for y polarisation.
         inner_um: diameter of a ring's hole.
         outline_um: (x, y) of a polygon's vertices.
+        plates: the substrate as x and as y polarised light sees it, between scene and pillars; none for air.
     """
 
     wavelength_um: float
@@ -46,6 +49,7 @@ class Imaging:
     deflection: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
     inner_um: float = 0.0
     outline_um: tuple[tuple[float, float], ...] = ()
+    plates: tuple[Plate, ...] = ()
 
     @classmethod
     def of(cls, design: Design) -> Imaging:
@@ -75,6 +79,7 @@ class Imaging:
             (_deflection(design, "x"), _deflection(design, "y")),
             device.inner_um,
             device.outline_um,
+            _plates(design),
         )
 
     @property
@@ -159,6 +164,15 @@ def field_tangents(design: Design, imaging: Imaging) -> tuple[FloatArray, FloatA
     rows, columns = design.scene.field_px
     count_x, count_y = design.verify.field_points
     return _axis(columns, count_x, imaging), _axis(rows, count_y, imaging)
+
+
+def _plates(design: Design) -> tuple[Plate, ...]:
+    """The substrate where `optics.substrate_um` gives it a thickness."""
+    if design.optics is None or design.optics.substrate_um == 0.0:
+        return ()
+    cell = design.unit_cell
+    index = refractive_index(cell.materials.substrate, cell.illumination.wavelength_nm)
+    return tuple(Plate(design.optics.substrate_um, float(n.real)) for n in index[:2])
 
 
 def _deflection(design: Design, polarisation: Polarisation) -> tuple[float, float]:

@@ -8,7 +8,7 @@ numba is installed, and inlined in the kernels that need them a million times.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.numerics import compiled
 from metafab.optics.imaging import Imaging
+from metafab.optics.plate import Plate
 
 
 @dataclass(frozen=True)
@@ -27,25 +28,39 @@ class Ray:
         vergence_per_um: 1 / depth; 0 for an object at infinity.
         tangent: (x/z, y/z) of the object.
         target_um: (x, y, z) of the sensor point.
+        plate: what the light crosses before the lens; None for air.
     """
 
     vergence_per_um: float
     tangent: tuple[float, float]
     target_um: tuple[float, float, float]
+    plate: Plate | None = None
 
     @classmethod
     def towards_image(cls, imaging: Imaging, polarisation: int, depth_m: float, tangent: tuple[float, float]) -> Ray:
         """The ray to the geometric image point of one polarisation."""
         x, y = imaging.image_point_um(polarisation, tangent)
-        return cls(1e-6 / depth_m, tangent, (x, y, imaging.sensor_distance_um))
+        plate = imaging.plates[polarisation] if imaging.plates else None
+        return cls(1e-6 / depth_m, tangent, (x, y, imaging.sensor_distance_um), plate)
+
+    @property
+    def in_air(self) -> Ray:
+        """The same without the plate."""
+        return replace(self, plate=None)
 
     def path_um(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
         """Path over the lens point (x, y) minus the path over its centre; broadcasts."""
-        return np.asarray(path_um(x_um, y_um, self.vergence_per_um, *self.tangent, *self.target_um))
+        path = path_um(x_um, y_um, self.vergence_per_um, *self.tangent, *self.target_um)
+        if self.plate is not None:
+            path = path + self.plate.path_change_um(x_um, y_um, self.vergence_per_um, self.tangent)
+        return np.asarray(path)
 
     def incident_amplitude(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
         """Square root of the incident flux through the lens plane, 1 at its centre; broadcasts."""
-        return np.asarray(incident_amplitude(x_um, y_um, self.vergence_per_um, *self.tangent))
+        amplitude = incident_amplitude(x_um, y_um, self.vergence_per_um, *self.tangent)
+        if self.plate is not None:
+            amplitude = amplitude * self.plate.amplitude_ratio(x_um, y_um, self.vergence_per_um, self.tangent)
+        return np.asarray(amplitude)
 
 
 @compiled

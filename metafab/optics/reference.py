@@ -15,6 +15,7 @@ import shapely
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numerics import compiled_parallel, prange
 from metafab.optics.imaging import Imaging
+from metafab.optics.plate import Plate
 from metafab.optics.source import Source
 
 
@@ -47,28 +48,65 @@ def direct_irradiance(
     u, v = (np.asarray(axis, dtype=np.float64) for axis in (x_um, y_um))
     field = np.zeros((depth_um.size, u.size), dtype=np.complex128)
     site_x, site_y = source.lattice.x_um(), source.lattice.y_um()
+    plate = imaging.plates[polarisation] if imaging.plates else None
     for tile in source.tiles():
         amplitude = tile.amplitude(polarisation)
         n_y, n_x = amplitude.shape
         x, y = site_x[tile.column : tile.column + n_x], site_y[tile.row : tile.row + n_y]
-        lit = np.array([amplitude * incident_wave(*point, x, y, imaging.wavenumber) for point in objects])
+        lit = np.array([amplitude * incident_wave(*point, x, y, imaging.wavenumber, plate) for point in objects])
         _accumulate(field, u, v, lit, x, y, imaging.sensor_distance_um, imaging.wavenumber)
-    incident = np.array([_incident_power(imaging, *point) for point in objects])
+    incident = np.array([_incident_power(imaging, *point, plate) for point in objects])
     irradiance = np.asarray(np.abs(field * source.lattice.cell_um2) ** 2 / incident[:, None])
     return irradiance[0] if np.ndim(depth_m) == 0 else irradiance
 
 
 def incident_wave(
-    object_x: float, object_y: float, depth_um: float, x_um: FloatArray, y_um: FloatArray, wavenumber: float
+    object_x: float,
+    object_y: float,
+    depth_um: float,
+    x_um: FloatArray,
+    y_um: FloatArray,
+    wavenumber: float,
+    plate: Plate | None = None,
 ) -> ComplexArray:
-    """Square root of the flux z / R^3 of a spherical wave through the lens plane, with its phase, shape (n_y, n_x)."""
-    distance = np.sqrt((x_um[None, :] - object_x) ** 2 + (y_um[:, None] - object_y) ** 2 + depth_um**2)
+    """Square root of the flux z / R^3 of a spherical wave through the lens plane, with its phase, shape (n_y, n_x).
+
+    Behind a plate, the ray is found by bisection, the optical path is the sum of its two lengths, and the flux is that
+    of a cone of rays through the ring where it arrives.
+    """
+    across = np.hypot(x_um[None, :] - object_x, y_um[:, None] - object_y)
+    if plate is not None:
+        path, flux = _through_plate(across, depth_um, plate)
+        return np.asarray(np.sqrt(flux) * np.exp(1j * wavenumber * path))
+    distance = np.hypot(across, depth_um)
     return np.asarray(np.sqrt(depth_um / distance) / distance * np.exp(1j * wavenumber * distance))
 
 
-def _incident_power(imaging: Imaging, object_x: float, object_y: float, depth_um: float) -> float:
-    """Flux z / R^3 through the aperture, by the midpoint rule on polar (circle, ring) or Cartesian cells.
+def _through_plate(across_um: FloatArray, depth_um: float, plate: Plate) -> tuple[FloatArray, FloatArray]:
+    """Optical path and flux (power per solid angle 1, per um^2) at a distance ``across_um`` beside the object."""
+    air, inside, n = depth_um - plate.thickness_um, plate.thickness_um, plate.index
 
+    def arrival(sine: FloatArray) -> FloatArray:
+        return np.asarray(air * sine / np.sqrt(1.0 - sine**2) + inside * sine / np.sqrt(n**2 - sine**2))
+
+    low, high = np.zeros_like(across_um), np.full_like(across_um, 1.0 - 1e-12)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        beyond = arrival(middle) > across_um
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    sine = 0.5 * (low + high)
+    cosine = np.sqrt(1.0 - sine**2)
+    path = air / cosine + n * inside / np.sqrt(1.0 - (sine / n) ** 2)
+    # Solid angle sin d(angle) = s ds / cos over the ring's area, r dr; r / s is finite on the axis.
+    spread = air / cosine + inside / np.sqrt(n**2 - sine**2)
+    growth = air / cosine**3 + inside * n**2 / (n**2 - sine**2) ** 1.5
+    return path, 1.0 / (cosine * spread * growth)
+
+
+def _incident_power(imaging: Imaging, object_x: float, object_y: float, depth_um: float, plate: Plate | None) -> float:
+    """Flux z / R^3 (or behind a plate) through the aperture, by the midpoint rule.
+
+    Cells are polar (circle, ring) or Cartesian.
     Cells of a polygon count by their centres, which leaves an error of about 1e-3 along its rim.
     """
     half = 0.5 * imaging.aperture_um
@@ -83,8 +121,10 @@ def _incident_power(imaging: Imaging, object_x: float, object_y: float, depth_um
         azimuth = 2.0 * np.pi * np.arange(90) / 90
         x, y = radius * np.cos(azimuth), radius * np.sin(azimuth)
         area = radius * ((half - hole) / 600) * (2.0 * np.pi / 90) * np.ones_like(x)
-    distance = np.sqrt((x - object_x) ** 2 + (y - object_y) ** 2 + depth_um**2)
-    return float(np.sum(depth_um / distance**3 * area))
+    across = np.hypot(x - object_x, y - object_y)
+    if plate is not None:
+        return float(np.sum(_through_plate(across, depth_um, plate)[1] * area))
+    return float(np.sum(depth_um / np.hypot(across, depth_um) ** 3 * area))
 
 
 @compiled_parallel

@@ -19,7 +19,7 @@ def refocus(pupil: Pupil, ray: Ray, wavenumber: float) -> SingleComplexArray:
     The change of phase is followed to second order in the block's size. ``wavenumber`` is the ray's, rad/um.
 
     Returns:
-        Shape (3, n_y, n_x), or (1, n_y, n_x) for blocks of one site.
+        Shape (3, n_y, n_x), or (1, n_y, n_x) for blocks of one site. The carrier's own path is always that in air.
     """
     block = pupil.carrier.block_sites
     orders = 1 if block == 1 else 3
@@ -31,7 +31,27 @@ def refocus(pupil: Pupil, ray: Ray, wavenumber: float) -> SingleComplexArray:
         blocks, pupil.sums, pupil.x_um, pupil.y_um, wavenumber, pupil.wavenumber, spread_x, spread_y,
         ray.vergence_per_um, *ray.tangent, *ray.target_um, old.vergence_per_um, *old.tangent, *old.target_um,
     )  # fmt: skip
+    if ray.plate is not None:
+        _through_plate(blocks, pupil, ray, wavenumber, (spread_x, spread_y))
     return blocks
+
+
+def _through_plate(
+    blocks: SingleComplexArray, pupil: Pupil, ray: Ray, k: float, spread_um2: tuple[float, float]
+) -> None:
+    """What the plate does to the blocks: phase and slopes (to first order of the block's size) and amplitude."""
+    assert ray.plate is not None
+    x, y, w = pupil.x_um[None, :], pupil.y_um[:, None], ray.vergence_per_um
+    slopes = [k * along for along in ray.plate.slope_change(x, y, w, ray.tangent)]
+    wave = np.exp(1j * k * ray.plate.path_change_um(x, y, w, ray.tangent))
+    wave *= ray.plate.amplitude_ratio(x, y, w, ray.tangent)
+    total = blocks[0].copy()
+    if blocks.shape[0] == 3:
+        second = 1.0 - 0.5 * sum(slope**2 * spread for slope, spread in zip(slopes, spread_um2, strict=True))
+        blocks[0] = second * total + 1j * (slopes[0] * blocks[1] + slopes[1] * blocks[2])
+        for order, (slope, spread) in enumerate(zip(slopes, spread_um2, strict=True), start=1):
+            blocks[order] += 1j * slope * spread * total
+    blocks *= wave
 
 
 def _refocus_plain(

@@ -6,14 +6,14 @@ propagation that conserves the integral of |a|^2 makes efficiencies add up.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import ComplexArray
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.layout.pillars import Lattice, PillarMap, SizeIndexArray
 from metafab.library.library import Library
 from metafab.materials import refractive_index
@@ -118,6 +118,36 @@ class IdealField:
                 if inside.any():
                     phase_rad = self.profile(tile_x, tile_y)
                     yield FieldTile(row, column, amplitudes=np.exp(1j * phase_rad) * inside)
+
+
+@dataclass(frozen=True)
+class ApodisedField:
+    """A source behind a stop or a filter in its own plane.
+
+    Attributes:
+        behind: what leaves the metasurface without it.
+        transmission: amplitude that it lets through, 0 to 1, of shape (n_y, n_x) on the grid of x (n_x,) and y (n_y,).
+    """
+
+    behind: Source
+    transmission: Callable[[FloatArray, FloatArray], FloatArray]
+
+    @property
+    def lattice(self) -> Lattice:
+        """The source's lattice."""
+        return self.behind.lattice
+
+    def tiles(self) -> Iterator[FieldTile]:
+        """The source's tiles, weakened; dark ones are left out, clear ones left as they are."""
+        x, y = self.lattice.x_um(), self.lattice.y_um()
+        for tile in self.behind.tiles():
+            n_y, n_x = tile.amplitude(0).shape if tile.size_index is None else tile.size_index.shape
+            let_through = self.transmission(x[tile.column : tile.column + n_x], y[tile.row : tile.row + n_y])
+            if (let_through == 1.0).all():
+                yield tile
+            elif let_through.any():
+                pair = np.array([tile.amplitude(p) * let_through for p in (0, 1)])
+                yield FieldTile(tile.row, tile.column, amplitudes=pair)
 
 
 def written_field(pillars: PillarMap, library: Library) -> WrittenField:

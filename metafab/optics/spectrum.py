@@ -18,6 +18,7 @@ import numpy as np
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.optics.imaging import Imaging
+from metafab.optics.reference import incident_wave
 from metafab.optics.source import Source
 
 #: Sites a side up to which the spectrum is a reasonable way: a matrix of sites times frequencies.
@@ -66,10 +67,9 @@ class AngularSpectrum:
             amplitude[tile.row : tile.row + part.shape[0], tile.column : tile.column + part.shape[1]] = part
         x, y = lattice.x_um(), lattice.y_um()
         depth_um = 1e6 * depth_m
-        offset_x, offset_y = x[None, :] - tangent[0] * depth_um, y[:, None] - tangent[1] * depth_um
-        distance = np.sqrt(offset_x**2 + offset_y**2 + depth_um**2)
+        plate = imaging.plates[polarisation] if imaging.plates else None
         # Unit power over a circular or square aperture: flux z / R^3, by the sites' cells themselves.
-        wave = np.sqrt(depth_um / distance) / distance * np.exp(1j * imaging.wavenumber * distance)
+        wave = incident_wave(tangent[0] * depth_um, tangent[1] * depth_um, depth_um, x, y, imaging.wavenumber, plate)
         return cls(imaging, np.asarray(amplitude * wave), x, y, lattice.cell_um2)
 
     @property

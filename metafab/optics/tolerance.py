@@ -21,6 +21,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.executor import default_workers
 from metafab.core.progress import Progress, silent
 from metafab.library.library import Library
+from metafab.optics.apodisation import Transmission, apodised
 from metafab.optics.blocks import reduce_to_target
 from metafab.optics.corners import CornerField, corner_fields
 from metafab.optics.field import spline_weights
@@ -113,10 +114,11 @@ class _Bench:
     window: Window
     depths_m: tuple[float, ...]
     carriers: tuple[Carrier, Carrier, Carrier]
+    transmission: Transmission | None = None
 
     def sums(self, source: Source) -> list[Pupil]:
         """Blocks of x and y, and of y behind x's carrier."""
-        return reduce_field(source, self.carriers, self.window.imaging.wavenumber)
+        return reduce_field(apodised(source, self.transmission), self.carriers, self.window.imaging.wavenumber)
 
     def light(self, pupils: Sequence[Pupil]) -> _Light:
         """The pair and the unwanted light of some blocks."""
@@ -136,6 +138,7 @@ def tolerance_table(
     *,
     window_px: int = 64,
     target_error: float = 1e-3,
+    transmission: Transmission | None = None,
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> ToleranceTable:
@@ -150,15 +153,19 @@ def tolerance_table(
         field_sites: sites a side of a write field.
         window_px: points a side of each window.
         target_error: of every PSF.
+        transmission: of a stop or an amplitude in the plane of the pillars; None for none.
         executor: solves cells; this process when None. The result is the same.
         progress: called as corners are done.
     """
     window = Window(imaging, window_px, min(0.1 * target_error, 1e-3))
     depths = [float(z) for z in depths_m]
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(default_workers()) as threads:
-        pyramids, stray = reduce_to_target(written, [window], depths, (0.0, 0.0), None, target_error, threads, progress)
+        pyramids, stray = reduce_to_target(
+            apodised(written, transmission), [window], depths, (0.0, 0.0), None, target_error, threads, progress
+        )
         errors = [window.irradiance(pyramids[p], p, (0.0, 0.0), depths)[1].max() for p in (0, 1)]
-        bench = _Bench(window, tuple(depths), (pyramids[0][0].carrier, pyramids[1][0].carrier, stray.carrier))
+        carriers = (pyramids[0][0].carrier, pyramids[1][0].carrier, stray.carrier)
+        bench = _Bench(window, tuple(depths), carriers, transmission)
         pupils = [pyramids[0][0], pyramids[1][0], stray]
         judge = _Judge.of(bench, pupils)
         corners = corner_fields(written, library, _deviations(tolerances), executor=executor, progress=progress)

@@ -54,14 +54,14 @@ class SampledPhase:
         mirrored = len(self.field) == 1 and polarisation == "y"
         sign = -1.0 if mirrored else 1.0
         samples = self.field[0 if polarisation == "x" or mirrored else 1]
-        row, share_y = _neighbours(sign * y_um / self.pitch_um, samples.shape[0])
-        column, share_x = _neighbours(sign * x_um / self.pitch_um, samples.shape[1])
+        row, share_y = neighbours(sign * y_um / self.pitch_um, samples.shape[0])
+        column, share_x = neighbours(sign * x_um / self.pitch_um, samples.shape[1])
         rows = samples[row] * (1.0 - share_y)[:, None] + samples[row + 1] * share_y[:, None]
         field = rows[:, column] * (1.0 - share_x) + rows[:, column + 1] * share_x
         return angle(field)
 
 
-def _neighbours(position: FloatArray, count: int) -> tuple[NDArray[np.int64], FloatArray]:
+def neighbours(position: FloatArray, count: int) -> tuple[NDArray[np.int64], FloatArray]:
     """Lower neighbour and share of the upper one for positions in pitches from the centre of ``count`` samples."""
     index = np.clip(position + 0.5 * (count - 1), 0.0, count - 1.0)
     lower = np.minimum(index.astype(np.int64), count - 2)
@@ -84,7 +84,7 @@ def load_array(
     Raises:
         InputError: the file cannot be read, or is not a finite array of that form that covers the aperture.
     """
-    phase = _read(file, dataset)
+    phase = read_array(file, dataset)
     expected = "finite real numbers of shape (n_y, n_x) or (2, n_y, n_x), at least 2 x 2"
     shape_fits = phase.ndim == 2 or (phase.ndim == 3 and len(phase) == 2)
     if not shape_fits or min(phase.shape[-2:]) < 2 or phase.dtype.kind not in "fiu" or not np.isfinite(phase).all():
@@ -101,7 +101,12 @@ def load_array(
     return SampledPhase(np.exp(1j * np.broadcast_to(phase, (2, *phase.shape[-2:]))), pitch_um, polarisation)
 
 
-def _read(file: Path, dataset: str) -> NDArray[np.generic]:
+def read_array(file: Path, dataset: str) -> NDArray[np.generic]:
+    """The array of a .npy, .csv or .h5 file (there, the one named ``dataset``), whatever it holds.
+
+    Raises:
+        InputError: the file cannot be read as one.
+    """
     expected = "a .npy, .csv or .h5 file with an array"
     if file.suffix not in {".npy", ".csv", ".h5"}:
         raise InputError.single(str(file), "file", expected, f"the ending {file.suffix!r}")

@@ -76,10 +76,11 @@ def study(design: Design, profile: PhaseProfile) -> PhaseStudy:
         return PhaseStudy(lobe, None, None)
     vergence = np.linspace(1.0 / design.depths_m[-1], 1.0 / design.depths_m[0], _BOUND_DEPTHS)
     bounds = _bounds(design, profile, spiral, 1.0 / vergence[::-1])
-    if design.optics is None or design.split_angle_deg == 0.0:
+    filter_fwhm_nm = None if design.optics is None else design.optics.filter_fwhm_nm
+    if filter_fwhm_nm is None or design.split_angle_deg == 0.0:
         return PhaseStudy(lobe, bounds, None)
     ends = np.linspace(vergence[0], vergence[-1], _FILTER_DEPTHS)
-    return PhaseStudy(lobe, bounds, _bandwidth(design, profile, 1.0 / ends, design.optics.filter_fwhm_nm))
+    return PhaseStudy(lobe, bounds, _bandwidth(design, profile, 1.0 / ends, filter_fwhm_nm))
 
 
 def bandwidth_figures(budget: BandwidthBudget) -> dict[str, Any]:

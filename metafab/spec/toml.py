@@ -17,7 +17,7 @@ from metafab.core.errors import Fault, InputError
 Spec = TypeVar("Spec")
 
 #: Keys whose values are paths, relative to the file that they stand in.
-_FILE_KEYS = {"file", "texture_file"}
+_FILE_KEYS = {"file", "texture_file", "amplitude_file"}
 
 
 def read_toml(path: Path) -> dict[str, Any]:

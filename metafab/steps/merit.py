@@ -44,7 +44,7 @@ def _merit(job: Job) -> dict[str, Any]:
         "depth_of_field_dioptre": metrics.depth_of_field_dioptre(whole),
         "extinction_ratio": written.extinction_ratio,
         "modulation": _modulation(job, imaging, written),
-        "loss_chain": _loss_chain(job, imaging, written, passed, ideally),
+        "loss_chain": _loss_chain(job, written, ideal, passed, ideally),
         "space_variance": _space_variance(imaging, whole),
         "measured": job.design.measured,
     }
@@ -66,7 +66,13 @@ def _modulation(job: Job, imaging: Imaging, written: Psf) -> dict[str, Any]:
     return {"frequency_per_mm": 1e3 * frequency, "pair_x": shown[0], "pair_y": shown[1], "lens": np.array(lens)}
 
 
-def _loss_chain(job: Job, imaging: Imaging, written: Psf, passed: np.ndarray, ideally: np.ndarray) -> dict[str, Any]:
+def _transmitted(psf: Psf) -> np.ndarray:
+    return np.array([float(psf.details[f"transmitted_{p}"]) for p in "xy"])
+
+
+def _loss_chain(
+    job: Job, written: Psf, ideal: Psf, passed: np.ndarray, ideally: np.ndarray
+) -> dict[str, Any]:
     """Where the light goes that is to pass the pinhole, at the depth nearest to the sharp one."""
     from metafab import optics
 
@@ -74,8 +80,9 @@ def _loss_chain(job: Job, imaging: Imaging, written: Psf, passed: np.ndarray, id
     source = mask_source(job, mask_paths(job)[-1])
     front = optics.wavefront(source, job.profile, job.design.device, open_library(job))
     coupling = recorded_coupling(job).get("efficiency_ratio")
-    transmitted = np.array([float(written.details[f"transmitted_{p}"]) for p in "xy"])
-    losses = optics.loss_chain(front, transmitted, passed[:, depth], ideally[:, depth], coupling)
+    transmitted = _transmitted(written)
+    stopped = None if optics.Apodisation.of(job.design) is None else _transmitted(ideal)
+    losses = optics.loss_chain(front, transmitted, passed[:, depth], ideally[:, depth], coupling, stopped)
     return {
         "depth_m": written.depth_m[depth],
         "wavefront": front,

@@ -14,6 +14,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.files import file_sha256, fingerprint
 from metafab.core.latest import Latest, file_mark
+from metafab.core.provenance import contents_sha256
 from metafab.run import Job, Step
 from metafab.spec import Design
 from metafab.steps.layout import mask_paths
@@ -93,6 +94,13 @@ def ideal_source(job: Job) -> Source:
     return optics.ideal_field(job.profile, lattice, job.design.device)
 
 
+def lit_source(job: Job, source: Source) -> Source:
+    """The source behind the stop and the amplitude that the design puts before it."""
+    from metafab import optics
+
+    return optics.apodised(source, optics.Apodisation.of(job.design))
+
+
 def _filter_fwhm_nm(design: Design) -> float | None:
     return None if design.optics is None else design.optics.filter_fwhm_nm
 
@@ -114,7 +122,7 @@ def point_spread(
     imaging = optics.Imaging.of(job.design)
     if pixel_um is not None:
         imaging = replace(imaging, pixel_um=pixel_um)
-    source = ideal_source(job) if path is None else mask_source(job, path, copy)
+    source = lit_source(job, ideal_source(job) if path is None else mask_source(job, path, copy))
     # On the axis, all depths lie in one direction and share one pass over the pillars.
     x_mm, y_mm = object_mm
     together = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
@@ -137,7 +145,7 @@ def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int =
     source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job)), copy]
     asked: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
     if design.optics is not None:
-        asked.append(design.optics)
+        asked += [design.optics, contents_sha256(design.optics)]
     optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, asked))
 
 
@@ -190,14 +198,14 @@ def _psf(job: Job) -> dict[str, Any]:
         cluster=job.cluster,
         progress=job.progress,
     )
-    source = mask_source(job, mask_paths(job)[-1])
+    source = lit_source(job, mask_source(job, mask_paths(job)[-1]))
     written = point_spread_of(
         source,
         depths_m=calibration_depths(design, imaging),
         field_tangents=optics.field_tangents(design, imaging),
     )
     save_psf(job, written, mask_paths(job)[-1], job.folder / "psf.h5")
-    ideal = point_spread_of(ideal_source(job), depths_m=verify.depths_m)
+    ideal = point_spread_of(lit_source(job, ideal_source(job)), depths_m=verify.depths_m)
     save_psf(job, ideal, None, job.folder / "ideal_psf.h5")
     shown = np.isin(written.depth_m, verify.depths_m)
     return {

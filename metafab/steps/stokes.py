@@ -26,12 +26,16 @@ def full_stokes(
     """
     from metafab import stokes
     from metafab.layout import lattice_of
-    from metafab.optics import Imaging
+    from metafab.optics import Apodisation, Imaging
     from metafab.stokes import mask
 
     design = job.design
     if design.scene is None:
         raise InputError.single(design.name, "scene", "a scene to photograph", "none", "add a `[scene]` table")
+    if Apodisation.of(design) is not None:
+        raise InputError.single(
+            design.name, "optics", "no stop or amplitude", "one", "full-Stokes PSFs do not know of them: leave them out"
+        )
     imaging, library = Imaging.of(design), open_library(job)
     profile = stokes.stokes_profile(design, row_angle_deg)
     pillars = stokes.assign(profile, library, design, angles=angles, size_step_nm=size_step_nm, progress=job.progress)

@@ -37,6 +37,7 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
             min(layout.field_sites(design)),
             window_px=design.verify.window_px,
             target_error=design.verify.target_error,
+            transmission=optics.Apodisation.of(design),
             executor=executor,
             progress=job.progress,
         )
@@ -71,5 +72,6 @@ def _not_asked(design: Design) -> str | None:
 
 TOLERANCE = Step(
     "tolerance", ("mask", "cell", "library", "optics"), ("library", "layout"),
-    lambda d: (d.tolerance, d.sensor, d.verify, d.mask.write_field_um), in_folder(FILE), _tolerance, _not_asked,
+    lambda d: (d.tolerance, d.sensor, d.verify, d.optics, d.mask.write_field_um), in_folder(FILE), _tolerance,
+    _not_asked,
 )  # fmt: skip

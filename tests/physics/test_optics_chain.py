@@ -57,6 +57,11 @@ def test_factors_multiply_to_what_passes() -> None:
     passed = np.array([0.70, 0.72])
     losses = loss_chain(front, np.array([0.9, 0.88]), passed, np.array([0.93, 0.94]), coupling=0.97)
     assert np.prod([loss.factor for loss in losses if loss.factor], axis=0) == pytest.approx(0.97 * passed)
+    stopped = loss_chain(front, np.array([0.9, 0.88]), passed, np.array([0.93, 0.94]), stopped=np.array([0.95, 0.95]))
+    assert np.prod([loss.factor for loss in stopped if loss.factor], axis=0) == pytest.approx(passed)
+    # The same device without the stop: all else is as it was.
+    bare = loss_chain(front, np.array([0.9, 0.88]) / 0.95, passed / 0.95, np.array([0.93, 0.94]) / 0.95)
+    assert [loss.factor for loss in stopped[1:]] == [loss.factor for loss in bare]
     unmeasured = loss_chain(front, np.array([0.9, 0.88]), passed, np.array([0.93, 0.94]))
     assert [loss.factor is None for loss in unmeasured] == [False, False, False, False, True, False, False]
     assert np.prod([loss.factor for loss in unmeasured if loss.factor], axis=0) == pytest.approx(passed)
