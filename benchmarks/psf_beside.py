@@ -166,6 +166,7 @@ def _row(name: str, answer: dict[str, Any], lenses: Sequence[_Given]) -> dict[st
     return {
         "name": f"{name}, {_millimetres(lens.aperture_um)}",
         "series": name,
+        "aperture_um": lens.aperture_um,
         "error": relative_l2(scale * found, truth),
         "seconds": answer["seconds"],
         "field_seconds": lens.field_s + (answer["carrier_s"] if "carrier" in name else 0.0),
@@ -175,11 +176,15 @@ def _row(name: str, answer: dict[str, Any], lenses: Sequence[_Given]) -> dict[st
 
 def _scaled(largest: dict[str, Any], answer: dict[str, Any], lenses: Sequence[_Given]) -> dict[str, Any]:
     """The peer's answer for a lens that it did not reach; its error is that of the largest one."""
-    lens = next(lens for lens in lenses if lens.aperture_um == answer["expected_um"])
+    lens, reached = (
+        next(lens for lens in lenses if lens.aperture_um == aperture_um)
+        for aperture_um in (answer["expected_um"], largest["aperture_um"])
+    )
+    carrier_s = (largest["field_seconds"] - reached.field_s) * (lens.aperture_um / reached.aperture_um) ** 2
     return {
         "name": f"{largest['name']}, scaled on to {_millimetres(lens.aperture_um)}",
         "seconds": answer["seconds"],
-        "field_seconds": lens.field_s,
+        "field_seconds": lens.field_s + carrier_s,
         "peak_rss_mb": answer["peak_rss_mb"],
     }
 
