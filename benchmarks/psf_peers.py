@@ -30,6 +30,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -368,8 +369,8 @@ def _measure(way: Way, lens: Lens) -> Cost:
 def _peak_mb() -> float:
     """Largest resident memory since the program began; what `getrusage` says may be its parent's."""
     try:
-        with open("/proc/self/status", encoding="ascii") as status:
-            return next(float(line.split()[1]) for line in status if line.startswith("VmHWM")) * 1024 / 1e6
+        status = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
+        return next(float(line.split()[1]) for line in status if line.startswith("VmHWM")) * 1024 / 1e6
     except OSError:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
 
