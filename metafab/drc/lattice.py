@@ -14,7 +14,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.executor import in_order, open_threads
 from metafab.core.progress import Progress, silent
 from metafab.drc.report import MARKERS, RULES, DrcReport, Marker, upright_side_nm
-from metafab.layout import Aperture, smallest_gap
+from metafab.layout import Aperture, Outline, smallest_gap
 from metafab.layout.pillars import SizeIndexArray
 from metafab.mask import ReadBack
 from metafab.mask.cells import count_sizes
@@ -149,6 +149,7 @@ class _BandRules:
         self._lattice = pillars.lattice
         self._at_nm = np.array(read_back.at_nm)
         self._size_dbu = pillars.size_dbu
+        self._outline = Outline.of(design)
         self._size_nm = pillars.size_nm()
         self._aperture = Aperture.of(design)
         self._design = design
@@ -182,7 +183,9 @@ class _BandRules:
                 found.add(rule, row.size, self._boxes(band, row[:MARKERS], column[:MARKERS]))
 
     def _check_gaps(self, band: _Band, found: _Findings) -> None:
-        gaps = smallest_gap(band.and_next, self._size_dbu, self._lattice, self._gap_dbu, len(band.size_index))
+        gaps = smallest_gap(
+            band.and_next, self._size_dbu, self._lattice, self._gap_dbu, len(band.size_index), self._outline
+        )
         found.smallest_gap_dbu = gaps.smallest_dbu
         if gaps.below:
             row, column = np.divmod(gaps.too_small, band.and_next.shape[1])

@@ -3,6 +3,7 @@
 - ``pillars``   Lattice, PillarTile, PillarMap: pillars as integers
 - ``geometry``  a design's lattice, write fields and tiles in whole database units
 - ``aperture``  which sites carry a pillar
+- ``outlines``  what a pillar of a size is drawn as
 - ``gaps``      distances between neighbours, diagonals included
 - ``candidates``, ``neighbours``  sizes chosen jointly, where pairs of neighbours must keep the gap
 - ``figures``   how well chosen sizes follow their targets
@@ -16,6 +17,7 @@ from metafab.layout.aperture import Aperture
 from metafab.layout.assign import Assignment, assign
 from metafab.layout.gaps import Gaps, smallest_gap
 from metafab.layout.geometry import field_sites, lattice_of, tile_sites
+from metafab.layout.outlines import Outline
 from metafab.layout.pillars import Lattice, PillarMap, PillarTile
 
 __all__ = [
@@ -23,6 +25,7 @@ __all__ = [
     "Assignment",
     "Gaps",
     "Lattice",
+    "Outline",
     "PillarMap",
     "PillarTile",
     "assign",

@@ -2,7 +2,8 @@
 
 Pillars no larger than their cells can only come too close to one of their nearest neighbours (eight, or six on a
 hexagonal lattice), provided that the smallest gap allowed does not exceed the pitch of the sites;
-:func:`smallest_gap` looks at each pair once. The gap of a diagonal pair is the distance of their nearest corners.
+:func:`smallest_gap` looks at each pair once. The gap of a diagonal pair is the distance of their nearest corners; of
+other outlines than rectangles that of the true curves, and their boxes only tell which pairs need not be looked at.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.layout.outlines import RECTANGLE, Outline, distance
 from metafab.layout.pillars import Lattice, SizeIndexArray
 
 #: Pairs below the limit that are listed; all are counted.
@@ -45,6 +47,7 @@ def smallest_gap(
     lattice: Lattice,
     limit_dbu: float = 0.0,
     rows: int | None = None,
+    outline: Outline = RECTANGLE,
 ) -> Gaps:
     """Gaps of all pairs of neighbours in a block.
 
@@ -54,9 +57,10 @@ def smallest_gap(
         lattice: for its periods and its pairs of neighbours.
         limit_dbu: pairs below it are counted and listed.
         rows: pairs whose first site lies in these first rows only; the others are neighbours. All unless given.
+        outline: of the pillars.
     """
     rows = size_index.shape[0] if rows is None else rows
-    if not HAS_NUMBA:
+    if not HAS_NUMBA and outline.is_rectangle:
         return smallest_gap_vectorised(size_index, size_dbu, lattice, limit_dbu, rows)
     found = np.empty((LISTED, 2), dtype=np.int64)
     block, size, limit_square = (
@@ -65,10 +69,14 @@ def smallest_gap(
         limit_dbu * abs(limit_dbu),
     )
     pairs, centres = np.array(lattice.pairs), centre_distances(lattice)
-    square = float(_smallest_square(block, size, pairs, centres, rows))
-    below, overlapping = 0, 0
-    if square < limit_square:
-        below, overlapping = _list_below(block, size, pairs, centres, limit_square, rows, found)
+    if outline.is_rectangle:
+        square = float(_smallest_square(block, size, pairs, centres, rows))
+        below, overlapping = 0, 0
+        if square < limit_square:
+            below, overlapping = _list_below(block, size, pairs, centres, limit_square, rows, found)
+    else:
+        box, drawn = outline.boxes(size_dbu).astype(np.float64), (outline.kind, outline.radius_dbu)
+        square, below, overlapping = _list_shaped(block, size, box, drawn, pairs, centres, limit_square, rows, found)
     listed = min(below, LISTED)
     return Gaps(_signed_root(square), below, overlapping, found[:listed, 0], found[:listed, 1])
 
@@ -187,3 +195,48 @@ def _list_below(
                     count += 1
                     overlapping += square <= 0.0
     return count, overlapping
+
+
+@compiled
+def _list_shaped(
+    size_index: SizeIndexArray,
+    size_dbu: FloatArray,
+    box_dbu: FloatArray,
+    drawn: tuple[int, float],
+    pairs: NDArray[np.int64],
+    centres: FloatArray,
+    limit_square: float,
+    rows: int,
+    found: NDArray[np.int64],
+) -> tuple[float, int, int]:
+    """Smallest signed square, pairs below the limit and how many of them touch, of outlines other than rectangles."""
+    n_y, n_x = size_index.shape
+    smallest, count, overlapping = np.inf, 0, 0
+    for row in range(rows):
+        for column in range(n_x):
+            here = size_index[row, column]
+            if here == 0:
+                continue
+            for pair in range(len(pairs)):
+                i, j = row + pairs[pair, 0], column + pairs[pair, 1]
+                there = size_index[i, j] if i < n_y and 0 <= j < n_x else 0
+                if there == 0:
+                    continue
+                x, y = centres[pair, 0], centres[pair, 1]
+                gap_x = x - 0.5 * (box_dbu[here, 0] + box_dbu[there, 0])
+                gap_y = y - 0.5 * (box_dbu[here, 1] + box_dbu[there, 1])
+                square = square_of_pair(gap_x, gap_y)
+                if square >= max(limit_square, smallest):
+                    continue
+                # Along an axis outlines are as near as their boxes.
+                if x > 0.0 and y > 0.0:
+                    apart = distance(drawn[0], drawn[1], x, y, size_dbu[here], size_dbu[there])
+                    square = apart * abs(apart)
+                smallest = min(smallest, square)
+                if square < limit_square:
+                    if count < len(found):
+                        found[count, 0] = row * n_x + column
+                        found[count, 1] = pair
+                    count += 1
+                    overlapping += square <= 0.0
+    return smallest, count, overlapping

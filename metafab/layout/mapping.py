@@ -11,6 +11,7 @@ from metafab.layout.aperture import Aperture
 from metafab.layout.figures import TileFigures
 from metafab.layout.gaps import smallest_gap
 from metafab.layout.neighbours import JointSizes, reach_sites
+from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import PillarTile, SizeIndexArray
 from metafab.library import SizeTable
 from metafab.phase.profile import PhaseProfile
@@ -27,6 +28,7 @@ class Mapping:
         offset_rad: constants added to the target phases of x and y polarisation.
         tile_sites: sites a side of a tile.
         joint: chooses sizes jointly, from the look-up's on; None where every pillar keeps the gap by itself.
+        outline: of the pillars, for their gaps.
     """
 
     profile: PhaseProfile
@@ -35,6 +37,7 @@ class Mapping:
     offset_rad: tuple[float, float]
     tile_sites: int
     joint: JointSizes | None = None
+    outline: Outline = RECTANGLE
 
     def places(self) -> list[tuple[int, int]]:
         """(row, column) of every tile that holds a pillar, row by row."""
@@ -73,7 +76,8 @@ class Mapping:
         down, right = self.aperture.lattice.reach
         low, left = max(row - down, 0), max(column - right, 0)
         beside = np.s_[low : row + self.tile_sites + down, left : column + self.tile_sites + right]
-        gap_dbu = smallest_gap(sizes[beside], self.table.size_dbu, self.aperture.lattice).smallest_dbu
+        block, lattice = sizes[beside], self.aperture.lattice
+        gap_dbu = smallest_gap(block, self.table.size_dbu, lattice, outline=self.outline).smallest_dbu
         counted = np.zeros_like(sizes)
         counted[core] = sizes[core]
         tile = PillarTile(*place, np.ascontiguousarray(sizes[core]))

@@ -25,6 +25,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numerics import compiled
 from metafab.layout.candidates import candidates
 from metafab.layout.gaps import centre_distances, square_of_pair
+from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import Lattice, SizeIndexArray
 from metafab.library import SizeTable
 
@@ -69,19 +70,23 @@ class JointSizes:
         table: all sizes, whose look-up names plain ones only: width and length up to the period less the gap.
         candidates: shape (cells, cells, longest), indexed [phi_y, phi_x]: sizes in order of falling overlap.
         min_gap_dbu: smallest gap.
+        outline: of the pillars; gaps are those of the boxes around them, which are no larger than their own.
     """
 
     table: SizeTable
     candidates: SizeIndexArray
     min_gap_dbu: float
+    outline: Outline = RECTANGLE
 
     @classmethod
-    def of(cls, wide: SizeTable, plain: SizeTable, lattice: Lattice, min_gap_dbu: float) -> JointSizes:
+    def of(
+        cls, wide: SizeTable, plain: SizeTable, lattice: Lattice, min_gap_dbu: float, outline: Outline = RECTANGLE
+    ) -> JointSizes:
         """The joint choice from the sizes of ``wide``, begun with the look-up of ``plain``, which are some of them."""
         row_of = {tuple(size): row for row, size in enumerate(wide.size_dbu.tolist())}
         rows = np.array([row_of[tuple(size)] for size in plain.size_dbu.tolist()], dtype=np.uint16)
         table = replace(wide, size_index=rows[plain.size_index], overlap=plain.overlap)
-        return cls(table, candidates(table, lattice.cell_dbu, min_gap_dbu), min_gap_dbu)
+        return cls(table, candidates(table, lattice.cell_dbu, min_gap_dbu), min_gap_dbu, outline)
 
     def improve(
         self, size_index: SizeIndexArray, target_rad: FloatArray, lattice: Lattice, corner: tuple[int, int]
@@ -110,7 +115,7 @@ class JointSizes:
         return _Rules(
             self.candidates,
             cells // len(self.candidates),
-            self.table.size_dbu.astype(np.float64),
+            self.outline.boxes(self.table.size_dbu).astype(np.float64),
             np.concatenate([self.table.t.real, self.table.t.imag], axis=1),
             np.stack([np.cos(turn), np.sin(turn)], axis=1),
             np.concatenate([pairs, -pairs]),

@@ -244,6 +244,8 @@ def _admitted(
     smallest_nm = min_feature_nm - tolerance_nm
     width_fits = (library.width_nm >= smallest_nm) & (library.width_nm <= max_width_nm + tolerance_nm)
     length_fits = (library.length_nm >= smallest_nm) & (library.length_nm <= max_length_nm + tolerance_nm)
+    if library.unit_cell.cell.shape == "cross":  # turned by 90 degrees it is the same one: either will do
+        usable = usable & (library.width_nm >= library.length_nm[:, None])
     row, column = np.nonzero(length_fits[:, None] & width_fits[None, :] & usable)
     if not 0 < row.size <= _LARGEST_INDEX:
         got = (
