@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import re
+import sys
+from pathlib import Path
 from typing import Any
 
 from metafab import __version__
+
+sys.path.insert(0, str(Path(__file__).parent))  # where `device_gallery` lies
 
 project = "metafab"
 author = "The metafab founders"
 copyright = "2026, the metafab founders"  # noqa: A001 (the name that Sphinx asks for)
 release = version = __version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "device_gallery"]
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "_gallery"]
 
 html_theme = "alabaster"
+html_scaled_image_link = False
 html_title = f"metafab {version}"
 html_theme_options = {
     "description": "From unit cell to mask to decoded image",

@@ -119,21 +119,22 @@ def _library(run: RunFolder) -> Iterator[Plan]:
 
 
 def _design(run: RunFolder) -> Iterator[Plan]:
-    if run.phases is not None:
+    if run.phases is not None and run.phases.vary:
+        zones = any(term.get("term") == "spiral_zones" for term in run.design_table.get("phase", []))
         for row, p in enumerate(POLARISATIONS):
             paint = partial(
                 figures.aperture_phase,
                 run.phases.phase_rad[row],
                 run.phases.half_side_um,
                 polarisation=p,
-                title=f"Zones, {p} polarisation",
+                title=f"{'Zones' if zones else 'Beside lens and split'}, {p} polarisation",
             )
             yield Plan(f"phase_{p}", f"Target phase over the aperture, {p} polarisation", paint, (4.0, 3.4), PICTURE)
     if run.pillars is None:
         return
     picture = picture_of(run.pillars)
     lens = partial(figures.fill_map, picture.fill, picture.half_side_um, marks_um=picture.frames_um())
-    yield Plan("mask", "Pillar coverage over the lens", lens, (4.0, 3.4), PICTURE)
+    yield Plan("mask", "Pillar coverage over the whole mask", lens, (4.0, 3.4), PICTURE)
     wide, close = picture.zooms
     if wide.size:
         paint = partial(figures.pillar_rectangles, wide, title="A region")

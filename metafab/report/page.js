@@ -55,7 +55,8 @@
       slider.setAttribute("aria-valuetext", view.depth[index]);
       const share = (pol) => `${figure(100 * view.efficiency[pol][index])} %`;
       root.querySelector(".readout").innerHTML =
-        `φ = <b>${figure(view.phi_deg[index], 4)}°</b> · light in the window: ` +
+        (view.phi_deg[index] === null ? "" : `φ = <b>${figure(view.phi_deg[index], 4)}°</b> · `) +
+        "light in the window: " +
         `<span class="x">x ${share(0)}</span>, <span class="y">y ${share(1)}</span>`;
     };
 

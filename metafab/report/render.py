@@ -66,7 +66,7 @@ def save_both(figure: Figure, path: Path, label: str) -> str:
         figure.draw(mixed)
         both.finalize()
     _write_png(both.picture(), path)
-    return _element(stream.getvalue(), path.stem, label)
+    return _element(stream.getvalue(), path.stem, label, float(width_in))
 
 
 class _Both(RendererSVG):
@@ -143,7 +143,7 @@ def _write_png(pixels: NDArray[np.uint8], path: Path) -> Path:
     return path
 
 
-def _element(text: str, name: str, label: str) -> str:
+def _element(text: str, name: str, label: str, width_in: float) -> str:
     """The SVG element of a drawing, its identifiers prefixed, its inks and typeface the page's."""
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
@@ -155,8 +155,8 @@ def _element(text: str, name: str, label: str) -> str:
     text = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1; font-family: inherit", text)
     for colour, variable in CSS_VARIABLES.items():
         text = text.replace(colour, f"var({variable})")
-    # The page sets the size; the view box keeps the proportions.
+    # The page sets the size, for which it has the width in inches; the view box keeps the proportions.
     head, body = text.split(">", 1)
     head = re.sub(r' (?:width|height|version)="[^"]*"', "", head)
     body = re.sub(r"\n\s*", " ", body).strip()
-    return f'{head} class="plot" role="img" aria-label="{escape(label)}">{body}'
+    return f'{head} class="plot" style="--inches: {width_in:g}" role="img" aria-label="{escape(label)}">{body}'

@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from metafab.camera.frame import RawFrame
 from metafab.comparison import Comparison
 from metafab.core.conventions import FloatArray
@@ -39,6 +41,11 @@ class AperturePhases:
 
     phase_rad: FloatArray
     half_side_um: float
+
+    @property
+    def vary(self) -> bool:
+        """Whether there is anything beside lens, split and gratings."""
+        return bool(np.nanmax(np.abs(np.angle(np.exp(1j * self.phase_rad)))) > 1e-6)
 
 
 @dataclass(frozen=True)

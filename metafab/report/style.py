@@ -182,7 +182,16 @@ def scale_bar(axes: Axes, extent_um: Extent, colour: str = "#ffffff") -> None:
     x, y = left + 0.05 * width, low + 0.06 * height
     axes.plot([x, x + length], [y, y], color=colour, linewidth=2.4, solid_capstyle="butt")
     text = f"{length:g} µm" if length < 1000 else f"{length / 1000:g} mm"
-    axes.text(x, y + 0.02 * height, text, color=colour, fontsize=8.5, ha="left", va="bottom")
+    shade = {"facecolor": "#000000", "alpha": 0.35, "edgecolor": "none", "pad": 1.2}
+    axes.text(
+        x,
+        y + 0.025 * height,
+        text,
+        color=colour,
+        fontsize=8.5,
+        va="bottom",
+        bbox=shade if colour == "#ffffff" else None,
+    )
 
 
 def depth_unit(depth_m: ArrayLike) -> tuple[float, str]:

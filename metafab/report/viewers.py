@@ -51,7 +51,11 @@ def _psf_strip(name: str, psf: Psf) -> dict[str, Any]:
         "pixel_um": psf.pixel_um,
         "brightest": brightest,
         "depth": [depth_text(float(depth)) for depth in psf.depth_m],
-        "phi_deg": [round(float(phi), 2) for phi in psf.phi_deg],
+        # A maximum on the image point has no direction from there.
+        "phi_deg": [
+            round(float(phi), 2) if (at != (n_y // 2) * n_x + n_x // 2).any() else None
+            for phi, at in zip(psf.phi_deg, peaks.T, strict=True)
+        ],
         "efficiency": np.round(psf.efficiency, 5).tolist(),
         "peak": np.stack([column - n_x // 2, row - n_y // 2], axis=-1).tolist(),
         "strips": [_palette_png(strip, matplotlib.colormaps[LIGHT_MAP]) for strip in strips],

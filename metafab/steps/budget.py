@@ -8,6 +8,9 @@ from metafab.core.files import file_sha256
 from metafab.run import Job
 from metafab.steps.layout import mask_paths
 
+#: Sources that only a photograph meets.
+_OF_IMAGES = {"depth interpolation", "field interpolation", "decoder"}
+
 
 def recorded_coupling(job: Job) -> dict[str, Any]:
     """What ``metafab coupling`` found on a mask of this run, {} if nothing."""
@@ -33,10 +36,11 @@ def error_budget(figures: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
         figures: each step's part of the summary, and ``coupling``, where it was measured.
 
     Returns:
-        One row a source: ``source``, ``value`` (None where this run did not measure it), ``unit``, ``how``.
+        One row a source: ``source``, ``value`` (None where this run did not measure it), ``unit``, ``how``. A device
+        without a scene has no images, whose errors are left out.
     """
     solved, written, light, decoded = (figures[name] for name in ("library", "layout", "psf", "decode"))
-    return [
+    rows = [
         _row("solver and library", solved.get("max_error"), "complex t", "largest error of any size: certificate of "
              "the truncation plus interpolation, checked at held-out sizes"),
         _row("size snapping and finite library", written.get("phase_rms_error_rad"), "rad rms",
@@ -52,6 +56,7 @@ def error_budget(figures: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
              "PSF computed in the middle of an outermost cell of field points against the interpolated one"),
         _row("decoder", decoded.get("nmae"), "mean |dz|/z", "decoded against true depth of the simulated scene"),
     ]  # fmt: skip
+    return [row for row in rows if row["value"] is not None or decoded or row["source"] not in _OF_IMAGES]
 
 
 def _row(source: str, value: float | None, unit: str, how: str) -> dict[str, Any]:

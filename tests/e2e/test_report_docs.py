@@ -17,7 +17,7 @@ import typer
 
 from metafab.cli import app
 from metafab.core.errors import InputError
-from metafab.spec import load_design, load_unit_cell
+from metafab.spec import kinds, load_design, load_unit_cell
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)
@@ -103,6 +103,11 @@ def test_every_page_is_reached() -> None:
     assert set(PAGES) - listed == {ROOT / "docs" / "index.md"}
 
 
+def test_the_gallery_shows_every_kind_of_device() -> None:
+    text = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^```\{device\} (\w+)$", text, re.MULTILINE)) == sorted(kinds())
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("sphinx") is None or find_spec("myst_parser") is None, reason="the docs extra is missing")
 def test_documentation_builds_without_a_warning(tmp_path: Path) -> None:
@@ -110,3 +115,6 @@ def test_documentation_builds_without_a_warning(tmp_path: Path) -> None:
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "theory" / "conventions.html").is_file()
+    gallery = (tmp_path / "out" / "gallery.html").read_text(encoding="utf-8")
+    assert gallery.count("psf_pair") == gallery.count("mask_close") == len(kinds())
+    assert gallery.count(" 0 rules broken") == len(kinds())

@@ -54,3 +54,14 @@ def test_without_rows_nothing_is_measured_and_nothing_hashed(tmp_path: Path, sma
 
 def test_the_page_is_made_again_when_they_come() -> None:
     assert REPORT.reads == ("coupling.json", "patch.h5", "tolerance.json")
+
+
+@pytest.mark.parametrize("photographed", [True, False])
+def test_what_only_a_photograph_meets_is_left_out_without_one(photographed: bool) -> None:
+    light = {"error": [1e-3], "depth_interpolation_error": None, "field_interpolation_error": None}
+    decoded = {"segments": 2} if photographed else {}
+    rows = error_budget({"library": {"max_error": 1e-3}, "layout": {}, "psf": light, "decode": decoded})
+    sources = [row["source"] for row in rows]
+    assert len(sources) == (8 if photographed else 5)
+    assert ("decoder" in sources) == photographed
+    assert "local-period approximation" in sources, "what was not measured but applies stays, as not measured"

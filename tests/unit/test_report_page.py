@@ -18,10 +18,11 @@ from metafab.core.progress import silent
 from metafab.library.library import Library
 from metafab.optics import without_depths
 from metafab.report.draw import draw
-from metafab.report.run_folder import RunFolder
+from metafab.report.run_folder import AperturePhases, RunFolder
 from metafab.report.style import CSS_VARIABLES
+from metafab.report.viewers import psf_view
 from metafab.report.write import compose, write
-from tests.closed_form_run import SHAPE, closed_form_run, decoded_image
+from tests.closed_form_run import SHAPE, closed_form_run, decoded_image, turning_psf
 
 
 @pytest.fixture(scope="module")
@@ -193,3 +194,21 @@ def test_one_depth_alone_is_not_drawn_over_depth(full_run: RunFolder) -> None:
     assert [name for name in drawn if f"<svg>{name}</svg>" in one] == ["psf_pair", "psf_mtf"]
     assert 'value="0" hidden' in one
     assert 'value="0" hidden' not in several
+
+
+@pytest.mark.parametrize(("ripple_rad", "shown"), [(0.0, False), (2.0 * np.pi, False), (0.3, True)])
+def test_a_flat_phase_is_said_rather_than_drawn(full_run: RunFolder, ripple_rad: float, shown: bool) -> None:
+    """A plain lens has nothing beside its carrier; whole turns are nothing, too."""
+    step = ripple_rad * np.tri(8)[None].repeat(2, axis=0)
+    plain = replace(full_run, phases=AperturePhases(np.where(np.eye(8) > 0.0, np.nan, step), 17.5))
+    drawn = draw(plain, silent)
+    assert ("phase_x" in drawn) == shown
+    assert ("the phase is flat" in compose(plain, drawn)) != shown
+
+
+def test_a_maximum_on_the_image_point_has_no_direction() -> None:
+    turning = turning_psf()
+    centred = np.zeros_like(turning.psf)
+    centred[:, :, centred.shape[2] // 2, centred.shape[3] // 2] = 1.0
+    assert psf_view(replace(turning, psf=centred), None)["views"][0]["phi_deg"] == [None] * turning.depth_m.size
+    assert None not in psf_view(turning, None)["views"][0]["phi_deg"]

@@ -83,7 +83,15 @@ def test_the_same_figure_gives_the_same_bytes(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(1.0, "1"), (0.001, "0.001"), (2000.0, "2000"), (6e-4, "0.0006"), (1e-5, "10⁻⁵"), (6e-5, "6×10⁻⁵"), (3e12, "3×10¹²")],
+    [
+        (1.0, "1"),
+        (0.001, "0.001"),
+        (2000.0, "2000"),
+        (6e-4, "0.0006"),
+        (1e-5, "10⁻⁵"),
+        (6e-5, "6×10⁻⁵"),
+        (3e12, "3×10¹²"),
+    ],
 )
 def test_powers_read_as_plain_text(value: float, text: str) -> None:
     assert power_text(value) == text

@@ -31,8 +31,8 @@ def fill_map(fill: FloatArray, half_side_um: tuple[float, float], axes: Axes, ma
         corners_x = [left - pad, right + pad, right + pad, left - pad, left - pad]
         corners_y = [low - pad, low - pad, high + pad, high + pad, low - pad]
         axes.plot(corners_x, corners_y, color="#ffffff", linewidth=1.1)
-    bare(axes, "The lens")
-    scale_bar(axes, extent, INK)
+    bare(axes, "The whole mask")
+    scale_bar(axes, extent, "#ffffff" if np.isfinite(fill[0, 0]) else INK)
     return axes
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from matplotlib.axes import Axes
 
 from metafab.core.conventions import FloatArray, Polarisation, wrap_phase
@@ -26,5 +27,5 @@ def aperture_phase(
     image = show_map(axes, wrap_phase(phase_rad), extent, cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
     colour_bar(image, axes, "phase / rad", (-math.pi, 0.0, math.pi), ("−π", "0", "π"))
     bare(axes, title, POLARISATION_COLOUR[polarisation])
-    scale_bar(axes, extent, INK)
+    scale_bar(axes, extent, "#ffffff" if np.isfinite(phase_rad[0, 0]) else INK)
     return axes

@@ -88,7 +88,10 @@ def orientation(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
         axes.plot(scale * ideal.depth_m, _unwrapped(ideal), **line)
     line = {"color": X_COLOUR, "linewidth": 1.4, "marker": "o", "markersize": 4, "label": "written file"}
     axes.plot(scale * psf.depth_m, _unwrapped(psf), **line)
-    dress(axes, f"object depth / {unit}", "orientation φ / °", "The pair turns with depth")
+    dress(axes, f"object depth / {unit}", "orientation φ / °", "Orientation of the pair over depth")
+    # A pair that does not turn is a level line, not the last digits of one.
+    low, high = axes.get_ylim()
+    axes.set_ylim(min(low, 0.5 * (low + high) - 1.0), max(high, 0.5 * (low + high) + 1.0))
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
     if ideal is not None:
         legend(axes)

@@ -69,7 +69,7 @@ def _merit(run: RunFolder) -> str:
         "of the target phases."
     )
     if len(rows) > 1:
-        turns = (merit["rotation_deg"], merit["ideal_rotation_deg"])
+        turns = (round(merit[f"{which}rotation_deg"], 1) + 0.0 for which in ("", "ideal_"))  # no minus before 0.0
         text += " The pair turns by {:.1f}°, the target phases by {:.1f}°.".format(*turns)
     return html.table(head, rows, ["n"] * len(head)) + html.paragraph(text, "caption") + _measured(merit)
 

@@ -18,7 +18,7 @@ def phases(run: RunFolder, drawn: Drawn) -> str:
         "Target phases",
         facts,
         html.grid(html.figure(drawn[n]) for n in ("phase_x", "phase_y") if n in drawn),
-        "" if run.phases is not None else html.note(run.notes.get("phases", "no phases")),
+        _beside(run),
         html.grid(html.figure(drawn[n]) for n in ("lobe_peak", "lobe_orientation") if n in drawn),
         html.grid(html.figure(drawn[n]) for n in ("bounds_point", "bounds_texture") if n in drawn),
         html.paragraph(
@@ -29,6 +29,13 @@ def phases(run: RunFolder, drawn: Drawn) -> str:
         else html.note(run.notes.get("study", "one depth alone: no bounds over depth")),
         _filter(run, drawn),
     )
+
+
+def _beside(run: RunFolder) -> str:
+    """Why there is no picture of the phases, where there is none."""
+    if run.phases is None:
+        return html.note(run.notes.get("phases", "no phases"))
+    return "" if run.phases.vary else html.note("lens, split and gratings alone: beside them the phase is flat")
 
 
 def _filter(run: RunFolder, drawn: Drawn) -> str:
