@@ -67,7 +67,7 @@ class SpiralZones(_Term):
 
     term: Literal["spiral_zones"] = "spiral_zones"
     zones: Annotated[int, Field(strict=True, ge=1, le=64)] = 4
-    exponent: Positive = 0.5
+    exponent: Annotated[float, Field(strict=True, gt=0.0, le=16.0)] = 0.5
     optimise: Literal["none", "peak", "worst_peak", "blind_information"] = "none"
     side_lobe_limit: Annotated[
         float | None, Field(strict=True, gt=0.0, lt=1.0, description="largest side lobe over the main lobe")

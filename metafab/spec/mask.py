@@ -87,7 +87,7 @@ class Mask:
     formats: tuple[Literal["gds", "oas"], ...] = ("gds", "oas")
     layer: Index = 1
     datatype: Index = 0
-    database_unit_nm: Positive = 0.5
+    database_unit_nm: Annotated[float, Field(strict=True, gt=0.0, le=1000.0)] = 0.5
     write_field_um: Positive = 499.8
     bias_nm: Real = 0.0
     tone: Literal["negative", "positive", "inverted"] = "negative"

@@ -6,7 +6,7 @@ from typing import Any
 
 from metafab.core.errors import Fault, InputError
 from metafab.run import Job, Step
-from metafab.spec import Design
+from metafab.spec import Design, Scene
 
 
 def preflight(design: Design) -> None:
@@ -33,6 +33,9 @@ def preflight(design: Design) -> None:
         for name, depth in depths.items()
         if depth <= focal_m
     ]
+    faults += _rules_that_no_size_keeps(design)
+    if not faults and design.scene is not None:
+        faults += _objects_out_of_sight(design, design.scene)
     if not faults and design.scene is not None and design.split_angle_deg > 0.0:
         imaging = Imaging.of(design)
         apart_px = 2.0 * abs(imaging.image_point_um(0, (0.0, 0.0))[0]) / imaging.pixel_um
@@ -47,6 +50,46 @@ def preflight(design: Design) -> None:
             )
     if faults:
         raise InputError(design.name, faults)
+
+
+def _rules_that_no_size_keeps(design: Design) -> list[Fault]:
+    """Rules that leave the library nothing, found before the library is built."""
+    sweep, period_nm = design.unit_cell.sweep, design.unit_cell.cell.period_nm
+    faults = []
+    for axis, (name, (low, high)) in enumerate((("width", sweep.width_nm), ("length", sweep.length_nm))):
+        if design.min_side_nm > high:
+            expected = f"at most the largest {name} of the library, {high:g} nm"
+            faults.append(Fault("rules.min_feature_nm", expected, f"{design.min_side_nm:g} nm", "sweep larger sizes"))
+        apart_nm = period_nm[axis] - max(low, design.min_side_nm)
+        if not design.unit_cell.cell.is_hexagonal and design.min_spacing_nm > apart_nm:
+            expected = (
+                f"at most {apart_nm:g} nm, the gap of two of the smallest pillars side by side along {'xy'[axis]}"
+            )
+            got = f"{design.min_spacing_nm:g} nm"
+            faults.append(Fault("rules.min_gap_nm", expected, got, "sweep smaller sizes, or widen the period"))
+    return faults
+
+
+def _objects_out_of_sight(design: Design, scene: Scene) -> list[Fault]:
+    """Objects that stand still and no pixel sees; their directions are tangents."""
+    from metafab.optics import Imaging
+
+    imaging = Imaging.of(design)
+    half_y, half_x = (0.5 * count * imaging.pixel_um / imaging.sensor_distance_um for count in scene.field_px)
+    return [
+        Fault(
+            f"scene.objects[{number}].centre",
+            f"an object that reaches into the field of view, {half_x:.3g} to either side and {half_y:.3g} up and down",
+            f"tangents {piece.centre[0]:g} and {piece.centre[1]:g}",
+            "move it, or widen `scene.field_px`",
+        )
+        for number, piece in enumerate(scene.objects)
+        if not piece.moves
+        and any(
+            abs(at) - 0.5 * size > half
+            for at, size, half in zip(piece.centre, piece.size, (half_x, half_y), strict=True)
+        )
+    ]
 
 
 def _preflight(job: Job) -> dict[str, Any]:
