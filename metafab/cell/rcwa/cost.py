@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from metafab.cell.rcwa.certificate import climb, is_measured
+from metafab.cell.rcwa.certificate import climb, is_measured, power_law
 from metafab.cell.rcwa.jones import layers_of, polarisations_swap, zero_order
 from metafab.cell.rcwa.slicing import slicing
 from metafab.cell.response import CellNumerics, PillarCell
@@ -46,13 +46,14 @@ def seconds_of_truncation(orders: int, cell: PillarCell = _SAMPLE, steps: int = 
 def seconds_estimate(target_error: float, cell: PillarCell = _SAMPLE) -> float:
     """Processor time of one certified pillar of the kind of ``cell``.
 
-    That of the first two truncations of its climb, which serve most pillars, or of the first four where the certificate
-    has no measured claims. The steps of a sloped pillar are counted on ``cell`` itself, at a low truncation. Resonant
+    That of the first two truncations of its climb, which serve most pillars, of the first four where the certificate
+    has no measured claims, and of nearly all where it goes by a power law. The steps of a sloped pillar are counted on ``cell`` itself, at a low truncation. Resonant
     pillars of a high index take up to five times as long.
     """
     numerics = CellNumerics(target_error)
     steps = slicing(cell, numerics).steps
-    rungs = climb(numerics)[: 2 if is_measured(cell) else 4]
+    law = power_law(cell)
+    rungs = climb(numerics, law=law)[: 8 if law else 2 if is_measured(cell) else 4]
     return sum(seconds_of_truncation(orders, cell, steps) for orders in rungs)
 
 
