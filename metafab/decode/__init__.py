@@ -13,6 +13,7 @@
 - ``volume``       agreement of the twins over place and depth
 - ``peaks``        the best candidate in a window about each pixel
 - ``depth``        depth of each pixel, with its error
+- ``planes``       the depth of tilted segments
 - ``segment``      segments, and the depth of each
 - ``restore``      all-in-focus images
 - ``seen``         a frame at first sight

@@ -12,7 +12,7 @@ from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth
 from metafab.decode.image import Image4D
 from metafab.decode.pooling import label_sums, window_means
 from metafab.decode.reduce import enlarged, repeated
-from metafab.decode.regions import Regions
+from metafab.decode.regions import LAYER_SHARE, Regions
 from metafab.decode.restore import LitTiles, Restorer
 from metafab.decode.seen import WINDOW_PX, Seen
 from metafab.decode.segment import grown
@@ -36,7 +36,7 @@ def sharpened(
     regions: Regions,
     restorer: Restorer,
     tiles: LitTiles,
-    middle_per_m: float,
+    candidates_per_m: FloatArray,
     changed: NDArray[np.bool_] | None,
     last: Image4D | None,
 ) -> NDArray[np.float32]:
@@ -46,9 +46,13 @@ def sharpened(
         Shape (2, n_y, n_x), electrons.
     """
     every, shape = seen.reduction.every, seen.twins.grid.shape
+    middle_per_m = float(np.median(candidates_per_m))
+    band_per_m = LAYER_SHARE * float(candidates_per_m[-1] - candidates_per_m[0])
     wide = grown(regions.label, float(sum(regions.label.shape))) if regions.depths else np.ones_like(regions.label)
     wide = np.where(lit_about(seen), wide, 0)
-    vergences = regions.vergences_per_m(middle_per_m)
+    vergences = np.array([middle_per_m])
+    if regions.depths:
+        wide, vergences = regions.bands(wide, band_per_m)
     if last is None or changed is None:
         return restorer(tiles, seen.levels, repeated(wide, every, shape), vergences)
     wide = np.where(changed, wide, 0)
@@ -80,12 +84,12 @@ def composed(
     claimed = pixels.claimed & (regions.near > 0)
     about = distance_transform_edt(~claimed) <= WINDOW_PX / every if claimed.any() else claimed
     known = (regions.near > 0) & about
-    depths = np.array([np.nan, *(1.0 / depth.vergence_per_m for depth in regions.depths)])
     errors = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])
     error = np.minimum(np.where(claimed, pixels.relative_error, np.inf), errors[regions.near])
     trust = np.where(known, 1.0 / (1.0 + (error / HALF_CONFIDENCE) ** 2), 0.0)
     segment, depth_m, confidence = (
-        repeated(part, every, shape) for part in (regions.near, np.where(known, depths[regions.near], np.nan), trust)
+        repeated(part, every, shape)
+        for part in (regions.near, np.where(known, 1.0 / regions.vergence_per_m(regions.near), np.nan), trust)
     )
     segment[dark], depth_m[dark], confidence[dark] = 0, np.nan, 0.0
     pixel_m = full_depth_m(PixelDepth(pixels.vergence_per_m, pixels.relative_error, claimed), every, shape)
@@ -151,6 +155,8 @@ def _rows(
             "number": float(number),
             "pixels": float(pixels[number]),
             "depth_m": 1.0 / depth.vergence_per_m,
+            "slope_x_per_m": depth.plane.slope_per_m[1] / every,
+            "slope_y_per_m": depth.plane.slope_per_m[0] / every,
             "error_m": depth.relative_error / depth.vergence_per_m,
             "contrast": float(light_x[number - 1] / max(light_y[number - 1], 1e-30)),
             "correlation": depth.correlation,

@@ -170,8 +170,7 @@ class Decoder:
             tiles = beside.submit(self.restorer.transformed, seen.twins.image, lit)
             pixels = textured_pixels(seen, volume)
             regions = find_regions(seen, volume, pixels)
-        middle_per_m = float(np.median(volume.vergences_per_m))
-        images = sharpened(seen, regions, self.restorer, tiles.result(), middle_per_m, changed, last)
+        images = sharpened(seen, regions, self.restorer, tiles.result(), volume.vergences_per_m, changed, last)
         image = composed(frame, seen, volume, pixels, regions, images, self.filters.basis.shape[1])
         return judged(image, frame, seconds=time.perf_counter() - started)
 

@@ -18,7 +18,8 @@ _SSIM_REACH = 11
 def judged(image: Image4D, frame: RawFrame, *, seconds: float) -> Image4D:
     """``image`` with its errors and the time it took.
 
-    ``details`` gets ``nmae_pixel``, ``share_decoded``, ``contrast_error`` (mean relative error of the contrast
+    ``details`` gets ``nmae_pixel``, ``object_error`` and ``worst_object_error`` (mean and largest over the true objects
+    of the median error of their pixels), ``share_decoded``, ``contrast_error`` (mean relative error of the contrast
     over whole segments), ``psnr_x_db``, ``psnr_y_db`` (peak: the largest true intensity) and ``ssim_x``, ``ssim_y``.
     """
     details = {**image.details, "seconds": seconds}
@@ -44,6 +45,10 @@ def judged(image: Image4D, frame: RawFrame, *, seconds: float) -> Image4D:
             details[f"psnr_{axis}_db"] = 10.0 * float(np.log10(peak**2 / mean_square))
         if peak > 0.0 and min(true.shape) >= _SSIM_REACH:
             details[f"ssim_{axis}"] = structural_similarity(got, true, peak)
+    of_objects = _object_errors(image.depth_m[mine], truth)
+    if of_objects:
+        details["object_error"] = float(np.mean(of_objects))
+        details["worst_object_error"] = max(of_objects)
     errors = []
     for number in np.unique(truth.label[truth.label > 0]):
         mask = (truth.label == number) & decoded
@@ -74,6 +79,17 @@ def structural_similarity(got: FloatArray, true: FloatArray, peak: float) -> flo
     variance = np.maximum(square_a - mean_a**2, 0.0) + np.maximum(square_b - mean_b**2, 0.0)
     likeness = (2.0 * mean_a * mean_b + low) / (mean_a**2 + mean_b**2 + low)
     return float(np.mean(likeness * (2.0 * (product - mean_a * mean_b) + high) / (variance + high)))
+
+
+def _object_errors(depth_m: FloatArray, truth: Truth) -> list[float]:
+    """|median of z / z_true - 1| of each true object: the error of its depth, whatever becomes of its outline."""
+    known = np.isfinite(depth_m) & np.isfinite(truth.depth_m)
+    ratios = (
+        depth_m[mask] / truth.depth_m[mask]
+        for number in np.unique(truth.label[truth.label > 0])
+        if (mask := known & (truth.label == number)).any()
+    )
+    return [abs(float(np.median(ratio)) - 1.0) for ratio in ratios]
 
 
 def _nmae(depth_m: FloatArray, true_m: FloatArray) -> float | None:

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import binary_opening, distance_transform_edt
 
 from metafab.core.conventions import FloatArray
 from metafab.decode import segment as segments
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth, pixel_depth
+from metafab.decode.planes import Cells, Plane, distinct_planes, fitted_plane
 from metafab.decode.seen import WINDOW_PX, Seen
 from metafab.decode.volume import Volume
 
 #: Layers of the scene are told apart from this share of the calibrated range of vergence.
-_LAYER_SHARE = 1.0 / 24.0
+LAYER_SHARE = 1.0 / 24.0
 #: How far from an outline a window, through the pair's main parts, still sees it.
 _OUTLINE_REACH_PX = 40
 
@@ -38,9 +39,28 @@ class Regions:
     inner: NDArray[np.int32]
     near: NDArray[np.int32]
 
-    def vergences_per_m(self, otherwise: float) -> FloatArray:
-        """1/depth of each segment; of a single one in place of none, ``otherwise``."""
-        return np.array([depth.vergence_per_m for depth in self.depths] or [otherwise])
+    def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
+        """1/depth at each pixel of the segment that ``label`` gives it to; NaN for none."""
+        one = np.array([np.nan, *(depth.vergence_per_m for depth in self.depths)])
+        vergence = one[label]
+        for number, depth in enumerate(self.depths, start=1):
+            if depth.plane.tilted:
+                np.copyto(vergence, depth.plane.over(label.shape), where=label == number)
+        return vergence
+
+    def bands(self, label: NDArray[np.int32], step_per_m: float) -> tuple[NDArray[np.int32], FloatArray]:
+        """``label`` with tilted segments cut into bands of one depth each, and 1/depth of every number from 1."""
+        if not any(depth.plane.tilted for depth in self.depths):
+            return label, np.array([depth.vergence_per_m for depth in self.depths])
+        vergence, bands = self.vergence_per_m(label), np.zeros(label.shape, dtype=np.int32)
+        found: list[float] = []
+        for number, depth in enumerate(self.depths, start=1):
+            mask = label == number
+            step = np.round((vergence[mask] - depth.vergence_per_m) / step_per_m)
+            steps, place = np.unique(step, return_inverse=True)
+            bands[mask] = len(found) + 1 + place
+            found += (depth.vergence_per_m + steps * step_per_m).tolist()
+        return bands, np.array(found)
 
 
 def textured_pixels(seen: Seen, volume: Volume) -> PixelDepth:
@@ -53,32 +73,76 @@ def textured_pixels(seen: Seen, volume: Volume) -> PixelDepth:
 
 
 def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth) -> Regions:
-    """Segments from the pixels' own depths, and the depth of each from all of its pixels at once."""
-    every = seen.reduction.every
+    """Segments from the pixels' own depths, and the depth of each from all of its pixels at once.
+
+    First each layer has one depth. If some of their segments turn out to be tilted, layers are planes, and pixels are
+    shared out among them once more.
+    """
     candidates = volume.vergences_per_m
-    separation = float(candidates[-1] - candidates[0]) * _LAYER_SHARE
-    layers = segments.depth_layers(pixels, separation)
-    shape = volume.parts.shape[-2:]
-    label, inner = np.zeros((2, *shape), dtype=np.int32)
+    separation = float(candidates[-1] - candidates[0]) * LAYER_SHARE
+    layers = [Plane(vergence) for vergence in segments.depth_layers(pixels, separation).tolist()]
+    if not layers:
+        nowhere = np.zeros(volume.parts.shape[-2:], dtype=np.int32)
+        return Regions(0, (), nowhere, nowhere, nowhere)
+    regions = _share_out(seen, volume, pixels, layers, separation)
+    if any(depth.plane.tilted for depth in regions.depths):
+        surfaces, allowed = _surfaces(regions, pixels, separation, seen.window)
+        regions = _share_out(seen, volume, pixels, surfaces, separation, allowed)
+    return regions
+
+
+def _share_out(
+    seen: Seen,
+    volume: Volume,
+    pixels: PixelDepth,
+    layers: list[Plane],
+    separation_per_m: float,
+    allowed: NDArray[np.bool_] | None = None,
+) -> Regions:
+    """Segments of layers: connected pixels of one plane, where that may be."""
+    every = seen.reduction.every
+    layer = segments.assign(volume, layers, pixels, separation_per_m, every, allowed)
+    parts, inside, unseen = _textured(seen, segments.split(layer, seen.lit, WINDOW_PX, every))
+    count = int(parts.max(initial=0))
+    sizes = np.bincount(inside.ravel(), minlength=count + 1)[1:]
+    number = np.zeros(count + 1, dtype=np.int32)
     found: list[segments.SegmentDepth] = []
-    unseen = np.zeros(shape, dtype=bool)
-    if layers.size:
-        layer = segments.assign(volume, layers, pixels, separation, every)
-        parts, inside, unseen = _textured(seen, segments.split(layer, seen.lit, WINDOW_PX, every))
-        count = int(parts.max(initial=0))
-        sizes = np.bincount(inside.ravel(), minlength=count + 1)[1:]
-        number = np.zeros(count + 1, dtype=np.int32)
-        for part, (sums, size) in enumerate(zip(volume.over(inside, count), sizes.tolist(), strict=True), start=1):
+    for part, (sums, size) in enumerate(zip(volume.over(inside, count), sizes.tolist(), strict=True), start=1):
+        cells = Cells.of(volume, inside == part, every)
+        plane = fitted_plane(cells) or layers[int(np.median(layer[parts == part])) - 1]
+        if plane.tilted and cells.pixels.size:
+            depth = segments.segment_depth(volume, cells.sheared(volume, plane), float(cells.pixels.sum()), plane)
+        else:
             depth = segments.segment_depth(volume, sums, float(size))
-            if depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0:
-                found.append(depth)
-                number[part] = len(found)
-        label, inner = number[parts], number[inside]
+        if depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0:
+            found.append(depth)
+            number[part] = len(found)
+    label, inner = number[parts], number[inside]
     near = segments.grown(label, WINDOW_PX / every)
     if unseen.any():
         away = distance_transform_edt(~unseen)
         near[(away <= WINDOW_PX / every) & (label == 0)] = 0
-    return Regions(layers.size, tuple(found), label, inner, near)
+    return Regions(len(layers), tuple(found), label, inner, near)
+
+
+def _surfaces(
+    regions: Regions, pixels: PixelDepth, separation_per_m: float, window: int
+) -> tuple[list[Plane], NDArray[np.bool_]]:
+    """The segments' distinct planes, the depths of what clearly lies on none of them, and where each may be.
+
+    Such a depth may cross a tilted plane elsewhere, where it must not take the plane's pixels.
+    """
+    shape = regions.label.shape
+    planes = distinct_planes([depth.plane for depth in regions.depths], regions.label, separation_per_m)
+    away = np.min([np.abs(pixels.vergence_per_m - plane.over(shape)) for plane in planes], axis=0)
+    doubt = 0.5 * separation_per_m + 2.0 * pixels.relative_error * pixels.vergence_per_m
+    least = 3 * window // 2  # of a patch, or noise would make some
+    beside = binary_opening(pixels.claimed & (away > doubt), np.ones((least, least), dtype=bool))
+    others = PixelDepth(pixels.vergence_per_m, pixels.relative_error, beside)
+    depths = segments.depth_layers(others, separation_per_m).tolist()
+    about = distance_transform_edt(~beside) <= window if beside.any() else beside
+    allowed = np.stack([np.ones(shape, dtype=bool)] * len(planes) + [about] * len(depths))
+    return planes + [Plane(vergence) for vergence in depths], allowed
 
 
 def _textured(seen: Seen, parts: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:

@@ -5,7 +5,8 @@ All of this is done on the volume's own grid of every few pixels.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from scipy.ndimage import label as connected
 
 from metafab.core.conventions import FloatArray
 from metafab.decode.depth import PixelDepth, parabola, standard_error
+from metafab.decode.planes import Plane
 from metafab.decode.pooling import window_means
 from metafab.decode.volume import Volume, correlation
 
@@ -39,16 +41,18 @@ class SegmentDepth:
     """The depth of one segment.
 
     Attributes:
-        vergence_per_m: 1/depth.
+        vergence_per_m: 1/depth, of a tilted segment in its middle.
         relative_error: standard error of depth over depth; inf if the twins do not agree at any depth.
         correlation: of the twins at that depth.
         power: mean square of the aligned twins there, geometric mean of both, electrons squared.
+        plane: its depth over the picture.
     """
 
     vergence_per_m: float
     relative_error: float
     correlation: float
     power: float
+    plane: Plane
 
 
 def depth_layers(pixels: PixelDepth, step_per_m: float) -> FloatArray:
@@ -80,20 +84,34 @@ def depth_layers(pixels: PixelDepth, step_per_m: float) -> FloatArray:
     return np.array(kept)
 
 
-def assign(volume: Volume, layers: FloatArray, pixels: PixelDepth, step_per_m: float, every: int) -> NDArray[np.int32]:
+def assign(
+    volume: Volume,
+    layers: Sequence[Plane],
+    pixels: PixelDepth,
+    step_per_m: float,
+    every: int,
+    allowed: NDArray[np.bool_] | None = None,
+) -> NDArray[np.int32]:
     """The layer (from 1) whose depth makes the twins agree best about each pixel.
 
     Args:
         volume: agreement of the twins.
-        layers: vergences of the layers.
+        layers: depths of the layers over the picture.
         pixels: the depth of each pixel by itself.
         step_per_m: difference of vergence that counts.
         every: pixels of the frame a pixel of the volume.
+        allowed: shape (n_layers, n_y, n_x), where each layer may be; everywhere by default.
     """
-    parts = window_means(volume.at(layers), _OUTLINE_WINDOW_PX // every | 1)
-    away_per_m = np.abs(pixels.vergence_per_m - layers[:, None, None])
+    flat = np.array([plane.vergence_per_m for plane in layers])
+    at = flat[:, None, None]
+    if any(plane.tilted for plane in layers):
+        at = np.stack([plane.over(volume.parts.shape[-2:]) for plane in layers])
+    parts = window_means(volume.at(flat if at.size == flat.size else at), _OUTLINE_WINDOW_PX // every | 1)
+    away_per_m = np.abs(pixels.vergence_per_m - at)
     scores = correlation(parts) - 0.05 * np.minimum(away_per_m / step_per_m, 4.0)
     smooth = window_means(scores.astype(np.float32), 3)
+    if allowed is not None:
+        smooth[~allowed] = -np.inf
     label = (np.argmax(smooth, axis=0) + 1).astype(np.int32)
     near = pixels.claimed
     if near.any() and not near.all():
@@ -137,7 +155,7 @@ def grown(segment: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
     return np.where(away <= reach, segment[row, column], 0).astype(np.int32)
 
 
-def segment_depth(volume: Volume, sums: FloatArray, pixels: float) -> SegmentDepth:
+def segment_depth(volume: Volume, sums: FloatArray, pixels: float, tilt: Plane | None = None) -> SegmentDepth:
     """The vergence at which a segment's twins agree best: the peak of a spline through all candidates.
 
     Its error is infinite where they do not agree, or best at an end of the candidates.
@@ -146,17 +164,18 @@ def segment_depth(volume: Volume, sums: FloatArray, pixels: float) -> SegmentDep
         volume: agreement of the twins.
         sums: shape (3, n), its products summed over the segment's :func:`interior`.
         pixels: how many those are.
+        tilt: along which they were summed; none by default.
     """
     agreement = correlation(sums)
     nodes = volume.vergences_per_m
     if not np.isfinite(agreement).all() or agreement.max() <= 0.0:
-        return SegmentDepth(float(nodes[nodes.size // 2]), np.inf, 0.0, 0.0)
+        return _segment(tilt, float(nodes[nodes.size // 2]), np.inf, 0.0, 0.0)
     spline = make_interp_spline(nodes, agreement, k=min(5, nodes.size - 1))
     fine = np.linspace(nodes[0], nodes[-1], _FINE * (nodes.size - 1) + 1)
     values = spline(fine)
     best = int(values.argmax())
     if best in {0, fine.size - 1}:  # Still rising where the calibration ends: the depth is not inside it.
-        return SegmentDepth(float(fine[best]), np.inf, float(values[best]), 0.0)
+        return _segment(tilt, float(fine[best]), np.inf, float(values[best]), 0.0)
     shift, peak, curvature = parabola(values[best - 1], values[best], values[best + 1])
     step = fine[1] - fine[0]
     vergence = float(fine[best] + step * np.clip(shift, -1.0, 1.0))
@@ -164,7 +183,12 @@ def segment_depth(volume: Volume, sums: FloatArray, pixels: float) -> SegmentDep
     error = float(standard_error(np.array(peak), np.array(curvature / step**2), samples)) / abs(vergence)
     nearest = int(np.abs(nodes - vergence).argmin())
     power = float(np.sqrt(sums[1, nearest] * sums[2, nearest])) / max(pixels, 1.0)
-    return SegmentDepth(vergence, error, float(peak), power)
+    return _segment(tilt, vergence, error, float(peak), power)
+
+
+def _segment(tilt: Plane | None, vergence: float, error: float, peak: float, power: float) -> SegmentDepth:
+    plane = Plane(vergence) if tilt is None else replace(tilt, vergence_per_m=vergence)
+    return SegmentDepth(vergence, error, peak, power, plane)
 
 
 def interior(segment: NDArray[np.int32], number: int, every: int) -> NDArray[np.bool_]:

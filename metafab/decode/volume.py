@@ -38,10 +38,23 @@ class Volume:
         return Volume(self.vergences_per_m, halved(self.parts), 4.0 * self.samples, self.noise_gain)
 
     def at(self, vergences_per_m: FloatArray) -> NDArray[np.float32]:
-        """The products at any depths, interpolated between the candidates: shape (3, n, n_y, n_x)."""
+        """The products at any depths, interpolated between the candidates: shape (3, n, n_y, n_x).
+
+        Args:
+            vergences_per_m: shape (n,), or (n, n_y, n_x) for depths of their own at each pixel.
+        """
+        if vergences_per_m.ndim > 1:
+            return np.stack([self._at_each(one) for one in vergences_per_m], axis=1)
         weights = spline_weights(self.vergences_per_m, vergences_per_m).astype(np.float32)
         flat = self.parts.reshape(*self.parts.shape[:2], -1)
         return np.asarray((weights @ flat).reshape(3, -1, *self.parts.shape[-2:]))
+
+    def _at_each(self, vergence_per_m: FloatArray) -> NDArray[np.float32]:
+        if (vergence_per_m == vergence_per_m[0, 0]).all():
+            return self.at(vergence_per_m[0, :1])[:, 0]
+        nodes = self.vergences_per_m
+        weights = spline_weights(nodes, np.clip(vergence_per_m, nodes[0], nodes[-1])).astype(np.float32)
+        return np.asarray(np.einsum("yxv,pvyx->pyx", weights, self.parts))
 
     def over(self, label: NDArray[np.int32], count: int) -> FloatArray:
         """Sums over the pixels of each label from 1 to ``count``: shape (count, 3, n)."""

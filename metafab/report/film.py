@@ -1,4 +1,7 @@
-"""A decoded film as a moving picture: raw frame, both polarisations' sharp images, and depth."""
+"""A decoded film as a moving picture: raw frame, both polarisations' sharp images, and depth.
+
+The lens turns its images by half a turn; in a film they are turned back, so that the scene stands upright.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +75,9 @@ def _pictures(film: Sequence[tuple[RawFrame, Image4D]], frame_interval_s: float)
     sharp = max(_top(part) for _, decoded in film for part in (decoded.intensity_x, decoded.intensity_y))
     figure, places = _frame(raw, image)
     panels = [
-        _panel(places[0], raw.frame, "Raw frame: x and y polarisation", cmap="gray", vmin=0.0, vmax=bright),
+        _panel(
+            places[0], raw.frame, "Raw frame, turned upright: y and x polarisation", cmap="gray", vmin=0.0, vmax=bright
+        ),
         _panel(
             places[1],
             image.intensity_x,
@@ -100,7 +105,7 @@ def _pictures(film: Sequence[tuple[RawFrame, Image4D]], frame_interval_s: float)
     for number, (frame, decoded) in enumerate(film):
         values = (frame.frame, decoded.intensity_x, decoded.intensity_y, scale * decoded.depth_m)
         for panel, value in zip(panels, values, strict=True):
-            panel.set_data(np.ma.masked_invalid(value))
+            panel.set_data(np.ma.masked_invalid(value[::-1, ::-1]))
         error = "" if decoded.nmae is None else f"   depth within {100.0 * decoded.nmae:.2f} %"
         caption.set_text(f"t = {number * frame_interval_s:.2f} s{error}")
         canvas.draw()
@@ -131,7 +136,7 @@ def _frame(raw: RawFrame, image: Image4D) -> tuple[Figure, list[Axes]]:
 def _panel(axes: Axes, values: FloatArray, title: str, ink: str = INK, **options: Any) -> Any:
     bare(axes, title, ink)
     n_y, n_x = values.shape
-    return show_map(axes, values, (0.0, float(n_x), 0.0, float(n_y)), **options)
+    return show_map(axes, values[::-1, ::-1], (0.0, float(n_x), 0.0, float(n_y)), **options)
 
 
 def _top(values: FloatArray) -> float:

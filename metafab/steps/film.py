@@ -50,7 +50,7 @@ def decoded_film(
 
 def film_figures(film: Sequence[tuple[RawFrame, Image4D]]) -> dict[str, Any]:
     """Errors and times of a decoded film, one entry a frame."""
-    names = ("nmae_pixel", "contrast_error", "share_decoded", "changed_share")
+    names = ("nmae_pixel", "object_error", "worst_object_error", "contrast_error", "share_decoded", "changed_share")
     images = [image for _, image in film]
     return {
         "frames": len(images),

@@ -10,6 +10,8 @@ from PIL import Image
 
 from metafab import camera, optics, report
 from metafab.core.errors import InputError, MissingToolError
+from metafab.decode import decode
+from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 from tests.main_job import metafab
 
@@ -77,6 +79,20 @@ def test_a_film_is_decoded_frame_by_frame_and_drawn(folder: Path) -> None:
     # The object leaves its place in every frame: the panels differ, the margins do not.
     assert np.abs(frames[2] - frames[0]).max() > 100.0
     assert (frames[2][:2] == frames[0][:2]).all()
+
+
+def test_the_scene_stands_upright(tmp_path: Path) -> None:
+    """An object above the axis is in the lower half of the sensor, and in the upper half of the picture."""
+    pair = helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32)
+    above = SceneObject(depth_m=0.0028, centre=(0.0, 0.04), size=(0.06, 0.04))
+    raw = camera.capture(Scene(objects=(above,), field_px=(72, 72)), pair)
+    assert np.argmax(raw.frame.sum(axis=1)) < raw.frame.shape[0] / 2
+    report.write_film([(raw, decode(raw, pair))], tmp_path / "one.gif", frame_interval_s=0.1)
+    picture = np.asarray(Image.open(tmp_path / "one.gif").convert("L"), dtype=float)
+    dark = np.flatnonzero((picture < 10).mean(axis=1) > 0.4)
+    panel = picture[dark[0] : dark[0] + round(picture.shape[1] * 0.96 * raw.frame.shape[0] / raw.frame.shape[1])]
+    upper, lower = panel[: len(panel) // 2], panel[len(panel) // 2 :]
+    assert (upper[upper < 250] > 60).mean() > 3.0 * (lower[lower < 250] > 60).mean()
 
 
 def test_other_names_and_a_missing_ffmpeg_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
