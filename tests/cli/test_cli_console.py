@@ -1,0 +1,139 @@
+"""The rim of every command: what stands where, which exit code an error becomes, and what is left as it was."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+
+from metafab.cli import console, entry
+from metafab.core.errors import InputError, MetafabError, MissingToolError, RulesViolatedError, SolverError
+from metafab.core.progress import silent
+
+
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_no_bar_is_drawn_where_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", io.StringIO())
+    with console.progress_bars() as progress:
+        assert progress is silent
+
+
+def test_a_terminal_gets_a_bar_for_each_step(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = _Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setenv("TERM", "xterm")
+    with console.progress_bars() as progress:
+        for done in range(3):
+            progress("library", done, 2)
+        progress("layout", 1, 1)
+    drawn = terminal.getvalue()
+    assert "library" in drawn and "layout" in drawn
+
+
+def test_json_is_one_object_with_arrays_and_paths_as_plain_values(capsys: pytest.CaptureFixture[str]) -> None:
+    console.show({"t": np.array([1.0 + 2.0j]), "file": Path("a/b"), "count": np.int64(3), "n": float("nan")}, True)
+    said = capsys.readouterr()
+    assert said.out.count("\n") == 1
+    found = json.loads(said.out, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert found == {"t": [[1.0, 2.0]], "file": "a/b", "count": 3, "n": None}
+
+
+def test_text_names_every_value_of_nested_tables(capsys: pytest.CaptureFixture[str]) -> None:
+    table = {"pillars": 3, "rules": {"min_gap": 0, "empty": {}}, "files": [{"name": "a", "bytes": 1}], "kept": True,
+             "none": None, "errors": [0.25, 1e-9]}  # fmt: skip
+    console.show(table, False)
+    lines = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert lines == [
+        "pillars 3", "rules", "min_gap 0", "empty none", "files", "name=a bytes=1", "kept yes", "none -",
+        "errors [0.25, 1e-09]",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("count", "code"), [(0, None), (1, 2), (7, 2)])
+def test_violations_end_with_2(count: int, code: int | None) -> None:
+    if code is None:
+        console.exit_on_violations(count)
+        return
+    with pytest.raises(typer.Exit) as ended:
+        console.exit_on_violations(count)
+    assert ended.value.exit_code == code
+
+
+def _raise(error: BaseException) -> Callable[[object], None]:
+    def app(arguments: object) -> None:
+        raise error
+
+    return app
+
+
+ERRORS = [
+    (InputError.single("lens.toml", "device", "a table", "nothing", "write one"), 2),
+    (RulesViolatedError("rules"), 2),
+    (SolverError("no"), 1),
+    (MissingToolError("no"), 1),
+    (MetafabError("no"), 1),
+    (OSError(28, "No space left on device"), 1),
+    (PermissionError(13, "Permission denied"), 1),
+    (MemoryError("12 GB"), 1),
+]
+
+
+@pytest.mark.parametrize(("error", "code"), ERRORS, ids=lambda value: type(value).__name__)
+def test_an_error_is_one_message_and_its_code(
+    error: BaseException, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(entry, "app", _raise(error))
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    with pytest.raises(SystemExit) as ended:
+        entry.main()
+    said = capsys.readouterr()
+    assert ended.value.code == code
+    assert said.out == ""
+    assert said.err.startswith("metafab: ") and str(error).splitlines()[-1].strip() in said.err
+    assert "Traceback" not in said.err
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_is_one_message_that_nothing_swallows(
+    number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def app(arguments: object) -> None:
+        try:
+            os.kill(os.getpid(), number)
+            signal.sigtimedwait([], 5.0)
+        except Exception:
+            pytest.fail("an interrupt is no error that a command may swallow")
+
+    monkeypatch.setattr(entry, "app", app)
+    with pytest.raises(SystemExit) as ended:
+        entry.main()
+    assert ended.value.code == 1
+    assert "interrupted" in capsys.readouterr().err
+
+
+def test_a_fault_of_ours_is_not_dressed_as_the_users(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(entry, "app", _raise(ZeroDivisionError("a bug")))
+    with pytest.raises(ZeroDivisionError):
+        entry.main()
+
+
+def test_help_imports_no_room() -> None:
+    """What makes --help quick: a command's room is imported when it works."""
+    heavy = {"scipy", "numba", "h5py", "matplotlib", "metafab.optics", "metafab.cell"}
+    code = "import sys, json; import metafab.cli.entry; print(json.dumps(sorted(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not heavy & set(json.loads(done.stdout))
