@@ -1,6 +1,7 @@
 """Showing: figures, and one self-contained HTML page a run. Nothing here computes physics.
 
-- ``style``         palette, colour maps, panels; PNG and SVG forms of a figure
+- ``style``         palette, colour maps, panels, scales
+- ``render``        a figure -> PNG, SVG, or both in one drawing
 - ``figures``       figure functions: results and axes in, axes out
 - ``run_folder``    the files of a run, opened; notes for what is missing
 - ``mask_picture``  a written mask as a grey map and rectangles, in one pass over its tiles

@@ -30,7 +30,7 @@ def stokes_figure(frame: StokesFrame, image: StokesImage, path: Path) -> Path:
     places = figure.subplots(2, 6, gridspec_kw=grid)
     top = float(np.percentile(frame.images, 99.8))
     for axes, state, raw in zip(places[0], STATES, frame.images, strict=True):
-        bare(axes, f"raw, {state}")
+        bare(axes, f"raw, {state}".replace("-", "−"))
         show_map(axes, raw, extent, cmap="gray", vmin=0.0, vmax=top)
     lit = image.stokes[0] > 0.2 * np.percentile(image.stokes[0], 99.0)
     bare(places[1, 0], "S0")

@@ -129,9 +129,9 @@ def colour_bar(
     bar.imshow(shades, cmap=mappable.cmap, **across)
     if isinstance(mappable.norm, LogNorm):
         logarithmic(bar, "y")
-    low, high = mappable.get_clim()
-    # Room around a value that stands alone.
-    bar.set(xticks=(), ylim=bar.yaxis.get_major_locator().nonsingular(low, high))
+    # Room around a value that stands alone, for the picture as for the bar.
+    mappable.set_clim(*bar.yaxis.get_major_locator().nonsingular(*mappable.get_clim()))
+    bar.set(xticks=(), ylim=mappable.get_clim())
     if ticks:
         bar.set_yticks(ticks, names or None)
         bar.minorticks_off()

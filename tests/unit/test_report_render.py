@@ -114,8 +114,9 @@ def test_colour_bar_spans_the_limits_of_its_picture() -> None:
     bar = colour_bar(image, axes, "error")
     assert bar.get_ylim() == (1e-3, 1.0)
     assert bar.get_yscale() == "log"
-    constant = colour_bar(show_map(axes, np.full((2, 2), 5.0), (0.0, 1.0, 0.0, 1.0)), axes, "depth")
-    low, high = constant.get_ylim()
+    flat = show_map(axes, np.full((2, 2), 5.0), (0.0, 1.0, 0.0, 1.0))
+    low, high = colour_bar(flat, axes, "depth").get_ylim()
     assert low < 5.0 < high, "one value alone still has a scale around it"
+    assert flat.get_clim() == (low, high), "and the picture the colours of that scale"
     named = colour_bar(image, axes, "error", (0.01, 0.1), ("a", "b"))
     assert [label.get_text() for label in named.get_yticklabels()] == ["a", "b"]
