@@ -13,7 +13,7 @@ from metafab.decode.image import Image4D
 from metafab.decode.pooling import label_sums, window_means
 from metafab.decode.reduce import enlarged, repeated
 from metafab.decode.regions import LAYER_SHARE, Regions
-from metafab.decode.restore import LitTiles, Restorer
+from metafab.decode.restore import LitTiles, Restorer, Sharp
 from metafab.decode.seen import WINDOW_PX, Seen
 from metafab.decode.segment import grown
 from metafab.decode.twins import TwinGrid
@@ -38,13 +38,9 @@ def sharpened(
     tiles: LitTiles,
     candidates_per_m: FloatArray,
     changed: NDArray[np.bool_] | None,
-    last: Image4D | None,
-) -> NDArray[np.float32]:
-    """Both images, sharp at the depth of the nearest segment; with ``last``, that is kept where nothing ``changed``.
-
-    Returns:
-        Shape (2, n_y, n_x), electrons.
-    """
+    last: Sharp | None,
+) -> Sharp:
+    """Both images, sharp at the depth of the nearest segment; with ``last``, that is kept where nothing ``changed``."""
     every, shape = seen.reduction.every, seen.twins.grid.shape
     middle_per_m = float(np.median(candidates_per_m))
     band_per_m = LAYER_SHARE * float(candidates_per_m[-1] - candidates_per_m[0])
@@ -55,12 +51,11 @@ def sharpened(
         wide, vergences = regions.bands(wide, band_per_m)
     if last is None or changed is None:
         return restorer(tiles, seen.levels, repeated(wide, every, shape), vergences)
-    wide = np.where(changed, wide, 0)
-    images = restorer(tiles, seen.levels, repeated(wide, every, shape), vergences)
+    sharp = restorer(tiles, seen.levels, repeated(np.where(changed, wide, 0), every, shape), vergences)
     unchanged = ~repeated(changed, every, shape)
-    for sharp, before in zip(images, (last.intensity_x, last.intensity_y), strict=True):
-        np.copyto(sharp, before, where=unchanged, casting="same_kind")
-    return images
+    np.copyto(sharp.images, last.images, where=unchanged)
+    np.copyto(sharp.noise_gain, last.noise_gain, where=unchanged)
+    return sharp
 
 
 def lit_about(seen: Seen) -> NDArray[np.bool_]:
@@ -74,10 +69,11 @@ def composed(
     volume: Volume,
     pixels: PixelDepth,
     regions: Regions,
-    images: NDArray[np.float32],
+    sharp: Sharp,
     basis_images: int,
 ) -> Image4D:
     """All that is known about a frame, on its own pixels."""
+    images = sharp.images
     every, shape = seen.reduction.every, seen.twins.grid.shape
     lit = _lit(images, seen.floor_e) & ~seen.twins.bad
     dark = ~lit
@@ -94,8 +90,7 @@ def composed(
     segment[dark], depth_m[dark], confidence[dark] = 0, np.nan, 0.0
     pixel_m = full_depth_m(PixelDepth(pixels.vergence_per_m, pixels.relative_error, claimed), every, shape)
     pixel_m[dark] = np.nan
-    contrast = np.full(shape, np.nan)
-    np.divide(images[0], images[1], out=contrast, where=lit & (images[1] > 0.0))
+    contrast, contrast_error = _contrast(sharp, seen.levels.read_noise_e, lit)
     details: dict[str, float | str] = {
         "layers": float(regions.layers),
         "basis_images": float(basis_images),
@@ -104,6 +99,7 @@ def composed(
         "pixels_without_signal": float(dark.sum()),
         "pixels_without_texture": float((lit & np.isnan(depth_m)).sum()),
         "pixels_broken": float(seen.twins.bad.sum()),
+        "contrast_standard_error": _typical(contrast_error[::8, ::8], contrast[::8, ::8]),
         **_doubts(volume, seen, regions),
     }
     return Image4D(
@@ -115,10 +111,29 @@ def composed(
         segment,
         seen.twins.grid.origin_um,
         frame.pixel_um,
-        _rows(regions, segment, images, every),
+        _rows(regions, segment, images, every, seen.levels.read_noise_e),
         pixel_m,
+        contrast_error,
         details=details,
     )
+
+
+def _contrast(sharp: Sharp, read_noise_e: float, lit: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """I_x / I_y where there is light, and its standard error to first order in the noise; NaN elsewhere."""
+    x, y = sharp.images
+    known = lit & (y > 0.0)
+    contrast, error = np.full((2, *lit.shape), np.nan)
+    np.divide(x, y, out=contrast, where=known)
+    of_x, of_y = sharp.variance(read_noise_e)
+    ratio = contrast.astype(np.float32)
+    np.divide(np.sqrt(of_x + ratio * ratio * of_y), y, out=error, where=known)
+    return contrast, error
+
+
+def _typical(error: FloatArray, values: FloatArray) -> float:
+    """Median of the errors' shares of their values; NaN where nothing is known."""
+    known = np.isfinite(error) & (values > 0.0)
+    return float(np.median(error[known] / values[known])) if known.any() else float("nan")
 
 
 def empty(shape: tuple[int, ...], frame: RawFrame, reason: str, grid: TwinGrid | None = None) -> Image4D:
@@ -134,6 +149,7 @@ def empty(shape: tuple[int, ...], frame: RawFrame, reason: str, grid: TwinGrid |
         frame.origin_um if grid is None else grid.origin_um,
         frame.pixel_um,
         depth_pixel_m=unknown.copy(),
+        contrast_error=unknown.copy(),
         details={"reason": reason},
     )
 
@@ -144,12 +160,16 @@ def _lit(images: NDArray[np.float32], floor_e: float) -> NDArray[np.bool_]:
 
 
 def _rows(
-    regions: Regions, segment: NDArray[np.int32], images: NDArray[np.float32], every: int
+    regions: Regions, segment: NDArray[np.int32], images: NDArray[np.float32], every: int, read_noise_e: float
 ) -> tuple[dict[str, float], ...]:
-    """What is known of each segment: its contrast from its inside."""
+    """What is known of each segment: its contrast from its inside, over which blur and sharpening keep the light."""
     count = len(regions.depths)
     pixels = np.bincount(segment.ravel(), minlength=count + 1)
-    light_x, light_y = label_sums(images, repeated(regions.inner, every, segment.shape) * (segment > 0), count)
+    inner = repeated(regions.inner, every, segment.shape) * (segment > 0)
+    light_x, light_y = np.maximum(label_sums(images, inner, count), 1e-30)
+    read = np.bincount(inner.ravel(), minlength=count + 1)[1:] * read_noise_e**2
+    contrast = light_x / light_y
+    error = contrast * np.sqrt((light_x + read) / light_x**2 + (light_y + read) / light_y**2)
     return tuple(
         {
             "number": float(number),
@@ -158,7 +178,8 @@ def _rows(
             "slope_x_per_m": depth.plane.slope_per_m[1] / every,
             "slope_y_per_m": depth.plane.slope_per_m[0] / every,
             "error_m": depth.relative_error / depth.vergence_per_m,
-            "contrast": float(light_x[number - 1] / max(light_y[number - 1], 1e-30)),
+            "contrast": float(contrast[number - 1]),
+            "contrast_error": float(error[number - 1]),
             "correlation": depth.correlation,
         }
         for number, depth in enumerate(regions.depths, start=1)

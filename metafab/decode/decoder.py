@@ -22,7 +22,7 @@ from metafab.decode.judge import judged
 from metafab.decode.levels import Levels
 from metafab.decode.reduce import repeated
 from metafab.decode.regions import find_regions, textured_pixels
-from metafab.decode.restore import Restorer
+from metafab.decode.restore import Restorer, Sharp
 from metafab.decode.seen import Seen
 from metafab.decode.twins import TwinGrid
 from metafab.decode.volume import Volume
@@ -130,7 +130,7 @@ class Decoder:
         seen = self.look(frame)
         if isinstance(seen, str):
             return _nothing(self.calibration.grid.shape, frame, seen, started, self.calibration.grid)
-        return self.finish(frame, seen, self.volume(seen, progress=progress), started=started)
+        return self.finish(frame, seen, self.volume(seen, progress=progress), started=started)[0]
 
     def look(self, frame: RawFrame, levels: Levels | None = None) -> Seen | str:
         """The twins and what is to be seen of them at once, or why there is nothing.
@@ -158,10 +158,10 @@ class Decoder:
         seen: Seen,
         volume: Volume,
         changed: NDArray[np.bool_] | None = None,
-        last: Image4D | None = None,
+        last: Sharp | None = None,
         *,
         started: float | None = None,
-    ) -> Image4D:
+    ) -> tuple[Image4D, Sharp]:
         """Depth, segments and sharp images; with ``last``, its brightness is kept where nothing ``changed``."""
         started = time.perf_counter() if started is None else started
         every, shape = self.filters.reduction.every, self.calibration.grid.shape
@@ -170,9 +170,9 @@ class Decoder:
             tiles = beside.submit(self.restorer.transformed, seen.twins.image, lit)
             pixels = textured_pixels(seen, volume)
             regions = find_regions(seen, volume, pixels)
-        images = sharpened(seen, regions, self.restorer, tiles.result(), volume.vergences_per_m, changed, last)
-        image = composed(frame, seen, volume, pixels, regions, images, self.filters.basis.shape[1])
-        return judged(image, frame, seconds=time.perf_counter() - started)
+        sharp = sharpened(seen, regions, self.restorer, tiles.result(), volume.vergences_per_m, changed, last)
+        image = composed(frame, seen, volume, pixels, regions, sharp, self.filters.basis.shape[1])
+        return judged(image, frame, seconds=time.perf_counter() - started), sharp
 
 
 def _nothing(

@@ -22,9 +22,12 @@ class Image4D:
         segment: number of the segment from 1; 0 for none.
         origin_um: (x, y) on the sensor of the centre of pixel [0, 0].
         pixel_um: pixel pitch.
-        segments: one row a segment: number, pixels, depth, its standard error, mean contrast.
+        segments: one row a segment: number, pixels, depth, its standard error and slope, mean contrast and its standard
+            error.
         depth_pixel_m: shape (n_y, n_x), depth of each pixel from its own neighbourhood alone, NaN where none is
             claimed; ``depth_m`` holds the depth of its segment.
+        contrast_error: shape (n_y, n_x), standard error of each pixel's contrast by photon and read noise, NaN where
+            there is no signal.
         nmae: mean |depth error| / depth over decoded pixels with known truth; None without truth.
         details: figures of the computing (seconds, pixels skipped and why, ...).
     """
@@ -39,5 +42,6 @@ class Image4D:
     pixel_um: float
     segments: tuple[dict[str, float], ...] = ()
     depth_pixel_m: FloatArray | None = None
+    contrast_error: FloatArray | None = None
     nmae: float | None = None
     details: dict[str, float | str] = field(default_factory=dict)

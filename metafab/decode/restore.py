@@ -13,6 +13,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
 from metafab.decode.calibration import Calibration
 from metafab.decode.levels import Levels
+from metafab.decode.pooling import window_means
 from metafab.decode.tiles import Tiling
 
 #: How much of itself (relative L2) the pair may change from the centre of a tile to its edge.
@@ -20,6 +21,8 @@ _TILE_CHANGE = 0.2
 _CORES_PX = (32.0, 256.0)
 #: Transfer functions are kept for this many depths, the last used.
 _KEPT_DEPTHS = 12
+#: About as wide as a filter, whose noise is that of the light under it.
+_NOISE_WINDOW_PX = 9
 #: Their depths are a grid of this many steps over the calibrated range: less than a degree of the pair's turn.
 _DEPTH_STEPS = 96
 
@@ -35,6 +38,24 @@ class LitTiles:
 
     place: NDArray[np.intp]
     spectra: NDArray[np.complex64]
+
+
+@dataclass(frozen=True)
+class Sharp:
+    """All-in-focus images.
+
+    Attributes:
+        images: shape (2, n_y, n_x), electrons.
+        noise_gain: the same shape, variance of a pixel per variance of the frame's pixels about it.
+    """
+
+    images: NDArray[np.float32]
+    noise_gain: NDArray[np.float32]
+
+    def variance(self, read_noise_e: float) -> NDArray[np.float32]:
+        """Of each pixel by photon and read noise: shape (2, n_y, n_x), electrons squared."""
+        about = window_means(self.images, _NOISE_WINDOW_PX)
+        return np.asarray(self.noise_gain * (about + np.float32(read_noise_e**2)))
 
 
 @dataclass(frozen=True)
@@ -77,9 +98,7 @@ class Restorer:
         place[tiles] = np.arange(tiles.size)
         return LitTiles(place, np.stack([scipy.fft.rfft2(self.tiling.cut(image, tiles)) for image in images]))
 
-    def __call__(
-        self, seen: LitTiles, levels: Levels, label: NDArray[np.int32], vergences_per_m: FloatArray
-    ) -> NDArray[np.float32]:
+    def __call__(self, seen: LitTiles, levels: Levels, label: NDArray[np.int32], vergences_per_m: FloatArray) -> Sharp:
         """Both images, sharp where ``label`` says at which depth they are; 0 where it is 0, never negative.
 
         The filter H* / (|H|^2 + noise / texture) is the best linear one for a texture with the spectrum of
@@ -92,23 +111,27 @@ class Restorer:
             vergences_per_m: 1/depth of each number.
 
         Returns:
-            Shape (2, n_y, n_x), electrons.
+            The images, and what their filters make of the frame's noise.
         """
         tiling = self.tiling
         ky, kx = scipy.fft.fftfreq(tiling.size[0])[:, None], scipy.fft.rfftfreq(tiling.size[1])[None, :]
         noise_to_signal = levels.noise_variance / np.maximum(levels.texture_spectrum(ky * ky + kx * kx), 1e-300)
         noise_to_signal[0, 0] = 0.0
         ratio = noise_to_signal.astype(np.float32)
-        sharp = np.zeros((2, *tiling.shape), dtype=np.float32)
+        sharp, noise_gain = np.zeros((2, 2, *tiling.shape), dtype=np.float32)
+        by_tile = np.zeros((2, tiling.n_tiles), dtype=np.float32)
         for number, vergence in enumerate(vergences_per_m, start=1):
             mask = label == number
             tiles = tiling.touched(mask)
             if not tiles.size:
                 continue
-            filtered = _wiener(self._transfer(float(vergence)), seen.spectra, ratio, tiles, seen.place[tiles])
+            filtered, gain = _wiener(self._transfer(float(vergence)), seen.spectra, ratio, tiles, seen.place[tiles])
             layer = tiling.join(scipy.fft.irfft2(filtered, tiling.size, workers=2, overwrite_x=True), tiles)
             np.copyto(sharp, layer, where=mask)
-        return np.maximum(sharp, 0.0, out=sharp)
+            by_tile[:, tiles] = gain
+            whole = by_tile.reshape(2, *tiling.counts).repeat(tiling.core[0], axis=1).repeat(tiling.core[1], axis=2)
+            np.copyto(noise_gain, whole[:, : tiling.shape[0], : tiling.shape[1]], where=mask)
+        return Sharp(np.maximum(sharp, 0.0, out=sharp), noise_gain)
 
     def _transfer(self, vergence_per_m: float) -> NDArray[np.complex64]:
         """Transfer functions at the nearest depth of the grid: shape (2, n_tiles, n_ky, n_kx)."""
@@ -141,8 +164,8 @@ def _wiener(
     ratio: NDArray[np.float32],
     tiles: NDArray[np.intp],
     place: NDArray[np.intp],
-) -> NDArray[np.complex64]:
-    """Spectra times H* / (|H|^2 + ratio): shape (2, tiles.size, n_ky, n_kx).
+) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
+    """Spectra times H* / (|H|^2 + ratio), and what that makes of white noise.
 
     Args:
         transfer: H of all tiles, shape (2, n_tiles, n_ky, n_kx).
@@ -150,6 +173,9 @@ def _wiener(
         ratio: noise over texture, shape (n_ky, n_kx).
         tiles: the tiles that are wanted.
         place: where each of them is among the spectra.
+
+    Returns:
+        Shapes (2, tiles.size, n_ky, n_kx) and (2, tiles.size): mean squares of the filters.
     """
     return (_wiener_loop if HAS_NUMBA else _wiener_plain)(transfer, spectra, ratio, tiles, place)
 
@@ -160,9 +186,14 @@ def _wiener_plain(
     ratio: NDArray[np.float32],
     tiles: NDArray[np.intp],
     place: NDArray[np.intp],
-) -> NDArray[np.complex64]:
+) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
     chosen = transfer[:, tiles]
-    return np.asarray(np.conj(chosen) * spectra[:, place] / (chosen.real**2 + chosen.imag**2 + ratio))
+    wiener = np.conj(chosen) / (chosen.real**2 + chosen.imag**2 + ratio)
+    squares = np.abs(wiener) ** 2
+    n_y, n_kx = ratio.shape
+    # The other half plane; transforms have an even number of columns.
+    total = 2.0 * squares.sum(axis=(-2, -1)) - squares[..., (0, -1)].sum(axis=(-2, -1))
+    return np.asarray(wiener * spectra[:, place]), np.asarray(total / (n_y * 2 * (n_kx - 1)), dtype=np.float32)
 
 
 @compiled_parallel
@@ -172,15 +203,23 @@ def _wiener_loop(
     ratio: NDArray[np.float32],
     tiles: NDArray[np.intp],
     place: NDArray[np.intp],
-) -> NDArray[np.complex64]:
+) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
     _, _, n_y, n_x = transfer.shape
     out = np.empty((2, tiles.size, n_y, n_x), dtype=np.complex64)
+    gain = np.zeros((2, tiles.size), dtype=np.float32)
     for t in prange(tiles.size):
         for image in range(2):
+            total = 0.0
             for i in range(n_y):
+                line = np.float32(0.0)
                 for j in range(n_x):
                     h, s = transfer[image, tiles[t], i, j], spectra[image, place[t], i, j]
-                    power = h.real * h.real + h.imag * h.imag + ratio[i, j]
+                    square = h.real * h.real + h.imag * h.imag
+                    power = square + ratio[i, j]
                     real = (h.real * s.real + h.imag * s.imag) / power
                     out[image, t, i, j] = complex(real, (h.real * s.imag - h.imag * s.real) / power)
-    return out
+                    share = square / (power * power)
+                    line += share if j == 0 or j == n_x - 1 else share + share
+                total += float(line)
+            gain[image, t] = total / (n_y * 2 * (n_x - 1))
+    return out, gain

@@ -18,6 +18,7 @@ _DATASETS = (
     ("intensity_x", "e", "all-in-focus image, x polarisation"),
     ("intensity_y", "e", "all-in-focus image, y polarisation"),
     ("contrast", "1", "I_x / I_y, NaN without signal"),
+    ("contrast_error", "1", "standard error of the contrast by photon and read noise, NaN without signal"),
     ("depth_m", "m", "depth of the segment, NaN where none is claimed"),
     ("confidence", "1", "0 to 1, 0 where no depth is claimed"),
     ("segment", "1", "number of the segment from 1, 0 for none"),
@@ -65,6 +66,7 @@ def load(path: Path | str) -> Image4D:
             float(file.attrs["pixel_um"]),
             tuple(json.loads(str(file.attrs["segments"]))),
             arrays.get("depth_pixel_m"),
+            arrays.get("contrast_error"),
             None if nmae is None else float(nmae),
             json.loads(str(file.attrs["details"])),
         )

@@ -15,6 +15,7 @@ from metafab.decode.decoder import Decoder
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
 from metafab.decode.levels import Levels
+from metafab.decode.restore import Sharp
 from metafab.decode.seen import Seen
 from metafab.decode.volume import Volume
 
@@ -35,7 +36,9 @@ class VideoDecoder:
 
     decoder: Decoder
     changed_share: float = field(default=1.0, init=False)
-    _last: tuple[NDArray[np.float32], Levels, Volume, Image4D] | None = field(default=None, init=False, repr=False)
+    _last: tuple[NDArray[np.float32], Levels, Volume, Image4D, Sharp] | None = field(
+        default=None, init=False, repr=False
+    )
 
     def __call__(self, frame: RawFrame) -> Image4D:
         """Decode the next frame: where nothing moved, agreement of the twins and brightness are the last frame's.
@@ -50,16 +53,16 @@ class VideoDecoder:
         if self._last is None:
             changed = np.ones(seen.lit.shape, dtype=bool)
             volume = self.decoder.volume(seen)
-            image = self.decoder.finish(frame, seen, volume)
-            self._last = seen.small, seen.levels, volume, image
+            image, sharp = self.decoder.finish(frame, seen, volume, started=started)
+            self._last = seen.small, seen.levels, volume, image, sharp
         else:
-            small, levels, volume, image = self._last
+            small, levels, volume, image, sharp = self._last
             moved = self._moved(small, seen)
             changed = self._reached(moved)
             if changed.any():
                 volume = self.decoder.volume(seen, changed, volume)
-                image = self.decoder.finish(frame, seen, volume, changed, image)
-                self._last = np.where(moved, seen.small, small), levels, volume, image
+                image, sharp = self.decoder.finish(frame, seen, volume, changed, sharp, started=started)
+                self._last = np.where(moved, seen.small, small), levels, volume, image, sharp
             else:
                 image = judged(image, frame, seconds=time.perf_counter() - started)
         self.changed_share = float(changed.mean())

@@ -198,8 +198,13 @@ def test_the_compiled_wiener_filter_is_the_plain_one() -> None:
     ratio = rng.random((4, 3)).astype(np.float32)
     tiles, place = np.array([4, 1]), np.array([0, 2])
     want = np.conj(transfer[:, tiles]) * spectra[:, place] / (np.abs(transfer[:, tiles]) ** 2 + ratio)
+    wiener = np.conj(transfer) / (np.abs(transfer) ** 2 + ratio)
     for filtered in (restore._wiener, restore._wiener_plain):
-        np.testing.assert_allclose(filtered(transfer, spectra, ratio, tiles, place), want, rtol=1e-4, atol=1e-6)
+        got, gain = filtered(transfer, spectra, ratio, tiles, place)
+        np.testing.assert_allclose(got, want, rtol=1e-4, atol=1e-6)
+        # Parseval: the first and last column stand for themselves, the one between for two.
+        squares = np.abs(wiener[:, tiles]) ** 2
+        np.testing.assert_allclose(gain, (squares @ np.array([1.0, 2.0, 1.0])).sum(axis=-1) / 16.0, rtol=1e-4)
 
 
 def test_a_volume_between_its_candidates() -> None:
