@@ -1,7 +1,8 @@
-"""The main job from design file to report: seconds and peak memory of each step, as the aperture grows.
+"""The main job from design file to report: seconds and peak memory of each step, as aperture, depths and pixels grow.
 
 The small camera scaled: the focal length grows with the aperture and the depths with its square, so that the zones
-turn by the same angle, the images keep their pixels, and only the number of pillars changes.
+turn by the same angle, the images keep their pixels, and only the number of pillars changes. Depths and pixels grow at
+0.2 mm, over the same range and the same field of view.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from metafab.spec import Design, load_design
 
 SMALL = Path(__file__).parent.parent / "layouts" / "helix_small.toml"
 QUICK_UM, FULL_UM = (100.0, 200.0), (100.0, 200.0, 500.0, 1000.0, 2000.0)
+DEPTHS = (2, 8, 16)
+#: Pixels along a line, over the small camera's; it has 128.
+FINER = (0.5, 2.0)
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
@@ -26,7 +30,39 @@ def rows(quick: bool) -> list[dict[str, Any]]:
         quick: apertures to 0.2 mm only.
     """
     small = load_design(SMALL)
-    return [row for aperture_um in (QUICK_UM if quick else FULL_UM) for row in _job(scaled(small, aperture_um))]
+    found = []
+    for aperture_um in QUICK_UM if quick else FULL_UM:
+        found += _job(scaled(small, aperture_um), f"{aperture_um / 1000.0:g} mm")
+    if quick:
+        return found
+    for count in DEPTHS:
+        found += _job(deeper(small, count), f"{count} depths")
+    for share in FINER:
+        found += _job(finer(small, share), f"{share:g} times the pixels a line")
+    return found
+
+
+def deeper(design: Design, count: int) -> Design:
+    """The same camera verified at more depths of the same range, evenly in vergence."""
+    near_m, *_, far_m = design.verify.depths_m
+    step = (1.0 / near_m - 1.0 / far_m) / (count - 1)
+    depths_m = (near_m, *(1.0 / (1.0 / near_m - k * step) for k in range(1, count - 1)), far_m)
+    return replace(design, name=f"{design.name}_{count}", verify=replace(design.verify, depths_m=depths_m))
+
+
+def finer(design: Design, share: float) -> Design:
+    """The same camera with ``share`` as many pixels along each line, over the same field and the same windows."""
+    scene = design.scene
+    assert scene is not None  # the small camera has one
+    field_px = (round(share * scene.field_px[0]), round(share * scene.field_px[1]))
+    window_px = round(share * design.verify.window_px)
+    return replace(
+        design,
+        name=f"{design.name}_{field_px[0]}px",
+        sensor=replace(design.sensor, pixel_um=design.sensor.pixel_um / share),
+        verify=replace(design.verify, window_px=window_px),
+        scene=replace(scene, field_px=field_px),
+    )
 
 
 def scaled(design: Design, aperture_um: float) -> Design:
@@ -54,11 +90,15 @@ def scaled(design: Design, aperture_um: float) -> Design:
     )
 
 
-def _job(design: Design) -> Iterator[dict[str, Any]]:
+def _job(design: Design, title: str) -> Iterator[dict[str, Any]]:
     with TemporaryDirectory() as folder:
         summary = run(design, Path(folder)).summary
-    shared = {"aperture_um": design.device.aperture_um, "pillars": summary["layout"]["pillars"]}
-    title = f"{design.device.aperture_um / 1000.0:g} mm"
+    shared = {
+        "aperture_um": design.device.aperture_um,
+        "pillars": summary["layout"]["pillars"],
+        "depths": len(design.verify.depths_m),
+        "field_px": list(design.scene.field_px) if design.scene else None,
+    }
     for step, seconds in summary["seconds"].items():
         memory = summary["peak_rss_mb"][step]
         yield {"name": f"{title}: {step}", "error": None, "seconds": seconds, "peak_rss_mb": memory, **shared}

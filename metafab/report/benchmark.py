@@ -47,8 +47,8 @@ def benchmark_page(rows: Sequence[Mapping[str, Any]], directory: Path) -> tuple[
 
 def _plot(rows: Sequence[Mapping[str, Any]]) -> Figure:
     """Error against time, with room on the right for the longest name and below for all of them."""
-    named = [str(row.get("series", row["name"])) for row in rows]
-    beside_in = 0.6 + 0.068 * max(map(len, named))  # text of 8.5 points
+    named = [str(row.get("series", row["name"])) for row in figures.with_error_and_time(rows)]
+    beside_in = 0.6 + 0.068 * max(map(len, named), default=0)  # text of 8.5 points
     tall_in = max(3.6, 1.0 + 0.19 * len(dict.fromkeys(named)))
     figure, axes = panel((4.2 + beside_in, tall_in), (0.7, beside_in, 0.52, 0.36))
     figures.error_against_time(rows, axes)

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -74,6 +75,28 @@ def test_the_scaled_camera_turns_as_the_small_one() -> None:
     for before_object, after_object in zip(small.scene.objects, large.scene.objects, strict=True):
         for a, b in zip(before_object.size, after_object.size, strict=True):
             assert a * small.device.focal_length_mm == pytest.approx(b * large.device.focal_length_mm)
+
+
+@pytest.mark.parametrize("count", [2, 8, 16])
+def test_the_deeper_camera_sees_the_same_range(count: int) -> None:
+    small = load_design(SMALL)
+    depths_m = benchmark._load("end_to_end").deeper(small, count).verify.depths_m
+    assert (depths_m[0], depths_m[-1], len(depths_m)) == (small.verify.depths_m[0], small.verify.depths_m[-1], count)
+    steps = np.diff(1.0 / np.array(depths_m))
+    assert np.all(steps < 0.0)
+    assert steps == pytest.approx(np.full(count - 1, steps[0]))
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_the_finer_camera_sees_the_same_field(share: float) -> None:
+    small = load_design(SMALL)
+    fine = benchmark._load("end_to_end").finer(small, share)
+    assert fine.scene is not None and small.scene is not None
+    for before, after in zip(small.scene.field_px, fine.scene.field_px, strict=True):
+        assert after == share * before
+        assert after * fine.sensor.pixel_um == pytest.approx(before * small.sensor.pixel_um)
+    window_um = [design.verify.window_px * design.sensor.pixel_um for design in (small, fine)]
+    assert window_um[0] == pytest.approx(window_um[1])
 
 
 @pytest.mark.slow

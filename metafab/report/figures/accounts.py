@@ -56,7 +56,7 @@ def error_against_time(rows: Sequence[Mapping[str, Any]], axes: Axes) -> Axes:
 
     Rows that name their ``series`` are joined to one line each, with its name beside; others are points in a legend.
     """
-    shown = [row for row in rows if (row["error"] or 0.0) > 0.0 and (row["seconds"] or 0.0) > 0.0]
+    shown = with_error_and_time(rows)
     logarithmic(axes, "xy")
     series = list(dict.fromkeys(str(row["series"]) for row in shown if "series" in row))
     for index, name in enumerate(series):
@@ -75,6 +75,11 @@ def error_against_time(rows: Sequence[Mapping[str, Any]], axes: Axes) -> Axes:
     elif axes.lines:
         legend(axes, loc="center left", bbox_to_anchor=(1.02, 0.5))
     return axes
+
+
+def with_error_and_time(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The rows that a plot of error against time shows."""
+    return [row for row in rows if (row["error"] or 0.0) > 0.0 and (row["seconds"] or 0.0) > 0.0]
 
 
 def _name_lines(axes: Axes, names: Sequence[str]) -> None:
