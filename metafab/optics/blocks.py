@@ -22,7 +22,7 @@ _FIRST_BLOCKS = 180
 _FEWEST_BLOCKS = 8
 _UNFOLLOWED_PHASE_RAD = 1e-4
 #: Blocks across which the window's edges turn the phase by more are not worth a trial.
-_LARGEST_EDGE_PHASE_RAD = 1.5
+_LARGEST_EDGE_PHASE_RAD = 1.0
 #: Of 96 bytes for a polarisation's sums, with the coarser ones; beyond it, a machine of the usual size swaps.
 _MOST_BLOCKS = 20_000_000
 

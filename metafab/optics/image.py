@@ -28,6 +28,9 @@ Tangent = tuple[float, float]
 Judged = Literal["all", "ends", "none"]
 
 _SINGLE_PRECISION_ERROR = 2e-6
+#: How much more blocks of twice the side err than they change at least. Light that fills its blocks gives 10 and more;
+#: light in a few corners of them converges with the square of the side, which makes it 3, and 2 is safe.
+_HALVING = 2.0
 #: Measured on one core: a real operation of a matrix product, a block refocused on a ray, an entry of the matrix
 #: whose singular values split the kernel's rest, and what a panel takes however small it is.
 _SECONDS_PER_OPERATION = 3e-11
@@ -109,7 +112,7 @@ class Window:
             ways.append((pyramid[1], [rays[index] for index in places]))
         fine, *coarse = self._powers(ways)
         errors = [
-            (0.0 if exact else relative_l2(coarse[0][place], fine[index]) / 3.0)
+            (0.0 if exact else relative_l2(coarse[0][place], fine[index]) / _HALVING)
             + 2.0 * self.tolerance
             + _SINGLE_PRECISION_ERROR
             for place, index in enumerate(places)

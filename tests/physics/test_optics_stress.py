@@ -131,3 +131,70 @@ def test_any_number_of_workers_gives_the_same_bytes() -> None:
     assert one.psf.tobytes() == three.psf.tobytes()
     assert one.field.psf.tobytes() == three.field.psf.tobytes()
     assert np.array_equal(one.extinction_ratio, three.extinction_ratio)
+
+
+@dataclass(frozen=True)
+class _Patches:
+    """A square lens for parallel light, dark but for patches of its target phase in rows and columns over all of it."""
+
+    aperture_um: float
+    focal_um: float
+    patch_sites: int = 32
+    across: int = 4
+
+    @property
+    def lattice(self) -> Lattice:
+        return _Uniform(self.aperture_um).lattice
+
+    def tiles(self) -> Iterator[FieldTile]:
+        x, y, wavenumber = self.lattice.x_um(), self.lattice.y_um(), OPTICS.wavenumber
+        starts = np.linspace(0, x.size - self.patch_sites, self.across).astype(int).tolist()
+        for row in starts:
+            for column in starts:
+                u = x[None, column : column + self.patch_sites]
+                v = y[row : row + self.patch_sites, None]
+                square = u**2 + v**2 + self.focal_um**2
+                paths = [np.sqrt(square + 2.0 * sign * u * self.focal_um * lens.SINE) for sign in (1.0, -1.0)]
+                yield FieldTile(row, column, amplitudes=np.exp(-1j * wavenumber * np.array(paths)))
+
+
+@pytest.mark.parametrize("aperture_um", [8_000.0, 50_000.0])
+@pytest.mark.parametrize("target", [1e-2, 1e-3])
+def test_wide_lenses_from_end_to_end(aperture_um: float, target: float) -> None:
+    """PSFs of 8 mm and 5 cm against the direct sum, 2 x 10^10 sites of which patches are lit.
+
+    Light in the corners of blocks is the worst there is for their moments: an error stated from half the blocks must
+    bound the true one there, too.
+    """
+    focal_um = 10.0 * aperture_um
+    optics = lens.imaging(aperture_um=aperture_um, focal_length_mm=1e-3 * focal_um, aperture_shape="square")
+    optics = replace(optics, sensor_distance_um=focal_um * math.cos(math.radians(lens.ANGLE_DEG)), pixel_um=2.0)
+    source = _Patches(aperture_um, focal_um)
+    result = psf(source, optics, [1e5], window_px=WINDOW_PX, target_error=target)
+    for p in (0, 1):
+        points = lens.window_points(optics, result.centre_um[p, 0], WINDOW_PX)
+        true = direct_irradiance(source, optics, 1e5, (0.0, 0.0), *points, p)
+        assert relative_l2(result.psf[p, 0].ravel(), true) <= result.error[0] <= 1.5 * target
+    # The brightest point is the image point: all patches meet there in phase.
+    assert np.unravel_index(result.psf[0, 0].argmax(), result.psf[0, 0].shape) == (WINDOW_PX // 2, WINDOW_PX // 2)
+
+
+def test_what_would_not_fit_into_memory_is_refused_with_the_reason() -> None:
+    """A window of 1.2 mm behind 5 cm would take blocks of a few sites, 10^9 of them."""
+    optics = lens.imaging(aperture_um=50_000.0, focal_length_mm=500.0, aperture_shape="square", pixel_um=20.0)
+    optics = replace(optics, sensor_distance_um=5e5)
+    with pytest.raises(InputError, match="block sums carry"):
+        psf(_Patches(50_000.0, 5e5), optics, [1e3], window_px=2000, target_error=1e-4)
+
+
+def test_an_object_at_5_cm_before_the_paper_lens_scaled() -> None:
+    """2.5 focal lengths away and sharp 12 focal lengths behind the sensor: a blur wider than the window."""
+    optics = lens.imaging(aperture_um=40.0, focal_length_mm=0.4)
+    optics = replace(optics, sensor_distance_um=1.06 * 400.0 * math.cos(math.radians(lens.ANGLE_DEG)))
+    source = lens.written(optics, lens.eq_2(optics), lens.eq_3_and_4(optics))
+    result = psf(source, optics, [1.0e-3], window_px=32, target_error=1e-3)
+    assert result.efficiency.max() < 0.9
+    for p in (0, 1):
+        points = lens.window_points(optics, result.centre_um[p, 0], 32)
+        true = direct_irradiance(source, optics, 1.0e-3, (0.0, 0.0), *points, p)
+        assert relative_l2(result.psf[p, 0].ravel(), true) <= result.error[0] <= 2e-3
