@@ -15,6 +15,7 @@ from metafab.core.errors import InputError, MissingToolError
 from metafab.core.executor import SerialExecutor, default_workers, in_order, open_executor
 from metafab.core.progress import Progress, silent
 from metafab.drc.report import MARKERS, DrcReport, Marker, upright_side_nm
+from metafab.layout import Outline
 from metafab.mask.read import format_of
 from metafab.spec import Design
 
@@ -27,13 +28,13 @@ _TILE_UM = 60.0
 _SCRIPT = """
 var raw = pillars;
 raw.merged_semantics = false;
-_output(foreign, raw.non_rectangles, false);
 _output(overlap, raw.merged(false, 2), false);
-_output(narrow, raw.width_check(feature_dbu), false);
+_output(narrow, raw.width_check(feature_dbu{facing}), false);
 _output(gaps, raw.isolated_check(gap_dbu), false);
 """
+_FOREIGN = "_output(foreign, raw.non_rectangles, false);"
 _GRID = "_output(grid, raw.grid_check(grid_dbu, grid_dbu), false);"
-_SLENDER = "_output(slender, raw.width_check(upright_dbu), false);"
+_SLENDER = "_output(slender, raw.width_check(upright_dbu{facing}), false);"
 
 _Boxes: TypeAlias = dict[str, set[tuple[int, int, int, int]]]
 
@@ -161,7 +162,9 @@ class _RowRules:
     @property
     def seen(self) -> list[str]:
         """The rules that are looked at."""
-        rules = ["min_width", "min_length", "min_gap", "overlap", "grid", "foreign"]
+        rules = ["min_width", "min_length", "min_gap", "overlap", "grid"]
+        if Outline.of(self.design).is_rectangle:
+            rules.append("foreign")
         return rules if upright_side_nm(self.design) is None else [*rules, "aspect_ratio"]
 
     def __getstate__(self) -> tuple[Path, Design, int]:
@@ -177,7 +180,13 @@ class _RowRules:
         kdb, opened = _klayout(), self.opened
         unit_nm, upright_nm = opened.unit_nm, upright_side_nm(self.design)
         rules = self.design.rules
-        limits = {"gap": rules.min_gap_nm, "feature": rules.min_feature_nm, "upright": upright_nm or 0.0}
+        # Across a polygon, its sides are within its tolerance of the curve; those at the axes are where they should be.
+        slack_nm = 2.0 * Outline.of(self.design).tolerance_nm
+        limits = {
+            "gap": rules.min_gap_nm - slack_nm,
+            "feature": rules.min_feature_nm - slack_nm,
+            "upright": max(0.0, (upright_nm or 0.0) - slack_nm),
+        }
         grid = max(1, round(self.design.mask.database_unit_nm / unit_nm))
         outputs = {name: kdb.Region() for name in ("foreign", "overlap")}
         outputs |= {name: kdb.EdgePairs() for name in ("grid", "narrow", "slender", "gaps")}
@@ -194,7 +203,11 @@ class _RowRules:
         for name, collection in outputs.items():
             processor.output(name, collection)
         # Whole numbers of units are on a grid of one unit, whatever they are.
-        processor.queue(_SCRIPT + (_GRID if grid > 1 else "") + (_SLENDER if upright_nm is not None else ""))
+        scripts = {"grid": _GRID if grid > 1 else "", "foreign": _FOREIGN, "aspect_ratio": _SLENDER}
+        # A polygon narrows towards its tips: only sides that face each other, and are parallel, tell its width.
+        facing = "" if Outline.of(self.design).is_rectangle else ", false, Metrics.Projection, 0.01"
+        script = _SCRIPT + "".join(script for rule, script in scripts.items() if rule in self.seen)
+        processor.queue(script.format(facing=facing))
         processor.execute("design rules")
         found: _Boxes = {rule: set() for rule in self.seen}
         for pair in outputs["narrow"].each():
@@ -203,7 +216,7 @@ class _RowRules:
         for rule, name in pairs.items():
             if rule in found:
                 found[rule] |= {_box(pair.bbox()) for pair in outputs[name].each()}
-        for rule in ("overlap", "foreign"):
+        for rule in found.keys() & {"overlap", "foreign"}:
             found[rule] |= {_box(polygon.bbox()) for polygon in outputs[rule].each()}
         return found
 

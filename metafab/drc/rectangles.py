@@ -9,10 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from metafab.core.errors import InputError
 from metafab.core.executor import default_workers
 from metafab.core.progress import Progress, silent
 from metafab.drc.report import MARKERS, DrcReport, Marker, upright_side_nm
 from metafab.drc.rows import Near, Rows
+from metafab.layout import Outline
 from metafab.mask import read_shapes
 from metafab.mask.hierarchy import Chunk, IntArray, Other
 from metafab.spec import Design
@@ -46,8 +48,14 @@ def check_rectangles(path: Path, design: Design, workers: int | None = None, pro
         progress: told about bytes, rectangles and rows.
 
     Raises:
-        InputError: the file cannot be read.
+        InputError: the file cannot be read, or the design's pillars are no rectangles.
     """
+    outline = Outline.of(design)
+    if not outline.is_rectangle:
+        expected, remedy = "'lattice' or 'polygons'", "rectangles are all that it knows"
+        raise InputError.single(
+            "--engine", "engine", f"{expected} for pillars of another shape", "'rectangles'", remedy
+        )
     shapes = read_shapes(path, design, progress)
     limits = _Limits.of(design, shapes.unit_nm)
     found = _Found(dict.fromkeys(_rules(design), 0))

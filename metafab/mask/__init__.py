@@ -16,6 +16,7 @@
 - ``write``         all files of a mask in one pass
 - ``plan``          what a layout will cost, from a sample of tiles
 - ``hierarchy``     cells and references -> rectangles
+- ``known``         which shapes are pillars
 - ``gdsii_window``  records of GDSII, and runs of like elements
 - ``gdsii_rectangles`` rings of five points -> rectangles
 - ``gdsii_reader``  GDSII -> cells

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import Lattice, PillarTile
 
 _LONGEST_NAME = 32  # what every GDSII reader takes
@@ -38,14 +39,16 @@ class TileCell:
 
 @dataclass(frozen=True)
 class Stamp:
-    """The rectangle that is drawn at a site, by its size index.
+    """The rectangle or polygon that is drawn at a site, by its size index.
 
     Attributes:
         size_dbu: shape (n_sizes + 1, 2), width and length; row 0 is never drawn.
-        corner_dbu: shape (n_sizes + 1, 2), its lower left corner from the centre of the site.
+        corner_dbu: shape (n_sizes + 1, 2), from the centre of the site to the lower left corner of a rectangle, or to
+            the first corner of a polygon.
         layer: layer; likewise ``datatype``.
         bias_dbu: of the copy of the lens that it belongs to.
         tag: tells the cells of several stamps of one tile apart.
+        polygons: the corners of each size from its first, shape (n, 2) each; None for rectangles.
     """
 
     size_dbu: NDArray[np.int64]
@@ -54,15 +57,28 @@ class Stamp:
     datatype: int
     bias_dbu: int = 0
     tag: str = ""
+    polygons: tuple[NDArray[np.int64], ...] | None = None
 
 
 def pillar_stamp(
-    size_dbu: NDArray[np.int32], layer: int, datatype: int, dose_class: int = 0, bias_dbu: int = 0
+    size_dbu: NDArray[np.int32],
+    layer: int,
+    datatype: int,
+    dose_class: int = 0,
+    bias_dbu: int = 0,
+    outline: Outline = RECTANGLE,
 ) -> Stamp:
     """Centred pillars of one dose class, drawn with one bias."""
     drawn = size_dbu.astype(np.int64) + bias_dbu
-    tag = f"_D{dose_class:02d}" if dose_class else ""
-    return Stamp(drawn, -(drawn // 2), layer, datatype + dose_class, bias_dbu, tag)
+    stamp = Stamp(
+        drawn, -(drawn // 2), layer, datatype + dose_class, bias_dbu, f"_D{dose_class:02d}" if dose_class else ""
+    )
+    if outline.is_rectangle:
+        return stamp
+    nothing = np.zeros((1, 2), dtype=np.int64)
+    polygons = [nothing, *(outline.vertices(width, length) for width, length in drawn[1:].tolist())]
+    first = np.array([polygon[0] for polygon in polygons])
+    return replace(stamp, corner_dbu=first, polygons=tuple(polygon - polygon[0] for polygon in polygons))
 
 
 def count_sizes(size_index: NDArray[np.uint16], sizes: int) -> NDArray[np.int64]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.layout import PillarMap, PillarTile
+from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.spec import Dose
 
 
@@ -20,15 +21,16 @@ class DoseClasses:
     Args:
         pillars: the drawn pillars; read once where classes go by density.
         dose: how many classes, by what; None for a single one.
+        outline: of the pillars, for their areas.
     """
 
-    def __init__(self, pillars: PillarMap, dose: Dose | None) -> None:
+    def __init__(self, pillars: PillarMap, dose: Dose | None, outline: Outline = RECTANGLE) -> None:
         self._count = 1 if dose is None else dose.classes
         self._of_size: NDArray[np.int64] | None = None
         self._of_block: NDArray[np.int64] | None = None
         if dose is None:
             return
-        area = np.prod(pillars.size_dbu.astype(np.float64), axis=1)
+        area = outline.area(pillars.size_dbu)
         if dose.by == "size":
             self._of_size = _classes(area, area[1:], dose.classes)
             return

@@ -20,7 +20,8 @@ from metafab.core.errors import InputError
 from metafab.core.progress import Progress, silent
 from metafab.mask.gdsii_rectangles import rectangles_of
 from metafab.mask.gdsii_window import REMEDY, WINDOW, Window
-from metafab.mask.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of, rectangle_of
+from metafab.mask.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of
+from metafab.mask.known import RECTANGLES, KnownShapes
 
 _HEADER, _UNITS, _ENDLIB, _BGNSTR, _STRNAME, _ENDSTR = 0x0002, 0x0305, 0x0400, 0x0502, 0x0606, 0x0700
 _BOUNDARY, _PATH, _SREF, _AREF, _TEXT, _NODE, _BOX = 0x0800, 0x0900, 0x0A00, 0x0B00, 0x0C00, 0x1500, 0x2D00
@@ -54,6 +55,7 @@ class GdsiiReader:
         path: the file.
         layer: (layer, first datatype, last datatype) whose shapes are wanted.
         progress: told about bytes indexed.
+        known: tells pillars from other shapes.
 
     Attributes:
         cells: by name.
@@ -63,8 +65,16 @@ class GdsiiReader:
         InputError: the file is truncated, damaged or foreign.
     """
 
-    def __init__(self, path: Path, layer: tuple[int, int, int], progress: Progress = silent) -> None:
+    def __init__(
+        self,
+        path: Path,
+        layer: tuple[int, int, int],
+        progress: Progress = silent,
+        *,
+        known: KnownShapes = RECTANGLES,
+    ) -> None:
         self._path = path
+        self._known = known
         self._layer = layer
         self.unit_nm = 0.0
         self.cells: dict[str, Cell] = {}
@@ -185,7 +195,7 @@ class GdsiiReader:
     def _shapes(self, runs: list[_Run]) -> Iterator[Chunk]:
         for run in runs:
             kind = int.from_bytes(self._bytes(run.start + 2, 2), "big")
-            if kind not in {_BOUNDARY, _BOX} or run.xy[1] != 10:
+            if kind not in {_BOUNDARY, _BOX} or run.xy[1] != 10 or not self._known.are_rectangles:
                 for points in self._coordinates(run):
                     yield self._slow(kind, run, points)
                 continue
@@ -199,14 +209,27 @@ class GdsiiReader:
 
     def _slow(self, kind: int, run: _Run, points: IntArray) -> Chunk:
         """Paths, and boundaries of any other number of corners, one by one."""
+        if kind != _PATH:
+            return self._polygons(kind, points)
         rectangles, others = [], []
         for corners in points:
-            found = self._path_rectangle(run, corners) if kind == _PATH else rectangle_of(corners)
+            found = self._path_rectangle(run, corners) if self._known.are_rectangles else None
             if found is None:
                 others.append(Other(_ELEMENTS[kind], box_of(corners)))
             else:
                 rectangles.append(found)
         return Chunk(np.array(rectangles, dtype=np.int64).reshape(-1, 4), tuple(others))
+
+    def _polygons(self, kind: int, points: IntArray) -> Chunk:
+        """Closed rings, shape (n, n_points, 2): equal ones, wherever they stand, are judged once."""
+        at = points[:, 0]
+        shapes, which = np.unique((points - at[:, None]).reshape(len(points), -1), axis=0, return_inverse=True)
+        corners = shapes.reshape(len(shapes), -1, 2)
+        found = [self._known(ring, self.unit_nm) for ring in corners]
+        boxes = np.array([box_of(ring) if box is None else box for ring, box in zip(corners, found, strict=True)])
+        is_pillar = np.array([box is not None for box in found])[which]
+        placed = boxes[which] + np.concatenate([at, np.zeros_like(at)], axis=1)
+        return Chunk(placed[is_pillar], tuple(Other(_ELEMENTS[kind], box) for box in placed[~is_pillar]))
 
     def _path_rectangle(self, run: _Run, points: IntArray) -> IntArray | None:
         """A straight path along x or y with flush or half-width ends, as a rectangle."""

@@ -18,9 +18,15 @@ from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.layout.pillars import PillarTile
 from metafab.mask.cells import Stamp, TileCell
 from metafab.mask.hierarchy import IntArray
+from metafab.mask.oasis_records import Scan, sorted_by_size
 from metafab.mask.writer import EncodedTile, MaskWriter, TileEncoder
 
 BOUNDARY_WORDS = 16
+#: Of a reference to the cell of a size.
+REFERENCE_WORDS = 10
+
+# Polygons of a size are listed row by row.
+_ROWS = Scan(along_y=False, strip_sites=1 << 16)
 
 # A fixed date in every header, so that the same layout gives the same bytes: 2000-01-01 00:00:00.
 _DATE = (2000, 1, 1, 0, 0, 0) * 2
@@ -37,6 +43,8 @@ class GdsiiEncoder(TileEncoder):
     spare: list[NDArray[np.int32]] = field(default_factory=list)
 
     def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
+        if stamp.polygons is not None:
+            return self._polygons(tile, cell, stamp)
         fill = fill_boundaries if HAS_NUMBA else fill_boundaries_vectorised
         if max(stamp.layer, stamp.datatype) >= 2**15:
             raise _beyond(0, f"{stamp.layer}/{stamp.datatype}")
@@ -51,6 +59,34 @@ class GdsiiEncoder(TileEncoder):
             words,
         )
         return words.reshape(-1).view(np.uint8)
+
+    def _polygons(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
+        """References of size cells at all sites or, where the mask is flat, the polygons themselves; size by size."""
+        assert stamp.polygons is not None
+        row, column, end_of = sorted_by_size(tile.size_index, len(stamp.size_dbu), _ROWS)
+        period = np.array(self.drawing.lattice.period_dbu)
+        sites = np.stack([column, row], axis=1) * period + [cell.first_x_dbu, cell.first_y_dbu]
+        elements = []
+        for size in np.flatnonzero(np.diff(end_of, prepend=0)).tolist():
+            places = sites[end_of[size - 1] : end_of[size]]
+            if self.drawing.flat:
+                corners = stamp.corner_dbu[size] + stamp.polygons[size]
+                elements.append(_moved(boundary(corners, stamp.layer, stamp.datatype), 5, len(corners) + 1, places))
+            else:
+                elements.append(_moved(_reference(stamp, size), 7, 1, places))
+        return np.concatenate([words.reshape(-1).view(np.uint8) for words in elements])
+
+    def _cells(self, tile: PillarTile, stamp: Stamp) -> dict[str, bytes]:
+        """A structure for each size that occurs."""
+        if stamp.polygons is None:
+            return {}
+        cells = {}
+        for size in np.unique(tile.size_index[tile.size_index > 0]).tolist():
+            corners = stamp.corner_dbu[size] + stamp.polygons[size]
+            polygon = boundary(corners, stamp.layer, stamp.datatype).astype(">i4").tobytes()
+            name = _size_name(stamp, size)
+            cells[name] = _structure(name) + polygon + record(0x0700)
+        return cells
 
     def _buffer(self, pillars: int) -> NDArray[np.int32]:
         """Words for some pillars, shape (pillars, 16), in spare memory if there is a piece that is large enough."""
@@ -88,7 +124,7 @@ class GdsiiWriter(MaskWriter):
         self._spare += [base for base in bases if isinstance(base, np.ndarray) and base.ndim == 2]
 
     def _begin_cell(self, name: str) -> None:
-        self._write(record(0x0502, struct.pack(">12h", *_DATE)) + record(0x0606, text(name)))
+        self._write(_structure(name))
 
     def _place(self, name: str, x_dbu: int, y_dbu: int) -> None:
         place = record(0x1003, struct.pack(">2i", x_dbu, y_dbu))
@@ -109,6 +145,44 @@ class GdsiiWriter(MaskWriter):
 
     def _end_file(self) -> None:
         self._write(record(0x0400))
+
+
+def _structure(name: str) -> bytes:
+    """How a structure begins."""
+    return record(0x0502, struct.pack(">12h", *_DATE)) + record(0x0606, text(name))
+
+
+def _size_name(stamp: Stamp, size: int) -> str:
+    """The cell of a polygon, by drawn width and length in database units, layer and datatype apart: 16 characters."""
+    width, length = stamp.size_dbu[size].tolist()
+    return f"W{width:06d}L{length:05d}D{stamp.datatype % 100:02d}"
+
+
+def _reference(stamp: Stamp, size: int) -> NDArray[np.int32]:
+    """The words of a reference to a size's cell, coordinates zero, in native byte order."""
+    data = record(0x0A00) + record(0x1206, text(_size_name(stamp, size))) + record(0x1003, bytes(8)) + record(0x1100)
+    return np.frombuffer(data, dtype=">i4").astype(np.int32)
+
+
+def _moved(element: NDArray[np.int32], first: int, points: int, places: IntArray) -> NDArray[np.int32]:
+    """An element at each of some places, shape (n, words), bytes big-endian; its points begin at word ``first``."""
+    words = np.repeat(element[None], len(places), axis=0)
+    for axis in (0, 1):
+        words[:, first + axis : first + 2 * points : 2] += places[:, axis, None].astype(np.int32)
+    return words.byteswap()
+
+
+def boundary(corners: IntArray, layer: int, datatype: int) -> NDArray[np.int32]:
+    """The words of a BOUNDARY, in native byte order; its points begin at word 5."""
+    closed = np.concatenate([corners, corners[:1]]).astype(">i4").tobytes()
+    data = (
+        record(0x0800)
+        + record(0x0D02, struct.pack(">h", layer))
+        + record(0x0E02, struct.pack(">h", datatype))
+        + record(0x1003, closed)
+        + record(0x1100)
+    )
+    return np.frombuffer(data, dtype=">i4").astype(np.int32)
 
 
 def _beyond(reach: int, layer: str) -> InputError:
@@ -147,14 +221,7 @@ def excess_64(value: float) -> bytes:
 
 def boundary_template(layer: int, datatype: int) -> NDArray[np.int32]:
     """The 16 words of a BOUNDARY with four corners, coordinates zero, in native byte order."""
-    data = (
-        record(0x0800)
-        + record(0x0D02, struct.pack(">h", layer))
-        + record(0x0E02, struct.pack(">h", datatype))
-        + record(0x1003, bytes(40))
-        + record(0x1100)
-    )
-    return np.frombuffer(data, dtype=">i4").astype(np.int32)
+    return boundary(np.zeros((4, 2), dtype=np.int64), layer, datatype)
 
 
 def fill_boundaries(

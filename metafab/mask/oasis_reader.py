@@ -2,7 +2,7 @@
 
 The file is parsed twice: once for cells, references and counts, and once, cell by cell, for the shapes. Runs of
 RECTANGLE records, which hold nearly all of a mask, are parsed by a compiled loop; everything else in Python. The
-first pass skips blocks that begin with a rectangle, in the hope that they hold nothing but pillars; should the
+first pass skips blocks that begin with a pillar, in the hope that they hold nothing but pillars; should the
 second find anything else in one, it raises :class:`MixedBlockError` and the file is read again without skipping.
 """
 
@@ -20,8 +20,9 @@ from deflate import DeflateError, deflate_decompress
 from metafab.core.errors import InputError
 from metafab.core.numerics import HAS_NUMBA
 from metafab.core.progress import Progress, silent
-from metafab.mask.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of, rectangle_of
-from metafab.mask.oasis_records import RECTANGLE
+from metafab.mask.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of
+from metafab.mask.known import RECTANGLES, KnownShapes
+from metafab.mask.oasis_records import POLYGON, RECTANGLE
 from metafab.mask.oasis_rectangles import LARGEST_CHUNK, RUN, read_rectangles
 from metafab.mask.oasis_shapes import SHAPES, Modal, read_shape
 from metafab.mask.oasis_stream import DamagedError, Stream
@@ -45,7 +46,9 @@ class OasisReader:
         path: the file.
         layer: (layer, first datatype, last datatype) whose shapes are wanted.
         progress: told about bytes indexed.
-        skip_blocks: whether the index may skip blocks that begin with a rectangle.
+        known: tells pillars from other shapes.
+        skip_blocks: whether the index may skip blocks that begin with a rectangle, or with a polygon where these are
+            pillars.
 
     Attributes:
         cells: by name.
@@ -56,9 +59,17 @@ class OasisReader:
     """
 
     def __init__(
-        self, path: Path, layer: tuple[int, int, int], progress: Progress = silent, *, skip_blocks: bool = True
+        self,
+        path: Path,
+        layer: tuple[int, int, int],
+        progress: Progress = silent,
+        *,
+        known: KnownShapes = RECTANGLES,
+        skip_blocks: bool = True,
     ) -> None:
         self.skip_blocks = skip_blocks
+        self.known = known
+        self.pillar_kind = RECTANGLE if known.are_rectangles else POLYGON
         self._path = path
         self._layer = layer
         self._progress = progress
@@ -148,7 +159,7 @@ class _Pass:
                 self._pillars_only = False
                 continue
             kind = int(self._stream.data[self._stream.position])
-            if kind == RECTANGLE and HAS_NUMBA and self._run_of_rectangles():
+            if kind == RECTANGLE == self._reader.pillar_kind and HAS_NUMBA and self._run_of_rectangles():
                 yield from self._flush(1)
                 continue
             self._stream.position += 1
@@ -211,10 +222,10 @@ class _Pass:
             raise DamagedError(f"a CBLOCK of {size} bytes in {packed}")
         content = stream.bytes(packed)
         try:
-            begins_with_rectangle = zlib.decompressobj(-15).decompress(content[:1024], 1) == bytes([RECTANGLE])
-            self._pillars_only = begins_with_rectangle and self._reader.skip_blocks
+            first = zlib.decompressobj(-15).decompress(content[:1024], 1)
+            self._pillars_only = first == bytes([self._reader.pillar_kind]) and self._reader.skip_blocks
             if self._pillars_only and self._indexing and self._cell is not None:
-                # A rectangle takes at least one byte where it is one of a list.
+                # A pillar takes at least one byte where it is one of a list.
                 self._cell.shape_count += size
                 self._pillars_only = False
                 return
@@ -372,7 +383,7 @@ class _Pass:
         if self._indexing:
             return
         origin = np.concatenate([modal.geometry, [0, 0]])
-        rectangle = rectangle_of(shape) if name != "circle" else None
+        rectangle = self._reader.known(shape, self._reader.unit_nm) if name != "circle" else None
         box = (box_of(shape) if rectangle is None else rectangle) + origin
         boxes = np.concatenate([box[:2] + offsets, np.broadcast_to(box[2:], (len(offsets), 2))], axis=1)
         if rectangle is None:

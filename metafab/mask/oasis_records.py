@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from deflate import deflate_compress
@@ -22,10 +23,11 @@ from metafab.layout.pillars import Lattice, PillarTile
 from metafab.mask import varints
 from metafab.mask.cells import Stamp, TileCell
 
-RECTANGLE = 20
+RECTANGLE, POLYGON = 20, 21
 
-# Info byte of RECTANGLE, SWHXYRDL from the top bit: what is given explicitly.
+# Info byte of RECTANGLE, SWHXYRDL from the top bit, and of POLYGON, 00PXYRDL: what is given explicitly.
 W, H, X, Y, _REPETITION, DATATYPE_LAYER = 0b100_0000, 0b10_0000, 0b1_0000, 0b1000, 0b100, 0b011
+_POINTS = 0b10_0000
 _ARBITRARY_ON_GRID = 11
 
 # Of libdeflate, which takes half of zlib's time for fewer bytes. docs/benchmarks.md has the bytes and seconds of
@@ -85,23 +87,44 @@ def rectangle_records(
     *,
     absolute: bool = False,
 ) -> bytes:
-    """The RECTANGLE records of a tile, by size; not yet deflated.
+    """The RECTANGLE (POLYGON) records of a tile, by size; not yet deflated.
 
     Positions are relative to the record before, or ``absolute`` where other tiles go before in the same cell. Nothing
     else is taken from before the first record.
     """
-    if not HAS_NUMBA:
+    if not HAS_NUMBA and stamp.polygons is None:
         return rectangle_records_vectorised(tile, lattice, stamp, cell, scan, absolute=absolute)
-    row, column, end_of = _sorted_by_size(tile.size_index, len(stamp.size_dbu), scan.along_y, scan.strip_sites)
-    # No displacement in a tile takes more than 12 bytes, no head of a record more than 64.
-    out = np.empty(12 * row.size + 64 * len(stamp.size_dbu), dtype=np.uint8)
+    row, column, end_of = sorted_by_size(tile.size_index, len(stamp.size_dbu), scan)
+    points, points_end = _point_lists(stamp)
+    # No displacement in a tile takes more than 12 bytes, no head of a record more than 64 and its points.
+    out = np.empty(12 * row.size + 64 * len(stamp.size_dbu) + points.size, dtype=np.uint8)
     first_dbu = (cell.first_x_dbu, cell.first_y_dbu)
     shape = (stamp.size_dbu, stamp.corner_dbu)
     layer_datatype = (stamp.layer, stamp.datatype)
     end = _write_records(
-        row, column, end_of, *shape, lattice.period_dbu, first_dbu, layer_datatype, 0 if absolute else 1, out
-    )
+        row, column, end_of, *shape, points, points_end,
+        lattice.period_dbu, first_dbu, layer_datatype, 0 if absolute else 1, out,
+    )  # fmt: skip
     return out[:end].tobytes()
+
+
+def _point_lists(stamp: Stamp) -> tuple[varints.ByteArray, NDArray[np.int64]]:
+    """The point lists (type 4, a displacement from each corner to the next) of all sizes, and where each one ends.
+
+    Empty for rectangles.
+    """
+    if stamp.polygons is None:
+        return np.empty(0, dtype=np.uint8), np.empty(0, dtype=np.int64)
+    lists = [_point_list(polygon.tobytes()) for polygon in stamp.polygons]
+    return np.frombuffer(b"".join(lists), dtype=np.uint8), np.cumsum([len(one) for one in lists])
+
+
+@lru_cache(maxsize=1 << 16)
+def _point_list(polygon: bytes) -> bytes:
+    """The point list of one polygon, whose corners are the bytes of an array of shape (n, 2)."""
+    steps = np.diff(np.frombuffer(polygon, dtype=np.int64).reshape(-1, 2), axis=0).tolist()
+    moves = (varints.unsigned(abs(x) << 2 | (x < 0) << 1 | 1) + varints.signed(y) for x, y in steps)
+    return varints.unsigned(4) + varints.unsigned(len(steps)) + b"".join(moves)
 
 
 @compiled
@@ -111,6 +134,8 @@ def _write_records(
     end_of: NDArray[np.int64],
     size_dbu: NDArray[np.int64],
     corner_dbu: NDArray[np.int64],
+    points: varints.ByteArray,
+    points_end: NDArray[np.int64],
     period: tuple[int, int],
     first_dbu: tuple[int, int],
     layer_datatype: tuple[int, int],
@@ -130,21 +155,21 @@ def _write_records(
         x = first_dbu[0] + column[here] * period[0] + corner_dbu[size, 0]
         y = first_dbu[1] + row[here] * period[1] + corner_dbu[size, 1]
         info = (_REPETITION if count > 1 else 0) | (DATATYPE_LAYER if here == 0 else 0)
-        info |= (W if width != modal[0] else 0) | (H if length != modal[1] else 0)
+        changed = (W if width != modal[0] else 0) | (H if length != modal[1] else 0)
+        info |= _POINTS if points.size else changed
         info |= (X if here == 0 or x != modal[2] else 0) | (Y if here == 0 or y != modal[3] else 0)
-        end = varints.put(out, varints.put(out, end, RECTANGLE), info)
+        end = varints.put(out, varints.put(out, end, POLYGON if points.size else RECTANGLE), info)
         if here == 0:
             end = varints.put(out, varints.put(out, end, layer_datatype[0]), layer_datatype[1])
-        if info & W:
-            end = varints.put(out, end, width)
-        if info & H:
-            end = varints.put(out, end, length)
+        if points.size:
+            end = _copy(points[points_end[size - 1] : points_end[size]], out, end)
+        else:
+            end = varints.put(out, end, width) if info & W else end
+            end = varints.put(out, end, length) if info & H else end
         if info & X:
-            step = x - relative * modal[2]
-            end = varints.put(out, end, abs(step) << 1 | (step < 0))
+            end = varints.put_signed(out, end, x - relative * modal[2])
         if info & Y:
-            step = y - relative * modal[3]
-            end = varints.put(out, end, abs(step) << 1 | (step < 0))
+            end = varints.put_signed(out, end, y - relative * modal[3])
         modal[0], modal[1], modal[2], modal[3] = width, length, x, y
         if count > 1:
             end = varints.put(out, varints.put(out, end, _ARBITRARY_ON_GRID), count - 2)
@@ -152,15 +177,27 @@ def _write_records(
         for pillar in range(here + 1, behind):
             right = (column[pillar] - column[pillar - 1]) * step_x
             up = (row[pillar] - row[pillar - 1]) * step_y
-            if up == 0:
-                end = varints.put(out, end, abs(right) << 4 | (4 if right < 0 else 0))
-            elif right == 0:
-                end = varints.put(out, end, abs(up) << 4 | (6 if up < 0 else 2))
-            else:
-                end = varints.put(out, end, abs(right) << 2 | (right < 0) << 1 | 1)
-                end = varints.put(out, end, abs(up) << 1 | (up < 0))
+            end = _put_displacement(out, end, right, up)
         here = behind
     return end
+
+
+@compiled
+def _copy(points: varints.ByteArray, out: varints.ByteArray, end: int) -> int:
+    for byte in points:
+        out[end] = byte
+        end += 1
+    return end
+
+
+@compiled
+def _put_displacement(out: varints.ByteArray, end: int, right: int, up: int) -> int:
+    """A g-delta: along x or y alone (form 1), or both (form 2)."""
+    if up == 0:
+        return varints.put(out, end, abs(right) << 4 | (4 if right < 0 else 0))
+    if right == 0:
+        return varints.put(out, end, abs(up) << 4 | (6 if up < 0 else 2))
+    return varints.put_signed(out, varints.put(out, end, abs(right) << 2 | (right < 0) << 1 | 1), up)
 
 
 def rectangle_records_vectorised(
@@ -219,6 +256,15 @@ def rectangle_records_vectorised(
     tokens[start[two] + 1] = _zigzag(delta_y[two])
     tokens[(start[first][:, None] + np.cumsum(given, axis=1) - 1)[given]] = head[given]
     return varints.encode_vectorised(tokens.view(np.uint64))
+
+
+def sorted_by_size(
+    size_index: NDArray[np.uint16], sizes: int, scan: Scan
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
+    """Row and column of each pillar, by size, strip and line; and where each size ends in the list."""
+    if not HAS_NUMBA:
+        return sorted_by_size_vectorised(size_index, sizes, scan)
+    return _sorted_by_size(size_index, sizes, scan.along_y, scan.strip_sites)
 
 
 @compiled

@@ -7,10 +7,10 @@ import time
 from typing import Any
 
 from metafab.core.executor import default_workers
-from metafab.layout import Aperture, PillarMap, PillarTile
+from metafab.layout import Aperture, Outline, PillarMap, PillarTile
 from metafab.layout.assign import mapping_of
 from metafab.library import Library
-from metafab.mask.gdsii_writer import BOUNDARY_WORDS
+from metafab.mask.gdsii_writer import BOUNDARY_WORDS, REFERENCE_WORDS
 from metafab.mask.stamps import Stamps, shapes_per_pillar
 from metafab.mask.write import WRITERS, biased, drawing_of
 from metafab.mask.writer import MaskWriter
@@ -81,12 +81,14 @@ def _encoded_bytes(writer: MaskWriter, stamps: Stamps, tile: PillarTile) -> int:
 def announcement(design: Design) -> list[str]:
     """What is to be said before a mask is written: that its GDSII would be larger than many readers take.
 
-    Every pillar is a BOUNDARY of 64 bytes, once for each bias of ``mask.copies`` (for each copy, if ``mask.flat``),
-    beside four in the field around it where that is inverted, so that nothing needs to be mapped to know it.
+    Every pillar is a BOUNDARY of 64 bytes (other than rectangles, a reference of 40), once for each bias of
+    ``mask.copies`` (for each copy, if ``mask.flat``), beside four in the field around it where that is inverted, so
+    that nothing needs to be mapped to know it.
     """
     if "gds" not in design.mask.formats:
         return []
-    return _advice({"gds": Aperture.of(design).count * shapes_per_pillar(design) * BOUNDARY_WORDS * 4})
+    words = BOUNDARY_WORDS if Outline.of(design).is_rectangle else REFERENCE_WORDS
+    return _advice({"gds": Aperture.of(design).count * shapes_per_pillar(design) * words * 4})
 
 
 def _advice(sizes: dict[str, int]) -> list[str]:

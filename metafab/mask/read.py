@@ -16,10 +16,11 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.executor import default_workers, in_order
 from metafab.core.progress import Progress, silent
-from metafab.layout import Lattice, PillarMap, lattice_of, tile_sites
+from metafab.layout import Lattice, Outline, PillarMap, lattice_of, tile_sites
 from metafab.mask.copies import OtherCopies, lens_copies, lens_copy
 from metafab.mask.gdsii_reader import GdsiiReader
-from metafab.mask.hierarchy import Chunk, Hierarchy, Other, Part
+from metafab.mask.hierarchy import Chunk, Hierarchy, IntArray, Other, Part
+from metafab.mask.known import KnownShapes
 from metafab.mask.oasis_reader import MixedBlockError, OasisReader
 from metafab.mask.oasis_writer import MAGIC
 from metafab.mask.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, Recovery
@@ -55,7 +56,8 @@ class ReadBack:
     Attributes:
         path: the file.
         format: which of the two formats.
-        pillars: rectangles centred on sites of the design's lattice, no larger than its cells.
+        pillars: rectangles (or what else the design's pillars are drawn as) centred on sites of its lattice, no larger
+            than its cells.
         at_nm: where the centre of that lattice stands in the file, (x, y).
         other_copies: rectangles in the squares of the other copies of ``mask.copies``, by number from 1.
         off_site: rectangles elsewhere, or larger.
@@ -99,12 +101,15 @@ def read(path: Path, design: Design, progress: Progress = silent, copy: int = 1)
     """
     kind = format_of(path)
     layer = (design.mask.layer, *design.mask.datatypes)
+    known = KnownShapes(Outline.of(design))
     if kind == "gds":
-        return _recover(path, kind, GdsiiReader(path, layer, progress), design, progress, copy)
+        return _recover(path, kind, GdsiiReader(path, layer, progress, known=known), design, progress, copy)
     try:
-        return _recover(path, kind, OasisReader(path, layer, progress), design, progress, copy)
+        reader = OasisReader(path, layer, progress, known=known)
+        return _recover(path, kind, reader, design, progress, copy)
     except MixedBlockError:
-        return _recover(path, kind, OasisReader(path, layer, progress, skip_blocks=False), design, progress, copy)
+        reader = OasisReader(path, layer, progress, known=known, skip_blocks=False)
+        return _recover(path, kind, reader, design, progress, copy)
 
 
 @dataclass(frozen=True)
@@ -156,8 +161,10 @@ def _recover(
     foreign: Counter[str] = Counter()
     boxes: dict[str, list[Other]] = {}
     done = 0
+    crosses = design.unit_cell.cell.shape == "cross"
     for chunk in _chunks(hierarchy):
-        recovery.add(others.without(chunk.rectangles, chunk.shift), chunk.shift)
+        pillars = _wide(chunk.rectangles) if crosses else chunk.rectangles
+        recovery.add(others.without(pillars, chunk.shift), chunk.shift)
         for other in chunk.others:
             foreign[other.kind] += other.count
             if other.box is not None and len(boxes.setdefault(other.kind, [])) < KEPT:
@@ -194,6 +201,15 @@ def _recover(
         top_cells=hierarchy.tops,
         database_unit_nm=unit_nm,
     )
+
+
+def _wide(rectangles: IntArray) -> IntArray:
+    """The same crosses, none longer than wide: a cell turned by 90 degrees exchanges what means the same cross."""
+    longer = (rectangles[:, 3] - rectangles[:, 2]) // 2
+    if not np.any(longer > 0):
+        return rectangles
+    more = np.maximum(longer, 0)[:, None] * np.array([[-1, 1, 2, -2]])
+    return np.asarray(rectangles + more)
 
 
 def _too_many(path: Path, lattice: Lattice, count: int) -> InputError:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from metafab.layout import PillarMap, PillarTile
+from metafab.core.errors import InputError
+from metafab.layout import Outline, PillarMap, PillarTile
 from metafab.mask.cells import Stamp, pillar_stamp
 from metafab.mask.copies import biases_dbu, lens_copies
 from metafab.mask.dose import DoseClasses
@@ -29,17 +30,32 @@ class Stamps:
         self._mask = design.mask
         self._copies = lens_copies(design)
         self._biases = biases_dbu(self._copies)
-        self._classes = DoseClasses(drawn, design.mask.dose)
+        self._outline = Outline.of(design)
+        self._classes = DoseClasses(drawn, design.mask.dose, self._outline)
+        self._pillars: dict[tuple[int, int], Stamp] = {}
         inverted = design.mask.tone == "inverted"
+        if inverted and not self._outline.is_rectangle:
+            expected = "rectangular pillars, around which the field is rectangles"
+            raise InputError.single(
+                "mask", "tone", expected, f"pillars of shape {self._outline.shape!r}", "use 'positive'"
+            )
         self._field = InvertedField(drawn, design.mask.field_layer, self._biases) if inverted else None
 
     def of(self, tile: PillarTile) -> Iterator[tuple[PillarTile, Stamp]]:
         """Indices, and the rectangles that they stand for. Safe to call from several threads."""
         for number, part in self._classes.split(tile):
             for bias in self._biases:
-                yield part, pillar_stamp(self._size_dbu, self._mask.layer, self._mask.datatype, number, bias)
+                yield part, self._pillar_stamp(number, bias)
         if self._field is not None:
             yield from self._field.of(tile)
+
+    def _pillar_stamp(self, dose_class: int, bias_dbu: int) -> Stamp:
+        """Made once; by two threads at the same time, twice the same."""
+        key = dose_class, bias_dbu
+        if key not in self._pillars:
+            mask = self._mask
+            self._pillars[key] = pillar_stamp(self._size_dbu, mask.layer, mask.datatype, *key, self._outline)
+        return self._pillars[key]
 
     def beside(self, seen: set[tuple[int, int]]) -> list[tuple[int, IntArray]]:
         """(layer, rectangles) of the field in the tiles, of every copy, that are not among ``seen`` (row, column)."""

@@ -59,3 +59,9 @@ def put(out: ByteArray, position: int, value: int) -> int:
         position += 1
     out[position] = value
     return position + 1
+
+
+@compiled
+def put_signed(out: ByteArray, position: int, value: int) -> int:
+    """Write a signed integer at ``position``; returns the position behind it."""
+    return put(out, position, abs(value) << 1 | (value < 0))

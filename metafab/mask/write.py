@@ -11,13 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab import __version__
 from metafab.core.errors import InputError
 from metafab.core.executor import default_workers, in_order
 from metafab.core.files import fingerprint, whole_file, write_json
 from metafab.core.progress import Progress, silent
-from metafab.layout import Lattice, PillarMap, PillarTile, field_sites, lattice_of
+from metafab.layout import Lattice, Outline, PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.geometry import whole_dbu
 from metafab.mask.cells import count_sizes, top_name
 from metafab.mask.copies import lens_copies
@@ -135,8 +136,10 @@ class _Figures:
         across, along = self._field_sites = field_sites(design)
         rows, columns = pillars.lattice.shape
         self._shapes_in = np.zeros((-(-rows // along), -(-columns // across)), dtype=np.int64)
-        self._area_in_dbu = np.zeros_like(self._shapes_in)
-        self._size_area_dbu = np.prod(pillars.size_dbu.astype(np.int64), axis=1)
+        self._twice_area_in_dbu = np.zeros_like(self._shapes_in)
+        self._outline = Outline.of(design)
+        # Twice the area: whole numbers, whatever the outline.
+        self._twice_area_dbu = self._twice_area(0)
         self._used = np.zeros(len(pillars.size_dbu), dtype=np.int64)
         self.sites = 0
 
@@ -146,7 +149,7 @@ class _Figures:
         field = tile.row // along, tile.column // across
         used = count_sizes(tile.size_index, self._used.size)
         self._shapes_in[field] += used[1:].sum()
-        self._area_in_dbu[field] += used @ self._size_area_dbu
+        self._twice_area_in_dbu[field] += used @ self._twice_area_dbu
         self._used += used
         self.sites += tile.size_index.size
 
@@ -168,7 +171,7 @@ class _Figures:
             "area_um2": area * unit_um**2,
             "density": area * unit_um**2 / (pillars * cell_um2) if pillars else 0.0,
             # Drawn area over that of the whole write field, by rows from the lowest y and columns from the lowest x.
-            "field_density": np.round(self._area_in_dbu * unit_um**2 / field_um2, 6).tolist(),
+            "field_density": np.round(self._twice_area_in_dbu / 2 * unit_um**2 / field_um2, 6).tolist(),
         }
         mask, copies = self._design.mask, lens_copies(self._design)
         areas_um2 = [self._area_dbu(copy.bias_dbu) * unit_um**2 for copy in copies]
@@ -186,9 +189,15 @@ class _Figures:
             figures["exposure"] = write_time(mask.exposure, exposed_um2, shapes, fields)
         return figures
 
-    def _area_dbu(self, bias_dbu: int) -> int:
-        """Drawn area of one lens with a bias, squared units; index 0 means no pillar and is never counted."""
-        return int(self._used[1:] @ np.prod(self._map.size_dbu[1:].astype(np.int64) + bias_dbu, axis=1))
+    def _area_dbu(self, bias_dbu: int) -> float:
+        """Drawn area of one lens with a bias, squared units."""
+        return int(self._used @ self._twice_area(bias_dbu)) / 2
+
+    def _twice_area(self, bias_dbu: int) -> NDArray[np.int64]:
+        """Twice the area of each size with a bias; index 0 means no pillar and has none."""
+        size_dbu = self._map.size_dbu + np.int32(bias_dbu)
+        size_dbu[0] = 0
+        return np.asarray(np.rint(2.0 * self._outline.area(size_dbu)), dtype=np.int64)
 
 
 def biased(pillars: PillarMap, bias_nm: float) -> PillarMap:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import BinaryIO
 
 import numpy as np
@@ -41,11 +41,13 @@ class EncodedTile:
         bias_dbu: of the copy of the lens that it belongs to.
         cell: their cell.
         content: its elements, shape (n,); where the mask is flat, a piece for each copy of the lens.
+        cells: what the elements refer to, by name, as the format writes it.
     """
 
     bias_dbu: int
     cell: TileCell
     content: tuple[NDArray[np.uint8], ...]
+    cells: Mapping[str, bytes] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -62,10 +64,14 @@ class TileEncoder(ABC):
         """``stamp`` on the sites of ``tile`` as :meth:`MaskWriter.add` takes it. Safe to call from several threads."""
         cell = tile_cell(self.drawing.lattice, tile, stamp)
         if not self.drawing.flat:
-            return EncodedTile(stamp.bias_dbu, cell, (self._content(tile, cell, stamp),))
+            return EncodedTile(stamp.bias_dbu, cell, (self._content(tile, cell, stamp),), self._cells(tile, stamp))
         copies = (copy for copy in self.drawing.copies if copy.bias_dbu == stamp.bias_dbu)
         pieces = (self._content(tile, cell.flattened(copy.x_dbu, copy.y_dbu), stamp) for copy in copies)
         return EncodedTile(stamp.bias_dbu, cell, tuple(pieces))
+
+    def _cells(self, tile: PillarTile, stamp: Stamp) -> dict[str, bytes]:
+        """Cells that the elements of a tile refer to, unless the mask is flat; none here."""
+        return {}
 
     @abstractmethod
     def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
@@ -92,12 +98,14 @@ class MaskWriter(ABC):
         self._stream = stream
         self._drawing = drawing
         self._placed: dict[int, list[TileCell]] = {bias: [] for bias in biases_dbu(drawing.copies) or (0,)}
+        self._cells: dict[str, bytes] = {}
         self._begin_file()
         if drawing.flat:
             self._begin_cell(drawing.top)
 
     def add(self, tile: EncodedTile) -> None:
         """Append the cell of a tile. Its memory may be used again: it must not be read afterwards."""
+        self._cells.update(tile.cells)
         if not self._drawing.flat:
             self._placed[tile.bias_dbu].append(tile.cell)
             self._begin_cell(tile.cell.name)
@@ -113,6 +121,8 @@ class MaskWriter(ABC):
             InputError: the format cannot hold a rectangle.
         """
         drawing = self._drawing
+        for _, cell in sorted(self._cells.items()):
+            self._write(cell)
         if not drawing.flat:
             self._begin_top()
         for layer, rectangles in beside:

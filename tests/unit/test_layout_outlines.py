@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 from shapely.geometry import Point, Polygon, box
@@ -29,6 +29,7 @@ def _true(outline: Outline, width: float, length: float) -> Polygon:
 
 
 @pytest.mark.parametrize("outline", OUTLINES, ids=lambda outline: outline.shape)
+@settings(max_examples=40)
 @given(width=SIDES, length=SIDES)
 def test_polygons_keep_to_the_curve_on_the_grid(outline: Outline, width: int, length: int) -> None:
     vertices = outline.vertices(width, length)
@@ -48,6 +49,7 @@ def test_polygons_keep_to_the_curve_on_the_grid(outline: Outline, width: int, le
 
 
 @pytest.mark.parametrize("outline", OUTLINES, ids=lambda outline: outline.shape)
+@settings(max_examples=40)
 @given(width=SIDES, length=SIDES, turns=st.integers(0, 3), start=st.integers(0, 40), mirrored=st.booleans())
 def test_an_outline_is_known_however_it_is_drawn(
     outline: Outline, width: int, length: int, turns: int, start: int, mirrored: bool
