@@ -77,10 +77,10 @@ def _realism_rows() -> list[dict[str, Any]]:
     calibration = optics.psf(source, imaging, depth_m, field_tangents=tangents, filter_fwhm_nm=FILTER_FWHM_NM)
     exact = camera.exact_psf(design.scene, source, imaging, target_error=1e-2, filter_fwhm_nm=FILTER_FWHM_NM)
     photons = design.scene.photons_per_pixel
-    light = f"2 mm lens, {FILTER_FWHM_NM:g} nm, {photons:g} e"
+    light = f"{FILTER_FWHM_NM:g} nm, {photons:g} e"
     return [
-        _row(f"{light}, the calibration's own frames", design, calibration, calibration, photons),
-        _row(f"{light}, frames of the exact camera", design, exact, calibration, photons),
+        _row(f"2 mm lens, its calibration's own frames, {light}", design, calibration, calibration, photons),
+        _row(f"2 mm lens, frames of the exact camera, {light}", design, exact, calibration, photons),
     ]
 
 
@@ -105,6 +105,7 @@ def _row(name: str, design: Design, shown: optics.Psf, psf: optics.Psf, photons:
     seconds = float(np.mean([image.details["seconds"] for image in images]))
     return {
         "name": name,
+        "series": name.rsplit(", ", 1)[0],
         "error": error,
         "seconds": seconds,
         "peak_rss_mb": cost.peak_rss_mb,
@@ -133,6 +134,7 @@ def _video_row() -> dict[str, Any]:
     later = images[1:]
     return {
         "name": "2 mm lens, video at 25 frames a second, one object of three moves",
+        "series": "2 mm lens, video",
         "error": float(np.mean([image.nmae if image.nmae is not None else math.nan for image in later])),
         "seconds": float(np.mean([image.details["seconds"] for image in later])),
         "peak_rss_mb": cost.peak_rss_mb,

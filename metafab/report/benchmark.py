@@ -38,6 +38,11 @@ def benchmark_page(rows: Sequence[Mapping[str, Any]], directory: Path) -> tuple[
         name = f"benchmark_{room or 'all'}"
         plots.append(directory / f"{name}.png")
         picture = html.figure(save_both(figure, plots[-1], f"Error against time, {room}"))
+        if len({row["photons"] for row in own if row.get("photons")}) > 1:
+            light, axes = panel((7.4, 3.6), (0.7, 3.2, 0.52, 0.36))
+            figures.error_against_photons(own, axes)
+            plots.append(directory / f"{name}_photons.png")
+            picture += html.figure(save_both(light, plots[-1], f"Error against light, {room}"))
         parts.append(html.section(name, room.capitalize() or "Benchmark", picture, _table(own)))
     page = directory / "benchmark.html"
     with whole_file(page) as part:

@@ -50,6 +50,27 @@ def test_each_line_is_named_in_its_colour_and_no_name_covers_another() -> None:
     assert min(np.subtract(high, low) for low, high in pairwise(heights)) * 2.72 * 72.0 > 2 * 8.5
 
 
+def test_the_least_possible_error_stands_below_its_row(tmp_path: Path) -> None:
+    rows = [
+        _row("pair", seconds, error) | {"photons": photons, "bound": 0.25 * error}
+        for photons, seconds, error in ((3000.0, 0.1, 1e-3), (300.0, 0.2, 4e-3))
+    ]
+    _, axes = panel()
+    figures.error_against_time([*rows, _row("fast", 0.01, 2e-2)], axes)
+    dashes = [(*line.get_xdata(), *line.get_ydata()) for line in axes.lines if line.get_marker() == "_"]
+    assert sorted(dashes) == [(0.1, 2.5e-4), (0.2, 1e-3)]
+    _, axes = panel()
+    figures.error_against_photons(rows, axes)
+    drawn = [(list(line.get_xdata()), list(line.get_ydata())) for line in axes.lines]
+    assert drawn == [([300.0, 3000.0], [4e-3, 1e-3]), ([300.0, 3000.0], [1e-3, 2.5e-4])]
+    *_, light = benchmark_page(rows, tmp_path)
+    assert light.name == "benchmark_cell_photons.png"
+    picture = np.asarray(Image.open(light).convert("L"))
+    assert picture[:, -3:].min() == picture[-3:].min() == picture[:3].min() == 255
+    one_level = [row | {"photons": 300.0} for row in rows]
+    assert len(benchmark_page(one_level, tmp_path)) == 3  # one level of light is no curve
+
+
 def test_rows_without_a_series_stay_points_in_a_legend() -> None:
     _, axes = panel()
     figures.error_against_time([{"name": "a", "error": 0.1, "seconds": 1.0}], axes)

@@ -13,7 +13,14 @@
 In: results of the other rooms. Out: the axes that were drawn on.
 """
 
-from metafab.report.figures.accounts import error_against_time, error_budget, loss_chain, seconds, with_error_and_time
+from metafab.report.figures.accounts import (
+    error_against_photons,
+    error_against_time,
+    error_budget,
+    loss_chain,
+    seconds,
+    with_error_and_time,
+)
 from metafab.report.figures.comparison import rival_depth_errors, rival_sharpness
 from metafab.report.figures.fullwave import patch_amplitude, patch_phase
 from metafab.report.figures.image import confidence, contrast, depth, depth_against_truth, intensity, raw_frame
@@ -53,6 +60,7 @@ __all__ = [
     "depth_bounds",
     "depth_text",
     "distortion",
+    "error_against_photons",
     "error_against_time",
     "error_budget",
     "error_map",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -55,6 +56,7 @@ def error_against_time(rows: Sequence[Mapping[str, Any]], axes: Axes) -> Axes:
     """Benchmark rows, both axes logarithmic: lower left is better. Rows without an error or a time are left out.
 
     Rows that name their ``series`` are joined to one line each, with its name beside; others are points in a legend.
+    A row's ``bound``, the least error that is possible, is a dash below it.
     """
     shown = with_error_and_time(rows)
     logarithmic(axes, "xy")
@@ -68,6 +70,7 @@ def error_against_time(rows: Sequence[Mapping[str, Any]], axes: Axes) -> Axes:
     for index, row in enumerate(row for row in shown if "series" not in row):
         colour, marker = _COLOURS[index % len(_COLOURS)], _MARKERS[index % len(_MARKERS)]
         axes.plot(row["seconds"], row["error"], marker, color=colour, markersize=6, label=str(row["name"]))
+    _bounds(shown, "seconds", axes)
     dress(axes, "seconds", "error", "Error against time")
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
     if series:
@@ -80,6 +83,32 @@ def error_against_time(rows: Sequence[Mapping[str, Any]], axes: Axes) -> Axes:
 def with_error_and_time(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """The rows that a plot of error against time shows."""
     return [row for row in rows if (row["error"] or 0.0) > 0.0 and (row["seconds"] or 0.0) > 0.0]
+
+
+def error_against_photons(rows: Sequence[Mapping[str, Any]], axes: Axes) -> Axes:
+    """Decoding rows by the light of a pixel, each ``series`` a line, and below it the least error possible, dashed."""
+    logarithmic(axes, "xy")
+    names = list(dict.fromkeys(str(row["series"]) for row in rows if row.get("photons") and "series" in row))
+    for index, name in enumerate(names):
+        own = sorted((row for row in rows if row.get("series") == name), key=lambda row: float(row["photons"]))
+        colour, marker = _COLOURS[index % len(_COLOURS)], _MARKERS[index % len(_MARKERS)]
+        photons = [row["photons"] for row in own]
+        axes.plot(photons, [row["error"] for row in own], f"{marker}-", color=colour, markersize=4.5, label=name)
+        bound = [row.get("bound") or math.nan for row in own]
+        axes.plot(photons, bound, f"{marker}--", color=colour, markersize=3.0, linewidth=0.8, alpha=0.7)
+    dress(axes, "electrons a pixel", "error", "Error against light, with its Cramér-Rao bound (dashed)")
+    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
+    if names:
+        legend(axes, loc="center left", bbox_to_anchor=(1.02, 0.5))
+    return axes
+
+
+def _bounds(rows: Sequence[Mapping[str, Any]], key: str, axes: Axes) -> None:
+    """A dash at the least possible error of each row that has one, and a thin line up to the row."""
+    for row in rows:
+        if row.get("bound"):
+            axes.vlines(row[key], row["bound"], row["error"], color=MUTED, linewidth=0.6, alpha=0.6, zorder=1.0)
+            axes.plot(row[key], row["bound"], "_", color=INK, markersize=6.0, zorder=1.5)
 
 
 def _name_lines(axes: Axes, names: Sequence[str]) -> None:
