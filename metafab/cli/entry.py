@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from typing import TYPE_CHECKING, NoReturn
@@ -20,6 +21,10 @@ if TYPE_CHECKING:
     from types import FrameType
 
 
+#: How many threads a library of linear algebra starts.
+_ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
 class _InterruptedError(BaseException):
     """Ctrl-C or SIGTERM: unwinds everything, so that half-written files are removed; nobody swallows it."""
 
@@ -30,6 +35,9 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
 
 def main() -> None:
     """Run the command line and translate errors into one clear message and an exit code."""
+    for name in _ALGEBRA_THREADS:
+        # Our matrices are small and our processes many: a second thread waits in a loop for more than it computes.
+        os.environ.setdefault(name, "1")
     before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         app(spread_depths(sys.argv[1:]))

@@ -131,6 +131,25 @@ def test_a_fault_of_ours_is_not_dressed_as_the_users(monkeypatch: pytest.MonkeyP
         entry.main()
 
 
+@pytest.mark.parametrize(("asked", "threads"), [(None, 1), ("2", 2)])
+def test_linear_algebra_has_one_thread_unless_asked_otherwise(asked: str | None, threads: int) -> None:
+    """Two threads that wait for each other took fifteen times the processor time of one."""
+    code = (
+        "from metafab.cli import entry\nentry.app = lambda arguments: None\nentry.main()\n"
+        "import numpy, scipy.linalg, threadpoolctl\n"
+        "print([pool['num_threads'] for pool in threadpoolctl.threadpool_info() if pool['user_api'] == 'blas'])"
+    )
+    variables = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    environment = {name: value for name, value in os.environ.items() if name not in variables}
+    if asked is not None:
+        environment |= dict.fromkeys(variables, asked)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    found = json.loads(done.stdout)
+    assert found, "no library of linear algebra was found"
+    # A machine of one core has no second thread to give.
+    assert set(found) == {min(threads, len(os.sched_getaffinity(0)))}
+
+
 def test_help_imports_no_room() -> None:
     """What makes --help quick: a command's room is imported when it works."""
     heavy = {"scipy", "numba", "h5py", "matplotlib", "metafab.optics", "metafab.cell"}
