@@ -20,8 +20,9 @@ from metafab.layout import Aperture, Assignment, Lattice, field_sites, lattice_o
 from metafab.layout.gaps import smallest_gap_vectorised
 from metafab.library import Library
 from metafab.phase.profile import PhaseProfile
-from metafab.spec import Design
+from metafab.spec import Design, load_design
 from metafab.spec.cell import CellGeometry
+from tests.conftest import ROOT
 from tests.layout.conftest import sizes_at_sites
 
 SIZES = np.array([[0, 0], [20, 20], [50, 20], [20, 50], [50, 50], [80, 60]], dtype=np.int32)
@@ -238,3 +239,14 @@ def test_planted_faults_are_found(mapped: Assignment, design: Design, tmp_path: 
     found = {rule: count for rule, count in drc.check(path, design).violations.items() if count}
     assert found == {"min_gap": 1, "missing": 2, "lattice_site": 1}
     assert drc.check(path, design, engine="rectangles").violations["min_gap"] >= 1
+
+
+def test_the_example_is_ready_to_be_mapped() -> None:
+    """Its library takes a solver: here only what the mapping asks of the design."""
+    design = load_design(ROOT / "layouts" / "hexagonal_metalens.toml")
+    lattice, (across, along), tile = lattice_of(design), field_sites(design), tile_sites(design)
+    assert lattice.hexagonal
+    assert lattice.cell_dbu == (760, 658)
+    assert across % tile == along % tile == 0
+    assert across == 260  # 130 periods
+    assert Aperture.of(design).count == pytest.approx(np.pi * 50.0**2 / lattice.cell_um2, rel=0.02)
