@@ -36,6 +36,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
                     "name": f"{engine}, {path.suffix[1:]}, reading included",
                     "error": float(sum(report.violations.values())),
                     "seconds": cost.seconds,
+                    "processor_seconds": cost.processor_seconds,
                     "peak_rss_mb": cost.peak_rss_mb,
                     "pillars": report.pillars,
                 }

@@ -1,7 +1,8 @@
 """From phases to mask files and back: seconds and peak memory beside a raw write of the same bytes, gdstk, KLayout.
 
-``error`` is the phase rms in radians for the mapping and the number of pillars that differ for files. The last rows
-tell what sizes gain that are chosen jointly under a rule for gaps (``efficiency``, ``mean_transmittance``).
+``error`` is the phase rms in radians for the mapping and, for files, the number of pillars, or of polygons of an
+exclusive or, that differ. The last rows tell what sizes gain that are chosen jointly under a rule for gaps
+(``efficiency``, ``mean_transmittance``).
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
         for suffix in ("oas", "gds"):
             table += _own(suffix, assignment.pillars, design, Path(folder), pillars)
             table += _peers(suffix, Path(folder), pillars, quick)
+        table += _exclusive_or(Path(folder), pillars)
     return table + _lens["gap_rows"](quick)
 
 
@@ -88,6 +90,23 @@ def _peers(suffix: str, folder: Path, count: int, quick: bool) -> list[dict[str,
     return table
 
 
+def _exclusive_or(folder: Path, count: int) -> list[dict[str, Any]]:
+    """What KLayout finds in one format's tile and not in the other's; every eighth tile."""
+    try:
+        import klayout.db as kdb
+    except ImportError:
+        return []
+    with measured() as cost:
+        opened = [kdb.Layout(False) for _ in range(2)]
+        for layout_, suffix in zip(opened, ("oas", "gds"), strict=True):
+            layout_.read(str(folder / f"layout.{suffix}"))
+        names = sorted(cell.name for cell in opened[0].each_cell() if cell.name.startswith("TILE"))[::8]
+        tiles = [[kdb.Region(one.cell(name).shapes(one.layer(1, 0))) for one in opened] for name in names]
+        differ = sum((oas ^ gds).count() for oas, gds in tiles)
+        seen = sum(oas.count() for oas, _ in tiles)
+    return [_row(f"KLayout: oas XOR gds, {len(names)} tiles of {seen} pillars", float(differ), cost, count)]
+
+
 def _gdstk_count(library: gdstk.Library) -> int:
     """Pillars without making a polygon object of each."""
     polygons = (polygon for cell in library.cells for polygon in cell.polygons)
@@ -108,6 +127,7 @@ def _row(name: str, error: float, cost: Any, pillars: int) -> dict[str, Any]:
         "name": name,
         "error": error,
         "seconds": cost.seconds,
+        "processor_seconds": cost.processor_seconds,
         "peak_rss_mb": cost.peak_rss_mb,
         "pillars": pillars,
     }

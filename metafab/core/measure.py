@@ -20,12 +20,14 @@ class Cost:
 
     Attributes:
         seconds: wall clock.
+        processor_seconds: of this process, all threads together; what others do on the machine changes it little.
         peak_rss_mb: largest resident set of any one process inside the block: of this one (on Linux; elsewhere since
             its start), or of a worker that ended in the block, if it was larger than all that ended before.
     """
 
     seconds: float = 0.0
     peak_rss_mb: float = 0.0
+    processor_seconds: float = 0.0
 
 
 @contextmanager
@@ -34,11 +36,12 @@ def measured() -> Iterator[Cost]:
     cost = Cost()
     _reset_peak()
     workers_mb = _workers_peak_mb()
-    start = time.perf_counter()
+    start, busy = time.perf_counter(), time.process_time()
     try:
         yield cost
     finally:
         cost.seconds = time.perf_counter() - start
+        cost.processor_seconds = time.process_time() - busy
         cost.peak_rss_mb = peak_rss_mb()
         if _workers_peak_mb() > workers_mb:
             cost.peak_rss_mb = max(cost.peak_rss_mb, _workers_peak_mb())

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
+
+from metafab.core.measure import measured
 
 #: Each in an interpreter of its own: a process remembers the largest worker that it ever had.
 WORKER = """
@@ -49,3 +52,14 @@ def test_what_was_freed_before_does_not_count() -> None:
     cost, after = _megabytes(FREED)
     assert cost > 400.0
     assert after < cost - 300.0
+
+
+def test_processor_time_counts_work_and_no_waiting() -> None:
+    with measured() as waiting:
+        time.sleep(0.2)
+    with measured() as working:
+        begun = time.process_time()
+        while time.process_time() - begun < 0.11:
+            pass
+    assert working.processor_seconds >= 0.1
+    assert waiting.processor_seconds < 0.1 < waiting.seconds
