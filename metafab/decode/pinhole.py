@@ -34,6 +34,8 @@ from metafab.optics.point_spread import Psf
 #: How far from its predicted place an image of the point may stand, pixels.
 _SEARCH_PX = 64
 _ROUNDS = 3
+#: Places of one image's points are wrong together by so much: the pair is interpolated, and pixels are squares.
+_COMMON_PX = 0.02
 #: Vergences over the calibrated range that the search for the image tries.
 _TRIALS = 9
 
@@ -50,6 +52,10 @@ class CameraFit:
         shift_um: (x, y) of the axis in the frame.
         place_rms_px: residual of the places of the point's images.
         vergence_rms_per_m: residual of their vergences.
+        vergence_error_per_m: standard error of ``vergence_offset_per_m``, and of ``tilt_per_m``.
+        rotation_error_deg: standard error of ``rotation_deg``.
+        magnification_error: standard error of ``magnification``.
+        shift_error_um: standard error of either coordinate of ``shift_um``.
     """
 
     vergence_offset_per_m: float
@@ -59,6 +65,10 @@ class CameraFit:
     shift_um: tuple[float, float]
     place_rms_px: float
     vergence_rms_per_m: float
+    vergence_error_per_m: float = 0.0
+    rotation_error_deg: float = 0.0
+    magnification_error: float = 0.0
+    shift_error_um: float = 0.0
 
     @property
     def turn(self) -> FloatArray:
@@ -165,8 +175,12 @@ def _turned(psf: Psf, fit: CameraFit) -> Psf:
 
 def _find(
     frame: RawFrame, vergence_per_m: float, polarisation: int, kernels: PairKernels, fit: CameraFit
-) -> tuple[float, float, float]:
-    """Vergence at which the point's image looks like this, and its place (x, y) on the sensor in um."""
+) -> tuple[float, ...]:
+    """Vergence at which the point's image looks like this, its place (x, y) on the sensor in um, and their variances.
+
+    Residuals are in standard deviations of photon and read noise; where the prediction fits worse than that, the
+    variances grow with the mean square of what is left.
+    """
     psf = kernels.psf
     middle = psf.centre_um[polarisation, psf.depth_m.size // 2]
     place_um = fit.turn @ middle + np.array(fit.shift_um)
@@ -199,10 +213,15 @@ def _find(
 
     bounds = ([0.0, -8.0, -8.0], [1.0, 8.0, 8.0])
     first = [float(np.clip((start - nodes.min()) / np.ptp(nodes), 0.02, 0.98)), 0.0, 0.0]
-    found = least_squares(residual, first, bounds=bounds, x_scale=(0.05, 0.3, 0.3)).x
+    solved = least_squares(residual, first, bounds=bounds, x_scale=(0.05, 0.3, 0.3))
+    found = solved.x
+    left_over = max(1.0, 2.0 * float(solved.cost) / (cut.size - found.size))
+    slopes = np.asarray(solved.jac, dtype=np.float64)
+    variance = left_over * np.diag(np.linalg.pinv(slopes.T @ slopes))
+    scale = np.array([np.ptp(nodes), frame.pixel_um, frame.pixel_um]) ** 2
     x_um = frame.origin_um[0] + frame.pixel_um * (left + at[1] + n_x // 2 + found[2])
     y_um = frame.origin_um[1] + frame.pixel_um * (top + at[0] + n_y // 2 + found[1])
-    return float(nodes.min() + found[0] * np.ptp(nodes)), float(x_um), float(y_um)
+    return (float(nodes.min() + found[0] * np.ptp(nodes)), float(x_um), float(y_um), *(variance * scale).tolist())
 
 
 def _coarse(
@@ -223,16 +242,28 @@ def _coarse(
 
 
 def _fit(found: FloatArray, vergence: FloatArray, predicted: Psf) -> CameraFit:
-    """Misalignments from (vergence, x, y) of each frame and image: shape (n_frames, 2, 3)."""
+    """Misalignments from (vergence, x, y) and their variances of each frame and image: shape (n_frames, 2, 6).
+
+    Standard errors are of the photographs' noise or of what they disagree by, whichever is more.
+    """
     offset = found[..., 0] - vergence[:, None]
     by_image = np.median(offset, axis=0)
     centre = predicted.centre_um[:, predicted.depth_m.size // 2]
     want = np.broadcast_to(centre[None], (vergence.size, 2, 2)).reshape(-1, 2)
-    got = found[..., 1:].reshape(-1, 2)
+    got = found[..., 1:3].reshape(-1, 2)
     # Similarity transform of the plane as complex numbers: got = factor want + shift.
     z, w = want[:, 0] + 1j * want[:, 1], got[:, 0] + 1j * got[:, 1]
     (factor, shift), *_ = np.linalg.lstsq(np.stack([z, np.ones_like(z)], axis=1), w, rcond=None)
     away_um = np.abs(factor * z + shift - w)
+    place_variance = max(float(np.mean(found[..., 4:])), float(np.sum(away_um**2)) / (2.0 * z.size - 4.0))
+    lever = float(np.sum(np.abs(z - z.mean()) ** 2))
+    # What one image's places have in common looks like a turn: photographs cannot disagree about it.
+    common = z.size / 2.0 * (_COMMON_PX * predicted.pixel_um) ** 2
+    turn_error = math.sqrt((place_variance + common) / lever)
+    # A median's variance is pi / 2 times a mean's; both images' halves add up.
+    scatter = float(np.sum((offset - by_image) ** 2)) / max(1, 2 * vergence.size - 2)
+    each = np.maximum(found[..., 3].mean(axis=0), scatter)
+    vergence_error = math.sqrt(0.5 * math.pi * float(each.sum()) / vergence.size) / 2.0
     return CameraFit(
         float(by_image.mean()),
         float(0.5 * (by_image[1] - by_image[0])),
@@ -241,6 +272,10 @@ def _fit(found: FloatArray, vergence: FloatArray, predicted: Psf) -> CameraFit:
         (float(shift.real), float(shift.imag)),
         float(np.sqrt(np.mean(away_um**2))) / predicted.pixel_um,
         float(np.sqrt(np.mean((offset - by_image) ** 2))),
+        vergence_error,
+        math.degrees(turn_error / abs(factor)),
+        turn_error,
+        math.sqrt(place_variance / z.size + (turn_error * abs(z.mean())) ** 2),
     )
 
 

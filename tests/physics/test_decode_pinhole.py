@@ -106,6 +106,38 @@ def test_planted_misalignments_come_back(predicted: Psf) -> None:
     np.testing.assert_allclose(calibrated.centre_um[0, 0], want)
 
 
+def test_misalignments_come_back_within_their_stated_errors(predicted: Psf) -> None:
+    """Three cameras, each of its own misalignments and noise, five figures each.
+
+    Of fifteen, by chance none is beyond four standard errors. What a point photographed at pixel centres differs from
+    pixels' means is a bias of 0.4 per metre, common to all.
+    """
+    rng = np.random.default_rng(4)
+    ratios = []
+    for _ in range(3):
+        offset, tilt, rotation = rng.uniform(-5.0, 5.0), rng.uniform(-1.5, 1.5), rng.uniform(-1.0, 1.0)
+        magnification, shift = rng.uniform(0.995, 1.005), tuple(rng.uniform(-8.0, 8.0, 2).tolist())
+        frames = [
+            photograph(predicted, z, (offset - tilt, offset + tilt), rotation, magnification, shift, 2e4, seed)
+            for z, seed in zip(POINTS_M, rng.integers(0, 1000, 3).tolist(), strict=True)
+        ]
+        _, fit = calibrate(frames, POINTS_M, predicted)
+        ratios.append(
+            [
+                (fit.vergence_offset_per_m - offset) / math.hypot(fit.vergence_error_per_m, 0.4),
+                (fit.tilt_per_m - tilt) / fit.vergence_error_per_m,
+                (fit.rotation_deg - rotation) / fit.rotation_error_deg,
+                (fit.magnification - magnification) / fit.magnification_error,
+                (fit.shift_um[0] - shift[0]) / fit.shift_error_um,
+            ]
+        )
+        assert 0.0 < fit.vergence_error_per_m < 1.0
+    away = np.abs(ratios)
+    assert away.max() < 4.0
+    # Nor are they overstated: the rms of twelve is known to 20 %.
+    assert np.sqrt(np.mean(away[:, 1:] ** 2)) > 0.3
+
+
 def test_a_calibrated_camera_decodes_what_the_prediction_misreads(predicted: Psf) -> None:
     """The camera's own pictures carry its offset: 8 per metre are 2.3 % of the depth."""
     offset = 8.0

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import BSpline
 from scipy.ndimage import uniform_filter
 
-from metafab.decode import mixing, peaks, pooling, resample, restore
+from metafab.decode import calibration, filters, mixing, peaks, pooling, resample, restore
 from metafab.decode.depth import parabola, standard_error
 from metafab.decode.judge import structural_similarity
 from metafab.decode.reduce import Reduction, enlarged, repeated
@@ -219,6 +220,48 @@ def test_a_volume_between_its_candidates() -> None:
     assert sums.shape == (3, 3, 9)
     for number, pixels in ((1, 8.0), (2, 4.0), (3, 0.0)):
         np.testing.assert_allclose(sums[number - 1, 2], 3.0 * pixels * nodes**3, rtol=1e-6)
+
+
+@settings(max_examples=40, deadline=None)
+@given(fraction=st.floats(0.0, 1.0), powers=st.lists(st.floats(-2.0, 2.0), min_size=6, max_size=6))
+def test_quintic_weights_are_the_splines(fraction: float, powers: list[float]) -> None:
+    """They are positive, sum to 1, and give what SciPy's spline of the same coefficients gives at that place."""
+    weights = calibration._quintic_weights(np.array(fraction))
+    assert weights.min() >= -1e-15
+    assert weights.sum() == pytest.approx(1.0)
+    spline = BSpline(np.arange(12.0), np.array(powers), 5)
+    assert weights @ np.array(powers) == pytest.approx(float(spline(5.0 + fraction)), abs=1e-9)
+
+
+def test_a_stretched_kernel_keeps_its_light_and_its_shape() -> None:
+    """A Gaussian of 4 pixels, stretched by 3 % and sheared: the closed form to 1e-4 of its peak."""
+    y, x = np.mgrid[:48, :48] - 24.0
+    kernel = np.exp(-0.5 * (x * x + y * y) / 16.0).astype(np.float32)
+    stretch = np.array([[1.03, 0.02], [-0.01, 0.98]])
+    got = calibration.stretched(kernel[None], stretch)[0]
+    u, v = stretch[0, 0] * x + stretch[0, 1] * y, stretch[1, 0] * x + stretch[1, 1] * y
+    want = np.exp(-0.5 * (u * u + v * v) / 16.0) * np.linalg.det(stretch)
+    np.testing.assert_allclose(got, want, atol=1e-4)
+    assert got.sum() == pytest.approx(kernel.sum(), rel=1e-3)
+
+
+def test_the_basis_leaves_out_what_it_may() -> None:
+    """Rows of falling strength: the least number of columns that hold them, and no more missing than asked."""
+    rng = np.random.default_rng(6)
+    directions, _ = np.linalg.qr(rng.normal(size=(200, 12)))
+    strengths = 2.0 ** -np.arange(12.0)
+    table = (rng.permutation(np.eye(60))[:, :12] * strengths @ directions.T).astype(np.float32)
+    counts = []
+    for error in (0.3, 0.05, 0.01):
+        columns = filters._range(table, error)
+        np.testing.assert_allclose(columns.T @ columns, np.eye(columns.shape[1]), atol=1e-5)
+        missing = np.linalg.norm(table - columns @ (columns.T @ table)) / np.linalg.norm(table)
+        assert missing <= error * 1.001
+        left = np.sqrt((strengths[columns.shape[1] - 1 :] ** 2).sum() / (strengths**2).sum())
+        assert left > error  # one column less would not do
+        counts.append(columns.shape[1])
+    assert counts == sorted(counts)
+    assert counts[0] < counts[-1]
 
 
 def test_correlation_is_blind_to_contrast() -> None:

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from metafab.camera import RawFrame, capture
-from metafab.decode import Image4D, decode
+from metafab.decode import Image4D, decode, twins
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import PIXEL_UM, helix_psf
@@ -84,6 +84,36 @@ def test_dead_pixels_cost_little(psf: Psf, good: RawFrame) -> None:
     assert whole.nmae is not None
     # A small object (49 pixels a side): its own noise is near 0.6 %.
     assert image.nmae < whole.nmae + 0.01
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    kind=st.sampled_from(["f4", ">f4", "f8", "u1", "u2", ">u2", "i4", "?"]),
+    saturation=st.sampled_from([200.0, np.inf]),
+    seed=st.integers(0, 99),
+)
+def test_frames_of_any_type_are_checked_alike(kind: str, saturation: float, seed: int) -> None:
+    """What is not a number, too bright or saturated is broken; the rest keeps its value."""
+    rng = np.random.default_rng(seed)
+    given_ = (rng.random((7, 9)) * 255).astype(kind)
+    if given_.dtype.kind == "f":
+        given_[0, :4] = np.nan, np.inf, -np.inf, 1e16
+    values, broken = twins._checked(given_, saturation)
+    wide = given_.astype(np.float64)
+    fine = np.isfinite(wide) & (np.abs(wide) < 1e15)
+    np.testing.assert_array_equal(broken, ~fine | (fine & (wide >= saturation)))
+    np.testing.assert_array_equal(values[fine], given_[fine].astype(np.float32))
+    assert np.isnan(values[~fine]).all()
+    assert values.dtype == np.float32
+
+
+@pytest.mark.parametrize("share", [0.02, 0.2])
+def test_saturated_pixels_are_left_out_and_the_rest_is_decoded(psf: Psf, good: RawFrame, share: float) -> None:
+    level = float(np.quantile(good.frame, 1.0 - share))
+    image = decode(dataclasses.replace(good, frame=np.minimum(good.frame, level), saturation_e=level), psf)
+    assert image.details["pixels_broken"] > 0.0
+    known = np.isfinite(image.depth_m)
+    assert not known.any() or np.abs(image.depth_m[known] / 0.0029 - 1.0).max() < 0.05
 
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
