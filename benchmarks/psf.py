@@ -12,8 +12,9 @@ import resource
 import runpy
 import time
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -24,6 +25,7 @@ from threadpoolctl import threadpool_limits
 from metafab.core.conventions import FloatArray
 from metafab.core.progress import silent
 from metafab.optics import Imaging, PsfBasis, WrittenField, direct_irradiance, psf, relative_l2
+from metafab.optics.band import band_ends, padded_px
 from metafab.optics.blocks import reduce_to_target
 from metafab.optics.image import Tangent, Window
 from metafab.optics.kernel import WindowKernel
@@ -132,7 +134,7 @@ def _parts(
     """One polarisation: the pass over the pillars, one window, 21 depths; blocks are those that the pair takes."""
     tangent, window = DIRECTIONS[name], _window(imaging, target)
     with threadpool_limits(1, "blas"):
-        pyramid = _blocks(source, window, stack_m, tangent, target)
+        pyramid = _blocks(source, [window], stack_m, tangent, target)
         carrier = pyramid[0].carrier
         tracemalloc.start()
         over_pillars, _ = _timed(lambda: reduce_field(source, [carrier], imaging.wavenumber, workers=1), 1)
@@ -172,10 +174,13 @@ def _window(imaging: Imaging, target: float) -> Window:
     return Window(imaging, WINDOW_PX, min(0.1 * target, 1e-3))
 
 
-def _blocks(source: WrittenField, window: Window, depths_m: FloatArray, tangent: Tangent, target: float) -> list[Pupil]:
+def _blocks(
+    source: WrittenField, windows: Sequence[Window], depths_m: FloatArray, tangent: Tangent, target: float
+) -> list[Pupil]:
+    """What :func:`psf` would sum for all of these windows: x's blocks and coarser ones."""
     with ThreadPoolExecutor(1) as pool:
         pyramids, _ = reduce_to_target(
-            source, [window], [float(z) for z in depths_m], tangent, None, target, pool, silent, workers=1
+            source, windows, [float(z) for z in depths_m], tangent, None, target, pool, silent, workers=1
         )
     return pyramids[0]
 
@@ -186,7 +191,11 @@ def _bands(source: WrittenField, imaging: Imaging, depth_m: float) -> list[dict[
     for target, goal_s in BAND_GOAL_S.items():
         half, tangent, window = 0.5 * target, DIRECTIONS["axis"], _window(imaging, target)
         with threadpool_limits(1, "blas"):
-            pyramid = _blocks(source, window, np.array([depth_m]), tangent, half)
+            side_px = padded_px(imaging, tangent, 10.0, WINDOW_PX)
+            windows = [
+                replace(window, imaging=light, window_px=side_px) for light in (imaging, *band_ends(imaging, 10.0))
+            ]
+            pyramid = _blocks(source, windows, np.array([depth_m]), tangent, half)
             light = partial(_without_kernels, window.band_irradiance, pyramid, 0, tangent, [depth_m], 10.0, half)
             cost, (_, error) = _timed(light)
         name = f"one window in the light of 10 nm from blocks, target {target:g}"

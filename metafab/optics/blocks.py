@@ -23,6 +23,8 @@ _FEWEST_BLOCKS = 8
 _UNFOLLOWED_PHASE_RAD = 1e-4
 #: Blocks across which the window's edges turn the phase by more are not worth a trial.
 _LARGEST_EDGE_PHASE_RAD = 1.0
+#: Errors above are not told from their estimates where few blocks are lit; finer ones cost next to nothing.
+_COARSEST_TARGET = 1e-2
 #: Of 96 bytes for a polarisation's sums, with the coarser ones; beyond it, a machine of the usual size swaps.
 _MOST_BLOCKS = 20_000_000
 
@@ -41,12 +43,12 @@ def reduce_to_target(
 ) -> tuple[list[list[Pupil]], Pupil]:
     """Per polarisation, the pupil of the coarsest blocks that keep the target and coarser ones; y's for x's window.
 
-    The first of ``windows`` sets the carriers; the target is kept in all.
+    The first of ``windows`` sets the carriers; the target (1e-2, where more is allowed) is kept in all.
 
     Raises:
         InputError: the blocks that it takes would not fit into memory.
     """
-    imaging = windows[0].imaging
+    imaging, target_error = windows[0].imaging, min(target_error, _COARSEST_TARGET)
     probes = [tangent]
     if grid is not None:
         probes += [(float(t_x), float(t_y)) for t_x in grid[0][[0, -1]] for t_y in grid[1][[0, -1]]]
