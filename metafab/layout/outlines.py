@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from metafab.core.numerics import compiled
 from metafab.spec import Design
+from metafab.spec.cell import CellGeometry
 
 IntArray = NDArray[np.int64]
 Shape = Literal["rectangle", "rounded", "ellipse", "cross"]
@@ -46,7 +47,11 @@ class Outline:
     @classmethod
     def of(cls, design: Design) -> Outline:
         """The outline of a design's pillars."""
-        cell, unit_nm = design.unit_cell.cell, design.mask.database_unit_nm
+        return cls.of_cell(design.unit_cell.cell, design.mask.database_unit_nm)
+
+    @classmethod
+    def of_cell(cls, cell: CellGeometry, unit_nm: float) -> Outline:
+        """The outline of a unit cell's pillars on a grid."""
         radius_dbu = (cell.corner_radius_nm or 0.0) / unit_nm
         return cls("rounded" if radius_dbu else cell.shape, unit_nm, radius_dbu)
 

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from metafab.core.conventions import POLARISATIONS
 from metafab.core.forked import shared
 from metafab.core.progress import Progress
+from metafab.layout import Outline
 from metafab.report import figures
 from metafab.report.accounts import budget_of, chain_of, depths_against_truth, modulation_of, seconds_of
 from metafab.report.mask_picture import picture_of
@@ -136,11 +137,15 @@ def _design(run: RunFolder) -> Iterator[Plan]:
     lens = partial(figures.fill_map, picture.fill, picture.half_side_um, marks_um=picture.frames_um())
     yield Plan("mask", "Pillar coverage over the whole mask", lens, (4.0, 3.4), PICTURE)
     wide, close = picture.zooms
+    unit_nm = run.pillars.lattice.database_unit_nm
+    outline = (
+        Outline("rectangle", unit_nm) if run.library is None else Outline.of_cell(run.library.unit_cell.cell, unit_nm)
+    )
     if wide.size:
-        paint = partial(figures.pillar_rectangles, wide, title="A region")
+        paint = partial(figures.pillar_outlines, wide, title="A region", outline=outline)
         yield Plan("mask_wide", "Pillars of a region", paint, (4.0, 3.4))
     if close.size:
-        paint = partial(figures.pillar_rectangles, close, title="Single pillars", label_nearest=True)
+        paint = partial(figures.pillar_outlines, close, title="Single pillars", outline=outline, label_nearest=True)
         yield Plan("mask_close", "Single pillars with their sizes", paint, (4.0, 3.4))
 
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from metafab.layout.outlines import Outline, Shape
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
 from metafab.report import benchmark_page, figures, html, library_figure
@@ -201,3 +202,15 @@ def test_global_state_stays_as_it_was(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("shape", ["rectangle", "ellipse", "cross"])
+def test_mask_zoom_draws_the_outlines_of_the_file(shape: Shape) -> None:
+    outline = Outline(shape, 0.5)
+    pillars = np.array([[0.0, 0.0, 0.2, 0.1], [0.35, -0.35, 0.12, 0.12]])
+    _, axes = panel((3.0, 3.0))
+    figures.pillar_outlines(pillars, axes, "Single pillars", outline=outline, label_nearest=True)
+    drawn, *_ = (patch.get_path() for patch in axes.patches)
+    expected = [outline.vertices(400, 200) * 5e-4, outline.vertices(240, 240) * 5e-4 + [0.35, -0.35]]
+    assert np.allclose(drawn.vertices, np.concatenate(expected), atol=1e-12)
+    assert axes.get_title(loc="right") in {"200 × 100 nm", "120 × 120 nm"}

@@ -25,7 +25,7 @@ from metafab.report.figures.comparison import rival_depth_errors, rival_sharpnes
 from metafab.report.figures.fullwave import patch_amplitude, patch_phase
 from metafab.report.figures.image import confidence, contrast, depth, depth_against_truth, intensity, raw_frame
 from metafab.report.figures.library import coverage, error_map, phase_map, sensitivity_map, transmittance_map
-from metafab.report.figures.mask import fill_map, pillar_rectangles
+from metafab.report.figures.mask import fill_map, pillar_outlines
 from metafab.report.figures.phases import aperture_phase
 from metafab.report.figures.psf import (
     depth_bias,
@@ -80,7 +80,7 @@ __all__ = [
     "patch_phase",
     "peak",
     "phase_map",
-    "pillar_rectangles",
+    "pillar_outlines",
     "proposals",
     "proposed_orientation",
     "raw_frame",

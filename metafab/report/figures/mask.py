@@ -1,13 +1,14 @@
-"""The written pillars at three zooms: the lens as a grey map, then rectangles."""
+"""The written pillars at three zooms: the lens as a grey map, then outlines."""
 
 from __future__ import annotations
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import PathPatch, Rectangle
+from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
 from metafab.core.conventions import FloatArray
+from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.report.style import GOOD, HAIRLINE, INK, SHARE_MAP, X_COLOUR, bare, colour_bar, dress, scale_bar, show_map
 
 
@@ -36,27 +37,26 @@ def fill_map(fill: FloatArray, half_side_um: tuple[float, float], axes: Axes, ma
     return axes
 
 
-def pillar_rectangles(rectangles_um: FloatArray, axes: Axes, title: str, *, label_nearest: bool = False) -> Axes:
-    """Pillars as the rectangles of the file.
+def pillar_outlines(
+    rectangles_um: FloatArray, axes: Axes, title: str, *, outline: Outline = RECTANGLE, label_nearest: bool = False
+) -> Axes:
+    """Pillars as the rectangles or polygons of the file.
 
     Args:
         rectangles_um: shape (n, 4), (x, y) of each centre, width and length.
         axes: where to draw.
         title: what is shown.
+        outline: what sizes are drawn as.
         label_nearest: mark the pillar nearest to the middle and write its width x length above.
     """
-    x, y, half_w, half_l = rectangles_um[:, 0], rectangles_um[:, 1], rectangles_um[:, 2] / 2, rectangles_um[:, 3] / 2
-    corners = np.stack(
-        [
-            np.stack([x - half_w, y - half_l], axis=1),
-            np.stack([x + half_w, y - half_l], axis=1),
-            np.stack([x + half_w, y + half_l], axis=1),
-            np.stack([x - half_w, y + half_l], axis=1),
-        ],
-        axis=1,
-    )
+    x, y = rectangles_um[:, 0], rectangles_um[:, 1]
+    unit_um = outline.database_unit_nm * 1e-3
+    paths = [
+        Path(np.array([place]) + outline.vertices(*size) * unit_um, closed=False)
+        for place, size in zip(rectangles_um[:, :2], np.rint(rectangles_um[:, 2:] / unit_um).astype(int), strict=True)
+    ]
     # One outline for all: as fast as a picture, and it follows the page's theme.
-    axes.add_patch(PathPatch(Path.make_compound_path_from_polys(corners), facecolor=GOOD, linewidth=0.0))
+    axes.add_patch(PathPatch(Path.make_compound_path(*paths), facecolor=GOOD, linewidth=0.0))
     dress(axes, "x / µm", "y / µm", title)
     axes.set(xlim=(x.min() - 0.2, x.max() + 0.2), ylim=(y.min() - 0.2, y.max() + 0.2), aspect="equal")
     for spine in axes.spines.values():
@@ -64,9 +64,7 @@ def pillar_rectangles(rectangles_um: FloatArray, axes: Axes, title: str, *, labe
         spine.set_color(HAIRLINE)
     if label_nearest and x.size:
         nearest = int(np.argmin((x - x.mean()) ** 2 + (y - y.mean()) ** 2))
-        text = f"{2e3 * half_w[nearest]:g} × {2e3 * half_l[nearest]:g} nm"
-        axes.add_patch(
-            Rectangle(tuple(corners[nearest, 0]), 2 * half_w[nearest], 2 * half_l[nearest], color=X_COLOUR, lw=0)
-        )
+        text = "{:g} × {:g} nm".format(*(1e3 * rectangles_um[nearest, 2:]).tolist())
+        axes.add_patch(PathPatch(paths[nearest], color=X_COLOUR, lw=0))
         axes.set_title(text, fontsize=9, color=X_COLOUR, loc="right", pad=7)
     return axes
