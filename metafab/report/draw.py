@@ -133,14 +133,14 @@ def _design(run: RunFolder) -> Iterator[Plan]:
             yield Plan(f"phase_{p}", f"Target phase over the aperture, {p} polarisation", paint, (4.0, 3.4), PICTURE)
     if run.pillars is None:
         return
-    picture = picture_of(run.pillars)
+    unit_nm = run.pillars.lattice.database_unit_nm
+    outline = Outline("rectangle", unit_nm)
+    if run.library is not None:
+        outline = Outline.of_cell(run.library.unit_cell.cell, unit_nm)
+    picture = picture_of(run.pillars, outline)
     lens = partial(figures.fill_map, picture.fill, picture.half_side_um, marks_um=picture.frames_um())
     yield Plan("mask", "Pillar coverage over the whole mask", lens, (4.0, 3.4), PICTURE)
     wide, close = picture.zooms
-    unit_nm = run.pillars.lattice.database_unit_nm
-    outline = (
-        Outline("rectangle", unit_nm) if run.library is None else Outline.of_cell(run.library.unit_cell.cell, unit_nm)
-    )
     if wide.size:
         paint = partial(figures.pillar_outlines, wide, title="A region", outline=outline)
         yield Plan("mask_wide", "Pillars of a region", paint, (4.0, 3.4))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.core.conventions import FloatArray
+from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import PillarMap, PillarTile
 
 _MAP_PIXELS = 360
@@ -40,14 +41,15 @@ class MaskPicture:
         return [np.array([z[:, 0].min(), z[:, 0].max(), z[:, 1].min(), z[:, 1].max()]) for z in self.zooms if z.size]
 
 
-def picture_of(pillars: PillarMap) -> MaskPicture:
-    """Draw a pillar map from its tiles, in one pass."""
+def picture_of(pillars: PillarMap, outline: Outline = RECTANGLE) -> MaskPicture:
+    """Draw a pillar map from its tiles, in one pass; ``outline`` tells how much each size covers."""
     lattice = pillars.lattice
     n_y, n_x = lattice.shape
-    block = max(1, math.ceil(max(n_y, n_x) / _MAP_PIXELS))
-    area = np.prod(pillars.size_nm(), axis=1)
+    across = 2 if lattice.hexagonal else 1  # columns a pillar: a row of a hexagonal lattice fills every other one
+    block = across * max(1, math.ceil(max(n_y, n_x) / (across * _MAP_PIXELS)))
+    area = outline.area(pillars.size_dbu) * lattice.database_unit_nm**2
     covered = np.zeros((math.ceil(n_y / block), math.ceil(n_x / block)))
-    windows = [_window(lattice.shape, sites) for sites in _ZOOM_SITES]
+    windows = [_window(lattice.shape, (sites, across * sites)) for sites in _ZOOM_SITES]
     found: list[list[FloatArray]] = [[] for _ in windows]
     for tile in pillars.tiles():
         _add_blocks(covered, tile, area, block)
@@ -61,13 +63,13 @@ def picture_of(pillars: PillarMap) -> MaskPicture:
     return MaskPicture(covered, (float(half_x), float(half_y)), zooms, block)
 
 
-def _window(shape: tuple[int, int], sites: int) -> tuple[slice, slice]:
-    """Rows and columns of a square of sites at the place where all zooms look."""
+def _window(shape: tuple[int, int], sites: tuple[int, int]) -> tuple[slice, slice]:
+    """So many rows and columns at the place where all zooms look."""
     slices = []
-    for count, place in zip(shape, reversed(_LOOK_AT), strict=True):
-        start = round(0.5 * count * (1.0 + place)) - sites // 2
-        start = min(max(0, start), max(0, count - sites))
-        slices.append(slice(start, min(count, start + sites)))
+    for count, wanted, place in zip(shape, sites, reversed(_LOOK_AT), strict=True):
+        start = round(0.5 * count * (1.0 + place)) - wanted // 2
+        start = min(max(0, start), max(0, count - wanted))
+        slices.append(slice(start, min(count, start + wanted)))
     return slices[0], slices[1]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from metafab.layout.outlines import Outline, Shape
-from metafab.layout.pillars import PillarMap
+from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.library import Library
 from metafab.report import benchmark_page, figures, html, library_figure
 from metafab.report.accounts import chain_of, depths_against_truth, modulation_of
@@ -214,3 +214,17 @@ def test_mask_zoom_draws_the_outlines_of_the_file(shape: Shape) -> None:
     expected = [outline.vertices(400, 200) * 5e-4, outline.vertices(240, 240) * 5e-4 + [0.35, -0.35]]
     assert np.allclose(drawn.vertices, np.concatenate(expected), atol=1e-12)
     assert axes.get_title(loc="right") in {"200 × 100 nm", "120 × 120 nm"}
+
+
+def test_mask_picture_of_a_hexagonal_lattice_shows_as_many_pillars_of_their_own_area() -> None:
+    lattice = Lattice((380, 658), (61, 121), 0.5, hexagonal=True)
+    index = lattice.carries(np.arange(61), np.arange(121)).astype(np.uint16)
+    circle = Outline("ellipse", 0.5)
+    pillars = PillarMap.from_array(lattice, np.array([[0, 0], [300, 300]], dtype=np.int32), index, 40)
+    picture = picture_of(pillars, circle)
+    assert len(picture.zooms[1]) == 100
+    across, along = np.ptp(picture.zooms[1][:, :2], axis=0)
+    assert across == pytest.approx(along, rel=0.25)
+    # Each block of two columns and two rows holds two pillars: even grey, of the circle's own area.
+    share = np.pi / 4.0 * 300.0**2 / (380.0 * 658.0) / 2.0
+    assert picture.fill[:-1, :-1] == pytest.approx(share, rel=0.01)
