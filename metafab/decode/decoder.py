@@ -166,8 +166,8 @@ class Decoder:
         started = time.perf_counter() if started is None else started
         every, shape = self.filters.reduction.every, self.calibration.grid.shape
         with ThreadPoolExecutor(1) as beside:
-            lit = repeated(lit_about(seen), every, shape)
-            tiles = beside.submit(self.restorer.transformed, seen.twins.image, lit)
+            anew = lit_about(seen) if last is None or changed is None else lit_about(seen) & changed
+            tiles = beside.submit(self.restorer.transformed, seen.twins.image, repeated(anew, every, shape))
             pixels = textured_pixels(seen, volume)
             regions = find_regions(seen, volume, pixels)
         sharp = sharpened(seen, regions, self.restorer, tiles.result(), volume.vergences_per_m, changed, last)

@@ -152,8 +152,8 @@ def fitted_plane(cells: Cells) -> Plane | None:
 def _most_agreed(table: FloatArray, vergence: FloatArray, weight: FloatArray) -> FloatArray:
     """Of the planes through three cells each, the one with the least median distance: a third may be outliers."""
     rng = np.random.default_rng(0)
-    picks = np.array([rng.choice(vergence.size, 3, replace=False) for _ in range(_TRIPLES)])
-    corners = table[picks]
+    picks = rng.integers(0, vergence.size, (_TRIPLES, 3))
+    corners = table[picks]  # one that is picked twice makes no plane, and is left out with the others that are narrow
     good = np.abs(np.linalg.det(corners)) > 0.1 * np.ptp(table[:, 1]) * np.ptp(table[:, 2])
     if not good.any():
         return np.array([float(np.median(vergence)), 0.0, 0.0])
