@@ -37,7 +37,7 @@ def benchmark_page(rows: Sequence[Mapping[str, Any]], directory: Path) -> tuple[
         figure = _plot(own)
         name = f"benchmark_{room or 'all'}"
         plots.append(directory / f"{name}.png")
-        picture = html.figure(save_both(figure, plots[-1], f"Error against time, {room}"))
+        picture = html.wide(html.figure(save_both(figure, plots[-1], f"Error against time, {room}")))
         if len({row["photons"] for row in own if row.get("photons")}) > 1:
             light, axes = panel((7.4, 3.6), (0.7, 3.2, 0.52, 0.36))
             figures.error_against_photons(own, axes)
@@ -64,7 +64,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> str:
     keys = [key for key in dict.fromkeys([*_FIRST, *(key for row in rows for key in row)]) if key != "room"]
     kinds = ["n" if any(isinstance(row.get(key), int | float) for row in rows) else "" for key in keys]
     head = ["peak MB" if key == "peak_rss_mb" else html.number(key.replace("_", " ")) for key in keys]
-    return html.table(head, [[html.number(row.get(key)) for key in keys] for row in rows], kinds)
+    return html.table(head, [[html.number(row.get(key)) for key in keys] for row in rows], kinds, "named")
 
 
 def _page(content: str) -> str:
