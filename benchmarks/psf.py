@@ -105,6 +105,7 @@ def _errors(
             {
                 **cost,
                 "name": f"pair at {len(depths_m)} depths, {name}, target {target:g}",
+                "series": f"metafab, pair at {len(depths_m)} depths",
                 "error": float(np.max(errors)),
                 "error_x": float(np.max(errors[0])),
                 "error_y": float(np.max(errors[1])),
@@ -151,12 +152,16 @@ def _parts(
     whole_s = over_pillars["seconds"] + many["seconds"]
     goal_s = (WINDOW_GOAL_S.get(name, WINDOW_GOAL_OFF_AXIS_S)) if target == 1e-3 else None
     found = [
-        {**over_pillars, "name": f"pass over the pillars, {after}", "error": stated, "traced_mb": traced_mb,
-         "goal_s": PASS_GOAL_S, "goal_mb": PASS_GOAL_MB},
-        {**blind, "name": f"one window from blocks, {after}", "error": stated, "goal_s": goal_s},
-        {**first, "name": f"the same, the window's kernel built first, {after}", "error": stated, "goal_s": goal_s},
-        {**one, "name": f"one window from blocks with its error, {after}", "error": stated},
-        {**many, "name": f"pass and {len(stack_m)} depths with their errors, {after}", "error": worst,
+        {**over_pillars, "name": f"pass over the pillars, {after}", "series": "metafab, pass",
+         "error": stated, "traced_mb": traced_mb, "goal_s": PASS_GOAL_S, "goal_mb": PASS_GOAL_MB},
+        {**blind, "name": f"one window from blocks, {after}", "series": "metafab, one window",
+         "error": stated, "goal_s": goal_s},
+        {**first, "name": f"the same, the window's kernel built first, {after}",
+         "series": "metafab, first window", "error": stated, "goal_s": goal_s},
+        {**one, "name": f"one window from blocks with its error, {after}",
+         "series": "metafab, one window and its error", "error": stated},
+        {**many, "name": f"pass and {len(stack_m)} depths with their errors, {after}",
+         "series": f"metafab, pass and {len(stack_m)} depths", "error": worst,
          "seconds": whole_s, "goal_s": STACK_GOAL_S.get(target)},
     ]  # fmt: skip
     seconds = {"window": blind["seconds"], "pass": over_pillars["seconds"], "stack": many["seconds"]}
@@ -199,7 +204,9 @@ def _bands(source: WrittenField, imaging: Imaging, depth_m: float) -> list[dict[
             light = partial(_without_kernels, window.band_irradiance, pyramid, 0, tangent, [depth_m], 10.0, half)
             cost, (_, error) = _timed(light)
         name = f"one window in the light of 10 nm from blocks, target {target:g}"
-        found.append({**cost, "name": name, "error": float(error.max()), "goal_s": goal_s})
+        found.append(
+            {**cost, "name": name, "series": "metafab, filter of 10 nm", "error": float(error.max()), "goal_s": goal_s}
+        )
     return found
 
 
@@ -212,7 +219,8 @@ def _library(source: WrittenField, imaging: Imaging, stack_m: FloatArray, points
     wall_s = time.perf_counter() - start
     name = f"library of {points} x {points} directions, {len(stack_m)} depths, pair, and its basis at 1e-2"
     return [
-        {**cost, "name": name, "error": basis.error, "cpu_seconds": time.process_time() - begun,
+        {**cost, "name": name, "series": "metafab, library", "error": basis.error,
+         "cpu_seconds": time.process_time() - begun,
          "seconds": wall_s, "goal_s": LIBRARY_GOAL_S, "rank": basis.rank, "goal_rank": LIBRARY_GOAL_RANK}
     ]  # fmt: skip
 

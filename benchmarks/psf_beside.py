@@ -62,6 +62,9 @@ def peer_rows(quick: bool, ours: Sequence[dict[str, Any]]) -> list[dict[str, Any
                 continue
             own += [{**own[-1], **_scaled(own[-1], answer, lenses)} for answer in answers if "expected_um" in answer]
             own[-1] |= _ratios(own[-1], ours)
+            # A plot of error against time shows the largest lens alone, as its other rows do.
+            for row in own[:-1]:
+                row |= {"seconds_of_this_lens": row["seconds"], "seconds": None}
             table += own
     return table
 
