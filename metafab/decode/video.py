@@ -19,9 +19,10 @@ from metafab.decode.restore import Sharp
 from metafab.decode.seen import Seen
 from metafab.decode.volume import Volume
 
-#: Side of the window over which changes are pooled, and how many standard deviations of noise a change must pass.
+#: Side of the window over which changes are pooled, and how many standard deviations of noise a change must pass: its
+#: mean square has a longer tail than a Gaussian, and 6 of them let noise pass once in some dozen frames of 10^5 pixels.
 _WINDOW = 7
-_DEVIATIONS = 6.0
+_DEVIATIONS = 8.0
 _SMALLEST_NOISE = 0.05
 
 

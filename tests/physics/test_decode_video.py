@@ -55,6 +55,17 @@ def test_a_film_without_motion_is_exposures_of_one_scene(psf: Psf) -> None:
     assert change.std() == pytest.approx(np.sqrt(2.0 * first.frame[window][lit].mean()), rel=0.04)
 
 
+def test_noise_alone_is_no_change(psf: Psf) -> None:
+    """Eight standard deviations of a mean square of 49: by chance once in 10^9 windows."""
+    still = dataclasses.replace(SCENE, objects=(WALL,), frames=12)
+    decoder, shares = None, []
+    for frame in film(still, psf):
+        decoder = decoder or video(psf, frame)
+        decoder(frame)
+        shares.append(decoder.changed_share)
+    assert shares == [1.0] + [0.0] * 11
+
+
 def test_the_truth_of_a_moving_object(frames: list[RawFrame]) -> None:
     for number, frame in enumerate(frames):
         assert frame.truth is not None
