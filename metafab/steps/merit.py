@@ -70,9 +70,7 @@ def _transmitted(psf: Psf) -> np.ndarray:
     return np.array([float(psf.details[f"transmitted_{p}"]) for p in "xy"])
 
 
-def _loss_chain(
-    job: Job, written: Psf, ideal: Psf, passed: np.ndarray, ideally: np.ndarray
-) -> dict[str, Any]:
+def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: np.ndarray, ideally: np.ndarray) -> dict[str, Any]:
     """Where the light goes that is to pass the pinhole, at the depth nearest to the sharp one."""
     from metafab import optics
 
