@@ -66,12 +66,7 @@ class GdsiiReader:
     """
 
     def __init__(
-        self,
-        path: Path,
-        layer: tuple[int, int, int],
-        progress: Progress = silent,
-        *,
-        known: KnownShapes = RECTANGLES,
+        self, path: Path, layer: tuple[int, int, int], progress: Progress = silent, *, known: KnownShapes = RECTANGLES
     ) -> None:
         self._path = path
         self._known = known
