@@ -47,8 +47,8 @@ def seconds_estimate(target_error: float, cell: PillarCell = _SAMPLE) -> float:
     """Processor time of one certified pillar of the kind of ``cell``.
 
     That of the first two truncations of its climb, which serve most pillars, of the first four where the certificate
-    has no measured claims, and of nearly all where it goes by a power law. The steps of a sloped pillar are counted on ``cell`` itself, at a low truncation. Resonant
-    pillars of a high index take up to five times as long.
+    has no measured claims, and of nearly all where it goes by a power law. The steps of a sloped pillar are counted on
+    ``cell`` itself, at a low truncation. Resonant pillars of a high index take up to five times as long.
     """
     numerics = CellNumerics(target_error)
     steps = slicing(cell, numerics).steps
