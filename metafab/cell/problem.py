@@ -73,7 +73,7 @@ def pillar_cell(
         sidewall_angle_deg=unit_cell.cell.sidewall_angle_deg or 90.0,
         sizes_at=unit_cell.cell.sizes_at or "middle",
         is_staggered=unit_cell.cell.is_hexagonal,
-        shape=unit_cell.cell.shape,
+        shape="ellipse" if unit_cell.cell.shape == "circle" else unit_cell.cell.shape,
         corner_radius_nm=unit_cell.cell.corner_radius_nm or 0.0,
     )
     check(cell)

@@ -53,7 +53,8 @@ class Outline:
     def of_cell(cls, cell: CellGeometry, unit_nm: float) -> Outline:
         """The outline of a unit cell's pillars on a grid."""
         radius_dbu = (cell.corner_radius_nm or 0.0) / unit_nm
-        return cls("rounded" if radius_dbu else cell.shape, unit_nm, radius_dbu)
+        shape: Shape = "ellipse" if cell.shape == "circle" else cell.shape
+        return cls("rounded" if radius_dbu else shape, unit_nm, radius_dbu)
 
     @property
     def is_rectangle(self) -> bool:

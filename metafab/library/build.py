@@ -151,12 +151,13 @@ def _library(
     corners: Corners | None,
     seconds: float,
 ) -> Library:
-    """Values of all sizes: the solver's where it was asked, the model's elsewhere."""
+    """Values of all sizes: the solver's where it was asked, the model's elsewhere; NaN where there is neither."""
     model = None if between.models is None else between.models.best
     values, is_solved = _on_grid(grid, outcome)
     certificate, around = stated(grid, fine, outcome, between)
     if model is not None:
         values = np.where(is_solved, values, model.on_grid(grid.width_nm, grid.length_nm))
+    values[:, np.isnan(certificate)] = np.nan
     error = certificate + np.where(is_solved, 0.0, between.model_error)
     t_xx, t_yy, r_xx, r_yy = values[:, None]
     around = around + between.between_error
@@ -182,12 +183,12 @@ def _library(
     library.details.update(
         points_solved=len(points),
         points_between=len(between.solved),
-        points_total=grid.size,
-        max_error=float(error.max()),
+        points_total=int(np.count_nonzero(np.isfinite(error))),
+        max_error=float(np.nanmax(error)),
         sizes_beyond_target=int(np.count_nonzero(error > unit_cell.sweep.target_error)),
-        max_solver_error=float(certificate.max()),
+        max_solver_error=float(np.nanmax(certificate)),
         max_model_error=float(np.max(between.model_error, where=~is_solved, initial=0.0)),
-        max_between_error=float(around.max()),
+        max_between_error=float(np.nanmax(around)),
         held_out_error=outcome.held_out_error,
         held_out=outcome.held_out.size,
         rounds=outcome.rounds,

@@ -97,7 +97,9 @@ def check(
     width_nm = rng.uniform(library.width_nm[0], library.width_nm[-1], samples)
     length_nm = rng.uniform(library.length_nm[0], library.length_nm[-1], samples)
     if library.model is None:
-        width_nm, length_nm = rng.choice(library.width_nm, samples), rng.choice(library.length_nm, samples)
+        row, column = np.nonzero(library.known)
+        drawn = rng.integers(row.size, size=samples)
+        width_nm, length_nm = library.width_nm[column[drawn]], library.length_nm[row[drawn]]
         stated = library.at_sizes(width_nm, length_nm)
     else:
         stated = library.surface(width_nm, length_nm)

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from metafab.cell import PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray
@@ -54,7 +54,8 @@ class Library:
         width_nm: shape (n_width,), ascending.
         length_nm: shape (n_length,), ascending.
         t_xx: shape (n_wavelength, n_length, n_width); likewise ``t_yy``, ``r_xx``, ``r_yy``.
-        error: shape (n_length, n_width) or with a leading wavelength axis; solver and interpolation together.
+        error: shape (n_length, n_width) or with a leading wavelength axis; solver and interpolation together. NaN, like
+            the amplitudes, at sizes that are not made (:attr:`known`).
         inputs_sha256: fingerprint of what it was built from.
         details: figures of the build (points solved, held-out error, ...), the same wherever it ran.
         spent: what the build took (seconds, solver_ms_per_point); empty for a library that was loaded.
@@ -81,6 +82,11 @@ class Library:
     corners: Corners | None = None
     corner: Corner = field(default_factory=dict)
     spent: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def known(self) -> NDArray[np.bool_]:
+        """Which sizes are made, shape (n_length, n_width): all, or of circles those as wide as long."""
+        return np.asarray(np.isfinite(np.broadcast_to(self.error, self.t_xx.shape)[0]))
 
     def at(self, **axes: float) -> Library:
         """The same sizes at other values of the library's axes: ``library.at(wavelength_nm=803.0, cd_bias_nm=2.0)``.
@@ -120,6 +126,9 @@ class Library:
         column = _index(self.width_nm, np.asarray(width_nm, dtype=np.float64), "width_nm")
         row = _index(self.length_nm, np.asarray(length_nm, dtype=np.float64), "length_nm")
         error = np.broadcast_to(self.error, self.t_xx.shape)[0]
+        if not np.all(self.known[row, column]):
+            got = "a width that is not the length"
+            raise InputError.single("library", "width_nm, length_nm", "diameters of circles", got)
         return SizeResponse(self.t_xx[0, row, column], self.t_yy[0, row, column], error[row, column])
 
 

@@ -139,7 +139,7 @@ def build_size_table(
     """
     if cells < 2 or cells & (cells - 1):
         raise ValueError(f"`cells`: expected a power of two from 2, got {cells}")
-    known = np.broadcast_to(library.error, library.t_xx.shape)[0] <= max_error
+    known = library.known & (np.broadcast_to(library.error, library.t_xx.shape)[0] <= max_error)
     if isotropic:
         known = known & isotropic_sizes(library)
     row, column = _admitted(library, max_width_nm, max_length_nm, min_feature_nm, known)
@@ -206,13 +206,22 @@ def phase_slope_per_nm(library: Library) -> FloatArray:
     """
     slope = np.zeros((*library.t_xx.shape[1:], 2))
     for channel, t in enumerate((library.t_xx[0], library.t_yy[0])):
+        if not library.known.all():  # circles, which grow along the diagonal
+            across = t.diagonal()
+            turned = np.diag(_turn(_gradient(across, library.width_nm, 0), across))
+            slope[..., channel] = np.where(library.known, turned, np.nan)
+            continue
         turning = np.zeros_like(t)
         for axis, size_nm in enumerate((library.length_nm, library.width_nm)):
             if size_nm.size > 1:
                 turning += _gradient(t, size_nm, axis)
-        # Im(t' / t); where |t| vanishes the phase is undefined and the slope is left finite, but huge.
-        slope[..., channel] = (turning * np.conj(t)).imag / np.maximum(np.abs(t) ** 2, 1e-12)
+        slope[..., channel] = _turn(turning, t)
     return slope
+
+
+def _turn(change: ComplexArray, t: ComplexArray) -> FloatArray:
+    """Im(t' / t); where |t| vanishes the phase is undefined and the slope is left finite, but huge."""
+    return np.asarray((change * np.conj(t)).imag / np.maximum(np.abs(t) ** 2, 1e-12))
 
 
 def empty_cell_t(unit_cell: UnitCell) -> ComplexArray:

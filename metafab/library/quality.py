@@ -41,13 +41,13 @@ def quality(library: Library) -> dict[str, float]:
         error); ``cd_phase_rms_rad``: rms phase change of these sizes when both sides grow by 5 nm (for -5 nm it is
         the same with the other sign, to first order).
     """
-    t_all = _flat(library.t_xx[0], library.t_yy[0])
+    t_all = _flat(library)
     index, overlap = best_overlap(t_all, CELLS)
     chosen = index.astype(np.intp) - 1
     phase = 2.0 * math.pi * np.arange(CELLS) / CELLS
     targets = np.stack(np.broadcast_arrays(phase[None, :], phase[:, None]), axis=-1)
     error_rad = wrap_phase(np.angle(t_all[chosen]) - targets)
-    slope = phase_slope_per_nm(library).reshape(-1, 2)[chosen]
+    slope = phase_slope_per_nm(library)[library.known][chosen]
     transmittance = _transmittance(library, t_all)
     hole_rad, hole = _worst_hole(_calm(library), targets)
     # |t| of a perfect pillar differs from 1 by the impedances of the half spaces.
@@ -66,9 +66,9 @@ def quality(library: Library) -> dict[str, float]:
     }
 
 
-def _flat(x: ComplexArray, y: ComplexArray) -> ComplexArray:
-    """Both polarisations of every size: shape (n_sizes, 2)."""
-    return np.stack([x.ravel(), y.ravel()], axis=-1)
+def _flat(library: Library) -> ComplexArray:
+    """Both polarisations of every size that is made: shape (n_sizes, 2)."""
+    return np.stack([library.t_xx[0][library.known], library.t_yy[0][library.known]], axis=-1)
 
 
 def _transmittance(library: Library, t: ComplexArray) -> FloatArray:
@@ -83,7 +83,7 @@ def _transmittance(library: Library, t: ComplexArray) -> FloatArray:
 
 def _calm(library: Library) -> ComplexArray:
     """The sizes that transmit well in both polarisations: shape (n, 2)."""
-    t = _flat(library.t_xx[0], library.t_yy[0])
+    t = _flat(library)
     return t[np.all(_transmittance(library, t) >= LEAST_TRANSMITTANCE, axis=-1)]
 
 

@@ -128,7 +128,7 @@ class Outcome:
 
 def sample(grid: SizeGrid, solve_sizes: PointSolver, tolerance: float) -> Outcome:
     """Solve sizes until the model's error estimate is within the tolerance at every other size."""
-    batch = grid.even_order[:FIRST_ROUND]
+    batch = grid.even_order if grid.diagonal else grid.even_order[:FIRST_ROUND]
     solved = solve_sizes(batch, batch.size)
     judges, left, factor, rounds = batch[-(batch.size // 4) :], 0, 1.0, 1
     while len(solved) < grid.distinct.size:

@@ -30,18 +30,21 @@ class SizeGrid:
         width_nm: shape (n_width,), ascending.
         length_nm: shape (n_length,), ascending.
         exchange: whether t_xx(W, L) = t_yy(L, W) holds on the grid.
+        diagonal: whether only sizes as wide as long are made (circles).
     """
 
     width_nm: FloatArray
     length_nm: FloatArray
     exchange: bool
+    diagonal: bool = False
 
     @classmethod
     def of(cls, unit_cell: UnitCell) -> SizeGrid:
         """The grid of a unit cell's sweep."""
         sweep = unit_cell.sweep
         exchange = unit_cell.is_square and sweep.width_nm == sweep.length_nm
-        return cls(_axis(sweep, sweep.width_nm), _axis(sweep, sweep.length_nm), exchange)
+        diagonal = unit_cell.cell.shape == "circle"
+        return cls(_axis(sweep, sweep.width_nm), _axis(sweep, sweep.length_nm), exchange, diagonal)
 
     @property
     def size(self) -> int:
@@ -53,6 +56,8 @@ class SizeGrid:
         """Numbers of the points to choose from, ascending."""
         number = np.arange(self.size)
         row, column = np.divmod(number, self.width_nm.size)
+        if self.diagonal:
+            return np.asarray(number[column == row])
         return number[column <= row] if self.exchange else number
 
     @cached_property
@@ -60,8 +65,11 @@ class SizeGrid:
         """All distinct points, in an order whose beginnings fill the plane evenly, denser towards the edges.
 
         The density is that of Chebyshev points, for which polynomial least squares is well conditioned. The
-        corners come first: nothing is extrapolated.
+        corners come first: nothing is extrapolated. Of a diagonal, which no model over the plane can follow, the order
+        does not matter.
         """
+        if self.diagonal:
+            return self.distinct
         n_length, n_width = self.length_nm.size, self.width_nm.size
         k = np.arange(8 * self.size)
         u = np.mod(0.5 + k / _PLASTIC, 1.0)
@@ -78,7 +86,7 @@ class SizeGrid:
         width_nm, length_nm = (
             np.linspace(axis[0], axis[-1], (axis.size - 1) * parts + 1) for axis in (self.width_nm, self.length_nm)
         )
-        return SizeGrid(width_nm, length_nm, self.exchange)
+        return SizeGrid(width_nm, length_nm, self.exchange, self.diagonal)
 
     def sizes_nm(self, number: IndexArray) -> tuple[FloatArray, FloatArray]:
         """Width and length of points."""

@@ -55,8 +55,11 @@ class Surface:
         """Sample a library's model finely enough; without a model, its grid as it is.
 
         Raises:
-            InputError: the library has fewer than four widths or lengths.
+            InputError: the library has fewer than four widths or lengths, or none but circles.
         """
+        if not library.known.all():
+            expected = "a library of widths and lengths, which is continuous in both"
+            raise InputError.single("library", "cell.shape", expected, "circles", "ask for sizes of the grid")
         if min(library.width_nm.size, library.length_nm.size) < 4:
             got = f"{library.width_nm.size} widths and {library.length_nm.size} lengths"
             raise InputError.single("library", "sweep", "at least 4 sizes a side", got, "sweep a range of sizes")

@@ -167,7 +167,8 @@ def _best_overlap(written: WrittenField, target_rad: FloatArray, library: Librar
     size_nm = written.pillars.size_nm()[1:]
     axes = [_fine_axis(size_nm[:, axis], min(library.width_nm.size, library.length_nm.size)) for axis in (0, 1)]
     width, length = np.meshgrid(*axes)
-    fine = library.surface(width, length) if min(a.size for a in axes) > 1 else library.at_sizes(*size_nm.T)
+    continuous = min(a.size for a in axes) > 1 and library.known.all()
+    fine = library.surface(width, length) if continuous else library.at_sizes(*size_nm.T)
     t = np.stack([fine.t_xx.ravel(), fine.t_yy.ravel()], axis=1)
     parts = np.stack([t[:, 0].real, t[:, 0].imag, t[:, 1].real, t[:, 1].imag], axis=1)
     square = (parts**2).sum(axis=1)

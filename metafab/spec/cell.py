@@ -79,13 +79,14 @@ class CellGeometry:
     pillar narrows upwards. ``sizes_at`` says where on its height widths and lengths are meant, the middle if not given.
     ``film`` lists closed films between substrate and pillars, from the substrate on, and ``cap`` layers on each pillar,
     from the pillar on, with its outline and the ambient around them; none if not given.
-    ``shape`` is the cross-section within width and length: a rectangle, an ellipse (a circle where both are equal), or
-    a cross, the rectangle together with itself turned by 90 degrees. ``corner_radius_nm`` rounds a rectangle's corners.
+    ``shape`` is the cross-section within width and length: a rectangle, an ellipse, a circle (width and length are
+    equal, and only such sizes are swept), or a cross, the rectangle together with itself turned by 90 degrees.
+    ``corner_radius_nm`` rounds a rectangle's corners.
     """
 
     period_nm: tuple[Positive, Positive]
     height_nm: Positive
-    shape: Literal["rectangle", "ellipse", "cross"] = "rectangle"
+    shape: Literal["rectangle", "ellipse", "circle", "cross"] = "rectangle"
     sidewall_angle_deg: SidewallAngle | None = None
     sizes_at: Literal["bottom", "middle", "top"] | None = None
     film: tuple[Layer, ...] | None = None
@@ -244,6 +245,16 @@ class UnitCell:
             largest = getattr(self.sweep, name)[1]
             if largest > period:
                 raise ValueError(f"`sweep.{name}` reaches {largest} nm, beyond `cell.period_nm` of {period} nm")
+        return self
+
+    @model_validator(mode="after")
+    def _round(self) -> UnitCell:
+        if self.cell.shape != "circle":
+            return self
+        if self.sweep.width_nm != self.sweep.length_nm:
+            raise ValueError("`sweep.length_nm` of circles must equal `sweep.width_nm`: both are the diameter")
+        if self.sweep.axes is not None and self.sweep.axes.asked:
+            raise ValueError("`sweep.axes` are modelled over width and length; of circles, build a library each")
         return self
 
     @model_validator(mode="after")

@@ -35,6 +35,8 @@ _RIDGE_TRANSMITTANCE = 0.5
 def phase_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
     """Transmission phase over width and length; lines ring the resonances, where less than half passes."""
     phase = np.angle(_t(library, polarisation))
+    if not library.known.all():
+        return _along_diameter(library, axes, phase, f"Phase of t, {polarisation} polarisation", "phase / rad")
     image = show_map(axes, phase, _extent(library), cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
     _ridges(library, axes, polarisation, "#ffffff")
     colour_bar(image, axes, "phase / rad", _PI_TICKS, _PI_LABELS)
@@ -44,6 +46,9 @@ def phase_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
 def transmittance_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
     """Zero-order power transmittance over width and length; lines ring the resonances."""
     share = transmittance(library, polarisation)
+    if not library.known.all():
+        title = f"Transmittance, {polarisation} polarisation"
+        return _along_diameter(library, axes, share, title, "transmittance")
     image = show_map(axes, share, _extent(library), cmap=SHARE_MAP, vmin=0.0, vmax=1.0)
     _ridges(library, axes, polarisation, "#ffffff")
     colour_bar(image, axes, "transmittance")
@@ -53,6 +58,8 @@ def transmittance_map(library: Library, axes: Axes, polarisation: Polarisation) 
 def error_map(library: Library, axes: Axes) -> Axes:
     """Error bound of |t| over width and length, on a logarithmic scale."""
     error = np.broadcast_to(library.error, library.t_xx.shape)[0]
+    if not library.known.all():
+        return _along_diameter(library, axes, error, "Error of every diameter", "absolute error of t")
     positive = error[error > 0.0]
     high = float(positive.max()) if positive.size else 1e-6
     low = min(float(positive.min()) if positive.size else high, 0.1 * high)  # at least a decade, for readable ticks
@@ -66,6 +73,9 @@ def sensitivity_map(library: Library, axes: Axes, polarisation: Polarisation) ->
     """How far the phase turns when width and length grow together by 5 nm, to first order; clipped at pi."""
     slope = phase_slope_per_nm(library)[..., 0 if polarisation == "x" else 1]
     turn = np.minimum(np.abs(CD_BIAS_NM * slope), math.pi)
+    if not library.known.all():
+        title = f"Turn by ±{CD_BIAS_NM:g} nm of CD, {polarisation} polarisation"
+        return _along_diameter(library, axes, turn, title, "phase turn / rad")
     image = show_map(axes, turn, _extent(library), cmap=ERROR_MAP, vmin=0.0, vmax=math.pi)
     colour_bar(image, axes, "phase turn / rad", (0.0, math.pi / 2, math.pi), ("0", "π/2", "≥ π"))
     return _dress_map(axes, f"Turn by ±{CD_BIAS_NM:g} nm of CD, {polarisation} polarisation", polarisation)
@@ -122,6 +132,12 @@ def _ridges(library: Library, axes: Axes, polarisation: Polarisation, colour: st
         axes.contour(
             library.width_nm, library.length_nm, share, [_RIDGE_TRANSMITTANCE], colors=colour, linewidths=0.8, alpha=0.9
         )
+
+
+def _along_diameter(library: Library, axes: Axes, values: FloatArray, title: str, label: str) -> Axes:
+    """What a library of circles has, along its one size."""
+    axes.plot(library.width_nm, values.diagonal(), ".-", color=INK, lw=1.0, ms=4)
+    return dress(axes, "diameter / nm", label, title)
 
 
 def _dress_map(axes: Axes, title: str, polarisation: Polarisation | None = None) -> Axes:

@@ -1,0 +1,101 @@
+"""A library of circles has one size: what is made is known to its error, what is not is refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from metafab import library
+from metafab.core.errors import InputError
+from metafab.library import Library, build_size_table
+from metafab.library.lookup import phase_slope_per_nm
+from metafab.report.figures import library as figures
+from metafab.spec import UnitCell, load_unit_cell
+
+NITRIDE = Path(__file__).parents[2] / "unitcell_lib" / "sin_circles_633nm.toml"
+DIAMETERS_NM = np.linspace(100.0, 160.0, 7)
+
+
+@pytest.fixture(scope="module")
+def unit_cell() -> UnitCell:
+    """Seven diameters of the example's cell."""
+    cell = load_unit_cell(NITRIDE)
+    sweep = replace(cell.sweep, width_nm=(100.0, 160.0), length_nm=(100.0, 160.0), size_grid_nm=10.0)
+    return replace(cell, sweep=sweep)
+
+
+@pytest.fixture(scope="module")
+def circles(unit_cell: UnitCell) -> Library:
+    return library.build(unit_cell)
+
+
+def test_only_diameters_are_solved_and_both_polarisations_answer_alike(circles: Library) -> None:
+    assert circles.details["points_solved"] == circles.details["points_total"] == 7
+    assert np.array_equal(circles.known, np.eye(7, dtype=bool))
+    t = circles.t_xx[0].diagonal()
+    np.testing.assert_allclose(t, circles.t_yy[0].diagonal(), atol=1e-12)
+    assert np.all(np.isnan(circles.t_xx[0][~circles.known]))
+    assert float(circles.details["max_error"]) <= circles.unit_cell.sweep.target_error
+    # A wider post is optically longer.
+    assert np.all(np.diff(np.unwrap(np.angle(t))) > 0.0)
+
+
+def test_it_survives_its_file_and_holds_against_a_finer_solution(circles: Library, tmp_path: Path) -> None:
+    library.save(circles, tmp_path / "circles.h5")
+    again = library.load(tmp_path / "circles.h5")
+    np.testing.assert_array_equal(again.t_xx, circles.t_xx)
+    result = library.check(again, samples=3)
+    assert result.verdict == "holds"
+    assert all(size.width_nm == size.length_nm for size in result.sizes)
+
+
+def test_figures_of_merit_are_those_of_the_diameters(circles: Library) -> None:
+    found = library.quality(circles)
+    assert all(map(math.isfinite, found.values()))
+    slope = phase_slope_per_nm(circles)[3, 3, 0]
+    ends = np.unwrap(np.angle(circles.t_xx[0].diagonal()))
+    assert slope == pytest.approx((ends[4] - ends[2]) / 20.0, rel=0.05)
+
+
+def test_a_layout_gets_circles_and_nothing_else(circles: Library) -> None:
+    table = build_size_table(circles, database_unit_nm=0.5, cells=32)
+    assert np.array_equal(0.5 * table.size_dbu[1:], np.repeat(DIAMETERS_NM[:, None], 2, axis=1))
+    assert np.isfinite(table.t).all()
+    with pytest.raises(InputError, match="diameters of circles"):
+        circles.at_sizes(110.0, 120.0)
+    with pytest.raises(InputError, match="continuous in both"):
+        circles.surface(110.0, 120.0)
+
+
+def test_what_is_shown_runs_over_the_diameter(circles: Library) -> None:
+    figure, axes = plt.subplots(1, 5)
+    figures.phase_map(circles, axes[0], "x")
+    figures.transmittance_map(circles, axes[1], "y")
+    figures.error_map(circles, axes[2])
+    figures.sensitivity_map(circles, axes[3], "x")
+    figures.coverage(circles, axes[4])
+    for each in axes[:4]:
+        assert each.get_xlabel() == "diameter / nm"
+        np.testing.assert_array_equal(each.lines[0].get_xdata(), DIAMETERS_NM)
+        assert np.isfinite(each.lines[0].get_ydata()).all()
+    plt.close(figure)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("length_nm = [100.0, 280.0]", "length_nm = [100.0, 200.0]", "both are the diameter"),
+        ("[solver]", "[sweep.axes]\nheight_nm = [990.0, 1010.0]\n[solver]", "build a library each"),
+    ],
+)
+def test_sweeps_that_are_no_circles_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
+    text = NITRIDE.read_text()
+    assert old in text
+    (tmp_path / "cell.toml").write_text(text.replace(old, new))
+    with pytest.raises(InputError, match=said):
+        load_unit_cell(tmp_path / "cell.toml")
