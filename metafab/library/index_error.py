@@ -41,10 +41,12 @@ def index_phase_error_rad(library: Library, *, executor: Executor | None = None,
     sweep = unit_cell.sweep
     low, high = np.array([sweep.width_nm, sweep.length_nm]).T
     sizes = low + (high - low) * qmc.Halton(2, scramble=False).random(samples)
+    if not library.known.all():  # circles
+        sizes[:, 1] = sizes[:, 0]
     cells = [pillar_cell(unit_cell, float(width), float(length)) for width, length in sizes]
     raised = [replace(cell, n_pillar=cell.n_pillar + n_error) for cell in cells]
-    # A tenth of the target: the difference of two solutions is wanted.
-    solver = partial(_solve, CellNumerics(0.1 * sweep.target_error))
+    # The library's own target: what the truncation leaves is common to both and drops out of the difference.
+    solver = partial(_solve, CellNumerics(sweep.target_error))
     answers = list(in_order(executor or SerialExecutor(), solver, [*cells, *raised]))
     before, after = (np.array([np.diagonal(a.t) for a in part]) for part in (answers[:samples], answers[samples:]))
     return _phase_rms_rad(before, after)

@@ -89,7 +89,7 @@ def test_what_is_shown_runs_over_the_diameter(circles: Library) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("length_nm = [100.0, 280.0]", "length_nm = [100.0, 200.0]", "both are the diameter"),
+        ("length_nm = [100.0, 250.0]", "length_nm = [100.0, 200.0]", "both are the diameter"),
         ("[solver]", "[sweep.axes]\nheight_nm = [990.0, 1010.0]\n[solver]", "build a library each"),
     ],
 )
