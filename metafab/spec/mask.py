@@ -81,7 +81,8 @@ class Mask:
     while the gap and feature rules hold for what is drawn. ``tone`` "negative" exposes what stays; "positive" adds
     the write field on ``field_layer``, and the shop exposes field NOT pillars; "inverted" draws that very difference on
     ``field_layer`` in rectangles, five times as many shapes. ``flat`` puts every rectangle into the top cell, for
-    software that knows no cells; such files open far more slowly.
+    software that knows no cells; such files open far more slowly. The unit cell's ``corner_radius_nm`` is what exposure
+    and etch do to rectangles, unless ``draw_corners`` has the mask draw it.
     """
 
     formats: tuple[Literal["gds", "oas"], ...] = ("gds", "oas")
@@ -93,6 +94,7 @@ class Mask:
     tone: Literal["negative", "positive", "inverted"] = "negative"
     field_layer: Index = 2
     flat: bool = False
+    draw_corners: bool = False
     dose: Annotated[Dose | None, Field(description="omitted: one dose")] = None
     chip: Annotated[Chip | None, Field(description="omitted: the lens alone")] = None
     copies: Annotated[tuple[Copy, ...], Field(description="omitted: one lens in the middle")] = ()

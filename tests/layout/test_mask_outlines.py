@@ -34,7 +34,7 @@ def shaped(
     cell = replace(tiny_design.unit_cell.cell, **SHAPES[request.param])
     unit_cell = replace(tiny_design.unit_cell, cell=cell)
     device = replace(tiny_design.device, aperture_um=10.0)
-    mask_ = replace(tiny_design.mask, write_field_um=11.9)
+    mask_ = replace(tiny_design.mask, write_field_um=11.9, draw_corners=True)
     numerics = replace(tiny_design.numerics, tile_sites=17)
     design = replace(tiny_design, unit_cell=unit_cell, device=device, mask=mask_, numerics=numerics)
     return design, layout.assign(profile, _coarse(smooth_library, unit_cell), design)
@@ -165,3 +165,11 @@ def test_a_turned_cross_is_the_same_cross(tiny_design: Design, smooth_library: L
     size = mapped.pillars.size_dbu
     assert np.all(size[:, 0] >= size[:, 1])
     assert np.any(size[:, 0] > size[:, 1])
+
+
+def test_corners_that_fabrication_rounds_are_not_drawn(tiny_design: Design) -> None:
+    cell = replace(tiny_design.unit_cell.cell, corner_radius_nm=30.0)
+    printed = replace(tiny_design, unit_cell=replace(tiny_design.unit_cell, cell=cell))
+    drawn = replace(printed, mask=replace(printed.mask, draw_corners=True))
+    assert Outline.of(printed).is_rectangle
+    assert Outline.of(drawn).shape == "rounded"

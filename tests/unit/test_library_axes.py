@@ -69,7 +69,8 @@ def test_a_cell_without_axes_is_written_as_before(unit_cell: UnitCell) -> None:
         ({"angle_x_deg": [-5.0, 5.0]}, "greater than or equal to 0"),
         ({"angle_x_deg": [0.0, 90.0]}, "largest below 90"),
         ({"angle_x_deg": [0.0, 5.0], "angle_y_deg": [0.0, 5.0]}, "not both"),
-        ({"corner_radius_nm": [0.0, 20.0]}, "known key"),
+        ({"corner_radius_nm": [5.0, 20.0]}, "must contain the cell's own 0"),
+        ({"roughness_nm": [0.0, 20.0]}, "known key"),
     ],
 )
 def test_axes_that_make_no_sense_are_refused(unit_cell: UnitCell, axes: dict[str, Any], message: str) -> None:
@@ -82,6 +83,7 @@ def test_a_corner_names_its_cell(unit_cell: UnitCell) -> None:
         "wavelength_nm": 803.0,
         "height_nm": 607.0,
         "sidewall_angle_deg": 88.0,
+        "corner_radius_nm": 12.0,
         "cd_bias_nm": -2.0,
         "pillar_n_shift": 0.01,
         "angle_x_deg": 4.0,
@@ -90,6 +92,7 @@ def test_a_corner_names_its_cell(unit_cell: UnitCell) -> None:
     assert (cell.width_nm, cell.length_nm, cell.height_nm, cell.wavelength_nm) == (148.0, 208.0, 607.0, 803.0)
     assert cell.n_pillar == pytest.approx(3.7041 + 0.0065j)
     assert (cell.sidewall_angle_deg, cell.angle_deg, cell.azimuth_deg) == (88.0, 4.0, 0.0)
+    assert cell.corner_radius_nm == 12.0
     assert corner_cell(unit_cell, 150.0, 210.0, {"angle_y_deg": 4.0}).azimuth_deg == 90.0
     at = corner_unit_cell(asking(unit_cell, **SPANS), corner)
     assert (at.illumination.wavelength_nm, at.cell.height_nm, at.sweep.axes) == (803.0, 607.0, None)
