@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from metafab.core.numerics import compiled
 from metafab.spec import Design
-from metafab.spec.cell import CellGeometry
 
 IntArray = NDArray[np.int64]
 Shape = Literal["rectangle", "rounded", "ellipse", "cross"]
@@ -47,11 +46,7 @@ class Outline:
     @classmethod
     def of(cls, design: Design) -> Outline:
         """The outline of a design's pillars; of rectangles whose corners fabrication rounds, these rectangles."""
-        return cls.of_cell(design.unit_cell.cell, design.mask.database_unit_nm)
-
-    @classmethod
-    def of_cell(cls, cell: CellGeometry, unit_nm: float) -> Outline:
-        """The outline of a unit cell's pillars on a grid."""
+        cell, unit_nm = design.unit_cell.cell, design.mask.database_unit_nm
         radius_dbu = (cell.corner_radius_nm or 0.0) / unit_nm if design.mask.draw_corners else 0.0
         shape: Shape = "ellipse" if cell.shape == "circle" else cell.shape
         return cls("rounded" if radius_dbu else shape, unit_nm, radius_dbu)

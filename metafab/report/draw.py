@@ -134,9 +134,7 @@ def _design(run: RunFolder) -> Iterator[Plan]:
     if run.pillars is None:
         return
     unit_nm = run.pillars.lattice.database_unit_nm
-    outline = Outline("rectangle", unit_nm)
-    if run.library is not None:
-        outline = Outline.of_cell(run.library.unit_cell.cell, unit_nm)
+    outline = Outline("rectangle", unit_nm) if run.design is None else Outline.of(run.design)
     picture = picture_of(run.pillars, outline)
     lens = partial(figures.fill_map, picture.fill, picture.half_side_um, marks_um=picture.frames_um())
     yield Plan("mask", "Pillar coverage over the whole mask", lens, (4.0, 3.4), PICTURE)
