@@ -39,8 +39,10 @@ _STEPS = ((4, 200_000), (3, 200_000), (2, 0))
 _ROOM = 2
 #: Share of the strongest frequency's power below which a frequency is not normalised: it is noise.
 _FAINTEST = 1e-4
-#: Side of the squares over which the pair is taken as one, pixels of the frame; all steps divide it.
-BLOCK_PX = 24
+#: Sides of the squares over which the pair may be taken as one, pixels of the frame; all steps divide them.
+BLOCK_PX, _SMALL_BLOCK_PX = 24, 12
+#: What the pair may change by from the middle of a large square to its side (relative L2).
+_CHANGE_IN_BLOCK = 0.05
 _LARGEST_BASIS = 64
 #: Structure slower than this many times the lowest frequency varies with the light, and reaches far across outlines.
 _HIGH_PASS = 3.0
@@ -56,6 +58,7 @@ class CrossFilters:
         basis: shape (2, n_basis, n_ky, n_kx), what each image is passed through.
         shares: shape (2, n_block_y, n_block_x, n_candidates, n_basis), of its basis in the filter of each image.
         power: shape (n_ky, n_kx), mean of |H|^2 over depth and polarisation in the middle of the window.
+        block_px: side of the squares that share a mixture, pixels of the frame.
     """
 
     reduction: Reduction
@@ -63,6 +66,7 @@ class CrossFilters:
     basis: NDArray[np.complex64]
     shares: NDArray[np.float32]
     power: FloatArray
+    block_px: int
 
     @classmethod
     def of(
@@ -80,7 +84,8 @@ class CrossFilters:
         reduction = Reduction(every, grid.shape, grid.margin)
         filters, power = _cross_filters(calibration, vergences_per_m, every)
         kernels, shares = _low_rank(filters, power, every, basis_error)
-        weights = calibration.block_weights(reduction.shape, every, BLOCK_PX // every)
+        block_px = BLOCK_PX if min(calibration.core_px(_CHANGE_IN_BLOCK)) >= BLOCK_PX else _SMALL_BLOCK_PX
+        weights = calibration.block_weights(reduction.shape, every, block_px // every)
         by_block = np.einsum("yxf,pvfk->pyxvk", weights, shares, optimize=True)
         return cls(
             reduction,
@@ -88,6 +93,7 @@ class CrossFilters:
             _on_grid(kernels, reduction.size),
             np.ascontiguousarray(by_block, dtype=np.float32),
             _on_frequencies(power, reduction, every),
+            block_px,
         )
 
     @property
@@ -133,7 +139,7 @@ class CrossFilters:
     @property
     def block(self) -> int:
         """Side of the squares of pixels that share a mixture."""
-        return BLOCK_PX // self.reduction.every
+        return self.block_px // self.reduction.every
 
     def _samples(self, weight: NDArray[np.float32]) -> tuple[float, float]:
         """Independent samples a pixel, and variance of an aligned image per variance of a pixel of the frame."""

@@ -139,6 +139,17 @@ def test_a_wrong_calibration_is_said(psf: Psf, field_psf: Psf) -> None:
         assert "calibration" in str(decode(frame, wrong).details["warning"])
 
 
+def test_squares_of_one_mixture_are_small_where_the_pair_changes_fast(psf: Psf, field_psf: Psf) -> None:
+    """Half a square may change the pair by a twentieth: over the field of a millimetre's focal length 12 px do."""
+    sides = []
+    for each in (psf, field_psf):
+        decoder = Decoder.of(each, (144, 330), (-395.0, -178.0))
+        assert decoder is not None
+        sides.append(decoder.filters.block_px)
+        assert min(decoder.calibration.core_px(0.05)) >= sides[-1]
+    assert sides == [24, 12]
+
+
 def test_the_filters_say_what_they_hold(psf: Psf) -> None:
     frame = capture(Scene(objects=(plane(0.0029),), seed=5), psf)
     decoder = Decoder.of(psf, frame.frame.shape, frame.origin_um, frame.x_window)
