@@ -184,8 +184,8 @@ def calibrate_command(
     """Calibration of a camera from photographs of a point at known depths."""
     from dataclasses import asdict
 
-    from metafab import steps
+    from metafab import decode, steps
 
     path = output or Path("calibrated.h5")
     fit = steps.calibrate(frames, depths, psf, path)
-    show({**asdict(fit), "frames": len(frames), "file": path}, json_)
+    show({**asdict(fit), "not_separated": decode.NOT_SEPARATED, "frames": len(frames), "file": path}, json_)

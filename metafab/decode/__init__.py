@@ -22,16 +22,30 @@
 - ``decoder``      all of it: ``decode`` and, for many frames, ``Decoder``
 - ``video``        a decoder that remembers what has not changed
 - ``pinhole``      calibration of a camera from photographs of a point
+- ``bound``        the least error that the pair allows at each place
 - ``judge``        errors against the truth
 - ``store``        decoded.h5
 
 In: a RawFrame and a Psf. Out: an Image4D. No frame raises.
 """
 
+from metafab.decode.bound import DepthBound
 from metafab.decode.decoder import Decoder, decode
 from metafab.decode.image import Image4D
-from metafab.decode.pinhole import CameraFit, calibrate, read_depths
+from metafab.decode.pinhole import NOT_SEPARATED, CameraFit, calibrate, read_depths
 from metafab.decode.store import load, save
 from metafab.decode.video import VideoDecoder
 
-__all__ = ["CameraFit", "Decoder", "Image4D", "VideoDecoder", "calibrate", "decode", "load", "read_depths", "save"]
+__all__ = [
+    "NOT_SEPARATED",
+    "CameraFit",
+    "Decoder",
+    "DepthBound",
+    "Image4D",
+    "VideoDecoder",
+    "calibrate",
+    "decode",
+    "load",
+    "read_depths",
+    "save",
+]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt
@@ -75,22 +77,15 @@ def composed(
     """All that is known about a frame, on its own pixels."""
     images = sharp.images
     every, shape = seen.reduction.every, seen.twins.grid.shape
-    lit = _lit(images, seen.floor_e) & ~seen.twins.bad
+    with ThreadPoolExecutor(1) as beside:
+        maps = beside.submit(_maps, pixels, regions, every, shape)
+        doubts = beside.submit(_doubts, volume, seen, regions)
+        lit = _lit(images, seen.floor_e) & ~seen.twins.bad
+        contrast, contrast_error = _contrast(sharp, seen.levels.read_noise_e, lit)
+        rows = _rows(regions, lit, images, every, seen.levels.read_noise_e)
     dark = ~lit
-    claimed = pixels.claimed & (regions.near > 0)
-    about = distance_transform_edt(~claimed) <= WINDOW_PX / every if claimed.any() else claimed
-    known = (regions.near > 0) & about
-    errors = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])
-    error = np.minimum(np.where(claimed, pixels.relative_error, np.inf), errors[regions.near])
-    trust = np.where(known, 1.0 / (1.0 + (error / HALF_CONFIDENCE) ** 2), 0.0)
-    segment, depth_m, confidence = (
-        repeated(part, every, shape)
-        for part in (regions.near, np.where(known, 1.0 / regions.vergence_per_m(regions.near), np.nan), trust)
-    )
-    segment[dark], depth_m[dark], confidence[dark] = 0, np.nan, 0.0
-    pixel_m = full_depth_m(PixelDepth(pixels.vergence_per_m, pixels.relative_error, claimed), every, shape)
-    pixel_m[dark] = np.nan
-    contrast, contrast_error = _contrast(sharp, seen.levels.read_noise_e, lit)
+    segment, depth_m, confidence, pixel_m = maps.result()
+    depth_m[dark], confidence[dark], pixel_m[dark] = np.nan, 0.0, np.nan
     details: dict[str, float | str] = {
         "layers": float(regions.layers),
         "basis_images": float(basis_images),
@@ -100,7 +95,7 @@ def composed(
         "pixels_without_texture": float((lit & np.isnan(depth_m)).sum()),
         "pixels_broken": float(seen.twins.bad.sum()),
         "contrast_standard_error": _typical(contrast_error[::8, ::8], contrast[::8, ::8]),
-        **_doubts(volume, seen, regions),
+        **doubts.result(),
     }
     return Image4D(
         images[0].astype(np.float64),
@@ -108,14 +103,30 @@ def composed(
         contrast,
         depth_m,
         confidence,
-        segment,
+        segment * lit,
         seen.twins.grid.origin_um,
         frame.pixel_um,
-        _rows(regions, segment, images, every, seen.levels.read_noise_e),
+        rows,
         pixel_m,
         contrast_error,
         details=details,
     )
+
+
+def _maps(
+    pixels: PixelDepth, regions: Regions, every: int, shape: tuple[int, int]
+) -> tuple[NDArray[np.int32], FloatArray, FloatArray, FloatArray]:
+    """Segment, its depth in m, confidence and own depth of each pixel of the frame, if all of them were lit."""
+    claimed = pixels.claimed & (regions.near > 0)
+    about = distance_transform_edt(~claimed) <= WINDOW_PX / every if claimed.any() else claimed
+    known = (regions.near > 0) & about
+    errors = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])
+    error = np.minimum(np.where(claimed, pixels.relative_error, np.inf), errors[regions.near])
+    trust = np.where(known, 1.0 / (1.0 + (error / HALF_CONFIDENCE) ** 2), 0.0)
+    depth_m = np.where(known, 1.0 / regions.vergence_per_m(regions.near), np.nan)
+    segment, depth_m, confidence = (repeated(part, every, shape) for part in (regions.near, depth_m, trust))
+    own_m = full_depth_m(PixelDepth(pixels.vergence_per_m, pixels.relative_error, claimed), every, shape)
+    return segment, depth_m, confidence, own_m
 
 
 def _contrast(sharp: Sharp, read_noise_e: float, lit: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
@@ -160,12 +171,13 @@ def _lit(images: NDArray[np.float32], floor_e: float) -> NDArray[np.bool_]:
 
 
 def _rows(
-    regions: Regions, segment: NDArray[np.int32], images: NDArray[np.float32], every: int, read_noise_e: float
+    regions: Regions, lit: NDArray[np.bool_], images: NDArray[np.float32], every: int, read_noise_e: float
 ) -> tuple[dict[str, float], ...]:
     """What is known of each segment: its contrast from its inside, over which blur and sharpening keep the light."""
     count = len(regions.depths)
-    pixels = np.bincount(segment.ravel(), minlength=count + 1)
-    inner = repeated(regions.inner, every, segment.shape) * (segment > 0)
+    near, inner = (repeated(label, every, lit.shape) * lit for label in (regions.near, regions.inner))
+    pixels = np.bincount(near.ravel(), minlength=count + 1)
+    inner = inner * (near > 0)
     light_x, light_y = np.maximum(label_sums(images, inner, count), 1e-30)
     read = np.bincount(inner.ravel(), minlength=count + 1)[1:] * read_noise_e**2
     contrast = light_x / light_y

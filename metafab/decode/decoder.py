@@ -167,6 +167,7 @@ class Decoder:
         every, shape = self.filters.reduction.every, self.calibration.grid.shape
         with ThreadPoolExecutor(1) as beside:
             anew = lit_about(seen) if last is None or changed is None else lit_about(seen) & changed
+            # Loops over all threads are left to this one: not every threading layer lets two start them at once.
             tiles = beside.submit(self.restorer.transformed, seen.twins.image, repeated(anew, every, shape))
             pixels = textured_pixels(seen, volume)
             regions = find_regions(seen, volume, pixels)

@@ -81,19 +81,27 @@ class Cells:
     error_per_m: FloatArray
 
     @classmethod
-    def of(cls, volume: Volume, mask: NDArray[np.bool_], every: int) -> Cells:
-        """Those of the pixels of a mask that hold at least a quarter of a whole cell."""
+    def of(cls, volume: Volume, mask: NDArray[np.bool_], every: int, side_px: int = _CELL_PX) -> Cells:
+        """Those of the pixels of a mask that hold at least a quarter of a whole cell.
+
+        Args:
+            volume: agreement of the twins.
+            mask: shape (n_y, n_x), compared pixels.
+            every: pixels of the frame a compared pixel.
+            side_px: side of a cell, pixels of the frame.
+        """
         row, column = np.nonzero(mask)
-        side = max(2, _CELL_PX // every)
+        side = max(2, side_px // every)
         across = -(-mask.shape[1] // side)
         cell = (row // side) * across + column // side
-        _, number, size = np.unique(cell, return_inverse=True, return_counts=True)
+        size = np.bincount(cell)
         large = size >= 0.25 * side**2
         kept = np.cumsum(large) * large
         label = np.zeros(mask.shape, dtype=np.int32)
-        label[row, column] = kept[number]
-        count, inside = int(large.sum()), kept[number] > 0
-        place = kept[number][inside]
+        number = kept[cell]
+        label[row, column] = number
+        count, inside = int(large.sum()), number > 0
+        place = number[inside]
         pixels = size[large].astype(np.float64)
         middle_row, middle_column = (
             np.bincount(place, axis[inside], minlength=count + 1)[1:] / pixels for axis in (row, column)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,11 +66,20 @@ class Regions:
 
 def textured_pixels(seen: Seen, volume: Volume) -> PixelDepth:
     """The depth of each pixel by itself, claimed where something lit shows texture."""
-    pixels = pixel_depth(volume, seen.window, seen.variance)
-    # The outline of a uniform object has no texture either: what lies behind it would be mixed in.
+    variance = seen.variance
+    with ThreadPoolExecutor(1) as beside:
+        near = beside.submit(_near_texture, seen)
+        pixels = pixel_depth(volume, seen.window, variance)
+    return PixelDepth(pixels.vergence_per_m, pixels.relative_error, pixels.claimed & near.result())
+
+
+def _near_texture(seen: Seen) -> NDArray[np.bool_]:
+    """Pixels whose windows lie on something lit that shows texture.
+
+    The outline of a uniform object has no texture either: what lies behind it would be mixed in.
+    """
     kept = segments.textured_parts(seen.lit, seen.uneven, _OUTLINE_REACH_PX // seen.reduction.every)
-    near = distance_transform_edt(~kept) <= seen.window // 2 if kept.any() else kept
-    return PixelDepth(pixels.vergence_per_m, pixels.relative_error, pixels.claimed & near)
+    return distance_transform_edt(~kept) <= seen.window // 2 if kept.any() else kept
 
 
 def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth) -> Regions:
@@ -150,11 +160,19 @@ def _textured(seen: Seen, parts: NDArray[np.int32]) -> tuple[NDArray[np.int32], 
     every, kept = seen.reduction.every, 0
     label, inner = np.zeros((2, *parts.shape), dtype=np.int32)
     unseen = np.zeros(parts.shape, dtype=bool)
-    for number in range(1, int(parts.max(initial=0)) + 1):
-        mask = parts == number
-        if segments.textured(mask, seen.uneven, _OUTLINE_REACH_PX // every):
+    uneven = seen.uneven
+
+    def inside(number: int) -> NDArray[np.bool_] | None:
+        if segments.textured(parts == number, uneven, _OUTLINE_REACH_PX // every):
+            return segments.interior(parts, number, every)
+        return None
+
+    numbers = range(1, int(parts.max(initial=0)) + 1)
+    with ThreadPoolExecutor(2) as pool:
+        for number, within in zip(numbers, pool.map(inside, numbers), strict=True):
+            if within is None:
+                unseen |= parts == number
+                continue
             kept += 1
-            label[mask], inner[segments.interior(parts, number, every)] = kept, kept
-        else:
-            unseen |= mask
+            label[parts == number], inner[within] = kept, kept
     return label, inner, unseen

@@ -119,19 +119,14 @@ class Restorer:
         noise_to_signal[0, 0] = 0.0
         ratio = noise_to_signal.astype(np.float32)
         sharp, noise_gain = np.zeros((2, 2, *tiling.shape), dtype=np.float32)
-        by_tile = np.zeros((2, tiling.n_tiles), dtype=np.float32)
         for number, vergence in enumerate(vergences_per_m, start=1):
             mask = label == number
             tiles = tiling.touched(mask)
             if not tiles.size:
                 continue
             filtered, gain = _wiener(self._transfer(float(vergence)), seen.spectra, ratio, tiles, seen.place[tiles])
-            layer = tiling.join(scipy.fft.irfft2(filtered, tiling.size, workers=2, overwrite_x=True), tiles)
-            np.copyto(sharp, layer, where=mask)
-            by_tile[:, tiles] = gain
-            whole = by_tile.reshape(2, *tiling.counts).repeat(tiling.core[0], axis=1).repeat(tiling.core[1], axis=2)
-            np.copyto(noise_gain, whole[:, : tiling.shape[0], : tiling.shape[1]], where=mask)
-        return Sharp(np.maximum(sharp, 0.0, out=sharp), noise_gain)
+            _paste(tiling, tiles, (tiling.cores(filtered), gain), mask, (sharp, noise_gain))
+        return Sharp(sharp, noise_gain)
 
     def _transfer(self, vergence_per_m: float) -> NDArray[np.complex64]:
         """Transfer functions at the nearest depth of the grid: shape (2, n_tiles, n_ky, n_kx)."""
@@ -156,6 +151,44 @@ class Restorer:
         if len(self._kept) > _KEPT_DEPTHS:
             self._kept.popitem(last=False)
         return self._kept[step]
+
+
+def _paste(
+    tiling: Tiling,
+    tiles: NDArray[np.intp],
+    given: tuple[NDArray[np.float32], NDArray[np.float32]],
+    mask: NDArray[np.bool_],
+    out: tuple[NDArray[np.float32], NDArray[np.float32]],
+) -> None:
+    """Put some tiles' cores (2, n, *core), nothing of them below 0, and a value of each (2, n) where ``mask`` holds."""
+    (cores, value), (picture, values) = given, out
+    if HAS_NUMBA:
+        _paste_loop(cores, value, tiles, tiling.counts[1], mask, picture, values)
+        return
+    np.copyto(picture, np.maximum(tiling.join(cores, tiles), 0.0), where=mask)
+    even = np.broadcast_to(value[..., None, None], cores.shape)
+    np.copyto(values, tiling.join(even, tiles), where=mask)
+
+
+@compiled_parallel
+def _paste_loop(
+    cores: NDArray[np.float32],
+    value: NDArray[np.float32],
+    tiles: NDArray[np.intp],
+    columns: int,
+    mask: NDArray[np.bool_],
+    picture: NDArray[np.float32],
+    values: NDArray[np.float32],
+) -> None:
+    n_y, n_x = mask.shape
+    for t in prange(tiles.size):
+        top, left = (tiles[t] // columns) * cores.shape[2], (tiles[t] % columns) * cores.shape[3]
+        for image in range(2):
+            for i in range(min(cores.shape[2], n_y - top)):
+                for j in range(min(cores.shape[3], n_x - left)):
+                    if mask[top + i, left + j]:
+                        picture[image, top + i, left + j] = max(cores[image, t, i, j], np.float32(0.0))
+                        values[image, top + i, left + j] = value[image, t]
 
 
 def _wiener(

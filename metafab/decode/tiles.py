@@ -84,11 +84,18 @@ class Tiling:
             fades.append(0.5 - 0.5 * np.cos(np.pi * share))
         return np.asarray(fades[0][:, None] * fades[1][None, :], dtype=np.float32)
 
+    def cores(self, spectra: NDArray[np.complex64]) -> NDArray[np.float32]:
+        """What tiles of some spectra (..., n, n_ky, n_kx) deliver: shape (..., n, *core)."""
+        (n_y, n_x), m = self.core, self.margin
+        # Rows of the margins are not needed, and not transformed back.
+        rows = scipy.fft.ifft(spectra, axis=-2, workers=2, overwrite_x=True)[..., m : m + n_y, :]
+        return np.asarray(scipy.fft.irfft(rows, self.size[1], workers=2)[..., m : m + n_x])
+
     def join(self, values: NDArray[np.float32], tiles: NDArray[np.intp]) -> NDArray[np.float32]:
-        """The window from tiles with margins, shape (..., tiles.size, *size); 0 where no tile is given."""
-        (rows, columns), (n_y, n_x), m = self.counts, self.core, self.margin
+        """The window from the cores of tiles, shape (..., tiles.size, *core); 0 where no tile is given."""
+        (rows, columns), (n_y, n_x) = self.counts, self.core
         cores = np.zeros((*values.shape[:-3], self.n_tiles, n_y, n_x), dtype=np.float32)
-        cores[..., tiles, :, :] = values[..., m : m + n_y, m : m + n_x]
+        cores[..., tiles, :, :] = values
         cores = cores.reshape(*values.shape[:-3], rows, columns, n_y, n_x)
         whole = np.moveaxis(cores, -2, -3).reshape(*values.shape[:-3], rows * n_y, columns * n_x)
         return whole[..., : self.shape[0], : self.shape[1]]

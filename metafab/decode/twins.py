@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter
 from metafab.camera.frame import RawFrame
 from metafab.camera.geometry import ImageMap
 from metafab.core.conventions import FloatArray
-from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
 from metafab.decode.resample import Resampler
 
 #: Squares of brighter values would not fit single precision; nothing real comes near.
@@ -136,6 +136,11 @@ class TwinGrid:
         """Brings the y image onto the grid, margin included."""
         return Resampler.of(self.twin_row, self.twin_column, self.frame_shape)
 
+    @cached_property
+    def area(self) -> NDArray[np.float32]:
+        """``twin_area`` in the precision of images."""
+        return self.twin_area.astype(np.float32)
+
     @property
     def inner(self) -> tuple[slice, slice]:
         """The decoded window inside the maps with margin."""
@@ -179,7 +184,7 @@ def extract(frame: RawFrame, grid: TwinGrid) -> Twins:
         values = _mended(values, broken)
     image = np.empty((2, *grid.tangent_x.shape), dtype=np.float32)
     image[0] = _cut(values, grid)
-    np.multiply(grid.resampler(values), grid.twin_area, out=image[1], casting="same_kind")
+    np.multiply(grid.resampler(values), grid.area, out=image[1])
     bad = np.zeros(grid.shape, dtype=bool)
     if any_broken:
         twin = grid.resampler(uniform_filter(broken.astype(np.float32), 3)) > 0.05
@@ -198,11 +203,11 @@ def _checked(given: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32
         return np.where(fine, given, np.nan).astype(np.float32), ~fine | (given >= saturation)
 
 
-@compiled
+@compiled_parallel
 def _checked_loop(given: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     values = np.empty(given.shape, dtype=np.float32)
     broken = np.empty(given.shape, dtype=np.bool_)
-    for i in range(given.shape[0]):
+    for i in prange(given.shape[0]):
         for j in range(given.shape[1]):
             value = np.float64(given[i, j])
             fine = abs(value) < _BRIGHTEST

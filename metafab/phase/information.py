@@ -38,18 +38,29 @@ class Texture:
     background_e: float = 0.0
     read_noise_e: float = 2.0
 
-    def signal_to_noise(self, shape: tuple[int, int]) -> FloatArray:
+    def signal_to_noise(self, shape: tuple[int, int], extent: tuple[int, int] | None = None) -> FloatArray:
         """Power of the texture over that of the noise at each frequency of a DFT of ``shape``, shape ``shape``.
 
         The mean over all frequencies is (electrons contrast)^2 / variance; the zero frequency has none: the mean
         brightness is not known.
+
+        Args:
+            shape: (n_y, n_x) pixels.
+            extent: (n_y, n_x) pixels of the piece over which the texture has its contrast; ``shape`` by default. A
+                larger piece has some of it in structure that ``shape`` does not hold.
         """
+        power = self._spectrum(shape)
+        mean = power.mean() if extent is None else self._spectrum(extent).mean()
+        variance = self.electrons + self.background_e + self.read_noise_e**2
+        return np.asarray((self.electrons * self.contrast) ** 2 / variance * power / mean)
+
+    def _spectrum(self, shape: tuple[int, int]) -> FloatArray:
+        """1 / frequency^exponent, without the zero frequency."""
         frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1])[None, :])
         frequency[0, 0] = np.inf if self.exponent > 0.0 else 1.0
         power = frequency**-self.exponent
         power[0, 0] = 0.0
-        variance = self.electrons + self.background_e + self.read_noise_e**2
-        return np.asarray((self.electrons * self.contrast) ** 2 / variance * power / power.mean())
+        return np.asarray(power)
 
 
 @dataclass(frozen=True)
@@ -92,3 +103,16 @@ def twin_information(
     contrast = float((np.abs(ratio) ** 2 * weight).sum())
     cross = float(((mixed * ratio.conj()).real * weight).sum())
     return depth - cross**2 / contrast
+
+
+def known_texture_information(slope: ComplexArray, signal_to_noise: FloatArray) -> float:
+    """Information about depth in the pair if the texture were known, summed over frequencies: |b_x'|^2 + |b_y'|^2.
+
+    Args:
+        slope: shape (2, n_y, n_x), derivative of the DFT of both PSFs with respect to depth.
+        signal_to_noise: shape (n_y, n_x), power of the texture over that of the noise in either image.
+
+    Returns:
+        Inverse square of the unit of depth; never less than :func:`twin_information`.
+    """
+    return float((signal_to_noise * (np.abs(slope) ** 2).sum(axis=0)).sum())

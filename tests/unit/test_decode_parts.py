@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
@@ -125,7 +126,7 @@ def test_tiles_give_the_window_back(shape: tuple[int, int], margin: int, core: t
     tiling = Tiling.over(shape, margin, core)
     image = np.random.default_rng(3).normal(size=(shape[0] + 2 * margin, shape[1] + 2 * margin))
     tiles = np.arange(tiling.n_tiles)
-    back = tiling.join(tiling.cut(image, tiles), tiles)
+    back = tiling.join(tiling.cores(scipy.fft.rfft2(tiling.cut(image, tiles))), tiles)
     np.testing.assert_allclose(back, image[margin:-margin, margin:-margin], atol=1e-5)
 
 
@@ -135,7 +136,7 @@ def test_only_touched_tiles_are_cut() -> None:
     mask[25, 45] = True
     assert tiling.touched(mask).tolist() == [5]
     image = np.ones((48, 68))
-    joined = tiling.join(tiling.cut(image, np.array([5])), np.array([5]))
+    joined = tiling.join(tiling.cores(scipy.fft.rfft2(tiling.cut(image, np.array([5])))), np.array([5]))
     assert joined[20:, 40:].min() == pytest.approx(1.0)
     assert not joined[:20].any()
 
@@ -206,6 +207,26 @@ def test_the_compiled_wiener_filter_is_the_plain_one() -> None:
         # Parseval: the first and last column stand for themselves, the one between for two.
         squares = np.abs(wiener[:, tiles]) ** 2
         np.testing.assert_allclose(gain, (squares @ np.array([1.0, 2.0, 1.0])).sum(axis=-1) / 16.0, rtol=1e-4)
+
+
+def test_compiled_pasting_is_the_plain_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tiles reach beyond the window, whose size is no multiple of theirs."""
+    tiling = Tiling.over((37, 50), 4, (16.0, 16.0))
+    rng = np.random.default_rng(5)
+    tiles = np.array([1, 3, tiling.n_tiles - 1])
+    cores = rng.normal(size=(2, tiles.size, *tiling.core)).astype(np.float32)
+    value = rng.random((2, tiles.size)).astype(np.float32)
+    mask = tiling.covered(tiles) & (rng.random(tiling.shape) < 0.5)
+    pasted = []
+    for compiled in (True, False):
+        monkeypatch.setattr(restore, "HAS_NUMBA", compiled)
+        out = np.full((2, 2, *tiling.shape), -1.0, dtype=np.float32)
+        restore._paste(tiling, tiles, (cores, value), mask, (out[0], out[1]))
+        pasted.append(out)
+    np.testing.assert_array_equal(*pasted)
+    assert (pasted[0][:, :, ~mask] == -1.0).all()
+    assert pasted[0][0][:, mask].min() == 0.0
+    assert set(pasted[0][1][:, mask].ravel().tolist()) == set(value.ravel().tolist())
 
 
 def test_a_volume_between_its_candidates() -> None:
