@@ -12,6 +12,7 @@
 - ``kernel``       propagation to one window: a separable transform and a low-rank rest
 - ``window``       block sums -> field on a window: matrix Fourier transforms
 - ``image``        irradiance on a window and its error; large windows in panels, by a cost model
+- ``asked``        what may be asked of a stack; the rest refused
 - ``stack``        :func:`psf`: the pair over depth and field
 - ``band``         the pair in the light of a filter: few wavelengths, shifted and added
 - ``lobe``         main lobe to a fraction of a pixel, orientation

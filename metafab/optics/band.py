@@ -192,13 +192,7 @@ def _fade(side: int) -> FloatArray:
 
 
 def _require_fine_pixels(imaging: Imaging, polarisation: int, tangent: Tangent) -> None:
-    x, y = imaging.image_point_um(polarisation, tangent)
-    half = 0.5 * imaging.aperture_um
-    ends = []
-    for edge_x, edge_y, axis in ((half, 0.0, 0), (0.0, half, 1)):
-        there, back = (np.array([x - s * edge_x, y - s * edge_y, imaging.sensor_distance_um]) for s in (1.0, -1.0))
-        ends.append(abs(there[axis] / np.linalg.norm(there) - back[axis] / np.linalg.norm(back)))
-    largest = 0.5 * imaging.wavelength_um / max(ends)
+    largest = 0.5 * imaging.finest_fringe_um(polarisation, tangent)
     if imaging.pixel_um > largest:
         raise InputError.single(
             "optics", "pixel_um", f"at most {largest:.3g} um, half the period of the finest fringe, to add a filter's "

@@ -123,6 +123,19 @@ class Imaging:
         scale = self.sensor_distance_um / math.sqrt(1.0 - transverse)
         return s_x * scale, s_y * scale
 
+    def finest_fringe_um(self, polarisation: int, tangent: tuple[float, float]) -> float:
+        """Smallest period of the irradiance about an image point: what the aperture's opposite ends interfere to.
+
+        Sums over pixels are exact integrals where these are smaller; half of it samples the irradiance fully.
+        """
+        x, y = self.image_point_um(polarisation, tangent)
+        half = 0.5 * self.aperture_um
+        ends = []
+        for edge_x, edge_y, axis in ((half, 0.0, 0), (0.0, half, 1)):
+            there, back = (np.array([x - s * edge_x, y - s * edge_y, self.sensor_distance_um]) for s in (1.0, -1.0))
+            ends.append(abs(float(there[axis] / np.linalg.norm(there) - back[axis] / np.linalg.norm(back))))
+        return self.wavelength_um / max(ends)
+
 
 def depth_nodes(imaging: Imaging, z_min_m: float, z_max_m: float, target_error: float) -> FloatArray:
     """Depths between which cubic interpolation in vergence keeps to ``target_error`` (relative L2 of irradiance).

@@ -22,6 +22,7 @@ from metafab.core.executor import default_workers
 from metafab.core.progress import Progress, silent
 from metafab.library.library import Library
 from metafab.optics.apodisation import Transmission, apodised
+from metafab.optics.asked import require_answerable
 from metafab.optics.blocks import reduce_to_target
 from metafab.optics.corners import CornerField, corner_fields
 from metafab.optics.field import spline_weights
@@ -157,8 +158,9 @@ def tolerance_table(
         executor: solves cells; this process when None. The result is the same.
         progress: called as corners are done.
     """
-    window = Window(imaging, window_px, min(0.1 * target_error, 1e-3))
     depths = [float(z) for z in depths_m]
+    require_answerable(imaging, depths, (0.0, 0.0), None, window_px, target_error, None)
+    window = Window(imaging, window_px, min(0.1 * target_error, 1e-3))
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(default_workers()) as threads:
         pyramids, stray = reduce_to_target(
             apodised(written, transmission), [window], depths, (0.0, 0.0), None, target_error, threads, progress
