@@ -184,32 +184,45 @@ def _window_row() -> dict[str, Any]:
 def window_errors(
     decoder: decode.Decoder, frames: Sequence[camera.RawFrame], bound: decode.DepthBound, side_px: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Relative errors of the depths of whole windows in frames of one plane, and their bounds: shapes (n,)."""
+    """Relative errors of the depths of windows in frames of one plane, and their bounds: shapes (n,).
+
+    Those along the rim are left out: beyond it the plane goes on unseen, and its outline is no texture.
+    """
     errors = []
     for frame in frames:
         seen = decoder.look(frame)
         if isinstance(seen, str):
             raise ValueError(seen)
         cells = _cells(decoder, decoder.volume(seen), side_px)
-        errors.append(cells.vergence_per_m[_whole(cells)] * bound.depth_m - 1.0)
+        errors.append(_inside(cells.vergence_per_m[_whole(cells)], decoder, side_px) * bound.depth_m - 1.0)
     return np.concatenate(errors), np.tile(window_bounds(bound, decoder, side_px), len(errors))
 
 
 def window_bounds(
     bound: decode.DepthBound, decoder: decode.Decoder, side_px: int, *, known: bool = False
 ) -> FloatArray:
-    """Least relative error of each whole window, in the order of :func:`window_errors`."""
+    """Least relative error of each window, in the order of :func:`window_errors`."""
     every = decoder.filters.reduction.every
-    side = side_px // every
-    rows, columns = (n // side for n in decoder.filters.reduction.shape)
-    span = every * side
-    return np.array(
-        [
-            bound.relative_error((slice(i * span, (i + 1) * span), slice(j * span, (j + 1) * span)), known=known)
-            for i in range(rows)
-            for j in range(columns)
-        ]
-    )
+    rows, columns = _counts(decoder, side_px)
+    span = every * (side_px // every)
+    least = [
+        bound.relative_error((slice(i * span, (i + 1) * span), slice(j * span, (j + 1) * span)), known=known)
+        for i in range(rows)
+        for j in range(columns)
+    ]
+    return _inside(np.array(least), decoder, side_px)
+
+
+def _counts(decoder: decode.Decoder, side_px: int) -> tuple[int, int]:
+    """Whole windows along y and x."""
+    reduction = decoder.filters.reduction
+    rows, columns = (n // (side_px // reduction.every) for n in reduction.shape)
+    return rows, columns
+
+
+def _inside(values: FloatArray, decoder: decode.Decoder, side_px: int) -> FloatArray:
+    """Of all whole windows, those with others all around."""
+    return values.reshape(_counts(decoder, side_px))[1:-1, 1:-1].ravel()
 
 
 def _cells(decoder: decode.Decoder, volume: Volume, side_px: int) -> Cells:

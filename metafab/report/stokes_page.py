@@ -43,9 +43,12 @@ def stokes_figure(frame: StokesFrame, image: StokesImage, path: Path) -> Path:
         colour_bar(show_map(axes, share, extent, cmap=CONTRAST_MAP, vmin=-1.0, vmax=1.0), axes, "")
     scale, unit = depth_unit(image.depth_m)
     bare(places[1, 4], "Depth")
-    depth = show_map(places[1, 4], scale * image.depth_m, extent, cmap=DEPTH_MAP)
+    # One scale for both: equal colours are equal depths.
+    known = scale * np.concatenate([d[np.isfinite(d)] for d in (image.depth_m, frame.depth_m)])
+    limits = {"vmin": float(known.min()), "vmax": float(known.max())} if known.size else {}
+    depth = show_map(places[1, 4], scale * image.depth_m, extent, cmap=DEPTH_MAP, **limits)
     colour_bar(depth, places[1, 4], f"depth / {unit}")
     bare(places[1, 5], "True depth")
-    true = show_map(places[1, 5], scale * frame.depth_m, extent, cmap=DEPTH_MAP)
+    true = show_map(places[1, 5], scale * frame.depth_m, extent, cmap=DEPTH_MAP, **limits)
     colour_bar(true, places[1, 5], f"depth / {unit}")
     return save_png(figure, path)

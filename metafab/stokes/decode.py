@@ -1,9 +1,10 @@
 """Six images -> depth and the Stokes vector of every pixel.
 
 Depth: of the images of two orthogonal states, each blurred by the other's kernel, both show the same texture where the
-candidate depth is right; their local correlation, summed over the three pairs, peaks there. Stokes: at each depth the
-six images are a linear function of the four parameters' images, one 6 x 4 matrix a frequency, which regularised least
-squares invert, cross-talk between the places included.
+candidate depth is right. Their products, summed over the three pairs, are a volume like that of one pair, from which
+segments and their depths follow as in :mod:`metafab.decode`. Stokes: at each depth the six images are a linear function
+of the four parameters' images, one 6 x 4 matrix a frequency, which regularised least squares invert, cross-talk between
+the places included.
 """
 
 from __future__ import annotations
@@ -17,14 +18,24 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.decode import segment as segments
+from metafab.decode.depth import PixelDepth, parabola, standard_error
+from metafab.decode.peaks import peaks
+from metafab.decode.planes import Cells, Plane, fitted_plane
+from metafab.decode.pooling import window_means
+from metafab.decode.regions import LAYER_SHARE
+from metafab.decode.volume import Volume, correlation
 from metafab.stokes.camera import StokesFrame, kernels_at, spread
 from metafab.stokes.spread import StokesPsf
 
 _CANDIDATES = 25
 _LAYERS = 9
+#: Side of the windows in which twins are compared; structure that is slower does not count.
 _WINDOW_PX = 33
 #: Below this correlation of the twins no depth is claimed.
 _LEAST_AGREEMENT = 0.5
+#: Share of the brightest from which a pixel is lit.
+_LIT = 0.2
 
 
 @dataclass(frozen=True)
@@ -33,8 +44,9 @@ class StokesImage:
 
     Attributes:
         stokes: shape (4, n_y, n_x), electrons as in :class:`StokesFrame`.
-        depth_m: shape (n_y, n_x), NaN where the twins do not agree at any depth.
-        agreement: shape (n_y, n_x), mean correlation of the three pairs at that depth, -1 to 1.
+        depth_m: shape (n_y, n_x), of the segment that a pixel belongs to; NaN where it is dark, or where the twins do
+            not agree at any depth.
+        agreement: shape (n_y, n_x), correlation of the three pairs' twins at that depth, -1 to 1.
     """
 
     stokes: FloatArray
@@ -44,37 +56,76 @@ class StokesImage:
 
 def decode_stokes(frame: StokesFrame, psf: StokesPsf) -> StokesImage:
     """Depth and Stokes vectors of a frame by the PSFs of six places, over the range of their depths."""
+    volume = _volume(frame.images, psf)
+    mean = frame.images.mean(axis=0)
+    floor = _LIT * float(np.percentile(mean, 99.0))
+    segment, planes = _segments(volume, uniform_filter(mean, 3) > floor)
+    nodes = volume.vergences_per_m
+    vergence = np.full(mean.shape, 0.5 * (nodes[0] + nodes[-1]))
+    nearest = segments.grown(segment, float(sum(mean.shape)))
+    for number, plane in enumerate(planes, start=1):
+        np.copyto(vergence, np.clip(plane.over(mean.shape), nodes[0], nodes[-1]), where=nearest == number)
+    stokes = _restored(frame, psf, vergence)
+    # Blur reaches beyond outlines: only what is bright once it is sharp belongs to an object.
+    shown = (segments.grown(segment, 0.5 * _WINDOW_PX) > 0) & (uniform_filter(stokes[0], 3) > floor)
+    agreement = correlation(window_means(volume.at(vergence[None])[:, 0], _WINDOW_PX))
+    return StokesImage(stokes, np.where(shown, 1.0 / vergence, np.nan), agreement.astype(np.float64))
+
+
+def _volume(images: FloatArray, psf: StokesPsf) -> Volume:
+    """Agreement of the twins at equally spaced vergences, all pairs together."""
     vergences = np.linspace(1.0 / psf.depth_m[-1], 1.0 / psf.depth_m[0], _CANDIDATES)
-    floor = 0.05 * float(np.percentile(frame.images.mean(axis=0), 99.0))
-    agreement = np.stack([_agreement(frame.images, kernels_at(psf, 1.0 / v), floor) for v in vergences])
-    best, height = _peak(agreement)
-    found = np.interp(best, np.arange(_CANDIDATES), vergences)
-    claimed = (height >= _LEAST_AGREEMENT) & (uniform_filter(frame.images.mean(axis=0), 3) > 4.0 * floor)
-    depth_m = np.where(claimed, 1.0 / found, np.nan)
-    return StokesImage(_restored(frame, psf, found), depth_m, height)
+    parts = np.empty((3, _CANDIDATES, *images.shape[1:]), dtype=np.float32)
+    gain, samples = [], []
+    for index, vergence in enumerate(vergences):
+        kernels = kernels_at(psf, 1.0 / vergence)[:, 0]
+        own = kernels / kernels.sum(axis=(-2, -1), keepdims=True)
+        crossed = spread(images, own[[1, 0, 3, 2, 5, 4]])
+        crossed -= uniform_filter(crossed, (0, _WINDOW_PX, _WINDOW_PX))
+        first, second = crossed[::2], crossed[1::2]
+        powers = uniform_filter(crossed * crossed, (0, _WINDOW_PX, _WINDOW_PX)) + np.finfo(np.float32).tiny
+        # Twins of polarised light differ in brightness: each pair as if both had the mean; a dark one adds nothing.
+        balance = np.sqrt(powers[1::2] / powers[::2])
+        for part, product in enumerate((first * second, first * first * balance, second * second / balance)):
+            parts[part, index] = product.sum(axis=0)
+        power = np.abs(scipy.fft.fft2(own)) ** 2
+        gain.append(float((own**2).sum(axis=(-2, -1)).mean()))
+        samples.append(float((power.mean(axis=(-2, -1)) ** 2 / (power**2).mean(axis=(-2, -1))).mean()))
+    return Volume(vergences, parts, 3.0 * float(np.mean(samples)), 3.0 * float(np.mean(gain)))
 
 
-def _agreement(images: FloatArray, kernels: FloatArray, floor_e: float) -> FloatArray:
-    """Mean over the pairs of the local correlation of the twins at one depth, shape (n_y, n_x)."""
-    own = kernels[:, 0] / kernels[:, 0].sum(axis=(-2, -1), keepdims=True)
-    crossed = spread(images, own[[1, 0, 3, 2, 5, 4]])
-    total = np.zeros(images.shape[1:])
-    for first, second in zip(crossed[::2], crossed[1::2], strict=True):
-        means = [uniform_filter(part, _WINDOW_PX) for part in (first, second)]
-        deviations = [part - mean for part, mean in zip((first, second), means, strict=True)]
-        covariance = uniform_filter(deviations[0] * deviations[1], _WINDOW_PX)
-        powers = [uniform_filter(d * d, _WINDOW_PX) for d in deviations]
-        # A pair of which one state is dark says nothing: its correlation fades instead of being noise.
-        total += covariance / (np.sqrt(powers[0] * powers[1]) + floor_e)
-    return total / 3.0
+def _pixels(volume: Volume, lit: NDArray[np.bool_]) -> PixelDepth:
+    """The depth of each pixel by itself, from the window about it."""
+    best, (below, at, above), _ = peaks(volume.parts, _WINDOW_PX)
+    last = volume.vergences_per_m.size - 1
+    shift, peak, curvature = parabola(below, at, above)
+    vergence = volume.vergences_per_m[np.clip(best, 1, last - 1)] + volume.step_per_m * np.clip(shift, -1.0, 1.0)
+    error = standard_error(peak, curvature / volume.step_per_m**2, _WINDOW_PX**2 * volume.samples) / vergence
+    return PixelDepth(vergence, error, lit & (peak >= _LEAST_AGREEMENT) & (best > 0) & (best < last))
 
 
-def _peak(agreement: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Place (in candidates, between them by a parabola) and height of each pixel's highest agreement."""
-    top = np.clip(agreement.argmax(axis=0), 1, agreement.shape[0] - 2)
-    low, middle, high = (np.take_along_axis(agreement, (top + step)[None], axis=0)[0] for step in (-1, 0, 1))
-    bend = np.minimum(low - 2.0 * middle + high, -1e-12)
-    return top + np.clip(0.5 * (low - high) / bend, -1.0, 1.0), middle
+def _segments(volume: Volume, lit: NDArray[np.bool_]) -> tuple[NDArray[np.int32], list[Plane]]:
+    """Number of each pixel's segment from 1 (0 for none), and the depth of each.
+
+    Args:
+        volume: agreement of the twins.
+        lit: where there is light.
+    """
+    pixels = _pixels(volume, lit)
+    separation = LAYER_SHARE * float(np.ptp(volume.vergences_per_m))
+    layers = [Plane(vergence) for vergence in segments.depth_layers(pixels, separation).tolist()]
+    label = np.zeros(lit.shape, dtype=np.int32)
+    found: list[Plane] = []
+    if not layers:
+        return label, found
+    parts = segments.split(segments.assign(volume, layers, pixels, separation, 1), lit, _WINDOW_PX, 1)
+    for number in range(1, int(parts.max(initial=0)) + 1):
+        inner = segments.interior(parts, number, 1)
+        depth = segments.segment_depth(volume, volume.over(inner.astype(np.int32), 1)[0], float(inner.sum()))
+        if np.isfinite(depth.relative_error) and depth.correlation >= _LEAST_AGREEMENT:
+            found.append(fitted_plane(Cells.of(volume, inner, 1)) or depth.plane)
+            label[parts == number] = len(found)
+    return label, found
 
 
 def _restored(frame: StokesFrame, psf: StokesPsf, vergences: FloatArray) -> FloatArray:

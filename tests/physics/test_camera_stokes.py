@@ -202,6 +202,34 @@ def test_polarisation_and_depth_of_a_surface_are_found(
     assert depth_m == pytest.approx(0.0029, rel=0.05)
 
 
+def test_objects_side_by_side_keep_their_depths_and_outlines(small_design: Design) -> None:
+    """No ramp of depths between two objects that touch, nothing around them, and each at its own depth."""
+    terms = tuple(
+        dataclasses.replace(t, optimise="none") if hasattr(t, "optimise") else t for t in small_design.phase
+    )
+    whole = dataclasses.replace(small_design, phase=terms)
+    profile = stokes.stokes_profile(whole, 8.0)
+    source = stokes.UnitaryField(profile, lattice_of(whole), whole.device)
+    depths_m = [0.0025, 0.0027, 0.0029, 0.0031, 0.0034]
+    psf = stokes.stokes_psf(source, profile, Imaging.of(whole), depths_m, window_px=48)
+    near, far = (
+        SceneObject(depth_m=z, centre=(x, 0.0), size=(0.12, 0.16), stokes=(0.3, s, 0.0))
+        for z, x, s in ((0.00265, -0.06, 0.5), (0.0032, 0.06, -0.5))
+    )
+    scene = Scene(objects=(near, far), field_px=(112, 144), photons_per_pixel=20000.0)
+    frame = stokes.photograph(scene, psf)
+    image = stokes.decode_stokes(frame, psf)
+    found = np.unique(image.depth_m[np.isfinite(image.depth_m)])
+    assert found.size == 2
+    assert found == pytest.approx([0.00265, 0.0032], rel=0.05)
+    known, true = np.isfinite(image.depth_m), np.isfinite(frame.depth_m)
+    # Along outlines of 60 by 80 pixels each, two pixels either way are some 8 %.
+    assert (known & ~true).sum() < 0.08 * true.sum()
+    assert (known & true).sum() > 0.92 * true.sum()
+    # Half a window on either side of the edge that they share is a quarter of each: most of it is told apart, too.
+    assert np.mean(np.abs(image.depth_m[known & true] / frame.depth_m[known & true] - 1.0) > 0.1) < 0.16
+
+
 def test_without_light_no_depth_is_claimed(psf: stokes.StokesPsf) -> None:
     dark = SceneObject(depth_m=0.0029, size=(1e-6, 1e-6))
     frame = stokes.photograph(Scene(objects=(dark,), field_px=(64, 64)), psf)

@@ -118,7 +118,7 @@ def window_ratio(psf: Psf, photons: float) -> FloatArray:
     side = round(0.3 * psf.sensor_distance_um / psf.pixel_um)
     texture = Texture(photons, piece.texture_contrast, read_noise_e=scene.read_noise_e)
     bound = DepthBound.of(decoder.calibration, DEPTH_M, texture, (side, side))
-    error, least = window_errors(decoder, frames, bound, 40)
+    error, least = window_errors(decoder, frames, bound, 24)
     return np.asarray(error / least)
 
 

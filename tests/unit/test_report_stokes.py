@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib import colormaps
 from PIL import Image
 
 from metafab.report import stokes_figure
-from metafab.report.style import CONTRAST_MAP
+from metafab.report.style import CONTRAST_MAP, DEPTH_MAP
 from metafab.stokes import StokesFrame, StokesImage
 
 #: S1/S0, S2/S0, S3/S0 of the left and right half of the scene.
@@ -46,6 +48,20 @@ def test_normalised_parameters_have_the_colours_of_their_values(picture: np.ndar
     assert lower.sum() > 1500
     rows, columns = np.nonzero(lower)
     assert np.ptp(columns) > 10 and np.ptp(rows) > 10
+
+
+def test_both_depths_have_one_scale(tmp_path: Path) -> None:
+    """Of a surface that is decoded nearer than it is, the two panels have the two ends of the scale."""
+    frame, image = _scene()
+    near = dataclasses.replace(image, depth_m=0.8 * image.depth_m)
+    drawn = np.asarray(Image.open(stokes_figure(frame, near, tmp_path / "s.png")).convert("RGB"), dtype=np.int64)
+    places = []
+    for end in (0.0, 1.0):
+        colour = np.rint(255.0 * np.array(colormaps[DEPTH_MAP](end)[:3]))
+        at = np.abs(drawn - colour).max(axis=2) <= 2
+        assert at.sum() > 3000
+        places.append(float(np.median(np.nonzero(at)[1])) / drawn.shape[1])
+    assert 4 / 6 < places[0] < 5 / 6 < places[1]
 
 
 def test_nothing_is_cut_at_the_rim(picture: np.ndarray) -> None:
