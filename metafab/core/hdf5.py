@@ -61,8 +61,9 @@ def put(
 ) -> h5py.Dataset:
     """Store an array with its units, a one-line description and, by name, its dimension scales.
 
-    A name in ``dims`` that is a dataset of ``group`` becomes that axis' scale; a dataset whose only
-    dimension is itself (``dims=(name,)``) becomes a scale.
+    A name in ``dims`` that is a dataset of ``group``, or else of the file's root, becomes that axis' scale; a dataset
+    whose only dimension is itself (``dims=(name,)``) becomes a scale. Readers such as xarray want all axes of an array
+    scaled, or none.
     """
     array = np.asarray(data)
     if array.dtype.kind == "U":
@@ -76,8 +77,10 @@ def put(
         return dataset
     for axis, dimension in enumerate(dims):
         dataset.dims[axis].label = dimension
-        if dimension in group:
-            dataset.dims[axis].attach_scale(group[dimension])
+        for place in (group, group.file):
+            if dimension in place:
+                dataset.dims[axis].attach_scale(place[dimension])
+                break
     return dataset
 
 

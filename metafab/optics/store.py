@@ -26,6 +26,7 @@ def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
         file.attrs["sensor_distance_um"] = psf.sensor_distance_um
         hdf5.put(file, "pixel_um", psf.pixel_um, units="um", description="sampling step on the sensor plane")
         hdf5.put(file, "polarisation", [b"x", b"y"], units="1", description="polarisation", dims=("polarisation",))
+        hdf5.put(file, "axis", [b"x", b"y"], units="1", description="coordinate on the sensor", dims=("axis",))
         hdf5.put(
             file, "depth_m", psf.depth_m, units="m", description="object distance along the axis", dims=("depth_m",)
         )
