@@ -9,7 +9,17 @@
 - ``meep``         the real Meep (FDTD) as a separate program
 """
 
-from metafab.cell.problem import pillar_cell, solve, solve_many
+from metafab.cell.problem import is_square, pillar_cell, solve, solve_many
 from metafab.cell.response import CellNumerics, CellResponse, CellSolver, PillarCell, Slice
 
-__all__ = ["CellNumerics", "CellResponse", "CellSolver", "PillarCell", "Slice", "pillar_cell", "solve", "solve_many"]
+__all__ = [
+    "CellNumerics",
+    "CellResponse",
+    "CellSolver",
+    "PillarCell",
+    "Slice",
+    "is_square",
+    "pillar_cell",
+    "solve",
+    "solve_many",
+]

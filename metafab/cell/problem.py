@@ -50,17 +50,17 @@ def pillar_cell(
         InputError: a size or an angle is out of range, or a material is not known at the wavelength.
     """
     wavelength = unit_cell.illumination.wavelength_nm if wavelength_nm is None else wavelength_nm
-    n_ambient = refractive_index(unit_cell.materials.ambient, wavelength)[0]
+    n_ambient = _isotropic_index(unit_cell.materials.ambient, wavelength, "materials.ambient")
     films, caps = (
-        [(layer.height_nm, refractive_index(layer.material, wavelength)[0]) for layer in layers or ()]
-        for layers in (unit_cell.cell.film, unit_cell.cell.cap)
+        [(layer.height_nm, _isotropic_index(layer.material, wavelength, f"cell.{name}")) for layer in layers or ()]
+        for name, layers in (("film", unit_cell.cell.film), ("cap", unit_cell.cell.cap))
     )
     cell = PillarCell(
         period_nm=unit_cell.cell.period_nm,
         width_nm=float(width_nm),
         length_nm=float(length_nm),
         height_nm=unit_cell.cell.height_nm,
-        n_pillar=refractive_index(unit_cell.materials.pillar, wavelength)[0],
+        n_pillar=_isotropic_index(unit_cell.materials.pillar, wavelength, "materials.pillar"),
         n_substrate=refractive_index(unit_cell.materials.substrate, wavelength),
         n_ambient=n_ambient,
         wavelength_nm=float(wavelength),
@@ -78,6 +78,24 @@ def pillar_cell(
     )
     check(cell)
     return cell
+
+
+def is_square(unit_cell: UnitCell) -> bool:
+    """Whether swapping x and y swaps the two polarisations and nothing else.
+
+    Raises:
+        InputError: the substrate is not known at the wavelength.
+    """
+    n_x, n_y = refractive_index(unit_cell.materials.substrate, unit_cell.illumination.wavelength_nm)
+    return unit_cell.is_square and n_x == n_y
+
+
+def _isotropic_index(material: Material, wavelength_nm: float, field: str) -> complex:
+    n_x, n_y = refractive_index(material, wavelength_nm)
+    if n_x != n_y:
+        got = f"{material.record or 'an index for y'}: {n_x:.6g} for x, {n_y:.6g} for y polarised light"
+        raise InputError.single("cell", field, "an isotropic material; only the substrate may be birefringent", got)
+    return n_x
 
 
 def _index_along_z(substrate: Material) -> complex | None:
@@ -162,6 +180,10 @@ def _faults_of_corners(cell: PillarCell) -> list[Fault]:
     faults = []
     if not 0.0 <= cell.corner_radius_nm < math.inf:
         faults.append(Fault("corner_radius_nm", "a length from 0", f"{cell.corner_radius_nm:g} nm"))
+    elif cell.corner_radius_nm and 0.0 < min(cell.width_nm, cell.length_nm) < 2.0 * cell.corner_radius_nm:
+        most = 0.5 * min(cell.width_nm, cell.length_nm)
+        got = f"{cell.corner_radius_nm:g} nm"
+        faults.append(Fault("corner_radius_nm", f"at most half the shorter side, {most:g} nm", got))
     elif cell.corner_radius_nm and cell.shape != "rectangle":
         faults.append(Fault("corner_radius_nm", f"0 for the shape {cell.shape}", f"{cell.corner_radius_nm:g} nm"))
     if cell.shape == "cross" and max(cell.width_nm, cell.length_nm) > min(cell.period_nm):

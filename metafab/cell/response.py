@@ -66,7 +66,7 @@ class PillarCell:
             along y is then the distance of rows. By rcwa, of upright pillars without layers, with light along z.
         shape: of the cross-section, within width and length: a rectangle, an ellipse (a circle where both are equal),
             or a cross, the rectangle together with itself turned by 90 degrees; beside rectangles rcwa only.
-        corner_radius_nm: of a rectangle's four edges, as resist and etch round them; half a side at most counts.
+        corner_radius_nm: of a rectangle's four edges, as resist and etch round them; at most half a side.
     """
 
     period_nm: tuple[float, float]

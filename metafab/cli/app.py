@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
+from typer.models import CommandFunctionType
 
 from metafab.core.errors import InputError
 
@@ -16,7 +19,27 @@ if TYPE_CHECKING:
     from metafab.spec import Design
 
 HELP = {"help_option_names": ["-h", "--help"]}
-app = typer.Typer(
+
+
+class _Command(TyperCommand):
+    """A command that never writes its result over a file that it reads."""
+
+    def invoke(self, ctx: Any) -> Any:
+        output = ctx.params.get("output")
+        read = [value for name, value in ctx.params.items() if name != "output" and isinstance(value, Path)]
+        if isinstance(output, Path) and output.is_file() and any(p.is_file() and p.samefile(output) for p in read):
+            raise InputError.single(
+                "--output", "output", "a file of its own", f"{output}, which is read", "name another"
+            )
+        return super().invoke(ctx)
+
+
+class _Program(typer.Typer):
+    def command(self, *args: Any, **options: Any) -> Callable[[CommandFunctionType], CommandFunctionType]:
+        return super().command(*args, **{"cls": _Command, **options})
+
+
+app = _Program(
     help="From unit cell to mask to decoded image.",
     context_settings=HELP,
     no_args_is_help=True,
@@ -24,7 +47,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-library_app = typer.Typer(
+library_app = _Program(
     help="Build, check and show phase libraries.", context_settings=HELP, no_args_is_help=True, rich_markup_mode=None
 )
 app.add_typer(library_app, name="library")

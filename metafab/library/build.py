@@ -17,7 +17,7 @@ from metafab.cell.response import CellNumerics, CellSolver
 from metafab.core.conventions import ComplexArray
 from metafab.core.executor import SerialExecutor
 from metafab.core.progress import Progress, silent
-from metafab.library.axes import CornerBox
+from metafab.library.axes import CornerBox, corner_unit_cell
 from metafab.library.between import Between, FineGrid, sample_between
 from metafab.library.checkpoint import Checkpoint
 from metafab.library.corner_rounds import CornerSequence, sample_corners
@@ -29,6 +29,7 @@ from metafab.library.sampling import SizeGrid
 from metafab.library.steep import sample_steep, stated
 from metafab.library.store import is_current, load, save
 from metafab.spec import UnitCell
+from metafab.spec.cell import Axes
 
 BoolArray = NDArray[np.bool_]
 
@@ -122,6 +123,8 @@ def _build(
 ) -> Library:
     started = perf_counter()
     grid = SizeGrid.of(unit_cell)
+    for wavelength_nm in dict((unit_cell.sweep.axes or Axes()).asked).get("wavelength_nm", ()):
+        grid.cell(corner_unit_cell(unit_cell, {"wavelength_nm": wavelength_nm}), 0)  # refused before any work
     asked = unit_cell.sweep.target_error
     numerics = CellNumerics(SOLVER_SHARE * asked, unit_cell.solver.name)
     # One thread for the fits: their rounding, and with it the choice of sizes, must not depend on the machine's.
@@ -188,7 +191,7 @@ def _library(
         sizes_beyond_target=int(np.count_nonzero(error > unit_cell.sweep.target_error)),
         max_solver_error=float(np.nanmax(certificate)),
         max_model_error=float(np.max(between.model_error, where=~is_solved, initial=0.0)),
-        max_between_error=float(np.nanmax(around)),
+        **_between_sizes(library),
         held_out_error=outcome.held_out_error,
         held_out=outcome.held_out.size,
         rounds=outcome.rounds,
@@ -198,6 +201,19 @@ def _library(
         **({} if corners is None else corners.details),
     )
     return library
+
+
+def _between_sizes(library: Library) -> dict[str, float]:
+    """The largest error stated between the sizes: of the model, or of the spline through sizes that were all solved.
+
+    Nothing where a library is not continuous: of circles, or of fewer than four sizes a side.
+    """
+    if library.model_error is not None:
+        return {"max_between_error": float(library.model_error.max())}
+    if not library.is_continuous:
+        return {}
+    middle = (0.5 * (axis[1:] + axis[:-1]) for axis in (library.width_nm, library.length_nm))
+    return {"max_between_error": float(library.surface(*np.meshgrid(*middle)).error.max())}
 
 
 def _on_grid(grid: SizeGrid, outcome: Outcome) -> tuple[ComplexArray, BoolArray]:

@@ -96,9 +96,10 @@ def check(
     rng = np.random.default_rng(seed)
     width_nm = rng.uniform(library.width_nm[0], library.width_nm[-1], samples)
     length_nm = rng.uniform(library.length_nm[0], library.length_nm[-1], samples)
-    if library.model is None:
+    if not library.is_continuous:
         row, column = np.nonzero(library.known)
-        drawn = rng.integers(row.size, size=samples)
+        samples = min(samples, row.size)
+        drawn = rng.choice(row.size, samples, replace=False)
         width_nm, length_nm = library.width_nm[column[drawn]], library.length_nm[row[drawn]]
         stated = library.at_sizes(width_nm, length_nm)
     else:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.spatial import cKDTree
 
+from metafab.cell import is_square
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.files import fingerprint
@@ -60,7 +61,7 @@ def library_at(library: Library, asked: Corner) -> Library:
     best, *rivals = (model.at(axes, bias_nm) for model in corners.models)
     pairs = [ModelPair(best, rival) for rival in rivals]
     sizes = library.width_nm, library.length_nm
-    exchange = box.exchanges and library.unit_cell.is_square and np.array_equal(*sizes)
+    exchange = box.exchanges and is_square(library.unit_cell) and np.array_equal(*sizes)
     values = best.on_grid(*sizes)
     certificate = _certificate(corners, box, library, bias_nm, axes)
     on_grid, around = (

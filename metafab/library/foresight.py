@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from metafab.cell import pillar_cell, rcwa
-from metafab.library.axes import CornerBox
+from metafab.library.axes import CornerBox, corner_cell
 from metafab.library.corner_rounds import FIRST_ROUND, MOST_SAMPLES
 from metafab.library.sampling import SizeGrid
 from metafab.spec import UnitCell
@@ -44,9 +44,14 @@ def foresee(unit_cell: UnitCell, solver_error: float) -> Foresight | None:
         return None
     distinct = SizeGrid.of(unit_cell).distinct.size
     few, many = min(FEW_CELLS, distinct), min(MANY_CELLS, distinct)
-    if (box := CornerBox.of(unit_cell)) is not None:
-        dimensions = 2 + len(box.variables)
-        few, many = few + FIRST_ROUND * dimensions, many + MOST_SAMPLES * dimensions
-    middle = (0.5 * sum(span) for span in (unit_cell.sweep.width_nm, unit_cell.sweep.length_nm))
-    each = rcwa.seconds_estimate(solver_error, pillar_cell(unit_cell, *middle))
-    return Foresight((few, many), (few * each, 5.0 * many * each))
+    box = CornerBox.of(unit_cell)
+    dimensions = 0 if box is None else 2 + len(box.variables)
+    few_there, many_there = FIRST_ROUND * dimensions, MOST_SAMPLES * dimensions
+    width_nm, length_nm = (0.5 * sum(span) for span in (unit_cell.sweep.width_nm, unit_cell.sweep.length_nm))
+    each = rcwa.seconds_estimate(solver_error, pillar_cell(unit_cell, width_nm, length_nm))
+    least, most = few * each, 5.0 * many * each
+    if box is not None:
+        corner = {name: high for name, (_, high) in box.spans.items()}
+        there = rcwa.seconds_estimate(solver_error, corner_cell(unit_cell, width_nm, length_nm, corner))
+        least, most = least + few_there * there, most + 5.0 * many_there * there
+    return Foresight((few + few_there, many + many_there), (least, most))

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from metafab.library.corners import Corners
     from metafab.library.surface import Surface
 
+#: Fewest widths and lengths that a surface goes through.
+SMALLEST_SURFACE = 4
 #: What a library's numbers come from, with all that it imports; the FDTD program is started, not imported.
 BUILT_BY = ("metafab.library.build", "metafab.cell.meep_worker")
 #: Index tables, which are read, not imported.
@@ -87,6 +89,11 @@ class Library:
     def known(self) -> NDArray[np.bool_]:
         """Which sizes are made, shape (n_length, n_width): all, or of circles those as wide as long."""
         return np.asarray(np.isfinite(np.broadcast_to(self.error, self.t_xx.shape)[0]))
+
+    @property
+    def is_continuous(self) -> bool:
+        """Whether it can be evaluated between its sizes (:attr:`surface`)."""
+        return bool(self.known.all()) and min(self.width_nm.size, self.length_nm.size) >= SMALLEST_SURFACE
 
     def at(self, **axes: float) -> Library:
         """The same sizes at other values of the library's axes: ``library.at(wavelength_nm=803.0, cd_bias_nm=2.0)``.

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
+from metafab.cell import is_square
 from metafab.core.conventions import ComplexArray, FloatArray, wrap_phase
 from metafab.core.errors import Fault, InputError
 from metafab.core.executor import default_workers
@@ -191,7 +192,7 @@ def isotropic_sizes(library: Library) -> NDArray[np.bool_]:
         InputError: the cell itself tells x from y, so that no size does.
     """
     unit_cell = library.unit_cell
-    if not unit_cell.is_square:
+    if not is_square(unit_cell):
         expected = "a square lattice on an isotropic substrate, of which a quarter turn makes the same"
         raise InputError.single("library", "cell.period_nm", expected, "one that tells x from y")
     alike = np.abs(library.length_nm[:, None] - library.width_nm[None, :]) < 1e-6

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.cell import PillarCell, pillar_cell
+from metafab.cell import PillarCell, is_square, pillar_cell
 from metafab.core.conventions import FloatArray
 from metafab.spec.cell import Sweep, UnitCell
 
@@ -42,7 +42,7 @@ class SizeGrid:
     def of(cls, unit_cell: UnitCell) -> SizeGrid:
         """The grid of a unit cell's sweep."""
         sweep = unit_cell.sweep
-        exchange = unit_cell.is_square and sweep.width_nm == sweep.length_nm
+        exchange = is_square(unit_cell) and sweep.width_nm == sweep.length_nm
         diagonal = unit_cell.cell.shape == "circle"
         return cls(_axis(sweep, sweep.width_nm), _axis(sweep, sweep.length_nm), exchange, diagonal)
 

@@ -37,6 +37,10 @@ def save(library: Library, path: Path) -> None:
 
     The same build gives the same bytes, wherever and however fast it ran.
     """
+    if library.corner:
+        corner = ", ".join(f"{name} = {value:g}" for name, value in library.corner.items())
+        remedy = "save the library that it is a corner of; `at` gives the corner again"
+        raise InputError.single(str(path), "library.corner", "a library of the unit cell's own values", corner, remedy)
     dims = ("wavelength_nm", "length_nm", "width_nm")
     with hdf5.create(
         path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, inputs_sha256=library.inputs_sha256

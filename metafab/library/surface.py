@@ -20,7 +20,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.executor import default_workers
 from metafab.core.numerics import HAS_NUMBA
-from metafab.library.library import Library, SizeResponse
+from metafab.library.library import SMALLEST_SURFACE, Library, SizeResponse
 from metafab.library.models import SizeModel
 from metafab.library.spline import Tiles, coefficients_of, grid_spline_error, spline_error
 
@@ -60,7 +60,7 @@ class Surface:
         if not library.known.all():
             expected = "a library of widths and lengths, which is continuous in both"
             raise InputError.single("library", "cell.shape", expected, "circles", "ask for sizes of the grid")
-        if min(library.width_nm.size, library.length_nm.size) < 4:
+        if min(library.width_nm.size, library.length_nm.size) < SMALLEST_SURFACE:
             got = f"{library.width_nm.size} widths and {library.length_nm.size} lengths"
             raise InputError.single("library", "sweep", "at least 4 sizes a side", got, "sweep a range of sizes")
         if library.model is None:

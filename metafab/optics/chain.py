@@ -167,7 +167,7 @@ def _best_overlap(written: WrittenField, target_rad: FloatArray, library: Librar
     size_nm = written.pillars.size_nm()[1:]
     axes = [_fine_axis(size_nm[:, axis], min(library.width_nm.size, library.length_nm.size)) for axis in (0, 1)]
     width, length = np.meshgrid(*axes)
-    continuous = min(a.size for a in axes) > 1 and library.known.all()
+    continuous = min(a.size for a in axes) > 1 and library.is_continuous
     fine = library.surface(width, length) if continuous else library.at_sizes(*size_nm.T)
     t = np.stack([fine.t_xx.ravel(), fine.t_yy.ravel()], axis=1)
     parts = np.stack([t[:, 0].real, t[:, 0].imag, t[:, 1].real, t[:, 1].imag], axis=1)

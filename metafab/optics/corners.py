@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from metafab.cell import PillarCell
+from metafab.cell import PillarCell, is_square
 from metafab.cell.rcwa import zero_order
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.executor import SerialExecutor, in_order
@@ -154,7 +154,7 @@ class _Sizes:
         index = np.flatnonzero(counts[1:]) + 1
         size_nm, count = pillars.size_nm()[index], counts[index]
         stored = library.at_sizes(*size_nm.T)
-        wanted = min(_SAMPLES if library.unit_cell.is_square else 2 * _SAMPLES, index.size)
+        wanted = min(_SAMPLES if is_square(library.unit_cell) else 2 * _SAMPLES, index.size)
         chosen = np.random.default_rng(0).choice(index.size, wanted, replace=False, p=count / count.sum())
         place = {tuple(size): k for k, size in enumerate(size_nm.tolist())}
         mirror = np.array([place.get((length, width), index.size) for width, length in size_nm.tolist()])
@@ -201,7 +201,9 @@ class _Sizes:
         self, library: Library, bias_nm: float, solved: np.ndarray, after: ComplexArray
     ) -> tuple[ComplexArray, float]:
         """Amplitudes of sizes all moved by a bias: the library's surface, and those that were solved beyond it."""
-        mirrored = self.mirror[solved] < self.index.size if library.unit_cell.is_square else np.zeros(solved.size, bool)
+        mirrored = (
+            self.mirror[solved] < self.index.size if is_square(library.unit_cell) else np.zeros(solved.size, bool)
+        )
         images = self.mirror[solved[mirrored]]
         inside = np.setdiff1d(np.arange(self.index.size), np.concatenate([solved, images]))
         t, error = np.empty_like(self.t), np.full(self.index.size, 1e-3)
@@ -219,7 +221,7 @@ class _Sizes:
             return self.t * (after / before), 1e-3
         basis = self._basis(library)
         fitted, missed = np.empty_like(self.t), []
-        groups = [(0, 1)] if library.unit_cell.is_square else [(0,), (1,)]
+        groups = [(0, 1)] if is_square(library.unit_cell) else [(0,), (1,)]
         for group in groups:
             seen = np.concatenate([basis[p][self.sample] for p in group])
             change = np.concatenate([after[:, p] - before[:, p] for p in group])
@@ -277,7 +279,7 @@ def _cells_wanted(sizes: _Sizes, library: Library, corner: Mapping[str, float]) 
     at = sizes.size_nm + bias_nm
     outside = np.flatnonzero(np.any((at < low) | (at > high), axis=1))
     # Of a size and its mirror image, one is solved.
-    return _Wanted(outside[sizes.mirror[outside] >= outside] if library.unit_cell.is_square else outside)
+    return _Wanted(outside[sizes.mirror[outside] >= outside] if is_square(library.unit_cell) else outside)
 
 
 def _in_library(library: Library, corner: Mapping[str, float]) -> bool:

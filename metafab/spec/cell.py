@@ -46,6 +46,9 @@ def _material(value: object) -> object:
 #: Distance of the rows of a regular hexagonal lattice over its period, and how far one may be from regular.
 _ROWS_PER_PERIOD, _MOST_STRAIN = math.sqrt(3.0) / 2.0, 0.01
 
+#: Sizes along one axis beyond which maps of both no longer fit any memory.
+_MOST_STEPS = 10_000
+
 SidewallAngle = Annotated[float, Field(strict=True, ge=60.0, le=120.0)]
 
 
@@ -115,6 +118,8 @@ class CellGeometry:
 
     @model_validator(mode="after")
     def _corners(self) -> CellGeometry:
+        if self.is_hexagonal and (self.shape != "rectangle" or self.corner_radius_nm):
+            raise ValueError("`shape`, `corner_radius_nm`: pillars of a hexagonal lattice are plain rectangles, so far")
         if self.corner_radius_nm and self.shape != "rectangle":
             raise ValueError(f"`corner_radius_nm` rounds a rectangle's corners, not those of the shape {self.shape!r}")
         return self
@@ -141,8 +146,9 @@ class CellMaterials:
     @model_validator(mode="after")
     def _one_birefringent(self) -> CellMaterials:
         for name in ("pillar", "ambient"):
-            if getattr(self, name).n_z is not None:
-                raise ValueError(f"`{name}.n_z`: only the substrate may be birefringent")
+            given = [key for key in ("n_y", "k_y", "n_z", "k_z") if getattr(getattr(self, name), key) is not None]
+            if given:
+                raise ValueError(f"`{name}.{given[0]}`: only the substrate may be birefringent")
         return self
 
 
@@ -213,6 +219,8 @@ class Sweep:
             if low > high:
                 raise ValueError(f"`{name}` must be [smallest, largest], got [{low}, {high}]")
             steps = (high - low) / self.size_grid_nm
+            if steps > _MOST_STEPS:
+                raise ValueError(f"`size_grid_nm` must leave at most {_MOST_STEPS} steps of `{name}`, got {steps:.3g}")
             if abs(steps - round(steps)) > 1e-6:
                 raise ValueError(
                     f"`{name}` must span a whole number of `size_grid_nm` steps, got {high - low} nm in steps "
@@ -287,7 +295,5 @@ class UnitCell:
 
     @property
     def is_square(self) -> bool:
-        """Whether swapping x and y swaps the two polarisations and nothing else."""
-        isotropic = all(m.n_y is None for m in (self.materials.substrate, self.materials.ambient))
-        same_period = self.cell.period_nm[0] == self.cell.period_nm[1]
-        return isotropic and same_period and not self.cell.is_hexagonal
+        """Whether a quarter turn maps the lattice to itself; what the materials do is for the ``cell`` room to say."""
+        return self.cell.period_nm[0] == self.cell.period_nm[1] and not self.cell.is_hexagonal

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.main_job import metafab
+from tests.main_job import UNIT_CELL, metafab
 
 WIDE = """
 [cell]
@@ -89,3 +89,12 @@ def test_cells_that_cannot_be_solved_are_refused_by_name(tmp_path: Path, options
     answer = metafab("cell", _file(tmp_path), *SIZES, *options)
     assert answer.code == 2
     assert field in answer.stderr
+
+
+def test_a_result_never_replaces_what_it_is_made_from(tmp_path: Path) -> None:
+    spec = tmp_path / "cell.toml"
+    spec.write_bytes(Path(UNIT_CELL).read_bytes())
+    answer = metafab("library", "build", str(spec), "-o", str(spec))
+    assert answer.code == 2
+    assert "which is read" in answer.stderr
+    assert spec.read_bytes() == Path(UNIT_CELL).read_bytes()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from metafab.cell import pillar_cell
+from metafab import library
+from metafab.cell import is_square, pillar_cell
 from metafab.core.errors import InputError
 from metafab.library import corner_model
 from metafab.library.axes import CornerBox, corner_cell, corner_unit_cell
 from metafab.library.corner_model import CornerSamples, fit_corner_models
 from metafab.library.library import Library
+from metafab.library.lookup import isotropic_sizes
+from metafab.library.sampling import SizeGrid
 from metafab.spec import UnitCell, canonical_toml
-from metafab.spec.cell import Axes
+from metafab.spec.cell import Axes, Material
 from metafab.spec.toml import validate
 
 SPANS = {
@@ -190,3 +194,42 @@ def test_more_samples_never_mean_poorer_shapes(equations: int, variables: int) -
     assert all(shape.unknowns <= 0.7 * 2 * equations for shape in shapes)
     fewer = corner_model._candidates(equations // 2, variables)
     assert max(shape.degrees[0] for shape in shapes) >= max(shape.degrees[0] for shape in fewer)
+
+
+def test_a_record_that_does_not_cover_the_axis_is_refused_before_any_cell_is_solved(unit_cell: UnitCell) -> None:
+    materials = replace(unit_cell.materials, pillar=Material(record="Si/Aspnes"))
+    asked = replace(asking(unit_cell, wavelength_nm=(790.0, 830.0)), materials=materials)
+
+    def never(*_: object) -> Any:
+        raise AssertionError("a cell was solved")
+
+    with pytest.raises(InputError, match="wavelength_nm"):
+        library.build(asked, solver=never)
+
+
+def test_a_corner_is_not_saved_as_if_it_were_the_library(smooth_library: Library, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cd_bias_nm = 5"):
+        library.save(replace(smooth_library, corner={"cd_bias_nm": 5.0}), tmp_path / "corner.h5")
+    assert not list(tmp_path.iterdir())
+
+
+def test_axes_count_in_what_is_foreseen(unit_cell: UnitCell) -> None:
+    plain, oblique = (library.foresee(cell, 1e-2) for cell in (unit_cell, asking(unit_cell, angle_x_deg=(0.0, 4.0))))
+    assert plain is not None
+    assert oblique is not None
+    assert oblique.seconds[0] > 5.0 * plain.seconds[0]
+
+
+def test_a_birefringent_record_tells_x_from_y(unit_cell: UnitCell, smooth_library: Library) -> None:
+    """R-plane sapphire, the usual wafer: x and y light see different indices, by a record that names no `n_y`."""
+    sapphire = replace(unit_cell.materials, substrate=Material(record="Al2O3/Malitson-R-x"))
+    wafer = replace(unit_cell, materials=sapphire)
+    assert is_square(unit_cell)
+    assert not is_square(wafer)
+    assert SizeGrid.of(unit_cell).exchange
+    assert not SizeGrid.of(wafer).exchange
+    with pytest.raises(InputError, match="tells x from y"):
+        isotropic_sizes(replace(smooth_library, unit_cell=wafer))
+    pillar = replace(unit_cell, materials=replace(sapphire, pillar=Material(record="Al2O3/Malitson-R-x")))
+    with pytest.raises(InputError, match=r"materials\.pillar"):
+        pillar_cell(pillar, 150.0, 150.0)
