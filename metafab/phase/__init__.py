@@ -37,7 +37,7 @@ from metafab.phase.bandwidth import (
     smear_um_per_nm,
 )
 from metafab.phase.blind import BlindDesign, BlindInformation, optimise_blind
-from metafab.phase.build import profile_of, pupil_field
+from metafab.phase.build import profile_of, pupil_field, require_paintable
 from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.compare import DepthBounds, compare_masks, reference_masks
 from metafab.phase.estimate import most_likely_defocus, twin_images
@@ -113,6 +113,7 @@ __all__ = [
     "propose",
     "pupil_field",
     "reference_masks",
+    "require_paintable",
     "rim_defocus_per_dioptre_rad",
     "rim_defocus_rad",
     "ring_rotation",

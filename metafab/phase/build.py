@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+from typing import TypedDict
 
 import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray, image_distance_mm
-from metafab.core.errors import InputError
+from metafab.core.errors import Fault, InputError
 from metafab.core.pictures import read_grey
 from metafab.core.progress import Progress, silent
 from metafab.phase.blind import BlindInformation, optimise_blind
 from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase
-from metafab.phase.hologram import design_hologram
+from metafab.phase.hologram import design_hologram, widest_picture_um
 from metafab.phase.information import Texture
 from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
 from metafab.phase.profile import PhaseProfile, Term
@@ -218,24 +219,67 @@ def _rotation(design: Design, term: spec.SpiralZones, helix: Term, pupil: Pupil)
     }
 
 
+def require_paintable(design: Design) -> None:
+    """Refuse pictures that cannot be read, are dark, or reach farther than the lattice can send light.
+
+    Raises:
+        InputError: all that was found.
+    """
+    faults = []
+    for number, term in enumerate(design.phase):
+        if isinstance(term, spec.Picture):
+            name = f"phase[{number}]"
+            try:
+                rows, columns = _picture(term).shape
+            except InputError as error:
+                faults += [Fault(f"{name}.file", f.expected, f.got, f.remedy) for f in error.faults]
+                continue
+            most_um = widest_picture_um((rows, columns), **_image_plane(design))
+            if term.width_um > most_um:
+                expected = f"at most {most_um:.6g} um (wavelength times distance over period, along x and y)"
+                faults.append(Fault(f"{name}.width_um", expected, f"{term.width_um:g} um", "narrow the picture"))
+    if faults:
+        raise InputError(design.name, faults)
+
+
 def _hologram(design: Design, term: spec.Picture, progress: Progress) -> tuple[Term, dict[str, float]]:
     """The hologram of a picture, sampled at the lattice's sites."""
-    picture = read_grey(term.file)
-    if not np.isfinite(picture).all() or picture.min() < 0.0 or picture.max() == 0.0:
-        raise InputError.single(str(term.file), "values", "finite, none below zero, and some above", "others")
-    pitch_um = 1e-3 * min(design.unit_cell.cell.period_nm)
+    require_paintable(design)
+    plane = _image_plane(design)
+    pitch_um = plane["pitch_um"]
     count = int(design.device.aperture_um / pitch_um + 1e-9)
     found = design_hologram(
-        picture,
+        _picture(term),
         term.width_um,
         inside=Pupil(count, design.device.aperture_shape).inside,
-        pitch_um=pitch_um,
-        wavelength_um=design.wavelength_um,
-        distance_um=_conjugates_um(design, design.sensor.focus_depth_m)[0],
+        **plane,
         progress=progress,
     )
     figures = {"hologram_efficiency": found.efficiency, "hologram_correlation": found.correlation}
     return SampledPhase(np.stack([found.field, found.field]), pitch_um, term.polarisation), figures
+
+
+def _picture(term: spec.Picture) -> FloatArray:
+    picture = read_grey(term.file)
+    if not np.isfinite(picture).all() or picture.min() < 0.0 or picture.max() == 0.0:
+        raise InputError.single(str(term.file), "values", "finite, none below zero, and some above", "others")
+    return picture
+
+
+class _ImagePlane(TypedDict):
+    """Where a picture is painted, and from sites how far apart."""
+
+    pitch_um: float
+    wavelength_um: float
+    distance_um: float
+
+
+def _image_plane(design: Design) -> _ImagePlane:
+    return {
+        "pitch_um": 1e-3 * min(design.unit_cell.cell.period_nm),
+        "wavelength_um": design.wavelength_um,
+        "distance_um": _conjugates_um(design, design.sensor.focus_depth_m)[0],
+    }
 
 
 def pupil_field(term: Term, pupil: Pupil, radius_um: float) -> ComplexArray:

@@ -54,6 +54,16 @@ class Hologram:
         return float(np.corrcoef(self.image.ravel(), self.wanted.ravel())[0, 1])
 
 
+def widest_picture_um(shape: tuple[int, int], *, pitch_um: float, wavelength_um: float, distance_um: float) -> float:
+    """Largest width of a picture of ``shape`` (rows, columns) that sites ``pitch_um`` apart can paint.
+
+    Neighbouring sites send light at most lambda / (2 pitch) to either side, so that the image plane repeats after
+    lambda z / pitch along both axes.
+    """
+    reach_um = wavelength_um * distance_um / pitch_um
+    return reach_um * min(1.0, shape[1] / shape[0])
+
+
 def design_hologram(
     picture: FloatArray,
     width_um: float,
@@ -69,7 +79,7 @@ def design_hologram(
 
     Args:
         picture: shape (rows, columns), irradiance >= 0 with some light, first row at the top.
-        width_um: its width in the image plane; the height follows from its shape.
+        width_um: its width in the image plane, at most :func:`widest_picture_um`; the height follows from its shape.
         inside: shape (n_y, n_x), which sites lie in the aperture.
         pitch_um: distance of the sites.
         wavelength_um: vacuum wavelength.
@@ -79,7 +89,16 @@ def design_hologram(
 
     Returns:
         Phase, image, and how much like the picture it is.
+
+    Raises:
+        ValueError: the picture is wider or higher than what the sites reach.
     """
+    rows, columns = picture.shape
+    most_um = widest_picture_um(
+        (rows, columns), pitch_um=pitch_um, wavelength_um=wavelength_um, distance_um=distance_um
+    )
+    if width_um > most_um:
+        raise ValueError(f"`width_um`: expected at most {most_um:g}, got {width_um:g}")
     n_y, n_x = inside.shape
     shape = tuple(scipy.fft.next_fast_len(math.ceil(_FINENESS * count)) for count in (n_y, n_x))
     step_um = [wavelength_um * distance_um / (count * pitch_um) for count in shape]

@@ -15,11 +15,11 @@ def preflight(design: Design) -> None:
     Raises:
         InputError: all that was found.
     """
-    from metafab import layout, mask
+    from metafab import layout, mask, phase
     from metafab.optics import Imaging
 
     faults: list[Fault] = []
-    for look in (Imaging.of, layout.lattice_of, layout.field_sites, mask.lens_copies):
+    for look in (Imaging.of, layout.lattice_of, layout.field_sites, mask.lens_copies, phase.require_paintable):
         try:
             look(design)
         except InputError as error:
@@ -100,4 +100,6 @@ def _preflight(job: Job) -> dict[str, Any]:
 
 
 #: Comes before all others and writes nothing; done again when the design or the code of the rooms that look changed.
-PREFLIGHT = Step("preflight", ("spec", "layout", "mask", "optics"), (), lambda d: d, lambda job: (), _preflight)
+PREFLIGHT = Step(
+    "preflight", ("spec", "phase", "layout", "mask", "optics"), (), lambda d: d, lambda job: (), _preflight
+)

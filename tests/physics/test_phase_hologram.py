@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.phase import GratingPhase, Hologram, Pupil, design_hologram
+from metafab.spec import load_design, write_new
 from metafab.spec.new import sample_picture
+from metafab.steps import preflight
 
 WAVELENGTH_UM, DISTANCE_UM, PITCH_UM, SITES = 0.8, 500.0, 0.5, 120
 
@@ -72,3 +76,29 @@ def test_energy_is_conserved_and_the_phase_is_pure() -> None:
     assert np.abs(np.abs(found.field) - 1.0).max() < 1e-12
     assert found.wanted.sum() == pytest.approx(1.0, abs=1e-12)
     assert found.efficiency <= 1.0 + 1e-12
+
+
+@pytest.mark.parametrize(("shape", "share"), [((40, 60), 1.0), ((60, 40), 40 / 60), ((40, 40), 1.0)])
+def test_the_widest_picture_fills_the_period_of_the_image_plane(shape: tuple[int, int], share: float) -> None:
+    period_um = WAVELENGTH_UM * DISTANCE_UM / PITCH_UM
+    picture = np.ones(shape)
+    found = _hologram(picture, share * period_um, iterations=1)
+    assert max(found.image.shape) == math.ceil(1.5 * SITES)  # all of the plane, along the picture's longer side
+    with pytest.raises(ValueError, match="`width_um`"):
+        _hologram(picture, 1.001 * share * period_um, iterations=1)
+    with pytest.raises(ValueError, match="`width_um`"):
+        _hologram(picture, 1e9, iterations=1)  # before any memory is asked for
+
+
+def test_a_picture_that_is_too_wide_is_refused_before_any_work(tmp_path: Path) -> None:
+    file, picture = write_new("mine", "hologram", tmp_path)
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("width_um = 100.0", "width_um = 1e6"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"`phase\[1\]\.width_um`: expected at most \d+.* um") as told:
+        preflight(load_design(file))
+    most_um = told.value.faults[0].expected.split()[2]
+    file.write_text(text.replace("width_um = 100.0", f"width_um = {0.9999 * float(most_um):f}"), encoding="utf-8")
+    preflight(load_design(file))
+    picture.unlink()
+    with pytest.raises(InputError, match=r"`phase\[1\]\.file`: .*no file at that path"):
+        preflight(load_design(file))
