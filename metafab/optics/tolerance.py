@@ -10,6 +10,7 @@ polarisation by the other's PSF at a trial depth, and takes the depth at which t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -37,11 +38,15 @@ from metafab.spec.design import Tolerances
 #: The decoder looks beyond the depths of the table by this share of their range of vergence, at this many depths for
 #: each that its calibration holds.
 _MARGIN, _TRIALS = 0.25, 6
+#: What random faults shift one way, whose mean over draws is told; of the rest, which goes both ways, it is the rms.
+_OF_DRAWS_THE_MEAN = ("peak_ratio", "efficiency", "efficiency_change", "extinction_ratio")
 
 
 @dataclass(frozen=True)
 class ToleranceRow:
-    """One corner beside the nominal mask; the worst of both polarisations and all depths, of draws their rms.
+    """One corner beside the nominal mask; the worst of both polarisations and all depths.
+
+    Of draws, change, turn and depth error are their rms, the rest their mean.
 
     Attributes:
         corner: its name.
@@ -51,11 +56,12 @@ class ToleranceRow:
         efficiency_change: largest change of that share, with its sign.
         extinction_ratio: smallest ratio of wanted over unwanted light in x's window.
         turn_deg: largest turn of the main lobe of PSF_x, with its sign.
-        depth_error_m: largest error of the depth that a decoder reports, with its sign; NaN where the pair does not
-            turn, or where no depth in reach agrees.
+        depth_error_m: largest error of the finite depths that a decoder reports, with its sign; NaN where the pair
+            does not turn, or where no depth in reach agrees.
         relative_error: error of these changes over the changes: of the corner's amplitudes, or of so few draws.
         draws: random masks; 0 for a corner that is not random.
         solved: cells that were solved for it.
+        below_error: whether the PSFs change by no more than they err by: the row then means "no more than the error".
     """
 
     corner: str
@@ -69,6 +75,7 @@ class ToleranceRow:
     relative_error: float
     draws: int = 0
     solved: int = 0
+    below_error: bool = False
 
 
 @dataclass(frozen=True)
@@ -165,11 +172,11 @@ def tolerance_table(
         pyramids, stray = reduce_to_target(
             apodised(written, transmission), [window], depths, (0.0, 0.0), None, target_error, threads, progress
         )
-        errors = [window.irradiance(pyramids[p], p, (0.0, 0.0), depths)[1].max() for p in (0, 1)]
+        error = float(max(window.irradiance(pyramids[p], p, (0.0, 0.0), depths)[1].max() for p in (0, 1)))
         carriers = (pyramids[0][0].carrier, pyramids[1][0].carrier, stray.carrier)
         bench = _Bench(window, tuple(depths), carriers, transmission)
         pupils = [pyramids[0][0], pyramids[1][0], stray]
-        judge = _Judge.of(bench, pupils)
+        judge = _Judge.of(bench, pupils, error)
         corners = corner_fields(written, library, _deviations(tolerances), executor=executor, progress=progress)
         rows = []
         for done, corner in enumerate(corners):
@@ -178,9 +185,7 @@ def tolerance_table(
         faults = _faults(tolerances, imaging, written, field_sites)
         rows += [judge.draws(fault, bench, pupils, written, tolerances) for fault in faults]
     nominal = judge.row("nominal", [judge.nominal], 0.0)
-    return ToleranceTable(
-        nominal, tuple(rows), np.array(depths), float(max(errors)), pyramids[0][0].carrier.block_sites
-    )
+    return ToleranceTable(nominal, tuple(rows), np.array(depths), error, pyramids[0][0].carrier.block_sites)
 
 
 def _deviations(tolerances: Tolerances) -> dict[str, float]:
@@ -220,6 +225,7 @@ class _Judge:
         trial_m: shape (n_trial,), depths that the decoder tries.
         transfer: shape (2, n_trial, n, m), spectra of the nominal pair there.
         own_m: shape (n_depth,), what it reports for the nominal mask itself.
+        error: relative L2 error of any PSF.
     """
 
     nominal: _Light
@@ -227,19 +233,23 @@ class _Judge:
     trial_m: FloatArray
     transfer: ComplexArray
     own_m: FloatArray
+    error: float
 
     @classmethod
-    def of(cls, bench: _Bench, pupils: Sequence[Pupil]) -> _Judge:
+    def of(cls, bench: _Bench, pupils: Sequence[Pupil], error: float) -> _Judge:
         near, far = 1.0 / bench.depths_m[0], 1.0 / bench.depths_m[-1]
         margin = max(_MARGIN * (near - far), 0.02 * near)
-        nodes = depth_nodes(bench.window.imaging, 1.0 / (near + margin), 1.0 / max(far - margin, 1e-3 * far), 1e-3)
+        farthest_m = 1.0 / max(far - margin, 1e-3 * far) if far > 0.0 else math.inf
+        nodes = depth_nodes(bench.window.imaging, 1.0 / (near + margin), farthest_m, 1e-3)
         stack = replace(bench, depths_m=tuple(nodes.tolist())).light(pupils).pair
         vergence = np.linspace(1.0 / nodes[0], 1.0 / nodes[-1], _TRIALS * nodes.size)
         weights = spline_weights(1.0 / nodes, vergence)
         transfer = np.einsum("td,pdij->ptij", weights, np.fft.rfft2(stack), optimize=True)
         nominal = bench.light(pupils)
-        own_m = _reported_depth_m(nominal.pair, 1.0 / vergence, transfer)
-        return cls(nominal, bench.depths_m, 1.0 / vergence, transfer, own_m)
+        with np.errstate(divide="ignore"):
+            trial_m = 1.0 / vergence
+        own_m = _reported_depth_m(nominal.pair, trial_m, transfer)
+        return cls(nominal, bench.depths_m, trial_m, transfer, own_m, error)
 
     def corner(self, corner: CornerField, light: _Light) -> ToleranceRow:
         """The row of a corner of the cell."""
@@ -261,18 +271,20 @@ class _Judge:
         return replace(row, draws=tolerances.draws)
 
     def row(self, name: str, lights: Sequence[_Light], relative_error: float) -> ToleranceRow:
-        """Figures of one light, or over several draws: their rms, sign and all for one."""
+        """Figures of one light, sign and all, or over several draws: their rms, or mean."""
         figures = [self._figures(light) for light in lights]
         values = {key: np.array([figure[key] for figure in figures]) for key in figures[0]}
         one = len(lights) == 1
         pooled = {key: float(v[0]) if one else float(np.sqrt(np.mean(v**2))) for key, v in values.items()}
         if not one:
-            pooled |= {key: float(values[key].mean()) for key in ("peak_ratio", "efficiency", "extinction_ratio")}
-        return ToleranceRow(name, **pooled, relative_error=relative_error)  # type: ignore[arg-type]  # all floats
+            pooled |= {key: float(values[key].mean()) for key in _OF_DRAWS_THE_MEAN}
+        below_error = pooled["change"] <= self.error
+        return ToleranceRow(name, **pooled, relative_error=relative_error, below_error=below_error)  # type: ignore[arg-type]
 
     def _figures(self, light: _Light) -> dict[str, float]:
         before, after = self.nominal, light
-        n_depth = len(self.depths_m)
+        n_depth, finite = len(self.depths_m), np.isfinite(self.depths_m)
+        depth_error_m = _reported_depth_m(after.pair, self.trial_m, self.transfer) - self.own_m
         turn = (orientation_deg(after.pair[0]) - orientation_deg(before.pair[0]) + 180.0) % 360.0 - 180.0
         peaks = [[main_lobe_px(image)[2] for image in stack] for stack in after.pair]
         nominal_peaks = [[main_lobe_px(image)[2] for image in stack] for stack in before.pair]
@@ -283,7 +295,7 @@ class _Judge:
             "efficiency_change": _largest(after.efficiency - before.efficiency),
             "extinction_ratio": float(after.extinction.min()),
             "turn_deg": _largest(turn),
-            "depth_error_m": _largest(_reported_depth_m(after.pair, self.trial_m, self.transfer) - self.own_m),
+            "depth_error_m": _largest(depth_error_m[finite]) if finite.any() else math.nan,
         }
 
 

@@ -48,5 +48,7 @@ def _table(content: dict[str, Any]) -> tuple[ToleranceTable, str]:
 
 
 def _row(entry: dict[str, Any]) -> ToleranceRow:
+    """A row whose numbers stand in JSON as null (NaN) or "inf"."""
     known: dict[str, Any] = {key: math.nan if value is None else value for key, value in entry.items()}
+    known |= {key: float(value) for key, value in known.items() if value in ("inf", "-inf")}
     return ToleranceRow(**known)

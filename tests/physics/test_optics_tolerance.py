@@ -11,6 +11,7 @@ import pytest
 
 from metafab import library
 from metafab.cell.rcwa import zero_order
+from metafab.core.conventions import FloatArray
 from metafab.core.executor import SerialExecutor, open_executor
 from metafab.core.progress import silent
 from metafab.layout.pillars import Lattice, PillarMap
@@ -114,7 +115,7 @@ def test_a_depth_is_what_the_twins_agree_on(written: WrittenField) -> None:
     pyramids, stray = reduce_to_target(written, [window], DEPTHS_M, (0.0, 0.0), None, 1e-3, SerialExecutor(), silent)
     carriers = (pyramids[0][0].carrier, pyramids[1][0].carrier, stray.carrier)
     pupils = [pyramids[0][0], pyramids[1][0], stray]
-    judge = module._Judge.of(module._Bench(window, tuple(DEPTHS_M), carriers), pupils)
+    judge = module._Judge.of(module._Bench(window, tuple(DEPTHS_M), carriers), pupils, 1e-3)
     there = [0.85e-3, 0.9e-3, 0.91e-3]
     pair = psf(written, OPTICS, there, window_px=48, target_error=1e-3).psf
     found = module._reported_depth_m(pair, judge.trial_m, judge.transfer)
@@ -146,3 +147,35 @@ def test_the_table_comes_back_from_its_file(table: ToleranceTable, tmp_path: Pat
     assert found[0].nominal == table.nominal
     path.write_text('{"kind": "something else"}', encoding="utf-8")
     assert load_tolerance(path) is None and load_tolerance(tmp_path / "none.json") is None
+
+
+def _light(pair: FloatArray) -> module._Light:
+    return module._Light(pair, np.full(pair.shape[1], 1e-3), 1.0)
+
+
+def test_draws_keep_the_sign_of_what_they_lose_and_say_what_they_cannot_tell() -> None:
+    """Missing pillars only lose light: two draws that lose 0.02 and 0.04 lose 0.03; below the error, rows say so."""
+    pair = np.ones((2, 1, 8, 8)) / 64.0
+    trial_m = np.linspace(0.9e-3, 0.8e-3, 5)
+    transfer = np.ones((2, 5, 8, 5)) + 0j
+    judge = module._Judge(_light(pair), (0.85e-3,), trial_m, transfer, np.array([0.85e-3]), 0.03)
+    row = judge.row("missing", [_light(0.98 * pair), _light(0.96 * pair)], 0.1)
+    assert row.efficiency_change == pytest.approx(-0.03)
+    assert row.change == pytest.approx(math.sqrt((0.02**2 + 0.04**2) / 2.0)) and not row.below_error
+    assert judge.row("missing", [_light(0.98 * pair)], 0.1).below_error
+
+
+def test_an_infinite_number_comes_back_from_the_file(table: ToleranceTable, tmp_path: Path) -> None:
+    far = replace(table, depth_m=np.array([1.0, math.inf]), nominal=replace(table.nominal, extinction_ratio=math.inf))
+    save_tolerance(far, tmp_path / "tolerance.json", mask_sha256="0123")
+    found = load_tolerance(tmp_path / "tolerance.json")
+    assert found is not None
+    assert found[0].nominal == far.nominal and found[0].depth_m.tolist() == [1.0, math.inf]
+
+
+def test_a_table_reaches_to_infinity(written: WrittenField, small_library: Library) -> None:
+    """The depth error is of the finite depths."""
+    none = {"cd_bias_nm": 0.0, "height_nm": 0.0, "sidewall_deg": 0.0, "pillar_n": 0.0, "misplacement_nm": 0.0}
+    asked = Tolerances(**none, stitching_nm=0.0, missing_share=1e-3, draws=2)
+    found = tolerance_table(written, small_library, OPTICS, [0.84e-3, 0.9e-3, math.inf], asked, 5000, window_px=48)
+    assert math.isfinite(found.rows[0].change) and found.depth_m[-1] == math.inf

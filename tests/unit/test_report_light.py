@@ -52,6 +52,11 @@ def test_what_is_no_number_is_shown_as_such() -> None:
     assert ">–</td>" in page
 
 
+def test_a_change_below_the_error_is_told_so() -> None:
+    page = _page(_row("missing 1 per mille", below_error=True))
+    assert ">below error</td>" in page and ">0.29\u202f%</td>" not in page
+
+
 def test_nobody_asked_for_corners() -> None:
     assert tolerances(RunFolder(Path())) == ""
 

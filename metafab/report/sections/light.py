@@ -124,7 +124,7 @@ def tolerances(run: RunFolder) -> str:
     if not part:
         return ""
     head = ["corner", "PSF", "peak", "efficiency", "extinction", "turn / °", "depth error / %", "± of the change"]
-    nearest = min(part["depth_m"])
+    nearest = min(float(depth) for depth in part["depth_m"])
     rows = [
         [
             escape(_corner(row["corner"])),
@@ -134,12 +134,13 @@ def tolerances(run: RunFolder) -> str:
             _ratio(row["extinction_ratio"]),
             html.number(row["turn_deg"], 2),
             html.number(None if row["depth_error_m"] is None else 100.0 * row["depth_error_m"] / nearest, 2),
-            f"{html.number(100.0 * row['relative_error'], 2)}\u202f%",
+            "below error" if row.get("below_error") else f"{html.number(100.0 * row['relative_error'], 2)}\u202f%",
         ]
         for row in part["rows"]
     ]
     text = (
-        "The worst of both polarisations and all depths; of random faults the rms over draws. PSF: relative L2 change. "
+        "The worst of both polarisations and all depths; of random faults the rms over draws, of efficiency, peak and "
+        "extinction their mean. PSF: relative L2 change; below error: by no more than the PSFs err by. "
         "Depth error: what a decoder reports that knows the nominal mask, against the nearest depth. The mask is not "
         "rebuilt: only its amplitudes change."
     )
