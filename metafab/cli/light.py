@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -31,7 +32,8 @@ def psf_command(
     layout: Annotated[Path | None, typer.Argument(metavar="LAYOUT", help="Written mask, .gds or .oas.")] = None,
     ideal: Annotated[bool, typer.Option("--ideal", help="The target phases, without a mask.")] = False,
     depths_m: Annotated[
-        list[float] | None, typer.Option(metavar="Z ...", help="Object depths [default: the design's].")
+        list[float] | None,
+        typer.Option(metavar="Z ...", help="Object depths, `inf` for far away [default: the design's]."),
     ] = None,
     object_mm: Annotated[
         tuple[float, float] | None, typer.Option(metavar="X Y", help="Object's place beside the axis.")
@@ -53,7 +55,7 @@ def psf_command(
 
     if ideal == (layout is not None):
         raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
-    require_positive("--depths-m", *(depths_m or ()))
+    require_positive("--depths-m", *(depth for depth in depths_m or () if depth != math.inf))
     require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
     require_finite("--object-mm", *(object_mm or ()))
     with progress_bars() as progress, measured() as cost:
@@ -71,7 +73,7 @@ def psf_command(
         )
     if output is not None:
         steps.save_psf(job, result, layout, output, copy)
-    show({**steps.psf_figures(result), "seconds": cost.seconds, "file": output}, json_)
+    show({**steps.psf_figures(result), **steps.power_figures(result), "seconds": cost.seconds, "file": output}, json_)
 
 
 @app.command("tolerance")

@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import Polarisation
 from metafab.spec.cell import UnitCell
-from metafab.spec.fields import CONFIG, Name, NonNegative, Positive, Real, TargetError
+from metafab.spec.fields import CONFIG, DepthOrInfinity, Name, NonNegative, Positive, Real, TargetError
 from metafab.spec.mask import Mask
 from metafab.spec.scene import Scene
 
@@ -253,10 +253,11 @@ class Optics:
 class Verify:
     """At which depths the written file is simulated, on which window, at how many field points.
 
-    ``field_points`` is [x, y], or one number for both; the pair changes fastest along the split.
+    The last of ``depths_m`` may be ``inf``. ``field_points`` is [x, y], or one number for both; the pair changes
+    fastest along the split.
     """
 
-    depths_m: tuple[Positive, ...]
+    depths_m: tuple[DepthOrInfinity, ...]
     window_px: Annotated[int, Field(strict=True, ge=4, le=MAX_WINDOW_PX)] = 64
     field_points: tuple[FieldPoints, FieldPoints] = (5, 5)
     target_error: TargetError = 1e-3

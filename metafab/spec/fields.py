@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
 
 #: Unknown keys are refused, values cannot change, defaults are checked too.
 CONFIG = ConfigDict(extra="forbid", validate_default=True)
@@ -12,11 +13,20 @@ CONFIG = ConfigDict(extra="forbid", validate_default=True)
 #: Beyond any length, count or time of this field in any of its units, and far from where arithmetic overflows.
 LARGEST = 1e15
 
+
+def _far_or_infinite(depth_m: float) -> float:
+    if LARGEST < depth_m < math.inf:
+        raise ValueError(f"must be at most {LARGEST:g} m, or inf")
+    return depth_m
+
+
 Real = Annotated[float, Field(strict=True, ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, gt=0.0, le=LARGEST, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=LARGEST, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
 TargetError = Annotated[float, Field(strict=True, ge=1e-12, lt=1.0)]
+#: Of an object whose distance may be infinite.
+DepthOrInfinity = Annotated[float, Field(strict=True, gt=0.0), AfterValidator(_far_or_infinite)]
 Count = Annotated[int, Field(strict=True, ge=1)]
 Index = Annotated[int, Field(strict=True, ge=0, le=65535)]
 Name = Annotated[str, Field(strict=True, min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]

@@ -34,6 +34,7 @@ from metafab.steps.optics import (
     ideal_source,
     mask_source,
     point_spread,
+    power_figures,
     psf_figures,
     save_psf,
 )
@@ -67,6 +68,7 @@ __all__ = [
     "mask_source",
     "open_library",
     "point_spread",
+    "power_figures",
     "preflight",
     "psf_figures",
     "recorded_coupling",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -42,7 +43,8 @@ def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
         return design.verify.depths_m
     near, far = 1.0 / design.depths_m[0], 1.0 / design.depths_m[-1]
     margin = max(DEPTH_MARGIN * (near - far), SMALLEST_MARGIN * near)
-    nodes = optics.depth_nodes(imaging, 1.0 / (near + margin), 1.0 / (far - margin), design.verify.target_error)
+    farthest_m = 1.0 / (far - margin) if far > margin else math.inf
+    nodes = optics.depth_nodes(imaging, 1.0 / (near + margin), farthest_m, design.verify.target_error)
     return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
 
 
@@ -125,6 +127,11 @@ def point_spread(
     source = lit_source(job, ideal_source(job) if path is None else mask_source(job, path, copy))
     # On the axis, all depths lie in one direction and share one pass over the pillars.
     x_mm, y_mm = object_mm
+    if (x_mm, y_mm) != (0.0, 0.0) and math.inf in depths_m:
+        raise InputError.single(
+            "psf", "--object-mm", "an object at a finite depth", f"{x_mm:g} {y_mm:g} mm at infinity",
+            "leave inf out of --depths-m: a place beside the axis in mm is no direction there",
+        )  # fmt: skip
     together = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
     stacks = [
         optics.psf(
@@ -181,6 +188,11 @@ def psf_figures(psf: Psf) -> dict[str, FloatArray]:
         "extinction_ratio": psf.extinction_ratio,
         "error": psf.error,
     }
+
+
+def power_figures(psf: Psf) -> dict[str, float | str]:
+    """Shares of the power at the aperture, of the stack's middle depth: transmitted, thereof stray, and lost."""
+    return {name: value for name, value in psf.details.items() if name.startswith(("transmitted_", "stray_", "lost_"))}
 
 
 def _psf(job: Job) -> dict[str, Any]:

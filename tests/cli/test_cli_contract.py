@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ import pytest
 
 from metafab.cli.arguments import spread_depths
 from metafab.core.errors import InputError
+from metafab.optics import load as load_psf
 from tests.conftest import MainJob
 from tests.main_job import ROOT, SMALL, UNIT_CELL, metafab
 
@@ -146,6 +148,24 @@ def test_ideal_psf_needs_no_mask() -> None:
     answer = metafab("psf", "--ideal", "--design", SMALL, "--depths-m", "0.003", "--json")
     assert answer.code == 0, answer.stderr
     assert len(answer.json["phi_deg"]) == 1
+    for p, efficiency in zip("xy", (answer.json["efficiency_x"], answer.json["efficiency_y"]), strict=True):
+        transmitted, stray, lost = (answer.json[f"{part}_{p}"] for part in ("transmitted", "stray", "lost"))
+        assert efficiency[0] + stray + lost == pytest.approx(1.0) and efficiency[0] <= transmitted
+
+
+def test_an_ideal_psf_reaches_to_infinity_but_not_beside_the_axis_there(tmp_path: Path) -> None:
+    command = ("psf", "--ideal", "--design", SMALL, "--window-px", "32", "--depths-m", "0.003", "--depths-m", "inf")
+    answer = metafab(*command, "-o", tmp_path / "psf.h5", "--json")
+    assert answer.code == 0, answer.stderr
+    assert answer.json["depth_m"] == [0.003, "inf"]
+    assert load_psf(tmp_path / "psf.h5").depth_m.tolist() == [0.003, math.inf]
+    answer = metafab(*command, "--object-mm", "0.1", "0")
+    assert answer.code == 2 and "finite depth" in answer.stderr
+
+
+def test_pixels_too_coarse_to_add_up_are_refused() -> None:
+    answer = metafab("psf", "--ideal", "--design", SMALL, "--depths-m", "0.003", "--pixel-um", "30")
+    assert answer.code == 2 and "`pixel_um`" in answer.stderr and "sample finer" in answer.stderr
 
 
 def test_report_makes_the_page_again(main_job: MainJob) -> None:

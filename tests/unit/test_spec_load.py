@@ -72,6 +72,18 @@ def test_a_period_must_be_a_positive_number(tmp_path: Path, value: str) -> None:
         load_unit_cell(path)
 
 
+def test_the_farthest_depth_may_be_infinite(tmp_path: Path) -> None:
+    old = next(line for line in SMALL.read_text().splitlines() if line.startswith("depths_m"))
+    design = load_design(_variant(tmp_path, (old, "depths_m = [0.003, inf]")))
+    assert design.verify.depths_m == (0.003, math.inf)
+    canonical = tmp_path / "canonical.toml"
+    canonical.write_text(canonical_toml(design))
+    assert load_design(canonical) == design
+    for wrong in ("[inf, inf]", "[0.003, nan]", "[0.003, 1e16]", "[-inf, 0.003]"):
+        with pytest.raises(InputError, match="depths_m"):
+            load_design(_variant(tmp_path, (old, f"depths_m = {wrong}")))
+
+
 def test_a_rectangular_period_is_x_then_y(tmp_path: Path) -> None:
     path = tmp_path / "cell.toml"
     path.write_text(CELL.read_text().replace("period_nm = 350.0", "period_nm = [350.0, 400.0]"))
