@@ -24,6 +24,19 @@ def load_unit_cell(path: Path | str) -> UnitCell:
     return validate(UnitCell, read_toml(Path(path)), str(path))
 
 
+def load_unit_cell_of(library: Path) -> UnitCell:
+    """The unit cell behind a design's ``library``: a TOML file, or a built library that carries its own.
+
+    Raises:
+        InputError: as :func:`load_unit_cell`.
+    """
+    if library.suffix == ".h5":
+        from metafab.spec.embedded import unit_cell_of_library
+
+        return unit_cell_of_library(library)
+    return load_unit_cell(library)
+
+
 def load_scene(path: Path | str) -> Scene:
     """Read a scene file (the keys of a design's ``[scene]`` table at top level, or under ``[scene]``)."""
     table = read_toml(Path(path))
@@ -61,18 +74,13 @@ _FAULTY = object()
 
 
 def _referenced_unit_cell(path: Path, table: dict[str, Any], faults: list[Fault]) -> Any:
-    """The unit cell behind ``library``: a TOML file, or a built library that carries its own."""
+    """The unit cell behind ``library``, or what is wrong with it."""
     reference = table.get("library")
     if not isinstance(reference, str):
         if reference is not None:
             faults.append(Fault("library", "the path of a unit-cell file or a built library", repr(reference)))
         return _FAULTY
-    target = path.parent / reference
-    if target.suffix == ".h5":
-        from metafab.spec.embedded import unit_cell_of_library
-
-        return _collect(faults, "library", lambda: unit_cell_of_library(target))
-    return _collect(faults, "library", lambda: load_unit_cell(target))
+    return _collect(faults, "library", lambda: load_unit_cell_of(path.parent / reference))
 
 
 def _collect(faults: list[Fault], field: str, load: Callable[[], Any]) -> Any:

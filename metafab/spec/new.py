@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from importlib import resources
 from pathlib import Path
@@ -12,6 +13,10 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.files import whole_file
+from metafab.spec.cell import UnitCell
+from metafab.spec.load import load_unit_cell_of
+
+_WRITE_FIELD_PM, _DIVISIBLE = 500_000_000, 12
 
 _UNIT_CELL = Path("unitcell_lib") / "sos_800nm.toml"
 
@@ -37,14 +42,15 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
         The files written, the design first.
 
     Raises:
-        InputError: an unknown kind, an unfit name, no unit cell, or a file that is there already (nothing is
-            overwritten).
+        InputError: an unknown kind, an unfit name, no unit cell or a faulty one, or a file that is there already
+            (nothing is overwritten).
     """
     if kind not in kinds():
         raise InputError.single("new", "kind", f"one of {', '.join(kinds())}", repr(kind))
     if not name or not all(letter.isalnum() or letter in "_-" for letter in name):
         raise InputError.single("new", "name", "letters, digits, _ and -", repr(name), "the file's ending is added")
     unit_cell = _unit_cell(folder) if library is None else library
+    field_um = write_field_um(load_unit_cell_of(unit_cell))
     text = (resources.files("metafab.spec") / "kinds" / f"{kind}.toml").read_text(encoding="utf-8")
     relative = Path(os.path.relpath(unit_cell.resolve(), folder.resolve())).as_posix()
     sample = {"hologram": folder / f"{name}.png", "own_phase": folder / f"{name}.npy"}.get(kind)
@@ -57,9 +63,23 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
     if sample is not None:
         with whole_file(sample) as part:
             _write_picture(part) if kind == "hologram" else _write_phase(part)
+    filled = Template(text).substitute(name=name, library=relative, write_field_um=f"{field_um:.10g}")
     with whole_file(design) as part:
-        part.write_text(Template(text).substitute(name=name, library=relative), encoding="utf-8")
+        part.write_text(filled, encoding="utf-8")
     return written
+
+
+def write_field_um(unit_cell: UnitCell) -> float:
+    """Side of a write field near 500 um: a whole number of periods along x and y that divides into many tiles.
+
+    On a hexagonal lattice the rows fit themselves to the field, and only its width counts.
+    """
+    cell = unit_cell.cell
+    periods_pm = [round(1e3 * period_nm) for period_nm in cell.period_nm[: 1 if cell.is_hexagonal else 2]]
+    step_pm = math.lcm(*periods_pm)
+    # Where it is near enough, a count with many divisors, for tiles are whole parts of a field.
+    several = _DIVISIBLE if _DIVISIBLE * step_pm <= _WRITE_FIELD_PM else 1
+    return 1e-6 * several * step_pm * max(1, round(_WRITE_FIELD_PM / (several * step_pm)))
 
 
 def sample_picture(rows: int = 240) -> FloatArray:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from metafab import layout
 from metafab.core.errors import InputError
 from metafab.core.pictures import read_grey
-from metafab.spec import kinds, load_design, write_new
-from metafab.spec.new import sample_picture
+from metafab.spec import UnitCell, kinds, load_design, write_new
+from metafab.spec.new import sample_picture, write_field_um
 from metafab.steps import preflight
 
 UNIT_CELL = Path(__file__).parents[2] / "unitcell_lib" / "sos_800nm.toml"
@@ -27,6 +31,34 @@ def test_a_new_design_passes_all_checks_that_come_before_the_work(tmp_path: Path
     assert kinds()[kind] in " ".join(
         line.removeprefix("# ") for line in design_file.read_text(encoding="utf-8").splitlines()
     )
+
+
+@pytest.mark.parametrize("cell", sorted(UNIT_CELL.parent.glob("*_*.*")), ids=lambda path: path.name)
+@pytest.mark.parametrize("kind", kinds())
+def test_a_design_on_any_unit_cell_passes_all_checks_that_come_before_the_work(
+    tmp_path: Path, kind: str, cell: Path
+) -> None:
+    design = load_design(write_new("mine", kind, tmp_path, cell)[0])
+    preflight(design)
+    assert design.mask.write_field_um == pytest.approx(500.0, rel=0.01)
+    assert layout.tile_sites(design) > 100
+
+
+@pytest.mark.parametrize(
+    ("period_nm", "field_um"), [((350.0, 350.0), 499.8), ((400.0, 300.0), 504.0), ((0.5, 0.5), 499.998)]
+)
+def test_a_write_field_holds_whole_periods_along_both_axes(
+    unit_cell: UnitCell, period_nm: tuple[float, float], field_um: float
+) -> None:
+    cell = dataclasses.replace(unit_cell.cell, period_nm=period_nm)
+    changed = SimpleNamespace(cell=cell)
+    assert write_field_um(cast(UnitCell, changed)) == pytest.approx(field_um, abs=1e-9)
+
+
+def test_a_library_that_cannot_be_read_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no file at that path"):
+        write_new("mine", "metalens", tmp_path, tmp_path / "none.toml")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_unit_cell_is_named_as_seen_from_the_design(tmp_path: Path) -> None:
