@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.executor import in_order, open_threads
 from metafab.core.progress import Progress, silent
-from metafab.drc.report import MARKERS, RULES, DrcReport, Marker, upright_side_nm
+from metafab.drc.report import MARKERS, RULES, DrcReport, Marker, refuse_several_tops, upright_side_nm
 from metafab.layout import Aperture, Outline, smallest_gap
 from metafab.layout.pillars import SizeIndexArray
 from metafab.mask import ReadBack
@@ -55,13 +55,20 @@ def check_lattice(
 ) -> DrcReport:
     """All rules of :data:`RULES` on what was read from a file.
 
+    Gaps are those between pillars on their sites. What stands elsewhere is a violation by itself and its gaps are not
+    checked; the smallest gap is then left open.
+
     Args:
         read_back: the file's content.
         design: rules, aperture.
         workers: threads; the cores unless given.
         progress: told about rows.
         cluster: address of a Dask scheduler whose workers check the bands.
+
+    Raises:
+        InputError: the file has several top cells.
     """
+    refuse_several_tops(read_back.path, read_back.top_cells)
     size_index = read_back.pillars.to_array()
     total = _of_leftovers(read_back, design)
     # Of the other copies nothing but the count is looked at: every site inside the aperture has a pillar.
@@ -77,15 +84,15 @@ def check_lattice(
             total.smallest_gap_dbu = min(total.smallest_gap_dbu, findings.smallest_gap_dbu)
             progress("rules", min(done * _BAND_ROWS, n_y), n_y)
     on_sites = int(np.count_nonzero(size_index))
-    rectangles = on_sites + read_back.off_site.count + read_back.off_grid.count + read_back.duplicates.count
-    unit_nm = design.mask.database_unit_nm
+    stray = read_back.off_site.count + read_back.off_grid.count + read_back.duplicates.count
+    measured = np.isfinite(total.smallest_gap_dbu) and not stray
     return DrcReport(
         file=read_back.path.name,
         engine="lattice",
-        pillars=rectangles,
+        pillars=on_sites + stray,
         violations=total.counts,
         markers={rule: tuple(_markers(total.boxes_nm[rule])) for rule, count in total.counts.items() if count},
-        min_gap_nm=float(total.smallest_gap_dbu * unit_nm) if np.isfinite(total.smallest_gap_dbu) else None,
+        min_gap_nm=float(total.smallest_gap_dbu * design.mask.database_unit_nm) if measured else None,
         other_layers=read_back.other_layers,
         other_copies=read_back.other_copies,
         pillars_sha256=_pillars_sha256(read_back.pillars.size_dbu, size_index),

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -14,9 +15,11 @@ from typing import Any, TypeAlias
 from metafab.core.errors import InputError, MissingToolError
 from metafab.core.executor import SerialExecutor, default_workers, in_order, open_executor
 from metafab.core.progress import Progress, silent
-from metafab.drc.report import MARKERS, DrcReport, Marker, upright_side_nm
+from metafab.drc.report import MARKERS, DrcReport, Marker, refuse_empty, refuse_several_tops, upright_side_nm
 from metafab.layout import Outline
-from metafab.mask.read import format_of
+from metafab.mask import read_shapes
+from metafab.mask.known import KnownShapes
+from metafab.mask.read import Shapes
 from metafab.spec import Design
 
 #: Side of the engine's tiles. Its scan lines cost more the longer they are: 50 um take two thirds of the time of 170.
@@ -36,6 +39,9 @@ _FOREIGN = "_output(foreign, raw.non_rectangles, false);"
 _GRID = "_output(grid, raw.grid_check(grid_dbu, grid_dbu), false);"
 _SLENDER = "_output(slender, raw.width_check(upright_dbu{facing}), false);"
 
+# A millionth of a unit is no violation.
+_SLACK_DBU = 1e-6
+
 _Boxes: TypeAlias = dict[str, set[tuple[int, int, int, int]]]
 
 
@@ -48,6 +54,10 @@ def check_polygons(
 ) -> DrcReport:
     """Width, length, gap, overlap, grid and foreign shapes by KLayout, tile by tile on all cores.
 
+    Shapes are counted by metafab's own reader, too: KLayout's drops all but one of the equal places of an OASIS
+    repetition, and what it holds fewer is reported as ``duplicate``. Of pillars that are no rectangles, that reader
+    tells which shapes are ``foreign``.
+
     Args:
         path: GDSII or OASIS file.
         design: rules, layer, unit.
@@ -58,8 +68,11 @@ def check_polygons(
 
     Raises:
         MissingToolError: KLayout is not installed.
-        InputError: the file cannot be read.
+        InputError: the file cannot be read, has several top cells, or nothing on the pillars' layer.
     """
+    own = read_shapes(path, design, known=KnownShapes(Outline.of(design)))
+    refuse_several_tops(path, own.top_cells)
+    refuse_empty(path, design, own.count)
     rules = _RowRules(path.resolve(), design, 1 if cluster else workers or default_workers())
     opened = rules.opened
     found: _Boxes = {rule: set() for rule in rules.seen}
@@ -70,17 +83,26 @@ def check_polygons(
                 seen.update(boxes[rule])
             progress("design rules", done, opened.rows)
     unit_nm = opened.unit_nm
+    unseen = {"duplicate": max(0, own.count - opened.count), "foreign": _foreign(own, design, opened)}
     return DrcReport(
         file=path.name,
         engine="polygons",
-        pillars=opened.count,
-        violations={rule: len(boxes) for rule, boxes in found.items()},
+        pillars=own.count,
+        violations=unseen | {rule: len(boxes) + unseen.get(rule, 0) for rule, boxes in found.items()},
         markers={
             rule: tuple(Marker(*(side * unit_nm for side in box)) for box in sorted(boxes)[:MARKERS])
             for rule, boxes in found.items()
             if boxes
         },
+        other_layers=own.other_layers,
     )
+
+
+def _foreign(own: Shapes, design: Design, opened: _Opened) -> int:
+    """Foreign shapes that no region shows: paths without width; unless pillars are rectangles, all of them."""
+    if Outline.of(design).is_rectangle:
+        return opened.lines
+    return sum(other.count for chunk in own.chunks() for other in chunk.others)
 
 
 @dataclass(frozen=True)
@@ -108,6 +130,13 @@ class _Opened:
         """Shapes, members of arrays one by one."""
         return int(_klayout().Region(self.pillars).count())
 
+    @property
+    def lines(self) -> int:
+        """Paths without width: edges, in software that knows these."""
+        paths = self.pillars.dup()
+        paths.shape_flags = _klayout().Shapes.SPaths
+        return sum(at.shape().path_width == 0 for at in paths.each())
+
 
 def _klayout() -> Any:
     try:
@@ -119,7 +148,6 @@ def _klayout() -> Any:
 
 def _open(path: Path, design: Design) -> _Opened:
     kdb = _klayout()
-    format_of(path)
     layout = kdb.Layout(False)  # not to be edited: arrays stay arrays, in half the memory
     try:
         layout.read(str(path))
@@ -128,13 +156,12 @@ def _open(path: Path, design: Design) -> _Opened:
             str(path), "file", "a whole GDSII or OASIS file", str(error), "write it again"
         ) from error
     tops = layout.top_cells()
-    if len(tops) != 1:
-        raise InputError.single(str(path), "cells", "one top cell", str(len(tops)), "write the mask again")
     first, last = design.mask.datatypes
     layers = [layout.layer(kdb.LayerInfo(design.mask.layer, datatype)) for datatype in range(first, last + 1)]
     # Within a box, the members of arrays are counted one by one, and not each array as one.
     everything = tops[0].bbox().enlarged(1, 1)
     pillars = kdb.RecursiveShapeIterator(layout, tops[0], layers, everything, True)
+    pillars.shape_flags = kdb.Shapes.SRegions  # a text is no pillar
     box = kdb.Region(pillars).bbox().to_dtype(layout.dbu)
     columns, rows = (max(1, math.ceil(length / _TILE_UM)) for length in (box.width(), box.height()))
     return _Opened(layout, pillars, box.left, box.bottom, columns, rows, layout.dbu * 1e3)
@@ -187,7 +214,8 @@ class _RowRules:
             "feature": rules.min_feature_nm - slack_nm,
             "upright": max(0.0, (upright_nm or 0.0) - slack_nm),
         }
-        grid = max(1, round(self.design.mask.database_unit_nm / unit_nm))
+        # An edge at n units of the file is a whole number of the design's where n is one of this fraction's lower part.
+        grid = Fraction(unit_nm / self.design.mask.database_unit_nm).limit_denominator(1_000_000).denominator
         outputs = {name: kdb.Region() for name in ("foreign", "overlap")}
         outputs |= {name: kdb.EdgePairs() for name in ("grid", "narrow", "slender", "gaps")}
         processor = kdb.TilingProcessor()
@@ -198,7 +226,8 @@ class _RowRules:
         processor.threads = self.threads
         processor.input("pillars", opened.pillars)
         for name, limit_nm in limits.items():
-            processor.var(f"{name}_dbu", max(1, round(limit_nm / unit_nm)))
+            # Distances are whole units: below a limit between two of them is below the upper one.
+            processor.var(f"{name}_dbu", max(1, math.ceil(limit_nm / unit_nm - _SLACK_DBU)))
         processor.var("grid_dbu", grid)
         for name, collection in outputs.items():
             processor.output(name, collection)

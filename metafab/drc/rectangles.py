@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -12,7 +13,7 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.core.executor import default_workers
 from metafab.core.progress import Progress, silent
-from metafab.drc.report import MARKERS, DrcReport, Marker, upright_side_nm
+from metafab.drc.report import MARKERS, DrcReport, Marker, refuse_empty, refuse_several_tops, upright_side_nm
 from metafab.drc.rows import Near, Rows
 from metafab.layout import Outline
 from metafab.mask import read_shapes
@@ -48,7 +49,8 @@ def check_rectangles(path: Path, design: Design, workers: int | None = None, pro
         progress: told about bytes, rectangles and rows.
 
     Raises:
-        InputError: the file cannot be read, or the design's pillars are no rectangles.
+        InputError: the file cannot be read, has several top cells or nothing on the pillars' layer, or the design's
+            pillars are no rectangles.
     """
     outline = Outline.of(design)
     if not outline.is_rectangle:
@@ -57,6 +59,8 @@ def check_rectangles(path: Path, design: Design, workers: int | None = None, pro
             "--engine", "engine", f"{expected} for pillars of another shape", "'rectangles'", remedy
         )
     shapes = read_shapes(path, design, progress)
+    refuse_several_tops(path, shapes.top_cells)
+    refuse_empty(path, design, shapes.count)
     limits = _Limits.of(design, shapes.unit_nm)
     found = _Found(dict.fromkeys(_rules(design), 0))
     with ThreadPoolExecutor(workers or default_workers()) as threads:
@@ -92,7 +96,8 @@ def check_rectangles(path: Path, design: Design, workers: int | None = None, pro
         pillars=total,
         violations=found.counts,
         markers=markers,
-        min_gap_nm=pairs.smallest * shapes.unit_nm if np.isfinite(pairs.smallest) else None,
+        # Beyond the rule pairs are not looked for: a nearer one than was seen by the way may stand there.
+        min_gap_nm=pairs.smallest * shapes.unit_nm if pairs.smallest <= math.ceil(limits.gap) else None,
         other_layers=shapes.other_layers,
     )
 

@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Literal
 
+from metafab.core.errors import InputError
 from metafab.core.files import whole_file, write_json
 from metafab.spec import Design
 
@@ -29,6 +30,32 @@ RULES = {
     "missing": "a site inside the aperture without a pillar",
     "foreign": "a shape on the pillar layer that is no axis-parallel rectangle",
 }
+
+
+def refuse_several_tops(path: Path, top_cells: Sequence[str]) -> None:
+    """Refuse a file in which it is not certain what is to be made.
+
+    Raises:
+        InputError: not one top cell.
+    """
+    if len(top_cells) != 1:
+        names = ", ".join(map(repr, sorted(top_cells)[:5]))
+        raise InputError.single(
+            str(path), "cells", "one top cell", f"{len(top_cells)}: {names}", "write the mask again"
+        )
+
+
+def refuse_empty(path: Path, design: Design, shapes: int) -> None:
+    """Refuse a file in which an engine that knows no lattice would find nothing wrong, since there is nothing.
+
+    Raises:
+        InputError: no shape on the pillars' layer.
+    """
+    if shapes == 0:
+        first, last = design.mask.datatypes
+        layer = f"{design.mask.layer}/{first}" + (f" to {last}" if last > first else "")
+        remedy = "are `mask.layer` and `mask.datatype` those of the file?"
+        raise InputError.single(str(path), "pillars", f"shapes on layer {layer}", "none", remedy)
 
 
 def upright_side_nm(design: Design) -> float | None:
@@ -57,7 +84,9 @@ class DrcReport:
         pillars: rectangles found on the pillar layer.
         violations: count by rule, zero included; the rules that this engine can see.
         markers: up to :data:`MARKERS` places of each rule that is violated.
-        min_gap_nm: smallest distance between neighbours that was found; None if the engine does not measure it.
+        min_gap_nm: smallest distance between neighbours; None if the engine does not measure it. ``lattice`` measures
+            pillars on their sites, and gives None where others were found, whose gaps it does not check
+            (``rectangles`` does); ``rectangles`` gives None where no pair is at or below the rule.
         other_layers: shapes on other layers, which no rule concerns, by "layer/datatype".
         other_copies: pillars of the other copies of the lens, by number from 1, where one copy was checked.
         pillars_sha256: hash of the size at every lattice site, equal for equal masks in either format; empty if

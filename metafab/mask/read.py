@@ -20,7 +20,7 @@ from metafab.layout import Lattice, Outline, PillarMap, lattice_of, tile_sites
 from metafab.mask.copies import OtherCopies, lens_copies, lens_copy
 from metafab.mask.gdsii_reader import GdsiiReader
 from metafab.mask.hierarchy import Chunk, Hierarchy, IntArray, Other, Part
-from metafab.mask.known import KnownShapes
+from metafab.mask.known import RECTANGLES, KnownShapes
 from metafab.mask.oasis_reader import MixedBlockError, OasisReader
 from metafab.mask.oasis_writer import MAGIC
 from metafab.mask.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, Recovery
@@ -118,17 +118,21 @@ class Shapes:
 
     Attributes:
         unit_nm: database unit of the file.
+        count: how many.
         other_layers: shapes and texts on other layers, counted by "layer/datatype".
+        top_cells: names of the cells that no other places.
         chunks: opens the stream of shapes, in file units; each time from the start.
     """
 
     unit_nm: float
+    count: int
     other_layers: dict[str, int]
+    top_cells: tuple[str, ...]
     chunks: Callable[[], Iterator[Chunk]]
 
 
-def read_shapes(path: Path, design: Design, progress: Progress = silent) -> Shapes:
-    """Open a GDSII or OASIS file as rectangles and others, without a lattice.
+def read_shapes(path: Path, design: Design, progress: Progress = silent, *, known: KnownShapes = RECTANGLES) -> Shapes:
+    """Open a GDSII or OASIS file as rectangles (or what else is ``known``) and others, without a lattice.
 
     Raises:
         InputError: as :func:`read`.
@@ -136,14 +140,15 @@ def read_shapes(path: Path, design: Design, progress: Progress = silent) -> Shap
     layer = (design.mask.layer, *design.mask.datatypes)
     # Blocks are not skipped: a stream cannot be begun again once it is found to hold more than pillars.
     reader = (
-        GdsiiReader(path, layer, progress)
+        GdsiiReader(path, layer, progress, known=known)
         if format_of(path) == "gds"
-        else OasisReader(path, layer, progress, skip_blocks=False)
+        else OasisReader(path, layer, progress, known=known, skip_blocks=False)
     )
     hierarchy = Hierarchy(reader.cells, str(path))
-    if hierarchy.count() > 2**31:
-        raise _too_many(path, lattice_of(design), hierarchy.count())
-    return Shapes(reader.unit_nm, hierarchy.other_layers(), lambda: _chunks(hierarchy))
+    count = hierarchy.count()
+    if count > 2**31:
+        raise _too_many(path, lattice_of(design), count)
+    return Shapes(reader.unit_nm, count, hierarchy.other_layers(), hierarchy.tops, lambda: _chunks(hierarchy))
 
 
 def _recover(
