@@ -28,6 +28,13 @@ _BOUNDARY, _PATH, _SREF, _AREF, _TEXT, _NODE, _BOX = 0x0800, 0x0900, 0x0A00, 0x0
 _LAYER, _XY, _ENDEL, _SNAME, _COLROW = 0x0D02, 0x1003, 0x1100, 0x1206, 0x1302
 _WIDTH, _STRANS, _MAG, _ANGLE, _PATHTYPE = 0x0F03, 0x1A01, 0x1B05, 0x1C05, 0x2102
 _DATATYPES = {0x0E02, 0x1602, 0x2A02, 0x2E02}
+_PROPERTIES = {0x2B02, 0x2C06}
+# All that may stand in an element: also flags, extensions of paths, and the presentation and string of texts.
+_IN_ELEMENTS = {_LAYER, _XY, _SNAME, _COLROW, _WIDTH, _STRANS, _MAG, _ANGLE, _PATHTYPE, *_DATATYPES, *_PROPERTIES}
+_IN_ELEMENTS |= {0x2601, 0x2F03, 0x3003, 0x3103, 0x1701, 0x1906}
+# All that may stand between them.
+_BETWEEN = {_HEADER, _UNITS, _ENDLIB, _BGNSTR, _STRNAME, _ENDSTR, 0x0102, 0x0206, 0x1F06, 0x2006, 0x2202, 0x2306}
+_BETWEEN |= {0x3202, 0x3302, 0x3401, 0x3602, 0x3706, 0x3800, 0x3902, 0x3A06, 0x3B02}
 _ELEMENTS = {_BOUNDARY: "polygon", _PATH: "path", _TEXT: "text", _NODE: "node", _BOX: "box"}
 
 
@@ -100,6 +107,10 @@ class GdsiiReader:
                 if cell is None:
                     raise self._fault("elements inside structures", f"one at byte {position}")
                 following = self._element(window, position, kind, cell, runs)
+            elif kind not in _BETWEEN:
+                raise self._fault("records of GDSII where they belong", f"one of type {kind:#06x} at byte {position}")
+            elif cell is not None and kind != _ENDSTR:
+                raise self._fault("structures that end", f"one without an end before byte {position}")
             elif kind == _ENDSTR:
                 cell = None
                 progress("indexing", position, self._size)
@@ -116,16 +127,23 @@ class GdsiiReader:
             record, data, following = window.record(position)
             if record == _XY:
                 xy = (position + 4 - start, len(data) // 4)
-            elif record in {_ENDSTR, _ENDLIB, _BGNSTR}:
-                raise self._fault("elements that end", f"one without an end at byte {start}")
+            elif record in {kind, _ENDEL}:
+                if data or (record == kind) != (position == start):
+                    raise self._fault("elements that begin and end", f"another at byte {start}")
+            elif record not in _IN_ELEMENTS:
+                raise self._fault("elements that end", f"one at byte {start} that holds a record of type {record:#06x}")
+            if record in fields and record not in _PROPERTIES:
+                raise self._fault("each record once in an element", f"{record:#06x} twice at byte {start}")
             fields[record] = data
             position = following
-        if xy[1] == 0 or xy[1] % 2:
+        if xy[1] == 0 or xy[1] % 2 or len(fields[_XY]) % 8:
             raise self._fault("elements with coordinates", f"one without at byte {start}")
         run = _Run(start, window.repeats(start, position - start, xy), position - start, xy)
         if kind in {_SREF, _AREF}:
             cell.references.append(self._reference(kind, fields, run))
         else:
+            if len(fields.get(_LAYER, b"")) != 2 or not fields.keys() & _DATATYPES:
+                raise self._fault("elements with layer and datatype", f"one without at byte {start}")
             layer = _short(fields, {_LAYER}), _short(fields, _DATATYPES)
             wanted, first, last = self._layer
             if layer[0] == wanted and first <= layer[1] <= last and kind != _TEXT:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from metafab import mask
+from metafab import drc, mask
 from metafab.core.errors import InputError
 from metafab.mask import varints
 from metafab.mask.gdsii_writer import excess_64, record, text
@@ -59,17 +59,50 @@ def test_truncated_files(
 def test_flipped_bytes_are_refused_or_seen(
     suffix: str, data: st.DataObject, tiny_design: Design, tiny_files: dict[str, Path], tmp_path: Path
 ) -> None:
-    """OASIS has a checksum, so any flip is refused; in GDSII, which has none, some flips make another valid file."""
+    """OASIS has a checksum, so any flip is refused.
+
+    GDSII has none: some flips make another valid file. Its pillars are the same (the flip hit a name or a date), or the
+    design rules say that they are not.
+    """
     content = bytearray(tiny_files[suffix].read_bytes())
     place = data.draw(st.integers(0, len(content) - 1))
     content[place] ^= 1 << data.draw(st.integers(0, 7))
     path = tmp_path / f"flipped.{suffix}"
     path.write_bytes(content)
     try:
-        mask.read(path, tiny_design)
+        report = drc.check(path, tiny_design)
     except InputError:
         return
     assert suffix == "gds"
+    whole = drc.check(tiny_files[suffix], tiny_design)
+    assert not report.clean or report.pillars_sha256 == whole.pillars_sha256
+
+
+_BEGIN, _END = record(0x0800), record(0x1100)
+_LAYER, _DATATYPE = record(0x0D02, b"\0\1"), record(0x0E02, bytes(2))
+_XY = record(0x1003, struct.pack(">10i", -100, -100, 100, -100, 100, 100, -100, 100, -100, -100))
+
+
+@pytest.mark.parametrize(
+    "element",
+    [
+        _BEGIN + _LAYER + _DATATYPE + _XY + _BEGIN + _LAYER + _DATATYPE + _XY + _END,
+        _BEGIN + _LAYER + _DATATYPE + _XY + record(0x0A00) + record(0x1206, b"P\0") + _END,
+        _BEGIN + _LAYER + _DATATYPE + _XY + record(0x1100, bytes(8)),
+        record(0x0800, bytes(6)) + _LAYER + _DATATYPE + _XY + _END,
+        _BEGIN + _DATATYPE + _XY + _END,
+        _BEGIN + _LAYER + _XY + _END,
+        _BEGIN + _LAYER + _LAYER + _DATATYPE + _XY + _END,
+        _BEGIN + _LAYER + _DATATYPE + record(0x1004, bytes(40)) + _END,
+        record(0x0801) + _LAYER + _DATATYPE + _XY + _END,
+    ],
+)
+def test_elements_that_hide_others_are_refused(element: bytes, tiny_design: Design, tmp_path: Path) -> None:
+    """What a lost end, a longer record or a lost layer would swallow."""
+    good = _structure("T", _BEGIN + _LAYER + _DATATYPE + _XY + _END)
+    assert mask.read(_gds(tmp_path, good), tiny_design).off_site.count == 1
+    with pytest.raises(InputError, match="damaged"):
+        mask.read(_gds(tmp_path, _structure("T", element)), tiny_design)
 
 
 @settings(max_examples=100, suppress_health_check=[HealthCheck.function_scoped_fixture])
