@@ -31,6 +31,7 @@ def layout_command(
 
     with progress_bars() as progress:
         job = open_job(design, output, workers, cluster, progress)
+        steps.preflight(job.design)
         if plan:
             show(mask.plan(job.profile, _library_for_a_plan(job), job.design), json_)
             return
