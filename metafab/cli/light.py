@@ -22,7 +22,7 @@ from metafab.cli.app import (
     require_finite,
     require_positive,
 )
-from metafab.cli.console import progress_bars, show
+from metafab.cli.console import announce, progress_bars, show
 from metafab.core.errors import InputError
 
 
@@ -167,6 +167,8 @@ def decode_command(
     path = output or Path("decoded.h5")
     with progress_bars() as progress:
         image = steps.restore(raw, psf, path, progress=progress)
+    if "reason" in image.details:
+        announce([f"{raw}: {image.details['reason']}; the image is empty"])
     figures = {**image.details, "segments": image.segments, "file": path}
     if image.nmae is not None:
         figures["nmae"] = image.nmae

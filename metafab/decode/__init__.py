@@ -33,11 +33,13 @@ from metafab.decode.bound import DepthBound
 from metafab.decode.decoder import Decoder, decode
 from metafab.decode.image import Image4D
 from metafab.decode.pinhole import NOT_SEPARATED, CameraFit, calibrate, read_depths
+from metafab.decode.seen import NO_LIGHT
 from metafab.decode.store import load, save
 from metafab.decode.video import VideoDecoder
 
 __all__ = [
     "NOT_SEPARATED",
+    "NO_LIGHT",
     "CameraFit",
     "Decoder",
     "DepthBound",

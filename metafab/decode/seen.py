@@ -17,6 +17,8 @@ from metafab.decode.twins import TwinGrid, Twins, extract
 
 #: Side of the narrowest window that says a depth, pixels of the frame.
 WINDOW_PX = 28
+#: The reason that a dark frame comes back with; it is sound, there is nothing on it.
+NO_LIGHT = "there is no light in the frame"
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ class Seen:
         small = reduction.images(spectra)
         levels = Levels.of(small, frame.read_noise_e) if levels is None else levels
         if levels.signal <= 0.0:
-            return "there is no light in the frame"
+            return NO_LIGHT
         return cls(twins, levels, reduction, spectra, small)
 
     @property

@@ -4,25 +4,67 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import Fault, InputError
 from metafab.core.files import file_sha256, fingerprint
 from metafab.core.progress import Progress, silent
 from metafab.run import Job, Step
+from metafab.spec.fields import LARGEST
 from metafab.steps.outputs import in_folder, nothing_to_decode
 
 if TYPE_CHECKING:
     from metafab.decode import CameraFit, Image4D
 
 
-def restore(raw_path: Path, psf_path: Path, path: Path, *, progress: Progress = silent) -> Image4D:
-    """Decode a stored raw frame, ours or a camera's, by a stored PSF pair and keep the 4D image."""
+def restore(
+    raw_path: Path,
+    psf_path: Path,
+    path: Path,
+    *,
+    unfit: Literal["refuse", "empty"] = "refuse",
+    progress: Progress = silent,
+) -> Image4D:
+    """Decode a stored raw frame, ours or a camera's, by a stored PSF pair and keep the 4D image.
+
+    Args:
+        raw_path: the frame.
+        psf_path: the pair.
+        path: where the image goes.
+        unfit: what becomes of a frame that cannot be decoded: refused, or an empty image with the reason. A dark one
+            can always be decoded, to an empty image.
+        progress: called after each candidate depth.
+
+    Raises:
+        InputError: a file cannot be read, or the frame is refused; nothing is written or replaced.
+    """
     from metafab import camera, decode, optics
 
     calibration = optics.load(psf_path)
-    image = decode.decode(camera.load_frame(raw_path, calibration), calibration, progress=progress)
+    frame = camera.load_frame(raw_path, calibration)
+    if unfit == "refuse" and (fault := _unfit(frame.frame)) is not None:
+        raise InputError(str(raw_path), [fault])
+    image = decode.decode(frame, calibration, progress=progress)
+    reason = str(image.details.get("reason", decode.NO_LIGHT))
+    if unfit == "refuse" and reason != decode.NO_LIGHT:
+        raise InputError.single(str(raw_path), "frame", "one that can be decoded", reason, "is it this camera's?")
     decode.save(image, path, inputs_sha256=fingerprint(file_sha256(raw_path), file_sha256(psf_path)))
     return image
+
+
+def _unfit(values: FloatArray) -> Fault | None:
+    """What no exposure leaves in a frame."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return Fault("frame", "electrons or counts", "no finite number", "was the file written whole?")
+    if finite.max() < 0.0:
+        return Fault("frame", "electrons or counts, some of them not below zero", f"at most {finite.max():g}")
+    if finite.max() > LARGEST:
+        return Fault("frame", f"electrons or counts up to {LARGEST:g}", f"{finite.max():g}")
+    return None
 
 
 def calibrate(frames: Sequence[Path], depths_path: Path, psf_path: Path, path: Path) -> CameraFit:
@@ -38,7 +80,7 @@ def calibrate(frames: Sequence[Path], depths_path: Path, psf_path: Path, path: P
 
 def _decode(job: Job) -> dict[str, Any]:
     folder = job.folder
-    image = restore(folder / "raw.h5", folder / "psf.h5", folder / "decoded.h5", progress=job.progress)
+    image = restore(folder / "raw.h5", folder / "psf.h5", folder / "decoded.h5", unfit="empty", progress=job.progress)
     return {"nmae": image.nmae, "segments": image.segments, **image.details}
 
 
