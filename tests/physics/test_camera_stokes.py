@@ -204,9 +204,7 @@ def test_polarisation_and_depth_of_a_surface_are_found(
 
 def test_objects_side_by_side_keep_their_depths_and_outlines(small_design: Design) -> None:
     """No ramp of depths between two objects that touch, nothing around them, and each at its own depth."""
-    terms = tuple(
-        dataclasses.replace(t, optimise="none") if hasattr(t, "optimise") else t for t in small_design.phase
-    )
+    terms = tuple(dataclasses.replace(t, optimise="none") if hasattr(t, "optimise") else t for t in small_design.phase)
     whole = dataclasses.replace(small_design, phase=terms)
     profile = stokes.stokes_profile(whole, 8.0)
     source = stokes.UnitaryField(profile, lattice_of(whole), whole.device)
