@@ -201,7 +201,7 @@ def _bands(source: WrittenField, imaging: Imaging, depth_m: float) -> list[dict[
                 replace(window, imaging=light, window_px=side_px) for light in (imaging, *band_ends(imaging, 10.0))
             ]
             pyramid = _blocks(source, windows, np.array([depth_m]), tangent, half)
-            light = partial(_without_kernels, window.band_irradiance, pyramid, 0, tangent, [depth_m], 10.0, half)
+            light = partial(_without_kernels, window.light, pyramid, 0, tangent, [depth_m], 10.0, half)
             cost, (_, error) = _timed(light)
         name = f"one window in the light of 10 nm from blocks, target {target:g}"
         found.append(

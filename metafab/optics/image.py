@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from metafab.core.conventions import FloatArray
-from metafab.optics.band import band_irradiance
+from metafab.optics.band import band_ends, band_irradiance, padded_px
 from metafab.optics.chebyshev import Span, points_needed
 from metafab.optics.imaging import Imaging
 from metafab.optics.kernel import WindowKernel, largest_changes_rad
@@ -119,18 +119,28 @@ class Window:
         ]
         return fine * self._per_unit_power(pyramid[0], rays), np.array(errors)
 
-    def band_irradiance(
+    def over_band(self, tangent: Tangent, filter_fwhm_nm: float | None) -> list[Window]:
+        """This window, and where there is a filter those of its middle and ends: the ones whose blocks are judged."""
+        if filter_fwhm_nm is None:
+            return [self]
+        side_px = padded_px(self.imaging, tangent, filter_fwhm_nm, self.window_px)
+        lights = (self.imaging, *band_ends(self.imaging, filter_fwhm_nm))
+        return [self, *(replace(self, imaging=light, window_px=side_px) for light in lights)]
+
+    def light(
         self,
         pyramid: Sequence[Pupil],
         polarisation: int,
         tangent: Tangent,
         depths_m: Sequence[float],
-        filter_fwhm_nm: float,
+        filter_fwhm_nm: float | None,
         target_error: float,
         *,
         judged: Judged = "all",
     ) -> tuple[FloatArray, FloatArray]:
-        """As :meth:`irradiance`, in the light of a filter."""
+        """As :meth:`irradiance`, in the light of a filter or, where it is None, of one wavelength."""
+        if filter_fwhm_nm is None:
+            return self.irradiance(pyramid, polarisation, tangent, depths_m, judged=judged)
 
         def monochromatic(imaging: Imaging, side_px: int, judge: bool) -> tuple[FloatArray, FloatArray]:
             there = replace(self, imaging=imaging, window_px=side_px)

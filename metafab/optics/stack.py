@@ -6,7 +6,6 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import AbstractContextManager
-from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -16,9 +15,8 @@ from metafab.core.errors import InputError
 from metafab.core.executor import default_workers, open_executor
 from metafab.core.progress import Progress, silent
 from metafab.optics.asked import require_answerable
-from metafab.optics.band import band_ends, padded_px
 from metafab.optics.blocks import reduce_to_target
-from metafab.optics.image import Judged, Tangent, Window
+from metafab.optics.image import Tangent, Window
 from metafab.optics.imaging import Imaging
 from metafab.optics.lobe import orientation_deg
 from metafab.optics.path import Ray, power_at_aperture
@@ -73,15 +71,9 @@ def psf(
     grid = _field_grid(imaging, field_points, field_tangents)
     require_answerable(imaging, depths, tangent, grid, window_px, target_error, filter_fwhm_nm)
     window = Window(imaging, window_px, min(0.1 * target_error, 1e-3))
-    windows = [window]
-    if filter_fwhm_nm is not None:
-        # Blocks and wavelengths share the target.
-        target_error *= 0.5
-        side_px = padded_px(imaging, tangent, filter_fwhm_nm, window_px)
-        windows = [
-            replace(window, imaging=light, window_px=side_px)
-            for light in (imaging, *band_ends(imaging, filter_fwhm_nm))
-        ]
+    windows = window.over_band(tangent, filter_fwhm_nm)
+    # Blocks and wavelengths share the target.
+    target_error *= 1.0 if filter_fwhm_nm is None else 0.5
     tasks = [(p, tangent) for p in (0, 1)]
     if grid is not None:
         tasks += [(p, (float(t_x), float(t_y))) for p in (0, 1) for t_y in grid[1] for t_x in grid[0]]
@@ -94,7 +86,15 @@ def psf(
         unwanted_light = pool.submit(Window.stray_irradiance, window, stray, 0, tangent, depths)
         jobs = [
             pool.submit(
-                _light, window, pyramids[p], p, t, depths, filter_fwhm_nm, target_error, "all" if index < 2 else "ends"
+                Window.light,
+                window,
+                pyramids[p],
+                p,
+                t,
+                depths,
+                filter_fwhm_nm,
+                target_error,
+                judged="all" if index < 2 else "ends",
             )
             for index, (p, t) in enumerate(tasks)
         ]
@@ -138,22 +138,6 @@ def _executor(workers: int | None, cluster: str | None) -> AbstractContextManage
     if cluster is not None:
         return open_executor(cluster=cluster)
     return ThreadPoolExecutor(default_workers() if workers is None else workers)
-
-
-def _light(
-    window: Window,
-    pyramid: Sequence[Pupil],
-    polarisation: int,
-    tangent: Tangent,
-    depths_m: Sequence[float],
-    filter_fwhm_nm: float | None,
-    target_error: float,
-    judged: Judged,
-) -> tuple[FloatArray, FloatArray]:
-    """One polarisation and direction: what an executor runs, here or elsewhere."""
-    if filter_fwhm_nm is None:
-        return window.irradiance(pyramid, polarisation, tangent, depths_m, judged=judged)
-    return window.band_irradiance(pyramid, polarisation, tangent, depths_m, filter_fwhm_nm, target_error, judged=judged)
 
 
 def _field_grid(

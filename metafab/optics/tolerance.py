@@ -123,6 +123,8 @@ class _Bench:
     depths_m: tuple[float, ...]
     carriers: tuple[Carrier, Carrier, Carrier]
     transmission: Transmission | None = None
+    filter_fwhm_nm: float | None = None
+    target_error: float = 1e-3
 
     def sums(self, source: Source) -> list[Pupil]:
         """Blocks of x and y, and of y behind x's carrier."""
@@ -130,7 +132,8 @@ class _Bench:
 
     def light(self, pupils: Sequence[Pupil]) -> _Light:
         """The pair and the unwanted light of some blocks."""
-        pair = [self.window.irradiance([pupils[p]], p, (0.0, 0.0), self.depths_m)[0] for p in (0, 1)]
+        asked = ((0.0, 0.0), self.depths_m, self.filter_fwhm_nm, self.target_error)
+        pair = [self.window.light([pupils[p]], p, *asked)[0] for p in (0, 1)]
         stray = self.window.stray_irradiance(pupils[2], 0, (0.0, 0.0), self.depths_m)
         pixel_um = self.window.imaging.pixel_um
         return _Light(np.array(pair), stray.sum(axis=(1, 2)) * pixel_um**2, pixel_um)
@@ -147,6 +150,7 @@ def tolerance_table(
     window_px: int = 64,
     target_error: float = 1e-3,
     transmission: Transmission | None = None,
+    filter_fwhm_nm: float | None = None,
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> ToleranceTable:
@@ -162,19 +166,25 @@ def tolerance_table(
         window_px: points a side of each window.
         target_error: of every PSF.
         transmission: of a stop or an amplitude in the plane of the pillars; None for none.
+        filter_fwhm_nm: full width of a filter before the sensor; None for one wavelength. Unwanted light stays that of
+            the design wavelength.
         executor: solves cells; this process when None. The result is the same.
         progress: called as corners are done.
     """
     depths = [float(z) for z in depths_m]
-    require_answerable(imaging, depths, (0.0, 0.0), None, window_px, target_error, None)
+    require_answerable(imaging, depths, (0.0, 0.0), None, window_px, target_error, filter_fwhm_nm)
     window = Window(imaging, window_px, min(0.1 * target_error, 1e-3))
+    windows = window.over_band((0.0, 0.0), filter_fwhm_nm)
+    # Blocks and wavelengths share the target.
+    target_error *= 1.0 if filter_fwhm_nm is None else 0.5
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(default_workers()) as threads:
         pyramids, stray = reduce_to_target(
-            apodised(written, transmission), [window], depths, (0.0, 0.0), None, target_error, threads, progress
+            apodised(written, transmission), windows, depths, (0.0, 0.0), None, target_error, threads, progress
         )
-        error = float(max(window.irradiance(pyramids[p], p, (0.0, 0.0), depths)[1].max() for p in (0, 1)))
+        asked = ((0.0, 0.0), depths, filter_fwhm_nm, target_error)
+        error = float(max(window.light(pyramids[p], p, *asked)[1].max() for p in (0, 1)))
         carriers = (pyramids[0][0].carrier, pyramids[1][0].carrier, stray.carrier)
-        bench = _Bench(window, tuple(depths), carriers, transmission)
+        bench = _Bench(window, tuple(depths), carriers, transmission, filter_fwhm_nm, target_error)
         pupils = [pyramids[0][0], pyramids[1][0], stray]
         judge = _Judge.of(bench, pupils, error)
         corners = corner_fields(written, library, _deviations(tolerances), executor=executor, progress=progress)

@@ -181,7 +181,8 @@ def _blind_helix(
     radius_um = 0.5 * design.device.aperture_um
     assert design.scene is not None  # The spec asks for one.
     vergence = np.linspace(1.0 / design.depths_m[0], 1.0 / design.depths_m[-1], _BLIND_DEPTHS)
-    defocus = rim_defocus_rad(1.0 / vergence, design.sensor.focus_depth_m, radius_um, design.wavelength_um)
+    with np.errstate(divide="ignore"):  # The farthest depth may be infinite.
+        defocus = rim_defocus_rad(1.0 / vergence, design.sensor.focus_depth_m, radius_um, design.wavelength_um)
     scene = design.scene
     texture = Texture(electrons=scene.photons_per_pixel, read_noise_e=scene.read_noise_e)
     pupil = Pupil(_BLIND_SAMPLES, design.device.aperture_shape)
@@ -210,7 +211,8 @@ def _rotation(design: Design, term: spec.SpiralZones, helix: Term, pupil: Pupil)
     if nearest_m == farthest_m or term.zones == 1:
         return {"rotation_deg": 0.0, **figures}
     vergence = np.linspace(1.0 / nearest_m, 1.0 / farthest_m, _ROTATION_DEPTHS)
-    defocus = rim_defocus_rad(1.0 / vergence, design.sensor.focus_depth_m, radius_um, design.wavelength_um)
+    with np.errstate(divide="ignore"):  # The farthest depth may be infinite.
+        defocus = rim_defocus_rad(1.0 / vergence, design.sensor.focus_depth_m, radius_um, design.wavelength_um)
     lobe = main_lobe(pupil, pupil_field(helix, pupil, radius_um), defocus, 2.0 * term.zones + 6.0)
     return {
         "rotation_deg": float(lobe.phi_deg[-1] - lobe.phi_deg[0]),

@@ -75,7 +75,9 @@ def study(design: Design, profile: PhaseProfile) -> PhaseStudy:
     if len(design.depths_m) == 1:
         return PhaseStudy(lobe, None, None)
     vergence = np.linspace(1.0 / design.depths_m[-1], 1.0 / design.depths_m[0], _BOUND_DEPTHS)
-    bounds = _bounds(design, profile, spiral, 1.0 / vergence[::-1])
+    with np.errstate(divide="ignore"):  # The farthest depth may be infinite.
+        depth_m = 1.0 / vergence[::-1]
+    bounds = _bounds(design, profile, spiral, depth_m)
     filter_fwhm_nm = None if design.optics is None else design.optics.filter_fwhm_nm
     if filter_fwhm_nm is None or design.split_angle_deg == 0.0:
         return PhaseStudy(lobe, bounds, None)

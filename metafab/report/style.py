@@ -196,7 +196,8 @@ def scale_bar(axes: Axes, extent_um: Extent, colour: str = "#ffffff") -> None:
 
 def depth_unit(depth_m: ArrayLike) -> tuple[float, str]:
     """The unit that suits some depths, as (how many of it make a metre, its name)."""
-    largest = float(np.nanmax(np.asarray(depth_m, dtype=np.float64), initial=0.0))
+    depths = np.asarray(depth_m, dtype=np.float64)
+    largest = float(np.max(depths[np.isfinite(depths)], initial=0.0))
     return (1e3, "mm") if largest < 0.02 else (1e2, "cm") if largest < 1.0 else (1.0, "m")
 
 

@@ -103,7 +103,8 @@ def lit_source(job: Job, source: Source) -> Source:
     return optics.apodised(source, optics.Apodisation.of(job.design))
 
 
-def _filter_fwhm_nm(design: Design) -> float | None:
+def filter_fwhm_nm(design: Design) -> float | None:
+    """Width of the filter before the sensor; None for one wavelength."""
     return None if design.optics is None else design.optics.filter_fwhm_nm
 
 
@@ -136,7 +137,7 @@ def point_spread(
     stacks = [
         optics.psf(
             source, imaging, depths, tangent=(1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]),
-            window_px=window_px, target_error=target_error, filter_fwhm_nm=_filter_fwhm_nm(job.design),
+            window_px=window_px, target_error=target_error, filter_fwhm_nm=filter_fwhm_nm(job.design),
             workers=job.workers, cluster=job.cluster, progress=job.progress,
         )
         for depths in together
@@ -157,13 +158,15 @@ def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int =
 
 
 def _depth_interpolation_error(written: Psf, shown: np.ndarray) -> float | None:
-    """PSFs at the shown depths interpolated from the others, against the computed ones."""
+    """PSFs at the shown depths that lie between the others, interpolated from these, against the computed ones."""
     from metafab import optics
 
-    if shown.all():
+    others = written.depth_m[~shown]
+    between = shown & (written.depth_m > others.min(initial=math.inf)) & (written.depth_m < others.max(initial=0.0))
+    if not between.any():
         return None
-    interpolated = optics.at_depths(optics.without_depths(written, shown), written.depth_m[shown])
-    return optics.relative_l2(interpolated, written.psf[:, shown])
+    interpolated = optics.at_depths(optics.without_depths(written, shown), written.depth_m[between])
+    return optics.relative_l2(interpolated, written.psf[:, between])
 
 
 def _field_interpolation_error(written: Psf, point_spread_of: Callable[..., Psf], source: Source) -> float | None:
@@ -205,7 +208,7 @@ def _psf(job: Job) -> dict[str, Any]:
         imaging=imaging,
         window_px=verify.window_px,
         target_error=verify.target_error,
-        filter_fwhm_nm=_filter_fwhm_nm(design),
+        filter_fwhm_nm=filter_fwhm_nm(design),
         workers=job.workers,
         cluster=job.cluster,
         progress=job.progress,

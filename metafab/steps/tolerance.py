@@ -11,7 +11,7 @@ from metafab.spec import Design
 from metafab.spec.design import Tolerances
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
-from metafab.steps.optics import mask_source
+from metafab.steps.optics import filter_fwhm_nm, mask_source
 from metafab.steps.outputs import in_folder
 
 if TYPE_CHECKING:
@@ -38,6 +38,7 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
             window_px=design.verify.window_px,
             target_error=design.verify.target_error,
             transmission=optics.Apodisation.of(design),
+            filter_fwhm_nm=filter_fwhm_nm(design),
             executor=executor,
             progress=job.progress,
         )

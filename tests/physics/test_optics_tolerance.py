@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,7 +21,8 @@ from metafab.library.library import Library
 from metafab.optics import WrittenField, corner_fields, psf, written_field
 from metafab.optics import tolerance as module
 from metafab.optics.blocks import reduce_to_target
-from metafab.optics.image import Window
+from metafab.optics.image import Window, relative_l2
+from metafab.optics.pupil import Pupil
 from metafab.optics.tolerance import ToleranceTable, tolerance_table
 from metafab.optics.tolerance_store import load_tolerance, save_tolerance
 from metafab.spec import UnitCell
@@ -179,3 +181,27 @@ def test_a_table_reaches_to_infinity(written: WrittenField, small_library: Libra
     asked = Tolerances(**none, stitching_nm=0.0, missing_share=1e-3, draws=2)
     found = tolerance_table(written, small_library, OPTICS, [0.84e-3, 0.9e-3, math.inf], asked, 5000, window_px=48)
     assert math.isfinite(found.rows[0].change) and found.depth_m[-1] == math.inf
+
+
+def test_a_filter_smears_the_light_of_the_table(written: WrittenField, small_library: Library) -> None:
+    """The table compares the pair that :func:`psf` gives behind the same filter, not that of one wavelength."""
+    target, width_nm, seen = 1e-3, 30.0, []
+
+    class Spy(module._Bench):
+        def light(self, pupils: Sequence[Pupil]) -> module._Light:
+            seen.append(super().light(pupils))
+            return seen[-1]
+
+    none = {"cd_bias_nm": 0.0, "height_nm": 0.0, "sidewall_deg": 0.0, "pillar_n": 0.0, "misplacement_nm": 0.0}
+    asked = Tolerances(**none, stitching_nm=0.0, missing_share=0.0)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "_Bench", Spy)
+        tolerance_table(
+            written, small_library, OPTICS, [0.88e-3], asked, 5000, window_px=16, filter_fwhm_nm=width_nm,
+            target_error=target,
+        )  # fmt: skip
+    one, band = (
+        psf(written, OPTICS, [0.88e-3], window_px=16, target_error=target, filter_fwhm_nm=w) for w in (None, width_nm)
+    )
+    assert relative_l2(seen[-1].pair, band.psf) < 2.0 * target
+    assert relative_l2(seen[-1].pair, one.psf) > 10.0 * target

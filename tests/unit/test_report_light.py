@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from metafab.report.figures import loss_chain
+from metafab.report.figures import depth_text, loss_chain
 from metafab.report.run_folder import RunFolder
 from metafab.report.sections import tolerances
-from metafab.report.style import panel
+from metafab.report.style import depth_unit, panel
 
 
 def _row(corner: str, **changed: Any) -> dict[str, Any]:
@@ -55,6 +56,11 @@ def test_what_is_no_number_is_shown_as_such() -> None:
 def test_a_change_below_the_error_is_told_so() -> None:
     page = _page(_row("missing 1 per mille", below_error=True))
     assert ">below error</td>" in page and ">0.29\u202f%</td>" not in page
+
+
+def test_an_infinite_depth_has_a_sign_and_sets_no_unit() -> None:
+    assert depth_text("inf") == depth_text(math.inf) == "∞"
+    assert depth_text(0.003) == "3 mm" and depth_unit([0.003, math.inf]) == (1e3, "mm")
 
 
 def test_nobody_asked_for_corners() -> None:

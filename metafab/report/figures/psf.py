@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -207,8 +208,11 @@ def distortion(space: Mapping[str, Any], axes: Axes) -> Axes:
     return axes
 
 
-def depth_text(depth_m: float) -> str:
-    """A depth in the unit that suits it."""
+def depth_text(depth_m: float | str) -> str:
+    """A depth in the unit that suits it; summaries write one that is infinite as "inf"."""
+    depth_m = float(depth_m)
+    if depth_m == math.inf:
+        return "∞"
     scale, unit = depth_unit(depth_m)
     return f"{scale * depth_m:.4g} {unit}"
 
