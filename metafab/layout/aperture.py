@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.errors import InputError
 from metafab.layout.geometry import aperture_dbu, floor_dbu, lattice_of, nearest_dbu
 from metafab.layout.pillars import Lattice
 from metafab.spec import Design
@@ -42,8 +43,23 @@ class Aperture:
 
     @classmethod
     def of(cls, design: Design) -> Aperture:
-        """The aperture of ``design`` on its lattice."""
-        lattice, device = lattice_of(design), design.device
+        """The aperture of ``design`` on its lattice.
+
+        Raises:
+            InputError: no cell of the lattice lies inside, or as :func:`lattice_of`.
+        """
+        aperture = cls._of(lattice_of(design), design)
+        if aperture.count == 0:
+            periods = " x ".join(f"{period:g}" for period in design.unit_cell.cell.period_nm)
+            raise InputError.single(
+                design.name, "device", f"an aperture with room for a unit cell of {periods} nm",
+                f"a {design.device.aperture_shape} without any", "make it larger, or its hole smaller",
+            )  # fmt: skip
+        return aperture
+
+    @classmethod
+    def _of(cls, lattice: Lattice, design: Design) -> Aperture:
+        device = design.device
         if device.aperture_shape == "polygon":
             vertices = [(nearest_dbu(x, design), nearest_dbu(y, design)) for x, y in device.outline_um]
             return cls(lattice, *_polygon_runs(lattice, vertices))

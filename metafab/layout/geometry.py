@@ -11,6 +11,11 @@ from metafab.core.errors import InputError
 from metafab.layout.pillars import Lattice
 from metafab.spec import Design
 
+#: Coordinates of GDSII, and of most readers, are whole numbers of 32 bits; the centre of the lens is 0.
+MAX_APERTURE_DBU = 2**31
+#: Units along a unit cell: beyond, the tables of sizes would not fit the memory, and no writer has so fine a grid.
+MAX_CELL_DBU = 2**15
+
 
 def whole_dbu(length_nm: float, database_unit_nm: float, field: str, *, even: bool = False) -> int:
     """``length_nm`` in database units.
@@ -41,7 +46,8 @@ def lattice_of(design: Design) -> Lattice:
     """The sites whose unit cells fit into the square that bounds the aperture, centred on the axis.
 
     Raises:
-        InputError: the period is not a whole number of database units, or the aperture holds no cell.
+        InputError: the period is not a whole number of database units, the aperture holds no cell, or the unit is so
+            small that the file's or the tables' numbers would not do.
     """
     unit_nm, hexagonal = design.mask.database_unit_nm, design.unit_cell.cell.is_hexagonal
     whole_x, whole_y = (
@@ -58,9 +64,20 @@ def lattice_of(design: Design) -> Lattice:
             "at least one period",
             f"{design.device.aperture_um:g} um for periods of {design.unit_cell.cell.period_nm} nm",
         )
+    _refuse_tiny_unit(design, max(whole_x, whole_y), aperture)
     if hexagonal:  # Odd numbers: the lattice is its own mirror image in both axes.
         columns, rows = columns // 2 * 2 + 1, (rows - 1) // 2 * 2 + 1
     return Lattice((p_x, p_y), (rows, columns), unit_nm, hexagonal)
+
+
+def _refuse_tiny_unit(design: Design, cell_dbu: int, aperture: int) -> None:
+    """Refuse units of which an aperture or a unit cell holds too many."""
+    unit_nm = design.mask.database_unit_nm
+    for name, units, most in (("unit cell", cell_dbu, MAX_CELL_DBU), ("aperture", aperture, MAX_APERTURE_DBU)):
+        if units > most:
+            expected, got = f"at most {most} units across the {name}", f"{units} units of {unit_nm:g} nm"
+            remedy = f"choose one of at least {unit_nm * units / most:.3g} nm"
+            raise InputError.single(design.name, "mask.database_unit_nm", expected, got, remedy)
 
 
 def aperture_dbu(design: Design) -> int:

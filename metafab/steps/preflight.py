@@ -19,7 +19,7 @@ def preflight(design: Design) -> None:
     from metafab.optics import Imaging
 
     faults: list[Fault] = []
-    for look in (Imaging.of, layout.lattice_of, layout.field_sites, mask.lens_copies, phase.require_paintable):
+    for look in (Imaging.of, layout.Aperture.of, layout.field_sites, mask.lens_copies, phase.require_paintable):
         try:
             look(design)
         except InputError as error:

@@ -13,32 +13,37 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from metafab.layout import Aperture
+from metafab.core.errors import InputError
+from metafab.layout import Aperture, Lattice, lattice_of
 from metafab.spec import Design
 from metafab.spec.outline import encloses
+from metafab.steps.preflight import preflight
 
 
 def _with(design: Design, **device: Any) -> Design:
     return replace(design, device=replace(design.device, **device))
 
 
-def _cells_um(aperture: Aperture) -> tuple[np.ndarray, np.ndarray, float, float]:
+def _cells_um(lattice: Lattice) -> tuple[np.ndarray, np.ndarray, float, float]:
     """Centres (n_y, n_x) of all sites and the half periods, in database units."""
-    x, y = np.meshgrid(aperture.lattice.x_dbu(), aperture.lattice.y_dbu())
-    return x, y, aperture.lattice.period_dbu[0] / 2, aperture.lattice.period_dbu[1] / 2
+    x, y = np.meshgrid(lattice.x_dbu(), lattice.y_dbu())
+    return x, y, lattice.period_dbu[0] / 2, lattice.period_dbu[1] / 2
 
 
 @given(outer_nm=st.integers(2000, 30_000), share=st.floats(0.01, 0.99))
 def test_a_ring_holds_the_cells_between_two_circles(small_design: Design, outer_nm: int, share: float) -> None:
     inner_nm = max(1, int(share * outer_nm))
-    aperture = Aperture.of(
-        _with(small_design, aperture_shape="ring", aperture_um=outer_nm * 1e-3, inner_um=inner_nm * 1e-3)
-    )
-    x, y, half_x, half_y = _cells_um(aperture)
+    design = _with(small_design, aperture_shape="ring", aperture_um=outer_nm * 1e-3, inner_um=inner_nm * 1e-3)
+    x, y, half_x, half_y = _cells_um(lattice_of(design))
     far = np.hypot(np.abs(x) + half_x, np.abs(y) + half_y)
     near = np.hypot(np.maximum(np.abs(x) - half_x, 0.0), np.maximum(np.abs(y) - half_y, 0.0))
     # Diameters are 2 dbu a nm, radii 1. Exact sums below 1e10: a root errs by 1e-12 only, squares are compared.
     inside = (np.rint(far**2) <= outer_nm**2) & (np.rint(near**2) >= inner_nm**2)
+    if not inside.any():
+        with pytest.raises(InputError, match="room for a unit cell"):
+            Aperture.of(design)
+        return
+    aperture = Aperture.of(design)
     assert np.array_equal(aperture.inside(0, 0, aperture.lattice.shape), inside)
     assert aperture.count == np.count_nonzero(inside)
 
@@ -58,7 +63,7 @@ def test_a_polygon_holds_the_cells_that_shapely_finds_in_it(
     polygon = shapely.Polygon([(2e3 * x, 2e3 * y) for x, y in outline])
     assume(polygon.is_valid and polygon.area > 0.0)
     aperture = Aperture.of(_with(small_design, aperture_shape="polygon", aperture_um=18.0, outline_um=outline))
-    x, y, half_x, half_y = _cells_um(aperture)
+    x, y, half_x, half_y = _cells_um(aperture.lattice)
     # Shrunk and grown by a thousandth of a unit: shapely decides in floating point.
     surely, perhaps = (
         shapely.covers(polygon, shapely.box(x - half_x + e, y - half_y + e, x + half_x - e, y + half_y - e))
@@ -131,3 +136,43 @@ def test_blocks_and_tiles_are_parts_of_the_whole(small_design: Design, row: int,
 def test_outlines_that_make_no_aperture_are_refused(small_design: Design, device: dict[str, Any], message: str) -> None:
     with pytest.raises(ValidationError, match=message):
         _with(small_design, **device)
+
+
+@pytest.mark.parametrize(
+    "device",
+    [
+        {"aperture_um": 0.4},  # a circle about the one cell whose corners it cuts off
+        {"aperture_shape": "ring", "aperture_um": 21.3, "inner_um": 21.2},
+        {"aperture_shape": "polygon", "aperture_um": 21.3, "outline_um": ((-5.0, 0.0), (5.0, 0.1), (5.0, 0.0))},
+    ],
+)
+def test_an_aperture_without_a_site_is_refused_before_any_step(small_design: Design, device: dict[str, Any]) -> None:
+    empty = _with(small_design, **device)
+    with pytest.raises(InputError, match="room for a unit cell of 350 x 350 nm"):
+        Aperture.of(empty)
+    with pytest.raises(InputError, match="room for a unit cell"):
+        preflight(empty)
+
+
+@pytest.mark.parametrize(
+    ("aperture_um", "unit_nm", "message"),
+    [
+        (2000.0, 0.001, "at most 32768 units across the unit cell"),
+        (150_000.0, 0.05, "at most 2147483648 units across the aperture"),
+    ],
+)
+def test_units_too_small_for_the_numbers_of_a_mask_are_refused(
+    small_design: Design, aperture_um: float, unit_nm: float, message: str
+) -> None:
+    fine = replace(small_design, mask=replace(small_design.mask, database_unit_nm=unit_nm))
+    with pytest.raises(InputError, match=message):
+        Aperture.of(_with(fine, aperture_um=aperture_um))
+
+
+def test_the_largest_aperture_in_units_is_counted(small_design: Design) -> None:
+    """2^31 units across: squares of 64 bits still hold."""
+    fine = replace(small_design, mask=replace(small_design.mask, database_unit_nm=0.05))
+    largest_um = 2**31 * 0.05e-3
+    aperture = Aperture.of(_with(fine, aperture_um=largest_um))
+    # pi R^2 over the cell's area, less half a ring of cells along the rim.
+    assert aperture.count == pytest.approx(math.pi / 4 * (largest_um / 0.35) ** 2, rel=2e-5)
