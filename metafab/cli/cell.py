@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from metafab.cli.app import Cluster, Json, Output, TargetError, UnitCellFile, Workers, app, library_app
-from metafab.cli.console import announce, progress_bars, show
+from metafab.cli.console import announce, progress_bars, short_of_a_turn, show
+from metafab.core.errors import Fault, InputError
+
+if TYPE_CHECKING:
+    from metafab.spec import UnitCell
 
 
 @app.command("cell")
@@ -30,6 +34,7 @@ def cell_command(
 
     spec = load_unit_cell(unit_cell)
     name = solver or spec.solver.name
+    _require_size(spec, width_nm, length_nm)
     problem = cell.pillar_cell(
         spec, width_nm, length_nm, wavelength_nm=wavelength_nm, angle_deg=angle_deg, azimuth_deg=azimuth_deg
     )
@@ -61,6 +66,21 @@ def cell_command(
     )
 
 
+def _require_size(spec: UnitCell, width_nm: float, length_nm: float) -> None:
+    """Refuse what no pillar of this unit cell can be; 0 is none, and anything up to the period may be asked."""
+    faults = []
+    least_nm = 1e-3 * spec.illumination.wavelength_nm
+    for name, size_nm in (("--width-nm", width_nm), ("--length-nm", length_nm)):
+        if 0.0 < size_nm < least_nm:
+            expected = f"0, or at least {least_nm:g} nm, a thousandth of the wavelength"
+            faults.append(Fault(name, expected, f"{size_nm:g} nm", "is it in nanometres?"))
+    if spec.cell.shape == "circle" and width_nm != length_nm:
+        got = f"{width_nm:g} and {length_nm:g} nm"
+        faults.append(Fault("--length-nm", "the width: both are the diameter of a circle", got))
+    if faults:
+        raise InputError("cell", faults)
+
+
 @library_app.command("build")
 def library_build(
     unit_cell: UnitCellFile,
@@ -84,6 +104,7 @@ def library_build(
         announce([f"{cells} are expected, {least:.2g} to {most:.2g} s" + (" a core" if cluster else "")])
     with progress_bars() as progress, measured() as cost, open_executor(workers, cluster) as executor:
         built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=progress)
+    announce(short_of_a_turn(library.coverage_rad(built)))
     show({"file": path, **library.quality(built), **built.details, **built.spent, "seconds": cost.seconds}, json_)
 
 

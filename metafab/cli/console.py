@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -53,6 +54,14 @@ def announce(sentences: Iterable[str]) -> None:
     """Say on stderr what is worth knowing before the work begins."""
     for sentence in sentences:
         print(f"metafab: {sentence}", file=sys.stderr)
+
+
+def short_of_a_turn(coverage_rad: float) -> list[str]:
+    """What to say of a library whose sizes reach much less than a turn of phase: nothing if they do not."""
+    if coverage_rad >= 0.6 * 2.0 * math.pi:
+        return []
+    text = f"the library reaches {coverage_rad:.3g} rad of phase, far less than a turn (6.28 rad)"
+    return [f"{text}: are height, sizes and wavelength as they should be?"]
 
 
 def exit_on_violations(count: int) -> None:

@@ -46,6 +46,9 @@ def _material(value: object) -> object:
 #: Distance of the rows of a regular hexagonal lattice over its period, and how far one may be from regular.
 _ROWS_PER_PERIOD, _MOST_STRAIN = math.sqrt(3.0) / 2.0, 0.01
 
+#: Lengths of a cell over the wavelength beyond which they are taken for another unit's numbers.
+_LEAST_WAVELENGTHS, _MOST_WAVELENGTHS = 0.01, 100.0
+
 #: Sizes along one axis beyond which maps of both no longer fit any memory.
 _MOST_STEPS = 10_000
 
@@ -253,6 +256,24 @@ class UnitCell:
             largest = getattr(self.sweep, name)[1]
             if largest > period:
                 raise ValueError(f"`sweep.{name}` reaches {largest} nm, beyond `cell.period_nm` of {period} nm")
+        return self
+
+    @model_validator(mode="after")
+    def _in_nanometres(self) -> UnitCell:
+        wavelength_nm = self.illumination.wavelength_nm
+        least_nm, most_nm = _LEAST_WAVELENGTHS * wavelength_nm, _MOST_WAVELENGTHS * wavelength_nm
+        lengths = {
+            "cell.period_nm": min(self.cell.period_nm),
+            "cell.height_nm": self.cell.height_nm,
+            "sweep.width_nm": self.sweep.width_nm[0],
+            "sweep.length_nm": self.sweep.length_nm[0],
+        }
+        wrong = [f"`{name}` = {length:g}" for name, length in lengths.items() if not least_nm <= length <= most_nm]
+        if wrong:
+            raise ValueError(
+                f"{', '.join(wrong)}: lengths must be {least_nm:g} to {most_nm:g} nm, a hundredth to a hundred of the "
+                f"wavelength of {wavelength_nm:g} nm; are they in nanometres?"
+            )
         return self
 
     @model_validator(mode="after")

@@ -17,6 +17,9 @@ from metafab.spec.scene import Scene
 
 FieldPoints = Annotated[int, Field(strict=True, ge=1, le=65)]
 
+#: Smallest rule over the wavelength: no process is finer, and micrometres taken for nanometres are found.
+_LEAST_RULE = 1e-3
+
 #: Largest PSF window a side; beyond it the work grows without telling more.
 MAX_WINDOW_PX = 2048
 
@@ -339,6 +342,17 @@ class Design:
     ] = None
     tolerance: Annotated[Tolerances | None, Field(description="omitted: no table of corners")] = None
     measured: Annotated[Measured | None, Field(description="omitted: nothing to compare with")] = None
+
+    @model_validator(mode="after")
+    def _rules_in_nanometres(self) -> Design:
+        least_nm = _LEAST_RULE * self.unit_cell.illumination.wavelength_nm
+        for name in ("min_gap_nm", "min_feature_nm"):
+            if getattr(self.rules, name) < least_nm:
+                raise ValueError(
+                    f"`rules.{name}` must be at least {least_nm:g} nm, a thousandth of the wavelength, got "
+                    f"{getattr(self.rules, name):g}; is it in nanometres?"
+                )
+        return self
 
     @model_validator(mode="after")
     def _photons(self) -> Design:

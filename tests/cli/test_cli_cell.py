@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from metafab.cli.console import short_of_a_turn
 from tests.main_job import UNIT_CELL, metafab
 
 WIDE = """
@@ -98,3 +99,25 @@ def test_a_result_never_replaces_what_it_is_made_from(tmp_path: Path) -> None:
     assert answer.code == 2
     assert "which is read" in answer.stderr
     assert spec.read_bytes() == Path(UNIT_CELL).read_bytes()
+
+
+def test_a_pillar_in_micrometres_is_refused_and_none_is_taken(tmp_path: Path) -> None:
+    answer = metafab("cell", _file(tmp_path), "--width-nm", "0.15", "--length-nm", "0.21", "--json")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "`--width-nm`: expected 0, or at least 0.8 nm" in answer.stderr
+    assert "`--length-nm`: expected 0, or at least 0.8 nm" in answer.stderr
+    none = metafab("cell", _file(tmp_path), "--width-nm", "0", "--length-nm", "0", "--target-error", "5e-2", "--json")
+    assert none.code == 0, none.stderr
+
+
+def test_a_circle_has_one_size() -> None:
+    cell = UNIT_CELL.with_name("sin_circles_633nm.toml")
+    answer = metafab("cell", cell, "--width-nm", "150", "--length-nm", "210", "--json")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "`--length-nm`: expected the width: both are the diameter of a circle" in answer.stderr
+
+
+def test_a_library_far_from_a_turn_is_said_to_be() -> None:
+    assert short_of_a_turn(4.2) == []
+    (said,) = short_of_a_turn(0.4)
+    assert "0.4 rad" in said

@@ -149,3 +149,20 @@ def test_what_just_works_is_taken(place: Place, value: Any, tmp_path: Path) -> N
     if place[-1] == "min_feature_nm":
         table["rules"]["min_gap_nm"] = 100.0
     assert faults(table, tmp_path) == ""
+
+
+@pytest.mark.parametrize(
+    ("table", "place", "value", "said"),
+    [
+        (CELL, ("cell", "height_nm"), 0.6, "`cell.height_nm` = 0.6"),
+        (CELL, ("cell", "height_nm"), 600_000.0, "`cell.height_nm` = 600000"),
+        (CELL, ("cell", "period_nm"), 0.35, "period_nm"),
+        (CELL, ("sweep", "width_nm"), [2.0, 250.0], "`sweep.width_nm` = 2"),
+        (DESIGN, ("rules", "min_gap_nm"), 0.1, "`rules.min_gap_nm` must be at least 0.8 nm"),
+        (DESIGN, ("rules", "min_feature_nm"), 0.1, "`rules.min_feature_nm` must be at least 0.8 nm"),
+    ],
+)
+def test_micrometres_are_not_taken_for_nanometres(
+    table: dict[str, Any], place: Place, value: Any, said: str, tmp_path: Path
+) -> None:
+    assert said in faults(changed(table, place, value), tmp_path)
