@@ -33,7 +33,10 @@ def layout_command(
         job = open_job(design, output, workers, cluster, progress)
         steps.preflight(job.design)
         if plan:
-            show(mask.plan(job.profile, _library_for_a_plan(job), job.design), json_)
+            if cluster is not None:
+                expected, remedy = "`--workers` with the cluster's cores", "a plan is made on one machine"
+                raise InputError.single("--cluster", "plan", expected, repr(cluster), remedy)
+            show(mask.plan(job.profile, _library_for_a_plan(job), job.design, workers), json_)
             return
         announce(mask.announcement(job.design))
         with measured() as cost:

@@ -39,10 +39,11 @@ class Assignment:
 
     Attributes:
         pillars: the map.
-        figures: ``pillars``, ``distinct_sizes``, ``min_gap_nm``, ``phase_rms_error_rad`` (both polarisations,
-            after the constant phases ``offsets_rad``), ``mean_transmittance`` (power), ``field_overlap`` =
-            |<target, t>|^2 / (<target, target> <t, t>), ``efficiency`` (transmittance times overlap: power in the
-            wanted wave), means of both polarisations, and each with suffix _x, _y; ``offsets_rad``.
+        figures: ``pillars``, ``distinct_sizes``, ``min_gap_nm`` (None of a single pillar), ``phase_rms_error_rad``
+            (both polarisations, after the constant phases ``offsets_rad``), ``mean_transmittance`` (power),
+            ``field_overlap`` = |<target, t>|^2 / (<target, target> <t, t>), ``efficiency`` (transmittance times
+            overlap: power in the wanted wave), means of both polarisations, and each with suffix _x, _y;
+            ``offsets_rad``.
     """
 
     pillars: PillarMap
@@ -188,7 +189,7 @@ def _summary(sums: TileFigures, library: Library, table: SizeTable) -> dict[str,
     return {
         "pillars": sums.pillars,
         "distinct_sizes": int(np.count_nonzero(sums.used[1:])),
-        "min_gap_nm": sums.smallest_gap_dbu * table.database_unit_nm,
+        "min_gap_nm": sums.smallest_gap_dbu * table.database_unit_nm if np.isfinite(sums.smallest_gap_dbu) else None,
         "phase_rms_error_rad": float(np.sqrt(sums.square_error.sum() / (2 * sums.pillars))),
         **_both("mean_transmittance", transmittance),
         **_both("field_overlap", overlap),

@@ -37,9 +37,20 @@ def whole_dbu(length_nm: float, database_unit_nm: float, field: str, *, even: bo
             field,
             f"{'an even' if even else 'a whole'} number of database units of {database_unit_nm:g} nm",
             f"{length_nm:g} nm, {units:g} units",
-            "choose a smaller unit, such as 0.5 nm, or a coarser size grid",
+            _remedy(length_nm, database_unit_nm, 2 if even else 1),
         )
     return count
+
+
+def _remedy(length_nm: float, unit_nm: float, step: int) -> str:
+    """The lengths to either side that would do, and the largest of some finer units if one does."""
+    below = math.floor(length_nm / unit_nm / step) * step * unit_nm
+    lengths = f"use {below:g} or {below + step * unit_nm:g} nm"
+    for part in (2, 4, 5, 8, 10, 20, 50, 100):
+        steps = length_nm * part / unit_nm / step
+        if abs(steps - round(steps)) < 1e-6:
+            return f"{lengths}, or a unit of {unit_nm / part:g} nm"
+    return lengths
 
 
 def lattice_of(design: Design) -> Lattice:

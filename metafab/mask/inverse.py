@@ -40,6 +40,7 @@ class InvertedField:
         if lattice.hexagonal:
             expected = "a rectangular lattice, in whose cells the field is divided"
             raise InputError.single("mask", "tone", expected, "a hexagonal one", "use 'positive'")
+        self._biases_dbu = biases_dbu
         self._stamps: list[Stamp] = []
         self._drawn: list[NDArray[np.bool_]] = []
         (p_x, p_y), (half_x, half_y) = lattice.period_dbu, (period // 2 for period in lattice.period_dbu)
@@ -72,6 +73,19 @@ class InvertedField:
             index = np.where(drawn[shifted], shifted, np.uint16(0))
             if index.any():
                 yield PillarTile(tile.row, tile.column, index), stamp
+
+    def count(self, used: NDArray[np.int64], seen: set[tuple[int, int]], copies: tuple[LensCopy, ...]) -> int:
+        """Rectangles of the field of all copies.
+
+        Args:
+            used: sites of each size in the tiles ``seen``, shape (n_sizes + 1,); index 0 counts those without a pillar.
+            seen: (row, column) of the tiles that hold pillars.
+            copies: the lenses.
+        """
+        of_bias = dict.fromkeys(self._biases_dbu, 0)
+        for stamp, drawn in zip(self._stamps, self._drawn, strict=True):
+            of_bias[stamp.bias_dbu] += int(used @ drawn[1:])
+        return sum(of_bias[copy.bias_dbu] for copy in copies) + len(self.without_pillars(seen, copies))
 
     def without_pillars(self, seen: set[tuple[int, int]], copies: tuple[LensCopy, ...]) -> IntArray:
         """Rectangles, shape (n, 4), of the tiles of every copy that are not among ``seen`` (row, column)."""

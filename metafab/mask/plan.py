@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import io
+import math
 import time
 from typing import Any
 
 from metafab.core.executor import default_workers
-from metafab.layout import Aperture, Outline, PillarMap, PillarTile
-from metafab.layout.assign import mapping_of
+from metafab.layout import Aperture, Outline, PillarMap, PillarTile, lattice_of
+from metafab.layout.assign import KEPT_SITES, mapping_of
 from metafab.library import Library
 from metafab.mask.gdsii_writer import BOUNDARY_WORDS, REFERENCE_WORDS
 from metafab.mask.stamps import Stamps, shapes_per_pillar
@@ -23,18 +24,21 @@ GDSII_COMFORT_BYTES = 2**31
 _SAMPLED_TILES = 16
 
 
-def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, Any]:
+def plan(profile: PhaseProfile, library: Library, design: Design, workers: int | None = None) -> dict[str, Any]:
     """Map and encode a sample of tiles and extrapolate to the whole lens, of any size.
 
     Args:
         profile: target phases.
         library: response of every size.
         design: the lens.
+        workers: cores that share the work, each as fast as one of this machine; its own unless given.
 
     Returns:
-        ``pillars``, ``tiles``, ``sampled_tiles``, ``seconds`` (on this machine's cores, by step), ``core_hours``,
-        ``bytes`` by format, ``workers``, and ``advice``, a list of sentences.
+        ``pillars``, ``tiles``, ``sampled_tiles``, ``mappings`` (how often every tile is mapped), ``seconds`` (on
+        ``workers`` cores, by step), ``core_hours``, ``bytes`` by format, ``workers``, and ``advice``, a list of
+        sentences.
     """
+    workers, mappings = workers or default_workers(), _mappings(design)
     start = time.perf_counter()
     mapping = mapping_of(profile, library, design)
     table, aperture = mapping.table, mapping.aperture
@@ -50,7 +54,7 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
         tiles.append(mapping(place))
     mapping_seconds += time.perf_counter()
     share = sum(figures.pillars for _, figures in tiles) / aperture.count
-    seconds = {"preparing": prepared, "mapping": mapping_seconds / share / default_workers()}
+    seconds = {"preparing": prepared, "mapping": mappings * mapping_seconds / share / workers}
     sizes: dict[str, int] = {}
     sample = PillarMap(aperture.lattice, table.size_dbu, lambda: (tile for tile, _ in tiles), mapping.tile_sites)
     stamps = Stamps(biased(sample, design.mask.bias_nm), design)
@@ -59,18 +63,27 @@ def plan(profile: PhaseProfile, library: Library, design: Design) -> dict[str, A
         _encoded_bytes(writer, stamps, tiles[0][0])
         encoding = time.perf_counter()
         encoded = sum(_encoded_bytes(writer, stamps, tile) for tile, _ in tiles)
-        seconds[suffix] = (time.perf_counter() - encoding) / share / default_workers()
+        seconds[suffix] = (time.perf_counter() - encoding) / share / workers
         sizes[suffix] = round(encoded / share)
     return {
         "pillars": aperture.count,
         "tiles": len(places),
         "sampled_tiles": count,
+        "mappings": mappings,
         "seconds": seconds,
-        "core_hours": (sum(seconds.values()) - prepared) * default_workers() / 3600.0,
+        "core_hours": (sum(seconds.values()) - prepared) * workers / 3600.0,
         "bytes": sizes,
-        "workers": default_workers(),
+        "workers": workers,
         "advice": _advice(sizes),
     }
+
+
+def _mappings(design: Design) -> int:
+    """How often a tile is mapped: a lens too large to be kept is mapped for its figures and again for each reading."""
+    if math.prod(lattice_of(design).shape) <= KEPT_SITES:
+        return 1
+    dose = design.mask.dose
+    return 3 if dose is not None and dose.by == "density" else 2
 
 
 def _encoded_bytes(writer: MaskWriter, stamps: Stamps, tile: PillarTile) -> int:

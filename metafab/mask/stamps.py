@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+from numpy.typing import NDArray
+
 from metafab.core.errors import InputError
 from metafab.layout import Outline, PillarMap, PillarTile
 from metafab.mask.cells import Stamp, pillar_stamp
@@ -56,6 +59,17 @@ class Stamps:
             mask = self._mask
             self._pillars[key] = pillar_stamp(self._size_dbu, mask.layer, mask.datatype, *key, self._outline)
         return self._pillars[key]
+
+    def exposed(self, used: NDArray[np.int64], seen: set[tuple[int, int]]) -> int:
+        """Shapes that are exposed in all copies: the field's where that is drawn, and else the pillars.
+
+        Args:
+            used: sites of each size in the tiles ``seen``, shape (n_sizes + 1,); index 0 counts those without a pillar.
+            seen: (row, column) of the tiles that hold pillars.
+        """
+        if self._field is None:
+            return len(self._copies) * int(used[1:].sum())
+        return self._field.count(used, seen, self._copies)
 
     def beside(self, seen: set[tuple[int, int]]) -> list[tuple[int, IntArray]]:
         """(layer, rectangles) of the field in the tiles, of every copy, that are not among ``seen`` (row, column)."""

@@ -58,6 +58,7 @@ def write(
     Pillars are drawn with ``mask.bias_nm``, on a datatype for each of the classes of ``mask.dose``; the top cell
     holds what ``mask.chip`` and ``mask.tone`` add, and the lens as often as ``mask.copies`` lists it. A pillar has
     the same dose class in every copy, whatever their bias. Options that the design leaves out change no byte.
+    What an earlier call left in a format that is not asked for now is removed: ``layout.json`` would not tell of it.
 
     Args:
         pillars: what shall stand; drawn sizes must be even in database units.
@@ -103,7 +104,9 @@ def write(
         progress("mask", sites, sites)
     _write_text(directory / "layout.lyp", layer_properties(design, beside))
     written = {suffix: path.stat().st_size for suffix, path in files.items()}
-    sidecar = {**_provenance(design, beside), **figures.summary(), "bytes": written}
+    for other in WRITERS.keys() - files.keys():
+        (directory / f"layout.{other}").unlink(missing_ok=True)
+    sidecar = {**_provenance(design, beside), **figures.summary(stamps, seen), "bytes": written}
     write_json(directory / "layout.json", sidecar if mapping is None else {**sidecar, "mapping": dict(mapping)})
     paths = [*files.values(), directory / "layout.lyp", directory / "layout.json"]
     return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
@@ -153,10 +156,14 @@ class _Figures:
         self._used += used
         self.sites += tile.size_index.size
 
-    def summary(self) -> dict[str, Any]:
+    def summary(self, stamps: Stamps, seen: set[tuple[int, int]]) -> dict[str, Any]:
         """Pillars, sizes, drawn area, its share of the pillars' cells, all of one lens; copies and write time if asked.
 
         Where ``mask.copies`` lists several lenses, the write time is that of all of them.
+
+        Args:
+            stamps: what was drawn.
+            seen: (row, column) of the tiles that hold pillars.
         """
         pillars = int(self._used[1:].sum())
         lattice = self._map.lattice
@@ -181,12 +188,13 @@ class _Figures:
                 for copy, area_um2 in zip(mask.copies, areas_um2, strict=True)
             ]
         if mask.exposure is not None:
-            exposed_um2 = sum(areas_um2)
+            exposed_um2, fields = sum(areas_um2), int(np.count_nonzero(self._shapes_in))
             if mask.tone != "negative":
                 sites_um2 = math.prod(lattice.shape) * math.prod(lattice.period_dbu) * unit_um**2
-                exposed_um2 = len(copies) * sites_um2 - exposed_um2
-            shapes, fields = len(copies) * pillars, len(copies) * int(np.count_nonzero(self._shapes_in))
-            figures["exposure"] = write_time(mask.exposure, exposed_um2, shapes, fields)
+                # The field reaches to the corners of the square, where no pillar stands.
+                exposed_um2, fields = len(copies) * sites_um2 - exposed_um2, self._shapes_in.size
+            shapes = stamps.exposed(self._used, seen)
+            figures["exposure"] = write_time(mask.exposure, exposed_um2, shapes, len(copies) * fields)
         return figures
 
     def _area_dbu(self, bias_dbu: int) -> float:

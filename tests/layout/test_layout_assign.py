@@ -156,3 +156,10 @@ def test_rules_may_ask_for_one_response_to_both_polarisations_and_for_calm_sizes
     calm = replace(tiny_design, rules=replace(tiny_design.rules, cd_sigma_nm=20.0))
     tables = [allowed_sizes(smooth_library, design) for design in (tiny_design, calm)]
     assert np.any(tables[0].size_index != tables[1].size_index)
+
+
+def test_a_single_pillar_has_no_gap(profile: PhaseProfile, smooth_library: Library, small_design: Design) -> None:
+    design = replace(small_design, device=replace(small_design.device, aperture_um=0.5))
+    figures = layout.assign(profile, smooth_library, design).figures
+    assert figures["pillars"] == 1
+    assert figures["min_gap_nm"] is None

@@ -248,6 +248,33 @@ def test_write_time_is_dose_times_area_over_current(tiny: Assignment, tiny_desig
     assert whole == pytest.approx((114 * 0.35) ** 2, rel=1e-12)
 
 
+def test_the_write_time_of_an_inverted_mask_is_that_of_its_field(
+    tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    """Against the rectangles that KLayout reads on the field layer, of two lenses with a bias each."""
+    kdb = pytest.importorskip("klayout.db")
+    exposure = Exposure(dose_uc_per_cm2=800.0, beam_current_na=2.0, settle_shape_us=0.5, settle_field_ms=40.0)
+    copies = (Copy((0.0, 0.0)), Copy((60.0, 0.0), 4.0))
+    mask.write(tiny.pillars, tmp_path, _with(tiny_design, exposure=exposure, tone="inverted", copies=copies))
+    told = json.loads((tmp_path / "layout.json").read_text())["exposure"]
+    drawn = kdb.Layout()
+    drawn.read(str(tmp_path / "layout.gds"))
+    field = kdb.Region(drawn.top_cell().begin_shapes_rec(drawn.layer(2, 0)))
+    field.merged_semantics = False
+    assert told["shapes"] == field.count() > 2 * 4 * tiny.figures["pillars"]
+    assert told["area_um2"] == pytest.approx(field.area() * 0.25e-6, rel=1e-9)
+    assert told["settling_seconds"] == pytest.approx(field.count() * 0.5e-6 + 2 * 0.040, rel=1e-12)
+
+
+def test_a_mask_of_an_earlier_design_does_not_stay_beside_the_new_one(
+    tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    mask.write(tiny.pillars, tmp_path, tiny_design)
+    assert (tmp_path / "layout.gds").exists()
+    mask.write(tiny.pillars, tmp_path, _with(tiny_design, formats=("oas",)))
+    assert {path.name for path in tmp_path.iterdir()} == {"layout.oas", "layout.lyp", "layout.json"}
+
+
 def test_the_density_map_is_the_covered_share_of_each_write_field(
     profile: PhaseProfile, smooth_library: Library, tiny_design: Design, tmp_path: Path
 ) -> None:

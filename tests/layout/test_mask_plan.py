@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
-from metafab import mask
+from metafab import layout, mask
 from metafab.cli.whole import run_command
 from metafab.layout import Assignment
+from metafab.layout.mapping import Mapping
 from metafab.library import Library
 from metafab.phase.profile import PhaseProfile
-from metafab.spec import Copy, Design
+from metafab.spec import Copy, Design, Dose
 
 
 def test_bytes_are_those_of_the_written_files(
@@ -33,6 +34,37 @@ def test_bytes_are_those_of_the_written_files(
     assert set(plan["seconds"]) == {"preparing", "mapping", "gds", "oas"}
     assert plan["core_hours"] > 0
     assert plan["advice"] == []
+    assert plan["mappings"] == 1
+
+
+@pytest.mark.parametrize("dose", [None, Dose(by="size"), Dose(by="density")])
+def test_the_plan_counts_how_often_a_lens_that_is_not_kept_is_mapped(
+    dose: Dose | None,
+    profile: PhaseProfile,
+    smooth_library: Library,
+    tiny_design: Design,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Against the calls of the mapping while a mask is written."""
+    for module in (sys.modules[layout.assign.__module__], sys.modules[mask.plan.__module__]):
+        monkeypatch.setattr(module, "KEPT_SITES", 0)
+    calls: list[object] = []
+    mapped = Mapping.__call__
+
+    def counted(self: Mapping, place: Any) -> Any:
+        calls.append(place)
+        return mapped(self, place)
+
+    design = replace(tiny_design, mask=replace(tiny_design.mask, dose=dose))
+    plan = mask.plan(profile, smooth_library, design, workers=7)
+    monkeypatch.setattr(Mapping, "__call__", counted)
+    assignment = layout.assign(profile, smooth_library, design)
+    mask.write(assignment.pillars, tmp_path, design)
+    assert len(calls) == plan["mappings"] * plan["tiles"]
+    assert plan["workers"] == 7
+    working = sum(seconds for step, seconds in plan["seconds"].items() if step != "preparing")
+    assert plan["core_hours"] == pytest.approx(7 * working / 3600.0)
 
 
 def test_a_centimetre_lens_is_planned_from_a_few_tiles_and_oasis_proposed(
@@ -44,6 +76,7 @@ def test_a_centimetre_lens_is_planned_from_a_few_tiles_and_oasis_proposed(
     assert plan["pillars"] == pytest.approx(16.03e9, rel=1e-3)
     assert plan["bytes"]["gds"] == pytest.approx(64 * plan["pillars"], rel=1e-2)
     assert plan["sampled_tiles"] == 16
+    assert plan["mappings"] == 2  # 16 thousand million sites are not kept, but mapped again for the writers
     assert "write 'oas'" in plan["advice"][0]
 
 

@@ -85,3 +85,23 @@ def test_whole_units_are_exact(units: int, unit_nm: float) -> None:
     if units % 2:
         with pytest.raises(InputError, match="even number"):
             whole_dbu(units * unit_nm, unit_nm, "a", even=True)
+
+
+@pytest.mark.parametrize(
+    ("length_nm", "unit_nm", "even", "remedy"),
+    [
+        (0.5, 0.5, True, "use 0 or 1 nm, or a unit of 0.25 nm"),
+        (351.0, 0.5, True, None),
+        (351.0, 1.0, True, "use 350 or 352 nm, or a unit of 0.5 nm"),
+        (100.0 / 3.0, 0.5, False, "use 33 or 33.5 nm"),
+    ],
+)
+def test_the_remedy_for_a_length_off_the_grid_is_one(
+    length_nm: float, unit_nm: float, even: bool, remedy: str | None
+) -> None:
+    if remedy is None:
+        assert whole_dbu(length_nm, unit_nm, "x", even=even) == 702
+        return
+    with pytest.raises(InputError) as caught:
+        whole_dbu(length_nm, unit_nm, "x", even=even)
+    assert caught.value.faults[0].remedy == remedy
