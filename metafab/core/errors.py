@@ -11,7 +11,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong with an input."""
+    """One thing that is wrong with an input.
+
+    Where several fields do not go together, ``expected`` is the whole sentence, naming them, and ``got`` is empty;
+    ``field`` is the table that they stand in, empty for the file itself.
+    """
 
     field: str
     expected: str
@@ -19,6 +23,8 @@ class Fault:
     remedy: str = ""
 
     def __str__(self) -> str:
+        if not self.got:
+            return f"`{self.field}`: {self.expected}" if self.field else self.expected
         text = f"`{self.field}`: expected {self.expected}, got {self.got}"
         return f"{text}; {self.remedy}" if self.remedy else text
 

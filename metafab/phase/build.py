@@ -264,7 +264,9 @@ def _hologram(design: Design, term: spec.Picture, progress: Progress) -> tuple[T
 def _picture(term: spec.Picture) -> FloatArray:
     picture = read_grey(term.file)
     if not np.isfinite(picture).all() or picture.min() < 0.0 or picture.max() == 0.0:
-        raise InputError.single(str(term.file), "values", "finite, none below zero, and some above", "others")
+        least, most = float(picture.min()), float(picture.max())
+        got = f"{least:g} to {most:g}" if math.isfinite(least + most) else "NaN or infinity"
+        raise InputError.single(str(term.file), "values", "finite, none below zero, and some above", got)
     return picture
 
 

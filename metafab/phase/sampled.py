@@ -87,8 +87,10 @@ def load_array(
     phase = read_array(file, dataset)
     expected = "finite real numbers of shape (n_y, n_x) or (2, n_y, n_x), at least 2 x 2"
     shape_fits = phase.ndim == 2 or (phase.ndim == 3 and len(phase) == 2)
-    if not shape_fits or min(phase.shape[-2:]) < 2 or phase.dtype.kind not in "fiu" or not np.isfinite(phase).all():
+    if not shape_fits or min(phase.shape[-2:]) < 2 or phase.dtype.kind not in "fiu":
         raise InputError.single(str(file), "array", expected, f"{phase.dtype} of shape {phase.shape}")
+    if lost := int(np.count_nonzero(~np.isfinite(phase))):
+        raise InputError.single(str(file), "array", expected, f"NaN or infinity at {lost} of {phase.size} places")
     reach_um = 0.5 * min(phase.shape[-2:]) * pitch_um
     if reach_um < radius_um * (1.0 - 1e-9):
         raise InputError.single(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -87,5 +88,6 @@ def _collect(faults: list[Fault], field: str, load: Callable[[], Any]) -> Any:
     try:
         return load()
     except InputError as error:
-        faults += [Fault(f"{field} -> {error.source}: {f.field}", f.expected, f.got, f.remedy) for f in error.faults]
+        place = f"{field} -> {error.source}"
+        faults += [replace(f, field=f"{place}: {f.field}" if f.field else place) for f in error.faults]
         return _FAULTY

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 import tomllib
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
@@ -20,14 +21,18 @@ Spec = TypeVar("Spec")
 _FILE_KEYS = {"file", "texture_file", "amplitude_file"}
 
 
+#: An outline of a hundred thousand vertices takes less.
+_LARGEST_BYTES = 8 * 10**6
+
+
 def read_toml(path: Path) -> dict[str, Any]:
     """The table of a TOML file, paths in it made absolute.
 
     Raises:
-        InputError: the file is missing, unreadable or no TOML.
+        InputError: the file is missing, unreadable, no plain file, larger than any design, or no TOML.
     """
     try:
-        table: dict[str, Any] = _resolved(tomllib.loads(path.read_text(encoding="utf-8")), path.parent)
+        table: dict[str, Any] = _resolved(tomllib.loads(_text(path)), path.parent)
         return table
     except FileNotFoundError:
         got, remedy = "no file at that path", "check the path"
@@ -36,6 +41,16 @@ def read_toml(path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         got, remedy = f"invalid TOML: {error}", "correct the syntax at that place"
     raise InputError.single(str(path), "file", "a TOML file", got, remedy)
+
+
+def _text(path: Path) -> str:
+    """A small file's text; pipes and devices never end."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise InputError.single(str(path), "file", "a TOML file", "a folder, pipe or device", "check the path")
+    if (size := path.stat().st_size) > _LARGEST_BYTES:
+        expected = f"a TOML file of at most {_LARGEST_BYTES // 10**6} MB"
+        raise InputError.single(str(path), "file", expected, f"{size} bytes", "check the path")
+    return path.read_text(encoding="utf-8")
 
 
 def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
@@ -68,8 +83,10 @@ def faults_of(error: ValidationError) -> list[Fault]:
             faults.append(Fault(field, "a known key", "an unknown one", "remove it or correct its spelling"))
         elif kind in {"missing", "missing_argument"}:
             faults.append(Fault(field, "a value", "nothing", "add the key"))
+        elif kind == "value_error" and not isinstance(item["input"], str | int | float | list | tuple):
+            faults.append(Fault(field, message.removeprefix("Value error, "), ""))
         else:
-            expected = message.removeprefix("Input should be ").removeprefix("Value error, ")
+            expected = message.removeprefix("Input should be ").removeprefix("Value error, must be ")
             got = repr(item["input"])
             faults.append(Fault(field or "file", expected, got if len(got) <= 80 else got[:77] + "..."))
     return faults

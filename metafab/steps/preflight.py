@@ -43,9 +43,9 @@ def preflight(design: Design) -> None:
             faults.append(
                 Fault(
                     "scene.field_px",
-                    f"fewer columns than the images are apart, {apart_px:.0f}",
+                    f"fewer columns than the images are apart, {apart_px:.3g} pixels of {imaging.pixel_um:g} um",
                     f"{design.scene.field_px[1]} columns",
-                    "narrow the field, or split by a larger angle",
+                    "narrow the field, make `sensor.pixel_um` smaller, or split by a larger angle",
                 )
             )
     if faults:

@@ -229,6 +229,8 @@ def test_arrays_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     for name in ("hole.npy", "flat.npy", "complex.npy"):
         with pytest.raises(InputError, match="finite real numbers"):
             load_array(tmp_path / name, 10.0, "phase_rad", 10.0)
+    with pytest.raises(InputError, match="got NaN or infinity at 16 of 16 places"):
+        load_array(tmp_path / "hole.npy", 10.0, "phase_rad", 10.0)
     for name in ("broken.h5", "phase.txt", "missing.csv"):
         with pytest.raises(InputError, match=r"\.npy, \.csv or \.h5"):
             load_array(tmp_path / name, 10.0, "phase_rad", 10.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import pytest
@@ -125,3 +126,31 @@ def test_a_scene_is_read_from_a_design_or_a_file(tmp_path: Path, small_design: D
     path = tmp_path / "scene.toml"
     path.write_text("[[objects]]\ndepth_m = 0.3\n")
     assert math.isclose(load_scene(path).objects[0].depth_m, 0.3)
+
+
+def test_fields_that_do_not_go_together_are_told_in_one_sentence(tmp_path: Path) -> None:
+    cell = CELL.with_name("sin_circles_633nm.toml").read_text(encoding="utf-8")
+    path = tmp_path / "cell.toml"
+    path.write_text(cell.replace("length_nm = [100.0, 250.0]", "length_nm = [100.0, 240.0]"), encoding="utf-8")
+    with pytest.raises(InputError) as told:
+        load_unit_cell(path)
+    sentence = "`sweep.length_nm` of circles must equal `sweep.width_nm`: both are the diameter"
+    assert str(told.value) == f"{path}:\n  {sentence}"
+    design = tmp_path / "design.toml"
+    text = SMALL.read_text(encoding="utf-8").replace("../unitcell_lib/sos_800nm.toml", "cell.toml")
+    design.write_text(text.replace('aperture_shape = "circle"', 'aperture_shape = "ring"'), encoding="utf-8")
+    with pytest.raises(InputError) as told:
+        load_design(design)
+    assert f"  `library -> {path}`: {sentence}" in str(told.value).splitlines()
+    assert "  `device`: `inner_um` must be between 0 and `aperture_um`" in str(told.value)
+    assert "{" not in str(told.value)
+
+
+def test_files_without_an_end_and_huge_ones_are_refused_at_once(tmp_path: Path) -> None:
+    pipe, huge = tmp_path / "pipe.toml", tmp_path / "huge.toml"
+    os.mkfifo(pipe)
+    with huge.open("wb") as file:
+        file.truncate(1 << 40)  # sparse: takes no disk, but more than any memory to read
+    for path, got in ((pipe, "a folder, pipe or device"), (tmp_path, "a folder"), (huge, "1099511627776 bytes")):
+        with pytest.raises(InputError, match=f"`file`: expected a TOML file.*got {got}"):
+            load_design(path)
