@@ -18,7 +18,7 @@ from metafab.core.progress import silent
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.axes import corner_cell
 from metafab.library.library import Library
-from metafab.optics import WrittenField, corner_fields, psf, written_field
+from metafab.optics import WrittenField, corner_fields, corners, psf, written_field
 from metafab.optics import tolerance as module
 from metafab.optics.blocks import reduce_to_target
 from metafab.optics.image import Window, relative_l2
@@ -122,6 +122,22 @@ def test_a_depth_is_what_the_twins_agree_on(written: WrittenField) -> None:
     pair = psf(written, OPTICS, there, window_px=48, target_error=1e-3).psf
     found = module._reported_depth_m(pair, judge.trial_m, judge.transfer)
     assert found == pytest.approx(there, rel=1e-3)
+
+
+def test_steps_of_a_sloped_wall_err_by_no_more_than_is_said(written: WrittenField, small_library: Library) -> None:
+    """Against walls of four times the steps, whose error is an eighth or less."""
+    sizes = corners._Sizes.of(written, small_library)
+    sample = sizes.size_nm[sizes.sample[: corners._JUDGED]]
+    for slope in (-2.0, 2.0):
+        at = {"sidewall_angle_deg": small_library.unit_cell.nominal("sidewall_angle_deg") + slope}
+        cells = [corner_cell(small_library.unit_cell, float(w), float(h), at) for w, h in sample]
+        coarse, fine, finest = (
+            np.array([corners._amplitudes((cell, steps)) for cell in cells]) for steps in (4, 8, 32)
+        )
+        before = np.ones_like(fine)
+        stated = replace(sizes, sample=sizes.sample[: len(cells)])._step_error(before, np.concatenate([fine, coarse]))
+        true = float(np.linalg.norm(fine - finest) / np.linalg.norm(before))
+        assert true <= stated < 5.0 * true
 
 
 @pytest.mark.slow
