@@ -92,8 +92,8 @@ class Window:
     ) -> tuple[FloatArray, FloatArray]:
         """PSFs about the geometric image point, shape (n_depth, n, n), and the error of each that is judged.
 
-        Blocks are followed to second order in their size, so that twice the size has four times the error or
-        more: a third of the change from twice the size is a bound. Blocks of one site are exact. The error
+        Blocks are followed to second order in their size, so that twice the size has three times the error or
+        more: half of the change from twice the size is a bound. Blocks of one site are exact. The error
         changes slowly with depth; over the field only the first and the last depth are judged.
 
         Args:

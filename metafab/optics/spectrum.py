@@ -34,7 +34,8 @@ class AngularSpectrum:
 
     Attributes:
         imaging: wavelength and sensor.
-        lit: shape (n_y, n_x), field at the sites, its square being power per area over that at the aperture.
+        lit: shape (n_y, n_x), field at the sites; its square is the power per area from an object of 1 W per steradian,
+            z / R^3 times the pillar's transmission. Powers here are over 1 W, not over the power at the aperture.
         x_um: shape (n_x,), sites.
         y_um: shape (n_y,).
         cell_um2: area that belongs to one pillar.
@@ -68,7 +69,7 @@ class AngularSpectrum:
         x, y = lattice.x_um(), lattice.y_um()
         depth_um = 1e6 * depth_m
         plate = imaging.plates[polarisation] if imaging.plates else None
-        # Unit power over a circular or square aperture: flux z / R^3, by the sites' cells themselves.
+        # Flux z / R^3 of an object of unit power per solid angle.
         wave = incident_wave(tangent[0] * depth_um, tangent[1] * depth_um, depth_um, x, y, imaging.wavenumber, plate)
         return cls(imaging, np.asarray(amplitude * wave), x, y, lattice.cell_um2)
 
