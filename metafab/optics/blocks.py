@@ -72,7 +72,10 @@ def reduce_to_target(
         return max(float(job.result()[1].max()) for job in jobs) <= target_error
 
     while True:
-        _require_memory(source, block)
+        require_memory(
+            source, block, "target_error", "an error and a window",
+            "allow a larger error, a smaller window or field, or a smaller aperture",
+        )  # fmt: skip
         carriers = [Carrier(p, ray.in_air, block) for p, ray in enumerate(rays)] + (
             [stray] if stray_pupil is None else []
         )
@@ -102,14 +105,18 @@ def _first_block(source: Source, rays: Sequence[Ray], window: Window) -> int:
     return block if block < 12 else 8 * round(block / 8)
 
 
-def _require_memory(source: Source, block: int) -> None:
+def require_memory(source: Source, block: int, field: str, what: str, remedy: str) -> None:
+    """Refuse blocks of so few sites a side that their sums would not fit into memory.
+
+    Raises:
+        InputError: names the ``field`` that asks for them, ``what`` it should be and the remedy.
+    """
     n_y, n_x = source.lattice.shape
     blocks = -(-n_y // block) * -(-n_x // block)
     if blocks > _MOST_BLOCKS:
         raise InputError.single(
-            "optics", "target_error", f"an error and a window that {_MOST_BLOCKS:.0e} block sums carry",
-            f"{blocks:.1e} blocks of {block} sites a side, {96 * blocks / 1e9:.0f} GB a polarisation",
-            "allow a larger error, a smaller window or field, or a smaller aperture",
+            "optics", field, f"{what} that {_MOST_BLOCKS:.0e} block sums carry",
+            f"{blocks:.1e} blocks of {block} sites a side, {96 * blocks / 1e9:.0f} GB a polarisation", remedy,
         )  # fmt: skip
 
 

@@ -24,7 +24,7 @@ from metafab.core.progress import Progress, silent
 from metafab.library.library import Library
 from metafab.optics.apodisation import Transmission, apodised
 from metafab.optics.asked import require_answerable
-from metafab.optics.blocks import reduce_to_target
+from metafab.optics.blocks import reduce_to_target, require_memory
 from metafab.optics.corners import CornerField, corner_fields
 from metafab.optics.field import spline_weights
 from metafab.optics.image import Window, relative_l2
@@ -170,6 +170,10 @@ def tolerance_table(
             the design wavelength.
         executor: solves cells; this process when None. The result is the same.
         progress: called as corners are done.
+
+    Raises:
+        InputError: what no stack can answer (:func:`metafab.optics.psf`), or write fields of a number of sites whose
+            divisors are so small that stitching takes more blocks than fit into memory.
     """
     depths = [float(z) for z in depths_m]
     require_answerable(imaging, depths, (0.0, 0.0), None, window_px, target_error, filter_fwhm_nm)
@@ -184,6 +188,8 @@ def tolerance_table(
         asked = ((0.0, 0.0), depths, filter_fwhm_nm, target_error)
         error = float(max(window.light(pyramids[p], p, *asked)[1].max() for p in (0, 1)))
         carriers = (pyramids[0][0].carrier, pyramids[1][0].carrier, stray.carrier)
+        faults = _faults(tolerances, imaging, written, field_sites)
+        _require_memory(faults, written, pyramids[0][0].carrier.block_sites)
         bench = _Bench(window, tuple(depths), carriers, transmission, filter_fwhm_nm, target_error)
         pupils = [pyramids[0][0], pyramids[1][0], stray]
         judge = _Judge.of(bench, pupils, error)
@@ -192,7 +198,6 @@ def tolerance_table(
         for done, corner in enumerate(corners):
             rows.append(judge.corner(corner, bench.light(bench.sums(corner.field))))
             progress("tolerance", done + 1, len(corners))
-        faults = _faults(tolerances, imaging, written, field_sites)
         rows += [judge.draws(fault, bench, pupils, written, tolerances) for fault in faults]
     nominal = judge.row("nominal", [judge.nominal], 0.0)
     return ToleranceTable(nominal, tuple(rows), np.array(depths), error, pyramids[0][0].carrier.block_sites)
@@ -218,6 +223,17 @@ def _faults(tolerances: Tolerances, imaging: Imaging, written: WrittenField, fie
     if tolerances.missing_share > 0.0:
         faults.append(Missing(tolerances.missing_share))
     return faults
+
+
+def _require_memory(faults: Sequence[Fault], written: WrittenField, wanted: int) -> None:
+    """Refuse write fields that only blocks of too few sites divide, before any corner is solved."""
+    for fault in faults:
+        block = fault.block_sites(wanted)
+        if block < wanted:
+            require_memory(
+                written, block, "mask.write_field_um", f"write fields of a multiple of {wanted} sites, or of another number",
+                "change the write field by a few sites, or leave stitching out: `tolerance.stitching_nm` = 0",
+            )  # fmt: skip
 
 
 def _with_blocks(carriers: tuple[Carrier, Carrier, Carrier], block: int) -> tuple[Carrier, Carrier, Carrier]:

@@ -13,6 +13,7 @@ import pytest
 from metafab import library
 from metafab.cell.rcwa import zero_order
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.core.executor import SerialExecutor, open_executor
 from metafab.core.progress import silent
 from metafab.layout.pillars import Lattice, PillarMap
@@ -23,6 +24,7 @@ from metafab.optics import tolerance as module
 from metafab.optics.blocks import reduce_to_target
 from metafab.optics.image import Window, relative_l2
 from metafab.optics.pupil import Pupil
+from metafab.optics.scatter import Stitched
 from metafab.optics.tolerance import ToleranceTable, tolerance_table
 from metafab.optics.tolerance_store import load_tolerance, save_tolerance
 from metafab.spec import UnitCell
@@ -153,6 +155,16 @@ def test_one_field_is_not_stitched(written: WrittenField, small_library: Library
     none = Tolerances(cd_bias_nm=0.0, height_nm=0.0, sidewall_deg=0.0, pillar_n=0.0, missing_share=0.0, draws=2)
     table = tolerance_table(written, small_library, OPTICS, DEPTHS_M[:1], none, 5000, window_px=32)
     assert [row.corner for row in table.rows] == ["misplacement 10 nm rms"]
+
+
+def test_write_fields_that_no_block_divides_are_refused(written: WrittenField, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A prime number of sites leaves blocks of one site, as many as pillars: more than this small memory holds."""
+    rows, columns = written.lattice.shape
+    monkeypatch.setattr("metafab.optics.blocks._MOST_BLOCKS", rows * columns - 1)
+    stitched = [Stitched(OPTICS, 30.0, sites, written.lattice) for sites in (80, 83)]
+    module._require_memory(stitched[:1], written, 16)
+    with pytest.raises(InputError, match=r"`mask\.write_field_um`.* blocks of 1 sites"):
+        module._require_memory(stitched, written, 16)
 
 
 def test_the_table_comes_back_from_its_file(table: ToleranceTable, tmp_path: Path) -> None:
