@@ -56,7 +56,7 @@ def check_polygons(
 
     Shapes are counted by metafab's own reader, too: KLayout's drops all but one of the equal places of an OASIS
     repetition, and what it holds fewer is reported as ``duplicate``. Of pillars that are no rectangles, that reader
-    tells which shapes are ``foreign``.
+    tells which shapes are ``foreign``. Gaps are counted by pairs of rectangles; of other outlines, by pairs of sides.
 
     Args:
         path: GDSII or OASIS file.
@@ -241,13 +241,25 @@ class _RowRules:
         found: _Boxes = {rule: set() for rule in self.seen}
         for pair in outputs["narrow"].each():
             found["min_width" if pair.first.dx() == 0 else "min_length"].add(_box(pair.bbox()))
-        pairs = {"min_gap": "gaps", "grid": "grid", "aspect_ratio": "slender"}
+        pairs = {"grid": "grid", "aspect_ratio": "slender"}
         for rule, name in pairs.items():
             if rule in found:
                 found[rule] |= {_box(pair.bbox()) for pair in outputs[name].each()}
         for rule in found.keys() & {"overlap", "foreign"}:
             found[rule] |= {_box(polygon.bbox()) for polygon in outputs[rule].each()}
+        for pair in outputs["gaps"].each():
+            between = _between(pair.first.bbox(), pair.second.bbox())
+            found["min_gap"].add(between)
+            if pair.distance() == 0:  # they touch: no area is common, as merging shapes would tell
+                found["overlap"].add(between)
         return found
+
+
+def _between(one: Any, other: Any) -> tuple[int, int, int, int]:
+    """The box between two edges; one for both edge pairs of two corners, so that a pair of rectangles counts once."""
+    left, right = sorted((max(one.left, other.left), min(one.right, other.right)))
+    bottom, top = sorted((max(one.bottom, other.bottom), min(one.top, other.top)))
+    return left, bottom, right - left, top - bottom
 
 
 def _box(box: Any) -> tuple[int, int, int, int]:

@@ -160,3 +160,26 @@ def test_the_smallest_gap_is_not_claimed_where_it_is_not_known(tiny_design: Desi
         tmp_path / "limit.gds", lambda _1, _2, s: [s.insert(kdb.Box(x, 0, x + 300, 300)) for x in (0, 500, 1100)]
     )
     assert drc.check(at_limit, tiny_design, engine="rectangles").min_gap_nm == 100.0
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "near", "overlapping"),
+    # Beside, at the corner, and 100 nm less a unit along both axes; the first touch, the next overlap.
+    [
+        *((300, 0, 1, 1), (300, 300, 1, 1), (250, 100, 0, 1), (250, 250, 0, 1)),
+        *((440, 440, 1, 0), (499, 40, 1, 0), (500, 0, 0, 0), (442, 442, 0, 0)),
+    ],
+)
+def test_klayout_counts_a_pair_once_and_what_touches_overlaps(
+    x: int, y: int, near: int, overlapping: int, tiny_design: Design, tmp_path: Path
+) -> None:
+    """Two squares of 300 units, 200 of which must lie between them; 142 each way are 200.8."""
+    path = _written(
+        tmp_path / "pair.gds",
+        lambda _1, _2, s: [s.insert(kdb.Box(*a, a[0] + 300, a[1] + 300)) for a in ((0, 0), (x, y))],
+    )
+    found = {engine: drc.check(path, tiny_design, engine=engine, workers=1) for engine in ("polygons", "rectangles")}
+    assert found["polygons"].violations["overlap"] == found["rectangles"].violations["overlap"] == overlapping
+    assert found["polygons"].violations["min_gap"] == near
+    # What overlaps is too near to the other engine, too.
+    assert found["rectangles"].violations["min_gap"] == max(near, overlapping)
