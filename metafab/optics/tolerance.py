@@ -231,7 +231,7 @@ def _require_memory(faults: Sequence[Fault], written: WrittenField, wanted: int)
         block = fault.block_sites(wanted)
         if block < wanted:
             require_memory(
-                written, block, "mask.write_field_um", f"write fields of a multiple of {wanted} sites, or of another number",
+                written, block, "mask.write_field_um", f"write fields of another number of sites, best of {wanted} n,",
                 "change the write field by a few sites, or leave stitching out: `tolerance.stitching_nm` = 0",
             )  # fmt: skip
 
