@@ -22,7 +22,6 @@ SHAPES: dict[str, dict[str, Any]] = {
     "ellipse": {"shape": "ellipse"},
     "cross": {"shape": "cross"},
     "rounded": {"corner_radius_nm": 30.0},
-    "ellipse, hexagonal": {"shape": "ellipse", "lattice": "hexagonal", "period_nm": (350.0, 303.0)},
 }
 
 
