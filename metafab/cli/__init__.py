@@ -7,6 +7,7 @@ nothing else; progress goes to stderr, and only on a terminal.
 - ``app``        the program, and the options that several commands take
 - ``arguments``  what the shell hands over, made into what the options take
 - ``console``    bars, tables, JSON
+- ``headlines``  a run in a dozen lines
 
 and the commands, by what they make:
 

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from metafab.cli.app import Cluster, DesignFile, Json, Output, Workers, app
-from metafab.cli.console import announce, exit_on_violations, progress_bars, show
+from metafab.cli.console import announce, exit_on_violations, progress_bars, short_of_a_turn, show
+from metafab.cli.headlines import headlines
 
 
 @app.command("new")
@@ -42,5 +43,6 @@ def run_command(
     folder = output or Path("runs") / spec.name
     with progress_bars() as progress:
         outcome = run(spec, folder, workers=workers, cluster=cluster, progress=progress, say=announce)
-    show(outcome.summary, json_)
+    announce(short_of_a_turn(outcome.summary["library"]["coverage_rad"]))
+    show(outcome.summary if json_ else headlines(outcome.summary, folder), json_)
     exit_on_violations(outcome.violations)

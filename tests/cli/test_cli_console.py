@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,8 +17,11 @@ import pytest
 import typer
 
 from metafab.cli import console, entry
+from metafab.cli.headlines import headlines
 from metafab.core.errors import InputError, MetafabError, MissingToolError, RulesViolatedError, SolverError
 from metafab.core.progress import silent
+from tests.conftest import MainJob
+from tests.main_job import SMALL, metafab
 
 
 class _Terminal(io.StringIO):
@@ -156,3 +160,37 @@ def test_help_imports_no_room() -> None:
     code = "import sys, json; import metafab.cli.entry; print(json.dumps(sorted(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert not heavy & set(json.loads(done.stdout))
+
+
+def test_a_run_is_told_in_a_dozen_lines_and_names_its_report(tmp_path: Path) -> None:
+    summary = {
+        "library": {"max_error": 1.7e-3, "coverage_rad": 6.2832, "file": "lib.h5"},
+        "phase": {"peak_gain": 1.44},
+        "layout": {"pillars": 255337, "phase_rms_error_rad": 0.101},
+        "drc": {"violations": {"min_gap": 0, "min_feature": 3}, "min_gap_nm": 100.0},
+        "psf": {"error": [1e-4, 3e-4], "efficiency_x": [0.5, 0.7]},
+        "merit": {"rotation_deg": 59.09},
+        "decode": {},
+        "seconds": {"library": 19.0, "layout": 1.5},
+    }
+    found = headlines(summary, tmp_path)
+    assert found["pillars"] == "255 337"
+    assert found["rules broken"] == "3"
+    assert found["PSF error"].startswith("0.0003 ")
+    assert found["efficiency"].startswith("60.0 %")
+    assert found["rotation"].startswith("59.1 degrees")
+    assert found["time"].startswith("20.5 s")
+    assert found["report"] == str(tmp_path / "report.html")
+    assert "depth error" not in found  # nothing was decoded
+    assert len(found) <= 16 and all("[" not in text and "{" not in text for text in found.values())
+    assert "rotation" not in headlines(summary | {"phase": {}}, tmp_path)
+
+
+@pytest.mark.xdist_group("main_job")
+def test_a_second_run_without_json_names_the_report(main_job: MainJob, tmp_path: Path) -> None:
+    folder = shutil.copytree(main_job.folder, tmp_path / "again")
+    answer = metafab("run", SMALL, "-o", folder)
+    assert answer.code == 0, answer.stderr
+    lines = answer.stdout.splitlines()
+    assert len(lines) <= 16
+    assert lines[-1].split()[-1] == str(folder / "report.html")
