@@ -20,8 +20,9 @@ from metafab.library import Library
 from metafab.optics import WrittenField, corner_fields, written_field
 from metafab.spec import UnitCell
 from tests import optics_lens as lens
+from tests.dask_workers import two_workers
 
-distributed = pytest.importorskip("distributed")
+pytest.importorskip("distributed")
 
 
 class Killer:
@@ -44,9 +45,7 @@ class Killer:
 @pytest.fixture
 def cluster() -> Iterator[Any]:
     """A scheduler with two worker processes on the loopback interface, which its nannies raise again."""
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
-    ) as workers:
+    with two_workers() as workers:
         yield workers
 
 

@@ -34,6 +34,7 @@ import metafab.library.library
 from metafab import library
 from metafab.spec import load_unit_cell
 from tests import library_ridges as ridges
+from tests.dask_workers import two_workers
 metafab.library.library.sources_sha256 = lambda modules, rooms: {CODE!r}
 def solve(cell, numerics):
     time.sleep(0.01)
@@ -179,7 +180,7 @@ def test_libraries_of_another_solver_are_not_current(
 
 def test_processes_and_clusters_write_the_same_bytes(coarse: UnitCell, tmp_path: Path) -> None:
     """One process, two processes, and a Dask cluster of two processes over the loopback interface."""
-    distributed = pytest.importorskip("distributed")
+    pytest.importorskip("distributed")
 
     def digest(name: str, executor: Executor) -> str:
         built = library.build_file(coarse, tmp_path / name, solver=ridges.solve, executor=executor)
@@ -192,9 +193,7 @@ def test_processes_and_clusters_write_the_same_bytes(coarse: UnitCell, tmp_path:
         with open_executor(workers) as executor:
             digests.append(digest(f"{workers}.h5", executor))
     with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
-        ) as cluster,
+        two_workers() as cluster,
         open_executor(cluster=cluster.scheduler_address) as executor,
     ):
         digests.append(digest("cluster.h5", executor))

@@ -19,17 +19,16 @@ from metafab.layout import Assignment
 from metafab.library import Library
 from metafab.phase.profile import PhaseProfile
 from metafab.spec import Copy, Design
+from tests.dask_workers import two_workers
 from tests.layout.conftest import sizes_at_sites
 
-distributed = pytest.importorskip("distributed")
+pytest.importorskip("distributed")
 
 
 @pytest.fixture(scope="module")
 def cluster() -> Iterator[str]:
     """Address of a scheduler with two worker processes."""
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
-    ) as workers:
+    with two_workers() as workers:
         yield workers.scheduler_address
 
 

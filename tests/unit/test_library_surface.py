@@ -164,6 +164,7 @@ def test_coverage_and_the_worst_hole_are_those_of_a_full_search(smooth_library: 
         length_nm=smooth_library.length_nm[::8],
         t_xx=0.85 * smooth_library.t_xx[:, ::8, ::8],
         t_yy=0.85 * smooth_library.t_yy[:, ::8, ::8],
+        error=np.broadcast_to(smooth_library.error, smooth_library.t_xx.shape)[:, ::8, ::8],
     )
     t = np.stack([some.t_xx[0].ravel(), some.t_yy[0].ravel()], axis=-1)
     passing = np.angle(t[np.all(np.abs(t) ** 2 / 1.7601 >= 0.5, axis=-1)])

@@ -18,6 +18,7 @@ from metafab.core.executor import open_executor
 from metafab.library import Library
 from metafab.spec import UnitCell
 from tests import library_ridges as ridges
+from tests.dask_workers import two_workers
 
 #: Answers every job alike, notes it in ``log``, and dies once at the job that ``fatal`` names.
 WORKER = """
@@ -99,7 +100,7 @@ def test_a_cluster_runs_meep_in_its_own_processes(
 
     The process that asks keeps its runs elsewhere: what this folder holds, the cluster has run.
     """
-    distributed = pytest.importorskip("distributed")
+    pytest.importorskip("distributed")
     here = library.build(small_sweep)
     runs = _runs(tmp_path)
     interpreter, finished = tmp_path / "python", tmp_path / "finished"
@@ -112,9 +113,7 @@ def test_a_cluster_runs_meep_in_its_own_processes(
     monkeypatch.setenv(finding.VARIABLE, str(interpreter))
     monkeypatch.setenv(kept.VARIABLE, str(finished))
     with (
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None
-        ) as cluster,
+        two_workers() as cluster,
         open_executor(cluster=cluster.scheduler_address) as executor,
     ):
         there = library.build(small_sweep, executor=executor)
