@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from metafab.core.conventions import POLARISATIONS
 from metafab.core.forked import shared
+from metafab.core.pictures import read_grey
 from metafab.core.progress import Progress
 from metafab.layout import Outline
 from metafab.report import figures
@@ -21,6 +22,7 @@ from metafab.report.mask_picture import picture_of
 from metafab.report.render import save_both
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import BARS, MAP, PICTURE, PLOT, Margins, panel
+from metafab.spec.design import Picture
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ def draw(run: RunFolder, progress: Progress, workers: int | None = None) -> dict
         *_accounts(run),
         *_library(run),
         *_design(run),
+        *_hologram(run),
         *_fullwave(run),
         *_study(run),
         *_light(run),
@@ -82,11 +85,12 @@ def _accounts(run: RunFolder) -> Iterator[Plan]:
     chain, budget, seconds = chain_of(run), budget_of(run), seconds_of(run)
     if chain:
         yield _bars("loss_chain", "Loss chain", partial(figures.loss_chain, chain), len(chain))
-    units = [unit for _, value, unit in budget if value > 0.0]
-    if units:
-        # Bars compare lengths, so they stand for one unit only, the commonest; the table has every line.
-        shown = [line for line in budget if line[1] > 0.0 and line[2] == max(units, key=units.count)]
-        yield _bars("error_budget", "Error budget", partial(figures.error_budget, shown), len(shown))
+    # Bars compare lengths, so each unit has a panel of its own.
+    units = list(dict.fromkeys(unit for _, value, unit in budget if value > 0.0))
+    for number, unit in enumerate(units, 1):
+        shown = [line for line in budget if line[1] > 0.0 and line[2] == unit]
+        paint = partial(figures.error_budget, shown)
+        yield _bars(f"error_budget_{number}", f"Error budget, {unit}", paint, len(shown))
     if seconds:
         yield _bars("seconds", "Seconds of each step", partial(figures.seconds, seconds), len(seconds))
 
@@ -145,6 +149,20 @@ def _design(run: RunFolder) -> Iterator[Plan]:
     if close.size:
         paint = partial(figures.pillar_outlines, close, title="Single pillars", outline=outline, label_nearest=True)
         yield Plan("mask_close", "Single pillars with their sizes", paint, (4.0, 3.4))
+
+
+def _hologram(run: RunFolder) -> Iterator[Plan]:
+    """The picture that was wanted, and beside it what the written file paints of it."""
+    if run.design is None or run.psf is None:
+        return
+    for term in run.design.phase:
+        if isinstance(term, Picture) and term.file.is_file():
+            reach_um = 0.5 * max(run.psf.psf.shape[2:]) * run.psf.pixel_um
+            wanted = partial(figures.wanted_picture, read_grey(term.file), term.width_um, reach_um)
+            yield Plan("hologram_wanted", "The picture that was wanted", wanted, (4.0, 3.4), PICTURE)
+            found = partial(figures.painted_picture, run.psf, polarisation=term.polarisation or "x")
+            yield Plan("hologram_found", "What the written file paints", found, (4.0, 3.4), PICTURE)
+            return
 
 
 def _study(run: RunFolder) -> Iterator[Plan]:

@@ -57,6 +57,11 @@ def wide(content: str) -> str:
     return f'<div class="scroll wide">{content}</div>'
 
 
+def fitting(content: str) -> str:
+    """A wide picture that shrinks to a narrow screen."""
+    return f'<div class="fit">{content}</div>'
+
+
 def grid(figures: Iterable[str]) -> str:
     """Pictures side by side where there is room."""
     return f'<div class="grid">{"".join(figures)}</div>'
@@ -67,8 +72,10 @@ _UNITS = {"m": "m", "mm": "mm", "um": "µm", "nm": "nm", "rad": "rad", "deg": "�
 
 
 def column(key: str) -> str:
-    """A key such as ``depth_error_m`` as a column's head: depth error / m."""
+    """A key as a column's head: ``depth_error_m`` is depth error / m, ``slope_x_per_m`` is slope x / m⁻¹."""
     *words, last = key.split("_")
+    if words[-1:] == ["per"] and last in _UNITS:
+        return escape(f"{' '.join(words[:-1])} / {_UNITS[last]}⁻¹")
     return escape(f"{' '.join(words)} / {_UNITS[last]}" if words and last in _UNITS else key.replace("_", " "))
 
 

@@ -14,6 +14,8 @@ from metafab.report import html
         ("centre_um", "centre / µm"),
         ("phase_rms_error_rad", "phase rms error / rad"),
         ("m", "m"),
+        ("slope_x_per_m", "slope x / m⁻¹"),
+        ("kept_per", "kept per"),
         ("segment", "segment"),
         ("rotation_deg", "rotation / °"),
         ("a<b_m", "a&lt;b / m"),

@@ -2,6 +2,7 @@
 
 - ``library``    maps of phase, transmittance, sensitivity and error over pillar size; coverage of both phases
 - ``phases``     phases over the aperture
+- ``hologram``   a hologram's picture, wanted and painted
 - ``study``      the lobe over a turn, bounds of depth, the cost of the filter, proposed helices
 - ``mask``       the written pillars at three zooms
 - ``psf``        the pair over depth and field, orientation, peak, modulation transfer
@@ -23,6 +24,7 @@ from metafab.report.figures.accounts import (
 )
 from metafab.report.figures.comparison import rival_depth_errors, rival_sharpness
 from metafab.report.figures.fullwave import patch_amplitude, patch_phase
+from metafab.report.figures.hologram import painted_picture, wanted_picture
 from metafab.report.figures.image import confidence, contrast, depth, depth_against_truth, intensity, raw_frame
 from metafab.report.figures.library import coverage, error_map, phase_map, sensitivity_map, transmittance_map
 from metafab.report.figures.mask import fill_map, pillar_outlines
@@ -75,6 +77,7 @@ __all__ = [
     "modulation",
     "orientation",
     "over_field",
+    "painted_picture",
     "pair_over_depth",
     "patch_amplitude",
     "patch_phase",
@@ -90,5 +93,6 @@ __all__ = [
     "sensitivity_map",
     "shown_depths",
     "transmittance_map",
+    "wanted_picture",
     "with_error_and_time",
 ]

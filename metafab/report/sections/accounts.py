@@ -26,7 +26,9 @@ def accounts(run: RunFolder, drawn: Drawn) -> str:
     return html.section(
         "accounts",
         "Where the light goes, and where the error comes from",
-        html.grid(html.figure(drawn[name]) for name in ("loss_chain", "error_budget") if name in drawn),
+        html.grid(
+            html.figure(drawn[name]) for name in drawn if name == "loss_chain" or name.startswith("error_budget")
+        ),
         "" if chain else html.note(run.notes.get("psf", "the run holds no efficiencies: no loss chain")),
         html.table(["source", "error", "unit", "how it was measured"], rows, ["", "n"], "stack")
         if rows

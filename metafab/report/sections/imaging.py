@@ -31,7 +31,9 @@ def imaging(run: RunFolder, drawn: Drawn) -> str:
     return html.section(
         "image",
         "One exposure, four dimensions",
-        html.wide(html.figure(drawn["raw_frame"], "Both polarisations of the scene on one sensor, y up, as recorded."))
+        html.fitting(
+            html.figure(drawn["raw_frame"], "Both polarisations of the scene on one sensor, y up, as recorded.")
+        )
         if "raw_frame" in drawn
         else html.note(run.notes.get("raw", "no raw frame")),
         "" if run.decoded is not None else html.note(run.notes.get("decoded", "no decoded image")),

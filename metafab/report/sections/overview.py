@@ -17,6 +17,9 @@ def headlines(run: RunFolder) -> str:
     rotation = run.part("phase").get("rotation_deg")
     if rotation is not None:
         items.append(html.headline(f"{abs(rotation):.0f}°", "turn of the pair over the design’s depths"))
+    painted = run.part("phase").get("hologram_efficiency")
+    if painted is not None:
+        items.append(html.headline(f"{100 * painted:.0f}\u202f%", "of the light in the picture"))
     pillars = run.part("layout").get("pillars")
     if pillars is not None:
         items.append(html.headline(html.number(pillars), "pillars"))

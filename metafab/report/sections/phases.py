@@ -12,13 +12,20 @@ from metafab.report.sections.parts import Drawn, facts_line
 
 def phases(run: RunFolder, drawn: Drawn) -> str:
     """Target phases over the aperture."""
-    facts = facts_line(run.part("phase"), peak_gain="peak gain of the optimisation", rotation_deg="rotation / °")
+    facts = facts_line(
+        run.part("phase"),
+        peak_gain="peak gain of the optimisation",
+        rotation_deg="rotation / °",
+        hologram_efficiency="of the light in the picture",
+        hologram_correlation="correlation with the picture",
+    )
     return html.section(
         "phases",
         "Target phases",
         facts,
         html.grid(html.figure(drawn[n]) for n in ("phase_x", "phase_y") if n in drawn),
         _beside(run),
+        html.grid(html.figure(drawn[n]) for n in ("hologram_wanted", "hologram_found") if n in drawn),
         html.grid(html.figure(drawn[n]) for n in ("lobe_peak", "lobe_orientation") if n in drawn),
         html.grid(html.figure(drawn[n]) for n in ("bounds_point", "bounds_texture") if n in drawn),
         html.paragraph(
