@@ -20,6 +20,7 @@ from metafab.core.files import file_sha256
 from metafab.library import Library
 from metafab.spec import UnitCell, canonical_toml
 from tests import library_ridges as ridges
+from tests.dask_workers import two_workers
 
 ROOT = Path(__file__).parents[2]
 #: What stands for the hash of the code, here and in processes: people may edit it while tests run.
@@ -34,7 +35,6 @@ import metafab.library.library
 from metafab import library
 from metafab.spec import load_unit_cell
 from tests import library_ridges as ridges
-from tests.dask_workers import two_workers
 metafab.library.library.sources_sha256 = lambda modules, rooms: {CODE!r}
 def solve(cell, numerics):
     time.sleep(0.01)
