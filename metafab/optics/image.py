@@ -28,6 +28,8 @@ Tangent = tuple[float, float]
 Judged = Literal["all", "ends", "none"]
 
 _SINGLE_PRECISION_ERROR = 2e-6
+#: Below, singular values of kernels are lost in rounding.
+_FINEST_TOLERANCE = 1e-7
 #: How much more blocks of twice the side err than they change at least. Light that fills its blocks gives 10 and more;
 #: light in a few corners of them converges with the square of the side, which makes it 3, and 2 is safe.
 _HALVING = 2.0
@@ -80,6 +82,18 @@ class Window:
     imaging: Imaging
     window_px: int
     tolerance: float
+
+    @classmethod
+    def for_target(cls, imaging: Imaging, window_px: int, target_error: float) -> Window:
+        """The window whose low rank takes a fifth of the target.
+
+        What low rank errs by is of the light that the lens can send there. A window smaller than a fringe may hold
+        nothing but a dark core, whose field falls as its side or faster, to the power of the vortex' charge: two is
+        provided for. Kernels of such windows have few terms at any tolerance.
+        """
+        fringe_um = imaging.finest_fringe_um(0, (0.0, 0.0))
+        share = min(1.0, window_px * imaging.pixel_um / fringe_um)
+        return cls(imaging, window_px, max(_FINEST_TOLERANCE, min(0.1 * target_error, 1e-3) * share**2))
 
     def irradiance(
         self,

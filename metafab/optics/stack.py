@@ -70,7 +70,7 @@ def psf(
     depths = [float(z) for z in depths_m]
     grid = _field_grid(imaging, field_points, field_tangents)
     require_answerable(imaging, depths, tangent, grid, window_px, target_error, filter_fwhm_nm)
-    window = Window(imaging, window_px, min(0.1 * target_error, 1e-3))
+    window = Window.for_target(imaging, window_px, target_error)
     windows = window.over_band(tangent, filter_fwhm_nm)
     # Blocks and wavelengths share the target.
     target_error *= 1.0 if filter_fwhm_nm is None else 0.5

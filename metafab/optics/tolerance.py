@@ -177,7 +177,7 @@ def tolerance_table(
     """
     depths = [float(z) for z in depths_m]
     require_answerable(imaging, depths, (0.0, 0.0), None, window_px, target_error, filter_fwhm_nm)
-    window = Window(imaging, window_px, min(0.1 * target_error, 1e-3))
+    window = Window.for_target(imaging, window_px, target_error)
     windows = window.over_band((0.0, 0.0), filter_fwhm_nm)
     # Blocks and wavelengths share the target.
     target_error *= 1.0 if filter_fwhm_nm is None else 0.5

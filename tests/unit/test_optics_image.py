@@ -66,3 +66,19 @@ def test_high_numerical_aperture_keeps_the_stated_error() -> None:
     points = lens.window_points(optics, np.zeros(2), 24)
     true = direct_irradiance(source, optics, 2e-3, (0.0, 0.0), *points, 0)
     assert relative_l2(result.psf[0, 0].ravel(), true) <= result.error[0] <= 1.5e-3
+
+
+@pytest.mark.parametrize(("pixel_um", "window_px"), [(0.01, 4), (0.01, 16), (0.05, 4), (0.3, 16)])
+def test_the_dark_core_of_a_vortex_keeps_the_stated_error(pixel_um: float, window_px: int) -> None:
+    """What is left there is a thousandth and less of the ring: errors are of the light that cancels."""
+    from metafab.optics import direct_irradiance, psf
+
+    optics, f = Imaging(0.8, 0.3, 0.0, 300.0, pixel_um, 60.0), 300.0
+    source = lens.ideal(
+        optics,
+        lambda x, y, p: np.arctan2(y[:, None], x) - optics.wavenumber * (np.hypot(np.hypot(x, y[:, None]), f) - f),
+    )
+    result = psf(source, optics, [1e3], window_px=window_px, target_error=1e-3)
+    points = lens.window_points(optics, np.zeros(2), window_px)
+    true = direct_irradiance(source, optics, 1e3, (0.0, 0.0), *points, 0)
+    assert relative_l2(result.psf[0, 0].ravel(), true) <= result.error[0] <= 1e-3
