@@ -48,7 +48,8 @@ def test_both_pictures_have_one_scale_and_stand_upright() -> None:
     figures.wanted_picture(picture, 30.0, reach_um, wanted)
     figures.painted_picture(psf, found, "x")
     assert wanted.get_xlim() == found.get_xlim() == (-reach_um, reach_um)
-    shown = wanted.images[0]
+    dark, shown = wanted.images
+    assert tuple(dark.get_extent()) == (-reach_um, reach_um, -reach_um, reach_um)
     assert tuple(shown.get_extent()) == (-15.0, 15.0, -10.0, 10.0)
     assert np.asarray(shown.get_array())[-1, 0] == 1.0  # the last row is the highest
 

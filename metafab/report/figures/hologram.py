@@ -35,9 +35,11 @@ def painted_picture(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
 
 
 def _shown(share: FloatArray, extent: Extent, reach_um: float, axes: Axes, title: str) -> Axes:
+    whole = (-reach_um, reach_um, -reach_um, reach_um)
+    show_map(axes, np.zeros((1, 1)), whole, cmap=LIGHT_MAP, vmin=0.0, vmax=1.0)  # dark beside a smaller picture
     image = show_map(axes, share, extent, cmap=LIGHT_MAP, vmin=0.0, vmax=1.0)
-    colour_bar(image, axes, "irradiance, over its brightest")
+    colour_bar(image, axes, "relative irradiance")
     bare(axes, title)
     axes.set(xlim=(-reach_um, reach_um), ylim=(-reach_um, reach_um))
-    scale_bar(axes, (-reach_um, reach_um, -reach_um, reach_um))
+    scale_bar(axes, whole)
     return axes
