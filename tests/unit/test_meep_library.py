@@ -139,10 +139,13 @@ class _Biased:
 
 @pytest.fixture
 def stored(smooth_library: Library) -> Library:
-    """The ridges on the library's own grid, without a model: samples are stored sizes."""
-    width, length = np.meshgrid(smooth_library.width_nm, smooth_library.length_nm)
-    t_xx = np.vectorize(ridges.amplitude)(width, length)[None]
-    return replace(smooth_library, t_xx=t_xx, t_yy=t_xx.transpose(0, 2, 1))
+    """The ridges at three widths and lengths, too few to go on between them: samples are stored sizes."""
+    width_nm, length_nm = smooth_library.width_nm[::30], smooth_library.length_nm[::30]
+    t_xx = np.vectorize(ridges.amplitude)(*np.meshgrid(width_nm, length_nm))[None]
+    t_yy, error = t_xx.transpose(0, 2, 1), np.full(t_xx.shape, 1e-3)
+    return replace(
+        smooth_library, width_nm=width_nm, length_nm=length_nm, t_xx=t_xx, t_yy=t_yy, r_xx=t_xx, r_yy=t_yy, error=error
+    )
 
 
 def test_a_check_by_meep_asks_for_what_meep_can_do(stored: Library) -> None:
