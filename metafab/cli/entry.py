@@ -38,6 +38,8 @@ def main() -> None:
     for name in _ALGEBRA_THREADS:
         # Our matrices are small and our processes many: a second thread waits in a loop for more than it computes.
         os.environ.setdefault(name, "1")
+    # Threads of compiled loops that wait in a loop of their own take the cores from the work beside them.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         app(spread_depths(sys.argv[1:]))

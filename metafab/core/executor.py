@@ -181,7 +181,7 @@ def in_order(
     """
     submit = _submitter(executor, function)
     if isinstance(executor, ClusterExecutor):
-        ahead = max(ahead, 2 * executor.slots)
+        ahead = 2 * executor.slots  # what a worker has finished and not handed over dies with it
     source = iter(items)
     pending: deque[Future[Result]] = deque()
     try:

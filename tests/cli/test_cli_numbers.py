@@ -45,7 +45,7 @@ def _cases() -> Iterator[tuple[str, str, str, int]]:
         for option, count, whole in _numeric_options(name):
             values = [*NO_NUMBERS, *([] if option in SIGNED else ["-1"]), *(["1e30", str(10**30)] if whole else [])]
             for value in values:
-                if not (option == "--depths-m" and value == "1,5"):  # two depths
+                if not (option == "--depths-m" and value in {"1,5", "inf"}):  # two depths, and parallel light
                     yield name, option, value, count
 
 
