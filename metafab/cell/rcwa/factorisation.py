@@ -35,9 +35,7 @@ def layer_matrices(
         P and Q, each of shape (n, n).
     """
     u, v = basis.u, basis.v
-    contrast_u, contrast_v = (inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
-    _diagonal(contrast_u)[:] -= eps_around
-    _diagonal(contrast_v)[:] -= eps_around
+    contrast_u, contrast_v = (contrast(x, eps_pillar, eps_around) for x in (u.a, v.b))
     eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
     return assembled(basis, k0_per_nm, kron(contrast_u, v.a), kron(u.b, contrast_v), eta_z, eps_around)
 
@@ -146,6 +144,13 @@ def inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) 
     mixed = overlap * (1.0 / eps_pillar - 1.0 / eps_around)
     _diagonal(mixed)[:] += 1.0 / eps_around
     return np.linalg.inv(mixed)
+
+
+def contrast(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+    """What :func:`inverse_rule` gives, less the permittivity around the pillar."""
+    rule = inverse_rule(overlap, eps_pillar, eps_around)
+    _diagonal(rule)[:] -= eps_around
+    return rule
 
 
 def _inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:

@@ -18,9 +18,8 @@ from itertools import pairwise
 import numpy as np
 
 from metafab.cell.rcwa.basis import Matrix
-from metafab.cell.rcwa.factorisation import assembled, inverse_rule
+from metafab.cell.rcwa.factorisation import assembled, contrast
 from metafab.cell.rcwa.transverse import TransverseBasis
-from metafab.core.conventions import FloatArray
 
 
 def nested_matrices(
@@ -40,8 +39,8 @@ def nested_matrices(
     u_b, v_a = [basis.u.b for basis in bases], [basis.v.a for basis in bases]
     added_v = [v_a[0], *(v - shorter for shorter, v in pairwise(v_a))]
     added_u = [*(u - narrower for u, narrower in pairwise(u_b)), u_b[-1]]
-    contrast_u = [_contrast(basis.u.a, eps_pillar, eps_around) for basis in bases]
-    contrast_v = [_contrast(basis.v.b, eps_pillar, eps_around) for basis in bases]
+    contrast_u = [contrast(basis.u.a, eps_pillar, eps_around) for basis in bases]
+    contrast_v = [contrast(basis.v.b, eps_pillar, eps_around) for basis in bases]
     inside = _sum_of_products(u_b, added_v)
     eps_z = eps_around * np.eye(len(inside)) + (eps_pillar - eps_around) * inside
     return assembled(
@@ -52,12 +51,6 @@ def nested_matrices(
         np.linalg.inv(eps_z),
         eps_around,
     )
-
-
-def _contrast(indicator: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
-    rule = inverse_rule(indicator, eps_pillar, eps_around)
-    rule[np.diag_indices_from(rule)] -= eps_around
-    return rule
 
 
 def _sum_of_products(first: Sequence[Matrix], second: Sequence[Matrix]) -> Matrix:
