@@ -87,7 +87,7 @@ def is_square(unit_cell: UnitCell) -> bool:
         InputError: the substrate is not known at the wavelength.
     """
     n_x, n_y = refractive_index(unit_cell.materials.substrate, unit_cell.illumination.wavelength_nm)
-    return unit_cell.is_square and n_x == n_y
+    return unit_cell.has_square_lattice and n_x == n_y
 
 
 def _isotropic_index(material: Material, wavelength_nm: float, field: str) -> complex:

@@ -315,6 +315,6 @@ class UnitCell:
         return own.get(axis, 0.0)
 
     @property
-    def is_square(self) -> bool:
+    def has_square_lattice(self) -> bool:
         """Whether a quarter turn maps the lattice to itself; what the materials do is for the ``cell`` room to say."""
         return self.cell.period_nm[0] == self.cell.period_nm[1] and not self.cell.is_hexagonal

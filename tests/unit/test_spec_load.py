@@ -90,7 +90,7 @@ def test_a_rectangular_period_is_x_then_y(tmp_path: Path) -> None:
     path.write_text(CELL.read_text().replace("period_nm = 350.0", "period_nm = [350.0, 400.0]"))
     cell = load_unit_cell(path)
     assert cell.cell.period_nm == (350.0, 400.0)
-    assert not cell.is_square
+    assert not cell.has_square_lattice
 
 
 def test_a_sweep_beyond_the_period_is_refused(tmp_path: Path) -> None:
