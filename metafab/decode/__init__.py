@@ -9,6 +9,7 @@
 - ``reduce``       every few pixels of an image, and back
 - ``filters``      what makes the twins equal at a candidate depth
 - ``mixing``       mixtures of a few filtered images, by place and candidate
+- ``distance``     how far pixels are from others
 - ``pooling``      means over windows of many pictures at once
 - ``volume``       agreement of the twins over place and depth
 - ``peaks``        the best candidate in a window about each pixel

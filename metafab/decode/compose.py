@@ -6,11 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.ndimage import binary_dilation
 
 from metafab.camera.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth
+from metafab.decode.distance import distance
 from metafab.decode.image import Image4D
 from metafab.decode.pooling import label_sums, window_means
 from metafab.decode.reduce import enlarged, repeated
@@ -118,8 +119,7 @@ def _maps(
 ) -> tuple[NDArray[np.int32], FloatArray, FloatArray, FloatArray]:
     """Segment, its depth in m, confidence and own depth of each pixel of the frame, if all of them were lit."""
     claimed = pixels.claimed & (regions.near > 0)
-    about = distance_transform_edt(~claimed) <= WINDOW_PX / every if claimed.any() else claimed
-    known = (regions.near > 0) & about
+    known = (regions.near > 0) & (distance(claimed) <= WINDOW_PX / every)
     errors = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])
     error = np.minimum(np.where(claimed, pixels.relative_error, np.inf), errors[regions.near])
     trust = np.where(known, 1.0 / (1.0 + (error / HALF_CONFIDENCE) ** 2), 0.0)

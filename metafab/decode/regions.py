@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_opening, distance_transform_edt
+from scipy.ndimage import binary_opening
 
 from metafab.core.conventions import FloatArray
 from metafab.decode import segment as segments
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth, pixel_depth
+from metafab.decode.distance import distance
 from metafab.decode.planes import Cells, Plane, distinct_planes, fitted_plane
 from metafab.decode.seen import WINDOW_PX, Seen
 from metafab.decode.volume import Volume
@@ -79,7 +80,7 @@ def _near_texture(seen: Seen) -> NDArray[np.bool_]:
     The outline of a uniform object has no texture either: what lies behind it would be mixed in.
     """
     kept = segments.textured_parts(seen.lit, seen.uneven, _OUTLINE_REACH_PX // seen.reduction.every)
-    return distance_transform_edt(~kept) <= seen.window // 2 if kept.any() else kept
+    return np.asarray(distance(kept) <= seen.window // 2)
 
 
 def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth) -> Regions:
@@ -130,8 +131,7 @@ def _share_out(
     label, inner = number[parts], number[inside]
     near = segments.grown(label, WINDOW_PX / every)
     if unseen.any():
-        away = distance_transform_edt(~unseen)
-        near[(away <= WINDOW_PX / every) & (label == 0)] = 0
+        near[(distance(unseen) <= WINDOW_PX / every) & (label == 0)] = 0
     return Regions(len(layers), tuple(found), label, inner, near)
 
 
@@ -150,7 +150,7 @@ def _surfaces(
     beside = binary_opening(pixels.claimed & (away > doubt), np.ones((least, least), dtype=bool))
     others = PixelDepth(pixels.vergence_per_m, pixels.relative_error, beside)
     depths = segments.depth_layers(others, separation_per_m).tolist()
-    about = distance_transform_edt(~beside) <= window if beside.any() else beside
+    about = distance(beside) <= window
     allowed = np.stack([np.ones(shape, dtype=bool)] * len(planes) + [about] * len(depths))
     return planes + [Plane(vergence) for vergence in depths], allowed
 

@@ -11,16 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.ndimage import (
-    binary_opening,
-    distance_transform_cdt,
-    distance_transform_edt,
-    gaussian_filter1d,
-)
+from scipy.ndimage import binary_opening, distance_transform_cdt, gaussian_filter1d
 from scipy.ndimage import label as connected
 
 from metafab.core.conventions import FloatArray
 from metafab.decode.depth import PixelDepth, parabola, standard_error
+from metafab.decode.distance import distance, nearest
 from metafab.decode.planes import Plane
 from metafab.decode.pooling import window_means
 from metafab.decode.volume import Volume, correlation
@@ -115,7 +111,7 @@ def assign(
     label = (np.argmax(smooth, axis=0) + 1).astype(np.int32)
     near = pixels.claimed
     if near.any() and not near.all():
-        away, (row, column) = distance_transform_edt(~near, return_indices=True)
+        away, row, column = nearest(near)
         label = np.where(away * every > _OUTLINE_WINDOW_PX, label[row, column], label).astype(np.int32)
     return np.asarray(label)
 
@@ -138,9 +134,7 @@ def split(layer: NDArray[np.int32], lit: NDArray[np.bool_], window_px: int, ever
     sizes = np.bincount(segment.ravel(), minlength=number + 1) * every**2
     large = sizes >= window_px**2
     large[0] = False
-    beside = (
-        distance_transform_edt(~large[segment]) * every <= window_px if large.any() else np.zeros(layer.shape, bool)
-    )
+    beside = distance(large[segment]) * every <= window_px if large.any() else np.zeros(layer.shape, bool)
     renumbered = np.zeros(number + 1, dtype=np.int32)
     kept = [k for k in range(1, number + 1) if large[k] or not beside[segment == k].any()]
     renumbered[kept] = np.arange(1, len(kept) + 1)
@@ -151,7 +145,7 @@ def grown(segment: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
     """Pixels without a segment join the nearest one within ``reach`` pixels."""
     if not segment.any():
         return segment
-    away, (row, column) = distance_transform_edt(segment == 0, return_indices=True)
+    away, row, column = nearest(segment > 0)
     return np.where(away <= reach, segment[row, column], 0).astype(np.int32)
 
 
@@ -200,7 +194,7 @@ def interior(segment: NDArray[np.int32], number: int, every: int) -> NDArray[np.
     others = (segment > 0) & ~mask
     if not others.any():
         return mask
-    away = distance_transform_edt(~others)
+    away = distance(others)
     least = max(0.2 * _FEWEST_PX / every**2, 0.2 * float(mask.sum()))
     for px in _CLEAR_PX:
         inner = mask & (away > px / every)
