@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
+from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.decode.calibration import Calibration
 from metafab.decode.levels import Levels
 from metafab.decode.pooling import window_means
@@ -19,8 +21,8 @@ from metafab.decode.tiles import Tiling
 #: How much of itself (relative L2) the pair may change from the centre of a tile to its edge.
 _TILE_CHANGE = 0.2
 _CORES_PX = (32.0, 256.0)
-#: Transfer functions are kept for this many depths, the last used.
-_KEPT_DEPTHS = 12
+#: Memory for transfer functions, the last used; a tilted scene has a hundred of its tiles' depths.
+_KEPT_BYTES = 2**28
 #: About as wide as a filter, whose noise is that of the light under it.
 _NOISE_WINDOW_PX = 9
 #: Their depths are a grid of this many steps over the calibrated range: less than a degree of the pair's turn.
@@ -69,7 +71,7 @@ class Restorer:
 
     calibration: Calibration
     tiling: Tiling
-    _kept: OrderedDict[int, NDArray[np.complex64]] = field(default_factory=OrderedDict, repr=False)
+    _kept: OrderedDict[tuple[int, int], NDArray[np.complex64]] = field(default_factory=OrderedDict, repr=False)
 
     @classmethod
     def of(cls, calibration: Calibration) -> Restorer:
@@ -118,141 +120,108 @@ class Restorer:
         noise_to_signal = levels.noise_variance / np.maximum(levels.texture_spectrum(ky * ky + kx * kx), 1e-300)
         noise_to_signal[0, 0] = 0.0
         ratio = noise_to_signal.astype(np.float32)
-        sharp, noise_gain = np.zeros((2, 2, *tiling.shape), dtype=np.float32)
-        for number, vergence in enumerate(vergences_per_m, start=1):
-            mask = label == number
-            tiles = tiling.touched(mask)
-            if not tiles.size:
-                continue
-            filtered, gain = _wiener(self._transfer(float(vergence)), seen.spectra, ratio, tiles, seen.place[tiles])
-            _paste(tiling, tiles, (tiling.cores(filtered), gain), mask, (sharp, noise_gain))
-        return Sharp(sharp, noise_gain)
+        sharp = Sharp(*np.zeros((2, 2, *tiling.shape), dtype=np.float32))
+        steps = self._steps(vergences_per_m)
+        pairs = [(tile, number) for tile in range(tiling.n_tiles) for number in tiling.numbers(label, tile)]
+        transfers = self._transfers([(int(steps[number - 1]), tile) for tile, number in pairs])
 
-    def _transfer(self, vergence_per_m: float) -> NDArray[np.complex64]:
-        """Transfer functions at the nearest depth of the grid: shape (2, n_tiles, n_ky, n_kx)."""
+        def restore(pair: tuple[int, int], transfer: NDArray[np.complex64]) -> None:
+            tile, number = pair
+            spectra = seen.spectra[:, seen.place[tile]]
+            filtered, gain = (_wiener if HAS_NUMBA else _wiener_plain)(transfer, spectra, ratio)
+            core, part = tiling.cores(filtered, workers=1), tiling.place(tile)
+            rows, columns = label[part].shape
+            mask = label[part] == number
+            np.copyto(sharp.images[:, *part], np.maximum(core[:, :rows, :columns], 0.0), where=mask)
+            np.copyto(sharp.noise_gain[:, *part], gain[:, None, None], where=mask)
+
+        # A tile and a depth at once: what one thread works on stays in its cache.
+        with ThreadPoolExecutor(2) as pool:
+            for _ in pool.map(restore, pairs, transfers):
+                pass
+        return sharp
+
+    @property
+    def _range_per_m(self) -> tuple[float, float]:
+        """Ends of the calibrated range of vergence."""
         inverse = 1.0 / self.calibration.kernels.psf.depth_m
-        low, high = float(inverse.min()), float(inverse.max())
-        step = round((vergence_per_m - low) / (high - low) * _DEPTH_STEPS)
-        if step in self._kept:
-            self._kept.move_to_end(step)
-            return self._kept[step]
-        nodes = np.tensordot(
-            self.calibration.depth_weights(low + step * (high - low) / _DEPTH_STEPS),
-            self.calibration.stack,
-            axes=(0, 1),
-        )
-        n_y, n_x = nodes.shape[-2:]
-        weights = self.calibration.tile_weights(self.tiling, 1)
-        kernels = (weights @ nodes.reshape(2, nodes.shape[1], n_y * n_x)).reshape(2, -1, n_y, n_x)
-        place = np.zeros((2, weights.shape[0], *self.tiling.size), dtype=np.float32)
+        return float(inverse.min()), float(inverse.max())
+
+    def _steps(self, vergences_per_m: FloatArray) -> NDArray[np.intp]:
+        """The nearest depths of the grid of depths."""
+        low, high = self._range_per_m
+        return np.round((vergences_per_m - low) / (high - low) * _DEPTH_STEPS).astype(np.intp)
+
+    def _transfers(self, wanted: list[tuple[int, int]]) -> list[NDArray[np.complex64]]:
+        """Transfer functions at some (step of the grid of depths, tile): shape (2, n_ky, n_kx) each."""
+        missing = sorted({key for key in wanted if key not in self._kept})
+        with ThreadPoolExecutor(2) as pool:
+            self._kept.update(zip(missing, pool.map(self._transfer, missing), strict=True))
+        found = [self._kept[key] for key in wanted]
+        for key in wanted:
+            self._kept.move_to_end(key)
+        while len(self._kept) > 1 and self.nbytes > _KEPT_BYTES:
+            self._kept.popitem(last=False)
+        return found
+
+    def _transfer(self, key: tuple[int, int]) -> NDArray[np.complex64]:
+        step, tile = key
+        low, high = self._range_per_m
+        share = self.calibration.depth_weights(low + step * (high - low) / _DEPTH_STEPS)
+        kernels = np.tensordot(share, self._kernels[tile], axes=(0, 1))
+        n_y, n_x = kernels.shape[-2:]
+        place = np.zeros((2, *self.tiling.size), dtype=np.float32)
         place[..., :n_y, :n_x] = kernels
         place = np.roll(place, (-(n_y // 2), -(n_x // 2)), axis=(-2, -1))
-        self._kept[step] = np.asarray(scipy.fft.rfft2(place, workers=2), dtype=np.complex64)
-        if len(self._kept) > _KEPT_DEPTHS:
-            self._kept.popitem(last=False)
-        return self._kept[step]
+        return np.asarray(scipy.fft.rfft2(place), dtype=np.complex64)
 
-
-def _paste(
-    tiling: Tiling,
-    tiles: NDArray[np.intp],
-    given: tuple[NDArray[np.float32], NDArray[np.float32]],
-    mask: NDArray[np.bool_],
-    out: tuple[NDArray[np.float32], NDArray[np.float32]],
-) -> None:
-    """Put some tiles' cores (2, n, *core), nothing of them below 0, and a value of each (2, n) where ``mask`` holds."""
-    (cores, value), (picture, values) = given, out
-    if HAS_NUMBA:
-        _paste_loop(cores, value, tiles, tiling.counts[1], mask, picture, values)
-        return
-    np.copyto(picture, np.maximum(tiling.join(cores, tiles), 0.0), where=mask)
-    even = np.broadcast_to(value[..., None, None], cores.shape)
-    np.copyto(values, tiling.join(even, tiles), where=mask)
-
-
-@compiled_parallel
-def _paste_loop(
-    cores: NDArray[np.float32],
-    value: NDArray[np.float32],
-    tiles: NDArray[np.intp],
-    columns: int,
-    mask: NDArray[np.bool_],
-    picture: NDArray[np.float32],
-    values: NDArray[np.float32],
-) -> None:
-    n_y, n_x = mask.shape
-    for t in prange(tiles.size):
-        top, left = (tiles[t] // columns) * cores.shape[2], (tiles[t] % columns) * cores.shape[3]
-        for image in range(2):
-            for i in range(min(cores.shape[2], n_y - top)):
-                for j in range(min(cores.shape[3], n_x - left)):
-                    if mask[top + i, left + j]:
-                        picture[image, top + i, left + j] = max(cores[image, t, i, j], np.float32(0.0))
-                        values[image, top + i, left + j] = value[image, t]
-
-
-def _wiener(
-    transfer: NDArray[np.complex64],
-    spectra: NDArray[np.complex64],
-    ratio: NDArray[np.float32],
-    tiles: NDArray[np.intp],
-    place: NDArray[np.intp],
-) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
-    """Spectra times H* / (|H|^2 + ratio), and what that makes of white noise.
-
-    Args:
-        transfer: H of all tiles, shape (2, n_tiles, n_ky, n_kx).
-        spectra: of some tiles' images, shape (2, n, n_ky, n_kx).
-        ratio: noise over texture, shape (n_ky, n_kx).
-        tiles: the tiles that are wanted.
-        place: where each of them is among the spectra.
-
-    Returns:
-        Shapes (2, tiles.size, n_ky, n_kx) and (2, tiles.size): mean squares of the filters.
-    """
-    return (_wiener_loop if HAS_NUMBA else _wiener_plain)(transfer, spectra, ratio, tiles, place)
+    @cached_property
+    def _kernels(self) -> NDArray[np.float32]:
+        """The pair in each tile at each calibrated depth: shape (n_tiles, 2, n_depth, n_y, n_x)."""
+        weights, stack = self.calibration.tile_weights(self.tiling, 1), self.calibration.stack
+        return np.stack([np.tensordot(share, stack, axes=(0, 2)) for share in weights])
 
 
 def _wiener_plain(
-    transfer: NDArray[np.complex64],
-    spectra: NDArray[np.complex64],
-    ratio: NDArray[np.float32],
-    tiles: NDArray[np.intp],
-    place: NDArray[np.intp],
+    transfer: NDArray[np.complex64], spectra: NDArray[np.complex64], ratio: NDArray[np.float32]
 ) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
-    chosen = transfer[:, tiles]
-    wiener = np.conj(chosen) / (chosen.real**2 + chosen.imag**2 + ratio)
+    wiener = np.conj(transfer) / (transfer.real**2 + transfer.imag**2 + ratio)
     squares = np.abs(wiener) ** 2
     n_y, n_kx = ratio.shape
     # The other half plane; transforms have an even number of columns.
     total = 2.0 * squares.sum(axis=(-2, -1)) - squares[..., (0, -1)].sum(axis=(-2, -1))
-    return np.asarray(wiener * spectra[:, place]), np.asarray(total / (n_y * 2 * (n_kx - 1)), dtype=np.float32)
+    return np.asarray(wiener * spectra), np.asarray(total / (n_y * 2 * (n_kx - 1)), dtype=np.float32)
 
 
-@compiled_parallel
-def _wiener_loop(
-    transfer: NDArray[np.complex64],
-    spectra: NDArray[np.complex64],
-    ratio: NDArray[np.float32],
-    tiles: NDArray[np.intp],
-    place: NDArray[np.intp],
+@compiled
+def _wiener(
+    transfer: NDArray[np.complex64], spectra: NDArray[np.complex64], ratio: NDArray[np.float32]
 ) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
-    _, _, n_y, n_x = transfer.shape
-    out = np.empty((2, tiles.size, n_y, n_x), dtype=np.complex64)
-    gain = np.zeros((2, tiles.size), dtype=np.float32)
-    for t in prange(tiles.size):
-        for image in range(2):
-            total = 0.0
-            for i in range(n_y):
-                line = np.float32(0.0)
-                for j in range(n_x):
-                    h, s = transfer[image, tiles[t], i, j], spectra[image, place[t], i, j]
-                    square = h.real * h.real + h.imag * h.imag
-                    power = square + ratio[i, j]
-                    real = (h.real * s.real + h.imag * s.imag) / power
-                    out[image, t, i, j] = complex(real, (h.real * s.imag - h.imag * s.real) / power)
-                    share = square / (power * power)
-                    line += share if j == 0 or j == n_x - 1 else share + share
-                total += float(line)
-            gain[image, t] = total / (n_y * 2 * (n_x - 1))
+    """Spectra times H* / (|H|^2 + ratio), and what that makes of white noise.
+
+    Args:
+        transfer: H, shape (2, n_ky, n_kx).
+        spectra: of a tile's images, the same shape.
+        ratio: noise over texture, shape (n_ky, n_kx).
+
+    Returns:
+        The shape of ``spectra``, and (2,): mean squares of the filters.
+    """
+    _, n_y, n_x = transfer.shape
+    out = np.empty((2, n_y, n_x), dtype=np.complex64)
+    gain = np.zeros(2, dtype=np.float32)
+    for image in range(2):
+        total = 0.0
+        for i in range(n_y):
+            line = np.float32(0.0)
+            for j in range(n_x):
+                h, s = transfer[image, i, j], spectra[image, i, j]
+                square = h.real * h.real + h.imag * h.imag
+                power = square + ratio[i, j]
+                real = (h.real * s.real + h.imag * s.imag) / power
+                out[image, i, j] = complex(real, (h.real * s.imag - h.imag * s.real) / power)
+                share = square / (power * power)
+                line += share if j == 0 or j == n_x - 1 else share + share
+            total += float(line)
+        gain[image] = total / (n_y * 2 * (n_x - 1))
     return out, gain

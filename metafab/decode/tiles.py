@@ -84,21 +84,22 @@ class Tiling:
             fades.append(0.5 - 0.5 * np.cos(np.pi * share))
         return np.asarray(fades[0][:, None] * fades[1][None, :], dtype=np.float32)
 
-    def cores(self, spectra: NDArray[np.complex64]) -> NDArray[np.float32]:
-        """What tiles of some spectra (..., n, n_ky, n_kx) deliver: shape (..., n, *core)."""
+    def place(self, tile: int) -> tuple[slice, slice]:
+        """A tile's core in the window; the last ones may reach beyond it."""
+        row, column = divmod(tile, self.counts[1])
+        (n_y, n_x) = self.core
+        return slice(row * n_y, (row + 1) * n_y), slice(column * n_x, (column + 1) * n_x)
+
+    def numbers(self, label: NDArray[np.int32], tile: int) -> list[int]:
+        """Those above 0 that ``label`` (the window's shape) has in a tile's core."""
+        return (1 + np.flatnonzero(np.bincount(label[self.place(tile)].ravel())[1:])).tolist()
+
+    def cores(self, spectra: NDArray[np.complex64], workers: int = 2) -> NDArray[np.float32]:
+        """What tiles of some spectra (..., n_ky, n_kx) deliver: shape (..., *core)."""
         (n_y, n_x), m = self.core, self.margin
         # Rows of the margins are not needed, and not transformed back.
-        rows = scipy.fft.ifft(spectra, axis=-2, workers=2, overwrite_x=True)[..., m : m + n_y, :]
-        return np.asarray(scipy.fft.irfft(rows, self.size[1], workers=2)[..., m : m + n_x])
-
-    def join(self, values: NDArray[np.float32], tiles: NDArray[np.intp]) -> NDArray[np.float32]:
-        """The window from the cores of tiles, shape (..., tiles.size, *core); 0 where no tile is given."""
-        (rows, columns), (n_y, n_x) = self.counts, self.core
-        cores = np.zeros((*values.shape[:-3], self.n_tiles, n_y, n_x), dtype=np.float32)
-        cores[..., tiles, :, :] = values
-        cores = cores.reshape(*values.shape[:-3], rows, columns, n_y, n_x)
-        whole = np.moveaxis(cores, -2, -3).reshape(*values.shape[:-3], rows * n_y, columns * n_x)
-        return whole[..., : self.shape[0], : self.shape[1]]
+        rows = scipy.fft.ifft(spectra, axis=-2, workers=workers, overwrite_x=True)[..., m : m + n_y, :]
+        return np.asarray(scipy.fft.irfft(rows, self.size[1], workers=workers)[..., m : m + n_x])
 
     def touched(self, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Numbers of the tiles whose cores hold a pixel of ``mask`` (the window's shape)."""
@@ -106,10 +107,3 @@ class Tiling:
         whole = np.zeros((rows * n_y, columns * n_x), dtype=bool)
         whole[: self.shape[0], : self.shape[1]] = mask
         return np.flatnonzero(whole.reshape(rows, n_y, columns, n_x).any(axis=(1, 3)))
-
-    def covered(self, tiles: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """The pixels in the cores of some tiles, the window's shape."""
-        chosen = np.zeros(self.n_tiles, dtype=bool)
-        chosen[tiles] = True
-        whole = chosen.reshape(self.counts).repeat(self.core[0], axis=0).repeat(self.core[1], axis=1)
-        return whole[: self.shape[0], : self.shape[1]]

@@ -1,0 +1,69 @@
+"""All-in-focus images: each depth's filter where its pixels are, and transfer functions that are kept."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from metafab.camera import RawFrame, capture
+from metafab.decode import Decoder, restore
+from metafab.decode.restore import Restorer, Sharp
+from metafab.optics.point_spread import Psf
+from metafab.spec import Scene, SceneObject
+from tests.conjugate_pair import helix_psf
+
+SCENE = Scene(objects=(SceneObject(depth_m=0.0030, size=(0.2, 0.2)),), field_px=(90, 120), seed=4)
+DEPTHS_PER_M = 1.0 / np.array([0.0028, 0.0032])
+
+
+@pytest.fixture(scope="module")
+def psf() -> Psf:
+    tangents = np.linspace(-0.12, 0.12, 3)
+    return helix_psf(1.0 / np.linspace(1 / 0.00245, 1 / 0.0036, 9), window_px=32, tangents=(tangents, tangents))
+
+
+@pytest.fixture(scope="module")
+def frame(psf: Psf) -> RawFrame:
+    return capture(SCENE, psf)
+
+
+def sharp(decoder: Decoder, frame: RawFrame, label: np.ndarray) -> Sharp:
+    seen = decoder.look(frame)
+    assert not isinstance(seen, str)
+    # Tiles of their own, so that a kept transfer function belongs to one of several.
+    tiling = dataclasses.replace(decoder.restorer.tiling, core=(45, 40), size=(120, 120), counts=(2, 3))
+    restorer = Restorer(decoder.calibration, tiling)
+    tiles = restorer.transformed(seen.twins.image, label > 0)
+    return restorer(tiles, seen.levels, label.astype(np.int32), DEPTHS_PER_M)
+
+
+def test_each_pixel_is_as_sharp_as_if_all_lay_at_its_depth(psf: Psf, frame: RawFrame) -> None:
+    decoder = Decoder.of(psf, frame.frame.shape, frame.origin_um, frame.x_window)
+    assert decoder is not None
+    label = np.random.default_rng(1).integers(0, 3, SCENE.field_px)
+    mixed = sharp(decoder, frame, label)
+    for number in (1, 2):
+        alone = sharp(decoder, frame, np.full(SCENE.field_px, number))
+        mask = label == number
+        np.testing.assert_array_equal(mixed.images[:, mask], alone.images[:, mask])
+        np.testing.assert_array_equal(mixed.noise_gain[:, mask], alone.noise_gain[:, mask])
+    assert not mixed.images[:, label == 0].any()
+    assert not mixed.noise_gain[:, label == 0].any()
+
+
+def test_what_is_kept_is_bounded_and_changes_nothing(
+    psf: Psf, frame: RawFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoder = Decoder.of(psf, frame.frame.shape, frame.origin_um, frame.x_window)
+    assert decoder is not None
+    first = decoder(frame)
+    kept = decoder.restorer.nbytes
+    again = decoder(frame)
+    assert decoder.restorer.nbytes == kept > 0
+    monkeypatch.setattr(restore, "_KEPT_BYTES", 1)
+    forgetful = decoder(frame)
+    assert decoder.restorer.nbytes < 2 * decoder.restorer.tiling.size[0] * decoder.restorer.tiling.size[1] * 8
+    for image in (again, forgetful):
+        np.testing.assert_array_equal(image.intensity_x, first.intensity_x)
