@@ -19,6 +19,7 @@
 - ``restore``      all-in-focus images
 - ``seen``         a frame at first sight
 - ``regions``      the segments of a frame
+- ``contrast``     I_x / I_y and its error
 - ``compose``      all that is known put together
 - ``decoder``      all of it: ``decode`` and, for many frames, ``Decoder``
 - ``video``        a decoder that remembers what has not changed

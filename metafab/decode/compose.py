@@ -10,10 +10,11 @@ from scipy.ndimage import binary_dilation
 
 from metafab.camera.frame import RawFrame
 from metafab.core.conventions import FloatArray
+from metafab.decode.contrast import SegmentLight, pixel_contrast
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth
 from metafab.decode.distance import distance
 from metafab.decode.image import Image4D
-from metafab.decode.pooling import label_sums, window_means
+from metafab.decode.pooling import window_means
 from metafab.decode.reduce import enlarged, repeated
 from metafab.decode.regions import LAYER_SHARE, Regions
 from metafab.decode.restore import LitTiles, Restorer, Sharp
@@ -29,8 +30,8 @@ _LARGEST_MISMATCH = 0.05
 def full_depth_m(pixels: PixelDepth, every: int, shape: tuple[int, int]) -> FloatArray:
     """Depth of each pixel by itself on the frame's pixels, NaN where none is claimed."""
     depth = 1.0 / np.maximum(pixels.vergence_per_m, 1e-12)
-    depth_m = enlarged(depth.astype(np.float32), every, shape).astype(np.float64)
-    depth_m[~repeated(pixels.claimed, every, shape)] = np.nan
+    depth_m = enlarged(depth, every, shape)
+    np.copyto(depth_m, np.nan, where=~repeated(pixels.claimed, every, shape))
     return depth_m
 
 
@@ -82,11 +83,13 @@ def composed(
         maps = beside.submit(_maps, pixels, regions, every, shape)
         doubts = beside.submit(_doubts, volume, seen, regions)
         lit = _lit(images, seen.floor_e) & ~seen.twins.bad
-        contrast, contrast_error = _contrast(sharp, seen.levels.read_noise_e, lit)
-        rows = _rows(regions, lit, images, every, seen.levels.read_noise_e)
+        contrast, contrast_error = pixel_contrast(sharp, seen.levels.read_noise_e, lit)
     dark = ~lit
     segment, depth_m, confidence, pixel_m = maps.result()
-    depth_m[dark], confidence[dark], pixel_m[dark] = np.nan, 0.0, np.nan
+    for part, unknown in ((segment, 0), (depth_m, np.nan), (confidence, 0.0), (pixel_m, np.nan)):
+        np.copyto(part, unknown, where=dark)
+    light = SegmentLight.of(images, segment, repeated(regions.inner, every, shape), len(regions.depths))
+    rows = _rows(regions, light, every, seen.levels.read_noise_e)
     details: dict[str, float | str] = {
         "layers": float(regions.layers),
         "basis_images": float(basis_images),
@@ -104,7 +107,7 @@ def composed(
         contrast,
         depth_m,
         confidence,
-        segment * lit,
+        segment,
         seen.twins.grid.origin_um,
         frame.pixel_um,
         rows,
@@ -127,18 +130,6 @@ def _maps(
     segment, depth_m, confidence = (repeated(part, every, shape) for part in (regions.near, depth_m, trust))
     own_m = full_depth_m(PixelDepth(pixels.vergence_per_m, pixels.relative_error, claimed), every, shape)
     return segment, depth_m, confidence, own_m
-
-
-def _contrast(sharp: Sharp, read_noise_e: float, lit: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    """I_x / I_y where there is light, and its standard error to first order in the noise; NaN elsewhere."""
-    x, y = sharp.images
-    known = lit & (y > 0.0)
-    contrast, error = np.full((2, *lit.shape), np.nan)
-    np.divide(x, y, out=contrast, where=known)
-    of_x, of_y = sharp.variance(read_noise_e)
-    ratio = contrast.astype(np.float32)
-    np.divide(np.sqrt(of_x + ratio * ratio * of_y), y, out=error, where=known)
-    return contrast, error
 
 
 def _typical(error: FloatArray, values: FloatArray) -> float:
@@ -170,31 +161,22 @@ def _lit(images: NDArray[np.float32], floor_e: float) -> NDArray[np.bool_]:
     return np.asarray(window_means(images[0] + images[1], 3) > floor_e)
 
 
-def _rows(
-    regions: Regions, lit: NDArray[np.bool_], images: NDArray[np.float32], every: int, read_noise_e: float
-) -> tuple[dict[str, float], ...]:
+def _rows(regions: Regions, light: SegmentLight, every: int, read_noise_e: float) -> tuple[dict[str, float], ...]:
     """What is known of each segment: its contrast from its inside, over which blur and sharpening keep the light."""
-    count = len(regions.depths)
-    near, inner = (repeated(label, every, lit.shape) * lit for label in (regions.near, regions.inner))
-    pixels = np.bincount(near.ravel(), minlength=count + 1)
-    inner = inner * (near > 0)
-    light_x, light_y = np.maximum(label_sums(images, inner, count), 1e-30)
-    read = np.bincount(inner.ravel(), minlength=count + 1)[1:] * read_noise_e**2
-    contrast = light_x / light_y
-    error = contrast * np.sqrt((light_x + read) / light_x**2 + (light_y + read) / light_y**2)
+    contrast, error = light.contrast(read_noise_e)
     return tuple(
         {
-            "number": float(number),
-            "pixels": float(pixels[number]),
+            "number": float(index + 1),
+            "pixels": float(light.pixels[index]),
             "depth_m": 1.0 / depth.vergence_per_m,
             "slope_x_per_m": depth.plane.slope_per_m[1] / every,
             "slope_y_per_m": depth.plane.slope_per_m[0] / every,
             "error_m": depth.relative_error / depth.vergence_per_m,
-            "contrast": float(contrast[number - 1]),
-            "contrast_error": float(error[number - 1]),
+            "contrast": float(contrast[index]),
+            "contrast_error": float(error[index]),
             "correlation": depth.correlation,
         }
-        for number, depth in enumerate(regions.depths, start=1)
+        for index, depth in enumerate(regions.depths)
     )
 
 

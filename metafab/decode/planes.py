@@ -7,6 +7,7 @@ them where a single depth does not.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,6 +72,8 @@ class Cells:
         row: shape (n,), their middles, compared pixels; likewise ``column``.
         vergence_per_m: shape (n,), where their twins agree best.
         error_per_m: shape (n,), its standard error; inf for a cell that says no depth.
+        whole: shape (3, n_candidates), the sums over all of the segment, cells that are too small to count included.
+        size: pixels of all of the segment.
     """
 
     sums: FloatArray
@@ -79,6 +82,8 @@ class Cells:
     column: FloatArray
     vergence_per_m: FloatArray
     error_per_m: FloatArray
+    whole: FloatArray
+    size: int
 
     @classmethod
     def of(cls, volume: Volume, mask: NDArray[np.bool_], every: int, side_px: int = _CELL_PX) -> Cells:
@@ -90,24 +95,43 @@ class Cells:
             every: pixels of the frame a compared pixel.
             side_px: side of a cell, pixels of the frame.
         """
-        row, column = np.nonzero(mask)
+        return cls.of_each(volume, mask.astype(np.int32), 1, every, side_px)[0]
+
+    @classmethod
+    def of_each(
+        cls, volume: Volume, label: NDArray[np.int32], count: int, every: int, side_px: int = _CELL_PX
+    ) -> list[Cells]:
+        """As :meth:`of`, of the segments from 1 to ``count`` that ``label`` (n_y, n_x) gives pixels to."""
+        row, column = np.nonzero(label)
+        segment = label[row, column]
         side = max(2, side_px // every)
-        across = -(-mask.shape[1] // side)
-        cell = (row // side) * across + column // side
-        size = np.bincount(cell)
-        large = size >= 0.25 * side**2
-        kept = np.cumsum(large) * large
-        label = np.zeros(mask.shape, dtype=np.int32)
-        number = kept[cell]
-        label[row, column] = number
-        count, inside = int(large.sum()), number > 0
-        place = number[inside]
-        pixels = size[large].astype(np.float64)
-        middle_row, middle_column = (
-            np.bincount(place, axis[inside], minlength=count + 1)[1:] / pixels for axis in (row, column)
-        )
-        sums = volume.over(label, count)
-        return cls(sums, pixels, middle_row, middle_column, *_cell_depths(volume, sums, pixels))
+        down, across = (-(-n // side) for n in label.shape)
+        # Numbers in the order of segments: those of one segment lie together.
+        given = (segment * down + row // side) * across + column // side
+        sizes = np.bincount(given)
+        number = np.flatnonzero(sizes)
+        cell, pixels = (np.cumsum(sizes > 0) - 1)[given], sizes[number]
+        numbered = np.zeros(label.shape, dtype=np.int32)
+        numbered[row, column] = cell + 1
+        sums = volume.over(numbered, number.size)
+        middle_row, middle_column = (np.bincount(cell, axis, number.size) / pixels for axis in (row, column))
+        vergence, error = _cell_depths(volume, sums, pixels)
+        starts = np.searchsorted(number // (down * across), np.arange(1, count + 2))
+        found = []
+        for start, stop in itertools.pairwise(starts.tolist()):
+            kept = start + np.flatnonzero(pixels[start:stop] >= 0.25 * side**2)
+            cells = cls(
+                sums[kept],
+                pixels[kept].astype(np.float64),
+                middle_row[kept],
+                middle_column[kept],
+                vergence[kept],
+                error[kept],
+                sums[start:stop].sum(axis=0),
+                int(pixels[start:stop].sum()),
+            )
+            found.append(cells)
+        return found
 
     def sheared(self, volume: Volume, plane: Plane) -> FloatArray:
         """Sums of the products along a plane's tilt: shape (3, n_candidates) over its vergence at the centre."""
@@ -117,7 +141,7 @@ class Cells:
         return np.asarray(np.einsum("cvk,cpk->pv", spline_weights(nodes, at), self.sums))
 
 
-def _cell_depths(volume: Volume, sums: FloatArray, pixels: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _cell_depths(volume: Volume, sums: FloatArray, pixels: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
     agreement = correlation(np.moveaxis(sums, 1, 0)).astype(np.float64)
     nodes, step = volume.vergences_per_m, volume.step_per_m
     best = agreement.argmax(axis=1)

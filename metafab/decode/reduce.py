@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
 
 #: Share of the margin over which an image fades out.
 _FADE = 0.25
@@ -105,10 +107,14 @@ def _fade(inner: int, edge: int) -> NDArray[np.float32]:
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * share), dtype=np.float32)
 
 
-def enlarged(values: FloatArray, every: int, shape: tuple[int, int]) -> FloatArray:
+def enlarged(values: NDArray[Any], every: int, shape: tuple[int, int]) -> NDArray[Any]:
     """Values at every ``every``-th pixel brought back to ``shape``, linear in between; beyond the last, its value."""
     if every == 1:
-        return values[: shape[0], : shape[1]]
+        return values[: shape[0], : shape[1]].copy()
+    return (_enlarged if HAS_NUMBA else _enlarged_plain)(values, every, shape)
+
+
+def _enlarged_plain(values: NDArray[Any], every: int, shape: tuple[int, int]) -> NDArray[Any]:
     for axis, count in enumerate(shape):
         before = np.moveaxis(values, axis, 0)
         after = np.concatenate([before[1:], before[-1:]])
@@ -119,11 +125,40 @@ def enlarged(values: FloatArray, every: int, shape: tuple[int, int]) -> FloatArr
     return values
 
 
-def repeated(values: np.ndarray, every: int, shape: tuple[int, int]) -> np.ndarray:
+@compiled_parallel
+def _enlarged(values: NDArray[Any], every: int, shape: tuple[int, int]) -> NDArray[Any]:
+    n_y, n_x = values.shape
+    out = np.empty(shape, dtype=values.dtype)
+    for i in prange(shape[0]):
+        above = i // every
+        below, down = min(above + 1, n_y - 1), (i % every) / every
+        line = np.empty(n_x + 1, dtype=values.dtype)
+        for j in range(n_x):
+            line[j] = (1.0 - down) * values[above, j] + down * values[below, j]
+        line[n_x] = line[n_x - 1]
+        for j in range(n_x):
+            for k in range(min(every, shape[1] - every * j)):
+                out[i, every * j + k] = (1.0 - k / every) * line[j] + (k / every) * line[j + 1]
+    return out
+
+
+def repeated(values: NDArray[Any], every: int, shape: tuple[int, int]) -> NDArray[Any]:
     """Values at every ``every``-th pixel brought back to ``shape``, each pixel that of its nearest neighbour."""
     if every == 1:
-        return values[: shape[0], : shape[1]]
+        return values[: shape[0], : shape[1]].copy()
     rows, columns = (
         np.minimum((np.arange(n) + every // 2) // every, m - 1) for n, m in zip(shape, values.shape, strict=True)
     )
-    return np.asarray(np.take(np.take(values, rows, axis=0), columns, axis=1))
+    if HAS_NUMBA:
+        return _taken(values, rows, columns)
+    return np.asarray(values[np.ix_(rows, columns)])
+
+
+@compiled_parallel
+def _taken(values: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
+    out = np.empty((rows.size, columns.size), dtype=values.dtype)
+    for i in prange(rows.size):
+        line, to = values[rows[i]], out[i]
+        for j in range(columns.size):
+            to[j] = line[columns[j]]
+    return out

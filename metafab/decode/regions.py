@@ -115,16 +115,14 @@ def _share_out(
     layer = segments.assign(volume, layers, pixels, separation_per_m, every, allowed)
     parts, inside, unseen = _textured(seen, segments.split(layer, seen.lit, WINDOW_PX, every))
     count = int(parts.max(initial=0))
-    sizes = np.bincount(inside.ravel(), minlength=count + 1)[1:]
     number = np.zeros(count + 1, dtype=np.int32)
     found: list[segments.SegmentDepth] = []
-    for part, (sums, size) in enumerate(zip(volume.over(inside, count), sizes.tolist(), strict=True), start=1):
-        cells = Cells.of(volume, inside == part, every)
+    for part, cells in enumerate(Cells.of_each(volume, inside, count, every), start=1):
         plane = fitted_plane(cells) or layers[int(np.median(layer[parts == part])) - 1]
         if plane.tilted and cells.pixels.size:
             depth = segments.segment_depth(volume, cells.sheared(volume, plane), float(cells.pixels.sum()), plane)
         else:
-            depth = segments.segment_depth(volume, sums, float(size))
+            depth = segments.segment_depth(volume, cells.whole, float(cells.size))
         if depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0:
             found.append(depth)
             number[part] = len(found)

@@ -15,7 +15,6 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.decode.calibration import Calibration
 from metafab.decode.levels import Levels
-from metafab.decode.pooling import window_means
 from metafab.decode.tiles import Tiling
 
 #: How much of itself (relative L2) the pair may change from the centre of a tile to its edge.
@@ -24,7 +23,7 @@ _CORES_PX = (32.0, 256.0)
 #: Memory for transfer functions, the last used; a tilted scene has a hundred of its tiles' depths.
 _KEPT_BYTES = 2**28
 #: About as wide as a filter, whose noise is that of the light under it.
-_NOISE_WINDOW_PX = 9
+NOISE_WINDOW_PX = 9
 #: Their depths are a grid of this many steps over the calibrated range: less than a degree of the pair's turn.
 _DEPTH_STEPS = 96
 
@@ -53,11 +52,6 @@ class Sharp:
 
     images: NDArray[np.float32]
     noise_gain: NDArray[np.float32]
-
-    def variance(self, read_noise_e: float) -> NDArray[np.float32]:
-        """Of each pixel by photon and read noise: shape (2, n_y, n_x), electrons squared."""
-        about = window_means(self.images, _NOISE_WINDOW_PX)
-        return np.asarray(self.noise_gain * (about + np.float32(read_noise_e**2)))
 
 
 @dataclass(frozen=True)

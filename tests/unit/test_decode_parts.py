@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 from scipy.ndimage import uniform_filter
 
-from metafab.decode import calibration, filters, mixing, peaks, pooling, resample, restore
+from metafab.decode import calibration, contrast, filters, mixing, peaks, pooling, reduce, resample, restore
 from metafab.decode.depth import parabola, standard_error
 from metafab.decode.judge import structural_similarity
 from metafab.decode.reduce import Reduction, enlarged, repeated
@@ -332,3 +332,31 @@ def test_structural_similarity_against_its_closed_forms() -> None:
     other = np.random.default_rng(7).normal(100.0, 10.0, size=(60, 60))
     high = (0.03 * 200.0) ** 2
     assert structural_similarity(image, other, 200.0) == pytest.approx(high / (2.0 * 100.0 + high), abs=0.05)
+
+
+def test_compiled_ratios_and_light_are_the_plain_ones() -> None:
+    rng = np.random.default_rng(5)
+    images = rng.normal(20.0, 15.0, (2, 33, 41)).astype(np.float32)
+    gain, about = rng.random((2, 2, 33, 41)).astype(np.float32)
+    lit = rng.random((33, 41)) < 0.7
+    args = images, gain, 30.0 * about, np.float32(4.0), lit
+    for ours, plain in zip(contrast._ratios(*args), contrast._ratios_plain(*args), strict=True):
+        np.testing.assert_allclose(ours, plain, rtol=2e-6)
+        assert np.isnan(ours[~lit]).all()
+    segment, inner = rng.integers(0, 4, (2, 33, 41), dtype=np.int32)
+    light = contrast._light(images, segment, inner, 5)
+    np.testing.assert_allclose(light, contrast._light_plain(images, segment, inner, 5), rtol=1e-9)
+    assert light.shape == (4, 5)
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 4])
+@pytest.mark.parametrize("shape", [(23, 40), (5, 3), (1, 9)])
+def test_compiled_enlarging_is_the_plain_one(every: int, shape: tuple[int, int]) -> None:
+    small = np.random.default_rng(6).random(tuple(-(-n // every) for n in shape))
+    np.testing.assert_allclose(
+        enlarged(small, every, shape), reduce._enlarged_plain(small, every, shape)[: shape[0], : shape[1]]
+    )
+    again = repeated(small, every, shape)
+    assert again.shape == shape
+    assert (again[::every, ::every] == small).all()
+    assert not np.shares_memory(again, small)

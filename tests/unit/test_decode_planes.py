@@ -26,7 +26,8 @@ def volume_of(vergence: np.ndarray, noise: float = 0.0) -> Volume:
 def cells_of(vergence: np.ndarray, error: float) -> Cells:
     row, column = (axis.ravel().astype(float) for axis in np.mgrid[5:95:10, 5:115:10])
     count = row.size
-    return Cells(np.zeros((count, 3, 13)), np.full(count, 100.0), row, column, vergence, np.full(count, error))
+    sums, errors = np.zeros((count, 3, 13)), np.full(count, error)
+    return Cells(sums, np.full(count, 100.0), row, column, vergence, errors, sums.sum(axis=0), 100 * count)
 
 
 @settings(max_examples=30, deadline=None)
