@@ -164,7 +164,7 @@ def run(
     state.bring_up_to_date(REPORT)
     summary |= state.costs()
     write_json(folder / "summary.json", summary)
-    return Outcome(summary, sum(summary["drc"]["violations"].values()))
+    return Outcome(summary, sum(summary["drc"].get("violations", {}).values()))
 
 
 @dataclass

@@ -43,6 +43,7 @@ def run_command(
     folder = output or Path("runs") / spec.name
     with progress_bars() as progress:
         outcome = run(spec, folder, workers=workers, cluster=cluster, progress=progress, say=announce)
-    announce(short_of_a_turn(outcome.summary["library"]["coverage_rad"]))
+    if built := outcome.summary["library"]:
+        announce(short_of_a_turn(built["coverage_rad"]))
     show(outcome.summary if json_ else headlines(outcome.summary, folder), json_)
     exit_on_violations(outcome.violations)

@@ -2,6 +2,7 @@
 
 - ``pillars``   Lattice, PillarTile, PillarMap: pillars as integers
 - ``geometry``  a design's lattice, write fields and tiles in whole database units
+- ``sampling``  sites for target phases alone, without a mask
 - ``aperture``  which sites carry a pillar
 - ``outlines``  what a pillar of a size is drawn as
 - ``gaps``      distances between neighbours, diagonals included
@@ -19,6 +20,7 @@ from metafab.layout.gaps import Gaps, smallest_gap
 from metafab.layout.geometry import field_sites, lattice_of, tile_sites
 from metafab.layout.outlines import Outline
 from metafab.layout.pillars import Lattice, PillarMap, PillarTile
+from metafab.layout.sampling import sampling_lattice
 
 __all__ = [
     "Aperture",
@@ -31,6 +33,7 @@ __all__ = [
     "assign",
     "field_sites",
     "lattice_of",
+    "sampling_lattice",
     "smallest_gap",
     "tile_sites",
 ]

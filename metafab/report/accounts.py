@@ -31,7 +31,7 @@ def chain_of(run: RunFolder) -> list[Stage]:
     stages = [("at the aperture", 1.0)]
     figures = run.part("psf")
     transmitted = [float(figures[key]) for p in POLARISATIONS if (key := f"transmitted_{p}") in figures]
-    if transmitted:
+    if transmitted and run.has_mask:
         stages.append(("through the pillars", float(np.mean(transmitted))))
     stages.append(("in the window of its PSF", float(np.mean(run.psf.efficiency))))
     if run.ideal_psf is not None:

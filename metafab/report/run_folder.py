@@ -96,6 +96,11 @@ class RunFolder:
         return part if isinstance(part, dict) else {}
 
     @property
+    def has_mask(self) -> bool:
+        """Whether the design asks for a mask; one that is not known does."""
+        return bool(self.design_table.get("mask", {}).get("formats", ["oas"]))
+
+    @property
     def name(self) -> str:
         """The design's name, or the folder's."""
         return str(self.design_table.get("name") or self.summary.get("name") or self.path.resolve().name)

@@ -398,6 +398,11 @@ class Design:
         return self.rules.min_gap_nm + self.mask.bias_nm
 
     @property
+    def has_mask(self) -> bool:
+        """Whether a mask is written; without one, the design is judged by its target phases."""
+        return bool(self.mask.formats)
+
+    @property
     def wavelength_um(self) -> float:
         """Vacuum wavelength, um."""
         return self.unit_cell.illumination.wavelength_nm * 1e-3

@@ -75,7 +75,10 @@ class Exposure:
 
 @dataclass(frozen=True, config=CONFIG)
 class Mask:
-    """How the layout is written.
+    """How the layout is written; with ``formats = []`` it is not.
+
+    A design without a mask ends at its target phases: PSFs, frames and depths are those of a perfect lens. So lenses
+    can be judged whose pillars are too many to write.
 
     ``bias_nm`` is added to the width and length of every drawn pillar (etch compensation); pillars stand without it,
     while the gap and feature rules hold for what is drawn. ``tone`` "negative" exposes what stays; "positive" adds
@@ -107,8 +110,8 @@ class Mask:
 
     @model_validator(mode="after")
     def _formats(self) -> Mask:
-        if not self.formats or len(set(self.formats)) != len(self.formats):
-            raise ValueError("`formats` must name each of 'gds' and 'oas' at most once, and at least one of them")
+        if len(set(self.formats)) != len(self.formats):
+            raise ValueError("`formats` must name each of 'gds' and 'oas' at most once; [] writes no mask")
         return self
 
     @model_validator(mode="after")

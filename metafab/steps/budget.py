@@ -10,6 +10,10 @@ from metafab.steps.layout import mask_paths
 
 #: Sources that only a photograph meets.
 _OF_IMAGES = {"depth interpolation", "field interpolation", "decoder"}
+#: Sources that only pillars have.
+_OF_PILLARS = {
+    "solver and library", "size snapping and finite library", "index of the pillar", "local-period approximation",
+}  # fmt: skip
 
 
 def recorded_coupling(job: Job) -> dict[str, Any]:
@@ -37,7 +41,7 @@ def error_budget(figures: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
 
     Returns:
         One row a source: ``source``, ``value`` (None where this run did not measure it), ``unit``, ``how``. A device
-        without a scene has no images, whose errors are left out.
+        without a scene has no images, one without a mask no pillars, whose errors are left out.
     """
     solved, written, light, decoded = (figures[name] for name in ("library", "layout", "psf", "decode"))
     rows = [
@@ -56,7 +60,8 @@ def error_budget(figures: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
              "PSF computed in the middle of an outermost cell of field points against the interpolated one"),
         _row("decoder", decoded.get("nmae"), "mean |dz|/z", "decoded against true depth of the simulated scene"),
     ]  # fmt: skip
-    return [row for row in rows if row["value"] is not None or decoded or row["source"] not in _OF_IMAGES]
+    absent = (set() if decoded else _OF_IMAGES) | (set() if written else _OF_PILLARS)
+    return [row for row in rows if row["value"] is not None or row["source"] not in absent]
 
 
 def _row(source: str, value: float | None, unit: str, how: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ from typing import Any
 
 from metafab.run import Job, Step
 from metafab.steps.layout import mask_paths
-from metafab.steps.outputs import in_folder
+from metafab.steps.outputs import in_folder, no_mask
 
 
 def _drc(job: Job) -> dict[str, Any]:
@@ -32,5 +32,5 @@ def _drc(job: Job) -> dict[str, Any]:
 
 DRC = Step(
     "drc", ("mask", "drc"), ("layout",),
-    lambda d: (d.rules, d.mask, d.device), in_folder("drc.json", "drc.lyrdb"), _drc,
+    lambda d: (d.rules, d.mask, d.device), in_folder("drc.json", "drc.lyrdb"), _drc, no_mask,
 )  # fmt: skip

@@ -5,16 +5,24 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from metafab.core.errors import InputError
 from metafab.core.executor import open_threads
 from metafab.run import Job, Step
 from metafab.steps.library import open_library
-from metafab.steps.outputs import in_folder
+from metafab.steps.outputs import in_folder, no_mask
 
 
 def write_layout(job: Job) -> dict[str, Any]:
-    """Map the target phases to pillars and write the mask files."""
+    """Map the target phases to pillars and write the mask files.
+
+    Raises:
+        InputError: the design asks for no file.
+    """
     from metafab import layout, mask
 
+    if not job.design.has_mask:
+        remedy = 'set it to ["oas"]; `metafab run` does without a mask'
+        raise InputError.single(job.design.name, "mask.formats", "'gds', 'oas' or both", "none", remedy)
     with open_threads(job.workers, job.cluster) as executor:
         assignment = layout.assign(job.profile, open_library(job), job.design, executor=executor, progress=job.progress)
         files = mask.write(
@@ -37,4 +45,5 @@ LAYOUT = Step(
     "layout", ("layout", "mask"), ("library", "phase"),
     lambda d: (d.name, d.rules, d.mask, d.device, d.numerics),
     lambda job: (*mask_paths(job), *in_folder("layout.lyp", "layout.json")(job)), write_layout,
+    no_mask,
 )  # fmt: skip

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from metafab.core.latest import Latest, file_mark
 from metafab.run import Job, Step
+from metafab.steps.outputs import no_mask
 
 if TYPE_CHECKING:
     from metafab.library import Library
@@ -60,5 +61,5 @@ def _library(job: Job) -> dict[str, Any]:
 LIBRARY = Step(
     "library", ("spec", "materials", "cell", "library"), (),
     lambda d: (d.unit_cell, d.library if d.library.suffix == ".h5" else None),
-    lambda job: (library_path(job),), _library,
+    lambda job: (library_path(job),), _library, no_mask,
 )  # fmt: skip

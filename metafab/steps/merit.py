@@ -11,7 +11,7 @@ from metafab.steps.budget import recorded_coupling
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
 from metafab.steps.optics import mask_source
-from metafab.steps.outputs import in_folder
+from metafab.steps.outputs import in_folder, no_mask
 
 if TYPE_CHECKING:
     from metafab.optics import Imaging, Psf
@@ -110,5 +110,6 @@ def _space_variance(imaging: Imaging, written: Psf) -> dict[str, Any] | None:
 
 MERIT = Step(
     "merit", ("mask", "library", "optics", "phase"), ("library", "phase", "layout", "psf"),
-    lambda d: (d.measured, d.sensor, d.device), in_folder("merit.json"), _merit, reads=("coupling.json",),
+    lambda d: (d.measured, d.sensor, d.device), in_folder("merit.json"), _merit, no_mask,
+    reads=("coupling.json",),
 )  # fmt: skip

@@ -92,8 +92,9 @@ def ideal_source(job: Job) -> Source:
     """What light the target phases would let through, without a mask."""
     from metafab import layout, optics
 
-    lattice = layout.lattice_of(job.design)
-    return optics.ideal_field(job.profile, lattice, job.design.device)
+    design = job.design
+    lattice = layout.lattice_of(design) if design.has_mask else layout.sampling_lattice(job.profile, design)
+    return optics.ideal_field(job.profile, lattice, design.device)
 
 
 def lit_source(job: Job, source: Source) -> Source:
@@ -198,6 +199,11 @@ def power_figures(psf: Psf) -> dict[str, float | str]:
     return {name: value for name, value in psf.details.items() if name.startswith(("transmitted_", "stray_", "lost_"))}
 
 
+def _psf_files(job: Job) -> tuple[Path, ...]:
+    """Without a mask, the pair of the target phases is the pair."""
+    return in_folder("psf.h5", *(("ideal_psf.h5",) if job.design.has_mask else ()))(job)
+
+
 def _psf(job: Job) -> dict[str, Any]:
     from metafab import optics
 
@@ -213,19 +219,24 @@ def _psf(job: Job) -> dict[str, Any]:
         cluster=job.cluster,
         progress=job.progress,
     )
-    source = lit_source(job, mask_source(job, mask_paths(job)[-1]))
+    ideal_light = lit_source(job, ideal_source(job))
+    mask_path = mask_paths(job)[-1] if design.has_mask else None
+    source = ideal_light if mask_path is None else lit_source(job, mask_source(job, mask_path))
     written = point_spread_of(
         source,
         depths_m=calibration_depths(design, imaging),
         field_tangents=optics.field_tangents(design, imaging),
     )
-    save_psf(job, written, mask_paths(job)[-1], job.folder / "psf.h5")
-    ideal = point_spread_of(lit_source(job, ideal_source(job)), depths_m=verify.depths_m)
-    save_psf(job, ideal, None, job.folder / "ideal_psf.h5")
+    save_psf(job, written, mask_path, job.folder / "psf.h5")
+    figures = {}
+    if design.has_mask:
+        ideal = point_spread_of(ideal_light, depths_m=verify.depths_m)
+        save_psf(job, ideal, None, job.folder / "ideal_psf.h5")
+        figures = {f"ideal_{name}": value for name, value in psf_figures(ideal).items() if name != "depth_m"}
     shown = np.isin(written.depth_m, verify.depths_m)
     return {
         **{name: value[shown] for name, value in psf_figures(written).items()},
-        **{f"ideal_{name}": value for name, value in psf_figures(ideal).items() if name != "depth_m"},
+        **figures,
         "depth_interpolation_error": _depth_interpolation_error(written, shown),
         "field_interpolation_error": _field_interpolation_error(written, point_spread_of, source),
         "depths": written.depth_m.size,
@@ -235,6 +246,6 @@ def _psf(job: Job) -> dict[str, Any]:
 
 PSF = Step(
     "psf", ("mask", "optics"), ("library", "phase", "layout"),
-    lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m, d.optics),
-    in_folder("psf.h5", "ideal_psf.h5"), _psf,
+    lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m, d.optics, d.has_mask),
+    _psf_files, _psf,
 )  # fmt: skip

@@ -21,3 +21,8 @@ def nothing_to_decode(design: Design) -> str | None:
     if design.split_angle_deg == 0.0:
         return "the design does not split polarisations, so there is no pair of images to decode"
     return None
+
+
+def no_mask(design: Design) -> str | None:
+    """What is asked of pillars has no answer where there are only target phases."""
+    return None if design.has_mask else "the design writes no mask (`mask.formats` is empty): target phases alone"

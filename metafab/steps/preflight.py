@@ -19,7 +19,8 @@ def preflight(design: Design) -> None:
     from metafab.optics import Imaging
 
     faults: list[Fault] = []
-    for look in (Imaging.of, layout.Aperture.of, layout.field_sites, mask.lens_copies, phase.require_paintable):
+    of_mask = (layout.Aperture.of, layout.field_sites, mask.lens_copies) if design.has_mask else (layout.lattice_of,)
+    for look in (Imaging.of, *of_mask, phase.require_paintable):
         try:
             look(design)
         except InputError as error:
@@ -33,7 +34,8 @@ def preflight(design: Design) -> None:
         for name, depth in depths.items()
         if depth <= focal_m
     ]
-    faults += _rules_that_no_size_keeps(design)
+    if design.has_mask:
+        faults += _rules_that_no_size_keeps(design)
     if not faults and design.scene is not None:
         faults += _objects_out_of_sight(design, design.scene)
     if not faults and design.scene is not None and design.split_angle_deg > 0.0:

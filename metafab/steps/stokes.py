@@ -30,6 +30,8 @@ def full_stokes(
     from metafab.stokes import mask
 
     design = job.design
+    if not design.has_mask:
+        raise InputError.single(design.name, "mask.formats", "'gds', 'oas' or both", "none", "name one")
     if design.scene is None:
         raise InputError.single(design.name, "scene", "a scene to photograph", "none", "add a `[scene]` table")
     if Apodisation.of(design) is not None:

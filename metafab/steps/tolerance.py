@@ -12,7 +12,7 @@ from metafab.spec.design import Tolerances
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
 from metafab.steps.optics import filter_fwhm_nm, mask_source
-from metafab.steps.outputs import in_folder
+from metafab.steps.outputs import in_folder, no_mask
 
 if TYPE_CHECKING:
     from metafab.optics import ToleranceTable
@@ -66,7 +66,7 @@ def _tolerance(job: Job) -> dict[str, Any]:
 
 
 def _not_asked(design: Design) -> str | None:
-    return (
+    return no_mask(design) or (
         None if design.tolerance is not None else "the design has no [tolerance]; `metafab tolerance` makes the table"
     )
 

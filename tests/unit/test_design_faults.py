@@ -31,6 +31,8 @@ NO_NUMBERS: dict[str, Any] = {
 NO_TEXTS: dict[str, Any] = {"number": 3.5, "list": [], "table": {"a": 1}, "boolean": True}
 #: Numbers that may be below zero.
 SIGNED = {"centre"}
+#: Lists of texts that may hold none.
+MAY_BE_EMPTY = {"formats"}
 
 
 def leaves(table: Any, place: Place = ()) -> Iterator[tuple[Place, Any]]:
@@ -96,6 +98,8 @@ def test_what_a_key_cannot_hold_is_refused_by_its_name(
 ) -> None:
     numbers = isinstance(value, list) and _number(value[0])
     wrong = dict(NO_NUMBERS if _number(value) or numbers else NO_TEXTS)
+    if place[-1] in MAY_BE_EMPTY:
+        del wrong["list"]
     if _number(value) and value != 0 and place[-1] not in SIGNED:
         wrong["negative"] = -value
     if numbers:

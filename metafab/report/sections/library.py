@@ -8,7 +8,9 @@ from metafab.report.sections.parts import Drawn, facts_line
 
 
 def library(run: RunFolder, drawn: Drawn) -> str:
-    """Maps of the library."""
+    """Maps of the library; nothing for a design that places no pillars."""
+    if not run.has_mask:
+        return ""
     names = ("library_phase_x", "library_phase_y", "coverage")
     more = ("library_transmittance_x", "library_transmittance_y", "library_error")
     part = run.part("library")

@@ -11,6 +11,9 @@ from metafab.report.figures import depth_text
 from metafab.report.run_folder import RunFolder
 from metafab.report.sections.parts import Drawn
 
+#: Whose light the page shows, by whether there is a mask.
+_SOURCE = {True: "the pillars in the written file", False: "the target phases themselves: this design writes no mask"}
+
 
 def point_spread(run: RunFolder, drawn: Drawn) -> str:
     """The pair over depth: live, then on paper."""
@@ -36,8 +39,8 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         "psf",
         "Point-spread functions",
         html.paragraph(
-            "Simulated from the pillars in the written file. Crosshairs meet in the geometric image point; "
-            "arrows run from there to the maximum."
+            f"Simulated from {_SOURCE[run.has_mask]}. Crosshairs meet in the geometric image point; arrows run from "
+            "there to the maximum."
         ),
         viewer,
         html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
@@ -45,7 +48,9 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         _merit(run),
         html.grid(html.figure(drawn[n]) for n in ("psf_field_x", "psf_field_y") if n in drawn),
         html.grid(html.figure(drawn[n]) for n in ("depth_bias", "distortion") if n in drawn),
-        "" if run.ideal_psf is not None else html.note(run.notes.get("ideal_psf", "no PSF of the target phases")),
+        ""
+        if run.ideal_psf is not None or not run.has_mask
+        else html.note(run.notes.get("ideal_psf", "no PSF of the target phases")),
     )
 
 

@@ -10,7 +10,9 @@ from metafab.report.sections.parts import Drawn, facts_line
 
 
 def mask(run: RunFolder, drawn: Drawn) -> str:
-    """The written pillars, and the rules that they keep."""
+    """The written pillars, and the rules that they keep; nothing for a design without a mask."""
+    if not run.has_mask:
+        return ""
     part = run.part("layout")
     facts = facts_line(
         part,
