@@ -172,7 +172,7 @@ class Decoder:
             pixels = textured_pixels(seen, volume)
             regions = find_regions(seen, volume, pixels)
         sharp = sharpened(seen, regions, self.restorer, tiles.result(), volume.vergences_per_m, changed, last)
-        image = composed(frame, seen, volume, pixels, regions, sharp, self.filters.basis.shape[1])
+        image = composed(frame, seen, volume, pixels, regions, sharp, self.filters.kernels.shape[1])
         return judged(image, frame, seconds=time.perf_counter() - started), sharp
 
 

@@ -12,8 +12,9 @@ comes out where it stands, so that the place of the mixed pixel is the one whose
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.fft
@@ -44,6 +45,8 @@ BLOCK_PX, _SMALL_BLOCK_PX = 24, 12
 #: What the pair may change by from the middle of a large square to its side (relative L2).
 _CHANGE_IN_BLOCK = 0.05
 _LARGEST_BASIS = 64
+#: Transforms of the basis are kept for this many sizes of windows, the last used.
+_KEPT_SIZES = 6
 #: Structure slower than this many times the lowest frequency varies with the light, and reaches far across outlines.
 _HIGH_PASS = 3.0
 
@@ -55,18 +58,21 @@ class CrossFilters:
     Attributes:
         reduction: which pixels are compared.
         vergences_per_m: shape (n_candidates,), 1/depth, equally spaced.
-        basis: shape (2, n_basis, n_ky, n_kx), what each image is passed through.
+        kernels: shape (2, n_basis, m_y, m_x), what each image is passed through; origin at [0, 0].
         shares: shape (2, n_block_y, n_block_x, n_candidates, n_basis), of its basis in the filter of each image.
-        power: shape (n_ky, n_kx), mean of |H|^2 over depth and polarisation in the middle of the window.
+        window_power: shape (m_y, m_x // 2 + 1), mean of |H|^2 over depth and polarisation in the middle of the window.
         block_px: side of the squares that share a mixture, pixels of the frame.
     """
 
     reduction: Reduction
     vergences_per_m: FloatArray
-    basis: NDArray[np.complex64]
+    kernels: NDArray[np.float32]
     shares: NDArray[np.float32]
-    power: FloatArray
+    window_power: FloatArray
     block_px: int
+    _of_sizes: OrderedDict[tuple[int, int], tuple[NDArray[np.complex64], FloatArray]] = field(
+        default_factory=OrderedDict, repr=False
+    )
 
     @classmethod
     def of(
@@ -90,16 +96,55 @@ class CrossFilters:
         return cls(
             reduction,
             vergences_per_m,
-            _on_grid(kernels, reduction.size),
+            kernels.astype(np.float32),
             np.ascontiguousarray(by_block, dtype=np.float32),
-            _on_frequencies(power, reduction, every),
+            power,
             block_px,
         )
 
     @property
     def nbytes(self) -> int:
         """Memory of the filters."""
-        return self.basis.nbytes + self.shares.nbytes + self.power.nbytes
+        kept = sum(basis.nbytes + power.nbytes for basis, power in self._of_sizes.values())
+        return self.kernels.nbytes + self.shares.nbytes + kept
+
+    def within(self, rows: slice, columns: slice) -> CrossFilters:
+        """The filters of a part of the window in compared pixels, whole blocks but for the window's end.
+
+        What depends on the size of the part alone is computed once.
+        """
+        every, block = self.reduction.every, self.block
+        part = Reduction(
+            every,
+            (
+                min(rows.stop * every, self.reduction.window[0]) - rows.start * every,
+                min(columns.stop * every, self.reduction.window[1]) - columns.start * every,
+            ),
+            self.reduction.edge,
+        )
+        blocks = (slice(at.start // block, -(-at.stop // block)) for at in (rows, columns))
+        return replace(self, reduction=part, shares=np.ascontiguousarray(self.shares[:, *blocks]))
+
+    @property
+    def basis(self) -> NDArray[np.complex64]:
+        """Transforms of the kernels: shape (2, n_basis, n_ky, n_kx)."""
+        return self._of_size[0]
+
+    @property
+    def power(self) -> FloatArray:
+        """``window_power`` at the transform's frequencies: shape (n_ky, n_kx)."""
+        return self._of_size[1]
+
+    @property
+    def _of_size(self) -> tuple[NDArray[np.complex64], FloatArray]:
+        size = self.reduction.size
+        if size not in self._of_sizes:
+            if len(self._of_sizes) >= _KEPT_SIZES:
+                self._of_sizes.popitem(last=False)
+            power = _on_frequencies(self.window_power, self.reduction, self.reduction.every)
+            self._of_sizes[size] = _on_grid(self.kernels, size), power
+        self._of_sizes.move_to_end(size)
+        return self._of_sizes[size]
 
     def volume(
         self,
@@ -120,10 +165,11 @@ class CrossFilters:
         """
         weight = self._weight(levels)
         rows, columns = self.reduction.inner
-        passed = np.empty((2, self.basis.shape[1], *self.reduction.shape), dtype=np.float32)
+        basis = self.basis
+        passed = np.empty((2, basis.shape[1], *self.reduction.shape), dtype=np.float32)
 
         def passes(image: int) -> None:
-            mixed = self.basis[image] * (spectra[image] * weight)
+            mixed = basis[image] * (spectra[image] * weight)
             # Rows of the margin are not needed, and not transformed back.
             mixed = scipy.fft.ifft(mixed, axis=-2, overwrite_x=True)[:, rows]
             passed[image] = scipy.fft.irfft(mixed, self.reduction.size[1], overwrite_x=True)[..., columns]
@@ -155,7 +201,8 @@ class CrossFilters:
         k2 = ky[:, None] ** 2 + kx[None, :] ** 2
         signal = self.power * levels.texture_spectrum(k2)
         weight = np.sqrt(signal / (levels.noise_variance + 2.0 * signal)) * _high_pass(k2)
-        return np.asarray(weight / max(float(weight.max()), 1e-300), dtype=np.float32)
+        # At most 1, and the same for windows of all sizes.
+        return np.asarray(math.sqrt(2.0) * weight, dtype=np.float32)
 
 
 def _cross_filters(
@@ -222,7 +269,7 @@ def _range(table: NDArray[np.float32], error: float) -> NDArray[np.float32]:
     return np.asarray(first @ left[:, :count], dtype=np.float32)
 
 
-def _on_grid(kernels: FloatArray, size: tuple[int, int]) -> NDArray[np.complex64]:
+def _on_grid(kernels: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.complex64]:
     """Transforms of kernels on a larger (or smaller) grid of the same pixels."""
     n_y, n_x = (min(a, b) for a, b in zip(kernels.shape[-2:], size, strict=True))
     centred = np.roll(kernels, (n_y // 2, n_x // 2), axis=(-2, -1))[..., :n_y, :n_x]

@@ -64,6 +64,17 @@ class Resampler:
         """Memory of the maps."""
         return self.row.nbytes + self.column.nbytes
 
+    def within(self, rows: slice, columns: slice) -> Resampler:
+        """The map of some of the output's rows and columns alone, from the same image."""
+        row, reach, last = self.row[columns, rows], _TAPS // 2, self.column.shape[0]
+        first = int(np.clip(np.floor(row.min()) - reach, 0, last - 1))
+        end = int(np.clip(np.ceil(row.max()) + reach + 1, first + 1, last))
+        return Resampler(
+            self.first_row + first,
+            np.ascontiguousarray(row - np.float32(first)),
+            np.ascontiguousarray(self.column[first:end, columns]),
+        )
+
     def __call__(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Resample an image: shape (n_y, n_x)."""
         rows = image[self.first_row : self.first_row + self.column.shape[0]]

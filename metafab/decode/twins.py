@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -20,6 +20,8 @@ from metafab.decode.resample import Resampler
 
 #: Squares of brighter values would not fit single precision; nothing real comes near.
 _BRIGHTEST = 1e15
+#: How far around a part of a frame its broken pixels' neighbours and theirs are.
+_MENDED_PX = 4
 #: What frames are made of, in the machine's byte order; all else is converted first.
 _COMPILED_FOR = (np.dtype(np.float32), np.dtype(np.float64), np.dtype(np.uint8), np.dtype(np.uint16))
 
@@ -177,19 +179,37 @@ def _maps(image_map: ImageMap, x_um: FloatArray, y_um: FloatArray) -> tuple[Floa
 
 def extract(frame: RawFrame, grid: TwinGrid) -> Twins:
     """Both images from a frame; broken pixels are replaced by their neighbours' mean and marked."""
+    return Twins(grid, *extract_part(frame, grid, *(slice(0, n) for n in grid.shape)))
+
+
+def extract_part(
+    frame: RawFrame, grid: TwinGrid, rows: slice, columns: slice
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """``image`` and ``bad`` of :class:`Twins` in some rows and columns of the window and the margin about them."""
+    m = grid.margin
+    wide = slice(rows.start, rows.stop + 2 * m), slice(columns.start, columns.stop + 2 * m)
+    whole = (rows.stop - rows.start, columns.stop - columns.start) == grid.shape
+    resampler = grid.resampler if whole else grid.resampler.within(*wide)
+    shape = wide[0].stop - wide[0].start, wide[1].stop - wide[1].start
+    at = grid.row + wide[0].start, grid.column + wide[1].start
+    # Rows of the frame that either image needs, and what broken pixels there are mended from.
+    given = np.asarray(frame.frame)
+    first = max(0, min(at[0], resampler.first_row, given.shape[0] - 1) - _MENDED_PX)
+    last = max(at[0] + shape[0], resampler.first_row + resampler.column.shape[0]) + _MENDED_PX
     limit = np.inf if frame.saturation_e is None else float(frame.saturation_e)
-    values, broken = _checked(np.asarray(frame.frame), limit)
+    values, broken = _checked(given[first:last], limit)
+    at, resampler = (at[0] - first, at[1]), replace(resampler, first_row=resampler.first_row - first)
     any_broken = bool(broken.any())
     if any_broken:
         values = _mended(values, broken)
-    image = np.empty((2, *grid.tangent_x.shape), dtype=np.float32)
-    image[0] = _cut(values, grid)
-    np.multiply(grid.resampler(values), grid.area, out=image[1])
-    bad = np.zeros(grid.shape, dtype=bool)
+    image = np.empty((2, *shape), dtype=np.float32)
+    image[0] = _cut(values, at, shape)
+    np.multiply(resampler(values), grid.area[wide], out=image[1])
+    bad = np.zeros((shape[0] - 2 * m, shape[1] - 2 * m), dtype=bool)
     if any_broken:
-        twin = grid.resampler(uniform_filter(broken.astype(np.float32), 3)) > 0.05
-        bad = (_cut(broken, grid) | twin)[grid.inner]
-    return Twins(grid, image, bad)
+        twin = resampler(uniform_filter(broken.astype(np.float32), 3)) > 0.05
+        bad = (_cut(broken, at, shape) | twin)[m : shape[0] - m, m : shape[1] - m]
+    return image, bad
 
 
 def _checked(given: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -216,18 +236,13 @@ def _checked_loop(given: NDArray[Any], saturation: float) -> tuple[NDArray[np.fl
     return values, broken
 
 
-def _cut(values: np.ndarray, grid: TwinGrid) -> np.ndarray:
-    """The x image with its margin; beyond the frame, the frame's edge."""
-    n_y, n_x = grid.tangent_x.shape
-    if (
-        grid.row >= 0
-        and grid.column >= 0
-        and grid.row + n_y <= values.shape[0]
-        and grid.column + n_x <= values.shape[1]
-    ):
-        return values[grid.row : grid.row + n_y, grid.column : grid.column + n_x]
-    rows = np.clip(grid.row + np.arange(n_y), 0, values.shape[0] - 1)
-    columns = np.clip(grid.column + np.arange(n_x), 0, values.shape[1] - 1)
+def _cut(values: np.ndarray, at: tuple[int, int], shape: tuple[int, int]) -> np.ndarray:
+    """A part of the frame that starts at some row and column; beyond the frame, the frame's edge."""
+    (row, column), (n_y, n_x) = at, shape
+    if row >= 0 and column >= 0 and row + n_y <= values.shape[0] and column + n_x <= values.shape[1]:
+        return values[row : row + n_y, column : column + n_x]
+    rows = np.clip(row + np.arange(n_y), 0, values.shape[0] - 1)
+    columns = np.clip(column + np.arange(n_x), 0, values.shape[1] - 1)
     return np.asarray(values[np.ix_(rows, columns)])
 
 
