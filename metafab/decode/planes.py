@@ -169,9 +169,13 @@ def fitted_plane(cells: Cells) -> Plane | None:
         scale = max(1.0, 1.48 * float(np.median(away)))
         trust = np.clip(1.0 - (away / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
         normal = table.T @ (table * (weight * trust)[:, None])
-        if not np.linalg.cond(normal) < 1e12:
+        # Of a volume against its edges (Hadamard): cells on one line make no plane.
+        if not np.linalg.det(normal) > 1e-9 * np.prod(np.diag(normal)):
             return None
+        before = found
         found = np.asarray(np.linalg.solve(normal, table.T @ (weight * trust * vergence)), dtype=np.float64)
+        if np.abs(table @ (found - before)).max() < 1e-9 * abs(found[0]):
+            break
     normal = table.T @ (table * (weight * trust)[:, None]) / scale**2
     slope = found[1:]
     left = normal[1:, 1:] - np.outer(normal[1:, 0], normal[0, 1:]) / normal[0, 0]
@@ -191,7 +195,7 @@ def _most_agreed(table: FloatArray, vergence: FloatArray, weight: FloatArray) ->
         return np.array([float(np.median(vergence)), 0.0, 0.0])
     planes = np.linalg.solve(corners[good], vergence[picks[good]][..., None])[..., 0]
     away = np.abs(vergence - planes @ table.T) * weight
-    return np.asarray(planes[np.quantile(away, 0.5, axis=1).argmin()])
+    return np.asarray(planes[np.partition(away, vergence.size // 2, axis=1)[:, vergence.size // 2].argmin()])
 
 
 def distinct_planes(planes: list[Plane], label: NDArray[np.int32], separation_per_m: float) -> list[Plane]:

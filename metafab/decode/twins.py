@@ -16,6 +16,7 @@ from metafab.camera.frame import RawFrame
 from metafab.camera.geometry import ImageMap
 from metafab.core.conventions import FloatArray
 from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
+from metafab.decode.reduce import taken
 from metafab.decode.resample import Resampler
 
 #: Squares of brighter values would not fit single precision; nothing real comes near.
@@ -205,11 +206,10 @@ def extract_part(
     image = np.empty((2, *shape), dtype=np.float32)
     image[0] = _cut(values, at, shape)
     np.multiply(resampler(values), grid.area[wide], out=image[1])
-    bad = np.zeros((shape[0] - 2 * m, shape[1] - 2 * m), dtype=bool)
+    bad = np.zeros(shape, dtype=bool)
     if any_broken:
-        twin = resampler(uniform_filter(broken.astype(np.float32), 3)) > 0.05
-        bad = (_cut(broken, at, shape) | twin)[m : shape[0] - m, m : shape[1] - m]
-    return image, bad
+        bad = _cut(broken, at, shape) | (resampler(uniform_filter(broken.astype(np.float32), 3)) > 0.05)
+    return image, bad[m : shape[0] - m, m : shape[1] - m]
 
 
 def _checked(given: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
@@ -236,14 +236,15 @@ def _checked_loop(given: NDArray[Any], saturation: float) -> tuple[NDArray[np.fl
     return values, broken
 
 
-def _cut(values: np.ndarray, at: tuple[int, int], shape: tuple[int, int]) -> np.ndarray:
+def _cut(values: NDArray[Any], at: tuple[int, int], shape: tuple[int, int]) -> NDArray[Any]:
     """A part of the frame that starts at some row and column; beyond the frame, the frame's edge."""
     (row, column), (n_y, n_x) = at, shape
     if row >= 0 and column >= 0 and row + n_y <= values.shape[0] and column + n_x <= values.shape[1]:
         return values[row : row + n_y, column : column + n_x]
-    rows = np.clip(row + np.arange(n_y), 0, values.shape[0] - 1)
-    columns = np.clip(column + np.arange(n_x), 0, values.shape[1] - 1)
-    return np.asarray(values[np.ix_(rows, columns)])
+    rows, columns = (
+        np.clip(first + np.arange(size), 0, have - 1) for first, size, have in zip(at, shape, values.shape, strict=True)
+    )
+    return taken(values, rows, columns)
 
 
 def _mended(values: NDArray[np.float32], broken: NDArray[np.bool_]) -> NDArray[np.float32]:

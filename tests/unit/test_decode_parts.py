@@ -8,14 +8,14 @@ import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import BSpline
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import binary_opening, uniform_filter
 
-from metafab.decode import calibration, contrast, filters, mixing, peaks, pooling, reduce, resample, restore
+from metafab.decode import calibration, contrast, filters, mixing, peaks, pooling, reduce, resample, restore, twins
 from metafab.decode.depth import parabola, standard_error
 from metafab.decode.judge import structural_similarity
 from metafab.decode.reduce import Reduction, enlarged, repeated
 from metafab.decode.resample import Resampler
-from metafab.decode.segment import grown, interior, split, textured
+from metafab.decode.segment import grown, interior, opened, split, textured
 from metafab.decode.tiles import Tiling
 from metafab.decode.volume import Volume, correlation
 
@@ -265,8 +265,8 @@ def test_the_basis_leaves_out_what_it_may() -> None:
 
 def test_correlation_is_blind_to_contrast() -> None:
     a = np.random.default_rng(4).normal(size=100)
-    for contrast in (0.1, 1.0, 7.0):
-        b = contrast * a
+    for ratio in (0.1, 1.0, 7.0):
+        b = ratio * a
         assert correlation(np.array([(a * b).sum(), (a * a).sum(), (b * b).sum()])) == pytest.approx(1.0)
 
 
@@ -360,3 +360,19 @@ def test_compiled_enlarging_is_the_plain_one(every: int, shape: tuple[int, int])
     assert again.shape == shape
     assert (again[::every, ::every] == small).all()
     assert not np.shares_memory(again, small)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_opened_masks_are_those_of_scipy(steps: int) -> None:
+    mask = np.random.default_rng(steps).random((31, 47)) < 0.93
+    given = mask.copy()
+    assert (opened(mask, steps) == binary_opening(mask, iterations=steps)).all()
+    assert (mask == given).all()
+
+
+@pytest.mark.parametrize("corner", [(-2, -1), (1, 1), (3, -9), (40, 2)])
+def test_a_window_beyond_the_frame_goes_on_with_its_edge(corner: tuple[int, int]) -> None:
+    frame = np.arange(30.0, dtype=np.float32).reshape(5, 6)
+    rows, columns = corner[0] + np.arange(3), corner[1] + np.arange(4)
+    image = twins._cut(frame, corner, (3, 4))
+    assert (image == frame[np.ix_(rows.clip(0, 4), columns.clip(0, 5))]).all()
