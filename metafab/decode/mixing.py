@@ -75,28 +75,33 @@ def _products(
     passed: NDArray[np.float32], shares: NDArray[np.float32], block: int, wanted: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
     """As :func:`agreement`, for images of whole blocks."""
-    n_basis, count = shares.shape[4], shares.shape[3]
-    parts = np.zeros((3, count, wanted.shape[0] * block, wanted.shape[1] * block), dtype=np.float32)
+    n_basis, count, columns = shares.shape[4], shares.shape[3], wanted.shape[1]
+    parts = np.zeros((3, count, wanted.shape[0] * block, columns * block), dtype=np.float32)
     for row in prange(wanted.shape[0]):
-        # A block's pixels lie side by side, so that the mixing runs over all of them at once.
-        inputs = np.zeros((2, n_basis, block * block), dtype=np.float32)
-        mixed = np.empty((2, 4 * ((count + 3) // 4), block * block), dtype=np.float32)
-        for column in range(wanted.shape[1]):
-            if not wanted[row, column]:
-                continue
-            for image in range(2):
-                for k in range(n_basis):
-                    for i in range(block):
-                        for j in range(block):
-                            inputs[image, k, i * block + j] = passed[image, k, row * block + i, column * block + j]
-                _mix(inputs[image], shares[image, row, column], mixed[image])
-            for v in range(count):
+        if not wanted[row].any():
+            continue
+        # A block's pixels lie side by side, so that the mixing runs over all of them at once; pictures are read and
+        # written by whole lines.
+        inputs = np.empty((2, columns, n_basis, block * block), dtype=np.float32)
+        mixed = np.zeros((2, columns, 4 * ((count + 3) // 4), block * block), dtype=np.float32)
+        for image in range(2):
+            for k in range(n_basis):
                 for i in range(block):
+                    line = passed[image, k, row * block + i]
+                    for column in range(columns):
+                        for j in range(block):
+                            inputs[image, column, k, i * block + j] = line[column * block + j]
+            for column in range(columns):
+                if wanted[row, column]:
+                    _mix(inputs[image, column], shares[image, row, column], mixed[image, column])
+        for v in range(count):
+            for i in range(block):
+                to = parts[:, v, row * block + i]
+                for column in range(columns):
                     for j in range(block):
-                        a, b = mixed[0, v, i * block + j], mixed[1, v, i * block + j]
-                        parts[0, v, row * block + i, column * block + j] = a * b
-                        parts[1, v, row * block + i, column * block + j] = a * a
-                        parts[2, v, row * block + i, column * block + j] = b * b
+                        a, b = mixed[0, column, v, i * block + j], mixed[1, column, v, i * block + j]
+                        at = column * block + j
+                        to[0, at], to[1, at], to[2, at] = a * b, a * a, b * b
     return parts
 
 

@@ -92,7 +92,12 @@ class Restorer:
         tiles = self.tiling.touched(lit)
         place = np.zeros(self.tiling.n_tiles, dtype=np.intp)
         place[tiles] = np.arange(tiles.size)
-        return LitTiles(place, np.stack([scipy.fft.rfft2(self.tiling.cut(image, tiles)) for image in images]))
+        n_y, n_x = self.tiling.size
+        spectra = np.empty((2, tiles.size, n_y, n_x // 2 + 1), dtype=np.complex64)
+        for image, found in zip(images, spectra, strict=True):
+            for cut, one in zip(self.tiling.cut(image, tiles), found, strict=True):
+                one[...] = scipy.fft.rfft2(cut)
+        return LitTiles(place, spectra)
 
     def __call__(self, seen: LitTiles, levels: Levels, label: NDArray[np.int32], vergences_per_m: FloatArray) -> Sharp:
         """Both images, sharp where ``label`` says at which depth they are; 0 where it is 0, never negative.

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 import scipy.fft
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
@@ -57,19 +57,19 @@ class Tiling:
         )
         return np.stack([axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij")], axis=1)
 
-    def cut(self, image: FloatArray, tiles: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Tiles with margins of an image with margin: shape (tiles.size, *size); beyond the image, its edge value."""
+    def cut(self, image: FloatArray, tiles: NDArray[np.intp]) -> Iterator[NDArray[np.float32]]:
+        """One after the other, tiles with margins of an image with margin; beyond the image, its edge value."""
         need = [(n - 1) * core + size for n, core, size in zip(self.counts, self.core, self.size, strict=True)]
         extra = [(0, max(0, n - have)) for n, have in zip(need, image.shape, strict=True)]
         padded = np.pad(image, extra, mode="edge") if any(e[1] for e in extra) else image
-        views = sliding_window_view(padded, self.size)[:: self.core[0], :: self.core[1]]
-        row, column = np.divmod(tiles, self.counts[1])
-        cut = np.asarray(views[row, column], dtype=np.float32)
-        level = cut.mean(axis=(-2, -1), keepdims=True)
-        cut -= level
-        cut *= self._fade
-        cut += level
-        return cut
+        for tile in tiles.tolist():
+            row, column = (index * core for index, core in zip(divmod(tile, self.counts[1]), self.core, strict=True))
+            cut = np.array(padded[row : row + self.size[0], column : column + self.size[1]], dtype=np.float32)
+            level = cut.mean()
+            cut -= level
+            cut *= self._fade
+            cut += level
+            yield cut
 
     @cached_property
     def _fade(self) -> NDArray[np.float32]:

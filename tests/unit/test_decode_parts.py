@@ -126,7 +126,7 @@ def test_tiles_give_the_window_back(shape: tuple[int, int], margin: int, core: t
     tiling = Tiling.over(shape, margin, core)
     image = np.random.default_rng(3).normal(size=(shape[0] + 2 * margin, shape[1] + 2 * margin))
     back = np.full(shape, np.nan)
-    for tile, core_px in enumerate(tiling.cores(scipy.fft.rfft2(tiling.cut(image, np.arange(tiling.n_tiles))))):
+    for tile, core_px in enumerate(tiling.cores(scipy.fft.rfft2(list(tiling.cut(image, np.arange(tiling.n_tiles)))))):
         rows, columns = back[tiling.place(tile)].shape
         assert np.isnan(back[tiling.place(tile)]).all()
         back[tiling.place(tile)] = core_px[:rows, :columns]
