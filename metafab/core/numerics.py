@@ -38,5 +38,5 @@ def compiled_parallel(function: Function) -> Function:
         return function
     import numba
 
-    decorated: Any = numba.njit(cache=True, nogil=True, parallel=True)(function)
+    decorated: Any = numba.njit(cache=True, nogil=True, parallel=True, error_model="numpy")(function)
     return cast("Function", decorated)

@@ -53,15 +53,14 @@ def _ratios(
     contrast, error = np.empty(lit.shape), np.empty(lit.shape)
     for i in prange(lit.shape[0]):
         for j in range(lit.shape[1]):
-            x, y = images[0, i, j], images[1, i, j]
-            if lit[i, j] and y > np.float32(0.0):
-                ratio = x / y
-                of_x = noise_gain[0, i, j] * (about[0, i, j] + dark)
-                of_y = noise_gain[1, i, j] * (about[1, i, j] + dark)
-                contrast[i, j] = ratio
-                error[i, j] = np.sqrt(of_x + ratio * ratio * of_y) / y
-            else:
-                contrast[i, j] = error[i, j] = np.nan
+            known = lit[i, j] and images[1, i, j] > np.float32(0.0)
+            y = images[1, i, j] if known else np.float32(1.0)
+            ratio = images[0, i, j] / y
+            of_x = noise_gain[0, i, j] * (about[0, i, j] + dark)
+            of_y = noise_gain[1, i, j] * (about[1, i, j] + dark)
+            spread = np.sqrt(of_x + ratio * ratio * of_y) / y
+            contrast[i, j] = ratio if known else np.float32(np.nan)
+            error[i, j] = spread if known else np.float32(np.nan)
     return contrast, error
 
 

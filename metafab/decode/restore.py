@@ -121,17 +121,18 @@ class Restorer:
         ratio = noise_to_signal.astype(np.float32)
         sharp = Sharp(*np.zeros((2, 2, *tiling.shape), dtype=np.float32))
         steps = self._steps(vergences_per_m)
-        pairs = [(tile, number) for tile in range(tiling.n_tiles) for number in tiling.numbers(label, tile)]
+        pairs = tiling.numbers(label, len(vergences_per_m))
         transfers = self._transfers([(int(steps[number - 1]), tile) for tile, number in pairs])
 
         def restore(pair: tuple[int, int], transfer: NDArray[np.complex64]) -> None:
             tile, number = pair
             spectra = seen.spectra[:, seen.place[tile]]
             filtered, gain = (_wiener if HAS_NUMBA else _wiener_plain)(transfer, spectra, ratio)
-            core, part = tiling.cores(filtered, workers=1), tiling.place(tile)
-            rows, columns = label[part].shape
-            mask = label[part] == number
-            np.copyto(sharp.images[:, *part], np.maximum(core[:, :rows, :columns], 0.0), where=mask)
+            mask = label[tiling.place(tile)] == number
+            rows = np.flatnonzero(mask.any(axis=1))
+            part, mask = tiling.place(tile, rows[0], rows[-1] + 1), mask[rows[0] : rows[-1] + 1]
+            core = tiling.cores(filtered, rows[0], rows[-1] + 1)[..., : mask.shape[1]]
+            np.copyto(sharp.images[:, *part], np.maximum(core, 0.0), where=mask)
             np.copyto(sharp.noise_gain[:, *part], gain[:, None, None], where=mask)
 
         # A tile and a depth at once: what one thread works on stays in its cache.
@@ -209,18 +210,22 @@ def _wiener(
     _, n_y, n_x = transfer.shape
     out = np.empty((2, n_y, n_x), dtype=np.complex64)
     gain = np.zeros(2, dtype=np.float32)
+    squares = np.empty(n_x, dtype=np.float32)
     for image in range(2):
         total = 0.0
         for i in range(n_y):
+            given, seen, noise, to = transfer[image, i], spectra[image, i], ratio[i], out[image, i]
+            for j in range(n_x):
+                h, s = given[j], seen[j]
+                square = h.real * h.real + h.imag * h.imag
+                inverse = np.float32(1.0) / (square + noise[j])
+                real, imag = h.real * inverse, h.imag * inverse
+                to[j] = complex(real * s.real + imag * s.imag, real * s.imag - imag * s.real)
+                squares[j] = square * inverse * inverse
             line = np.float32(0.0)
             for j in range(n_x):
-                h, s = transfer[image, i, j], spectra[image, i, j]
-                square = h.real * h.real + h.imag * h.imag
-                power = square + ratio[i, j]
-                real = (h.real * s.real + h.imag * s.imag) / power
-                out[image, i, j] = complex(real, (h.real * s.imag - h.imag * s.real) / power)
-                share = square / (power * power)
-                line += share if j == 0 or j == n_x - 1 else share + share
-            total += float(line)
+                line += squares[j]
+            # The other half plane; transforms have an even number of columns.
+            total += 2.0 * float(line) - float(squares[0]) - float(squares[n_x - 1])
         gain[image] = total / (n_y * 2 * (n_x - 1))
     return out, gain

@@ -12,6 +12,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numerics import HAS_NUMBA, compiled
 
 #: Share of the margin over which a tile fades out.
 _FADE = 0.75
@@ -84,22 +85,26 @@ class Tiling:
             fades.append(0.5 - 0.5 * np.cos(np.pi * share))
         return np.asarray(fades[0][:, None] * fades[1][None, :], dtype=np.float32)
 
-    def place(self, tile: int) -> tuple[slice, slice]:
-        """A tile's core in the window; the last ones may reach beyond it."""
+    def place(self, tile: int, first: int = 0, last: int | None = None) -> tuple[slice, slice]:
+        """Some rows of a tile's core in the window, all by default; the last ones may reach beyond it."""
         row, column = divmod(tile, self.counts[1])
-        (n_y, n_x) = self.core
-        return slice(row * n_y, (row + 1) * n_y), slice(column * n_x, (column + 1) * n_x)
+        n_y, n_x = self.core
+        top = row * n_y
+        return slice(top + first, top + (n_y if last is None else last)), slice(column * n_x, (column + 1) * n_x)
 
-    def numbers(self, label: NDArray[np.int32], tile: int) -> list[int]:
-        """Those above 0 that ``label`` (the window's shape) has in a tile's core."""
-        return (1 + np.flatnonzero(np.bincount(label[self.place(tile)].ravel())[1:])).tolist()
+    def numbers(self, label: NDArray[np.int32], largest: int) -> list[tuple[int, int]]:
+        """The tiles with each number from 1 to ``largest`` that ``label`` (the window's shape) has in their cores."""
+        found = (_numbers if HAS_NUMBA else _numbers_plain)(label, self.core, self.counts, largest)
+        return [(tile, number + 1) for tile, number in np.argwhere(found[:, 1:]).tolist()]
 
-    def cores(self, spectra: NDArray[np.complex64], workers: int = 2) -> NDArray[np.float32]:
-        """What tiles of some spectra (..., n_ky, n_kx) deliver: shape (..., *core)."""
+    def cores(self, spectra: NDArray[np.complex64], first: int = 0, last: int | None = None) -> NDArray[np.float32]:
+        """What tiles of some spectra (..., n_ky, n_kx) deliver in some rows of their cores, all by default."""
         (n_y, n_x), m = self.core, self.margin
-        # Rows of the margins are not needed, and not transformed back.
-        rows = scipy.fft.ifft(spectra, axis=-2, workers=workers, overwrite_x=True)[..., m : m + n_y, :]
-        return np.asarray(scipy.fft.irfft(rows, self.size[1], workers=workers)[..., m : m + n_x])
+        # Rows that are not needed are not transformed back.
+        rows = scipy.fft.ifft(spectra, axis=-2, overwrite_x=True)[
+            ..., m + first : m + (n_y if last is None else last), :
+        ]
+        return np.asarray(scipy.fft.irfft(rows, self.size[1])[..., m : m + n_x])
 
     def touched(self, mask: NDArray[np.bool_]) -> NDArray[np.intp]:
         """Numbers of the tiles whose cores hold a pixel of ``mask`` (the window's shape)."""
@@ -107,3 +112,29 @@ class Tiling:
         whole = np.zeros((rows * n_y, columns * n_x), dtype=bool)
         whole[: self.shape[0], : self.shape[1]] = mask
         return np.flatnonzero(whole.reshape(rows, n_y, columns, n_x).any(axis=(1, 3)))
+
+
+def _numbers_plain(
+    label: NDArray[np.int32], core: tuple[int, int], counts: tuple[int, int], largest: int
+) -> NDArray[np.bool_]:
+    found = np.zeros((counts[0] * counts[1], largest + 1), dtype=bool)
+    row, column = (np.arange(n) // side for n, side in zip(label.shape, core, strict=True))
+    found[row[:, None] * counts[1] + column, label] = True
+    return found
+
+
+@compiled
+def _numbers(
+    label: NDArray[np.int32], core: tuple[int, int], counts: tuple[int, int], largest: int
+) -> NDArray[np.bool_]:
+    """Which numbers up to ``largest`` occur in each tile's core: shape (n_tiles, largest + 1)."""
+    found = np.zeros((counts[0] * counts[1], largest + 1), dtype=np.bool_)
+    for i in range(label.shape[0]):
+        for column in range(counts[1]):
+            here = found[(i // core[0]) * counts[1] + column]
+            last = -1
+            for j in range(column * core[1], min((column + 1) * core[1], label.shape[1])):
+                if label[i, j] != last:
+                    last = label[i, j]
+                    here[last] = True
+    return found

@@ -10,7 +10,19 @@ from hypothesis import strategies as st
 from scipy.interpolate import BSpline
 from scipy.ndimage import binary_opening, uniform_filter
 
-from metafab.decode import calibration, contrast, filters, mixing, peaks, pooling, reduce, resample, restore, twins
+from metafab.decode import (
+    calibration,
+    contrast,
+    filters,
+    mixing,
+    peaks,
+    pooling,
+    reduce,
+    resample,
+    restore,
+    tiles,
+    twins,
+)
 from metafab.decode.depth import parabola, standard_error
 from metafab.decode.judge import structural_similarity
 from metafab.decode.reduce import Reduction, enlarged, repeated
@@ -110,10 +122,10 @@ def test_mixtures_are_sums_by_their_blocks_shares(
     np.testing.assert_allclose(mixing.agreement(passed, shares, block, lit), want, atol=1e-4)
     whole = [np.repeat(np.repeat(shares[p], block, axis=0), block, axis=1)[:n_y, :n_x] for p in (0, 1)]
     a, b = (np.einsum("yxvk,kyx->vyx", part, images) for part, images in zip(whole, passed, strict=True))
-    of_lit = mixing.covered(lit, block)
+    of_lit = wanted.repeat(block, axis=0).repeat(block, axis=1)[:n_y, :n_x]
+    assert of_lit[lit].all()
     np.testing.assert_allclose(want, np.stack([a * b, a * a, b * b]) * of_lit, atol=1e-4)
-    assert not want[..., ~mixing.covered(lit, block)].any()
-    assert mixing.covered(lit, block)[lit].all()
+    assert not want[..., ~of_lit].any()
 
 
 @settings(max_examples=60, deadline=None)
@@ -139,8 +151,11 @@ def test_only_touched_tiles_are_cut() -> None:
     mask[25, 45] = True
     assert tiling.touched(mask).tolist() == [5]
     assert mask[tiling.place(5)].sum() == 1
-    assert tiling.numbers(np.where(mask, 7, 0).astype(np.int32), 5) == [7]
-    assert tiling.numbers(np.zeros((40, 60), dtype=np.int32), 5) == []
+    assert tiling.numbers(np.where(mask, 7, 0).astype(np.int32), 9) == [(5, 7)]
+    assert tiling.numbers(np.zeros((40, 60), dtype=np.int32), 9) == []
+    label = np.random.default_rng(2).integers(0, 3, (40, 60), dtype=np.int32)
+    found = tiles._numbers(label, tiling.core, tiling.counts, 4)
+    assert (found == tiles._numbers_plain(label, tiling.core, tiling.counts, 4)).all()
 
 
 @settings(max_examples=40, deadline=None)
