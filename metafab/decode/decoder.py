@@ -16,12 +16,13 @@ from metafab.core.conventions import FloatArray
 from metafab.core.progress import Progress, silent
 from metafab.decode.calibration import Calibration
 from metafab.decode.compose import composed, empty, full_depth_m, lit_about, sharpened
+from metafab.decode.depth import PixelDepth
 from metafab.decode.filters import BASIS_ERROR, CrossFilters
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
 from metafab.decode.levels import Levels
 from metafab.decode.reduce import repeated
-from metafab.decode.regions import find_regions, textured_pixels
+from metafab.decode.regions import Regions, find_regions, textured_pixels
 from metafab.decode.restore import Restorer, Sharp
 from metafab.decode.seen import Seen
 from metafab.decode.twins import TwinGrid
@@ -130,7 +131,8 @@ class Decoder:
         seen = self.look(frame)
         if isinstance(seen, str):
             return _nothing(self.calibration.grid.shape, frame, seen, started, self.calibration.grid)
-        return self.finish(frame, seen, self.volume(seen, progress=progress), started=started)[0]
+        found = self.finish(frame, seen, self.volume(seen, progress=progress))
+        return judged(found.image, frame, seconds=time.perf_counter() - started)
 
     def look(self, frame: RawFrame, levels: Levels | None = None) -> Seen | str:
         """The twins and what is to be seen of them at once, or why there is nothing.
@@ -139,41 +141,57 @@ class Decoder:
             frame: of the decoder's shape.
             levels: of an earlier frame in the same light; measured by default.
         """
-        return Seen.of(frame, self.calibration.grid, self.filters.reduction, levels)
+        grid, values = self.calibration.grid, np.asarray(frame.frame)
+        if values.shape != grid.frame_shape or values.dtype.kind not in "buif":
+            return f"expected a grey frame of {grid.frame_shape}, got one of {values.shape}, {values.dtype}"
+        return Seen.of(frame, grid, self.filters.reduction, levels)
 
-    def volume(
-        self,
-        seen: Seen,
-        changed: NDArray[np.bool_] | None = None,
-        last: Volume | None = None,
-        progress: Progress = silent,
-    ) -> Volume:
-        """Agreement of the twins over depth; with ``last``, that is kept in blocks where nothing ``changed``."""
-        where = seen.lit if last is None or changed is None else changed
-        return self.filters.volume(seen.spectra, seen.levels, where, progress, last)
+    def volume(self, seen: Seen, progress: Progress = silent) -> Volume:
+        """Agreement of the twins over depth."""
+        return self.filters.volume(seen.spectra, seen.levels, seen.lit, progress)
 
     def finish(
         self,
         frame: RawFrame,
         seen: Seen,
         volume: Volume,
+        pixels: PixelDepth | None = None,
         changed: NDArray[np.bool_] | None = None,
-        last: Sharp | None = None,
-        *,
-        started: float | None = None,
-    ) -> tuple[Image4D, Sharp]:
-        """Depth, segments and sharp images; with ``last``, its brightness is kept where nothing ``changed``."""
-        started = time.perf_counter() if started is None else started
+        last: Decoded | None = None,
+    ) -> Decoded:
+        """Depth, segments and sharp images.
+
+        Args:
+            frame: what is decoded.
+            seen: of the frame.
+            volume: of the frame.
+            pixels: the depth of each pixel by itself, if it is known.
+            changed: compared pixels outside of which brightness is the ``last`` frame's.
+            last: the frame before.
+        """
         every, shape = self.filters.reduction.every, self.calibration.grid.shape
         with ThreadPoolExecutor(1) as beside:
-            anew = lit_about(seen) if last is None or changed is None else lit_about(seen) & changed
+            anew = lit_about(seen) if changed is None else lit_about(seen) & changed
             # Loops over all threads are left to this one: not every threading layer lets two start them at once.
             tiles = beside.submit(self.restorer.transformed, seen.twins.image, repeated(anew, every, shape))
-            pixels = textured_pixels(seen, volume)
+            pixels = textured_pixels(seen, volume) if pixels is None else pixels
             regions = find_regions(seen, volume, pixels)
-        sharp = sharpened(seen, regions, self.restorer, tiles.result(), volume.vergences_per_m, changed, last)
+        kept = None if last is None else last.sharp
+        sharp = sharpened(seen, regions, self.restorer, tiles.result(), volume.vergences_per_m, changed, kept)
         image = composed(frame, seen, volume, pixels, regions, sharp, self.filters.kernels.shape[1])
-        return judged(image, frame, seconds=time.perf_counter() - started), sharp
+        return Decoded(seen, volume, pixels, regions, sharp, image)
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """A frame, and all that was found on the way to its image."""
+
+    seen: Seen
+    volume: Volume
+    pixels: PixelDepth
+    regions: Regions
+    sharp: Sharp
+    image: Image4D
 
 
 def _nothing(

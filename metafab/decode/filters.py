@@ -25,7 +25,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.progress import Progress
 from metafab.decode.calibration import Calibration
 from metafab.decode.levels import LOWEST_FREQUENCY, Levels
-from metafab.decode.mixing import agreement, covered
+from metafab.decode.mixing import agreement
 from metafab.decode.reduce import Reduction
 from metafab.decode.volume import Volume
 from metafab.phase.information import Texture, twin_information
@@ -152,7 +152,6 @@ class CrossFilters:
         levels: Levels,
         lit: NDArray[np.bool_],
         progress: Progress,
-        last: Volume | None = None,
     ) -> Volume:
         """Agreement of the twins at each candidate depth.
 
@@ -161,7 +160,6 @@ class CrossFilters:
             levels: noise and texture of the frame.
             lit: shape of the reduced window, where there is light: other blocks are left out.
             progress: called after each image.
-            last: agreement that is kept where nothing is lit.
         """
         weight = self._weight(levels)
         rows, columns = self.reduction.inner
@@ -178,8 +176,6 @@ class CrossFilters:
             for done, _ in enumerate(pool.map(passes, range(2)), start=1):
                 progress("decode", done, 2)
         parts = agreement(passed, self.shares, self.block, lit)
-        if last is not None:
-            np.copyto(parts, last.parts, where=~covered(lit, self.block))
         return Volume(self.vergences_per_m, parts, *self._samples(weight))
 
     @property

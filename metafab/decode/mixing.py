@@ -38,12 +38,6 @@ def touched(mask: NDArray[np.bool_], block: int) -> NDArray[np.bool_]:
     return np.asarray(whole.reshape(rows, block, columns, block).any(axis=(1, 3)))
 
 
-def covered(mask: NDArray[np.bool_], block: int) -> NDArray[np.bool_]:
-    """The pixels of all blocks that hold a pixel of ``mask``: the shape of ``mask``."""
-    whole = touched(mask, block).repeat(block, axis=0).repeat(block, axis=1)
-    return np.asarray(whole[: mask.shape[0], : mask.shape[1]])
-
-
 @compiled
 def _mix(images: NDArray[np.float32], shares: NDArray[np.float32], out: NDArray[np.float32]) -> None:
     """Sums of images (n, n_px) by shares (n_mixtures, n); rows of ``out`` beyond the mixtures repeat the last.

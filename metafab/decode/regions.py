@@ -69,12 +69,12 @@ def textured_pixels(seen: Seen, volume: Volume) -> PixelDepth:
     """The depth of each pixel by itself, claimed where something lit shows texture."""
     variance = seen.variance
     with ThreadPoolExecutor(1) as beside:
-        near = beside.submit(_near_texture, seen)
+        near = beside.submit(near_texture, seen)
         pixels = pixel_depth(volume, seen.window, variance)
     return PixelDepth(pixels.vergence_per_m, pixels.relative_error, pixels.claimed & near.result())
 
 
-def _near_texture(seen: Seen) -> NDArray[np.bool_]:
+def near_texture(seen: Seen) -> NDArray[np.bool_]:
     """Pixels whose windows lie on something lit that shows texture.
 
     The outline of a uniform object has no texture either: what lies behind it would be mixed in.

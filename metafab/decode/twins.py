@@ -20,7 +20,7 @@ from metafab.decode.reduce import taken
 from metafab.decode.resample import Resampler
 
 #: Squares of brighter values would not fit single precision; nothing real comes near.
-_BRIGHTEST = 1e15
+BRIGHTEST = 1e15
 #: How far around a part of a frame its broken pixels' neighbours and theirs are.
 _MENDED_PX = 4
 #: What frames are made of, in the machine's byte order; all else is converted first.
@@ -212,14 +212,19 @@ def extract_part(
     return image, bad[m : shape[0] - m, m : shape[1] - m]
 
 
+def readable(given: NDArray[Any]) -> NDArray[Any]:
+    """Values of a type that loops are compiled for."""
+    values = np.asarray(given)
+    return values if values.dtype in _COMPILED_FOR else values.astype(np.float64)
+
+
 def _checked(given: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Values in single precision, and which of them are saturated, too bright or not a number."""
-    if given.dtype not in _COMPILED_FOR:
-        given = given.astype(np.float64)
+    given = readable(given)
     if HAS_NUMBA:
         return _checked_loop(given, saturation)
     with np.errstate(over="ignore", invalid="ignore"):
-        fine = np.abs(given) < _BRIGHTEST
+        fine = np.abs(given) < BRIGHTEST
         return np.where(fine, given, np.nan).astype(np.float32), ~fine | (given >= saturation)
 
 
@@ -230,7 +235,7 @@ def _checked_loop(given: NDArray[Any], saturation: float) -> tuple[NDArray[np.fl
     for i in prange(given.shape[0]):
         for j in range(given.shape[1]):
             value = np.float64(given[i, j])
-            fine = abs(value) < _BRIGHTEST
+            fine = abs(value) < BRIGHTEST
             values[i, j] = value if fine else np.nan
             broken[i, j] = not fine or value >= saturation
     return values, broken

@@ -2,28 +2,29 @@
 
 from __future__ import annotations
 
-import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, uniform_filter
 
 from metafab.camera.frame import RawFrame
-from metafab.decode.decoder import Decoder
+from metafab.core.progress import silent
+from metafab.decode.changes import Glance, Squares, parts_of
+from metafab.decode.decoder import Decoded, Decoder
+from metafab.decode.depth import PixelDepth, pixel_depth
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
-from metafab.decode.levels import Levels
-from metafab.decode.restore import Sharp
+from metafab.decode.regions import near_texture
 from metafab.decode.seen import Seen
-from metafab.decode.volume import Volume
+from metafab.decode.twins import extract_part
 
-#: Side of the window over which changes are pooled, and how many standard deviations of noise a change must pass: its
-#: mean square has a longer tail than a Gaussian, and 6 of them let noise pass once in some dozen frames of 10^5 pixels.
-_WINDOW = 7
-_DEVIATIONS = 8.0
-_SMALLEST_NOISE = 0.05
+#: A frame of which more changed is decoded anew, with levels of its own.
+_MOST_CHANGED = 0.6
+#: Compared pixels to which means over windows, halved thrice, keep.
+_ALIGNED = 8
+
+Part = tuple[slice, slice]
 
 
 @dataclass
@@ -37,9 +38,7 @@ class VideoDecoder:
 
     decoder: Decoder
     changed_share: float = field(default=1.0, init=False)
-    _last: tuple[NDArray[np.float32], Levels, Volume, Image4D, Sharp] | None = field(
-        default=None, init=False, repr=False
-    )
+    _last: tuple[Decoded, Glance, tuple[object, ...]] | None = field(default=None, init=False, repr=False)
 
     def __call__(self, frame: RawFrame) -> Image4D:
         """Decode the next frame: where nothing moved, agreement of the twins and brightness are the last frame's.
@@ -47,41 +46,85 @@ class VideoDecoder:
         ``details`` get ``changed_share``. A frame that cannot be decoded is forgotten at once.
         """
         started = time.perf_counter()
-        seen = self.decoder.look(frame, None if self._last is None else self._last[1])
-        if not isinstance(seen, Seen):
-            self._last, self.changed_share = None, 1.0
-            return self.decoder(frame)
-        if self._last is None:
-            changed = np.ones(seen.lit.shape, dtype=bool)
-            volume = self.decoder.volume(seen)
-            image, sharp = self.decoder.finish(frame, seen, volume, started=started)
-            self._last = seen.small, seen.levels, volume, image, sharp
-        else:
-            small, levels, volume, image, sharp = self._last
-            moved = self._moved(small, seen)
-            changed = self._reached(moved)
-            if changed.any():
-                volume = self.decoder.volume(seen, changed, volume)
-                image, sharp = self.decoder.finish(frame, seen, volume, changed, sharp, started=started)
-                self._last = np.where(moved, seen.small, small), levels, volume, image, sharp
-            else:
-                image = judged(image, frame, seconds=time.perf_counter() - started)
-        self.changed_share = float(changed.mean())
+        camera = (np.shape(frame.frame), frame.pixel_um, frame.origin_um, frame.read_noise_e, frame.saturation_e)
+        last = self._last
+        self._last, self.changed_share = None, 1.0
+        found: Decoded | None = None
+        if last is not None and last[2] == camera:
+            found, glance = self._updated(frame, last[0], last[1])
+        if found is None:
+            seen = self.decoder.look(frame)
+            if not isinstance(seen, Seen):
+                return self.decoder(frame)
+            found, glance = self.decoder.finish(frame, seen, self.decoder.volume(seen)), self._squares.glance(frame)
+        self._last = found, glance, camera
+        image = judged(found.image, frame, seconds=time.perf_counter() - started)
         image.details["changed_share"] = self.changed_share
         return image
 
-    def _moved(self, small: NDArray[np.float32], seen: Seen) -> NDArray[np.bool_]:
-        """Where the reduced twins, margin included, differ from the remembered ones by more than their noise."""
-        # Beside bright pixels some of their noise is mixed in: no pixel counts as quieter than a share of theirs.
-        quietest = seen.levels.read_noise_e**2 + _SMALLEST_NOISE * seen.levels.noise_variance
-        noise = np.maximum(0.5 * (small + seen.small), 0.0) + quietest
-        noise = 2.0 * self.decoder.filters.reduction.variance_left * uniform_filter(noise, (0, _WINDOW, _WINDOW))
-        change = uniform_filter((seen.small - small) ** 2, (0, _WINDOW, _WINDOW)) / np.maximum(noise, 1e-12)
-        # Reduced pixels are nearly independent: the mean square of n of them is 1 +- sqrt(2 / n).
-        return np.asarray((change > 1.0 + _DEVIATIONS * math.sqrt(2.0) / _WINDOW).any(axis=0))
+    @cached_property
+    def _squares(self) -> Squares:
+        return Squares.of(self.decoder.calibration.grid, self.decoder.filters.reduction)
 
-    def _reached(self, moved: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Pixels of the window that filters or windows mix with something that moved."""
-        reduction = self.decoder.filters.reduction
-        wide = maximum_filter(moved, 2 * reduction.margin + 1)
-        return np.asarray(wide[reduction.inner])
+    def _updated(self, frame: RawFrame, last: Decoded, before: Glance) -> tuple[Decoded | None, Glance]:
+        """The last frame with what changed, if that is not too much, and what it looks like."""
+        now = self._squares.glance(frame)
+        reached = self._squares.reached(self._squares.moved(now, before, last.seen.levels))
+        parts = parts_of(reached, self.decoder.filters.block)
+        changed = np.zeros(reached.shape, dtype=bool)
+        for part in parts:
+            changed[part] = True
+        share = float(changed.mean())
+        if share > _MOST_CHANGED:
+            return None, now
+        self.changed_share = share
+        if not parts:
+            return last, before
+        seen = self._looked(frame, last, parts)
+        pixels = self._pixels(seen, last, parts)
+        found = self.decoder.finish(frame, seen, last.volume, pixels, changed, last)
+        margin = self._squares.margin
+        return found, now.kept(before, np.pad(changed, margin))
+
+    def _looked(self, frame: RawFrame, last: Decoded, parts: list[Part]) -> Seen:
+        """The twins and their agreement, written over the last frame's in some parts."""
+        grid, seen, every = self.decoder.calibration.grid, last.seen, self.decoder.filters.reduction.every
+        m = self._squares.margin
+        for rows, columns in parts:
+            inside = tuple(
+                slice(at.start * every, min(at.stop * every, n))
+                for at, n in zip((rows, columns), grid.shape, strict=True)
+            )
+            image, bad = extract_part(frame, grid, *inside)
+            wide = tuple(slice(at.start, at.stop + 2 * grid.margin) for at in inside)
+            seen.twins.image[:, *wide], seen.twins.bad[inside] = image, bad
+            filters = self.decoder.filters.within(rows, columns)
+            spectra = filters.reduction.spectra(image)
+            small = filters.reduction.images(spectra)[:, *filters.reduction.inner]
+            seen.small[:, m + rows.start : m + rows.stop, m + columns.start : m + columns.stop] = small
+            lit = small.sum(axis=0) > seen.floor_e
+            volume = filters.volume(spectra, seen.levels, lit, silent)
+            last.volume.parts[:, :, rows, columns] = volume.parts
+        return replace(seen)
+
+    def _pixels(self, seen: Seen, last: Decoded, parts: list[Part]) -> PixelDepth:
+        """The depth of each pixel by itself, written over the last frame's where windows reach into some parts."""
+        reach = -(-2 * seen.window // _ALIGNED) * _ALIGNED
+        vergence, error = last.pixels.vergence_per_m, last.pixels.relative_error
+        for part in parts:
+            near, wide = (self._about(part, k * reach) for k in (1, 2))
+            volume = replace(last.volume, parts=last.volume.parts[:, :, *wide])
+            found = pixel_depth(volume, seen.window, seen.variance[:, *wide])
+            inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(near, wide, strict=True))
+            vergence[near], error[near] = found.vergence_per_m[inner], found.relative_error[inner]
+        return PixelDepth(vergence, error, np.isfinite(error) & near_texture(seen))
+
+    def _about(self, part: Part, reach: int) -> Part:
+        """A part and what lies about it in the window."""
+        rows, columns = (
+            slice(
+                max(0, (at.start - reach) // _ALIGNED * _ALIGNED), min(n, -(-(at.stop + reach) // _ALIGNED) * _ALIGNED)
+            )
+            for at, n in zip(part, self.decoder.filters.reduction.shape, strict=True)
+        )
+        return rows, columns

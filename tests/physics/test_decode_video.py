@@ -21,6 +21,17 @@ SCENE = Scene(
     objects=(CAR, WALL), field_px=(120, 160), frames=5, frame_interval_s=0.1, exposure_s=0.02, seed=2,
     photons_per_pixel=6000.0,
 )  # fmt: skip
+#: A larger picture, in a part of which a smaller car drives past a tilted wall.
+STREET = Scene(
+    objects=(
+        SceneObject(depth_m=0.0033, centre=(0.0, 0.0), size=(0.26, 0.62), tilt=(0.0, 0.05)),
+        SceneObject(
+            depth_m=0.0028, centre=(0.03, 0.14), size=(0.12, 0.10), velocity_m_per_s=(-0.0006, 0.0, -0.0006),
+            polarisation_contrast=2.0,
+        ),
+    ),
+    field_px=(400, 170), frames=4, frame_interval_s=0.1, exposure_s=0.02, seed=2, photons_per_pixel=6000.0,
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -126,6 +137,65 @@ def test_where_it_changed_the_frame_by_itself_decides(psf: Psf, frames: list[Raw
     assert frames[-1].truth is not None
     car = frames[-1].truth.label == 1
     np.testing.assert_allclose(np.nanmedian(image.depth_m[car]), np.nanmedian(alone.depth_m[car]), rtol=3e-3)
+
+
+def test_frames_are_as_if_decoded_alone_and_leave_the_earlier_ones_as_they_were(psf: Psf) -> None:
+    """No ghost of the car where it was, and no image that a later frame writes over."""
+    street = list(film(STREET, psf))
+    decode = video(psf, street[0])
+    images = [decode(frame) for frame in street]
+    assert 0.0 < decode.changed_share < 0.61
+    copies = [image.depth_m.copy() for image in images]
+    for frame, image, copy in zip(street, images, copies, strict=True):
+        np.testing.assert_array_equal(image.depth_m, copy)
+        alone = decode.decoder(frame)
+        assert frame.truth is not None
+        both = np.isfinite(image.depth_m) & np.isfinite(alone.depth_m)
+        assert both.sum() > 0.99 * np.isfinite(alone.depth_m).sum()
+        assert np.mean(np.abs(image.depth_m / alone.depth_m - 1.0)[both] < 0.01) > 0.98
+        for name in ("psnr_x_db", "psnr_y_db"):
+            assert image.details[name] == pytest.approx(alone.details[name], abs=0.2)
+        car = frame.truth.label == 2
+        assert np.nanmedian(image.depth_m[car] / frame.truth.depth_m[car]) == pytest.approx(1.0, abs=0.01)
+        # The share of pixels on another object's depth is that of a frame by itself.
+        wrong = [np.mean(np.abs(one.depth_m / frame.truth.depth_m - 1.0) > 0.05) for one in (image, alone)]
+        assert wrong[0] < wrong[1] + 0.005
+
+
+def test_other_light_and_another_scene_are_decoded_anew(psf: Psf, frames: list[RawFrame]) -> None:
+    other = dataclasses.replace(SCENE, objects=(dataclasses.replace(WALL, depth_m=0.003, size=(0.3, 0.3)),), frames=1)
+    cuts = [
+        dataclasses.replace(frames[0], frame=3.0 * frames[0].frame),
+        dataclasses.replace(frames[0], frame=0.2 * frames[0].frame),
+        next(film(other, psf)),
+    ]
+    decode = video(psf, frames[0])
+    for cut in cuts:
+        decode(frames[0])
+        image, alone = decode(cut), decode.decoder(cut)
+        assert decode.changed_share == 1.0
+        np.testing.assert_array_equal(image.depth_m, alone.depth_m)
+        np.testing.assert_array_equal(image.intensity_y, alone.intensity_y)
+
+
+def test_when_motion_stops_nothing_changes(psf: Psf, frames: list[RawFrame]) -> None:
+    decode = video(psf, frames[0])
+    for frame in (*frames, frames[-1], frames[-1]):
+        image = decode(frame)
+    assert decode.changed_share == 0.0
+    assert image.details["changed_share"] == 0.0
+
+
+def test_frames_of_another_camera_are_not_mixed_with_the_last(psf: Psf, frames: list[RawFrame]) -> None:
+    decode = video(psf, frames[0])
+    decode(frames[0])
+    small = decode(dataclasses.replace(frames[1], frame=frames[1].frame[:50, :60]))
+    assert not np.isfinite(small.depth_m).any()
+    assert "expected" in str(small.details["reason"])
+    assert not np.isfinite(decode(dataclasses.replace(frames[1], frame=np.zeros((2, 2, 2)))).depth_m).any()
+    decode(frames[0])
+    noisier = decode(dataclasses.replace(frames[0], read_noise_e=9.0))
+    assert noisier.details["changed_share"] == 1.0
 
 
 def test_darkness_in_between_is_forgotten(psf: Psf, frames: list[RawFrame]) -> None:

@@ -1,0 +1,177 @@
+"""Where a frame differs from an earlier one by more than noise, at a glance: before its twins are brought together.
+
+Squares of the raw frame are compared, one about each compared pixel of either image. The same squares are taken in all
+frames, so that it does not matter that they stand on whole pixels.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import find_objects, maximum_filter
+from scipy.ndimage import label as connected
+
+from metafab.camera.frame import RawFrame
+from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
+from metafab.decode.levels import Levels
+from metafab.decode.mixing import touched
+from metafab.decode.pooling import window_means
+from metafab.decode.reduce import Reduction
+from metafab.decode.twins import BRIGHTEST, TwinGrid, readable
+
+#: Side of the window over which changes are pooled, and how many standard deviations of noise a change must pass: its
+#: mean square has a longer tail than a Gaussian, and 6 of them let noise pass once in some dozen frames of 10^5 pixels.
+_WINDOW = 7
+_DEVIATIONS = 8.0
+_SMALLEST_NOISE = 0.05
+#: Parts of a window have one of these many blocks a side, so that few sizes occur.
+_BLOCKS = (1, 2, 3, 4, 5, 6, 8, 10, 12, 14, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
+
+
+@dataclass(frozen=True)
+class Glance:
+    """A frame at a glance.
+
+    Attributes:
+        mean: shape (2, n_y, n_x), mean of the good pixels of each square of both images, margin included; 0 for none.
+        broken: the same shape, how many pixels of it are saturated or not a number.
+    """
+
+    mean: NDArray[np.float32]
+    broken: NDArray[np.uint8]
+
+    def kept(self, last: Glance, anew: NDArray[np.bool_]) -> Glance:
+        """``last`` but for the squares (n_y, n_x) that are taken ``anew``."""
+        return Glance(np.where(anew, self.mean, last.mean), np.where(anew, self.broken, last.broken))
+
+
+@dataclass(frozen=True)
+class Squares:
+    """The squares of a frame.
+
+    Attributes:
+        row: shape (2, n_y, n_x), first row in the frame of each; likewise ``column``.
+        side: pixels.
+        margin: squares all around the decoded window.
+    """
+
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+    side: int
+    margin: int
+
+    @classmethod
+    def of(cls, grid: TwinGrid, reduction: Reduction) -> Squares:
+        """About every compared pixel of both images."""
+        every = reduction.every
+        twin_row, twin_column = (np.rint(place[::every, ::every]) for place in (grid.twin_row, grid.twin_column))
+        own_row, own_column = np.indices(grid.tangent_x.shape)[:, ::every, ::every]
+        row, column = np.stack([own_row + grid.row, twin_row]), np.stack([own_column + grid.column, twin_column])
+        return cls((row - every // 2).astype(np.int32), (column - every // 2).astype(np.int32), every, reduction.margin)
+
+    def glance(self, frame: RawFrame) -> Glance:
+        """Look at a frame; what lies beyond an edge has the edge's values."""
+        limit = np.inf if frame.saturation_e is None else float(frame.saturation_e)
+        means = _means if HAS_NUMBA else _means_plain
+        return Glance(*means(readable(frame.frame), self.row, self.column, self.side, limit))
+
+    def moved(self, now: Glance, last: Glance, levels: Levels) -> NDArray[np.bool_]:
+        """Squares, of the margin too, that differ by more than their noise: shape (n_y, n_x).
+
+        Args:
+            now: a frame.
+            last: an earlier one.
+            levels: of either, in the same light.
+        """
+        # Beside bright pixels some of their noise is mixed in: no pixel counts as quieter than a share of theirs.
+        quietest = np.float32(levels.read_noise_e**2 + _SMALLEST_NOISE * levels.noise_variance)
+        variance = np.maximum(np.float32(0.5) * (now.mean + last.mean), np.float32(0.0)) + quietest
+        change, variance = window_means(np.stack([(now.mean - last.mean) ** 2, variance]), _WINDOW)
+        # The difference of two has twice the noise; the mean square of n of them is 1 +- sqrt(2 / n).
+        least = 2.0 / self.side**2 * (1.0 + _DEVIATIONS * math.sqrt(2.0) / _WINDOW)
+        return np.asarray(((change > np.float32(least) * variance) | (now.broken != last.broken)).any(axis=0))
+
+    def reached(self, moved: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Compared pixels of the window that filters mix with something that moved."""
+        wide = maximum_filter(moved, 2 * self.margin + 1)
+        return np.asarray(wide[self.margin : -self.margin, self.margin : -self.margin])
+
+
+def _means_plain(
+    frame: NDArray[Any], row: NDArray[np.int32], column: NDArray[np.int32], side: int, limit: float
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    total, broken = np.zeros(row.shape), np.zeros(row.shape, dtype=np.uint8)
+    for i in range(side):
+        for j in range(side):
+            at = np.clip(row + i, 0, frame.shape[0] - 1), np.clip(column + j, 0, frame.shape[1] - 1)
+            values = frame[at].astype(np.float64)
+            with np.errstate(invalid="ignore"):
+                good = (np.abs(values) < BRIGHTEST) & (values < limit)
+            total += np.where(good, values, 0.0)
+            broken += ~good
+    return (total / np.maximum(side**2 - broken.astype(np.int64), 1)).astype(np.float32), broken
+
+
+@compiled_parallel
+def _means(
+    frame: NDArray[Any], row: NDArray[np.int32], column: NDArray[np.int32], side: int, limit: float
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    _, n_y, n_x = row.shape
+    mean, broken = np.empty(row.shape, dtype=np.float32), np.empty(row.shape, dtype=np.uint8)
+    for y in prange(n_y):
+        for image in range(2):
+            for x in range(n_x):
+                total, bad = 0.0, 0
+                for i in range(row[image, y, x], row[image, y, x] + side):
+                    line = min(max(i, 0), frame.shape[0] - 1)
+                    for j in range(column[image, y, x], column[image, y, x] + side):
+                        value = np.float64(frame[line, min(max(j, 0), frame.shape[1] - 1)])
+                        if abs(value) < BRIGHTEST and value < limit:
+                            total += value
+                        else:
+                            bad += 1
+                mean[image, y, x] = total / max(side * side - bad, 1)
+                broken[image, y, x] = bad
+    return mean, broken
+
+
+def parts_of(wanted: NDArray[np.bool_], block: int) -> list[tuple[slice, slice]]:
+    """Rectangles of whole blocks that hold all ``wanted`` pixels and do not overlap.
+
+    Args:
+        wanted: shape (n_y, n_x).
+        block: pixels a side; the last ones may be cut off by the window's end.
+    """
+    found = find_objects(connected(touched(wanted, block), np.ones((3, 3), dtype=bool))[0])
+    counts = [-(-n // block) for n in wanted.shape]
+    boxes = [_widened(box, counts) for box in found]
+    while overlapping := next((pair for pair in itertools.combinations(boxes, 2) if _overlap(*pair)), None):
+        boxes = [box for box in boxes if box not in overlapping]
+        both = (slice(min(a.start, b.start), max(a.stop, b.stop)) for a, b in zip(*overlapping, strict=True))
+        boxes.append(_widened(tuple(both), counts))
+    return [
+        (
+            slice(rows.start * block, min(rows.stop * block, wanted.shape[0])),
+            slice(columns.start * block, min(columns.stop * block, wanted.shape[1])),
+        )
+        for rows, columns in boxes
+    ]
+
+
+def _widened(box: tuple[slice, ...], counts: list[int]) -> tuple[slice, ...]:
+    """A rectangle of one of the usual sizes around another, inside of the window."""
+    wide = []
+    for at, count in zip(box, counts, strict=True):
+        size = min(count, next((n for n in _BLOCKS if n >= at.stop - at.start), count))
+        start = min(max(0, at.start - (size - (at.stop - at.start)) // 2), count - size)
+        wide.append(slice(start, start + size))
+    return tuple(wide)
+
+
+def _overlap(one: tuple[slice, ...], other: tuple[slice, ...]) -> bool:
+    return all(a.start < b.stop and b.start < a.stop for a, b in zip(one, other, strict=True))

@@ -1,0 +1,127 @@
+"""What changed between two frames, and the parts of the window that are decoded again for it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from metafab.camera import RawFrame
+from metafab.decode import changes
+from metafab.decode.changes import Glance, Squares, parts_of
+from metafab.decode.levels import Levels
+
+LEVELS = Levels(signal=1000.0, noise_variance=1004.0, texture_rms=200.0, read_noise_e=2.0)
+
+
+def squares(n_y: int = 60, n_x: int = 80, side: int = 3, margin: int = 4) -> Squares:
+    """Two images beside each other, the second a pixel lower."""
+    row, column = np.mgrid[:n_y, :n_x].astype(np.int32) * side
+    return Squares(np.stack([row, row + 1]), np.stack([column, column + n_x * side]), side, margin)
+
+
+def noisy(rng: np.random.Generator, light: np.ndarray) -> RawFrame:
+    return RawFrame(rng.poisson(light).astype(np.float64), 3.45, (0.0, 0.0), 2.0, saturation_e=1e5)
+
+
+def test_noise_is_no_change_and_a_change_is_found_where_it_is() -> None:
+    """8 standard deviations; a step of 100 e in 1000 e, 3.2 of a pixel's noise, is 22 of a window's mean square."""
+    rng, places = np.random.default_rng(1), squares()
+    light = np.full((181, 480), 1000.0) * (1.0 + 0.3 * rng.random((181, 480)))
+    first = places.glance(noisy(rng, light))
+    for _ in range(20):
+        assert not places.moved(places.glance(noisy(rng, light)), first, LEVELS).any()
+    for left in (0, 240):  # in either image
+        brighter = light.copy()
+        brighter[90:120, left + 60 : left + 90] += 100.0
+        moved = places.moved(places.glance(noisy(rng, brighter)), first, LEVELS)
+        assert moved[31:39, 21:29].all()
+        # Windows reach 3 squares.
+        moved[26:44, 16:34] = False
+        assert not moved.any()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e30, 2e5])
+def test_a_pixel_that_breaks_is_a_change_and_one_that_stays_broken_none(value: float) -> None:
+    rng, places = np.random.default_rng(2), squares()
+    light = np.full((181, 480), 1000.0)
+    whole, other = noisy(rng, light), noisy(rng, light)
+    for frame in (whole, other):
+        frame.frame[7, 10] = value
+    first = places.glance(whole)
+    assert not places.moved(places.glance(other), first, LEVELS).any()
+    assert np.isfinite(first.mean).all()
+    other.frame[100, 100] = value
+    moved = places.moved(places.glance(other), first, LEVELS)
+    assert np.argwhere(moved).tolist() == [[33, 33]]
+
+
+@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.uint16, np.uint8, np.int32])
+@pytest.mark.parametrize("limit", [None, 180.0])
+def test_compiled_means_are_the_plain_ones(dtype: type, limit: float | None) -> None:
+    """Squares beyond the frame repeat its edge."""
+    frame = np.random.default_rng(3).integers(0, 255, (30, 40)).astype(dtype)
+    row, column = np.random.default_rng(4).integers(-5, 45, (2, 2, 7, 9)).astype(np.int32)
+    places = Squares(row, column, 2, 1)
+    glance = places.glance(RawFrame(frame, 3.45, (0.0, 0.0), 1.0, saturation_e=limit))
+    mean, broken = changes._means_plain(frame, row, column, 2, np.inf if limit is None else limit)
+    np.testing.assert_allclose(glance.mean, mean, rtol=1e-6)
+    np.testing.assert_array_equal(glance.broken, broken)
+    assert broken.any() == (limit is not None)
+
+
+def test_what_is_not_looked_at_anew_is_the_last_frames() -> None:
+    """Slow changes add up until they count."""
+    now, last = (
+        Glance(np.full((2, 3, 4), v, np.float32), np.full((2, 3, 4), k, np.uint8)) for v, k in ((1, 1), (2, 0))
+    )
+    anew = np.zeros((3, 4), dtype=bool)
+    anew[1, 2] = True
+    both = now.kept(last, anew)
+    assert (both.mean[:, anew] == 1.0).all()
+    assert (both.mean[:, ~anew] == 2.0).all()
+    assert (both.broken[:, anew] == 1).all()
+    rng, places = np.random.default_rng(5), squares()
+    first = places.glance(noisy(rng, np.full((181, 480), 1000.0)))
+    found = [
+        places.moved(places.glance(noisy(rng, np.full((181, 480), e))), first, LEVELS).mean() for e in (1003, 1100)
+    ]
+    assert found[0] == 0.0
+    assert found[1] > 0.99
+
+
+def test_a_change_reaches_as_far_as_the_margin() -> None:
+    places = dataclasses.replace(squares(), margin=4)
+    moved = np.zeros((60, 80), dtype=bool)
+    moved[30, 40] = True
+    reached = places.reached(moved)
+    assert reached.shape == (52, 72)
+    assert reached.sum() == 81
+    assert reached[22:31, 32:41].all()
+
+
+@settings(max_examples=80, deadline=None)
+@given(
+    shape=st.tuples(st.integers(1, 90), st.integers(1, 90)),
+    block=st.integers(1, 9),
+    places=st.lists(st.tuples(st.floats(0.0, 0.999), st.floats(0.0, 0.999)), max_size=6),
+)
+def test_parts_hold_all_that_is_wanted_and_do_not_overlap(
+    shape: tuple[int, int], block: int, places: list[tuple[float, float]]
+) -> None:
+    wanted = np.zeros(shape, dtype=bool)
+    for y, x in places:
+        wanted[int(y * shape[0]), int(x * shape[1])] = True
+    count = np.zeros(shape, dtype=int)
+    for rows, columns in parts_of(wanted, block):
+        count[rows, columns] += 1
+        assert rows.start % block == columns.start % block == 0
+        for at, n in zip((rows, columns), shape, strict=True):
+            assert at.stop == n or at.stop % block == 0
+            assert 0 <= at.start < at.stop <= n
+    assert (count[wanted] == 1).all()
+    assert count.max(initial=0) <= 1
+    assert wanted.any() == bool(count.any())
