@@ -38,6 +38,11 @@ def full_stokes(
         raise InputError.single(
             design.name, "optics", "no stop or amplitude", "one", "full-Stokes PSFs do not know of them: leave them out"
         )
+    if design.scene.exposure_s > 0.0 and any(piece.moves for piece in design.scene.objects):
+        raise InputError.single(
+            design.name, "scene.exposure_s", "0 s where objects move", f"{design.scene.exposure_s:g} s",
+            "full-Stokes frames know no motion",
+        )  # fmt: skip
     imaging, library = Imaging.of(design), open_library(job)
     profile = stokes.stokes_profile(design, row_angle_deg)
     pillars = stokes.assign(profile, library, design, angles=angles, size_step_nm=size_step_nm, progress=job.progress)

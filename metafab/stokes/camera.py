@@ -9,6 +9,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.camera.render import Renderer
+from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
 from metafab.optics.field import spline_weights
 from metafab.spec import Scene
@@ -20,7 +21,8 @@ class StokesFrame:
     """Six images of one exposure on one grid of directions, and what they show.
 
     Attributes:
-        images: shape (6, n_y, n_x), electrons; inverted, as on the sensor.
+        images: shape (6, n_y, n_x), electrons, of the field and the margin that its blur needs; inverted, as on the
+            sensor.
         read_noise_e: standard deviation of the read noise.
         stokes: shape (4, n_y, n_x), the scene's Stokes vectors, in electrons of the six images' mean.
         depth_m: shape (n_y, n_x), NaN where there is nothing.
@@ -57,18 +59,25 @@ def spread(images: FloatArray, kernels: FloatArray) -> FloatArray:
 def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> StokesFrame:
     """One exposure: Eq. 1 for four Stokes parameters and six places, near before far.
 
-    All of the field sees the pair of the axis (field_px should be small). ``photons_per_pixel`` is what an unpolarised
-    surface of brightness 1 leaves in a pixel, mean of the six images.
+    All of the field sees the pair of the axis (field_px should be small), without vignetting, and the scene as it
+    stands at its beginning. ``photons_per_pixel`` is what an unpolarised surface of brightness 1 leaves in a pixel,
+    mean of the six images. A field stop passes ``field_px`` pixels, and nothing of the margin about them.
     """
     seed = scene.seed if seed is None else seed
     pixel_tangent = psf.pixel_um / psf.sensor_distance_um
-    n_y, n_x = scene.field_px
+    margin = psf.psf.shape[-1] // 2
+    n_y, n_x = (count + 2 * margin for count in scene.field_px)
+    seen = np.pad(np.ones(scene.field_px), margin)
     tangent_x, tangent_y = np.meshgrid(
         -(np.arange(n_x) - n_x // 2) * pixel_tangent, -(np.arange(n_y) - n_y // 2) * pixel_tangent
     )
     renderer = Renderer.of(scene, pixel_tangent, seed)
     electrons = scene.photons_per_pixel * scene.quantum_efficiency
     images, stokes = np.zeros((6, n_y, n_x)), np.zeros((4, n_y, n_x))
+    # Without structure, depth does not matter; the background is unpolarised.
+    middle = kernels_at(psf, float(psf.depth_m[psf.depth_m.size // 2]))[:, 0].sum(axis=(-2, -1))
+    images += electrons * scene.background * middle[:, None, None] * seen
+    stokes[0] += electrons * scene.background * seen
     depth_m, label = np.full((n_y, n_x), np.nan), np.zeros((n_y, n_x), dtype=np.int32)
     for piece in renderer.pieces(tangent_x, tangent_y):
         state = np.array([1.0, *scene.objects[piece.label - 1].stokes_vector])
@@ -78,6 +87,7 @@ def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> Stok
             covered, light = np.zeros((2, n_y, n_x))
             covered[piece.rows, piece.columns] = coverage
             light[piece.rows, piece.columns] = electrons * brightness
+            covered, light = covered * seen, light * seen
             kernels = kernels_at(psf, float(own_m))
             spread_e += spread(light, np.einsum("kjyx,j->kyx", kernels, state))
             hidden += spread(covered, kernels[:, 0] / kernels[:, 0].sum(axis=(-2, -1), keepdims=True))
@@ -87,5 +97,5 @@ def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> Stok
         images = images * (1.0 - np.clip(hidden, 0.0, 1.0)) + spread_e
         label = np.where(covered_all >= 0.5, piece.label, label).astype(np.int32)
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0x570CE5)))
-    noisy = rng.poisson(np.maximum(images, 0.0)) + rng.normal(0.0, scene.read_noise_e, images.shape)
-    return StokesFrame(noisy, scene.read_noise_e, stokes, depth_m, label)
+    exposed = expose(images, scene, FixedPattern.of(scene, images.shape, seed), rng)
+    return StokesFrame(exposed, scene.read_noise_e, stokes, depth_m, label)

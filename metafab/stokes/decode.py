@@ -1,10 +1,10 @@
 """Six images -> depth and the Stokes vector of every pixel.
 
-Depth: of the images of two orthogonal states, each blurred by the other's kernel, both show the same texture where the
-candidate depth is right. Their products, summed over the three pairs, are a volume like that of one pair, from which
-segments and their depths follow as in :mod:`metafab.decode`. Stokes: at each depth the six images are a linear function
-of the four parameters' images, one 6 x 4 matrix a frequency, which regularised least squares invert, cross-talk between
-the places included.
+Depth: of the images of two orthogonal states, each passed through the other's transfer function, both show the same
+texture where the candidate depth is right. Their products, summed over the three pairs, are a volume like that of one
+pair, from which segments and their depths follow as in :mod:`metafab.decode`. Stokes: at each depth the six images are
+a linear function of the four parameters' images, one 6 x 4 matrix a frequency, which regularised least squares invert,
+cross-talk between the places included.
 """
 
 from __future__ import annotations
@@ -15,17 +15,18 @@ from typing import Any
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import binary_erosion, uniform_filter
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.decode import segment as segments
 from metafab.decode.depth import PixelDepth, parabola, standard_error
+from metafab.decode.levels import LOWEST_FREQUENCY, Levels
 from metafab.decode.peaks import peaks
 from metafab.decode.planes import Cells, Plane, fitted_plane
 from metafab.decode.pooling import window_means
 from metafab.decode.regions import LAYER_SHARE
 from metafab.decode.volume import Volume, correlation
-from metafab.stokes.camera import StokesFrame, kernels_at, spread
+from metafab.stokes.camera import StokesFrame, kernels_at
 from metafab.stokes.spread import StokesPsf
 
 _CANDIDATES = 25
@@ -34,6 +35,12 @@ _LAYERS = 9
 _WINDOW_PX = 33
 #: Below this correlation of the twins no depth is claimed.
 _LEAST_AGREEMENT = 0.5
+#: Share of the strongest frequency's power below which a frequency is not normalised: it is noise.
+_FAINTEST = 1e-4
+#: Structure slower than this many times the lowest frequency varies with the light, and reaches far across outlines.
+_HIGH_PASS = 3.0
+#: Pixels along an object's outline that its interior leaves out.
+_OUTLINE_PX = 6
 #: Share of the brightest from which a pixel is lit.
 _LIT = 0.2
 
@@ -56,7 +63,7 @@ class StokesImage:
 
 def decode_stokes(frame: StokesFrame, psf: StokesPsf) -> StokesImage:
     """Depth and Stokes vectors of a frame by the PSFs of six places, over the range of their depths."""
-    volume = _volume(frame.images, psf)
+    volume = _volume(frame, psf)
     mean = frame.images.mean(axis=0)
     floor = _LIT * float(np.percentile(mean, 99.0))
     segment, planes = _segments(volume, uniform_filter(mean, 3) > floor)
@@ -72,26 +79,62 @@ def decode_stokes(frame: StokesFrame, psf: StokesPsf) -> StokesImage:
     return StokesImage(stokes, np.where(shown, 1.0 / vergence, np.nan), agreement.astype(np.float64))
 
 
-def _volume(images: FloatArray, psf: StokesPsf) -> Volume:
-    """Agreement of the twins at equally spaced vergences, all pairs together."""
+def _volume(frame: StokesFrame, psf: StokesPsf) -> Volume:
+    """Agreement of the twins at equally spaced vergences, all pairs together.
+
+    Each image passes the other's transfer function, over the root of both their powers: in white noise, the residual of
+    the comparison is the likelihood (:mod:`metafab.decode.filters`), each frequency counting as it is above the noise.
+    """
     vergences = np.linspace(1.0 / psf.depth_m[-1], 1.0 / psf.depth_m[0], _CANDIDATES)
-    parts = np.empty((3, _CANDIDATES, *images.shape[1:]), dtype=np.float32)
-    gain, samples = [], []
-    for index, vergence in enumerate(vergences):
-        kernels = kernels_at(psf, 1.0 / vergence)[:, 0]
-        own = kernels / kernels.sum(axis=(-2, -1), keepdims=True)
-        crossed = spread(images, own[[1, 0, 3, 2, 5, 4]])
+    n_y, n_x = frame.images.shape[1:]
+    margin = psf.psf.shape[-1]
+    size = (scipy.fft.next_fast_len(n_y + margin, real=True), scipy.fft.next_fast_len(n_x + margin, real=True))
+    spectra = scipy.fft.rfft2(frame.images, size)
+    own = np.stack([kernels_at(psf, 1.0 / vergence)[:, 0] for vergence in vergences])
+    transfer = scipy.fft.rfft2(_padded(own / own.sum(axis=(-2, -1), keepdims=True), size))
+    power = np.abs(transfer) ** 2
+    weight = _weight(frame, power.mean(axis=(0, 1)), size)
+    parts = np.empty((3, _CANDIDATES, n_y, n_x), dtype=np.float32)
+    for index, (of_images, powers) in enumerate(zip(transfer, power, strict=True)):
+        total = np.repeat(powers[::2] + powers[1::2], 2, axis=0)
+        other = of_images[[1, 0, 3, 2, 5, 4]]
+        filters = other * (weight / np.sqrt(0.5 * total + _FAINTEST * total.max()))
+        crossed = scipy.fft.irfft2(spectra * filters, size)[:, :n_y, :n_x]
         crossed -= uniform_filter(crossed, (0, _WINDOW_PX, _WINDOW_PX))
         first, second = crossed[::2], crossed[1::2]
-        powers = uniform_filter(crossed * crossed, (0, _WINDOW_PX, _WINDOW_PX)) + np.finfo(np.float32).tiny
+        squares = uniform_filter(crossed * crossed, (0, _WINDOW_PX, _WINDOW_PX)) + np.finfo(np.float32).tiny
         # Twins of polarised light differ in brightness: each pair as if both had the mean; a dark one adds nothing.
-        balance = np.sqrt(powers[1::2] / powers[::2])
+        balance = np.sqrt(squares[1::2] / squares[::2])
         for part, product in enumerate((first * second, first * first * balance, second * second / balance)):
             parts[part, index] = product.sum(axis=0)
-        power = np.abs(scipy.fft.fft2(own)) ** 2
-        gain.append(float((own**2).sum(axis=(-2, -1)).mean()))
-        samples.append(float((power.mean(axis=(-2, -1)) ** 2 / (power**2).mean(axis=(-2, -1))).mean()))
-    return Volume(vergences, parts, 3.0 * float(np.mean(samples)), 3.0 * float(np.mean(gain)))
+    share = _whole_plane(weight**2)
+    samples = float(share.sum() ** 2 / (weight**2 * share).sum() / (size[0] * size[1]))
+    return Volume(vergences, parts, 3.0 * samples, 3.0 * float(share.sum()) / (size[0] * size[1]))
+
+
+def _padded(kernels: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """Kernels with their origin in the middle, on a larger grid with it at [0, 0]."""
+    n_y, n_x = kernels.shape[-2:]
+    place = np.zeros((*kernels.shape[:-2], *size))
+    place[..., :n_y, :n_x] = kernels
+    return np.roll(place, (-(n_y // 2), -(n_x // 2)), axis=(-2, -1))
+
+
+def _weight(frame: StokesFrame, power: FloatArray, size: tuple[int, int]) -> FloatArray:
+    """Root of what each frequency adds to the likelihood, at most 1, of natural texture behind a mean pair."""
+    levels = Levels.of(frame.images, frame.read_noise_e)
+    k2 = scipy.fft.fftfreq(size[0])[:, None] ** 2 + scipy.fft.rfftfreq(size[1]) ** 2
+    signal = power * levels.texture_spectrum(k2)
+    high_pass = k2 / (k2 + (_HIGH_PASS * LOWEST_FREQUENCY) ** 2)
+    weight = high_pass * np.sqrt(2.0 * signal / (levels.noise_variance + 2.0 * signal))
+    return np.asarray(np.maximum(weight, 1e-9))  # without light, all count the same
+
+
+def _whole_plane(half: FloatArray) -> FloatArray:
+    """Counts of a half plane's frequencies for the whole: those beside the edges stand for two."""
+    doubled = half.copy()
+    doubled[:, 1:-1] *= 2.0
+    return doubled
 
 
 def _pixels(volume: Volume, lit: NDArray[np.bool_]) -> PixelDepth:
@@ -183,23 +226,29 @@ def stokes_errors(image: StokesImage, frame: StokesFrame) -> dict[str, float]:
     Returns:
         ``nmae``: mean |z - z_true| / z_true where a depth is claimed; ``share_decoded``; ``stokes_rms``: rms over
         pixels of the error of each of (S1, S2, S3) / S0, windows of 9 x 9; ``stokes_object_error``: largest error of
-        any object's (S1, S2, S3) / S0, and ``psnr_s0_db``.
+        any object's (S1, S2, S3) / S0, ``stokes_interior_error``: the same without the 6 pixels along outlines, where
+        blurred neighbours mix, and ``psnr_s0_db``.
     """
     known = np.isfinite(frame.depth_m)
     both = known & np.isfinite(image.depth_m)
     smooth = [uniform_filter(part, (0, 9, 9)) for part in (image.stokes, frame.stokes)]
     inner: NDArray[np.bool_] = uniform_filter(known.astype(float), 9) > 0.999
     normed = [part[1:] / np.maximum(part[0], 1e-9) for part in smooth]
-    objects = []
-    for number in np.unique(frame.label[frame.label > 0]):
-        mask = frame.label == number
-        got, true = (part[:, mask].sum(axis=1) for part in (image.stokes, frame.stokes))
-        objects.append(float(np.abs(got[1:] / got[0] - true[1:] / true[0]).max()))
+    whole = [frame.label == number for number in np.unique(frame.label[frame.label > 0])]
+    inside = [binary_erosion(mask, iterations=_OUTLINE_PX) for mask in whole]
+    objects, interiors = ([_state_error(image, frame, mask) for mask in of if mask.any()] for of in (whole, inside))
     mean_square = float(np.mean((image.stokes[0] - frame.stokes[0])[inner] ** 2))
     return {
         "nmae": float(np.mean(np.abs(image.depth_m[both] / frame.depth_m[both] - 1.0))) if both.any() else float("nan"),
         "share_decoded": float(both.sum() / max(1, known.sum())),
         "stokes_rms": float(np.sqrt(np.mean((normed[0] - normed[1])[:, inner] ** 2))),
         "stokes_object_error": max(objects, default=float("nan")),
+        "stokes_interior_error": max(interiors, default=float("nan")),
         "psnr_s0_db": 10.0 * float(np.log10(frame.stokes[0].max() ** 2 / max(mean_square, 1e-30))),
     }
+
+
+def _state_error(image: StokesImage, frame: StokesFrame, mask: NDArray[np.bool_]) -> float:
+    """Largest error of (S1, S2, S3) / S0 of some pixels together."""
+    got, true = (part[:, mask].sum(axis=1) for part in (image.stokes, frame.stokes))
+    return float(np.abs(got[1:] / got[0] - true[1:] / true[0]).max())
