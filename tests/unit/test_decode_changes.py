@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -93,14 +91,14 @@ def test_what_is_not_looked_at_anew_is_the_last_frames() -> None:
     assert found[1] > 0.99
 
 
-def test_a_change_reaches_as_far_as_the_margin() -> None:
-    places = dataclasses.replace(squares(), margin=4)
+def test_a_change_reaches_as_far_as_the_filters_do() -> None:
+    places = squares(margin=6)
     moved = np.zeros((60, 80), dtype=bool)
     moved[30, 40] = True
     reached = places.reached(moved)
-    assert reached.shape == (52, 72)
+    assert reached.shape == (48, 68)
     assert reached.sum() == 81
-    assert reached[22:31, 32:41].all()
+    assert reached[20:29, 30:39].all()
 
 
 @settings(max_examples=80, deadline=None)
