@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
 from functools import partial
 from itertools import islice
 from typing import Any, TypeVar, cast
@@ -20,6 +21,8 @@ from metafab.core.errors import InputError, MissingToolError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+_kept_threads: ContextVar[ThreadPoolExecutor | None] = ContextVar("_kept_threads", default=None)
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -143,6 +146,24 @@ def open_threads(workers: int | None = None, cluster: str | None = None) -> Abst
         InputError, MissingToolError: as :func:`open_executor`.
     """
     return ThreadPoolExecutor(workers or default_workers()) if cluster is None else open_executor(cluster=cluster)
+
+
+@contextmanager
+def kept_threads() -> Iterator[ThreadPoolExecutor]:
+    """Threads for many small jobs one after the other: within another such block, those of that block.
+
+    To start and end threads takes a millisecond. Jobs must not wait for other jobs of the same threads.
+    """
+    kept = _kept_threads.get()
+    if kept is not None:
+        yield kept
+        return
+    with ThreadPoolExecutor(max(2, default_workers())) as threads:
+        token = _kept_threads.set(threads)
+        try:
+            yield threads
+        finally:
+            _kept_threads.reset(token)
 
 
 def _submitter(executor: Executor, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:

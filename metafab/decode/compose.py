@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from metafab.camera.frame import RawFrame
 from metafab.core.conventions import FloatArray
+from metafab.core.executor import kept_threads
 from metafab.decode.contrast import SegmentLight, pixel_contrast
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth
 from metafab.decode.distance import distance
@@ -79,7 +78,7 @@ def composed(
     """All that is known about a frame, on its own pixels."""
     images = sharp.images
     every, shape = seen.reduction.every, seen.twins.grid.shape
-    with ThreadPoolExecutor(1) as beside:
+    with kept_threads() as beside:
         maps = beside.submit(_maps, pixels, regions, every, shape)
         doubts = beside.submit(_doubts, volume, seen, regions)
         lit = _lit(images, seen.floor_e) & ~seen.twins.bad

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +12,7 @@ from metafab.camera.frame import RawFrame
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
+from metafab.core.executor import kept_threads
 from metafab.core.progress import Progress, silent
 from metafab.decode.calibration import Calibration
 from metafab.decode.compose import composed, empty, full_depth_m, lit_about, sharpened
@@ -119,19 +119,21 @@ class Decoder:
 
     def depth_map(self, frame: RawFrame, *, progress: Progress = silent) -> FloatArray:
         """The depth of each pixel by itself, m, and nothing else: NaN where none is claimed."""
-        seen = self.look(frame)
-        if isinstance(seen, str):
-            return np.full(self.calibration.grid.shape, np.nan)
-        pixels = textured_pixels(seen, self.volume(seen, progress=progress))
+        with kept_threads():
+            seen = self.look(frame)
+            if isinstance(seen, str):
+                return np.full(self.calibration.grid.shape, np.nan)
+            pixels = textured_pixels(seen, self.volume(seen, progress=progress))
         return full_depth_m(pixels, self.filters.reduction.every, self.calibration.grid.shape)
 
     def __call__(self, frame: RawFrame, *, progress: Progress = silent) -> Image4D:
         """Decode one frame."""
         started = time.perf_counter()
-        seen = self.look(frame)
-        if isinstance(seen, str):
-            return _nothing(self.calibration.grid.shape, frame, seen, started, self.calibration.grid)
-        found = self.finish(frame, seen, self.volume(seen, progress=progress))
+        with kept_threads():
+            seen = self.look(frame)
+            if isinstance(seen, str):
+                return _nothing(self.calibration.grid.shape, frame, seen, started, self.calibration.grid)
+            found = self.finish(frame, seen, self.volume(seen, progress=progress))
         return judged(found.image, frame, seconds=time.perf_counter() - started)
 
     def look(self, frame: RawFrame, levels: Levels | None = None) -> Seen | str:
@@ -170,7 +172,7 @@ class Decoder:
             last: the frame before.
         """
         every, shape = self.filters.reduction.every, self.calibration.grid.shape
-        with ThreadPoolExecutor(1) as beside:
+        with kept_threads() as beside:
             anew = lit_about(seen) if changed is None else lit_about(seen) & changed
             # Loops over all threads are left to this one: not every threading layer lets two start them at once.
             tiles = beside.submit(self.restorer.transformed, seen.twins.image, repeated(anew, every, shape))

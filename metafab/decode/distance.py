@@ -1,7 +1,7 @@
 """Distance of each pixel from the nearest one of a set, and which that is.
 
 Exact, in time that grows with the pixels alone: first along columns, then along rows by the lower envelope of parabolas
-(Felzenszwalb and Huttenlocher, Theory of Computing 8, 415, 2012).
+(Felzenszwalb and Huttenlocher, Theory of Computing 8, 415, 2012). Loops run in one thread, so that any thread may ask.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from metafab.core.numerics import HAS_NUMBA, compiled, compiled_parallel, prange
+from metafab.core.numerics import HAS_NUMBA, compiled
 
 #: Rows away that stand for a column without any: no image is as high, and its square is exact.
 _FAR = np.int32(10_000_000)
@@ -63,13 +63,13 @@ def _nearest_rows(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
     return rows
 
 
-@compiled_parallel
+@compiled
 def _envelopes(rows: NDArray[np.int32]) -> Nearest:
     """The nearest pixel of all columns, from that of each column."""
     n_y, n_x = rows.shape
     away = np.empty((n_y, n_x), dtype=np.float32)
     row, column = np.empty((2, n_y, n_x), dtype=np.int32)
-    for i in prange(n_y):
+    for i in range(n_y):
         # Columns whose parabolas (x - j)^2 + d_j^2 lie lowest somewhere, and from where on each does.
         lowest, start = np.empty(n_x, dtype=np.int32), np.empty(n_x + 1, dtype=np.float64)
         height = np.empty(n_x, dtype=np.float64)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,8 +21,10 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from metafab.core.conventions import FloatArray
+from metafab.core.executor import kept_threads
 from metafab.core.progress import Progress
 from metafab.decode.calibration import Calibration
+from metafab.decode.drift import made_up
 from metafab.decode.levels import LOWEST_FREQUENCY, Levels
 from metafab.decode.mixing import agreement
 from metafab.decode.reduce import Reduction
@@ -45,6 +46,8 @@ BLOCK_PX, _SMALL_BLOCK_PX = 24, 12
 #: What the pair may change by from the middle of a large square to its side (relative L2).
 _CHANGE_IN_BLOCK = 0.05
 _LARGEST_BASIS = 64
+#: Images that are filtered together: their transforms stay in a thread's cache.
+_AT_ONCE = 4
 #: Transforms of the basis are kept for this many sizes of windows, the last used.
 _KEPT_SIZES = 6
 #: Structure slower than this many times the lowest frequency varies with the light, and reaches far across outlines.
@@ -113,15 +116,7 @@ class CrossFilters:
 
         What depends on the size of the part alone is computed once.
         """
-        every, block = self.reduction.every, self.block
-        part = Reduction(
-            every,
-            (
-                min(rows.stop * every, self.reduction.window[0]) - rows.start * every,
-                min(columns.stop * every, self.reduction.window[1]) - columns.start * every,
-            ),
-            self.reduction.edge,
-        )
+        block, part = self.block, self.reduction.within(rows, columns)
         blocks = (slice(at.start // block, -(-at.stop // block)) for at in (rows, columns))
         return replace(self, reduction=part, shares=np.ascontiguousarray(self.shares[:, *blocks]))
 
@@ -159,22 +154,25 @@ class CrossFilters:
             spectra: transforms of the reduced twins.
             levels: noise and texture of the frame.
             lit: shape of the reduced window, where there is light: other blocks are left out.
-            progress: called after each image.
+            progress: called after every few filtered images.
         """
         weight = self._weight(levels)
+        weighted = spectra * weight
         rows, columns = self.reduction.inner
         basis = self.basis
         passed = np.empty((2, basis.shape[1], *self.reduction.shape), dtype=np.float32)
 
-        def passes(image: int) -> None:
-            mixed = basis[image] * (spectra[image] * weight)
+        def passes(image: int, first: int) -> None:
+            few = slice(first, first + _AT_ONCE)
+            mixed = basis[image, few] * weighted[image]
             # Rows of the margin are not needed, and not transformed back.
             mixed = scipy.fft.ifft(mixed, axis=-2, overwrite_x=True)[:, rows]
-            passed[image] = scipy.fft.irfft(mixed, self.reduction.size[1], overwrite_x=True)[..., columns]
+            passed[image, few] = scipy.fft.irfft(mixed, self.reduction.size[1], overwrite_x=True)[..., columns]
 
-        with ThreadPoolExecutor(2) as pool:
-            for done, _ in enumerate(pool.map(passes, range(2)), start=1):
-                progress("decode", done, 2)
+        jobs = [(image, first) for image in range(2) for first in range(0, basis.shape[1], _AT_ONCE)]
+        with kept_threads() as pool:
+            for done, _ in enumerate(pool.map(passes, *zip(*jobs, strict=True)), start=1):
+                progress("decode", done, len(jobs))
         parts = agreement(passed, self.shares, self.block, lit)
         return Volume(self.vergences_per_m, parts, *self._samples(weight))
 
@@ -223,7 +221,8 @@ def _cross_filters(
     power = squared[:, :, stack.shape[2] // 2].mean(axis=(0, 1))
     total = squared.sum(axis=0)
     total += _FAINTEST * total.max()
-    return transfer[::-1] * np.sqrt(2.0 / total), power.astype(np.float64)
+    filters = made_up(transfer[::-1] * np.sqrt(2.0 / total), transfer, total, calibration, every)
+    return filters, power.astype(np.float64)
 
 
 def _low_rank(

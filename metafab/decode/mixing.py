@@ -64,6 +64,18 @@ def _mix(images: NDArray[np.float32], shares: NDArray[np.float32], out: NDArray[
                 o3[p] += a3 * x + b3 * y
 
 
+@compiled
+def _lay_out(lines: NDArray[np.float32], blocks: NDArray[np.float32]) -> None:
+    """Lines of images (n, block, n_x) as blocks (n_block_x, n, block * block)."""
+    block = lines.shape[1]
+    for k in range(lines.shape[0]):
+        for i in range(block):
+            line = lines[k, i]
+            for column in range(blocks.shape[0]):
+                for j in range(block):
+                    blocks[column, k, i * block + j] = line[column * block + j]
+
+
 @compiled_parallel
 def _products(
     passed: NDArray[np.float32], shares: NDArray[np.float32], block: int, wanted: NDArray[np.bool_]
@@ -79,12 +91,7 @@ def _products(
         inputs = np.empty((2, columns, n_basis, block * block), dtype=np.float32)
         mixed = np.zeros((2, columns, 4 * ((count + 3) // 4), block * block), dtype=np.float32)
         for image in range(2):
-            for k in range(n_basis):
-                for i in range(block):
-                    line = passed[image, k, row * block + i]
-                    for column in range(columns):
-                        for j in range(block):
-                            inputs[image, column, k, i * block + j] = line[column * block + j]
+            _lay_out(passed[image, :, row * block : (row + 1) * block], inputs[image])
             for column in range(columns):
                 if wanted[row, column]:
                     _mix(inputs[image, column], shares[image, row, column], mixed[image, column])

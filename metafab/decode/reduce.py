@@ -11,7 +11,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
+from metafab.core.numerics import HAS_NUMBA, compiled
 
 #: Share of the margin over which an image fades out.
 _FADE = 0.25
@@ -52,6 +52,19 @@ class Reduction:
         """The window inside what has margins."""
         rows, columns = (slice(self.margin, self.margin + n) for n in self.shape)
         return rows, columns
+
+    def of_part(self, rows: slice, columns: slice) -> tuple[slice, slice]:
+        """The window's own pixels that a part of the reduced ones stands for."""
+        in_rows, in_columns = (
+            slice(at.start * self.every, min(at.stop * self.every, n))
+            for at, n in zip((rows, columns), self.window, strict=True)
+        )
+        return in_rows, in_columns
+
+    def within(self, rows: slice, columns: slice) -> Reduction:
+        """A part of the window, with the same margin: slices of reduced pixels."""
+        wide = self.of_part(rows, columns)
+        return Reduction(self.every, (wide[0].stop - wide[0].start, wide[1].stop - wide[1].start), self.edge)
 
     @property
     def frequencies(self) -> tuple[FloatArray, FloatArray]:
@@ -125,11 +138,11 @@ def _enlarged_plain(values: NDArray[Any], every: int, shape: tuple[int, int]) ->
     return values
 
 
-@compiled_parallel
+@compiled
 def _enlarged(values: NDArray[Any], every: int, shape: tuple[int, int]) -> NDArray[Any]:
     n_y, n_x = values.shape
     out = np.empty(shape, dtype=values.dtype)
-    for i in prange(shape[0]):
+    for i in range(shape[0]):
         above = i // every
         below, down = min(above + 1, n_y - 1), (i % every) / every
         line = np.empty(n_x + 1, dtype=values.dtype)
@@ -157,10 +170,10 @@ def taken(values: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp
     return _taken(values, rows, columns) if HAS_NUMBA else np.asarray(values[np.ix_(rows, columns)])
 
 
-@compiled_parallel
+@compiled
 def _taken(values: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
     out = np.empty((rows.size, columns.size), dtype=values.dtype)
-    for i in prange(rows.size):
+    for i in range(rows.size):
         line, to = values[rows[i]], out[i]
         for j in range(columns.size):
             to[j] = line[columns[j]]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -12,6 +11,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.executor import kept_threads
 from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.decode.calibration import Calibration
 from metafab.decode.levels import Levels
@@ -136,7 +136,7 @@ class Restorer:
             np.copyto(sharp.noise_gain[:, *part], gain[:, None, None], where=mask)
 
         # A tile and a depth at once: what one thread works on stays in its cache.
-        with ThreadPoolExecutor(2) as pool:
+        with kept_threads() as pool:
             for _ in pool.map(restore, pairs, transfers):
                 pass
         return sharp
@@ -155,7 +155,7 @@ class Restorer:
     def _transfers(self, wanted: list[tuple[int, int]]) -> list[NDArray[np.complex64]]:
         """Transfer functions at some (step of the grid of depths, tile): shape (2, n_ky, n_kx) each."""
         missing = sorted({key for key in wanted if key not in self._kept})
-        with ThreadPoolExecutor(2) as pool:
+        with kept_threads() as pool:
             self._kept.update(zip(missing, pool.map(self._transfer, missing), strict=True))
         found = [self._kept[key] for key in wanted]
         for key in wanted:

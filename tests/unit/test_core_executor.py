@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
+from concurrent.futures import Executor
 
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.core.executor import open_executor, stream
+from metafab.core.executor import kept_threads, open_executor, stream
 
 
 def _square(value: int) -> int:
@@ -47,3 +49,20 @@ def test_a_stream_pulls_few_items_ahead() -> None:
 def test_no_workers_is_refused() -> None:
     with pytest.raises(InputError, match="--workers"), open_executor(0):
         pass
+
+
+def test_kept_threads_are_those_of_the_outermost_block() -> None:
+    with kept_threads() as outer:
+        with kept_threads() as inner:
+            assert inner is outer
+        assert list(outer.map(abs, [-1, 2])) == [1, 2]  # the inner block did not end them
+        # A job of these threads that asks for threads gets its own: it would wait for itself.
+        assert outer.submit(lambda: _asked() is not outer).result()
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("ThreadPoolExecutor")]
+    with kept_threads() as later:
+        assert later is not outer
+
+
+def _asked() -> Executor:
+    with kept_threads() as threads:
+        return threads
