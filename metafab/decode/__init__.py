@@ -8,6 +8,7 @@
 - ``tiles``        a window cut into tiles with margins, and put together again
 - ``reduce``       every few pixels of an image, and back
 - ``filters``      what makes the twins equal at a candidate depth
+- ``drift``        what the pair's change over the field does to that
 - ``mixing``       mixtures of a few filtered images, by place and candidate
 - ``distance``     how far pixels are from others
 - ``pooling``      means over windows of many pictures at once
