@@ -88,7 +88,12 @@ class Library:
     @property
     def known(self) -> NDArray[np.bool_]:
         """Which sizes are made, shape (n_length, n_width): all, or of circles those as wide as long."""
-        return np.asarray(np.isfinite(np.broadcast_to(self.error, self.t_xx.shape)[0]))
+        return np.asarray(np.isfinite(self.error_of_sizes))
+
+    @property
+    def error_of_sizes(self) -> FloatArray:
+        """``error`` at the design wavelength, shape (n_length, n_width)."""
+        return np.asarray(np.broadcast_to(self.error, self.t_xx.shape)[0])
 
     @property
     def is_continuous(self) -> bool:
@@ -132,11 +137,10 @@ class Library:
         """
         column = _index(self.width_nm, np.asarray(width_nm, dtype=np.float64), "width_nm")
         row = _index(self.length_nm, np.asarray(length_nm, dtype=np.float64), "length_nm")
-        error = np.broadcast_to(self.error, self.t_xx.shape)[0]
         if not np.all(self.known[row, column]):
             got = "a width that is not the length"
             raise InputError.single("library", "width_nm, length_nm", "diameters of circles", got)
-        return SizeResponse(self.t_xx[0, row, column], self.t_yy[0, row, column], error[row, column])
+        return SizeResponse(self.t_xx[0, row, column], self.t_yy[0, row, column], self.error_of_sizes[row, column])
 
 
 def inputs_of(unit_cell: UnitCell) -> str:

@@ -140,7 +140,7 @@ def build_size_table(
     """
     if cells < 2 or cells & (cells - 1):
         raise ValueError(f"`cells`: expected a power of two from 2, got {cells}")
-    known = library.known & (np.broadcast_to(library.error, library.t_xx.shape)[0] <= max_error)
+    known = library.known & (library.error_of_sizes <= max_error)
     if isotropic:
         known = known & isotropic_sizes(library)
     row, column = _admitted(library, max_width_nm, max_length_nm, min_feature_nm, known)
@@ -150,12 +150,11 @@ def build_size_table(
     t = t_grid[row, column]
     damping = np.exp(-0.5 * (cd_sigma_nm * phase_slope_per_nm(library)[row, column]) ** 2)
     size_index, overlap = best_overlap(t * damping, cells)
-    error = np.broadcast_to(library.error, library.t_xx.shape)[0]
     return SizeTable(
         database_unit_nm=database_unit_nm,
         size_dbu=np.concatenate([np.zeros((1, 2), dtype=np.int32), size_dbu]),
         t=np.concatenate([empty_cell_t(library.unit_cell)[None], t]),
-        error=np.concatenate([[0.0], error[row, column]]),
+        error=np.concatenate([[0.0], library.error_of_sizes[row, column]]),
         size_index=size_index,
         overlap=overlap,
     )

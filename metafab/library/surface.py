@@ -226,8 +226,9 @@ def _spline(model: SizeModel, width_nm: FloatArray, length_nm: FloatArray) -> tu
 
 def _stated(library: Library, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
     """The library's error in each cell of the uniform grid: the largest of the sizes around it."""
-    of_grid = np.broadcast_to(library.error, library.t_xx.shape)[0]
-    stated = of_grid if library.model_error is None else np.maximum(of_grid, library.model_error)
+    stated = library.error_of_sizes
+    if library.model_error is not None:
+        stated = np.maximum(stated, library.model_error)
     cells = _cells(stated, 1)
     for axis, (fine, coarse) in enumerate(((length_nm, library.length_nm), (width_nm, library.width_nm))):
         cells = np.repeat(cells, (fine.size - 1) // (coarse.size - 1), axis=axis)

@@ -57,7 +57,7 @@ def transmittance_map(library: Library, axes: Axes, polarisation: Polarisation) 
 
 def error_map(library: Library, axes: Axes) -> Axes:
     """Error bound of |t| over width and length, on a logarithmic scale."""
-    error = np.broadcast_to(library.error, library.t_xx.shape)[0]
+    error = library.error_of_sizes
     if not library.known.all():
         return _along_diameter(library, axes, error, "Error of every diameter", "absolute error of t")
     positive = error[error > 0.0]
