@@ -20,10 +20,24 @@ In: a Scene and a Psf, or a file. Out: a RawFrame.
 
 from metafab.camera.capture import capture, film
 from metafab.camera.exact import exact_psf
-from metafab.camera.foreign import load_frame
+from metafab.camera.foreign import Counts, load_frame, require_frame_name, save_counts
 from metafab.camera.frame import RawFrame, Truth
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.camera.store import load, save
 
-__all__ = ["ImageMap", "PairKernels", "RawFrame", "Truth", "capture", "exact_psf", "film", "load", "load_frame", "save"]
+__all__ = [
+    "Counts",
+    "ImageMap",
+    "PairKernels",
+    "RawFrame",
+    "Truth",
+    "capture",
+    "exact_psf",
+    "film",
+    "load",
+    "load_frame",
+    "require_frame_name",
+    "save",
+    "save_counts",
+]

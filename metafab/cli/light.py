@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,6 +25,28 @@ from metafab.cli.app import (
 from metafab.cli.console import announce, progress_bars, show
 from metafab.core.errors import InputError
 
+if TYPE_CHECKING:
+    from metafab.camera import Counts
+
+Black = Annotated[
+    float, typer.Option("--black", metavar="COUNTS", help="Of a camera's pixel without light [of its own files].")
+]
+Gain = Annotated[float, typer.Option("--electrons-per-count", metavar="E", help="A camera's gain [of its own files].")]
+ReadNoise = Annotated[
+    float,
+    typer.Option("--read-noise-e", min=0.0, metavar="E", help="A camera's noise without light [of its own files]."),
+]
+
+
+def _counts(black: float, gain: float, read_noise_e: float) -> Counts:
+    """What a camera's counts mean."""
+    from metafab.camera import Counts
+
+    require_finite("--black", black)
+    require_positive("--electrons-per-count", gain)
+    require_finite("--read-noise-e", read_noise_e)
+    return Counts(black, gain, read_noise_e)
+
 
 @app.command("psf")
 def psf_command(
@@ -35,6 +57,9 @@ def psf_command(
         list[float] | None,
         typer.Option(metavar="Z ...", help="Object depths, `inf` for far away [default: the design's]."),
     ] = None,
+    calibration: Annotated[
+        bool, typer.Option("--calibration", help="All depths and directions of the design's scene, for a decoder.")
+    ] = False,
     object_mm: Annotated[
         tuple[float, float] | None, typer.Option(metavar="X Y", help="Object's place beside the axis.")
     ] = None,
@@ -55,22 +80,31 @@ def psf_command(
 
     if ideal == (layout is not None):
         raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
+    asked = {
+        "--depths-m": depths_m, "--object-mm": object_mm, "--pixel-um": pixel_um, "--window-px": window_px,
+        "--target-error": target_error,
+    }  # fmt: skip
+    if calibration and (others := [name for name, value in asked.items() if value is not None]):
+        raise InputError.single("psf", "--calibration", "no option that the design answers", ", ".join(others))
     require_positive("--depths-m", *(depth for depth in depths_m or () if depth != math.inf))
     require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
     require_finite("--object-mm", *(object_mm or ()))
     with progress_bars() as progress, measured() as cost:
         job = open_job(design, None, workers, cluster, progress)
         verify = job.design.verify
-        result = steps.point_spread(
-            job,
-            layout,
-            depths_m=tuple(sorted(set(depths_m))) if depths_m else verify.depths_m,
-            object_mm=object_mm or (0.0, 0.0),
-            pixel_um=pixel_um,
-            window_px=verify.window_px if window_px is None else window_px,
-            target_error=verify.target_error if target_error is None else target_error,
-            copy=copy,
-        )
+        if calibration:
+            result = steps.calibration(job, layout, copy=copy)
+        else:
+            result = steps.point_spread(
+                job,
+                layout,
+                depths_m=tuple(sorted(set(depths_m))) if depths_m else verify.depths_m,
+                object_mm=object_mm or (0.0, 0.0),
+                pixel_um=pixel_um,
+                window_px=verify.window_px if window_px is None else window_px,
+                target_error=verify.target_error if target_error is None else target_error,
+                copy=copy,
+            )
     if output is not None:
         steps.save_psf(job, result, layout, output, copy)
     show({**steps.psf_figures(result), **steps.power_figures(result), "seconds": cost.seconds, "file": output}, json_)
@@ -111,7 +145,7 @@ def capture_command(
     frames: Annotated[int, typer.Option(min=1, metavar="N", help="A film: as many files, numbered from 1.")] = 1,
     json_: Json = False,
 ) -> None:
-    """Raw frame of a scene, or the frames of a film."""
+    """Raw frame of a scene, or the frames of a film: a .h5 with the truth, or counts in a .tif, .png or .npy."""
     from metafab import steps
     from metafab.core.measure import measured
     from metafab.spec import load_scene
@@ -159,6 +193,9 @@ def decode_command(
     raw: Annotated[Path, typer.Argument(metavar="RAW", help="Raw frame: .h5, .tif, .png or .npy.")],
     psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="Calibration.")],
     output: Output = None,
+    black: Black = 0.0,
+    electrons_per_count: Gain = 1.0,
+    read_noise_e: ReadNoise = 0.0,
     json_: Json = False,
 ) -> None:
     """4D image of a raw frame: both intensities, contrast and depth."""
@@ -166,7 +203,8 @@ def decode_command(
 
     path = output or Path("decoded.h5")
     with progress_bars() as progress:
-        image = steps.restore(raw, psf, path, progress=progress)
+        counts = _counts(black, electrons_per_count, read_noise_e)
+        image = steps.restore(raw, psf, path, counts=counts, progress=progress)
     if "reason" in image.details:
         announce([f"{raw}: {image.details['reason']}; the image is empty"])
     figures = {**image.details, "segments": image.segments, "file": path}
@@ -183,6 +221,9 @@ def calibrate_command(
     psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="Prediction from the mask.")],
     depths: Annotated[Path, typer.Option("--depths", metavar="DEPTHS.csv", help="Lines `frame, depth in m`.")],
     output: Output = None,
+    black: Black = 0.0,
+    electrons_per_count: Gain = 1.0,
+    read_noise_e: ReadNoise = 0.0,
     json_: Json = False,
 ) -> None:
     """Calibration of a camera from photographs of a point at known depths."""
@@ -191,5 +232,6 @@ def calibrate_command(
     from metafab import decode, steps
 
     path = output or Path("calibrated.h5")
-    fit = steps.calibrate(frames, depths, psf, path)
+    fit = steps.calibrate(frames, depths, psf, path, counts=_counts(black, electrons_per_count, read_noise_e))
+    announce([f"not told apart: {decode.NOT_SEPARATED}"])
     show({**asdict(fit), "not_separated": decode.NOT_SEPARATED, "frames": len(frames), "file": path}, json_)

@@ -30,6 +30,7 @@ from metafab.steps.library import LIBRARY, library_path, library_stands, open_li
 from metafab.steps.merit import MERIT
 from metafab.steps.optics import (
     PSF,
+    calibration,
     calibration_depths,
     ideal_source,
     mask_source,
@@ -54,6 +55,7 @@ __all__ = [
     "REPORT",
     "STEPS",
     "calibrate",
+    "calibration",
     "calibration_depths",
     "decoded_film",
     "error_budget",

@@ -28,14 +28,21 @@ def expose(
 def expose_film(
     scene: Scene, psf_path: Path, path: Path, frames: int, *, seed: int | None = None, progress: Progress = silent
 ) -> Iterator[tuple[RawFrame, Path]]:
-    """The frames of a scene, each kept as it comes: in ``path`` itself, or numbered from 1 where they are several."""
+    """The frames of a scene, each kept as it comes: in ``path`` itself, or numbered from 1 where they are several.
+
+    In a ``.h5`` with the truth; in a TIFF, PNG or NumPy file in whole counts, as a camera writes them.
+    """
     from metafab import camera, optics
 
+    camera.require_frame_name(path)
     psf, shown = optics.load(psf_path), replace(scene, frames=frames)
     inputs = fingerprint(scene, frames, seed, file_sha256(psf_path))
     for number, frame in enumerate(camera.film(shown, psf, seed=seed, progress=progress), start=1):
         own = path if frames == 1 else path.with_name(f"{path.stem}_{number:04d}{path.suffix}")
-        camera.save(frame, own, inputs_sha256=inputs)
+        if path.suffix.lower() in {".h5", ".hdf5"}:
+            camera.save(frame, own, inputs_sha256=inputs)
+        else:
+            camera.save_counts(frame, own)
         yield frame, own
 
 

@@ -17,6 +17,7 @@ from metafab.spec.fields import LARGEST
 from metafab.steps.outputs import in_folder, nothing_to_decode
 
 if TYPE_CHECKING:
+    from metafab.camera import Counts
     from metafab.decode import CameraFit, Image4D
 
 
@@ -26,6 +27,7 @@ def restore(
     path: Path,
     *,
     unfit: Literal["refuse", "empty"] = "refuse",
+    counts: Counts | None = None,
     progress: Progress = silent,
 ) -> Image4D:
     """Decode a stored raw frame, ours or a camera's, by a stored PSF pair and keep the 4D image.
@@ -36,6 +38,7 @@ def restore(
         path: where the image goes.
         unfit: what becomes of a frame that cannot be decoded: refused, or an empty image with the reason. A dark one
             can always be decoded, to an empty image.
+        counts: what the numbers of a camera's own file mean; electrons by default.
         progress: called after each candidate depth.
 
     Raises:
@@ -44,7 +47,7 @@ def restore(
     from metafab import camera, decode, optics
 
     calibration = optics.load(psf_path)
-    frame = camera.load_frame(raw_path, calibration)
+    frame = camera.load_frame(raw_path, calibration, counts=counts or camera.Counts())
     if unfit == "refuse" and (fault := _unfit(frame.frame)) is not None:
         raise InputError(str(raw_path), [fault])
     image = decode.decode(frame, calibration, progress=progress)
@@ -67,13 +70,17 @@ def _unfit(values: FloatArray) -> Fault | None:
     return None
 
 
-def calibrate(frames: Sequence[Path], depths_path: Path, psf_path: Path, path: Path) -> CameraFit:
+def calibrate(
+    frames: Sequence[Path], depths_path: Path, psf_path: Path, path: Path, *, counts: Counts | None = None
+) -> CameraFit:
     """Calibration of a camera from photographs of a point at the depths of a table."""
     from metafab import camera, decode, optics
 
     predicted = optics.load(psf_path)
     depths_m = decode.read_depths(depths_path, frames)
-    calibrated, fit = decode.calibrate([camera.load_frame(f, predicted) for f in frames], depths_m, predicted)
+    meant = counts or camera.Counts()
+    pictures = [camera.load_frame(file, predicted, counts=meant) for file in frames]
+    calibrated, fit = decode.calibrate(pictures, depths_m, predicted)
     optics.save(calibrated, path, inputs_sha256=fingerprint(file_sha256(psf_path), *map(file_sha256, frames)))
     return fit
 

@@ -204,36 +204,61 @@ def _psf_files(job: Job) -> tuple[Path, ...]:
     return in_folder("psf.h5", *(("ideal_psf.h5",) if job.design.has_mask else ()))(job)
 
 
-def _psf(job: Job) -> dict[str, Any]:
+def _as_verified(job: Job) -> Callable[..., Psf]:
+    """PSFs of a source by the design's window and target error."""
     from metafab import optics
 
-    design, verify = job.design, job.design.verify
-    imaging = optics.Imaging.of(design)
-    point_spread_of = partial(
+    verify = job.design.verify
+    return partial(
         optics.psf,
-        imaging=imaging,
+        imaging=optics.Imaging.of(job.design),
         window_px=verify.window_px,
         target_error=verify.target_error,
-        filter_fwhm_nm=filter_fwhm_nm(design),
+        filter_fwhm_nm=filter_fwhm_nm(job.design),
         workers=job.workers,
         cluster=job.cluster,
         progress=job.progress,
     )
+
+
+def _calibration(job: Job, source: Source) -> Psf:
+    """The pair over all depths and directions of the design's scene."""
+    from metafab import optics
+
+    imaging = optics.Imaging.of(job.design)
+    return _as_verified(job)(
+        source,
+        depths_m=calibration_depths(job.design, imaging),
+        field_tangents=optics.field_tangents(job.design, imaging),
+    )
+
+
+def calibration(job: Job, path: Path | None, *, copy: int = 1) -> Psf:
+    """The pair of a written file (None: of the target phases) over depth and field, as a run hands it to the decoder.
+
+    Raises:
+        InputError: the design has no scene, whose depths and field these are.
+    """
+    if job.design.scene is None:
+        raise InputError.single(job.design.name, "scene", "one, whose depths and field are covered", "none", "add it")
+    return _calibration(job, lit_source(job, ideal_source(job) if path is None else mask_source(job, path, copy)))
+
+
+def _psf(job: Job) -> dict[str, Any]:
+
+    design = job.design
+    point_spread_of = _as_verified(job)
     ideal_light = lit_source(job, ideal_source(job))
     mask_path = mask_paths(job)[-1] if design.has_mask else None
     source = ideal_light if mask_path is None else lit_source(job, mask_source(job, mask_path))
-    written = point_spread_of(
-        source,
-        depths_m=calibration_depths(design, imaging),
-        field_tangents=optics.field_tangents(design, imaging),
-    )
+    written = _calibration(job, source)
     save_psf(job, written, mask_path, job.folder / "psf.h5")
     figures = {}
     if design.has_mask:
-        ideal = point_spread_of(ideal_light, depths_m=verify.depths_m)
+        ideal = point_spread_of(ideal_light, depths_m=design.verify.depths_m)
         save_psf(job, ideal, None, job.folder / "ideal_psf.h5")
         figures = {f"ideal_{name}": value for name, value in psf_figures(ideal).items() if name != "depth_m"}
-    shown = np.isin(written.depth_m, verify.depths_m)
+    shown = np.isin(written.depth_m, design.verify.depths_m)
     return {
         **{name: value[shown] for name, value in psf_figures(written).items()},
         **figures,

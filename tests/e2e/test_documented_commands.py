@@ -24,13 +24,9 @@ NOT_RUN = {
     ".ci/run": "runs the tests, this one among them",
     "pip install": "fetches packages",
     "python3 -m venv": "is there to fetch packages",
-    "helix_2mm": "25.6 million pillars: a minute and more, and 2 GB of files",
     "benchmark": "measures for minutes; tests/cli/test_cli_benchmark.py runs a room",
     "dask": "starts a cluster; tests/files/test_library_build_file.py has one",
     "--cluster": "needs the cluster",
-    "metafab calibrate": "needs pictures of a point source",
-    "depths.csv": "shows a file of the reader's own",
-    "frame.tif": "needs a camera's picture; tests/cli/test_cli_contract.py decodes one",
 }
 
 #: Pages whose Python no test follows, and why.

@@ -10,7 +10,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from metafab.camera import RawFrame, capture, load, load_frame, save
+from metafab.camera import Counts, RawFrame, capture, load, load_frame, save, save_counts
 from metafab.core.errors import InputError
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
@@ -115,3 +115,42 @@ def test_frames_that_are_no_grey_picture_are_refused(psf: Psf, tmp_path: Path, v
     np.save(tmp_path / "frame.npy", values)
     with pytest.raises(InputError):
         load_frame(tmp_path / "frame.npy", psf)
+
+
+@pytest.mark.parametrize("name", ["frame.tif", "frame.png", "frame.npy"])
+def test_a_frame_in_counts_comes_back_where_it_was(psf: Psf, frame: RawFrame, tmp_path: Path, name: str) -> None:
+    """Whole electrons, the axis in the middle of the file: every pixel has the place on the sensor that it had."""
+    save_counts(frame, tmp_path / name)
+    back = load_frame(tmp_path / name, psf)
+    assert back.pixel_um == frame.pixel_um
+    column, row = (
+        round((there - here) / PIXEL_UM) for there, here in zip(frame.origin_um, back.origin_um, strict=True)
+    )
+    n_y, n_x = frame.frame.shape
+    part = back.frame[row : row + n_y, column : column + n_x]
+    np.testing.assert_array_equal(part, np.clip(np.round(frame.frame), 0, 65535))
+    assert back.frame.sum() == part.sum()
+    assert back.saturation_e == 65535.0
+    again = tmp_path / f"again_{name}"
+    save_counts(frame, again)
+    assert again.read_bytes() == (tmp_path / name).read_bytes()
+
+
+def test_no_frame_goes_into_another_kind_of_file(frame: RawFrame, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="jpg"):
+        save_counts(frame, tmp_path / "frame.jpg")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_black_level_and_gain_make_electrons_of_counts(psf: Psf, tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "frame.tif", np.array([[64, 164], [4095, 264]], dtype=np.uint16))
+    frame = load_frame(tmp_path / "frame.tif", psf, counts=Counts(64.0, 2.5, 3.0))
+    np.testing.assert_array_equal(frame.frame, [[2.5 * 4031.0, 500.0], [0.0, 250.0]])
+    assert frame.saturation_e == 2.5 * 4031.0
+    assert frame.read_noise_e == 3.0
+
+
+def test_our_own_frames_are_in_electrons_already(psf: Psf, frame: RawFrame, tmp_path: Path) -> None:
+    save(frame, tmp_path / "raw.h5")
+    with pytest.raises(InputError, match="electrons already"):
+        load_frame(tmp_path / "raw.h5", psf, counts=Counts(black=64.0))

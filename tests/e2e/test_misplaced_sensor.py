@@ -1,0 +1,78 @@
+"""A sensor that stands too near: the exact camera behind the written mask, calibrated by photographs of a point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metafab import camera, decode, optics, steps
+from metafab.optics import Psf
+from metafab.run import Job
+from metafab.spec import Scene, load_design, load_scene
+from tests.conftest import MainJob
+from tests.main_job import ROOT, SMALL
+
+pytestmark = pytest.mark.xdist_group("main_job")
+
+POINT = ROOT / "layouts" / "scenes" / "point.toml"
+DEPTHS_M = (0.0026, 0.0029, 0.0032)
+#: Where the displaced sensor is sharp; the design says 3.0 mm.
+FOCUS_M = 0.0031
+
+
+@pytest.fixture(scope="module")
+def predicted(main_job: MainJob) -> Psf:
+    return optics.load(main_job.folder / "psf.h5")
+
+
+@pytest.fixture(scope="module")
+def displaced(main_job: MainJob, tmp_path_factory: pytest.TempPathFactory) -> Psf:
+    """The pair of the same written mask on a sensor elsewhere."""
+    design = load_design(SMALL)
+    moved = replace(design, sensor=replace(design.sensor, focus_depth_m=FOCUS_M))
+    return steps.calibration(Job(moved, tmp_path_factory.mktemp("displaced")), main_job.folder / "layout.oas")
+
+
+@pytest.fixture(scope="module")
+def fitted(predicted: Psf, displaced: Psf, tmp_path_factory: pytest.TempPathFactory) -> tuple[Psf, decode.CameraFit]:
+    """From 16-bit pictures, as a camera writes them."""
+    folder = tmp_path_factory.mktemp("points")
+    point = load_scene(POINT)
+    frames = []
+    for number, depth_m in enumerate(DEPTHS_M):
+        scene = replace(point, objects=(replace(point.objects[0], depth_m=depth_m),), seed=number)
+        camera.save_counts(camera.capture(scene, displaced), folder / f"{number}.tif")
+        counts = camera.Counts(read_noise_e=scene.read_noise_e)
+        frames.append(camera.load_frame(folder / f"{number}.tif", predicted, counts=counts))
+    return decode.calibrate(frames, DEPTHS_M, predicted)
+
+
+def test_the_displacement_comes_back(predicted: Psf, displaced: Psf, fitted: tuple[Psf, decode.CameraFit]) -> None:
+    _, fit = fitted
+    # Slantwise light at 8 degrees: cos^2 of it in the plane of incidence.
+    along_y = 1.0 / 0.003 - 1.0 / FOCUS_M
+    wanted = 0.5 * along_y * (1.0 + np.cos(np.radians(8.0)) ** 2)
+    assert fit.vergence_offset_per_m == pytest.approx(wanted, abs=3.0 * fit.vergence_error_per_m)
+    # A pinhole as wide as a pixel is no point: what it costs and the noise are less than 0.3 % of the depth.
+    assert abs(fit.vergence_offset_per_m - wanted) < 0.003 / 0.0029
+    ratio = displaced.sensor_distance_um / predicted.sensor_distance_um
+    assert fit.magnification == pytest.approx(ratio, abs=3.0 * fit.magnification_error)
+    assert abs(fit.rotation_deg) < 3.0 * fit.rotation_error_deg
+    assert np.hypot(*fit.shift_um) < 4.0 * fit.shift_error_um
+    assert abs(fit.tilt_per_m) < 3.0 * fit.vergence_error_per_m
+
+
+def test_its_frames_are_read_as_by_its_own_pair(
+    predicted: Psf, displaced: Psf, fitted: tuple[Psf, decode.CameraFit]
+) -> None:
+    scene = load_design(SMALL).scene
+    assert isinstance(scene, Scene)
+    frame = camera.capture(scene, displaced)
+    uncalibrated, calibrated, own = (decode.decode(frame, psf) for psf in (predicted, fitted[0], displaced))
+    assert uncalibrated.details["object_error"] > 0.03
+    assert calibrated.details["object_error"] < 0.005
+    assert calibrated.nmae is not None
+    assert own.nmae is not None
+    assert calibrated.nmae < own.nmae + 0.003
