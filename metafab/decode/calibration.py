@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, PPoly
-from scipy.ndimage import spline_filter1d
+from scipy.ndimage import map_coordinates, spline_filter1d
 from scipy.sparse import csr_matrix
 
 from metafab.camera.geometry import ImageMap
@@ -62,12 +62,14 @@ class Calibration:
             every: step of those pixels.
             block: side of a block of them.
         """
+        grid = self.grid
         row, column = (
-            self.grid.margin + np.minimum(every * (np.arange(-(-n // block)) * block + block // 2), most - 1)
-            for n, most in zip(shape, self.grid.shape, strict=True)
+            grid.margin + np.minimum(every * (np.arange(-(-n // block)) * block + 0.5 * (block - 1)), most - 1.0)
+            for n, most in zip(shape, grid.shape, strict=True)
         )
-        place = np.ix_(row, column)
-        weights = self.kernels.field_weights(self.grid.tangent_x[place], self.grid.tangent_y[place])
+        place = np.meshgrid(row, column, indexing="ij")
+        tangents = (map_coordinates(axis, place, order=1) for axis in (grid.tangent_x, grid.tangent_y))
+        weights = self.kernels.field_weights(*tangents)
         return weights.reshape(row.size, column.size, -1).astype(np.float32)
 
     @cached_property

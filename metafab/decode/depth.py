@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from metafab.core.conventions import FloatArray
 from metafab.decode.peaks import peaks
@@ -23,6 +25,8 @@ _WINDOWS = 3
 _WIDE = 8
 #: A wider window is trusted while it stays within this many standard errors of the narrower one.
 _SAME_DEPTH = 1.5
+#: Points a candidate at which splines through their agreement are read.
+_FINE = 32
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,11 @@ class PixelDepth:
     vergence_per_m: FloatArray
     relative_error: FloatArray
     claimed: NDArray[np.bool_]
+
+    def within(self, rows: slice, columns: slice) -> PixelDepth:
+        """A part of the picture."""
+        part = (rows, columns)
+        return PixelDepth(self.vergence_per_m[part], self.relative_error[part], self.claimed[part])
 
 
 def pixel_depth(volume: Volume, window: int, noise_variance: FloatArray) -> PixelDepth:
@@ -92,6 +101,33 @@ def parabola(below: FloatArray, at: FloatArray, above: FloatArray) -> tuple[Floa
     curvature = np.maximum(2.0 * at - below - above, 1e-12)
     shift = 0.5 * (above - below) / curvature
     return shift, at + 0.25 * (above - below) * shift, curvature
+
+
+def spline_peaks(values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Largest values of splines through equally spaced ones.
+
+    A parabola through three candidates alone is off, and by the same all over a frame.
+
+    Args:
+        values: shape (n, n_candidates).
+
+    Returns:
+        Shapes (n,): place of the maximum, in steps from the first; the maximum; its curvature (per step squared,
+        positive); whether it lies inside of the range.
+    """
+    fine = values @ _spline_weights(values.shape[1]).T
+    best = fine.argmax(axis=1)
+    inner = np.clip(best, 1, fine.shape[1] - 2)
+    below, at, above = (np.take_along_axis(fine, (inner + d)[:, None], axis=1)[:, 0] for d in (-1, 0, 1))
+    shift, peak, curvature = parabola(below, at, above)
+    return (inner + np.clip(shift, -1.0, 1.0)) / _FINE, peak, curvature * _FINE**2, best == inner
+
+
+@lru_cache(maxsize=8)
+def _spline_weights(count: int) -> FloatArray:
+    """Weights of ``count`` values in their spline, ``_FINE`` points a step: shape (n_points, count)."""
+    points = np.arange(_FINE * (count - 1) + 1) / _FINE
+    return np.asarray(make_interp_spline(np.arange(count), np.eye(count), k=min(5, count - 1))(points))
 
 
 def standard_error(peak: FloatArray, curvature: FloatArray, samples: float) -> FloatArray:

@@ -46,6 +46,8 @@ BLOCK_PX, _SMALL_BLOCK_PX = 24, 12
 #: What the pair may change by from the middle of a large square to its side (relative L2).
 _CHANGE_IN_BLOCK = 0.05
 _LARGEST_BASIS = 64
+#: What filters that do not know their frame are made for: 3000 electrons a pixel.
+_TYPICAL = Levels(3000.0, 3000.0, 600.0, 2.0)
 #: Images that are filtered together: their transforms stay in a thread's cache.
 _AT_ONCE = 4
 #: Transforms of the basis are kept for this many sizes of windows, the last used.
@@ -192,11 +194,14 @@ class CrossFilters:
     def _weight(self, levels: Levels) -> NDArray[np.float32]:
         """Square root of what each frequency adds to the likelihood; nothing slower than a window."""
         ky, kx = self.reduction.frequencies
-        k2 = ky[:, None] ** 2 + kx[None, :] ** 2
-        signal = self.power * levels.texture_spectrum(k2)
-        weight = np.sqrt(signal / (levels.noise_variance + 2.0 * signal)) * _high_pass(k2)
-        # At most 1, and the same for windows of all sizes.
-        return np.asarray(math.sqrt(2.0) * weight, dtype=np.float32)
+        return _likelihood(levels, self.power, ky[:, None] ** 2 + kx[None, :] ** 2).astype(np.float32)
+
+
+def _likelihood(levels: Levels, power: FloatArray, frequency_squared: FloatArray) -> FloatArray:
+    """Square root of what each frequency adds to the likelihood, at most 1; nothing slower than a window."""
+    signal = power * levels.texture_spectrum(frequency_squared)
+    share = np.sqrt(2.0 * signal / (levels.noise_variance + 2.0 * signal))
+    return np.asarray(share * _high_pass(frequency_squared))
 
 
 def _cross_filters(
@@ -221,7 +226,8 @@ def _cross_filters(
     power = squared[:, :, stack.shape[2] // 2].mean(axis=(0, 1))
     total = squared.sum(axis=0)
     total += _FAINTEST * total.max()
-    filters = made_up(transfer[::-1] * np.sqrt(2.0 / total), transfer, total, calibration, every)
+    weight = _likelihood(_TYPICAL, power, ky[:, None] ** 2 + kx[None, :] ** 2)
+    filters = made_up(transfer[::-1] * np.sqrt(2.0 / total), transfer, total, weight, calibration, every)
     return filters, power.astype(np.float64)
 
 

@@ -8,20 +8,22 @@ them where a single depth does not.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 
 from metafab.core.conventions import FloatArray
-from metafab.decode.depth import parabola, standard_error
+from metafab.decode.depth import spline_peaks, standard_error
 from metafab.decode.volume import Volume, correlation
 from metafab.optics.field import spline_weights
 
 #: Side of a cell, pixels of the frame.
 _CELL_PX = 36
 _FEWEST_CELLS = 8
+#: Share of a segment that has to be clear of the picture's rim for its depth to be from that alone.
+_LEAST_CLEAR = 0.2
 #: A tilt counts from so many standard errors, and from this change over the segment (relative).
 _SIGNIFICANT = 6.0
 _SMALLEST_RISE = 5e-3
@@ -56,6 +58,10 @@ class Plane:
         rise = self.slope_per_m[0] * (row - self.centre[0]) + self.slope_per_m[1] * (column - self.centre[1])
         return np.maximum(self.vergence_per_m + rise, 0.01 * self.vergence_per_m)
 
+    def moved(self, rows: int, columns: int) -> Plane:
+        """The plane in a picture in which everything stands at rows and columns larger by these."""
+        return replace(self, centre=(self.centre[0] + rows, self.centre[1] + columns)) if self.tilted else self
+
     def over(self, shape: tuple[int, ...]) -> FloatArray:
         """1/depth at each compared pixel."""
         row, column = np.ogrid[: shape[0], : shape[1]]
@@ -72,8 +78,9 @@ class Cells:
         row: shape (n,), their middles, compared pixels; likewise ``column``.
         vergence_per_m: shape (n,), where their twins agree best.
         error_per_m: shape (n,), its standard error; inf for a cell that says no depth.
-        whole: shape (3, n_candidates), the sums over all of the segment, cells that are too small to count included.
-        size: pixels of all of the segment.
+        whole: shape (3, n_candidates), the sums over all of the segment, cells too small to count included; those
+            along the picture's rim, beyond which it goes on unseen, only if hardly any others are there.
+        size: how many pixels that are.
     """
 
     sums: FloatArray
@@ -117,8 +124,14 @@ class Cells:
         middle_row, middle_column = (np.bincount(cell, axis, number.size) / pixels for axis in (row, column))
         vergence, error = _cell_depths(volume, sums, pixels)
         starts = np.searchsorted(number // (down * across), np.arange(1, count + 2))
+        clear = np.ones(number.size, dtype=bool)
+        for middle, length in zip((middle_row, middle_column), label.shape, strict=True):
+            clear &= (middle >= side) & (middle < length - side)
         found = []
         for start, stop in itertools.pairwise(starts.tolist()):
+            part = start + np.flatnonzero(clear[start:stop])
+            if pixels[part].sum() < _LEAST_CLEAR * pixels[start:stop].sum():
+                part = np.arange(start, stop)
             kept = start + np.flatnonzero(pixels[start:stop] >= 0.25 * side**2)
             cells = cls(
                 sums[kept],
@@ -127,8 +140,8 @@ class Cells:
                 middle_column[kept],
                 vergence[kept],
                 error[kept],
-                sums[start:stop].sum(axis=0),
-                int(pixels[start:stop].sum()),
+                sums[part].sum(axis=0),
+                int(pixels[part].sum()),
             )
             found.append(cells)
         return found
@@ -143,14 +156,9 @@ class Cells:
 
 def _cell_depths(volume: Volume, sums: FloatArray, pixels: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
     agreement = correlation(np.moveaxis(sums, 1, 0)).astype(np.float64)
-    nodes, step = volume.vergences_per_m, volume.step_per_m
-    best = agreement.argmax(axis=1)
-    inner = np.clip(best, 1, nodes.size - 2)
-    below, at, above = (np.take_along_axis(agreement, (inner + d)[:, None], axis=1)[:, 0] for d in (-1, 0, 1))
-    shift, peak, curvature = parabola(below, at, above)
-    error = standard_error(peak, curvature / step**2, 1.0) / np.sqrt(pixels * volume.samples)
-    known = (best == inner) & (peak > 0.0)
-    return nodes[inner] + step * np.clip(shift, -1.0, 1.0), np.where(known, error, np.inf)
+    place, peak, curvature, inside = spline_peaks(agreement)
+    error = standard_error(peak, curvature / volume.step_per_m**2, 1.0) / np.sqrt(pixels * volume.samples)
+    return volume.vergences_per_m[0] + volume.step_per_m * place, np.where(inside & (peak > 0.0), error, np.inf)
 
 
 def fitted_plane(cells: Cells) -> Plane | None:

@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
 from scipy.ndimage import distance_transform_cdt, gaussian_filter1d
 from scipy.ndimage import label as connected
 
 from metafab.core.conventions import FloatArray
-from metafab.decode.depth import PixelDepth, parabola, standard_error
+from metafab.decode.depth import PixelDepth, spline_peaks, standard_error
 from metafab.decode.distance import distance, nearest
 from metafab.decode.planes import Plane
 from metafab.decode.pooling import window_means
@@ -29,7 +28,6 @@ _CLEAR_PX = (24, 20, 16, 12, 8, 4)
 _OUTLINE_WINDOW_PX = 13
 #: Share of a textured region's inside that must show its texture; 5 standard deviations leave noise none.
 _LEAST_TEXTURED = 0.05
-_FINE = 32  # points a candidate at which the agreement's spline is read
 
 
 @dataclass(frozen=True)
@@ -42,6 +40,7 @@ class SegmentDepth:
         correlation: of the twins at that depth.
         power: mean square of the aligned twins there, geometric mean of both, electrons squared.
         plane: its depth over the picture.
+        pixels: how many compared pixels say so.
     """
 
     vergence_per_m: float
@@ -49,6 +48,7 @@ class SegmentDepth:
     correlation: float
     power: float
     plane: Plane
+    pixels: float = 0.0
 
 
 def depth_layers(pixels: PixelDepth, step_per_m: float) -> FloatArray:
@@ -178,20 +178,15 @@ def segment_depth(volume: Volume, sums: FloatArray, pixels: float, tilt: Plane |
     nodes = volume.vergences_per_m
     if not np.isfinite(agreement).all() or agreement.max() <= 0.0:
         return _segment(tilt, float(nodes[nodes.size // 2]), np.inf, 0.0, 0.0)
-    spline = make_interp_spline(nodes, agreement, k=min(5, nodes.size - 1))
-    fine = np.linspace(nodes[0], nodes[-1], _FINE * (nodes.size - 1) + 1)
-    values = spline(fine)
-    best = int(values.argmax())
-    if best in {0, fine.size - 1}:  # Still rising where the calibration ends: the depth is not inside it.
-        return _segment(tilt, float(fine[best]), np.inf, float(values[best]), 0.0)
-    shift, peak, curvature = parabola(values[best - 1], values[best], values[best + 1])
-    step = fine[1] - fine[0]
-    vergence = float(fine[best] + step * np.clip(shift, -1.0, 1.0))
+    place, peak, curvature, inside = (float(one[0]) for one in spline_peaks(agreement[None]))
+    vergence = float(nodes[0]) + volume.step_per_m * place
+    if not inside:  # Still rising where the calibration ends: the depth is not inside it.
+        return _segment(tilt, vergence, np.inf, peak, 0.0)
     samples = max(pixels * volume.samples, 1.0)
-    error = float(standard_error(np.array(peak), np.array(curvature / step**2), samples)) / abs(vergence)
+    error = float(standard_error(np.array(peak), np.array(curvature / volume.step_per_m**2), samples)) / abs(vergence)
     nearest = int(np.abs(nodes - vergence).argmin())
     power = float(np.sqrt(sums[1, nearest] * sums[2, nearest])) / max(pixels, 1.0)
-    return _segment(tilt, vergence, error, float(peak), power)
+    return _segment(tilt, vergence, error, peak, power)
 
 
 def _segment(tilt: Plane | None, vergence: float, error: float, peak: float, power: float) -> SegmentDepth:

@@ -23,7 +23,7 @@ from metafab.decode import (
     tiles,
     twins,
 )
-from metafab.decode.depth import parabola, standard_error
+from metafab.decode.depth import parabola, spline_peaks, standard_error
 from metafab.decode.judge import structural_similarity
 from metafab.decode.reduce import Reduction, enlarged, repeated
 from metafab.decode.resample import Resampler
@@ -283,6 +283,27 @@ def test_correlation_is_blind_to_contrast() -> None:
     for ratio in (0.1, 1.0, 7.0):
         b = ratio * a
         assert correlation(np.array([(a * b).sum(), (a * a).sum(), (b * b).sum()])) == pytest.approx(1.0)
+
+
+def test_a_spline_finds_what_a_parabola_misses() -> None:
+    """A Gaussian of 2.5 steps: the parabola through three of its values is up to 0.01 steps off, the spline 5e-4."""
+    true = np.linspace(3.0, 9.0, 41)
+    values = np.exp(-0.5 * ((np.arange(13) - true[:, None]) / 2.5) ** 2)
+    place, height, curvature, inside = spline_peaks(values)
+    assert inside.all()
+    assert np.abs(place - true).max() < 6e-4
+    np.testing.assert_allclose(height, 1.0, atol=1e-4)
+    np.testing.assert_allclose(curvature, 1.0 / 2.5**2, rtol=0.02)
+    best = values.argmax(axis=1)
+    below, at, above = (values[np.arange(41), best + d] for d in (-1, 0, 1))
+    assert np.abs(best + parabola(below, at, above)[0] - true).max() > 3e-3
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 13])
+def test_a_peak_at_an_end_is_said(count: int) -> None:
+    rising = np.arange(count, dtype=np.float64)[None]
+    for values in (rising, -rising):
+        assert not spline_peaks(values)[3].any()
 
 
 def test_a_parabola_is_found() -> None:

@@ -79,6 +79,20 @@ def test_cells_say_the_depth_of_their_middle() -> None:
     assert depth.plane.tilted
 
 
+def test_the_rim_of_the_picture_counts_only_where_there_is_nothing_else() -> None:
+    """Cells of 12 compared pixels along the rim lie at another depth."""
+    vergence = np.full(SHAPE, 3.0)
+    vergence[12:-12, 12:-12] = 2.4
+    volume = volume_of(vergence)
+    whole = Cells.of(volume, np.ones(SHAPE, dtype=bool), 3)
+    assert whole.size == 72 * 96
+    assert segment_depth(volume, whole.whole, whole.size).vergence_per_m == pytest.approx(2.4, abs=1e-3)
+    assert whole.pixels.sum() == SHAPE[0] * SHAPE[1]  # a tilt is seen best at the rim
+    rim = np.zeros(SHAPE, dtype=bool)
+    rim[:12] = True
+    assert Cells.of(volume, rim, 3).size == rim.sum()
+
+
 def test_a_segment_that_goes_on_in_its_neighbour_is_no_plane_of_its_own() -> None:
     label = np.zeros((40, 60), dtype=np.int32)
     label[:, :30], label[:, 30:50], label[:, 52:] = 1, 2, 3
