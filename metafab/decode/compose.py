@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, fields
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
@@ -34,31 +36,20 @@ def full_depth_m(pixels: PixelDepth, every: int, shape: tuple[int, int]) -> Floa
     return depth_m
 
 
-def sharpened(
-    seen: Seen,
-    regions: Regions,
-    restorer: Restorer,
-    tiles: LitTiles,
-    candidates_per_m: FloatArray,
-    changed: NDArray[np.bool_] | None,
-    last: Sharp | None,
-) -> Sharp:
-    """Both images, sharp at the depth of the nearest segment; with ``last``, that is kept where nothing ``changed``."""
-    every, shape = seen.reduction.every, seen.twins.grid.shape
-    middle_per_m = float(np.median(candidates_per_m))
+def sharpened(seen: Seen, regions: Regions, restorer: Restorer, tiles: LitTiles, candidates_per_m: FloatArray) -> Sharp:
+    """Both images, sharp at the depth of the nearest segment."""
+    label, vergences = focus(seen, regions, candidates_per_m)
+    return restorer(tiles, seen.levels, repeated(label, seen.reduction.every, seen.twins.grid.shape), vergences)
+
+
+def focus(seen: Seen, regions: Regions, candidates_per_m: FloatArray) -> tuple[NDArray[np.int32], FloatArray]:
+    """At which depth each compared pixel is made sharp, numbered from 1 (0: it is dark), and 1/depth of each number."""
     band_per_m = LAYER_SHARE * float(candidates_per_m[-1] - candidates_per_m[0])
     wide = grown(regions.label, float(sum(regions.label.shape))) if regions.depths else np.ones_like(regions.label)
     wide = np.where(lit_about(seen), wide, 0)
-    vergences = np.array([middle_per_m])
-    if regions.depths:
-        wide, vergences = regions.bands(wide, band_per_m)
-    if last is None or changed is None:
-        return restorer(tiles, seen.levels, repeated(wide, every, shape), vergences)
-    sharp = restorer(tiles, seen.levels, repeated(np.where(changed, wide, 0), every, shape), vergences)
-    unchanged = ~repeated(changed, every, shape)
-    np.copyto(sharp.images, last.images, where=unchanged)
-    np.copyto(sharp.noise_gain, last.noise_gain, where=unchanged)
-    return sharp
+    if not regions.depths:
+        return wide, np.array([float(np.median(candidates_per_m))])
+    return regions.bands(wide, band_per_m)
 
 
 def lit_about(seen: Seen) -> NDArray[np.bool_]:
@@ -66,54 +57,86 @@ def lit_about(seen: Seen) -> NDArray[np.bool_]:
     return np.asarray(binary_dilation(seen.lit, iterations=2))
 
 
-def composed(
-    frame: RawFrame,
-    seen: Seen,
-    volume: Volume,
-    pixels: PixelDepth,
-    regions: Regions,
-    sharp: Sharp,
-    basis_images: int,
-) -> Image4D:
-    """All that is known about a frame, on its own pixels."""
-    images = sharp.images
-    every, shape = seen.reduction.every, seen.twins.grid.shape
-    with kept_threads() as beside:
-        maps = beside.submit(_maps, pixels, regions, every, shape)
-        doubts = beside.submit(_doubts, volume, seen, regions)
-        lit = _lit(images, seen.floor_e) & ~seen.twins.bad
-        contrast, contrast_error = pixel_contrast(sharp, seen.levels.read_noise_e, lit)
-    dark = ~lit
-    segment, depth_m, confidence, pixel_m = maps.result()
-    for part, unknown in ((segment, 0), (depth_m, np.nan), (confidence, 0.0), (pixel_m, np.nan)):
-        np.copyto(part, unknown, where=dark)
-    light = SegmentLight.of(images, segment, repeated(regions.inner, every, shape), len(regions.depths))
-    rows = _rows(regions, light, every, seen.levels.read_noise_e)
-    details: dict[str, float | str] = {
-        "layers": float(regions.layers),
-        "basis_images": float(basis_images),
-        "step_px": float(every),
-        "pixels": float(lit.size),
-        "pixels_without_signal": float(dark.sum()),
-        "pixels_without_texture": float((lit & np.isnan(depth_m)).sum()),
-        "pixels_broken": float(seen.twins.bad.sum()),
-        "contrast_standard_error": _typical(contrast_error[::8, ::8], contrast[::8, ::8]),
-        **doubts.result(),
-    }
-    return Image4D(
-        images[0].astype(np.float64),
-        images[1].astype(np.float64),
-        contrast,
-        depth_m,
-        confidence,
-        segment,
-        seen.twins.grid.origin_um,
-        frame.pixel_um,
-        rows,
-        pixel_m,
-        contrast_error,
-        details=details,
-    )
+@dataclass(frozen=True)
+class Pictures:
+    """What is known of each pixel of a frame, all of shape (n_y, n_x): see :class:`Image4D`.
+
+    Attributes:
+        lit: where there is light.
+    """
+
+    intensity_x: FloatArray
+    intensity_y: FloatArray
+    contrast: FloatArray
+    contrast_error: FloatArray
+    depth_m: FloatArray
+    confidence: FloatArray
+    segment: NDArray[np.int32]
+    depth_pixel_m: FloatArray
+    lit: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, seen: Seen, pixels: PixelDepth, regions: Regions, sharp: Sharp) -> Pictures:
+        """All that is seen, or a part of it."""
+        every, shape, images = seen.reduction.every, seen.twins.grid.shape, sharp.images
+        with kept_threads() as beside:
+            maps = beside.submit(_maps, pixels, regions, every, shape)
+            lit = _lit(images, seen.floor_e) & ~seen.twins.bad
+            contrast, contrast_error = pixel_contrast(sharp, seen.levels.read_noise_e, lit)
+        segment, depth_m, confidence, pixel_m = maps.result()
+        for part, unknown in ((segment, 0), (depth_m, np.nan), (confidence, 0.0), (pixel_m, np.nan)):
+            np.copyto(part, unknown, where=~lit)
+        intensity_x, intensity_y = images.astype(np.float64)
+        return cls(intensity_x, intensity_y, contrast, contrast_error, depth_m, confidence, segment, pixel_m, lit)
+
+    def renumbered(self, number: NDArray[np.int32]) -> Pictures:
+        """A copy, with other numbers for the segments from 0 (none) on."""
+        copies = {item.name: getattr(self, item.name).copy() for item in fields(self)}
+        if not np.array_equal(number, np.arange(number.size)):
+            copies["segment"] = number[self.segment]
+        return Pictures(**copies)
+
+    def paste(self, there: Pictures, part: tuple[slice, slice], about: tuple[slice, slice]) -> None:
+        """Take a part from the pictures of what lies ``about`` it; both are pixels of these."""
+        inside = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(part, about, strict=True))
+        for item in fields(self):
+            getattr(self, item.name)[part] = getattr(there, item.name)[inside]
+
+    def image(
+        self, frame: RawFrame, seen: Seen, volume: Volume, regions: Regions, sharp: Sharp, basis_images: int
+    ) -> Image4D:
+        """All that is known about a frame, on its own pixels."""
+        every = seen.reduction.every
+        with kept_threads() as beside:
+            doubts = beside.submit(_doubts, volume, seen, regions)
+            inner = repeated(regions.inner, every, self.lit.shape)
+            light = SegmentLight.of(sharp.images, self.segment, inner, len(regions.depths))
+        some = (slice(None, None, 8), slice(None, None, 8))
+        details: dict[str, float | str] = {
+            "layers": float(regions.layers),
+            "basis_images": float(basis_images),
+            "step_px": float(every),
+            "pixels": float(self.lit.size),
+            "pixels_without_signal": float((~self.lit).sum()),
+            "pixels_without_texture": float((self.lit & np.isnan(self.depth_m)).sum()),
+            "pixels_broken": float(seen.twins.bad.sum()),
+            "contrast_standard_error": _typical(self.contrast_error[some], self.contrast[some]),
+            **doubts.result(),
+        }
+        return Image4D(
+            self.intensity_x,
+            self.intensity_y,
+            self.contrast,
+            self.depth_m,
+            self.confidence,
+            self.segment,
+            seen.twins.grid.origin_um,
+            frame.pixel_um,
+            _rows(regions, light, every, seen.levels.read_noise_e),
+            self.depth_pixel_m,
+            self.contrast_error,
+            details=details,
+        )
 
 
 def _maps(

@@ -6,7 +6,6 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from metafab.camera.frame import RawFrame
 from metafab.camera.geometry import ImageMap
@@ -15,7 +14,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.executor import kept_threads
 from metafab.core.progress import Progress, silent
 from metafab.decode.calibration import Calibration
-from metafab.decode.compose import composed, empty, full_depth_m, lit_about, sharpened
+from metafab.decode.compose import Pictures, empty, full_depth_m, lit_about, sharpened
 from metafab.decode.depth import PixelDepth
 from metafab.decode.filters import BASIS_ERROR, CrossFilters
 from metafab.decode.image import Image4D
@@ -152,36 +151,30 @@ class Decoder:
         """Agreement of the twins over depth."""
         return self.filters.volume(seen.spectra, seen.levels, seen.lit, progress)
 
-    def finish(
+    def finish(self, frame: RawFrame, seen: Seen, volume: Volume) -> Decoded:
+        """Depth, segments and sharp images."""
+        every, shape = self.filters.reduction.every, self.calibration.grid.shape
+        with kept_threads() as beside:
+            # Loops over all threads are left to this one: not every threading layer lets two start them at once.
+            tiles = beside.submit(self.restorer.transformed, seen.twins.image, repeated(lit_about(seen), every, shape))
+            pixels = textured_pixels(seen, volume)
+            regions = find_regions(seen, volume, pixels)
+        sharp = sharpened(seen, regions, self.restorer, tiles.result(), volume.vergences_per_m)
+        return self.put_together(frame, seen, volume, pixels, regions, sharp, Pictures.of(seen, pixels, regions, sharp))
+
+    def put_together(
         self,
         frame: RawFrame,
         seen: Seen,
         volume: Volume,
-        pixels: PixelDepth | None = None,
-        changed: NDArray[np.bool_] | None = None,
-        last: Decoded | None = None,
+        pixels: PixelDepth,
+        regions: Regions,
+        sharp: Sharp,
+        pictures: Pictures,
     ) -> Decoded:
-        """Depth, segments and sharp images.
-
-        Args:
-            frame: what is decoded.
-            seen: of the frame.
-            volume: of the frame.
-            pixels: the depth of each pixel by itself, if it is known.
-            changed: compared pixels outside of which brightness is the ``last`` frame's.
-            last: the frame before.
-        """
-        every, shape = self.filters.reduction.every, self.calibration.grid.shape
-        with kept_threads() as beside:
-            anew = lit_about(seen) if changed is None else lit_about(seen) & changed
-            # Loops over all threads are left to this one: not every threading layer lets two start them at once.
-            tiles = beside.submit(self.restorer.transformed, seen.twins.image, repeated(anew, every, shape))
-            pixels = textured_pixels(seen, volume) if pixels is None else pixels
-            regions = find_regions(seen, volume, pixels)
-        kept = None if last is None else last.sharp
-        sharp = sharpened(seen, regions, self.restorer, tiles.result(), volume.vergences_per_m, changed, kept)
-        image = composed(frame, seen, volume, pixels, regions, sharp, self.filters.kernels.shape[1])
-        return Decoded(seen, volume, pixels, regions, sharp, image)
+        """A frame of which all is known."""
+        image = pictures.image(frame, seen, volume, regions, sharp, self.filters.kernels.shape[1])
+        return Decoded(seen, volume, pixels, regions, sharp, pictures, image)
 
 
 @dataclass(frozen=True)
@@ -193,6 +186,7 @@ class Decoded:
     pixels: PixelDepth
     regions: Regions
     sharp: Sharp
+    pictures: Pictures
     image: Image4D
 
 

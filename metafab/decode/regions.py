@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening
 
 from metafab.core.conventions import FloatArray
+from metafab.core.executor import kept_threads
 from metafab.decode import segment as segments
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth, pixel_depth
 from metafab.decode.distance import distance
@@ -41,6 +42,12 @@ class Regions:
     inner: NDArray[np.int32]
     near: NDArray[np.int32]
 
+    def within(self, rows: slice, columns: slice) -> Regions:
+        """Those of a part of the window, with the same numbers."""
+        depths = (replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
+        labels = (label[rows, columns] for label in (self.label, self.inner, self.near))
+        return Regions(self.layers, tuple(depths), *labels)
+
     def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
         """1/depth at each pixel of the segment that ``label`` gives it to; NaN for none."""
         one = np.array([np.nan, *(depth.vergence_per_m for depth in self.depths)])
@@ -65,10 +72,15 @@ class Regions:
         return bands, np.array(found)
 
 
+def layer_step_per_m(volume: Volume) -> float:
+    """Vergence by which layers differ."""
+    return float(volume.vergences_per_m[-1] - volume.vergences_per_m[0]) * LAYER_SHARE
+
+
 def textured_pixels(seen: Seen, volume: Volume) -> PixelDepth:
     """The depth of each pixel by itself, claimed where something lit shows texture."""
     variance = seen.variance
-    with ThreadPoolExecutor(1) as beside:
+    with kept_threads() as beside:
         near = beside.submit(near_texture, seen)
         pixels = pixel_depth(volume, seen.window, variance)
     return PixelDepth(pixels.vergence_per_m, pixels.relative_error, pixels.claimed & near.result())
@@ -83,21 +95,30 @@ def near_texture(seen: Seen) -> NDArray[np.bool_]:
     return np.asarray(distance(kept) <= seen.window // 2)
 
 
-def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth) -> Regions:
+def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth, known: Sequence[Plane] = ()) -> Regions:
     """Segments from the pixels' own depths, and the depth of each from all of its pixels at once.
 
     First each layer has one depth. If some of their segments turn out to be tilted, layers are planes, and pixels are
     shared out among them once more.
+
+    Args:
+        seen: of the frame.
+        volume: of the frame.
+        pixels: the depth of each pixel by itself.
+        known: planes that are in the picture; if some are tilted, pixels are shared out among them at once.
     """
-    candidates = volume.vergences_per_m
-    separation = float(candidates[-1] - candidates[0]) * LAYER_SHARE
+    separation = layer_step_per_m(volume)
+    if any(plane.tilted for plane in known):
+        surfaces, allowed = _surfaces(list(known), pixels, separation, seen.window)
+        return _share_out(seen, volume, pixels, surfaces, separation, allowed)
     layers = [Plane(vergence) for vergence in segments.depth_layers(pixels, separation).tolist()]
     if not layers:
         nowhere = np.zeros(volume.parts.shape[-2:], dtype=np.int32)
         return Regions(0, (), nowhere, nowhere, nowhere)
     regions = _share_out(seen, volume, pixels, layers, separation)
     if any(depth.plane.tilted for depth in regions.depths):
-        surfaces, allowed = _surfaces(regions, pixels, separation, seen.window)
+        planes = distinct_planes([depth.plane for depth in regions.depths], regions.label, separation)
+        surfaces, allowed = _surfaces(planes, pixels, separation, seen.window)
         regions = _share_out(seen, volume, pixels, surfaces, separation, allowed)
     return regions
 
@@ -115,16 +136,12 @@ def _share_out(
     layer = segments.assign(volume, layers, pixels, separation_per_m, every, allowed)
     parts, inside, unseen = _textured(seen, segments.split(layer, seen.lit, WINDOW_PX, every))
     count = int(parts.max(initial=0))
-    number = np.zeros(count + 1, dtype=np.int32)
+    number, sizes = np.zeros(count + 1, dtype=np.int32), np.bincount(inside.ravel(), minlength=count + 1)
     found: list[segments.SegmentDepth] = []
     for part, cells in enumerate(Cells.of_each(volume, inside, count, every), start=1):
-        plane = fitted_plane(cells) or layers[int(np.median(layer[parts == part])) - 1]
-        if plane.tilted and cells.pixels.size:
-            depth = segments.segment_depth(volume, cells.sheared(volume, plane), float(cells.pixels.sum()), plane)
-        else:
-            depth = segments.segment_depth(volume, cells.whole, float(cells.size))
-        if depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0:
-            found.append(depth)
+        depth = depth_of(volume, cells, layers[int(np.median(layer[parts == part])) - 1])
+        if depth is not None:
+            found.append(replace(depth, pixels=float(sizes[part])))
             number[part] = len(found)
     label, inner = number[parts], number[inside]
     near = segments.grown(label, WINDOW_PX / every)
@@ -133,19 +150,29 @@ def _share_out(
     return Regions(len(layers), tuple(found), label, inner, near)
 
 
-def _surfaces(
-    regions: Regions, pixels: PixelDepth, separation_per_m: float, window: int
-) -> tuple[list[Plane], NDArray[np.bool_]]:
-    """The segments' distinct planes, the depths of what clearly lies on none of them, and where each may be.
+def depth_of(volume: Volume, cells: Cells, otherwise: Plane) -> segments.SegmentDepth | None:
+    """The depth of a segment, tilted if its cells say so or if it is taken for a tilted one; None if it has none."""
+    plane = fitted_plane(cells) or otherwise
+    if plane.tilted and cells.pixels.size:
+        depth = segments.segment_depth(volume, cells.sheared(volume, plane), float(cells.pixels.sum()), plane)
+    else:
+        depth = segments.segment_depth(volume, cells.whole, float(cells.size))
+    known = depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0
+    return depth if known else None
 
-    Such a depth may cross a tilted plane elsewhere, where it must not take the plane's pixels.
+
+def _surfaces(
+    planes: list[Plane], pixels: PixelDepth, separation_per_m: float, window: int
+) -> tuple[list[Plane], NDArray[np.bool_]]:
+    """Planes, the depths of what clearly lies on none of them, and where each may be.
+
+    Such a depth may cross a tilted plane elsewhere, where it must not take the plane's pixels; it needs a patch of a
+    window, or noise would make some, and outlines.
     """
-    shape = regions.label.shape
-    planes = distinct_planes([depth.plane for depth in regions.depths], regions.label, separation_per_m)
+    shape = pixels.claimed.shape
     away = np.min([np.abs(pixels.vergence_per_m - plane.over(shape)) for plane in planes], axis=0)
     doubt = 0.5 * separation_per_m + 2.0 * pixels.relative_error * pixels.vergence_per_m
-    least = 3 * window // 2  # of a patch, or noise would make some
-    beside = binary_opening(pixels.claimed & (away > doubt), np.ones((least, least), dtype=bool))
+    beside = binary_opening(pixels.claimed & (away > doubt), np.ones((window, window), dtype=bool))
     others = PixelDepth(pixels.vergence_per_m, pixels.relative_error, beside)
     depths = segments.depth_layers(others, separation_per_m).tolist()
     about = distance(beside) <= window
@@ -166,7 +193,7 @@ def _textured(seen: Seen, parts: NDArray[np.int32]) -> tuple[NDArray[np.int32], 
         return None
 
     numbers = range(1, int(parts.max(initial=0)) + 1)
-    with ThreadPoolExecutor(2) as pool:
+    with kept_threads() as pool:
         for number, within in zip(numbers, pool.map(inside, numbers), strict=True):
             if within is None:
                 unseen |= parts == number

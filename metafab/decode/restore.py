@@ -55,6 +55,10 @@ class Sharp:
     images: NDArray[np.float32]
     noise_gain: NDArray[np.float32]
 
+    def within(self, rows: slice, columns: slice) -> Sharp:
+        """A part of them."""
+        return Sharp(self.images[:, rows, columns], self.noise_gain[:, rows, columns])
+
 
 @dataclass(frozen=True)
 class Restorer:

@@ -59,6 +59,13 @@ class Seen:
             return NO_LIGHT
         return cls(twins, levels, reduction, spectra, small)
 
+    def within(self, rows: slice, columns: slice) -> Seen:
+        """A part of the window (slices of compared pixels); its images have no ``spectra`` of their own."""
+        m, part = self.reduction.margin, self.reduction.within(rows, columns)
+        small = self.small[:, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
+        twins = self.twins.within(*self.reduction.of_part(rows, columns))
+        return Seen(twins, self.levels, part, self.spectra[:0], small)
+
     @property
     def window(self) -> int:
         """Side of the narrowest window, in compared pixels; odd."""

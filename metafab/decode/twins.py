@@ -36,6 +36,7 @@ class TwinGrid:
     Attributes:
         frame_shape: shape of the frames that it is made for.
         origin_um: (x, y) on the sensor of the decoded window's pixel [0, 0].
+        pixel_um: pitch of the pixels.
         shape: (n_y, n_x) of the decoded window.
         margin: pixels all around.
         row: frame row of the first row of the margin; likewise ``column``.
@@ -46,6 +47,7 @@ class TwinGrid:
 
     frame_shape: tuple[int, int]
     origin_um: tuple[float, float]
+    pixel_um: float
     shape: tuple[int, int]
     margin: int
     row: int
@@ -75,6 +77,7 @@ class TwinGrid:
         return cls(
             frame_shape,
             (float(x_um[margin]), float(y_um[margin])),
+            pixel_um,
             (rows, columns),
             margin,
             row,
@@ -134,6 +137,25 @@ class TwinGrid:
         window = (first_row, first_column, last_row - first_row + 1, last_column - first_column + 1)
         return cls.at(image_map, frame_shape, origin_um, pixel_um, margin, window)
 
+    def within(self, rows: slice, columns: slice) -> TwinGrid:
+        """A part of the window, with the same margin."""
+        left, bottom = self.origin_um
+        wide = slice(rows.start, rows.stop + 2 * self.margin), slice(columns.start, columns.stop + 2 * self.margin)
+        return TwinGrid(
+            self.frame_shape,
+            (left + self.pixel_um * columns.start, bottom + self.pixel_um * rows.start),
+            self.pixel_um,
+            (rows.stop - rows.start, columns.stop - columns.start),
+            self.margin,
+            self.row + rows.start,
+            self.column + columns.start,
+            *(map_[wide] for map_ in self._maps),
+        )
+
+    @property
+    def _maps(self) -> tuple[FloatArray, ...]:
+        return self.tangent_x, self.tangent_y, self.twin_row, self.twin_column, self.twin_area
+
     @cached_property
     def resampler(self) -> Resampler:
         """Brings the y image onto the grid, margin included."""
@@ -164,6 +186,12 @@ class Twins:
     grid: TwinGrid
     image: NDArray[np.float32]
     bad: NDArray[np.bool_]
+
+    def within(self, rows: slice, columns: slice) -> Twins:
+        """Those of a part of the window."""
+        m = self.grid.margin
+        image = self.image[:, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
+        return Twins(self.grid.within(rows, columns), image, self.bad[rows, columns])
 
 
 def _maps(image_map: ImageMap, x_um: FloatArray, y_um: FloatArray) -> tuple[FloatArray, ...]:

@@ -1,4 +1,8 @@
-"""Frames one after the other: what has not changed since it was decoded is not decoded again."""
+"""Frames one after the other: what has not changed since it was decoded is not decoded again.
+
+Changes are looked for in the raw frame. Rectangles that hold them and what they reach are decoded as if they were small
+frames, with what lies around them: their segments are joined to the last frame's, their images written over its own.
+"""
 
 from __future__ import annotations
 
@@ -9,22 +13,26 @@ from functools import cached_property
 import numpy as np
 
 from metafab.camera.frame import RawFrame
+from metafab.core.executor import kept_threads
 from metafab.core.progress import silent
+from metafab.decode.carried import Part, joined, planes_around, refreshed
 from metafab.decode.changes import Glance, Squares, parts_of
+from metafab.decode.compose import Pictures, focus
 from metafab.decode.decoder import Decoded, Decoder
 from metafab.decode.depth import PixelDepth, pixel_depth
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
-from metafab.decode.regions import near_texture
+from metafab.decode.reduce import repeated
+from metafab.decode.regions import Regions, find_regions, layer_step_per_m, near_texture
+from metafab.decode.restore import Sharp
 from metafab.decode.seen import Seen
 from metafab.decode.twins import extract_part
+from metafab.decode.volume import Volume
 
 #: A frame of which more changed is decoded anew, with levels of its own.
 _MOST_CHANGED = 0.6
-#: Compared pixels to which means over windows, halved thrice, keep.
-_ALIGNED = 8
-
-Part = tuple[slice, slice]
+#: What a part is seen with, pixels of the frame around it: what windows reach, and where its segments go on.
+_AROUND_PX = 24
 
 
 @dataclass
@@ -41,22 +49,24 @@ class VideoDecoder:
     _last: tuple[Decoded, Glance, tuple[object, ...]] | None = field(default=None, init=False, repr=False)
 
     def __call__(self, frame: RawFrame) -> Image4D:
-        """Decode the next frame: where nothing moved, agreement of the twins and brightness are the last frame's.
+        """Decode the next frame: where nothing moved, all that is known of it is the last frame's.
 
-        ``details`` get ``changed_share``. A frame that cannot be decoded is forgotten at once.
+        ``details`` get ``changed_share``. A frame that cannot be decoded is forgotten at once; one that shows another
+        scene, or the same in other light, is decoded anew.
         """
         started = time.perf_counter()
         camera = (np.shape(frame.frame), frame.pixel_um, frame.origin_um, frame.read_noise_e, frame.saturation_e)
         last = self._last
         self._last, self.changed_share = None, 1.0
         found: Decoded | None = None
-        if last is not None and last[2] == camera:
-            found, glance = self._updated(frame, last[0], last[1])
-        if found is None:
-            seen = self.decoder.look(frame)
-            if not isinstance(seen, Seen):
-                return self.decoder(frame)
-            found, glance = self.decoder.finish(frame, seen, self.decoder.volume(seen)), self._squares.glance(frame)
+        with kept_threads():
+            if last is not None and last[2] == camera:
+                found, glance = self._updated(frame, last[0], last[1])
+            if found is None:
+                seen = self.decoder.look(frame)
+                if not isinstance(seen, Seen):
+                    return self.decoder(frame)
+                found, glance = self.decoder.finish(frame, seen, self.decoder.volume(seen)), self._squares.glance(frame)
         self._last = found, glance, camera
         image = judged(found.image, frame, seconds=time.perf_counter() - started)
         image.details["changed_share"] = self.changed_share
@@ -80,51 +90,99 @@ class VideoDecoder:
         self.changed_share = share
         if not parts:
             return last, before
-        seen = self._looked(frame, last, parts)
-        pixels = self._pixels(seen, last, parts)
-        found = self.decoder.finish(frame, seen, last.volume, pixels, changed, last)
-        margin = self._squares.margin
-        return found, now.kept(before, np.pad(changed, margin))
+        return self._renewed(frame, last, parts), now.kept(before, np.pad(changed, self._squares.margin))
 
-    def _looked(self, frame: RawFrame, last: Decoded, parts: list[Part]) -> Seen:
-        """The twins and their agreement, written over the last frame's in some parts."""
-        grid, seen, every = self.decoder.calibration.grid, last.seen, self.decoder.filters.reduction.every
-        m = self._squares.margin
-        for rows, columns in parts:
-            inside = tuple(
-                slice(at.start * every, min(at.stop * every, n))
-                for at, n in zip((rows, columns), grid.shape, strict=True)
-            )
-            image, bad = extract_part(frame, grid, *inside)
-            wide = tuple(slice(at.start, at.stop + 2 * grid.margin) for at in inside)
-            seen.twins.image[:, *wide], seen.twins.bad[inside] = image, bad
-            filters = self.decoder.filters.within(rows, columns)
-            spectra = filters.reduction.spectra(image)
-            small = filters.reduction.images(spectra)[:, *filters.reduction.inner]
-            seen.small[:, m + rows.start : m + rows.stop, m + columns.start : m + columns.stop] = small
-            lit = small.sum(axis=0) > seen.floor_e
-            volume = filters.volume(spectra, seen.levels, lit, silent)
-            last.volume.parts[:, :, rows, columns] = volume.parts
-        return replace(seen)
-
-    def _pixels(self, seen: Seen, last: Decoded, parts: list[Part]) -> PixelDepth:
-        """The depth of each pixel by itself, written over the last frame's where windows reach into some parts."""
-        reach = -(-2 * seen.window // _ALIGNED) * _ALIGNED
-        vergence, error = last.pixels.vergence_per_m, last.pixels.relative_error
+    def _renewed(self, frame: RawFrame, last: Decoded, parts: list[Part]) -> Decoded:
+        """The last frame with some parts of another. All of it but its image and segments is written over."""
+        reduction, regions = self.decoder.filters.reduction, last.regions
+        renumbered = np.arange(len(regions.depths) + 1, dtype=np.int32)
         for part in parts:
-            near, wide = (self._about(part, k * reach) for k in (1, 2))
-            volume = replace(last.volume, parts=last.volume.parts[:, :, *wide])
-            found = pixel_depth(volume, seen.window, seen.variance[:, *wide])
-            inner = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(near, wide, strict=True))
-            vergence[near], error[near] = found.vergence_per_m[inner], found.relative_error[inner]
-        return PixelDepth(vergence, error, np.isfinite(error) & near_texture(seen))
-
-    def _about(self, part: Part, reach: int) -> Part:
-        """A part and what lies about it in the window."""
-        rows, columns = (
-            slice(
-                max(0, (at.start - reach) // _ALIGNED * _ALIGNED), min(n, -(-(at.stop + reach) // _ALIGNED) * _ALIGNED)
+            about = self._about(part)
+            self._look(frame, last, part)
+            seen, volume = last.seen.within(*about), last.volume.within(*about)
+            pixels = self._pixels(seen, volume, last.pixels, part, about)
+            step_per_m = layer_step_per_m(volume)
+            found = find_regions(seen, volume, pixels, planes_around(regions, part, about, step_per_m))
+            regions, numbers = joined(regions, found, part, about, step_per_m)
+            renumbered = numbers[renumbered]
+        before = regions
+        regions = refreshed(regions, last.volume, reduction.every)
+        seen = replace(last.seen)  # without what it knew of its pixels
+        self._sharpen(seen, last.volume, regions, parts, last.sharp)
+        pictures = last.pictures.renumbered(renumbered)
+        rows, columns = reduction.shape
+        for part in parts if regions is before else [(slice(0, rows), slice(0, columns))]:
+            about = self._about(part)
+            known_here = (
+                last.pixels.within(*about),
+                regions.within(*about),
+                last.sharp.within(*reduction.of_part(*about)),
             )
-            for at, n in zip(part, self.decoder.filters.reduction.shape, strict=True)
+            pictures.paste(
+                Pictures.of(seen.within(*about), *known_here), reduction.of_part(*part), reduction.of_part(*about)
+            )
+        return self.decoder.put_together(frame, seen, last.volume, last.pixels, regions, last.sharp, pictures)
+
+    def _about(self, part: Part) -> Part:
+        """A part and what lies around it in the window."""
+        reduction = self.decoder.filters.reduction
+        reach = -(-_AROUND_PX // reduction.every)
+        rows, columns = (
+            slice(max(0, at.start - reach), min(n, at.stop + reach))
+            for at, n in zip(part, reduction.shape, strict=True)
         )
         return rows, columns
+
+    def _look(self, frame: RawFrame, last: Decoded, part: Part) -> None:
+        """Write a part's twins and their agreement over the last frame's."""
+        (rows, columns), seen, m = part, last.seen, self._squares.margin
+        filters = self.decoder.filters.within(*part)
+        inside = self.decoder.filters.reduction.of_part(*part)
+        image, bad = extract_part(frame, self.decoder.calibration.grid, *inside)
+        here = seen.twins.within(*inside)
+        here.image[:], here.bad[:] = image, bad
+        spectra = filters.reduction.spectra(image)
+        small = filters.reduction.images(spectra)[:, *filters.reduction.inner]
+        seen.small[:, m + rows.start : m + rows.stop, m + columns.start : m + columns.stop] = small
+        lit = small.sum(axis=0) > seen.floor_e
+        last.volume.parts[:, :, rows, columns] = filters.volume(spectra, seen.levels, lit, silent).parts
+
+    def _pixels(self, seen: Seen, volume: Volume, last: PixelDepth, part: Part, about: Part) -> PixelDepth:
+        """Write the depth of each of a part's pixels by itself over the last frame's; those about it.
+
+        Args:
+            seen: of what lies about the part, like ``volume``.
+            volume: see ``seen``.
+            last: of all of the window.
+            part: what is written.
+            about: that and what lies around it.
+        """
+        found = pixel_depth(volume, seen.window, seen.variance)
+        found = PixelDepth(found.vergence_per_m, found.relative_error, found.claimed & near_texture(seen))
+        rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(part, about, strict=True))
+        inner, here = found.within(rows, columns), last.within(*part)
+        here.vergence_per_m[:], here.relative_error[:] = inner.vergence_per_m, inner.relative_error
+        here.claimed[:] = inner.claimed
+        return last.within(*about)
+
+    def _sharpen(self, seen: Seen, volume: Volume, regions: Regions, parts: list[Part], last: Sharp) -> None:
+        """Write the sharp images of some parts over the last frame's."""
+        reduction, restorer = self.decoder.filters.reduction, self.decoder.restorer
+        label = np.zeros(self.decoder.calibration.grid.shape, dtype=np.int32)
+        vergences = np.zeros(0)
+        for part in parts:
+            about = self._about(part)
+            depths, its_vergences = focus(seen.within(*about), regions.within(*about), volume.vergences_per_m)
+            numbers = np.where(depths > 0, depths + vergences.size, 0)
+            wide, inside = reduction.of_part(*about), reduction.of_part(*part)
+            shape = wide[0].stop - wide[0].start, wide[1].stop - wide[1].start
+            label[inside] = repeated(numbers, reduction.every, shape)[
+                inside[0].start - wide[0].start : inside[0].stop - wide[0].start,
+                inside[1].start - wide[1].start : inside[1].stop - wide[1].start,
+            ]
+            vergences = np.append(vergences, its_vergences)
+        sharp = restorer(restorer.transformed(seen.twins.image, label > 0), seen.levels, label, vergences)
+        for part in parts:
+            inside = reduction.of_part(*part)
+            here, now = last.within(*inside), sharp.within(*inside)
+            here.images[:], here.noise_gain[:] = now.images, now.noise_gain

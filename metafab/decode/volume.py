@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,10 @@ class Volume:
     def step_per_m(self) -> float:
         """Spacing of the candidates."""
         return float(self.vergences_per_m[1] - self.vergences_per_m[0])
+
+    def within(self, rows: slice, columns: slice) -> Volume:
+        """A part of the picture."""
+        return replace(self, parts=self.parts[:, :, rows, columns])
 
     def halved(self) -> Volume:
         """Every second pixel, a mean of what lies about it."""
