@@ -23,6 +23,8 @@
 - ``contrast``     I_x / I_y and its error
 - ``compose``      all that is known put together
 - ``decoder``      all of it: ``decode`` and, for many frames, ``Decoder``
+- ``changes``      what differs from an earlier frame
+- ``carried``      segments that go on from frame to frame
 - ``video``        a decoder that remembers what has not changed
 - ``pinhole``      calibration of a camera from photographs of a point
 - ``bound``        the least error that the pair allows at each place
