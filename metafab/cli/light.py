@@ -60,6 +60,12 @@ def psf_command(
     calibration: Annotated[
         bool, typer.Option("--calibration", help="All depths and directions of the design's scene, for a decoder.")
     ] = False,
+    scene: Annotated[
+        Path | None,
+        typer.Option(
+            "--scene", metavar="SCENE.toml", help="This scene's very depths and directions, to photograph it."
+        ),
+    ] = None,
     object_mm: Annotated[
         tuple[float, float] | None, typer.Option(metavar="X Y", help="Object's place beside the axis.")
     ] = None,
@@ -77,15 +83,18 @@ def psf_command(
     """PSF pair of a written mask over depth."""
     from metafab import steps
     from metafab.core.measure import measured
+    from metafab.spec import load_scene
 
     if ideal == (layout is not None):
         raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
     asked = {
         "--depths-m": depths_m, "--object-mm": object_mm, "--pixel-um": pixel_um, "--window-px": window_px,
-        "--target-error": target_error,
+        "--target-error": target_error, "--calibration": calibration or None, "--scene": scene,
     }  # fmt: skip
-    if calibration and (others := [name for name, value in asked.items() if value is not None]):
-        raise InputError.single("psf", "--calibration", "no option that the design answers", ", ".join(others))
+    given = [name for name, value in asked.items() if value is not None]
+    if len(given) > 1 and (calibration or scene is not None):
+        whole = "--scene" if scene is not None else "--calibration"
+        raise InputError.single("psf", whole, "no option that it answers itself", ", ".join(given))
     require_positive("--depths-m", *(depth for depth in depths_m or () if depth != math.inf))
     require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
     require_finite("--object-mm", *(object_mm or ()))
@@ -94,6 +103,8 @@ def psf_command(
         verify = job.design.verify
         if calibration:
             result = steps.calibration(job, layout, copy=copy)
+        elif scene is not None:
+            result = steps.exact_pair(job, layout, load_scene(scene), copy=copy)
         else:
             result = steps.point_spread(
                 job,

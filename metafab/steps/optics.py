@@ -17,7 +17,7 @@ from metafab.core.files import file_sha256, fingerprint
 from metafab.core.latest import Latest, file_mark
 from metafab.core.provenance import contents_sha256
 from metafab.run import Job, Step
-from metafab.spec import Design
+from metafab.spec import Design, Scene
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import library_path, open_library
 from metafab.steps.outputs import in_folder
@@ -126,7 +126,7 @@ def point_spread(
     imaging = optics.Imaging.of(job.design)
     if pixel_um is not None:
         imaging = replace(imaging, pixel_um=pixel_um)
-    source = lit_source(job, ideal_source(job) if path is None else mask_source(job, path, copy))
+    source = _source_of(job, path, copy)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
     x_mm, y_mm = object_mm
     if (x_mm, y_mm) != (0.0, 0.0) and math.inf in depths_m:
@@ -241,7 +241,30 @@ def calibration(job: Job, path: Path | None, *, copy: int = 1) -> Psf:
     """
     if job.design.scene is None:
         raise InputError.single(job.design.name, "scene", "one, whose depths and field are covered", "none", "add it")
-    return _calibration(job, lit_source(job, ideal_source(job) if path is None else mask_source(job, path, copy)))
+    return _calibration(job, _source_of(job, path, copy))
+
+
+def exact_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1) -> Psf:
+    """The pair at one scene's very depths, over as many directions as it takes.
+
+    Frames made with it share no approximation with a calibration.
+
+    Args:
+        job: the design, without its scene.
+        path: of a written file; None for the target phases.
+        scene: what is to be photographed, in all of its frames.
+        copy: which lens of the file.
+    """
+    from metafab import camera, optics
+
+    return camera.exact_psf(
+        scene, _source_of(job, path, copy), optics.Imaging.of(job.design),
+        filter_fwhm_nm=filter_fwhm_nm(job.design), progress=job.progress,
+    )  # fmt: skip
+
+
+def _source_of(job: Job, path: Path | None, copy: int) -> Source:
+    return lit_source(job, ideal_source(job) if path is None else mask_source(job, path, copy))
 
 
 def _psf(job: Job) -> dict[str, Any]:
