@@ -8,8 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numerics import HAS_NUMBA, compiled
 from metafab.decode.pooling import halved, label_sums
 from metafab.optics.field import spline_weights
+
+#: Depths between two candidates at which products are interpolated for each pixel; the nearest is taken.
+_FINE = 64
 
 
 @dataclass(frozen=True)
@@ -57,13 +61,35 @@ class Volume:
         if (vergence_per_m == vergence_per_m[0, 0]).all():
             return self.at(vergence_per_m[0, :1])[:, 0]
         nodes = self.vergences_per_m
-        weights = spline_weights(nodes, np.clip(vergence_per_m, nodes[0], nodes[-1])).astype(np.float32)
-        return np.asarray(np.einsum("yxv,pvyx->pyx", weights, self.parts))
+        steps = _FINE * (nodes.size - 1)
+        weights = spline_weights(nodes, np.linspace(nodes[0], nodes[-1], steps + 1)).astype(np.float32)
+        place = np.rint((vergence_per_m - nodes[0]) * (steps / (nodes[-1] - nodes[0])))
+        mixed = _mixed if HAS_NUMBA else _mixed_plain
+        return mixed(self.parts, weights.T.copy(), np.clip(place, 0, steps).astype(np.int32))
 
     def over(self, label: NDArray[np.int32], count: int) -> FloatArray:
         """Sums over the pixels of each label from 1 to ``count``: shape (count, 3, n)."""
         sums = label_sums(self.parts.reshape(-1, *label.shape), label, count)
         return np.moveaxis(sums.reshape(*self.parts.shape[:2], count), -1, 0)
+
+
+def _mixed_plain(
+    parts: NDArray[np.float32], weights: NDArray[np.float32], place: NDArray[np.int32]
+) -> NDArray[np.float32]:
+    return np.asarray(np.einsum("vyx,pvyx->pyx", weights[:, place], parts))
+
+
+@compiled
+def _mixed(parts: NDArray[np.float32], weights: NDArray[np.float32], place: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Sums of pictures (n_parts, n, n_y, n_x) by the weights (n, n_places) of each pixel's place."""
+    n_parts, count, n_y, n_x = parts.shape
+    out = np.zeros((n_parts, n_y, n_x), dtype=np.float32)
+    for p in range(n_parts):
+        for v in range(count):
+            for i in range(n_y):
+                for j in range(n_x):
+                    out[p, i, j] += weights[v, place[i, j]] * parts[p, v, i, j]
+    return out
 
 
 def correlation(parts: np.ndarray) -> np.ndarray:

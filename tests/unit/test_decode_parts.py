@@ -23,6 +23,7 @@ from metafab.decode import (
     tiles,
     twins,
 )
+from metafab.decode import volume as volume_module
 from metafab.decode.depth import parabola, spline_peaks, standard_error
 from metafab.decode.judge import structural_similarity
 from metafab.decode.reduce import Reduction, enlarged, repeated
@@ -30,6 +31,7 @@ from metafab.decode.resample import Resampler
 from metafab.decode.segment import grown, interior, opened, split, textured
 from metafab.decode.tiles import Tiling
 from metafab.decode.volume import Volume, correlation
+from metafab.optics.field import spline_weights
 
 
 def wave(row: np.ndarray, column: np.ndarray, ky: float, kx: float) -> np.ndarray:
@@ -222,12 +224,23 @@ def test_the_compiled_wiener_filter_is_the_plain_one() -> None:
         np.testing.assert_allclose(gain, (squares @ np.array([1.0, 2.0, 1.0])).sum(axis=-1) / 16.0, rtol=1e-4)
 
 
+def _places(nodes: np.ndarray, own: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Weights of candidates at a fine grid of depths, and the nearest of it for each pixel."""
+    fine = np.linspace(nodes[0], nodes[-1], 641)
+    return spline_weights(nodes, fine).T.astype(np.float32), np.abs(own[..., None] - fine).argmin(axis=-1)
+
+
 def test_a_volume_between_its_candidates() -> None:
     """Products that are cubic in vergence are interpolated exactly."""
     nodes = np.linspace(1.0, 2.0, 9)
     parts = (nodes[None, :, None, None] ** 3 * np.array([1.0, 2.0, 3.0])[:, None, None, None]).astype(np.float32)
     volume = Volume(nodes, np.broadcast_to(parts, (3, 9, 4, 4)).copy(), 1.0, 1.0)
     np.testing.assert_allclose(volume.at(np.array([1.37]))[:, 0, 0, 0], 1.37**3 * np.array([1.0, 2.0, 3.0]), rtol=1e-5)
+    # A depth of its own at each pixel, to the nearest of 64 steps between candidates; beyond the ends, theirs.
+    own = np.array([[1.0, 1.2, 1.37, 1.63], [1.9, 2.0, 2.5, 0.5]] * 2)
+    for one in (volume.at(own[None])[:, 0], volume_module._mixed_plain(volume.parts, *_places(nodes, own))):
+        want = np.clip(own, 1.0, 2.0) ** 3 * np.array([1.0, 2.0, 3.0])[:, None, None]
+        np.testing.assert_allclose(one, want, rtol=3.0 * 0.5 / 64 / 8)
     assert volume.halved().parts.shape == (3, 9, 2, 2)
     label = np.array([[0, 1, 1, 2]] * 4, dtype=np.int32)
     sums = volume.over(label, 3)
