@@ -72,6 +72,9 @@ def test_its_frames_are_read_as_by_its_own_pair(
     frame = camera.capture(scene, displaced)
     uncalibrated, calibrated, own = (decode.decode(frame, psf) for psf in (predicted, fitted[0], displaced))
     assert uncalibrated.details["object_error"] > 0.03
+    assert "calibration" in str(uncalibrated.details["warning"])
+    assert "warning" not in calibrated.details
+    assert "warning" not in own.details
     assert calibrated.details["object_error"] < 0.005
     assert calibrated.nmae is not None
     assert own.nmae is not None
