@@ -11,20 +11,21 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.camera.frame import RawFrame
 from metafab.core.executor import kept_threads
 from metafab.core.progress import silent
 from metafab.decode.carried import Part, joined, planes_around, refreshed
 from metafab.decode.changes import Glance, Squares, parts_of
-from metafab.decode.compose import Pictures, focus
+from metafab.decode.compose import Pictures, focus, lit_about
 from metafab.decode.decoder import Decoded, Decoder
 from metafab.decode.depth import PixelDepth, pixel_depth
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
 from metafab.decode.reduce import repeated
 from metafab.decode.regions import Regions, find_regions, layer_step_per_m, near_texture
-from metafab.decode.restore import Sharp
+from metafab.decode.restore import LitTiles
 from metafab.decode.seen import Seen
 from metafab.decode.twins import extract_part
 from metafab.decode.volume import Volume
@@ -81,47 +82,41 @@ class VideoDecoder:
         now = self._squares.glance(frame)
         reached = self._squares.reached(self._squares.moved(now, before, last.seen.levels))
         parts = parts_of(reached, self.decoder.filters.block)
-        changed = np.zeros(reached.shape, dtype=bool)
+        anew = np.zeros(reached.shape, dtype=bool)
         for part in parts:
-            changed[part] = True
-        share = float(changed.mean())
+            anew[part] = True
+        share = float(anew.mean())
         if share > _MOST_CHANGED:
             return None, now
         self.changed_share = share
         if not parts:
             return last, before
-        return self._renewed(frame, last, parts), now.kept(before, np.pad(changed, self._squares.margin))
+        return self._renewed(frame, last, parts, reached), now.kept(before, np.pad(anew, self._squares.margin))
 
-    def _renewed(self, frame: RawFrame, last: Decoded, parts: list[Part]) -> Decoded:
-        """The last frame with some parts of another. All of it but its image and segments is written over."""
-        reduction, regions = self.decoder.filters.reduction, last.regions
-        renumbered = np.arange(len(regions.depths) + 1, dtype=np.int32)
+    def _renewed(self, frame: RawFrame, last: Decoded, parts: list[Part], reached: NDArray[np.bool_]) -> Decoded:
+        """The last frame with some parts of another. All of it but its image and segments is written over.
+
+        Args:
+            frame: that other.
+            last: the frame before.
+            parts: what is decoded anew, compared pixels.
+            reached: shape (n_y, n_x), the pixels of those whose light is anew.
+        """
         for part in parts:
-            about = self._about(part)
             self._look(frame, last, part)
-            seen, volume = last.seen.within(*about), last.volume.within(*about)
-            pixels = self._pixels(seen, volume, last.pixels, part, about)
-            step_per_m = layer_step_per_m(volume)
-            found = find_regions(seen, volume, pixels, planes_around(regions, part, about, step_per_m))
-            regions, numbers = joined(regions, found, part, about, step_per_m)
-            renumbered = numbers[renumbered]
-        before = regions
-        regions = refreshed(regions, last.volume, reduction.every)
         seen = replace(last.seen)  # without what it knew of its pixels
-        self._sharpen(seen, last.volume, regions, parts, last.sharp)
-        pictures = last.pictures.renumbered(renumbered)
-        rows, columns = reduction.shape
-        for part in parts if regions is before else [(slice(0, rows), slice(0, columns))]:
-            about = self._about(part)
-            known_here = (
-                last.pixels.within(*about),
-                regions.within(*about),
-                last.sharp.within(*reduction.of_part(*about)),
-            )
-            pictures.paste(
-                Pictures.of(seen.within(*about), *known_here), reduction.of_part(*part), reduction.of_part(*about)
-            )
-        return self.decoder.put_together(frame, seen, last.volume, last.pixels, regions, last.sharp, pictures)
+        with kept_threads() as beside:
+            # Loops over all threads are left to this one: not every threading layer lets two start them at once.
+            copied = beside.submit(last.pictures.copy)
+            tiles = beside.submit(self._tiles, seen, parts, reached)
+            regions, number = self._segments(last, parts)
+        refreshed_ones = refreshed(regions, last.volume, self.decoder.filters.reduction.every)
+        self._sharpen(seen, last, refreshed_ones, parts, reached, tiles.result())
+        pictures = copied.result().renumbered(number)
+        rows, columns = self.decoder.filters.reduction.shape
+        for part in parts if refreshed_ones is regions else [(slice(0, rows), slice(0, columns))]:
+            self._draw(pictures, seen, last, refreshed_ones, part)
+        return self.decoder.put_together(frame, seen, last.volume, last.pixels, refreshed_ones, last.sharp, pictures)
 
     def _about(self, part: Part) -> Part:
         """A part and what lies around it in the window."""
@@ -165,24 +160,58 @@ class VideoDecoder:
         here.claimed[:] = inner.claimed
         return last.within(*about)
 
-    def _sharpen(self, seen: Seen, volume: Volume, regions: Regions, parts: list[Part], last: Sharp) -> None:
-        """Write the sharp images of some parts over the last frame's."""
-        reduction, restorer = self.decoder.filters.reduction, self.decoder.restorer
-        label = np.zeros(self.decoder.calibration.grid.shape, dtype=np.int32)
-        vergences = np.zeros(0)
+    def _segments(self, last: Decoded, parts: list[Part]) -> tuple[Regions, NDArray[np.int32]]:
+        """The last frame's segments with those of some parts, and the number that each of the former has now."""
+        regions = last.regions
+        number = np.arange(len(regions.depths) + 1, dtype=np.int32)
         for part in parts:
             about = self._about(part)
-            depths, its_vergences = focus(seen.within(*about), regions.within(*about), volume.vergences_per_m)
+            seen, volume = last.seen.within(*about), last.volume.within(*about)
+            pixels = self._pixels(seen, volume, last.pixels, part, about)
+            step_per_m = layer_step_per_m(volume)
+            found = find_regions(seen, volume, pixels, planes_around(regions, part, about, step_per_m))
+            regions, changed = joined(regions, found, part, about, step_per_m)
+            number = changed[number]
+        return regions, number
+
+    def _tiles(self, seen: Seen, parts: list[Part], reached: NDArray[np.bool_]) -> LitTiles:
+        """The tiles that hold what is made sharp."""
+        lit = np.zeros_like(reached)
+        for part in parts:
+            lit[part] = lit_about(seen.within(*part))
+        every = self.decoder.filters.reduction.every
+        label = repeated(lit & reached, every, self.decoder.calibration.grid.shape)
+        return self.decoder.restorer.transformed(seen.twins.image, label)
+
+    def _sharpen(
+        self,
+        seen: Seen,
+        last: Decoded,
+        regions: Regions,
+        parts: list[Part],
+        reached: NDArray[np.bool_],
+        tiles: LitTiles,
+    ) -> None:
+        """Write what is reached over the last frame's sharp images."""
+        reduction, shape = self.decoder.filters.reduction, self.decoder.calibration.grid.shape
+        label, vergences = np.zeros(reached.shape, dtype=np.int32), np.zeros(0)
+        for part in parts:
+            about = self._about(part)
+            depths, its_vergences = focus(seen.within(*about), regions.within(*about), last.volume.vergences_per_m)
             numbers = np.where(depths > 0, depths + vergences.size, 0)
-            wide, inside = reduction.of_part(*about), reduction.of_part(*part)
-            shape = wide[0].stop - wide[0].start, wide[1].stop - wide[1].start
-            label[inside] = repeated(numbers, reduction.every, shape)[
-                inside[0].start - wide[0].start : inside[0].stop - wide[0].start,
-                inside[1].start - wide[1].start : inside[1].stop - wide[1].start,
-            ]
+            rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(part, about, strict=True))
+            label[part] = np.where(reached[part], numbers[rows, columns], 0)
             vergences = np.append(vergences, its_vergences)
-        sharp = restorer(restorer.transformed(seen.twins.image, label > 0), seen.levels, label, vergences)
+        sharp = self.decoder.restorer(tiles, seen.levels, repeated(label, reduction.every, shape), vergences)
+        where = repeated(reached, reduction.every, shape)
         for part in parts:
             inside = reduction.of_part(*part)
-            here, now = last.within(*inside), sharp.within(*inside)
-            here.images[:], here.noise_gain[:] = now.images, now.noise_gain
+            here, now = last.sharp.within(*inside), sharp.within(*inside)
+            np.copyto(here.images, now.images, where=where[inside])
+            np.copyto(here.noise_gain, now.noise_gain, where=where[inside])
+
+    def _draw(self, pictures: Pictures, seen: Seen, last: Decoded, regions: Regions, part: Part) -> None:
+        """Draw a part over the last frame's pictures."""
+        about, of_part = self._about(part), self.decoder.filters.reduction.of_part
+        known = last.pixels.within(*about), regions.within(*about), last.sharp.within(*of_part(*about))
+        pictures.paste(Pictures.of(seen.within(*about), *known), of_part(*part), of_part(*about))
