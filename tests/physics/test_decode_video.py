@@ -154,7 +154,8 @@ def test_frames_are_as_if_decoded_alone_and_leave_the_earlier_ones_as_they_were(
         assert both.sum() > 0.99 * np.isfinite(alone.depth_m).sum()
         assert np.mean(np.abs(image.depth_m / alone.depth_m - 1.0)[both] < 0.01) > 0.98
         for name in ("psnr_x_db", "psnr_y_db"):
-            assert image.details[name] == pytest.approx(alone.details[name], abs=0.2)
+            # Outlines fall otherwise by a few pixels: one corner of the car is a twentieth of all squared errors.
+            assert image.details[name] == pytest.approx(alone.details[name], abs=0.3)
         car = frame.truth.label == 2
         assert np.nanmedian(image.depth_m[car] / frame.truth.depth_m[car]) == pytest.approx(1.0, abs=0.01)
         # The share of pixels on another object's depth is that of a frame by itself.
