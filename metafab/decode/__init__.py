@@ -17,6 +17,7 @@
 - ``depth``        depth of each pixel, with its error
 - ``planes``       the depth of tilted segments
 - ``segment``      segments, and the depth of each
+- ``outlines``     outlines as short as the twins let them be
 - ``restore``      all-in-focus images
 - ``seen``         a frame at first sight
 - ``regions``      the segments of a frame

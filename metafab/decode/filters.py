@@ -54,6 +54,8 @@ _AT_ONCE = 4
 _KEPT_SIZES = 6
 #: Structure slower than this many times the lowest frequency varies with the light, and reaches far across outlines.
 _HIGH_PASS = 3.0
+#: Share of the frequencies, from the highest down, over which the likelihood fades out.
+_FADED_SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -194,14 +196,24 @@ class CrossFilters:
     def _weight(self, levels: Levels) -> NDArray[np.float32]:
         """Square root of what each frequency adds to the likelihood; nothing slower than a window."""
         ky, kx = self.reduction.frequencies
-        return _likelihood(levels, self.power, ky[:, None] ** 2 + kx[None, :] ** 2).astype(np.float32)
+        return _likelihood(levels, self.power, ky, kx).astype(np.float32)
 
 
-def _likelihood(levels: Levels, power: FloatArray, frequency_squared: FloatArray) -> FloatArray:
-    """Square root of what each frequency adds to the likelihood, at most 1; nothing slower than a window."""
-    signal = power * levels.texture_spectrum(frequency_squared)
+def _likelihood(levels: Levels, power: FloatArray, ky: FloatArray, kx: FloatArray) -> FloatArray:
+    """Square root of what each frequency adds to the likelihood, at most 1; nothing slower than a window.
+
+    It fades out towards the highest frequencies: cut off sharply, filters would reach all over the picture.
+    """
+    k2 = ky[:, None] ** 2 + kx[None, :] ** 2
+    signal = power * levels.texture_spectrum(k2)
     share = np.sqrt(2.0 * signal / (levels.noise_variance + 2.0 * signal))
-    return np.asarray(share * _high_pass(frequency_squared))
+    return np.asarray(share * _high_pass(k2) * _fade(ky)[:, None] * _fade(kx))
+
+
+def _fade(frequency: FloatArray) -> FloatArray:
+    """1, and falling to 0 over the highest frequencies."""
+    left = 1.0 - np.abs(frequency) / np.abs(frequency).max()
+    return np.asarray(np.sin(0.5 * np.pi * np.minimum(left / _FADED_SHARE, 1.0)))
 
 
 def _cross_filters(
@@ -226,7 +238,7 @@ def _cross_filters(
     power = squared[:, :, stack.shape[2] // 2].mean(axis=(0, 1))
     total = squared.sum(axis=0)
     total += _FAINTEST * total.max()
-    weight = _likelihood(_TYPICAL, power, ky[:, None] ** 2 + kx[None, :] ** 2)
+    weight = _likelihood(_TYPICAL, power, ky, kx)
     filters = made_up(transfer[::-1] * np.sqrt(2.0 / total), transfer, total, weight, calibration, every)
     return filters, power.astype(np.float64)
 

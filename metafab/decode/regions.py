@@ -133,7 +133,7 @@ def _share_out(
 ) -> Regions:
     """Segments of layers: connected pixels of one plane, where that may be."""
     every = seen.reduction.every
-    layer = segments.assign(volume, layers, pixels, separation_per_m, every, allowed)
+    layer = segments.assign(volume, layers, pixels, separation_per_m, every, seen.lit, allowed)
     parts, inside, unseen = _textured(seen, segments.split(layer, seen.lit, WINDOW_PX, every))
     count = int(parts.max(initial=0))
     number, sizes = np.zeros(count + 1, dtype=np.int32), np.bincount(inside.ravel(), minlength=count + 1)

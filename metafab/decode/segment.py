@@ -16,6 +16,7 @@ from scipy.ndimage import label as connected
 from metafab.core.conventions import FloatArray
 from metafab.decode.depth import PixelDepth, spline_peaks, standard_error
 from metafab.decode.distance import distance, nearest
+from metafab.decode.outlines import settled
 from metafab.decode.planes import Plane
 from metafab.decode.pooling import window_means
 from metafab.decode.volume import Volume, correlation
@@ -26,6 +27,10 @@ _SMALLEST_SHARE = 0.01
 #: Pixels this near to another depth see its blur: the first that leaves enough of a segment is taken.
 _CLEAR_PX = (24, 20, 16, 12, 8, 4)
 _OUTLINE_WINDOW_PX = 13
+#: What speaks for a layer where its outline is: less is noise.
+_NARROW_WINDOW_PX = 7
+#: Outlines are straightened over windows of this side.
+_SHARES_WINDOW_PX = 21
 #: Share of a textured region's inside that must show its texture; 5 standard deviations leave noise none.
 _LEAST_TEXTURED = 0.05
 
@@ -40,7 +45,7 @@ class SegmentDepth:
         correlation: of the twins at that depth.
         power: mean square of the aligned twins there, geometric mean of both, electrons squared.
         plane: its depth over the picture.
-        pixels: how many compared pixels say so.
+        pixels: how many compared pixels it has inside.
     """
 
     vergence_per_m: float
@@ -86,6 +91,7 @@ def assign(
     pixels: PixelDepth,
     step_per_m: float,
     every: int,
+    lit: NDArray[np.bool_],
     allowed: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.int32]:
     """The layer (from 1) whose depth makes the twins agree best about each pixel.
@@ -96,19 +102,23 @@ def assign(
         pixels: the depth of each pixel by itself.
         step_per_m: difference of vergence that counts.
         every: pixels of the frame a pixel of the volume.
+        lit: shape (n_y, n_x), where there is light.
         allowed: shape (n_layers, n_y, n_x), where each layer may be; everywhere by default.
     """
     flat = np.array([plane.vergence_per_m for plane in layers])
     at = flat[:, None, None]
     if any(plane.tilted for plane in layers):
         at = np.stack([plane.over(volume.parts.shape[-2:]) for plane in layers])
-    parts = window_means(volume.at(flat if at.size == flat.size else at), _OUTLINE_WINDOW_PX // every | 1)
-    away_per_m = np.abs(pixels.vergence_per_m - at)
-    scores = correlation(parts) - 0.05 * np.minimum(away_per_m / step_per_m, 4.0)
-    smooth = window_means(scores.astype(np.float32), 3)
+    products = volume.at(flat if at.size == flat.size else at)
+    far = 0.05 * np.minimum(np.abs(pixels.vergence_per_m - at) / step_per_m, 4.0)
+    wide, narrow = (
+        (correlation(window_means(products, px // every | 1)) - far).astype(np.float32)
+        for px in (_OUTLINE_WINDOW_PX, _NARROW_WINDOW_PX)
+    )
+    wide = window_means(wide, 3)
     if allowed is not None:
-        smooth[~allowed] = -np.inf
-    label = (np.argmax(smooth, axis=0) + 1).astype(np.int32)
+        wide[~allowed] = narrow[~allowed] = -np.inf
+    label = (settled(wide.argmax(axis=0), narrow, lit, _SHARES_WINDOW_PX // every | 1) + 1).astype(np.int32)
     near = pixels.claimed
     if near.any() and not near.all():
         away, row, column = nearest(near)

@@ -161,7 +161,7 @@ def _segments(volume: Volume, lit: NDArray[np.bool_]) -> tuple[NDArray[np.int32]
     found: list[Plane] = []
     if not layers:
         return label, found
-    parts = segments.split(segments.assign(volume, layers, pixels, separation, 1), lit, _WINDOW_PX, 1)
+    parts = segments.split(segments.assign(volume, layers, pixels, separation, 1, lit), lit, _WINDOW_PX, 1)
     for number in range(1, int(parts.max(initial=0)) + 1):
         inner = segments.interior(parts, number, 1)
         depth = segments.segment_depth(volume, volume.over(inner.astype(np.int32), 1)[0], float(inner.sum()))
