@@ -49,3 +49,12 @@ class RawFrame:
     truth_origin_um: tuple[float, float] | None = None
     x_window: tuple[int, int, int, int] | None = None
     saturation_e: float | None = None
+
+    @property
+    def holds_window(self) -> bool:
+        """Whether ``x_window``, where it is known, lies in the frame."""
+        if self.x_window is None or self.frame.ndim != 2:
+            return True
+        row, column, rows, columns = self.x_window
+        n_y, n_x = self.frame.shape
+        return min(row, column) >= 0 and min(rows, columns) > 0 and row + rows <= n_y and column + columns <= n_x

@@ -11,11 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.polynomial import polyder, polyval2d, polyvander
+from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.optics.point_spread import Psf
 
 _NEWTON_STEPS = 4
+#: Share of the calibrated field by which it may be left on either side: what lies further out was never calibrated.
+_BEYOND = 0.05
 
 
 @dataclass(frozen=True)
@@ -25,10 +28,12 @@ class ImageMap:
     Attributes:
         scale: largest tangent among the field points; the polynomials' argument is tangent / scale.
         coefficients_um: shape (2, 2, n_y, n_x): polarisation, (x, y) on the sensor, powers of y and of x.
+        field: lowest and highest tangent along x and along y that were calibrated; all for a pair without a field.
     """
 
     scale: float
     coefficients_um: FloatArray
+    field: tuple[tuple[float, float], tuple[float, float]] = ((-np.inf, np.inf), (-np.inf, np.inf))
 
     @classmethod
     def from_psf(cls, psf: Psf) -> ImageMap:
@@ -52,7 +57,12 @@ class ImageMap:
         if tangent_y.size == 1:
             coefficients = np.concatenate([coefficients, np.zeros_like(coefficients)], axis=2)
             coefficients[:, 1, 1, 0] = -psf.sensor_distance_um * scale
-        return cls(scale, coefficients)
+        return cls(scale, coefficients, (_span(tangent_x), _span(tangent_y)))
+
+    def covers(self, tangent_x: FloatArray, tangent_y: FloatArray) -> NDArray[np.bool_]:
+        """Whether directions lie in the calibrated field, or hardly beyond."""
+        (left, right), (low, high) = self.field
+        return np.asarray((tangent_x >= left) & (tangent_x <= right) & (tangent_y >= low) & (tangent_y <= high))
 
     def to_sensor_um(
         self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray
@@ -94,6 +104,14 @@ class ImageMap:
     def area_um2(self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
         """Sensor area per unit area of tangents, um^2: irradiance falls as it grows."""
         return np.asarray(np.abs(np.linalg.det(self.jacobian_um(polarisation, tangent_x, tangent_y))))
+
+
+def _span(tangents: FloatArray) -> tuple[float, float]:
+    """Where calibrated directions along one axis may be used; one of them stands for all."""
+    if tangents.size == 1:
+        return -np.inf, np.inf
+    low, high = float(tangents.min()), float(tangents.max())
+    return low - _BEYOND * (high - low), high + _BEYOND * (high - low)
 
 
 def _fit(nodes: FloatArray) -> FloatArray:

@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike
 
 from metafab.camera.frame import RawFrame, Truth
 from metafab.core import hdf5
+from metafab.core.errors import Fault, InputError
+from metafab.spec.fields import LARGEST
 
 RAW_KIND = "metafab raw frame"
 RAW_FORMAT = 1
@@ -56,7 +58,7 @@ def load(path: Path | str) -> RawFrame:
             truth = Truth(depth_m, intensity_x, intensity_y, np.asarray(group["label"], dtype=np.int32))
             truth_origin_um = _pair(group.attrs["origin_um"])
         saturation, window = file.attrs.get("saturation_e"), file.attrs.get("x_window")
-        return RawFrame(
+        frame = RawFrame(
             np.asarray(file["frame"], dtype=np.float64),
             float(file.attrs["pixel_um"]),
             _pair(file.attrs["origin_um"]),
@@ -66,6 +68,31 @@ def load(path: Path | str) -> RawFrame:
             None if window is None else (int(window[0]), int(window[1]), int(window[2]), int(window[3])),
             None if saturation is None else float(saturation),
         )
+    if faults := _faults(frame):
+        raise InputError(str(path), faults)
+    return frame
+
+
+def _faults(frame: RawFrame) -> list[Fault]:
+    """What no frame of ours says of itself."""
+    faults = []
+    if frame.frame.ndim != 2:
+        faults.append(Fault("frame", "rows and columns", f"an array of shape {frame.frame.shape}"))
+    if not 0.0 < frame.pixel_um < np.inf:
+        faults.append(Fault("pixel_um", "a pitch above zero", f"{frame.pixel_um:g}"))
+    if not 0.0 <= frame.read_noise_e < np.inf:
+        faults.append(Fault("read_noise_e", "electrons, not below zero", f"{frame.read_noise_e:g}"))
+    if frame.saturation_e is not None and not frame.saturation_e > 0.0:
+        faults.append(Fault("saturation_e", "electrons above zero", f"{frame.saturation_e:g}"))
+    for name, origin_um in (("origin_um", frame.origin_um), ("truth/origin_um", frame.truth_origin_um or (0.0, 0.0))):
+        if not np.abs(origin_um).max() < LARGEST:
+            faults.append(Fault(name, "a place on the sensor", f"{origin_um}"))
+    if not frame.holds_window:
+        faults.append(Fault("x_window", f"a window in a frame of shape {frame.frame.shape}", f"{frame.x_window}"))
+    if frame.truth is not None and len({part.shape for part in vars(frame.truth).values()}) > 1:
+        shapes = ", ".join(str(part.shape) for part in vars(frame.truth).values())
+        faults.append(Fault("truth", "arrays of one shape", shapes))
+    return faults
 
 
 def _axes(group: h5py.Group, shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um: float) -> None:

@@ -59,7 +59,9 @@ def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D
         return _nothing((1, 1), frame, f"not a grey frame (shape {values.shape}, type {values.dtype})", started)
     if psf.depth_m.size < 3:
         return _nothing(values.shape, frame, "the calibration holds fewer than three depths", started)
-    if abs(frame.pixel_um / psf.pixel_um - 1.0) > 1e-6:
+    if not np.isfinite([*frame.origin_um, frame.read_noise_e]).all() or not frame.holds_window:
+        return _nothing(values.shape, frame, "the frame's place, noise or window make no sense", started)
+    if not abs(frame.pixel_um / psf.pixel_um - 1.0) <= 1e-6:
         reason = f"pixels of {frame.pixel_um:g} um, but a calibration for {psf.pixel_um:g} um"
         return _nothing(values.shape, frame, reason, started)
     decoder = Decoder.of(psf, values.shape, frame.origin_um, frame.x_window)

@@ -101,6 +101,8 @@ def _overlap(image: Image4D, frame: RawFrame) -> tuple[tuple[slice, slice], Trut
     """The part of the decoded grid that the truth covers, and the truth there; grids meet at whole pixels."""
     if frame.truth is None or frame.truth_origin_um is None:
         return None
+    if not image.pixel_um > 0.0 or not np.isfinite([*frame.truth_origin_um, *image.origin_um]).all():
+        return None  # a frame that was not decoded, for it does not know where it stands
     slices, parts = [], []
     for axis in (1, 0):
         offset = round((frame.truth_origin_um[axis] - image.origin_um[axis]) / image.pixel_um)

@@ -98,7 +98,7 @@ class TwinGrid:
         pixel_um: float,
         margin: int,
     ) -> TwinGrid | None:
-        """All pixels whose two images, blur included, lie in the frame; None if there are none.
+        """All pixels of the calibrated field whose two images, blur included, lie in the frame; None if there are none.
 
         The x image is looked for on its own side of the midline between the two images of the axis.
         """
@@ -117,11 +117,13 @@ class TwinGrid:
         some_rows, some_columns = rows[::every], columns[::every]
         grid_x, grid_y = np.meshgrid(x_um[some_columns], y_um[some_rows])
         along = ((grid_x - 0.5 * (axis_x + twin_x)) * split_x + (grid_y - 0.5 * (axis_y + twin_y)) * split_y) / span
-        place_x, place_y = image_map.to_sensor_um(1, *image_map.to_tangent(0, grid_x, grid_y))
+        tangents = image_map.to_tangent(0, grid_x, grid_y)
+        place_x, place_y = image_map.to_sensor_um(1, *tangents)
         twin_column = (place_x - origin_um[0]) / pixel_um
         twin_row = (place_y - origin_um[1]) / pixel_um
         inside = (
             (along < 0.0)
+            & image_map.covers(*tangents)
             & (twin_column > margin - 1)
             & (twin_column < n_x - margin)
             & (twin_row > margin - 1)

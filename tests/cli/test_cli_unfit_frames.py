@@ -6,9 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
+from PIL import Image
 
-from metafab import decode, optics
+from metafab import camera, decode, optics
+from metafab.cli import entry
 from metafab.core.errors import InputError
+from metafab.spec import Scene, SceneObject
 from metafab.steps import restore
 from tests.conjugate_pair import helix_psf
 from tests.main_job import metafab
@@ -56,3 +60,107 @@ def test_the_command_exits_with_2_for_an_unfit_frame_and_says_that_one_is_dark(t
     assert f"metafab: {raw}: {decode.NO_LIGHT}" in answer.stderr
     assert answer.json["reason"] == decode.NO_LIGHT
     assert not np.isfinite(decode.load(output).depth_m).any()
+
+
+@pytest.fixture(scope="module")
+def counts(tmp_path_factory: pytest.TempPathFactory, psf: Path) -> np.ndarray:
+    """A good frame, as a camera hands it over: 16-bit counts, the axis in the middle."""
+    scene = Scene(objects=(SceneObject(depth_m=0.0029, size=(0.12, 0.12)),), field_px=(96, 96), seed=2)
+    path = tmp_path_factory.mktemp("good") / "frame.tif"
+    camera.save_counts(camera.capture(scene, optics.load(psf)), path)
+    return np.asarray(tifffile.imread(path))
+
+
+def decoded(
+    raw: Path, psf: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> tuple[int, str]:
+    """Exit code and what was said, by the command itself; anything but an exit is a failure."""
+    monkeypatch.setattr("sys.argv", ["metafab", "decode", str(raw), "--psf", str(psf), "-o", str(raw) + ".out.h5"])
+    code = 0
+    try:
+        entry.main()
+    except SystemExit as left:
+        code = int(left.code or 0)
+    said = capsys.readouterr()
+    return code, said.out + said.err
+
+
+def as_file(kind: str, counts: np.ndarray, folder: Path) -> Path:
+    """A frame in one of the ways in which cameras and people write them."""
+    share = counts / counts.max()
+    name, _, how = kind.partition(" ")
+    path = folder / f"frame.{name}"
+    values = {
+        "8": lambda: np.round(255 * share).astype(np.uint8),
+        "12": lambda: np.round(4000 * share).astype(np.uint16),
+        "16": lambda: np.round(60000 * share).astype(np.uint16),
+        "float": lambda: counts.astype(np.float32),
+        "black": lambda: np.zeros_like(counts),
+        "saturated": lambda: np.full_like(counts, 65535),
+        "flat": lambda: np.full_like(counts, 1000),
+        "pixel": lambda: counts[:1, :1],
+        "colour": lambda: np.stack([np.round(255 * share).astype(np.uint8)] * 3, axis=-1),
+        "pages": lambda: np.stack([counts, counts]),
+        "transposed": counts.T.copy,
+        "truncated": lambda: counts,
+        "holes": lambda: np.where(np.random.default_rng(1).random(counts.shape) < 0.2, np.nan, counts),
+        "negative": lambda: -1.0 - counts,
+        "infinite": lambda: np.where(counts > counts.mean(), np.inf, -np.inf),
+        "complex": lambda: counts + 1j,
+    }[how]()
+    if name == "npy":
+        np.save(path, values)
+    elif name == "png":
+        Image.fromarray(values).save(path)
+    else:
+        tifffile.imwrite(path, values)
+    if how == "truncated":
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    return path
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["tif 8", "tif 12", "tif 16", "tif float", "png 8", "png 16", "npy 16", "npy float", "npy holes"],
+)
+def test_frames_of_all_kinds_of_files_say_the_same_depth(
+    tmp_path: Path, psf: Path, counts: np.ndarray, kind: str,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    raw = as_file(kind, counts, tmp_path)
+    code, said = decoded(raw, psf, capsys, monkeypatch)
+    assert code == 0, said
+    depth_m = decode.load(Path(str(raw) + ".out.h5")).depth_m
+    # The fifth of the pixels that are missing takes some of the texture, too.
+    assert np.nanmedian(depth_m) == pytest.approx(0.0029, rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["tif black", "tif flat", "png flat", "npy flat"])
+def test_where_nothing_is_to_be_seen_nothing_is_claimed(
+    tmp_path: Path, psf: Path, counts: np.ndarray, kind: str,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    raw = as_file(kind, counts, tmp_path)
+    code, said = decoded(raw, psf, capsys, monkeypatch)
+    assert code == 0, said
+    assert "no light" in said or "no texture" in said
+    assert not np.isfinite(decode.load(Path(str(raw) + ".out.h5")).depth_m).any()
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "tif saturated", "tif pixel", "tif colour", "tif pages", "tif transposed", "tif truncated", "png colour",
+        "png pixel", "png truncated", "npy colour", "npy negative", "npy infinite", "npy complex", "npy truncated",
+    ],
+)  # fmt: skip
+def test_what_is_no_frame_of_this_camera_is_refused_in_words(
+    tmp_path: Path, psf: Path, counts: np.ndarray, kind: str,
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    raw = as_file(kind, counts, tmp_path)
+    code, said = decoded(raw, psf, capsys, monkeypatch)
+    assert code == 2, said
+    assert said.startswith(f"metafab: {raw}")
+    assert "Traceback" not in said
+    assert not Path(str(raw) + ".out.h5").exists()

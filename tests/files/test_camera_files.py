@@ -64,6 +64,39 @@ def test_broken_files_are_refused(frame: RawFrame, tmp_path: Path, kind: str) ->
 
 
 @pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("pixel_um", 0.0),
+        ("pixel_um", np.nan),
+        ("read_noise_e", -1.0),
+        ("saturation_e", 0.0),
+        ("origin_um", np.array([np.nan, 0.0])),
+        ("origin_um", np.array([1e300, 0.0])),
+        ("x_window", np.array([0, 0, 10**6, 8])),
+        ("x_window", np.array([-1, 0, 8, 8])),
+    ],
+)
+def test_frames_that_say_impossible_things_are_refused(
+    frame: RawFrame, tmp_path: Path, name: str, value: float | np.ndarray
+) -> None:
+    save(frame, tmp_path / "raw.h5")
+    with h5py.File(tmp_path / "raw.h5", "r+") as file:
+        file.attrs[name] = value
+    with pytest.raises(InputError) as caught:
+        load(tmp_path / "raw.h5")
+    assert [fault.field for fault in caught.value.faults] == [name]
+
+
+def test_truth_of_unequal_shapes_is_refused(frame: RawFrame, tmp_path: Path) -> None:
+    save(frame, tmp_path / "raw.h5")
+    with h5py.File(tmp_path / "raw.h5", "r+") as file:
+        del file["truth/label"]
+        file["truth/label"] = np.zeros((3, 3), dtype=np.int32)
+    with pytest.raises(InputError, match="one shape"):
+        load(tmp_path / "raw.h5")
+
+
+@pytest.mark.parametrize(
     ("suffix", "dtype"), [("tif", np.uint8), ("tif", np.uint16), ("png", np.uint8), ("png", np.uint16)]
 )
 def test_camera_frames_come_with_the_lowest_row_first(psf: Psf, tmp_path: Path, suffix: str, dtype: type) -> None:

@@ -128,6 +128,24 @@ def test_the_outline_of_a_uniform_object_claims_nothing(psf: Psf) -> None:
     assert "no texture" in str(image.details["warning"])
 
 
+@pytest.mark.parametrize("dark_px", [100, 500])
+def test_a_sensor_much_larger_than_the_field_is_decoded_where_it_is_calibrated(field_psf: Psf, dark_px: int) -> None:
+    """As a camera's own frames are, whose field stop nobody knows: no pair is made up beyond the calibrated ones."""
+    frame = capture(Scene(objects=(plane(0.0029),), seed=5, field_px=(110, 110)), field_psf)
+    wide = dataclasses.replace(
+        frame,
+        frame=np.pad(frame.frame, dark_px),
+        origin_um=tuple(start - dark_px * frame.pixel_um for start in frame.origin_um),
+        x_window=None,
+    )
+    image, own = decode(wide, field_psf), decode(frame, field_psf)
+    assert max(image.depth_m.shape) < 210  # of 130 pixels between the outermost directions, and 5 % on either side
+    assert image.nmae is not None
+    assert own.nmae is not None
+    assert image.nmae < own.nmae + 0.004
+    assert image.details["share_decoded"] > 0.98
+
+
 def test_a_wrong_calibration_is_said(psf: Psf, field_psf: Psf) -> None:
     """The right one leaves noise; kernels moved by 2 pixels, or of unequal sharpness, leave more or no agreement."""
     frame = capture(Scene(objects=(plane(0.0029),), seed=5), psf)

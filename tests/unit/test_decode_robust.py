@@ -68,6 +68,25 @@ def test_wrong_pixels_are_said(psf: Psf, good: RawFrame) -> None:
     assert "calibration" in str(image.details["reason"])
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"pixel_um": np.nan},
+        {"pixel_um": 0.0},
+        {"origin_um": (np.nan, 0.0)},
+        {"origin_um": (1e300, -1e300), "x_window": None},
+        {"read_noise_e": np.inf},
+        {"x_window": (0, 0, 10**6, 10)},
+        {"x_window": (-5, 0, 20, 20)},
+    ],
+    ids=str,
+)
+def test_frames_that_say_impossible_things_claim_nothing(psf: Psf, good: RawFrame, wrong: dict[str, object]) -> None:
+    image = decode(dataclasses.replace(good, **wrong), psf)  # type: ignore[arg-type]
+    assert claims(image) == 0
+    assert image.details.get("reason")
+
+
 def test_one_depth_is_no_calibration(psf: Psf, good: RawFrame) -> None:
     one = dataclasses.replace(psf, depth_m=psf.depth_m[:1], psf=psf.psf[:, :1], centre_um=psf.centre_um[:, :1])
     image = decode(good, one)
