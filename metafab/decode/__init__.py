@@ -38,6 +38,7 @@ In: a RawFrame and a Psf. Out: an Image4D. No frame raises.
 from metafab.decode.bound import DepthBound
 from metafab.decode.decoder import Decoder, decode
 from metafab.decode.image import Image4D
+from metafab.decode.judge import object_errors
 from metafab.decode.pinhole import NOT_SEPARATED, CameraFit, calibrate, read_depths
 from metafab.decode.seen import NO_LIGHT
 from metafab.decode.store import load, save
@@ -54,6 +55,7 @@ __all__ = [
     "calibrate",
     "decode",
     "load",
+    "object_errors",
     "read_depths",
     "save",
 ]

@@ -45,7 +45,7 @@ def judged(image: Image4D, frame: RawFrame, *, seconds: float) -> Image4D:
             details[f"psnr_{axis}_db"] = 10.0 * float(np.log10(peak**2 / mean_square))
         if peak > 0.0 and min(true.shape) >= _SSIM_REACH:
             details[f"ssim_{axis}"] = structural_similarity(got, true, peak)
-    of_objects = _object_errors(image.depth_m[mine], truth)
+    of_objects = [abs(error) for error in object_errors(image, frame).values()]
     if of_objects:
         details["object_error"] = float(np.mean(of_objects))
         details["worst_object_error"] = max(of_objects)
@@ -81,15 +81,27 @@ def structural_similarity(got: FloatArray, true: FloatArray, peak: float) -> flo
     return float(np.mean(likeness * (2.0 * (product - mean_a * mean_b) + high) / (variance + high)))
 
 
-def _object_errors(depth_m: FloatArray, truth: Truth) -> list[float]:
-    """|median of z / z_true - 1| of each true object: the error of its depth, whatever becomes of its outline."""
+def object_errors(image: Image4D, frame: RawFrame) -> dict[int, float]:
+    """The error of each true object's depth, whatever becomes of its outline: median of z / z_true - 1 of its pixels.
+
+    Args:
+        image: decoded from ``frame``.
+        frame: with its truth; without it there is nothing to tell.
+
+    Returns:
+        By the number of each object of which anything is decoded.
+    """
+    overlap = _overlap(image, frame)
+    if overlap is None:
+        return {}
+    mine, truth = overlap
+    depth_m = image.depth_m[mine]
     known = np.isfinite(depth_m) & np.isfinite(truth.depth_m)
-    ratios = (
-        depth_m[mask] / truth.depth_m[mask]
+    return {
+        int(number): float(np.median(depth_m[mask] / truth.depth_m[mask])) - 1.0
         for number in np.unique(truth.label[truth.label > 0])
         if (mask := known & (truth.label == number)).any()
-    )
-    return [abs(float(np.median(ratio)) - 1.0) for ratio in ratios]
+    }
 
 
 def _nmae(depth_m: FloatArray, true_m: FloatArray) -> float | None:

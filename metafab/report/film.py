@@ -1,4 +1,4 @@
-"""A decoded film as a moving picture: raw frame, both polarisations' sharp images, and depth.
+"""A decoded film as a moving picture: raw frame, both polarisations' sharp images, depth, and polarisation contrast.
 
 The lens turns its images by half a turn; in a film they are turned back, so that the scene stands upright.
 """
@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_rgb
+from matplotlib.colors import LogNorm, to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
@@ -25,7 +25,17 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError, MetafabError, MissingToolError
 from metafab.core.files import whole_file
 from metafab.decode.image import Image4D
-from metafab.report.style import DEPTH_MAP, INK, POLARISATION_COLOUR, bare, colour_bar, depth_unit, show_map
+from metafab.report.figures.image import contrast_reach
+from metafab.report.style import (
+    CONTRAST_MAP,
+    DEPTH_MAP,
+    INK,
+    POLARISATION_COLOUR,
+    bare,
+    colour_bar,
+    depth_unit,
+    show_map,
+)
 
 _DPI = 100
 _WIDTH_IN = 9.0
@@ -73,63 +83,62 @@ def _pictures(film: Sequence[tuple[RawFrame, Image4D]], frame_interval_s: float)
     known = np.concatenate(depths) if any(d.size for d in depths) else np.array([0.0, 1.0])
     bright = max(_top(raw.frame) for raw, _ in film)
     sharp = max(_top(part) for _, decoded in film for part in (decoded.intensity_x, decoded.intensity_y))
+    reach = max(contrast_reach(decoded) for _, decoded in film)
     figure, places = _frame(raw, image)
+    light: dict[str, Any] = {"cmap": "gray", "vmin": 0.0}
     panels = [
-        _panel(
-            places[0], raw.frame, "Raw frame, turned upright: y and x polarisation", cmap="gray", vmin=0.0, vmax=bright
-        ),
-        _panel(
-            places[1],
-            image.intensity_x,
-            "I_x, all in focus",
-            POLARISATION_COLOUR["x"],
-            cmap="gray",
-            vmin=0.0,
-            vmax=sharp,
-        ),
-        _panel(
-            places[2],
-            image.intensity_y,
-            "I_y, all in focus",
-            POLARISATION_COLOUR["y"],
-            cmap="gray",
-            vmin=0.0,
-            vmax=sharp,
-        ),
+        _panel(places[0], raw.frame, "Raw frame, turned upright: y and x polarisation", **light, vmax=bright),
+        _panel(places[1], image.intensity_x, "I_x, all in focus", POLARISATION_COLOUR["x"], **light, vmax=sharp),
+        _panel(places[2], image.intensity_y, "I_y, all in focus", POLARISATION_COLOUR["y"], **light, vmax=sharp),
         _panel(places[3], scale * image.depth_m, "Depth", cmap=DEPTH_MAP, vmin=known.min(), vmax=known.max()),
+        _panel(places[4], image.contrast, "Contrast I_x / I_y", cmap=CONTRAST_MAP, norm=LogNorm(1.0 / reach, reach)),
     ]
     colour_bar(panels[3], places[3], f"depth / {unit}")
+    ratios = (1.0 / reach, 1.0, reach)
+    colour_bar(panels[4], places[4], "I_x / I_y", ratios, [f"{ratio:.2g}" for ratio in ratios])
     caption = figure.text(0.02, 0.012, "", fontsize=9, color=INK)
     canvas: Any = FigureCanvasAgg(figure)
     drawn = []
     for number, (frame, decoded) in enumerate(film):
-        values = (frame.frame, decoded.intensity_x, decoded.intensity_y, scale * decoded.depth_m)
+        values = (frame.frame, decoded.intensity_x, decoded.intensity_y, scale * decoded.depth_m, decoded.contrast)
         for panel, value in zip(panels, values, strict=True):
             panel.set_data(np.ma.masked_invalid(value[::-1, ::-1]))
-        error = "" if decoded.nmae is None else f"   depth within {100.0 * decoded.nmae:.2f} %"
-        caption.set_text(f"t = {number * frame_interval_s:.2f} s{error}")
+        caption.set_text(_caption(number * frame_interval_s, decoded))
         canvas.draw()
         drawn.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
     return drawn
 
 
+def _caption(time_s: float, decoded: Image4D) -> str:
+    """When it was, how well it is known, and how much was decoded for it."""
+    told = [f"t = {time_s:.2f} s"]
+    if decoded.nmae is not None:
+        told.append(f"depth within {100.0 * decoded.nmae:.2f} % over all pixels")
+    for name, words in (("worst_object_error", "{:.2f} % of each object"), ("changed_share", "{:.0f} % decoded anew")):
+        if name in decoded.details:
+            told.append(words.format(100.0 * float(decoded.details[name])))
+    return ", ".join(told)
+
+
 def _frame(raw: RawFrame, image: Image4D) -> tuple[Figure, list[Axes]]:
-    """The raw frame above; below it the two images and the depth, side by side."""
-    title_in, gap_in, bar_in = 0.3, 0.15, 0.8
+    """The raw frame above; below it the two images, and under them depth and contrast."""
+    title_in, gap_in, bar_in, foot_in = 0.3, 0.15, 0.8, 0.2
     tall_in = (_WIDTH_IN - 2.0 * gap_in) * raw.frame.shape[0] / raw.frame.shape[1]
-    wide_in = (_WIDTH_IN - 4.0 * gap_in - bar_in) / 3.0
+    wide_in = 0.5 * (_WIDTH_IN - 3.0 * gap_in) - bar_in
     low_in = wide_in * image.depth_m.shape[0] / image.depth_m.shape[1]
     # Video codecs want even numbers of pixels.
-    height_in = 0.02 * np.ceil(50.0 * (tall_in + low_in + 2.0 * title_in + 2.0 * gap_in + 0.2))
+    height_in = 0.02 * np.ceil(50.0 * (tall_in + 2.0 * low_in + 3.0 * title_in + 3.0 * gap_in + foot_in))
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
 
     def place(left: float, bottom: float, width: float, height: float) -> Axes:
         return figure.add_axes((left / _WIDTH_IN, bottom / height_in, width / _WIDTH_IN, height / height_in))
 
-    above = gap_in + 0.2 + low_in + title_in + gap_in
+    row_in, column_in = low_in + title_in + gap_in, wide_in + bar_in + gap_in
+    low, left = gap_in + foot_in, gap_in
     return figure, [
-        place(gap_in, above, _WIDTH_IN - 2.0 * gap_in, tall_in),
-        *(place(gap_in + k * (wide_in + gap_in), gap_in + 0.2, wide_in, low_in) for k in range(3)),
+        place(left, low + 2.0 * row_in, _WIDTH_IN - 2.0 * gap_in, tall_in),
+        *(place(left + k * column_in, low + row_in, wide_in, low_in) for k in range(2)),
+        *(place(left + k * column_in, low, wide_in, low_in) for k in range(2)),
     ]
 
 
@@ -152,13 +161,13 @@ def _write_gif(pictures: Sequence[NDArray[np.uint8]], path: Path, interval_s: fl
 
 
 def _palette() -> Image.Image:
-    """What the panels show, in 256 colours: greys, depths, and the two inks down to white."""
-    share = np.linspace(0.0, 1.0, 120)
-    white = np.ones(3)
+    """What the panels show, in 256 colours: greys, depths, contrasts, and the two inks down to white."""
+    share, white = np.linspace(0.0, 1.0, 80), np.ones(3)
     inks = [np.array(to_rgb(ink)) for ink in POLARISATION_COLOUR.values()]
     colours = [
         np.outer(share, white),
         colormaps[DEPTH_MAP](share)[:, :3],
+        CONTRAST_MAP(share)[:, :3],
         *(ink + np.outer(np.arange(8) / 8.0, white - ink) for ink in inks),
     ]
     palette = Image.new("P", (1, 1))

@@ -49,12 +49,15 @@ def decoded_film(
 
 
 def film_figures(film: Sequence[tuple[RawFrame, Image4D]]) -> dict[str, Any]:
-    """Errors and times of a decoded film, one entry a frame."""
+    """Errors and times of a decoded film, one entry a frame; ``objects`` by the number of each object of the scene."""
+    from metafab.decode import object_errors
+
     names = ("nmae_pixel", "object_error", "worst_object_error", "contrast_error", "share_decoded", "changed_share")
     images = [image for _, image in film]
     return {
         "frames": len(images),
         "nmae": [image.nmae for image in images],
         **{name: [image.details.get(name) for image in images] for name in names},
+        "objects": [object_errors(image, raw) for raw, image in film],
         "decode_seconds": [image.details["seconds"] for image in images],
     }

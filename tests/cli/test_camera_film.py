@@ -67,6 +67,10 @@ def test_a_film_is_decoded_frame_by_frame_and_drawn(folder: Path) -> None:
     # One object of known depth; the pair that made the frames decodes them.
     assert max(first.json["nmae"]) < 0.02
     assert first.json["changed_share"][0] == 1.0
+    # The scene's only object, in each frame; the worst of one is itself.
+    assert [list(errors) for errors in first.json["objects"]] == [["1"]] * 3
+    assert [abs(errors["1"]) for errors in first.json["objects"]] == first.json["worst_object_error"]
+    assert max(first.json["worst_object_error"]) < 0.02
     assert (folder / "a.gif").read_bytes() == (folder / "b.gif").read_bytes()
     assert second.code == 0
     picture = Image.open(folder / "a.gif")
