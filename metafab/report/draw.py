@@ -217,7 +217,8 @@ def _light(run: RunFolder) -> Iterator[Plan]:
     size = (1.15 * figures.shown_depths(psf).size + 0.4, 2.66)
     yield Plan("psf_pair", "PSF pair over depth", partial(figures.pair_over_depth, psf), size, (0.3, 0.1, 0.05, 0.3))
     yield Plan("psf_orientation", "Orientation over depth", partial(figures.orientation, psf, ideal=ideal))
-    yield Plan("psf_peak", "Peak irradiance over depth", partial(figures.peak, psf, ideal=ideal))
+    peak = partial(figures.peak, psf, ideal=ideal, source=run.psf_source)
+    yield Plan("psf_peak", "Peak irradiance over depth", peak)
     known = run.part("merit").get("modulation")
     if known:
         chosen = list(dict.fromkeys((0, len(known["lens"]) // 2, len(known["lens"]) - 1)))

@@ -101,6 +101,11 @@ class RunFolder:
         return bool(self.design_table.get("mask", {}).get("formats", ["oas"]))
 
     @property
+    def psf_source(self) -> str:
+        """What the PSFs are of."""
+        return "written file" if self.has_mask else "target phases"
+
+    @property
     def name(self) -> str:
         """The design's name, or the folder's."""
         return str(self.design_table.get("name") or self.summary.get("name") or self.path.resolve().name)

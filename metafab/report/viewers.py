@@ -27,9 +27,9 @@ _BLANK = 255  # palette entry of pixels without a value: transparent
 _NO_VALUE = 65535
 
 
-def psf_view(psf: Psf, ideal: Psf | None) -> dict[str, Any]:
+def psf_view(psf: Psf, ideal: Psf | None, source: str = "written file") -> dict[str, Any]:
     """The pair over depth: for each of file and target phases a strip of pictures and what to say about each."""
-    views = [_psf_strip("written file", psf)]
+    views = [_psf_strip(source, psf)]
     if ideal is not None:
         views.append(_psf_strip("target phases", ideal))
     return {"views": views}

@@ -52,6 +52,8 @@ def test_nothing_is_said_of_pillars(done: tuple[Path, run.Outcome]) -> None:
     assert not files & {"layout.oas", "layout.gds", "drc.json", "merit.json", "ideal_psf.h5"}
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "writes no mask" in page
+    assert "from target phases to depth map" in page
+    assert "written file" not in page
     assert 'id="mask"' not in page
     assert 'id="library"' not in page
     assert "not in the run folder" not in page

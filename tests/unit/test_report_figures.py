@@ -49,6 +49,16 @@ def test_orientation_is_unwrapped() -> None:
     assert axes.get_xlabel() == "object depth / cm"
 
 
+def test_the_highest_peak_stands_below_the_frame() -> None:
+    psf = turning_psf()
+    _, axes = panel()
+    figures.peak(psf, axes, ideal=replace(psf, psf=1.5 * psf.psf), source="target phases")
+    assert axes.get_ylim()[1] > 1.05 * 1.5 * psf.psf.max()
+    legend = axes.get_legend()
+    assert legend is not None
+    assert legend.get_texts()[0].get_text() == "x, target phases"
+
+
 def test_psf_window_keeps_all_that_is_bright() -> None:
     """The lobe sits 8 pixels out with a deviation of 2: 4 % of its peak lies sqrt(2 ln 25) 2 = 5.07 pixels from it."""
     psf = turning_psf()

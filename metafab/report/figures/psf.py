@@ -99,21 +99,22 @@ def orientation(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
     return axes
 
 
-def peak(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
+def peak(psf: Psf, axes: Axes, ideal: Psf | None = None, source: str = "written file") -> Axes:
     """Peak irradiance of both PSFs over depth: what the written pillars keep of the target phases' peak."""
     scale, unit = depth_unit(psf.depth_m)
     for row, polarisation in enumerate(POLARISATIONS):
         colour = POLARISATION_COLOUR[polarisation]
         line: dict[str, Any] = {"color": colour, "linewidth": 1.4, "marker": "o", "markersize": 4}
         values = psf.psf[row].max(axis=(1, 2))
-        axes.plot(scale * psf.depth_m, values, label=f"{polarisation}, written file", **line)
+        axes.plot(scale * psf.depth_m, values, label=f"{polarisation}, {source}", **line)
         if ideal is not None:
             values = ideal.psf[row].max(axis=(1, 2))
             axes.plot(scale * ideal.depth_m, values, color=colour, linewidth=1.0, linestyle=(0, (4, 3)), alpha=0.8)
     if ideal is not None:
         axes.plot([], [], color=INK, linewidth=1.0, linestyle=(0, (4, 3)), label="target phases")
     dress(axes, f"object depth / {unit}", "peak irradiance / µm⁻²", "Peak, per unit power at the aperture")
-    axes.set_ylim(bottom=0.0)
+    highest = max(float(stack.psf.max()) for stack in (psf, *(() if ideal is None else (ideal,))))
+    axes.set_ylim(0.0, 1.08 * highest)
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
     legend(axes)
     return axes

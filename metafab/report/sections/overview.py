@@ -29,8 +29,8 @@ def headlines(run: RunFolder) -> str:
         items.append(html.headline(html.number(broken), "rules broken", "bad" if broken else "good"))
     seconds = run.part("seconds")
     if seconds:
-        last = "PSF" if nmae is None else "depth map"
-        items.append(html.headline(f"{sum(seconds.values()):.3g}\u202fs", f"from unit cell to {last}"))
+        first, last = "unit cell" if run.has_mask else "target phases", "PSF" if nmae is None else "depth map"
+        items.append(html.headline(f"{sum(seconds.values()):.3g}\u202fs", f"from {first} to {last}"))
     return f'<ul class="headlines">{"".join(items)}</ul>' if items else ""
 
 
