@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,16 +62,23 @@ class Volume:
         if (vergence_per_m == vergence_per_m[0, 0]).all():
             return self.at(vergence_per_m[0, :1])[:, 0]
         nodes = self.vergences_per_m
-        steps = _FINE * (nodes.size - 1)
-        weights = spline_weights(nodes, np.linspace(nodes[0], nodes[-1], steps + 1)).astype(np.float32)
+        weights = _fine_weights(tuple(nodes.tolist()))
+        steps = weights.shape[1] - 1
         place = np.rint((vergence_per_m - nodes[0]) * (steps / (nodes[-1] - nodes[0])))
         mixed = _mixed if HAS_NUMBA else _mixed_plain
-        return mixed(self.parts, weights.T.copy(), np.clip(place, 0, steps).astype(np.int32))
+        return mixed(self.parts, weights, np.clip(place, 0, steps).astype(np.int32))
 
     def over(self, label: NDArray[np.int32], count: int) -> FloatArray:
         """Sums over the pixels of each label from 1 to ``count``: shape (count, 3, n)."""
         sums = label_sums(self.parts.reshape(-1, *label.shape), label, count)
         return np.moveaxis(sums.reshape(*self.parts.shape[:2], count), -1, 0)
+
+
+@lru_cache(maxsize=4)
+def _fine_weights(nodes: tuple[float, ...]) -> NDArray[np.float32]:
+    """Weights of the candidates at depths between them: shape (n, n_steps)."""
+    fine = np.linspace(nodes[0], nodes[-1], _FINE * (len(nodes) - 1) + 1)
+    return np.ascontiguousarray(spline_weights(np.array(nodes), fine).T, dtype=np.float32)
 
 
 def _mixed_plain(
