@@ -35,6 +35,7 @@ from metafab.spec.design import SpiralZones
 
 LAYOUTS = Path(__file__).parents[1] / "layouts"
 DESIGN, PAPER_DESIGN = LAYOUTS / "helix_small.toml", LAYOUTS / "helix_2mm.toml"
+OUTDOOR_DESIGN = LAYOUTS / "helix_outdoor.toml"
 SEEDS = 4
 FILTER_FWHM_NM = 10.0
 #: Side of the windows of one plane.
@@ -127,29 +128,37 @@ def _row(name: str, design: Design, shown: optics.Psf, psf: optics.Psf, photons:
 
 
 def _video_row() -> dict[str, Any]:
-    """Frames of 480 x 960 pixels in which one object of the paper's indoor scene moves, from the second frame on."""
-    design = load_design(PAPER_DESIGN)
+    """The outdoor design's film of 480 x 960 pixels, from the second frame on: a car drives past a wall and a post.
+
+    ``worst_object_error`` is the largest of all objects in all frames, ``worst_object_error_alone`` the same of frames
+    that are each decoded anew; ``seconds_unchanged`` a frame's in which nothing has moved.
+    """
+    design = load_design(OUTDOOR_DESIGN)
     source, imaging, depth_m = _optics(design)
     psf = optics.psf(source, imaging, depth_m, field_tangents=optics.field_tangents(design, imaging))
-    still, *others = sorted(design.scene.objects, key=lambda piece: -piece.size[0])
-    small = dataclasses.replace(others[-1], velocity_m_per_s=(0.01, 0.0, 0.0))
-    scene = dataclasses.replace(design.scene, objects=(still, *others[:-1], small), frames=6, frame_interval_s=0.04)
-    frames = list(camera.film(scene, psf))
+    frames = list(camera.film(design.scene, psf))
     first = decode.Decoder.of(psf, frames[0].frame.shape, frames[0].origin_um, frames[0].x_window)
     if first is None:
         raise ValueError("the frame does not hold both images")
     decoder = decode.VideoDecoder(first)
+    decoder(frames[0])
     with measured() as cost:
-        images = [decoder(frame) for frame in frames]
-    later = images[1:]
+        images = [decoder(frame) for frame in frames[1:]]
+    same = decoder(frames[-1])
+    alone = [first(frame) for frame in frames[1:]]
     return {
-        "name": "2 mm lens, video at 25 frames a second, one object of three moves",
-        "series": "2 mm lens, video",
-        "error": float(np.mean([image.nmae if image.nmae is not None else math.nan for image in later])),
-        "seconds": float(np.mean([image.details["seconds"] for image in later])),
+        "name": f"2 mm lens, film of a moving car, {len(images)} frames",
+        "series": "2 mm lens, film",
+        "error": float(np.mean([image.nmae if image.nmae is not None else math.nan for image in images])),
+        "seconds": float(np.mean([image.details["seconds"] for image in images])),
         "peak_rss_mb": cost.peak_rss_mb,
-        "photons": scene.photons_per_pixel,
-        "changed_share": float(np.mean([image.details["changed_share"] for image in later])),
+        "photons": design.scene.photons_per_pixel,
+        "changed_share": float(np.mean([image.details["changed_share"] for image in images])),
+        "nmae_pixel": float(np.mean([image.details["nmae_pixel"] for image in images])),
+        "worst_object_error": max(float(image.details["worst_object_error"]) for image in images),
+        "worst_object_error_alone": max(float(image.details["worst_object_error"]) for image in alone),
+        "seconds_alone": float(np.mean([image.details["seconds"] for image in alone])),
+        "seconds_unchanged": float(same.details["seconds"]),
     }
 
 
