@@ -22,6 +22,7 @@
 - ``seen``         a frame at first sight
 - ``regions``      the segments of a frame
 - ``contrast``     I_x / I_y and its error
+- ``neighbours``   segments that are no more than a part of another
 - ``compose``      all that is known put together
 - ``decoder``      all of it: ``decode`` and, for many frames, ``Decoder``
 - ``changes``      what differs from an earlier frame

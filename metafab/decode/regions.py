@@ -14,6 +14,7 @@ from metafab.core.executor import kept_threads
 from metafab.decode import segment as segments
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth, pixel_depth
 from metafab.decode.distance import distance
+from metafab.decode.neighbours import joined
 from metafab.decode.planes import Cells, Plane, distinct_planes, fitted_plane
 from metafab.decode.seen import WINDOW_PX, Seen
 from metafab.decode.volume import Volume
@@ -147,7 +148,13 @@ def _share_out(
     near = segments.grown(label, WINDOW_PX / every)
     if unseen.any():
         near[(distance(unseen) <= WINDOW_PX / every) & (label == 0)] = 0
-    return Regions(len(layers), tuple(found), label, inner, near)
+    target = joined(found, near)
+    own = target == np.arange(target.size)
+    renumbered = (np.cumsum(own) - 1).astype(np.int32)
+    kept = tuple(depth for depth, itself in zip(found, own[1:].tolist(), strict=True) if itself)
+    # Depth and contrast are of a segment itself, without what joins it.
+    label, near = (renumbered[target][part] for part in (label, near))
+    return Regions(len(layers), kept, label, np.where(own, renumbered, 0)[inner].astype(np.int32), near)
 
 
 def depth_of(volume: Volume, cells: Cells, otherwise: Plane) -> segments.SegmentDepth | None:

@@ -1,0 +1,59 @@
+"""Strips that are no more than a part of their neighbour."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from metafab.decode.neighbours import joined
+from metafab.decode.planes import Plane
+from metafab.decode.segment import SegmentDepth
+
+#: A wall, a strip along its side, and an object that hides some of both.
+LABEL = np.ones((60, 80), dtype=np.int32)
+LABEL[:, :6] = 2
+LABEL[20:50, 30:60] = 3
+
+
+def depth(vergence_per_m: float, relative_error: float, slope: tuple[float, float] = (0.0, 0.0)) -> SegmentDepth:
+    return SegmentDepth(vergence_per_m, relative_error, 0.95, 1.0, Plane(vergence_per_m, slope, (30.0, 40.0)), 100.0)
+
+
+@pytest.mark.parametrize(("away", "joins"), [(0.0, True), (2.0, True), (-2.0, True), (3.0, False), (-3.0, False)])
+def test_a_strip_joins_what_it_does_not_differ_from(away: float, joins: bool) -> None:
+    """By its own standard errors: 1 % here."""
+    depths = [depth(3.0, 1e-3), depth(3.0 / (1.0 + 0.01 * away), 0.01), depth(3.8, 1e-3)]
+    np.testing.assert_array_equal(joined(depths, LABEL), [0, 1, 1 if joins else 2, 3])
+
+
+def test_what_is_not_beside_it_is_no_neighbour() -> None:
+    depths = [depth(3.0, 1e-3), depth(3.8, 0.01), depth(3.8, 1e-3)]
+    np.testing.assert_array_equal(joined(depths, LABEL), [0, 1, 2, 3])
+
+
+def test_halves_stay_apart() -> None:
+    label = np.ones((40, 40), dtype=np.int32)
+    label[:, 20:] = 2
+    np.testing.assert_array_equal(joined([depth(3.0, 0.01), depth(3.0, 0.01)], label), [0, 1, 2])
+
+
+def test_a_tilted_neighbour_is_met_where_the_strip_is() -> None:
+    """The strip's middle is 37.5 columns left of the plane's."""
+    wall = depth(3.0, 1e-3, (0.0, 0.01))
+    there = float(wall.plane.at(np.array(29.5), np.array(2.5)))
+    for vergence, joins in ((there, True), (3.0, False)):
+        depths = [wall, depth(vergence, 0.01), depth(3.8, 1e-3)]
+        np.testing.assert_array_equal(joined(depths, LABEL), [0, 1, 1 if joins else 2, 3])
+
+
+def test_a_strip_of_a_strip_joins_what_that_has_joined() -> None:
+    label = LABEL.copy()
+    label[:4, :4] = 4
+    label[:4, 4:6] = 2
+    label[4:5, :2] = 2
+    depths = [depth(3.0, 1e-3), depth(3.0, 0.01), depth(3.8, 1e-3), depth(3.0, 0.02)]
+    assert joined(depths, label).tolist() == [0, 1, 1, 3, 1]
+
+
+def test_nothing_joins_nothing() -> None:
+    assert joined([], np.zeros((5, 5), dtype=np.int32)).tolist() == [0]
