@@ -32,6 +32,8 @@ from metafab.decode.volume import Volume
 
 #: A frame of which more changed is decoded anew, with levels of its own.
 _MOST_CHANGED = 0.6
+#: After so many frames with changes all segments are found anew: what was known badly once, and fragments, do not last.
+_SEGMENTS_LAST = 25
 #: What a part is seen with, pixels of the frame around it: what windows reach, and where its segments go on.
 _AROUND_PX = 24
 
@@ -47,6 +49,7 @@ class VideoDecoder:
 
     decoder: Decoder
     changed_share: float = field(default=1.0, init=False)
+    _renewals: int = field(default=0, init=False, repr=False)
     _last: tuple[Decoded, Glance, tuple[object, ...]] | None = field(default=None, init=False, repr=False)
 
     def __call__(self, frame: RawFrame) -> Image4D:
@@ -105,6 +108,11 @@ class VideoDecoder:
         for part in parts:
             self._look(frame, last, part)
         seen = replace(last.seen)  # without what it knew of its pixels
+        rows, columns = self.decoder.filters.reduction.shape
+        everywhere = [(slice(0, rows), slice(0, columns))]
+        self._renewals += 1
+        if self._renewals % _SEGMENTS_LAST == 0:
+            parts, reached = everywhere, np.ones_like(reached)
         with kept_threads() as beside:
             # Loops over all threads are left to this one: not every threading layer lets two start them at once.
             copied = beside.submit(last.pictures.copy)
@@ -113,8 +121,7 @@ class VideoDecoder:
         refreshed_ones = refreshed(regions, last.volume, self.decoder.filters.reduction.every)
         self._sharpen(seen, last, refreshed_ones, parts, reached, tiles.result())
         pictures = copied.result().renumbered(number)
-        rows, columns = self.decoder.filters.reduction.shape
-        for part in parts if refreshed_ones is regions else [(slice(0, rows), slice(0, columns))]:
+        for part in parts if refreshed_ones is regions else everywhere:
             self._draw(pictures, seen, last, refreshed_ones, part)
         return self.decoder.put_together(frame, seen, last.volume, last.pixels, refreshed_ones, last.sharp, pictures)
 

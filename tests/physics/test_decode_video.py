@@ -10,6 +10,7 @@ from pydantic import ValidationError
 
 from metafab.camera import RawFrame, capture, film
 from metafab.decode import Decoder, VideoDecoder
+from metafab.decode import video as video_module
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
@@ -161,6 +162,21 @@ def test_frames_are_as_if_decoded_alone_and_leave_the_earlier_ones_as_they_were(
         # The share of pixels on another object's depth is that of a frame by itself.
         wrong = [np.mean(np.abs(one.depth_m / frame.truth.depth_m - 1.0) > 0.05) for one in (image, alone)]
         assert wrong[0] < wrong[1] + 0.005
+
+
+def test_segments_are_found_anew_now_and_then(psf: Psf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of them, from what is known of the whole window: as many, and at the depths, of a frame by itself."""
+    monkeypatch.setattr(video_module, "_SEGMENTS_LAST", 3)
+    street = list(film(STREET, psf))
+    decode = video(psf, street[0])
+    images = [decode(frame) for frame in street]
+    # The wall does not move, and its depth stays until all segments are found anew, in the fourth frame.
+    wall = [image.segments[0]["depth_m"] for image in images]
+    assert wall[0] == wall[1] == wall[2] != wall[3]
+    alone = decode.decoder(street[3])
+    got, want = (sorted(row["depth_m"] for row in image.segments) for image in (images[3], alone))
+    np.testing.assert_allclose(got, want, rtol=2e-3)
+    assert 0.0 < decode.changed_share < 1.0
 
 
 def test_other_light_and_another_scene_are_decoded_anew(psf: Psf, frames: list[RawFrame]) -> None:
