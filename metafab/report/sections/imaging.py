@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from html import escape
 
 from metafab.report import html
 from metafab.report.run_folder import RunFolder
@@ -26,6 +27,8 @@ def imaging(run: RunFolder, drawn: Drawn) -> str:
             "</figure></div>"
         )
     facts = facts_line(run.part("decode"), nmae="mean |Δz| / z", seconds="seconds to decode")
+    if warning := run.part("decode").get("warning"):
+        facts += html.note(str(warning))
     stills = ("intensity_x", "intensity_y", "contrast", "depth")
     paper = html.grid(html.figure(drawn[n]) for n in stills if n in drawn)
     return html.section(
@@ -41,8 +44,32 @@ def imaging(run: RunFolder, drawn: Drawn) -> str:
         live,
         f"<details><summary>The same with scales and units</summary>{paper}</details>" if live else paper,
         html.grid(html.figure(drawn[n]) for n in ("depth_truth", "confidence") if n in drawn),
+        _judged(run),
         _segments(run),
     )
+
+
+#: What is known of an image whose truth is known, in readers' words.
+_JUDGED = {
+    "nmae": "depth, all pixels by their segments: mean |Δz| / z",
+    "nmae_pixel": "depth, each pixel by itself: mean |Δz| / z",
+    "object_error": "depth of the objects: mean |Δz| / z",
+    "worst_object_error": "depth of the worst object: |Δz| / z",
+    "share_decoded": "share of the objects' pixels with a depth",
+    "contrast_error": "contrast of the objects: mean relative error",
+    "psnr_x_db": "PSNR of I_x / dB",
+    "psnr_y_db": "PSNR of I_y / dB",
+    "ssim_x": "SSIM of I_x",
+    "ssim_y": "SSIM of I_y",
+    "twin_mismatch": "share of the twins' power that neither noise nor depth explains",
+}
+
+
+def _judged(run: RunFolder) -> str:
+    """The image against the scene's truth."""
+    part = run.part("decode")
+    rows = [[escape(text), html.number(part[key])] for key, text in _JUDGED.items() if part.get(key) is not None]
+    return html.table(["against the scene's truth", ""], rows, ["", "n"]) if rows else ""
 
 
 def _segments(run: RunFolder) -> str:
