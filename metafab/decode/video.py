@@ -32,8 +32,9 @@ from metafab.decode.volume import Volume
 
 #: A frame of which more changed is decoded anew, with levels of its own.
 _MOST_CHANGED = 0.6
-#: After so many frames with changes all segments are found anew: what was known badly once, and fragments, do not last.
-_SEGMENTS_LAST = 25
+#: Frames with changes that are decoded anew for a second look, and after how many more there is another: the better one
+#: stays, so that a bad beginning, and fragments of segments, do not last.
+_SECOND_LOOKS, _LOOK_AGAIN = (1, 3, 9), 25
 #: What a part is seen with, pixels of the frame around it: what windows reach, and where its segments go on.
 _AROUND_PX = 24
 
@@ -49,7 +50,7 @@ class VideoDecoder:
 
     decoder: Decoder
     changed_share: float = field(default=1.0, init=False)
-    _renewals: int = field(default=0, init=False, repr=False)
+    _changes: int = field(default=0, init=False, repr=False)
     _last: tuple[Decoded, Glance, tuple[object, ...]] | None = field(default=None, init=False, repr=False)
 
     def __call__(self, frame: RawFrame) -> Image4D:
@@ -62,26 +63,31 @@ class VideoDecoder:
         camera = (np.shape(frame.frame), frame.pixel_um, frame.origin_um, frame.read_noise_e, frame.saturation_e)
         last = self._last
         self._last, self.changed_share = None, 1.0
-        found: Decoded | None = None
         with kept_threads():
-            if last is not None and last[2] == camera:
-                found, glance = self._updated(frame, last[0], last[1])
+            found = None if last is None or last[2] != camera else self._followed(frame, last[0], last[1])
             if found is None:
-                seen = self.decoder.look(frame)
-                if not isinstance(seen, Seen):
-                    return self.decoder(frame)
-                found, glance = self.decoder.finish(frame, seen, self.decoder.volume(seen)), self._squares.glance(frame)
-        self._last = found, glance, camera
-        image = judged(found.image, frame, seconds=time.perf_counter() - started)
+                self._changes = 0
+                found = self._anew(frame)
+            if found is None:
+                return self.decoder(frame)
+        self._last = *found, camera
+        image = judged(found[0].image, frame, seconds=time.perf_counter() - started)
         image.details["changed_share"] = self.changed_share
         return image
+
+    def _anew(self, frame: RawFrame) -> tuple[Decoded, Glance] | None:
+        """A frame decoded by itself, and what it looks like; None if there is nothing to be decoded."""
+        seen = self.decoder.look(frame)
+        if not isinstance(seen, Seen):
+            return None
+        return self.decoder.finish(frame, seen, self.decoder.volume(seen)), self._squares.glance(frame)
 
     @cached_property
     def _squares(self) -> Squares:
         return Squares.of(self.decoder.calibration.grid, self.decoder.filters.reduction)
 
-    def _updated(self, frame: RawFrame, last: Decoded, before: Glance) -> tuple[Decoded | None, Glance]:
-        """The last frame with what changed, if that is not too much, and what it looks like."""
+    def _followed(self, frame: RawFrame, last: Decoded, before: Glance) -> tuple[Decoded, Glance] | None:
+        """The last frame with what changed, and what it looks like; None if too much did."""
         now = self._squares.glance(frame)
         reached = self._squares.reached(self._squares.moved(now, before, last.seen.levels))
         parts = parts_of(reached, self.decoder.filters.block)
@@ -90,7 +96,14 @@ class VideoDecoder:
             anew[part] = True
         share = float(anew.mean())
         if share > _MOST_CHANGED:
-            return None, now
+            return None
+        if parts:
+            self._changes += 1
+            if self._changes in _SECOND_LOOKS or self._changes % _LOOK_AGAIN == 0:
+                again = self._anew(frame)
+                # The same scene in fewer pieces is better understood.
+                if again is not None and len(again[0].regions.depths) <= len(last.regions.depths):
+                    return again
         self.changed_share = share
         if not parts:
             return last, before
@@ -110,9 +123,6 @@ class VideoDecoder:
         seen = replace(last.seen)  # without what it knew of its pixels
         rows, columns = self.decoder.filters.reduction.shape
         everywhere = [(slice(0, rows), slice(0, columns))]
-        self._renewals += 1
-        if self._renewals % _SEGMENTS_LAST == 0:
-            parts, reached = everywhere, np.ones_like(reached)
         with kept_threads() as beside:
             # Loops over all threads are left to this one: not every threading layer lets two start them at once.
             copied = beside.submit(last.pictures.copy)

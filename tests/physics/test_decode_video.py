@@ -140,9 +140,12 @@ def test_where_it_changed_the_frame_by_itself_decides(psf: Psf, frames: list[Raw
     np.testing.assert_allclose(np.nanmedian(image.depth_m[car]), np.nanmedian(alone.depth_m[car]), rtol=3e-3)
 
 
-def test_frames_are_as_if_decoded_alone_and_leave_the_earlier_ones_as_they_were(psf: Psf) -> None:
+def test_frames_are_as_if_decoded_alone_and_leave_the_earlier_ones_as_they_were(
+    psf: Psf, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """No ghost of the car where it was, and no image that a later frame writes over."""
     street = list(film(STREET, psf))
+    monkeypatch.setattr(video_module, "_SECOND_LOOKS", ())
     decode = video(psf, street[0])
     images = [decode(frame) for frame in street]
     assert 0.0 < decode.changed_share < 0.61
@@ -164,19 +167,22 @@ def test_frames_are_as_if_decoded_alone_and_leave_the_earlier_ones_as_they_were(
         assert wrong[0] < wrong[1] + 0.005
 
 
-def test_segments_are_found_anew_now_and_then(psf: Psf, monkeypatch: pytest.MonkeyPatch) -> None:
-    """All of them, from what is known of the whole window: as many, and at the depths, of a frame by itself."""
-    monkeypatch.setattr(video_module, "_SEGMENTS_LAST", 3)
+def test_a_second_look_is_kept_if_it_sees_fewer_pieces(psf: Psf, monkeypatch: pytest.MonkeyPatch) -> None:
     street = list(film(STREET, psf))
+    monkeypatch.setattr(video_module, "_SECOND_LOOKS", (2,))
     decode = video(psf, street[0])
-    images = [decode(frame) for frame in street]
-    # The wall does not move, and its depth stays until all segments are found anew, in the fourth frame.
-    wall = [image.segments[0]["depth_m"] for image in images]
-    assert wall[0] == wall[1] == wall[2] != wall[3]
-    alone = decode.decoder(street[3])
-    got, want = (sorted(row["depth_m"] for row in image.segments) for image in (images[3], alone))
-    np.testing.assert_allclose(got, want, rtol=2e-3)
-    assert 0.0 < decode.changed_share < 1.0
+    shares = [decode(frame).details["changed_share"] for frame in street]
+    assert [share == 1.0 for share in shares] == [True, False, True, False]
+    decode = video(psf, street[0])
+    decode(street[0])
+    decode(street[1])
+    # As if one of them had been broken off: the look is as good as none.
+    assert decode._last is not None
+    found, *others = decode._last
+    fewer = dataclasses.replace(found.regions, depths=found.regions.depths[:1])
+    decode._last = dataclasses.replace(found, regions=dataclasses.replace(fewer, label=np.minimum(fewer.label, 1),
+        inner=np.minimum(fewer.inner, 1), near=np.minimum(fewer.near, 1))), *others  # fmt: skip
+    assert float(decode(street[2]).details["changed_share"]) < 1.0
 
 
 def test_other_light_and_another_scene_are_decoded_anew(psf: Psf, frames: list[RawFrame]) -> None:
