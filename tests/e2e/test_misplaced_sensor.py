@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -35,18 +36,22 @@ def displaced(main_job: MainJob, tmp_path_factory: pytest.TempPathFactory) -> Ps
     return steps.calibration(Job(moved, tmp_path_factory.mktemp("displaced")), main_job.folder / "layout.oas")
 
 
-@pytest.fixture(scope="module")
-def fitted(predicted: Psf, displaced: Psf, tmp_path_factory: pytest.TempPathFactory) -> tuple[Psf, decode.CameraFit]:
-    """From 16-bit pictures, as a camera writes them."""
-    folder = tmp_path_factory.mktemp("points")
+def calibrated(predicted: Psf, camera_pair: Psf, folder: Path) -> tuple[Psf, decode.CameraFit]:
+    """From 16-bit pictures of a point, as a camera writes them."""
     point = load_scene(POINT)
     frames = []
     for number, depth_m in enumerate(DEPTHS_M):
         scene = replace(point, objects=(replace(point.objects[0], depth_m=depth_m),), seed=number)
-        camera.save_counts(camera.capture(scene, displaced), folder / f"{number}.tif")
+        camera.save_counts(camera.capture(scene, camera_pair), folder / f"{number}.tif")
         counts = camera.Counts(read_noise_e=scene.read_noise_e)
         frames.append(camera.load_frame(folder / f"{number}.tif", predicted, counts=counts))
     return decode.calibrate(frames, DEPTHS_M, predicted)
+
+
+@pytest.fixture(scope="module")
+def fitted(predicted: Psf, displaced: Psf, tmp_path_factory: pytest.TempPathFactory) -> tuple[Psf, decode.CameraFit]:
+    """The prediction as three photographs of a point correct it."""
+    return calibrated(predicted, displaced, tmp_path_factory.mktemp("points"))
 
 
 def test_the_displacement_comes_back(predicted: Psf, displaced: Psf, fitted: tuple[Psf, decode.CameraFit]) -> None:
@@ -79,3 +84,33 @@ def test_its_frames_are_read_as_by_its_own_pair(
     assert calibrated.nmae is not None
     assert own.nmae is not None
     assert calibrated.nmae < own.nmae + 0.003
+
+
+def test_another_wavelength_is_calibrated_as_the_sensor_that_it_looks_like(
+    predicted: Psf, main_job: MainJob, tmp_path: Path
+) -> None:
+    """4 nm more behind the same pillars: spots further apart and larger by 0.5 %, as on a farther sensor.
+
+    Light and mask add up to (1/z + 1/s') / (1 + d) - 1/f: seen from the prediction, 1/z has changed by -d (1/z + 1/s').
+    """
+    design = load_design(SMALL)
+    assert design.scene is not None
+    job, share = Job(design, tmp_path), 0.005
+    imaging = optics.Imaging.of(design)
+    redder = optics.psf(
+        steps.mask_source(job, main_job.folder / "layout.oas"),
+        replace(imaging, wavelength_um=(1.0 + share) * imaging.wavelength_um),
+        steps.calibration_depths(design, imaging),
+        field_tangents=optics.field_tangents(design, imaging),
+        window_px=design.verify.window_px,
+    )
+    # The grating law at the longer wavelength, where the window's centre keeps to the design's.
+    corrected, fit = calibrated(predicted, redder, tmp_path)
+    slant_um = imaging.sensor_distance_um / np.cos(np.radians(8.0))
+    wanted = -share * (1.0 / 0.0029 + 1e6 / slant_um)
+    assert fit.vergence_offset_per_m == pytest.approx(wanted, abs=0.003 / 0.0029)
+    steeper = np.tan(np.arcsin((1.0 + share) * np.sin(np.radians(8.0)))) / np.tan(np.radians(8.0))
+    assert fit.magnification == pytest.approx(steeper, abs=5.0 * fit.magnification_error)
+    frame = camera.capture(design.scene, redder)
+    assert decode.decode(frame, corrected).details["object_error"] < 0.005
+    assert decode.decode(frame, predicted).details["object_error"] > 0.01
