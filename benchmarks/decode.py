@@ -28,14 +28,14 @@ from metafab.core.conventions import FloatArray
 from metafab.core.measure import measured
 from metafab.decode.planes import Cells
 from metafab.decode.volume import Volume
-from metafab.layout.pillars import Lattice
+from metafab.layout import Lattice, sampling_lattice
 from metafab.optics.fisher import Texture
 from metafab.spec import Design, Scene, SceneObject, load_design
 from metafab.spec.design import SpiralZones
 
 LAYOUTS = Path(__file__).parents[1] / "layouts"
 DESIGN, PAPER_DESIGN = LAYOUTS / "helix_small.toml", LAYOUTS / "helix_2mm.toml"
-OUTDOOR_DESIGN = LAYOUTS / "helix_outdoor.toml"
+OUTDOOR_DESIGN, FAR_DESIGN = LAYOUTS / "helix_outdoor.toml", LAYOUTS / "helix_5cm.toml"
 SEEDS = 4
 FILTER_FWHM_NM = 10.0
 #: Side of the windows of one plane.
@@ -49,7 +49,13 @@ def rows(quick: bool) -> list[dict[str, Any]]:
     for name, psf in _pairs(design, quick):
         for photons in (3000.0,) if quick else (300.0, 3000.0, 30000.0):
             table.append(_row(f"{name}, {photons:g} e", design, psf, psf, photons))
-    return table if quick else table + _realism_rows() + [_window_row(), _video_row()]
+    if quick:
+        return table
+    windows = [
+        _window_row("2 mm lens", PAPER_DESIGN, SceneObject(depth_m=0.29, size=(0.2, 0.1))),
+        _window_row("5 cm lens", FAR_DESIGN, SceneObject(depth_m=200.0, size=(0.02, 0.01))),
+    ]
+    return table + _realism_rows() + [*windows, _video_row()]
 
 
 def _pairs(design: Design, quick: bool) -> list[tuple[str, optics.Psf]]:
@@ -73,7 +79,9 @@ def _optics(design: Design) -> tuple[optics.Source, optics.Imaging, FloatArray]:
     unit_nm = design.mask.database_unit_nm
     sites = math.ceil(1e3 * design.device.aperture_um / min(period_nm)) | 1
     lattice = Lattice((round(period_nm[0] / unit_nm), round(period_nm[1] / unit_nm)), (sites, sites), unit_nm)
-    source = optics.ideal_field(phase.profile_of(design), lattice, design.device)
+    profile = phase.profile_of(design)
+    lattice = lattice if design.has_mask else sampling_lattice(profile, design)
+    source = optics.ideal_field(profile, lattice, design.device)
     depths = [piece.depth_m for piece in design.scene.objects]
     return source, imaging, optics.depth_nodes(imaging, 0.96 * min(depths), 1.04 * max(depths), 1e-3)
 
@@ -162,12 +170,11 @@ def _video_row() -> dict[str, Any]:
     }
 
 
-def _window_row() -> dict[str, Any]:
-    """Windows of one plane all over the paper's field, at one wavelength, each with a depth of its own."""
-    design = load_design(PAPER_DESIGN)
+def _window_row(lens: str, path: Path, plane: SceneObject) -> dict[str, Any]:
+    """Windows of one plane all over a lens' field, at one wavelength, each with a depth of its own."""
+    design = load_design(path)
     source, imaging, depth_m = _optics(design)
     psf = optics.psf(source, imaging, depth_m, field_tangents=optics.field_tangents(design, imaging))
-    plane = SceneObject(depth_m=0.29, size=(0.2, 0.1))
     scene = dataclasses.replace(design.scene, objects=(plane,))
     frames = [camera.capture(scene, psf, seed=seed) for seed in range(1, SEEDS + 1)]
     decoder = decode.Decoder.of(psf, frames[0].frame.shape, frames[0].origin_um, frames[0].x_window)
@@ -178,8 +185,8 @@ def _window_row() -> dict[str, Any]:
         error, least = window_errors(decoder, frames, bound, WINDOW_PX)
     known = window_bounds(bound, decoder, WINDOW_PX, known=True)
     return {
-        "name": f"2 mm lens, windows of {WINDOW_PX} pixels of one plane, {scene.photons_per_pixel:g} e",
-        "series": "2 mm lens, windows of one plane",
+        "name": f"{lens}, windows of {WINDOW_PX} pixels of one plane, {scene.photons_per_pixel:g} e",
+        "series": f"{lens}, windows of one plane",
         "error": math.sqrt(float(np.mean(error**2))),
         "seconds": cost.seconds / SEEDS,
         "peak_rss_mb": cost.peak_rss_mb,
