@@ -148,7 +148,9 @@ def _video_row() -> dict[str, Any]:
     first = decode.Decoder.of(psf, frames[0].frame.shape, frames[0].origin_um, frames[0].x_window)
     if first is None:
         raise ValueError("the frame does not hold both images")
-    decoder = decode.VideoDecoder(first)
+    rehearsal, decoder = decode.VideoDecoder(first), decode.VideoDecoder(first)
+    for frame in frames[:2]:  # loops for a part of the window are compiled with the second one
+        rehearsal(frame)
     decoder(frames[0])
     with measured() as cost:
         images = [decoder(frame) for frame in frames[1:]]
