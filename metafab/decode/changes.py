@@ -31,8 +31,9 @@ _DEVIATIONS = 8.0
 _SMALLEST_NOISE = 0.05
 #: Parts of a window have one of these many blocks a side, so that few sizes occur.
 _BLOCKS = (*range(1, 13), *range(14, 25, 2), 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-#: How far a change reaches, as a share of the margin: beyond it, the filters have a seventieth of their energy.
-_REACH = 2.0 / 3.0
+#: How far a change reaches from the windows that show it, as a share of the margin: with the windows' own half, beyond
+#: that the filters have a seventieth of their energy.
+_REACH = 0.5
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ _MOST_CHANGED = 0.6
 #: stays, so that a bad beginning, and fragments of segments, do not last.
 _SECOND_LOOKS, _LOOK_AGAIN = (1, 3, 9), 25
 #: What a part is seen with, pixels of the frame around it: what windows reach, and where its segments go on.
-_AROUND_PX = 24
+_AROUND_PX = 12
 
 
 @dataclass

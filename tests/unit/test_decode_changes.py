@@ -92,13 +92,13 @@ def test_what_is_not_looked_at_anew_is_the_last_frames() -> None:
 
 
 def test_a_change_reaches_as_far_as_the_filters_do() -> None:
-    places = squares(margin=6)
+    places = squares(margin=8)
     moved = np.zeros((60, 80), dtype=bool)
     moved[30, 40] = True
     reached = places.reached(moved)
-    assert reached.shape == (48, 68)
+    assert reached.shape == (44, 64)
     assert reached.sum() == 81
-    assert reached[20:29, 30:39].all()
+    assert reached[18:27, 28:37].all()
 
 
 @settings(max_examples=80, deadline=None)
