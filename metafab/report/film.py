@@ -121,24 +121,31 @@ def _caption(time_s: float, decoded: Image4D) -> str:
 
 
 def _frame(raw: RawFrame, image: Image4D) -> tuple[Figure, list[Axes]]:
-    """The raw frame above; below it the two images, and under them depth and contrast."""
+    """The raw frame above; below it the two images, and under them depth and contrast: beside them if they are high."""
     title_in, gap_in, bar_in, foot_in = 0.3, 0.15, 0.8, 0.2
+    n_y, n_x = image.depth_m.shape
+    columns = 2 if n_x > 1.3 * n_y else 4
     tall_in = (_WIDTH_IN - 2.0 * gap_in) * raw.frame.shape[0] / raw.frame.shape[1]
-    wide_in = 0.5 * (_WIDTH_IN - 3.0 * gap_in) - bar_in
-    low_in = wide_in * image.depth_m.shape[0] / image.depth_m.shape[1]
+    wide_in = (_WIDTH_IN - (columns + 1) * gap_in - 2.0 * bar_in) / columns
+    low_in = wide_in * n_y / n_x
+    row_in, rows = low_in + title_in + gap_in, 4 // columns
     # Video codecs want even numbers of pixels.
-    height_in = 0.02 * np.ceil(50.0 * (tall_in + 2.0 * low_in + 3.0 * title_in + 3.0 * gap_in + foot_in))
+    height_in = 0.02 * np.ceil(50.0 * (tall_in + rows * row_in + title_in + gap_in + foot_in))
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
 
     def place(left: float, bottom: float, width: float, height: float) -> Axes:
         return figure.add_axes((left / _WIDTH_IN, bottom / height_in, width / _WIDTH_IN, height / height_in))
 
-    row_in, column_in = low_in + title_in + gap_in, wide_in + bar_in + gap_in
-    low, left = gap_in + foot_in, gap_in
+    # A bar stands beside depth and beside contrast, the last two.
+    lefts = [gap_in + k * (wide_in + gap_in) for k in range(columns)]
+    lefts = [left + (bar_in if k == columns - 1 else 0.0) for k, left in enumerate(lefts)]
     return figure, [
-        place(left, low + 2.0 * row_in, _WIDTH_IN - 2.0 * gap_in, tall_in),
-        *(place(left + k * column_in, low + row_in, wide_in, low_in) for k in range(2)),
-        *(place(left + k * column_in, low, wide_in, low_in) for k in range(2)),
+        place(gap_in, gap_in + foot_in + rows * row_in, _WIDTH_IN - 2.0 * gap_in, tall_in),
+        *(
+            place(left, gap_in + foot_in + row * row_in, wide_in, low_in)
+            for row in reversed(range(rows))
+            for left in lefts
+        ),
     ]
 
 

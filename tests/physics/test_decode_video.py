@@ -229,6 +229,36 @@ def test_darkness_in_between_is_forgotten(psf: Psf, frames: list[RawFrame]) -> N
     assert np.isfinite(decode(frames[1]).depth_m).any()
 
 
+def depth_error(psf: Psf, velocity_m_per_s: tuple[float, float, float], **shutter: float) -> float:
+    """Of an object that moves while the shutter is open."""
+    card = dataclasses.replace(
+        CAR, depth_m=0.003, size=(0.14, 0.12), centre=(0.0, 0.0), velocity_m_per_s=velocity_m_per_s
+    )
+    scene = dataclasses.replace(SCENE, objects=(card,), frames=1, frame_interval_s=1.0, **shutter)
+    frame = capture(scene, psf)
+    image = video(psf, frame)(frame)
+    assert frame.truth is not None
+    mask = frame.truth.label == 1
+    return float(np.nanmedian(image.depth_m[mask] / frame.truth.depth_m[mask])) - 1.0
+
+
+def test_blur_by_motion_does_not_move_depth(psf: Psf) -> None:
+    """Both images are blurred alike: 6 pixels, in which the depth of a still object is right to half a per cent."""
+    still = depth_error(psf, (0.0, 0.0, 0.0), exposure_s=0.03)
+    assert abs(still) < 0.005
+    for velocity in ((0.001, 0.0, 0.0), (0.0, 0.001, 0.0), (0.0, 0.0, -0.001)):
+        assert depth_error(psf, velocity, exposure_s=0.03) == pytest.approx(still, abs=0.005)
+
+
+def test_a_rolling_shutter_moves_depth_one_way_and_the_other(psf: Psf) -> None:
+    """Rows of one lobe are exposed later than those of the other: what moves meanwhile seems to be elsewhere."""
+    still = depth_error(psf, (0.0, 0.0, 0.0), exposure_s=0.001, row_time_s=2e-4)
+    right, left = (depth_error(psf, (v, 0.0, 0.0), exposure_s=0.001, row_time_s=2e-4) for v in (0.001, -0.001))
+    # 0.04 pixels a row: the parts that turn past each other are some 20 rows apart.
+    assert abs(right - left) > 0.005
+    assert (right - still) * (left - still) < 0.0
+
+
 def test_impossible_films_are_refused() -> None:
     with pytest.raises(ValidationError, match="through the lens"):
         dataclasses.replace(SCENE, objects=(dataclasses.replace(CAR, velocity_m_per_s=(0.0, 0.0, -1.0)),))
