@@ -34,7 +34,7 @@ from metafab.decode.volume import Volume
 _MOST_CHANGED = 0.6
 #: Frames with changes that are decoded anew for a second look, and after how many more there is another: the better one
 #: stays, so that a bad beginning, and fragments of segments, do not last.
-_SECOND_LOOKS, _LOOK_AGAIN = (1, 3, 9), 25
+_SECOND_LOOKS, _LOOK_AGAIN = (1, 3), 25
 #: What a part is seen with, pixels of the frame around it: what windows reach, and where its segments go on.
 _AROUND_PX = 12
 
@@ -125,12 +125,12 @@ class VideoDecoder:
         everywhere = [(slice(0, rows), slice(0, columns))]
         with kept_threads() as beside:
             # Loops over all threads are left to this one: not every threading layer lets two start them at once.
-            copied = beside.submit(last.pictures.copy)
-            tiles = beside.submit(self._tiles, seen, parts, reached)
+            ready = beside.submit(lambda: (last.pictures.copy(), self._tiles(seen, parts, reached)))
             regions, number = self._segments(last, parts)
+        copied, tiles = ready.result()
         refreshed_ones = refreshed(regions, last.volume, self.decoder.filters.reduction.every)
-        self._sharpen(seen, last, refreshed_ones, parts, reached, tiles.result())
-        pictures = copied.result().renumbered(number)
+        self._sharpen(seen, last, refreshed_ones, parts, reached, tiles)
+        pictures = copied.renumbered(number)
         for part in parts if refreshed_ones is regions else everywhere:
             self._draw(pictures, seen, last, refreshed_ones, part)
         return self.decoder.put_together(frame, seen, last.volume, last.pixels, refreshed_ones, last.sharp, pictures)
