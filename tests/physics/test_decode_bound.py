@@ -108,11 +108,11 @@ def test_pixels_add_up(helix: Psf) -> None:
     assert bound.relative_error(mask, known=True) < of_window
 
 
-def window_ratio(psf: Psf, photons: float) -> FloatArray:
+def window_ratio(psf: Psf, photons: float, seeds: range) -> FloatArray:
     """Errors of windows of one plane over their bounds."""
     piece = SceneObject(depth_m=DEPTH_M, size=(0.3, 0.3))
     scene = Scene(objects=(piece,), photons_per_pixel=photons, field_px=(120, 120))
-    frames = [capture(scene, psf, seed=seed) for seed in range(1, 7)]
+    frames = [capture(scene, psf, seed=seed) for seed in seeds]
     decoder = Decoder.of(psf, frames[0].frame.shape, frames[0].origin_um, frames[0].x_window)
     assert decoder is not None
     side = round(0.3 * psf.sensor_distance_um / psf.pixel_um)
@@ -124,8 +124,10 @@ def window_ratio(psf: Psf, photons: float) -> FloatArray:
 
 @pytest.mark.parametrize("photons", [500.0, 3000.0])
 def test_windows_of_one_plane_reach_the_bound_nearly(helix: Psf, photons: float) -> None:
-    ratio = window_ratio(helix, photons)
+    ratio = window_ratio(helix, photons, range(1, 25))
     rms = float(np.sqrt(np.mean(ratio**2)))
-    # 54 windows know a standard deviation to a tenth: nothing is better than the bound by three of them.
-    assert ratio.size == 54
-    assert 0.7 < rms < 1.6
+    # Measured: 1.20 and 1.14. 216 windows know a standard deviation to 5 %, and nothing is better than the bound.
+    assert ratio.size == 216
+    assert 0.85 < rms < 1.3
+    # Nothing but noise: their mean is within three of its standard errors.
+    assert abs(float(ratio.mean())) < 3.0 * rms / np.sqrt(ratio.size)
