@@ -28,8 +28,11 @@ from metafab.decode.volume import Volume
 _BAND_SHARE = 1.0 / 12.0
 #: Share of the twins' power that they do not have in common, noise taken off, from which the calibration is doubted:
 #: without noise, and more for each share of noise in the power (which is known to some per cent where there is little
-#: light). The small lens' own frames have 0.003 and, with 100 electrons a pixel, 0.009.
-_LARGEST_MISMATCH, _MORE_WITH_NOISE = 0.015, 0.25
+#: light). Frames of the camera that was calibrated have 0.005 at most.
+_LARGEST_MISMATCH, _MORE_WITH_NOISE = 0.01, 0.25
+#: Share of the segments' pixels whose twins agree best, by which a calibration is judged: a wrong one spoils all of
+#: them, a clutter of small pieces before each other only many.
+_JUDGED_SHARE = 0.25
 
 
 def full_depth_m(pixels: PixelDepth, every: int, shape: tuple[int, int]) -> FloatArray:
@@ -221,7 +224,7 @@ def _doubts(volume: Volume, seen: Seen, regions: Regions) -> dict[str, float | s
 
 
 def _mismatch(volume: Volume, seen: Seen, regions: Regions) -> tuple[float, float] | None:
-    """Share of the twins' power that is neither common to both nor noise, over all segments; None without any.
+    """Share of the twins' power that is neither common to both nor noise, where they agree best; None without any.
 
     Beside it, the noise's power over that of the rest.
     """
@@ -230,9 +233,10 @@ def _mismatch(volume: Volume, seen: Seen, regions: Regions) -> tuple[float, floa
     inside = regions.label > 0
     mean = np.maximum(seen.inner[:, inside], 0.0).mean(axis=1) + seen.levels.read_noise_e**2
     noise = volume.noise_gain * float(np.sqrt(mean[0] * mean[1]))
-    weights = np.bincount(regions.label[inside], minlength=len(regions.depths) + 1)[1:]
-    common = float(np.average([depth.correlation * depth.power for depth in regions.depths], weights=weights))
-    power = float(np.average([depth.power for depth in regions.depths], weights=weights))
-    if power <= noise:
-        return 1.0, 1.0
-    return max(0.0, 1.0 - common / (power - noise)), noise / (power - noise)
+    pixels = np.bincount(regions.label[inside], minlength=len(regions.depths) + 1)[1:]
+    power = np.array([depth.power for depth in regions.depths]) - noise
+    common = np.array([depth.correlation * depth.power for depth in regions.depths])
+    apart = np.where(power > 0.0, 1.0 - common / np.maximum(power, 1e-30), 1.0)
+    best = np.argsort(apart)
+    judged = best[np.searchsorted(np.cumsum(pixels[best]), _JUDGED_SHARE * pixels.sum())]
+    return max(0.0, float(apart[judged])), noise / max(float(power[judged]), 1e-30)

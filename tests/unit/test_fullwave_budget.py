@@ -27,7 +27,7 @@ def job(tmp_path: Path, small_design: Design) -> Job:
 
 def _line(coupling: dict[str, object]) -> dict[str, object]:
     light = {"error": [1e-3], "depth_interpolation_error": 1e-3, "field_interpolation_error": None}
-    parts = {"library": {}, "layout": {}, "psf": light, "decode": {}, "coupling": coupling}
+    parts = {"library": {}, "layout": {"pillars": 1}, "psf": light, "decode": {}, "coupling": coupling}
     rows = {row["source"]: row for row in error_budget(parts)}
     return rows["local-period approximation"]
 
@@ -60,7 +60,7 @@ def test_the_page_is_made_again_when_they_come() -> None:
 def test_what_only_a_photograph_meets_is_left_out_without_one(photographed: bool) -> None:
     light = {"error": [1e-3], "depth_interpolation_error": None, "field_interpolation_error": None}
     decoded = {"segments": 2} if photographed else {}
-    rows = error_budget({"library": {"max_error": 1e-3}, "layout": {}, "psf": light, "decode": decoded})
+    rows = error_budget({"library": {"max_error": 1e-3}, "layout": {"pillars": 1}, "psf": light, "decode": decoded})
     sources = [row["source"] for row in rows]
     assert len(sources) == (8 if photographed else 5)
     assert ("decoder" in sources) == photographed
