@@ -96,8 +96,8 @@ def _realism_rows() -> list[dict[str, Any]]:
     photons = design.scene.photons_per_pixel
     light = f"{FILTER_FWHM_NM:g} nm, {photons:g} e"
     return [
-        _row(f"2 mm lens, its calibration's own frames, {light}", design, calibration, calibration, photons),
-        _row(f"2 mm lens, frames of the exact camera, {light}", design, exact, calibration, photons),
+        _row(f"2 mm lens, own frames, {light}", design, calibration, calibration, photons),
+        _row(f"2 mm lens, exact camera, {light}", design, exact, calibration, photons),
     ]
 
 
