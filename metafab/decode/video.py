@@ -107,7 +107,9 @@ class VideoDecoder:
         self.changed_share = share
         if not parts:
             return last, before
-        return self._renewed(frame, last, parts, reached), now.kept(before, np.pad(anew, self._squares.margin))
+        # What moved in the margin beside a part is known with it.
+        taken = np.pad(anew, self._squares.margin, mode="edge")
+        return self._renewed(frame, last, parts, reached), now.kept(before, taken)
 
     def _renewed(self, frame: RawFrame, last: Decoded, parts: list[Part], reached: NDArray[np.bool_]) -> Decoded:
         """The last frame with some parts of another. All of it but its image and segments is written over.

@@ -209,6 +209,19 @@ def test_when_motion_stops_nothing_changes(psf: Psf, frames: list[RawFrame]) -> 
     assert image.details["changed_share"] == 0.0
 
 
+def test_what_stays_changed_beside_the_window_is_no_change_later(psf: Psf, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Light that comes to stay in the margin reaches the window once."""
+    monkeypatch.setattr(video_module, "_SECOND_LOOKS", ())
+    first = next(film(STREET, psf))
+    row, column, rows, _ = first.x_window or (0, 0, 0, 0)
+    lit = first.frame.copy()
+    lit[row + rows // 2 : row + rows // 2 + 30, column - 16 : column - 4] += 3000.0
+    decode, bright = video(psf, first), dataclasses.replace(first, frame=lit)
+    shares = [decode(frame).details["changed_share"] for frame in (first, bright, bright, bright)]
+    assert shares[1] > 0.0
+    assert shares[2:] == [0.0, 0.0]
+
+
 def test_frames_of_another_camera_are_not_mixed_with_the_last(psf: Psf, frames: list[RawFrame]) -> None:
     decode = video(psf, frames[0])
     decode(frames[0])
