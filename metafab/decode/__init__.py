@@ -16,6 +16,7 @@
 - ``peaks``        the best candidate in a window about each pixel
 - ``depth``        depth of each pixel, with its error
 - ``planes``       the depth of tilted segments
+- ``consensus``    tilted planes across segments
 - ``segment``      segments, and the depth of each
 - ``outlines``     outlines as short as the twins let them be
 - ``restore``      all-in-focus images

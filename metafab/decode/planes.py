@@ -68,6 +68,11 @@ class Plane:
         return np.broadcast_to(self.at(row.astype(np.float64), column.astype(np.float64)), shape)
 
 
+def cell_side(every: int, side_px: int = _CELL_PX) -> int:
+    """Side of a cell in compared pixels, from that in pixels of the frame and how many of these a compared one has."""
+    return max(2, side_px // every)
+
+
 @dataclass(frozen=True)
 class Cells:
     """Cells of a segment.
@@ -111,7 +116,7 @@ class Cells:
         """As :meth:`of`, of the segments from 1 to ``count`` that ``label`` (n_y, n_x) gives pixels to."""
         row, column = np.nonzero(label)
         segment = label[row, column]
-        side = max(2, side_px // every)
+        side = cell_side(every, side_px)
         down, across = (-(-n // side) for n in label.shape)
         # Numbers in the order of segments: those of one segment lie together.
         given = (segment * down + row // side) * across + column // side
@@ -145,6 +150,18 @@ class Cells:
             )
             found.append(cells)
         return found
+
+    def chosen(self, which: NDArray[np.bool_]) -> Cells:
+        """Some of the cells, with the same whole."""
+        return replace(
+            self,
+            sums=self.sums[which],
+            pixels=self.pixels[which],
+            row=self.row[which],
+            column=self.column[which],
+            vergence_per_m=self.vergence_per_m[which],
+            error_per_m=self.error_per_m[which],
+        )
 
     def sheared(self, volume: Volume, plane: Plane) -> FloatArray:
         """Sums of the products along a plane's tilt: shape (3, n_candidates) over its vergence at the centre."""

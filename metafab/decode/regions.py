@@ -12,10 +12,11 @@ from scipy.ndimage import binary_opening
 from metafab.core.conventions import FloatArray
 from metafab.core.executor import kept_threads
 from metafab.decode import segment as segments
+from metafab.decode.consensus import spanning_planes
 from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth, pixel_depth
 from metafab.decode.distance import distance
 from metafab.decode.neighbours import joined
-from metafab.decode.planes import Cells, Plane, distinct_planes, fitted_plane
+from metafab.decode.planes import Cells, Plane, cell_side, distinct_planes, fitted_plane
 from metafab.decode.seen import WINDOW_PX, Seen
 from metafab.decode.volume import Volume
 
@@ -23,6 +24,10 @@ from metafab.decode.volume import Volume
 LAYER_SHARE = 1.0 / 24.0
 #: How far from an outline a window, through the pair's main parts, still sees it.
 _OUTLINE_REACH_PX = 40
+#: So many layers may be stripes of a tilted surface.
+_MANY_LAYERS = 5
+#: A segment is a stripe of a plane that is hardly farther from its pixels' own depths than the segment's depth is.
+_AS_NEAR = 1.25
 
 
 @dataclass(frozen=True)
@@ -99,8 +104,8 @@ def near_texture(seen: Seen) -> NDArray[np.bool_]:
 def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth, known: Sequence[Plane] = ()) -> Regions:
     """Segments from the pixels' own depths, and the depth of each from all of its pixels at once.
 
-    First each layer has one depth. If some of their segments turn out to be tilted, layers are planes, and pixels are
-    shared out among them once more.
+    First each layer has one depth. If some of their segments turn out to be tilted, or to be stripes of a tilted
+    surface, layers are planes, and pixels are shared out among them once more.
 
     Args:
         seen: of the frame.
@@ -117,11 +122,33 @@ def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth, known: Sequence
         nowhere = np.zeros(volume.parts.shape[-2:], dtype=np.int32)
         return Regions(0, (), nowhere, nowhere, nowhere)
     regions = _share_out(seen, volume, pixels, layers, separation)
-    if any(depth.plane.tilted for depth in regions.depths):
-        planes = distinct_planes([depth.plane for depth in regions.depths], regions.label, separation)
+    if len(layers) >= _MANY_LAYERS or any(depth.plane.tilted for depth in regions.depths):
+        planes = _planes(seen.lit, seen.reduction.every, volume, pixels, regions)
         surfaces, allowed = _surfaces(planes, pixels, separation, seen.window)
         regions = _share_out(seen, volume, pixels, surfaces, separation, allowed)
     return regions
+
+
+def _planes(lit: NDArray[np.bool_], every: int, volume: Volume, pixels: PixelDepth, regions: Regions) -> list[Plane]:
+    """Distinct planes of segments, and those that several segments are stripes of, in place of them."""
+    step_per_m = layer_step_per_m(volume)
+    cells = Cells.of(volume, pixels.claimed & lit, every)
+    spanning = spanning_planes(cells, cell_side(every), step_per_m)
+    over = [plane.over(regions.label.shape) for plane in spanning]
+
+    def is_stripe(number: int) -> bool:
+        mask = (regions.label == number) & pixels.claimed
+        own, *others = (
+            float(np.median(np.abs(pixels.vergence_per_m[mask] - there[mask]))) if mask.any() else 0.0
+            for there in (regions.depths[number - 1].plane.over(mask.shape), *over)
+        )
+        return any(other < _AS_NEAR * own for other in others)
+
+    left = [number for number in range(1, len(regions.depths) + 1) if not is_stripe(number)]
+    number = np.zeros(len(regions.depths) + 1, dtype=np.int32)
+    number[left] = np.arange(1, len(left) + 1)
+    planes = [regions.depths[index - 1].plane for index in left]
+    return spanning + distinct_planes(planes, number[regions.label], step_per_m)
 
 
 def _share_out(

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from metafab.decode.depth import PixelDepth
 from metafab.decode.planes import Cells, Plane, distinct_planes, fitted_plane
-from metafab.decode.regions import Regions
+from metafab.decode.regions import Regions, _planes, layer_step_per_m
 from metafab.decode.segment import SegmentDepth, segment_depth
 from metafab.decode.volume import Volume
 
@@ -114,3 +115,24 @@ def test_bands_of_a_tilted_segment_hold_its_depth() -> None:
     assert vergence.size == 7  # 0.2 over 40 rows, and the wall
     flat = Regions(1, depths[1:], label, label, label)
     np.testing.assert_array_equal(flat.bands(label, 0.04)[0], label)
+
+
+def test_stripes_of_one_surface_become_a_plane_and_what_stands_before_it_stays() -> None:
+    surface = Plane(2.4, (6e-3, 1e-3), (48.0, 60.0))
+    picture = surface.over(SHAPE).copy()
+    picture[30:70, 70:100] = 3.2
+    volume = volume_of(picture, noise=1e-3)
+    step = layer_step_per_m(volume)
+    stripes = np.unique(np.round(picture / (2.0 * step)), return_inverse=True)
+    label = (stripes[1].reshape(SHAPE) + 1).astype(np.int32)
+    depths = tuple(
+        SegmentDepth(float(at), 1e-3, 0.9, 1.0, Plane(float(at))) for at in stripes[0].astype(float) * 2.0 * step
+    )
+    everywhere = np.ones(SHAPE, dtype=bool)
+    pixels = PixelDepth(picture, np.full(SHAPE, 2e-3), everywhere)
+    planes = _planes(everywhere, 3, volume, pixels, Regions(len(depths), depths, label, label, label))
+    assert len(depths) > 4
+    assert len(planes) == 2
+    assert np.abs(planes[0].over(SHAPE) - surface.over(SHAPE)).max() < 0.3 * step
+    assert not planes[1].tilted
+    assert planes[1].vergence_per_m == pytest.approx(3.2, abs=step)
