@@ -124,8 +124,9 @@ def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth, known: Sequence
     regions = _share_out(seen, volume, pixels, layers, separation)
     if len(layers) >= _MANY_LAYERS or any(depth.plane.tilted for depth in regions.depths):
         planes = _planes(seen.lit, seen.reduction.every, volume, pixels, regions)
-        surfaces, allowed = _surfaces(planes, pixels, separation, seen.window)
-        regions = _share_out(seen, volume, pixels, surfaces, separation, allowed)
+        if any(plane.tilted for plane in planes):
+            surfaces, allowed = _surfaces(planes, pixels, separation, seen.window)
+            regions = _share_out(seen, volume, pixels, surfaces, separation, allowed)
     return regions
 
 
