@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
-from typing import TYPE_CHECKING, NoReturn
 
 from metafab.cli.app import app
 from metafab.cli.arguments import spread_depths
 from metafab.core.errors import MetafabError
+from metafab.core.interrupts import InterruptedRunError, raised_interrupts
 
 # Each adds its commands, in the order that --help shows.
 # isort: off
@@ -17,20 +16,8 @@ from metafab.cli import whole, propose, cell, mask, fullwave, light, stokes, com
 
 # isort: on
 
-if TYPE_CHECKING:
-    from types import FrameType
-
-
 #: How many threads a library of linear algebra starts.
 _ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-
-
-class _InterruptedError(BaseException):
-    """Ctrl-C or SIGTERM: unwinds everything, so that half-written files are removed; nobody swallows it."""
-
-
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    raise _InterruptedError
 
 
 def main() -> None:
@@ -40,18 +27,15 @@ def main() -> None:
         os.environ.setdefault(name, "1")
     # Threads of compiled loops that wait in a loop of their own take the cores from the work beside them.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    before = {number: signal.signal(number, _interrupt) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        app(spread_depths(sys.argv[1:]))
+        with raised_interrupts():
+            app(spread_depths(sys.argv[1:]))
     except MetafabError as error:
         print(f"metafab: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except _InterruptedError:
+    except InterruptedRunError:
         print("metafab: interrupted; nothing half-written was left behind", file=sys.stderr)
         sys.exit(1)
     except (OSError, MemoryError) as error:
         print(f"metafab: {type(error).__name__}: {error}", file=sys.stderr)
         sys.exit(1)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -18,6 +18,7 @@ from itertools import islice
 from typing import Any, TypeVar, cast
 
 from metafab.core.errors import InputError, MissingToolError
+from metafab.core.interrupts import held_interrupts
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -77,6 +78,15 @@ def _call(function: Callable[[Item], Result], item: Item) -> Result:
     return function(item)
 
 
+class _Processes(ProcessPoolExecutor):
+    """Worker processes that an interrupt of this one finds whole or not at all."""
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """As any executor; the first call starts the processes."""
+        with held_interrupts():
+            return super().submit(fn, *args, **kwargs)
+
+
 def default_workers() -> int:
     """The cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
@@ -127,7 +137,7 @@ def open_executor(workers: int | None = None, cluster: str | None = None) -> Ite
     saved = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_single_threaded)
+    pool = _Processes(count, mp_context=context, initializer=_single_threaded)
     try:
         yield pool
     finally:

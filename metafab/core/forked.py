@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -43,6 +44,8 @@ def shared(function: Callable[[Item], Result], items: Sequence[Item], workers: i
 
 def _inherit(function: Callable[[Any], Any], items: Sequence[Any]) -> None:
     _inherited[:] = function, items
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C, which reaches all of a terminal's, is the parent's business
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     gc.freeze()  # what was inherited stays: looking through it for garbage would copy its pages, too
 
 

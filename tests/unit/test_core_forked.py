@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 from pathlib import Path
 
 import pytest
 
 from metafab.core.forked import shared
+from metafab.core.interrupts import raised_interrupts
 
 
 def test_results_come_in_order_from_other_processes() -> None:
@@ -17,6 +19,15 @@ def test_results_come_in_order_from_other_processes() -> None:
     assert [value for value, _ in found] == [10, 11, 12, 13, 14, 15, 16]
     if threading.active_count() == 1:
         assert os.getpid() not in {pid for _, pid in found}
+
+
+def test_copies_leave_interrupts_to_the_parent_and_can_be_ended() -> None:
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    with raised_interrupts():
+        found = list(shared(lambda _: (os.getpid(), [signal.getsignal(number) for number in numbers]), range(2), 2))
+    copies = [handlers for pid, handlers in found if pid != os.getpid()]
+    assert all(handlers == [signal.SIG_IGN, signal.SIG_DFL] for handlers in copies)
+    assert copies or threading.active_count() > 1
 
 
 @pytest.mark.parametrize("workers", [1, 3])
