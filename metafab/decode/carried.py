@@ -60,9 +60,8 @@ def joined(
     """
     inside, count = _inside(part, about), len(last.depths)
     same = _continued(last, found, part, about, separation_per_m)
-    outside = np.ones(last.label.shape, dtype=bool)
-    outside[part] = False
-    stays = np.bincount(last.near[outside], minlength=count + 1)[1:] > 0
+    all_of_it, in_part = (np.bincount(near.ravel(), minlength=count + 1)[1:] for near in (last.near, last.near[part]))
+    stays = all_of_it > in_part
     # Numbers that have become free are given again, so that those of all others stay.
     places: list[SegmentDepth | None] = [one if kept else None for one, kept in zip(last.depths, stays, strict=True)]
     free = [index for index, one in enumerate(places) if one is None]
@@ -85,9 +84,9 @@ def joined(
     renumbered = (np.cumsum(left) * left).astype(np.int32)
     labels = []
     for before, now in ((last.label, found.label), (last.inner, found.inner), (last.near, found.near)):
-        label = np.where(np.append(True, stays)[before], before, 0).astype(np.int32)
+        label = before.copy() if stays.all() else np.where(np.append(True, stays)[before], before, 0).astype(np.int32)
         label[part] = number[now[inside]]
-        labels.append(renumbered[label])
+        labels.append(label if left.all() else renumbered[label])
     depths = tuple(one for one in places if one is not None)
     return Regions(last.layers, depths, *labels), np.append(0, np.where(stays, renumbered[1 : count + 1], 0))
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 
 from metafab.camera.frame import RawFrame
 from metafab.core.conventions import FloatArray
@@ -26,6 +25,8 @@ from metafab.decode.volume import Volume
 
 #: Tilted segments are made sharp in bands of this share of the calibrated range: 0.006 dB less than in a quarter of it.
 _BAND_SHARE = 1.0 / 12.0
+#: How far around what is lit images are made sharp, compared pixels.
+_LIT_ABOUT_PX = 2
 #: Share of the twins' power that they do not have in common, noise taken off, from which the calibration is doubted:
 #: without noise, and more for each share of noise in the power (which is known to some per cent where there is little
 #: light). Frames of the camera that was calibrated have 0.005 at most.
@@ -60,8 +61,8 @@ def focus(seen: Seen, regions: Regions, candidates_per_m: FloatArray) -> tuple[N
 
 
 def lit_about(seen: Seen) -> NDArray[np.bool_]:
-    """What is lit and two pixels around it, where images are made sharp."""
-    return np.asarray(binary_dilation(seen.lit, iterations=2))
+    """What is lit and a little around it, where images are made sharp."""
+    return np.asarray(distance(seen.lit) <= _LIT_ABOUT_PX)
 
 
 @dataclass(frozen=True)

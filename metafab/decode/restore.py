@@ -122,12 +122,24 @@ class Restorer:
         Returns:
             The images, and what their filters make of the frame's noise.
         """
+        sharp = Sharp(*np.zeros((2, 2, *self.tiling.shape), dtype=np.float32))
+        self.write(sharp, seen, levels, label, vergences_per_m)
+        return sharp
+
+    def write(
+        self,
+        sharp: Sharp,
+        seen: LitTiles,
+        levels: Levels,
+        label: NDArray[np.int32],
+        vergences_per_m: FloatArray,
+    ) -> None:
+        """As a call, over what stands in ``sharp``; where ``label`` is 0, that stays."""
         tiling = self.tiling
         ky, kx = scipy.fft.fftfreq(tiling.size[0])[:, None], scipy.fft.rfftfreq(tiling.size[1])[None, :]
         noise_to_signal = levels.noise_variance / np.maximum(levels.texture_spectrum(ky * ky + kx * kx), 1e-300)
         noise_to_signal[0, 0] = 0.0
         ratio = noise_to_signal.astype(np.float32)
-        sharp = Sharp(*np.zeros((2, 2, *tiling.shape), dtype=np.float32))
         steps = self._steps(vergences_per_m)
         pairs = tiling.numbers(label, len(vergences_per_m))
         transfers = self._transfers([(int(steps[number - 1]), tile) for tile, number in pairs])
@@ -147,7 +159,6 @@ class Restorer:
         with kept_threads() as pool:
             for _ in pool.map(restore, pairs, transfers):
                 pass
-        return sharp
 
     @property
     def _range_per_m(self) -> tuple[float, float]:
@@ -176,11 +187,14 @@ class Restorer:
         step, tile = key
         low, high = self._range_per_m
         share = self.calibration.depth_weights(low + step * (high - low) / _DEPTH_STEPS)
-        kernels = np.tensordot(share, self._kernels[tile], axes=(0, 1))
-        n_y, n_x = kernels.shape[-2:]
+        kept = self._kernels[tile]
+        kernels = (share @ kept.reshape(*kept.shape[:2], -1)).reshape(2, *kept.shape[-2:])
+        # Each quarter of the kernels goes to a corner: their middle is the origin.
         place = np.zeros((2, *self.tiling.size), dtype=np.float32)
-        place[..., :n_y, :n_x] = kernels
-        place = np.roll(place, (-(n_y // 2), -(n_x // 2)), axis=(-2, -1))
+        (up, left), (n_y, n_x) = (n // 2 for n in kernels.shape[-2:]), kernels.shape[-2:]
+        for to_y, from_y in ((slice(n_y - up), slice(up, None)), (slice(-up, None), slice(up))):
+            for to_x, from_x in ((slice(n_x - left), slice(left, None)), (slice(-left, None), slice(left))):
+                place[:, to_y, to_x] = kernels[:, from_y, from_x]
         return np.asarray(scipy.fft.rfft2(place), dtype=np.complex64)
 
     @cached_property

@@ -221,13 +221,15 @@ class VideoDecoder:
             rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(part, about, strict=True))
             label[part] = np.where(reached[part], numbers[rows, columns], 0)
             vergences = np.append(vergences, its_vergences)
-        sharp = self.decoder.restorer(tiles, seen.levels, repeated(label, reduction.every, shape), vergences)
-        where = repeated(reached, reduction.every, shape)
+        wanted, dark = (repeated(of, reduction.every, shape) for of in (label, reached & (label == 0)))
+        number = np.zeros(shape, dtype=np.int32)
         for part in parts:
             inside = reduction.of_part(*part)
-            here, now = last.sharp.within(*inside), sharp.within(*inside)
-            np.copyto(here.images, now.images, where=where[inside])
-            np.copyto(here.noise_gain, now.noise_gain, where=where[inside])
+            number[inside] = wanted[inside]
+            here = last.sharp.within(*inside)
+            for values in (here.images, here.noise_gain):
+                np.copyto(values, 0.0, where=dark[inside])
+        self.decoder.restorer.write(last.sharp, tiles, seen.levels, number, vergences)
 
     def _draw(self, pictures: Pictures, seen: Seen, last: Decoded, regions: Regions, part: Part) -> None:
         """Draw a part over the last frame's pictures."""

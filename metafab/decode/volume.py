@@ -92,11 +92,16 @@ def _mixed(parts: NDArray[np.float32], weights: NDArray[np.float32], place: NDAr
     """Sums of pictures (n_parts, n, n_y, n_x) by the weights (n, n_places) of each pixel's place."""
     n_parts, count, n_y, n_x = parts.shape
     out = np.zeros((n_parts, n_y, n_x), dtype=np.float32)
-    for p in range(n_parts):
+    share = np.empty(n_x, dtype=np.float32)
+    # A line at a time: its sums stay in the cache, and all parts take the shares that are looked up once.
+    for i in range(n_y):
         for v in range(count):
-            for i in range(n_y):
+            for j in range(n_x):
+                share[j] = weights[v, place[i, j]]
+            for p in range(n_parts):
+                line, to = parts[p, v, i], out[p, i]
                 for j in range(n_x):
-                    out[p, i, j] += weights[v, place[i, j]] * parts[p, v, i, j]
+                    to[j] += share[j] * line[j]
     return out
 
 

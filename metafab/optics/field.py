@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import make_interp_spline
+from scipy.interpolate import BSpline, make_interp_spline
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
@@ -19,9 +21,16 @@ def spline_weights(nodes: FloatArray, at: ArrayLike) -> FloatArray:
     points = np.asarray(at, dtype=np.float64)
     if nodes.size == 1:
         return np.ones((*points.shape, 1))
-    ascending = np.argsort(nodes)
-    spline = make_interp_spline(nodes[ascending], np.eye(nodes.size)[ascending], k=min(3, nodes.size - 1))
+    spline = _cardinal_spline(tuple(nodes.tolist()))
     return np.asarray(spline(np.clip(points, nodes.min(), nodes.max())), dtype=np.float64)
+
+
+@lru_cache(maxsize=32)
+def _cardinal_spline(places: tuple[float, ...]) -> BSpline:
+    """The interpolating splines of a 1 at one node and 0 at all others, for each node."""
+    nodes = np.array(places)
+    ascending = np.argsort(nodes)
+    return make_interp_spline(nodes[ascending], np.eye(nodes.size)[ascending], k=min(3, nodes.size - 1))
 
 
 def at_tangent(psf: Psf, tangent: tuple[float, float]) -> FloatArray:

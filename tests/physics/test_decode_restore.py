@@ -53,6 +53,23 @@ def test_each_pixel_is_as_sharp_as_if_all_lay_at_its_depth(psf: Psf, frame: RawF
     assert not mixed.noise_gain[:, label == 0].any()
 
 
+def test_what_is_written_over_images_leaves_all_else_of_them(psf: Psf, frame: RawFrame) -> None:
+    decoder = Decoder.of(psf, frame.frame.shape, frame.origin_um, frame.x_window)
+    assert decoder is not None
+    seen = decoder.look(frame)
+    assert not isinstance(seen, str)
+    label = np.zeros(SCENE.field_px, dtype=np.int32)
+    label[20:61, 33:70] = 1
+    label[30:40, 40:90] = 2
+    tiles = decoder.restorer.transformed(seen.twins.image, label > 0)
+    fresh = decoder.restorer(tiles, seen.levels, label, DEPTHS_PER_M)
+    over = Sharp(*np.full((2, 2, *SCENE.field_px), -7.0, dtype=np.float32))
+    decoder.restorer.write(over, tiles, seen.levels, label, DEPTHS_PER_M)
+    for written, want in ((over.images, fresh.images), (over.noise_gain, fresh.noise_gain)):
+        np.testing.assert_array_equal(written[:, label > 0], want[:, label > 0])
+        assert (written[:, label == 0] == -7.0).all()
+
+
 def test_what_is_kept_is_bounded_and_changes_nothing(
     psf: Psf, frame: RawFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:

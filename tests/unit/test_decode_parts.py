@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 import scipy.fft
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.interpolate import BSpline
-from scipy.ndimage import binary_opening, uniform_filter
+from scipy.ndimage import binary_dilation, binary_opening, uniform_filter
 
 from metafab.decode import (
     calibration,
@@ -24,10 +28,12 @@ from metafab.decode import (
     twins,
 )
 from metafab.decode import volume as volume_module
+from metafab.decode.compose import lit_about
 from metafab.decode.depth import parabola, spline_peaks, standard_error
 from metafab.decode.judge import structural_similarity
 from metafab.decode.reduce import Reduction, enlarged, repeated
 from metafab.decode.resample import Resampler
+from metafab.decode.seen import Seen
 from metafab.decode.segment import grown, interior, opened, split, textured
 from metafab.decode.tiles import Tiling
 from metafab.decode.volume import Volume, correlation
@@ -346,6 +352,12 @@ def test_growth_stops_at_its_reach() -> None:
     segment[4, 4] = 7
     assert (grown(segment, 2.0) > 0).sum() == 13
     assert not grown(np.zeros((9, 9), dtype=np.int32), 2.0).any()
+
+
+@given(lit=arrays(np.bool_, array_shapes(min_dims=2, max_dims=2, max_side=12)))
+def test_images_are_made_sharp_two_pixels_beyond_what_is_lit(lit: np.ndarray) -> None:
+    seen = cast("Seen", SimpleNamespace(lit=lit))
+    np.testing.assert_array_equal(lit_about(seen), binary_dilation(lit, iterations=2))
 
 
 def test_texture_at_the_outline_alone_is_none() -> None:
