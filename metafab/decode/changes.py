@@ -126,18 +126,19 @@ def _means(
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     _, n_y, n_x = row.shape
     mean, broken = np.empty(row.shape, dtype=np.float32), np.empty(row.shape, dtype=np.uint8)
+    last_row, last_column = frame.shape[0] - 1, frame.shape[1] - 1
     for y in prange(n_y):
         for image in range(2):
             for x in range(n_x):
                 total, bad = 0.0, 0
                 for i in range(row[image, y, x], row[image, y, x] + side):
-                    line = min(max(i, 0), frame.shape[0] - 1)
+                    line = frame[min(max(i, 0), last_row)]
                     for j in range(column[image, y, x], column[image, y, x] + side):
-                        value = np.float64(frame[line, min(max(j, 0), frame.shape[1] - 1)])
-                        if abs(value) < BRIGHTEST and value < limit:
-                            total += value
-                        else:
-                            bad += 1
+                        value = np.float64(line[min(max(j, 0), last_column)])
+                        # Chosen, not branched to: it is known too late which way to go.
+                        good = abs(value) < BRIGHTEST and value < limit
+                        total += value if good else 0.0
+                        bad += not good
                 mean[image, y, x] = total / max(side * side - bad, 1)
                 broken[image, y, x] = bad
     return mean, broken

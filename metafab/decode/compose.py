@@ -232,9 +232,12 @@ def _mismatch(volume: Volume, seen: Seen, regions: Regions) -> tuple[float, floa
     if not regions.depths:
         return None
     inside = regions.label > 0
-    mean = np.maximum(seen.inner[:, inside], 0.0).mean(axis=1) + seen.levels.read_noise_e**2
+    light = np.where(inside, np.maximum(seen.inner, np.float32(0.0)), np.float32(0.0)).sum(
+        axis=(1, 2), dtype=np.float64
+    )
+    mean = light / max(int(inside.sum()), 1) + seen.levels.read_noise_e**2
     noise = volume.noise_gain * float(np.sqrt(mean[0] * mean[1]))
-    pixels = np.bincount(regions.label[inside], minlength=len(regions.depths) + 1)[1:]
+    pixels = np.bincount(regions.label.ravel(), minlength=len(regions.depths) + 1)[1:]
     power = np.array([depth.power for depth in regions.depths]) - noise
     common = np.array([depth.correlation * depth.power for depth in regions.depths])
     apart = np.where(power > 0.0, 1.0 - common / np.maximum(power, 1e-30), 1.0)

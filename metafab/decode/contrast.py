@@ -115,14 +115,19 @@ def _light_plain(
 def _light(images: NDArray[np.float32], segment: NDArray[np.int32], inner: NDArray[np.int32], count: int) -> FloatArray:
     rows = np.zeros((segment.shape[0], 4, count + 1))
     for i in prange(segment.shape[0]):
-        sums = rows[i]
-        for j in range(segment.shape[1]):
-            number = segment[i, j]
+        sums, start = rows[i], 0
+        # Runs of the same numbers: each sum grows in a register.
+        while start < segment.shape[1]:
+            number, within, stop, x, y = segment[i, start], inner[i, start], start, 0.0, 0.0
+            while stop < segment.shape[1] and segment[i, stop] == number and inner[i, stop] == within:
+                x += images[0, i, stop]
+                y += images[1, i, stop]
+                stop += 1
             if number > 0:
-                sums[0, number] += 1.0
-                within = inner[i, j]
-                sums[1, within] += 1.0
-                sums[2, within] += images[0, i, j]
-                sums[3, within] += images[1, i, j]
+                sums[0, number] += stop - start
+                sums[1, within] += stop - start
+                sums[2, within] += x
+                sums[3, within] += y
+            start = stop
     total: FloatArray = rows.sum(axis=0)[:, 1:]
     return total
