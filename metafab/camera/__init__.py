@@ -20,7 +20,7 @@ In: a Scene and a Psf, or a file. Out: a RawFrame.
 
 from metafab.camera.capture import capture, film
 from metafab.camera.exact import exact_psf
-from metafab.camera.foreign import Counts, load_frame, require_frame_name, save_counts
+from metafab.camera.foreign import Counts, counts_of, load_frame, require_frame_name, save_counts
 from metafab.camera.frame import RawFrame, Truth
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
@@ -33,6 +33,7 @@ __all__ = [
     "RawFrame",
     "Truth",
     "capture",
+    "counts_of",
     "exact_psf",
     "film",
     "load",

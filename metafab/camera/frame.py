@@ -39,6 +39,7 @@ class RawFrame:
         truth_origin_um: (x, y) on the sensor plane of the centre of pixel [0, 0] of the truth's grid.
         x_window: (row, column, rows, columns) of the x polarisation's image, where the field stop is known.
         saturation_e: level at which pixels saturate, where it is known.
+        saturation_assumed: whether nobody said so, but many pixels share exactly that level.
     """
 
     frame: FloatArray
@@ -49,6 +50,7 @@ class RawFrame:
     truth_origin_um: tuple[float, float] | None = None
     x_window: tuple[int, int, int, int] | None = None
     saturation_e: float | None = None
+    saturation_assumed: bool = False
 
     @property
     def holds_window(self) -> bool:

@@ -29,6 +29,7 @@ def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
             file.attrs["x_window"] = frame.x_window
         if frame.saturation_e is not None:
             file.attrs["saturation_e"] = frame.saturation_e
+            file.attrs["saturation_assumed"] = frame.saturation_assumed
         if frame.truth is None or frame.truth_origin_um is None:
             return
         group = file.create_group("truth")
@@ -67,6 +68,7 @@ def load(path: Path | str) -> RawFrame:
             truth_origin_um,
             None if window is None else (int(window[0]), int(window[1]), int(window[2]), int(window[3])),
             None if saturation is None else float(saturation),
+            bool(file.attrs.get("saturation_assumed", False)),
         )
     if faults := _faults(frame):
         raise InputError(str(path), faults)

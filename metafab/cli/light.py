@@ -26,7 +26,7 @@ from metafab.cli.console import announce, progress_bars, show
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
-    from metafab.camera import Counts
+    from metafab.camera import Counts, RawFrame
 
 Black = Annotated[
     float, typer.Option("--black", metavar="COUNTS", help="Of a camera's pixel without light [of its own files].")
@@ -36,16 +36,34 @@ ReadNoise = Annotated[
     float,
     typer.Option("--read-noise-e", min=0.0, metavar="E", help="A camera's noise without light [of its own files]."),
 ]
+White = Annotated[
+    float | None,
+    typer.Option("--white", metavar="COUNTS", help="Of a camera's full pixel [default: its files' largest value]."),
+]
 
 
-def _counts(black: float, gain: float, read_noise_e: float) -> Counts:
+def _counts(black: float, gain: float, read_noise_e: float, white: float | None) -> Counts:
     """What a camera's counts mean."""
     from metafab.camera import Counts
 
     require_finite("--black", black)
     require_positive("--electrons-per-count", gain)
     require_finite("--read-noise-e", read_noise_e)
-    return Counts(black, gain, read_noise_e)
+    require_finite("--white", *([] if white is None else [white]))
+    if white is not None and white <= black:
+        raise InputError.single("--white", "value", f"more than the black level, {black:g} counts", f"{white:g}")
+    return Counts(black, gain, read_noise_e, white)
+
+
+def _as_counted(raw: RawFrame, path: Path, black: int) -> dict[str, float | None]:
+    """What ``decode`` has to be told of a frame that was written in counts; nothing of a .h5."""
+    from metafab.camera import counts_of
+    from metafab.core.hdf5 import SUFFIXES
+
+    if path.suffix.lower() in SUFFIXES:
+        return {}
+    meant = counts_of(raw, black=black)
+    return {name: getattr(meant, name) for name in ("black", "electrons_per_count", "read_noise_e", "white")}
 
 
 @app.command("psf")
@@ -82,9 +100,12 @@ def psf_command(
 ) -> None:
     """PSF pair of a written mask over depth."""
     from metafab import steps
+    from metafab.core import hdf5
     from metafab.core.measure import measured
     from metafab.spec import load_scene
 
+    if output is not None:
+        hdf5.require_name(output)
     if ideal == (layout is not None):
         raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
     asked = {
@@ -154,24 +175,35 @@ def capture_command(
     output: Output = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of the noise [default: the scene's].")] = None,
     frames: Annotated[int, typer.Option(min=1, metavar="N", help="A film: as many files, numbered from 1.")] = 1,
+    black: Annotated[
+        int, typer.Option(min=0, max=32767, metavar="COUNTS", help="Of a pixel without light [.tif, .png and .npy].")
+    ] = 0,
     json_: Json = False,
 ) -> None:
     """Raw frame of a scene, or the frames of a film: a .h5 with the truth, or counts in a .tif, .png or .npy."""
     from metafab import steps
+    from metafab.core.hdf5 import SUFFIXES
     from metafab.core.measure import measured
     from metafab.spec import load_scene
 
     path = output or Path("raw.h5")
+    if black and path.suffix.lower() in SUFFIXES:
+        expected = "a .tif, .png or .npy file, whose counts have a black level"
+        raise InputError.single("capture", "--black", expected, f"{path.name}, in electrons", "leave it out")
+    counted: dict[str, float | None] = {}
     shape: tuple[int, ...] = ()
     photons: list[float] = []
     files: list[Path] = []
     with progress_bars() as progress, measured() as cost:
-        for frame, file in steps.expose_film(load_scene(scene), psf, path, frames, seed=seed, progress=progress):
+        for frame, file in steps.expose_film(
+            load_scene(scene), psf, path, frames, seed=seed, black=black, progress=progress
+        ):
+            counted = _as_counted(frame, file, black)
             shape = frame.frame.shape
             photons.append(float(frame.frame.sum()))
             files.append(file)
     figures = {"photons": photons[0], "file": files[0]} if frames == 1 else {"photons": photons, "files": files}
-    show({"shape": shape, **figures, "seconds": cost.seconds}, json_)
+    show({"shape": shape, **figures, **counted, "seconds": cost.seconds}, json_)
 
 
 @app.command("film")
@@ -207,17 +239,22 @@ def decode_command(
     black: Black = 0.0,
     electrons_per_count: Gain = 1.0,
     read_noise_e: ReadNoise = 0.0,
+    white: White = None,
     json_: Json = False,
 ) -> None:
     """4D image of a raw frame: both intensities, contrast and depth."""
     from metafab import steps
+    from metafab.core import hdf5
 
     path = output or Path("decoded.h5")
+    hdf5.require_name(path)
     with progress_bars() as progress:
-        counts = _counts(black, electrons_per_count, read_noise_e)
+        counts = _counts(black, electrons_per_count, read_noise_e, white)
         image = steps.restore(raw, psf, path, counts=counts, progress=progress)
     if "reason" in image.details:
         announce([f"{raw}: {image.details['reason']}; the image is empty"])
+    if "warning" in image.details:
+        announce([f"{raw}: {image.details['warning']}"])
     figures = {**image.details, "segments": image.segments, "file": path}
     if image.nmae is not None:
         figures["nmae"] = image.nmae
@@ -235,14 +272,17 @@ def calibrate_command(
     black: Black = 0.0,
     electrons_per_count: Gain = 1.0,
     read_noise_e: ReadNoise = 0.0,
+    white: White = None,
     json_: Json = False,
 ) -> None:
     """Calibration of a camera from photographs of a point at known depths."""
     from dataclasses import asdict
 
     from metafab import decode, steps
+    from metafab.core import hdf5
 
     path = output or Path("calibrated.h5")
-    fit = steps.calibrate(frames, depths, psf, path, counts=_counts(black, electrons_per_count, read_noise_e))
+    hdf5.require_name(path)
+    fit = steps.calibrate(frames, depths, psf, path, counts=_counts(black, electrons_per_count, read_noise_e, white))
     announce([f"not told apart: {decode.NOT_SEPARATED}"])
     show({**asdict(fit), "not_separated": decode.NOT_SEPARATED, "frames": len(frames), "file": path}, json_)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from metafab.core.files import file_sha256, fingerprint
+from metafab.core.hdf5 import SUFFIXES
 from metafab.core.progress import Progress, silent
 from metafab.run import Job, Step
 from metafab.spec import Scene
@@ -26,11 +27,18 @@ def expose(
 
 
 def expose_film(
-    scene: Scene, psf_path: Path, path: Path, frames: int, *, seed: int | None = None, progress: Progress = silent
+    scene: Scene,
+    psf_path: Path,
+    path: Path,
+    frames: int,
+    *,
+    seed: int | None = None,
+    black: int = 0,
+    progress: Progress = silent,
 ) -> Iterator[tuple[RawFrame, Path]]:
     """The frames of a scene, each kept as it comes: in ``path`` itself, or numbered from 1 where they are several.
 
-    In a ``.h5`` with the truth; in a TIFF, PNG or NumPy file in whole counts, as a camera writes them.
+    In a ``.h5`` with the truth; in a TIFF, PNG or NumPy file in whole counts above ``black``, as a camera writes them.
     """
     from metafab import camera, optics
 
@@ -39,10 +47,10 @@ def expose_film(
     inputs = fingerprint(scene, frames, seed, file_sha256(psf_path))
     for number, frame in enumerate(camera.film(shown, psf, seed=seed, progress=progress), start=1):
         own = path if frames == 1 else path.with_name(f"{path.stem}_{number:04d}{path.suffix}")
-        if path.suffix.lower() in {".h5", ".hdf5"}:
+        if path.suffix.lower() in SUFFIXES:
             camera.save(frame, own, inputs_sha256=inputs)
         else:
-            camera.save_counts(frame, own)
+            camera.save_counts(frame, own, black=black)
         yield frame, own
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,7 +18,7 @@ from metafab.spec.fields import LARGEST
 from metafab.steps.outputs import in_folder, nothing_to_decode
 
 if TYPE_CHECKING:
-    from metafab.camera import Counts
+    from metafab.camera import Counts, RawFrame
     from metafab.decode import CameraFit, Image4D
 
 
@@ -54,8 +55,25 @@ def restore(
     reason = str(image.details.get("reason", decode.NO_LIGHT))
     if unfit == "refuse" and reason != decode.NO_LIGHT:
         raise InputError.single(str(raw_path), "frame", "one that can be decoded", reason, "is it this camera's?")
+    if frame.saturation_assumed:
+        image = _warned(image, full_pixels(frame))
     decode.save(image, path, inputs_sha256=fingerprint(file_sha256(raw_path), file_sha256(psf_path)))
     return image
+
+
+def full_pixels(frame: RawFrame) -> str:
+    """What to say of a frame whose white level was taken from its own pixels."""
+    full = int((frame.frame == frame.saturation_e).sum())
+    return (
+        f"{full} pixels share exactly the largest value: taken as saturated; give the camera's white level "
+        "(`--white COUNTS`)"
+    )
+
+
+def _warned(image: Image4D, sentence: str) -> Image4D:
+    """With one more warning."""
+    said = [str(image.details["warning"])] if "warning" in image.details else []
+    return replace(image, details={**image.details, "warning": "; ".join([*said, sentence])})
 
 
 def _unfit(values: FloatArray) -> Fault | None:

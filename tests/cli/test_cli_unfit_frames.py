@@ -72,10 +72,11 @@ def counts(tmp_path_factory: pytest.TempPathFactory, psf: Path) -> np.ndarray:
 
 
 def decoded(
-    raw: Path, psf: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    raw: Path, psf: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, *options: str
 ) -> tuple[int, str]:
     """Exit code and what was said, by the command itself; anything but an exit is a failure."""
-    monkeypatch.setattr("sys.argv", ["metafab", "decode", str(raw), "--psf", str(psf), "-o", str(raw) + ".out.h5"])
+    command = ["metafab", "decode", str(raw), "--psf", str(psf), "-o", str(raw) + ".out.h5", *options]
+    monkeypatch.setattr("sys.argv", command)
     code = 0
     try:
         entry.main()
@@ -164,3 +165,57 @@ def test_what_is_no_frame_of_this_camera_is_refused_in_words(
     assert said.startswith(f"metafab: {raw}")
     assert "Traceback" not in said
     assert not Path(str(raw) + ".out.h5").exists()
+
+
+def test_a_full_well_in_counts_keeps_contrast_and_is_told(
+    tmp_path: Path, psf: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Contrast 3 of an object whose bright image is full in a few per cent of its pixels."""
+    scene = Scene(
+        objects=(SceneObject(depth_m=0.0029, size=(0.13, 0.13), polarisation_contrast=3.0),),
+        photons_per_pixel=3000.0, read_noise_e=2.0, full_well_e=4300.0, field_px=(128, 128), seed=1,
+    )  # fmt: skip
+    frame = camera.capture(scene, optics.load(psf))
+    camera.save_counts(frame, tmp_path / "full.tif")
+    # Another camera's: an electron a count, so that full pixels are no special number.
+    electrons = np.clip(np.round(frame.frame), 0, None).astype(np.uint16)
+    np.save(tmp_path / "own.npy", electrons[::-1])
+    clipped = int((frame.frame == 4300.0).sum())
+    assert clipped > 300
+    for name, options, told in (
+        ("full.tif", ("--electrons-per-count", str(4300.0 / 65535.0)), False),
+        ("own.npy", (), True),
+        ("own.npy", ("--white", "4300"), False),
+        ("own.npy", ("--white", "65535"), False),
+    ):
+        code, said = decoded(tmp_path / name, psf, capsys, monkeypatch, "--read-noise-e", "2", *options)
+        assert code == 0, said
+        image = decode.load(Path(str(tmp_path / name) + ".out.h5"))
+        inside = image.segment == np.bincount(image.segment[image.segment > 0]).argmax()
+        wrong = abs(float(np.median(image.contrast[inside])) / 3.0 - 1.0)
+        seen = "65535" not in options
+        assert (wrong < 0.02) == seen, (name, options, wrong)
+        assert (image.details["pixels_broken"] >= clipped) == seen
+        assert ("taken as saturated" in str(image.details.get("warning", ""))) == told
+        # In the answer, and on stderr.
+        assert said.count("taken as saturated") == 2 * told
+
+
+@pytest.mark.parametrize("command", ["decode", "calibrate"])
+def test_no_result_goes_under_a_name_that_is_not_its_kind(
+    tmp_path: Path, psf: Path, counts: np.ndarray, command: str
+) -> None:
+    raw = as_file("tif 16", counts, tmp_path)
+    (tmp_path / "depths.csv").write_text(f"{raw.name}, 0.0029\n")
+    more = ["--depths", tmp_path / "depths.csv"] if command == "calibrate" else []
+    answer = metafab(command, raw, "--psf", psf, *more, "-o", tmp_path / "foo.txt")
+    assert answer.code == 2
+    assert "foo.txt" in answer.stderr
+    assert ".h5" in answer.stderr
+    assert not (tmp_path / "foo.txt").exists()
+
+
+def test_a_white_level_below_black_is_refused(tmp_path: Path, psf: Path, counts: np.ndarray) -> None:
+    answer = metafab("decode", as_file("tif 16", counts, tmp_path), "--psf", psf, "--black", "64", "--white", "63")
+    assert answer.code == 2
+    assert "--white" in answer.stderr

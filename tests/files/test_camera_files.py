@@ -10,7 +10,7 @@ import pytest
 import tifffile
 from PIL import Image
 
-from metafab.camera import Counts, RawFrame, capture, load, load_frame, save, save_counts
+from metafab.camera import Counts, RawFrame, capture, counts_of, load, load_frame, save, save_counts
 from metafab.core.errors import InputError
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
@@ -187,3 +187,66 @@ def test_our_own_frames_are_in_electrons_already(psf: Psf, frame: RawFrame, tmp_
     save(frame, tmp_path / "raw.h5")
     with pytest.raises(InputError, match="electrons already"):
         load_frame(tmp_path / "raw.h5", psf, counts=Counts(black=64.0))
+
+
+@pytest.mark.parametrize("black", [0, 100])
+@pytest.mark.parametrize("name", ["frame.tif", "frame.png", "frame.npy"])
+def test_full_pixels_are_full_in_counts_too(psf: Psf, tmp_path: Path, name: str, black: int) -> None:
+    """The full well fills the file's bits: which pixels are full is known from the file alone."""
+    own = np.arange(-6.0, 66.0).reshape(8, 9) * 100.0
+    full = own >= 4000.0
+    frame = RawFrame(np.minimum(own, 4000.0), PIXEL_UM, (-4 * PIXEL_UM, -4 * PIXEL_UM), 2.0, saturation_e=4000.0)
+    save_counts(frame, tmp_path / name, black=black)
+    meant = counts_of(frame, black=black)
+    back = load_frame(tmp_path / name, psf, counts=Counts(meant.black, meant.electrons_per_count))
+    assert back.saturation_e == pytest.approx(4000.0)
+    assert not back.saturation_assumed
+    assert ((back.frame >= back.saturation_e)[:, 1:] == full).all()
+    # Half a count is 0.03 electrons; a black level of 100 counts keeps 6 electrons below zero.
+    lowest = -100 * meant.electrons_per_count if black else 0.0
+    np.testing.assert_allclose(back.frame[:, 1:], np.maximum(frame.frame, lowest), atol=0.04)
+
+
+def spread(level: int | float, dtype: type, pixels: int = 200 * 200) -> np.ndarray:
+    """Light of all strengths, at most ``level``."""
+    return np.minimum(np.random.default_rng(1).poisson(3000.0, pixels), level).astype(dtype).reshape(-1, 200)
+
+
+@pytest.mark.parametrize(("shift", "dtype"), [(0, np.uint16), (4, np.uint16), (0, np.float32)])
+def test_a_full_well_that_nobody_states_is_seen_in_the_counts(
+    psf: Psf, tmp_path: Path, shift: int, dtype: type
+) -> None:
+    counts = (spread(3060, np.uint16) << shift).astype(dtype)
+    np.save(tmp_path / "frame.npy", counts)
+    frame = load_frame(tmp_path / "frame.npy", psf, counts=Counts(100.0, 0.5))
+    assert frame.saturation_assumed
+    assert frame.saturation_e == 0.5 * ((3060 << shift) - 100)
+    stated = load_frame(tmp_path / "frame.npy", psf, counts=Counts(100.0, 0.5, white=3060.0 * 2**shift))
+    assert stated.saturation_e == frame.saturation_e
+    assert not stated.saturation_assumed
+    save(frame, tmp_path / "raw.h5")
+    assert load(tmp_path / "raw.h5").saturation_assumed
+
+
+@pytest.mark.parametrize(
+    "counts",
+    [
+        spread(10**6, np.uint16),
+        spread(10**6, np.uint16) // 250,  # a few counts only: many pixels share each of them
+        np.full((200, 200), 7, dtype=np.uint16),
+        np.zeros((200, 200), dtype=np.uint16),
+        -1.0 - spread(10**6, np.float64).clip(2990),
+        np.where(np.eye(200) > 0.0, np.inf, spread(10**6, np.float64)),
+    ],
+    ids=["photons", "coarse", "flat", "black", "negative", "infinite"],
+)
+def test_light_that_is_not_full_is_not_taken_for_it(psf: Psf, tmp_path: Path, counts: np.ndarray) -> None:
+    np.save(tmp_path / "frame.npy", counts)
+    frame = load_frame(tmp_path / "frame.npy", psf)
+    assert not frame.saturation_assumed
+    assert frame.saturation_e in {None, 65535.0}
+
+
+def test_a_black_level_leaves_room_for_light(frame: RawFrame, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="black"):
+        save_counts(frame, tmp_path / "frame.tif", black=40000)
