@@ -166,11 +166,16 @@ def test_a_time_limit_ends_the_worker_and_all_that_it_started(fake: Fake, tmp_pa
 
 
 def test_an_interrupt_leaves_nothing_running(fake: Fake) -> None:
-    with Worker(fake("time.sleep(600)\n")) as worker:
-        threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
-        with pytest.raises(KeyboardInterrupt):
-            worker.run(_job(), limit_s=60.0)
-        assert not worker.alive
+    # Tests that a script runs in the background begin with Ctrl-C ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with Worker(fake("time.sleep(600)\n")) as worker:
+            threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+            with pytest.raises(KeyboardInterrupt):
+                worker.run(_job(), limit_s=60.0)
+            assert not worker.alive
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_the_environment_of_a_worker_is_clean(monkeypatch: pytest.MonkeyPatch) -> None:
