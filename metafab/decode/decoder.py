@@ -74,6 +74,9 @@ def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D
 class Decoder:
     """A decoder for frames of one shape: what depends on the calibration alone is computed once.
 
+    For one Python thread at a time: Numba's ``workqueue`` layer ends a process in which two start parallel loops at
+    once, and what is kept between frames is not locked.
+
     Attributes:
         calibration: the pair on the grid of the x image.
         filters: what makes the twins equal at each candidate depth.
