@@ -34,6 +34,8 @@ _LARGEST_MISMATCH, _MORE_WITH_NOISE = 0.01, 0.25
 #: Share of the segments' pixels whose twins agree best, by which a calibration is judged: a wrong one spoils all of
 #: them, a clutter of small pieces before each other only many.
 _JUDGED_SHARE = 0.25
+#: Of its own standard errors, that a pixel may be away from its segment without a doubt.
+_OWN_ERRORS = 2.0
 
 
 def full_depth_m(pixels: PixelDepth, every: int, shape: tuple[int, int]) -> FloatArray:
@@ -157,8 +159,12 @@ def _maps(
     known = (regions.near > 0) & (distance(claimed) <= WINDOW_PX / every)
     errors = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])
     error = np.minimum(np.where(claimed, pixels.relative_error, np.inf), errors[regions.near])
+    vergence = regions.vergence_per_m(regions.near)
+    # A pixel that says another depth than its segment, by more than its own error, doubts the segment's.
+    away = np.abs(pixels.vergence_per_m / vergence - 1.0) - _OWN_ERRORS * pixels.relative_error
+    error = np.hypot(error, np.where(claimed, np.maximum(away, 0.0), 0.0))
     trust = np.where(known, 1.0 / (1.0 + (error / HALF_CONFIDENCE) ** 2), 0.0)
-    depth_m = np.where(known, 1.0 / regions.vergence_per_m(regions.near), np.nan)
+    depth_m = np.where(known, 1.0 / vergence, np.nan)
     segment, depth_m, confidence = (repeated(part, every, shape) for part in (regions.near, depth_m, trust))
     own_m = full_depth_m(PixelDepth(pixels.vergence_per_m, pixels.relative_error, claimed), every, shape)
     return segment, depth_m, confidence, own_m
@@ -231,16 +237,32 @@ def _mismatch(volume: Volume, seen: Seen, regions: Regions) -> tuple[float, floa
     """
     if not regions.depths:
         return None
-    inside = regions.label > 0
-    light = np.where(inside, np.maximum(seen.inner, np.float32(0.0)), np.float32(0.0)).sum(
-        axis=(1, 2), dtype=np.float64
-    )
-    mean = light / max(int(inside.sum()), 1) + seen.levels.read_noise_e**2
-    noise = volume.noise_gain * float(np.sqrt(mean[0] * mean[1]))
-    pixels = np.bincount(regions.label.ravel(), minlength=len(regions.depths) + 1)[1:]
-    power = np.array([depth.power for depth in regions.depths]) - noise
-    common = np.array([depth.correlation * depth.power for depth in regions.depths])
+    count = len(regions.depths)
+    pixels = np.bincount(regions.label.ravel(), minlength=count + 1)[1:]
+    number = regions.label.ravel()
+    sums = [np.bincount(number, np.maximum(image, np.float32(0.0)).ravel(), count + 1)[1:] for image in seen.inner]
+    light = np.stack(sums) / np.maximum(pixels, 1)
+    whole = np.array([depth.power for depth in regions.depths])
+    power = _power_without_noise(whole, light, volume.noise_gain * (light + seen.levels.read_noise_e**2))
+    common = np.array([depth.correlation for depth in regions.depths]) * whole
     apart = np.where(power > 0.0, 1.0 - common / np.maximum(power, 1e-30), 1.0)
     best = np.argsort(apart)
     judged = best[np.searchsorted(np.cumsum(pixels[best]), _JUDGED_SHARE * pixels.sum())]
-    return max(0.0, float(apart[judged])), noise / max(float(power[judged]), 1e-30)
+    return max(0.0, float(apart[judged])), float((whole[judged] - power[judged]) / max(float(power[judged]), 1e-30))
+
+
+def _power_without_noise(power: FloatArray, light: FloatArray, noise: FloatArray) -> FloatArray:
+    """Geometric mean of the twins' powers without that of their noise, for textures in proportion to their light.
+
+    Of powers r^2 S + n_x and S + n_y, with r = I_x / I_y, the product is known.
+
+    Args:
+        power: shape (n,), geometric mean with noise.
+        light: shape (2, n), mean brightness of both.
+        noise: the same shape, power of it.
+    """
+    ratio = np.maximum(light[0], 1e-12) / np.maximum(light[1], 1e-12)
+    linear = ratio**2 * noise[1] + noise[0]
+    left = power**2 - noise[0] * noise[1]
+    root = np.sqrt(np.maximum(linear**2 + 4.0 * ratio**2 * left, 0.0))
+    return np.where(left > 0.0, (root - linear) / (2.0 * ratio), 0.0)

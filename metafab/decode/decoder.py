@@ -28,7 +28,8 @@ from metafab.decode.twins import TwinGrid
 from metafab.decode.volume import Volume
 from metafab.optics.point_spread import Psf
 
-#: Between so few candidates the agreement is smooth enough for a parabola to find its peak.
+#: Between so few candidates the agreement is smooth enough for its peak to be found: by a spline for segments, and by a
+#: parabola for pixels, whose noise is larger than what that is off.
 _CANDIDATES = 13
 #: How far around a pixel light is let in.
 MARGIN_PX = 36
@@ -148,9 +149,24 @@ class Decoder:
             levels: of an earlier frame in the same light; measured by default.
         """
         grid, values = self.calibration.grid, np.asarray(frame.frame)
+        pitch_um = self.calibration.kernels.psf.pixel_um
+        if not abs(frame.pixel_um / pitch_um - 1.0) <= 1e-6:
+            return f"pixels of {frame.pixel_um:g} um, but a decoder for {pitch_um:g} um"
+        away_um = np.subtract(frame.origin_um, self._frame_origin_um)
+        if not np.abs(away_um).max() <= 1e-3 * pitch_um:
+            return (
+                f"the frame starts at {frame.origin_um} um on the sensor, the decoder is for {self._frame_origin_um} um"
+            )
         if values.shape != grid.frame_shape or values.dtype.kind not in "buif":
             return f"expected a grey frame of {grid.frame_shape}, got one of {values.shape}, {values.dtype}"
         return Seen.of(frame, grid, self.filters.reduction, levels)
+
+    @property
+    def _frame_origin_um(self) -> tuple[float, float]:
+        """(x, y) on the sensor of pixel [0, 0] of the frames that it is made for."""
+        grid, pitch_um = self.calibration.grid, self.calibration.kernels.psf.pixel_um
+        (x, y), m = grid.origin_um, grid.margin
+        return x - pitch_um * (grid.column + m), y - pitch_um * (grid.row + m)
 
     def volume(self, seen: Seen, progress: Progress = silent) -> Volume:
         """Agreement of the twins over depth."""

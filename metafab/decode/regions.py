@@ -98,7 +98,7 @@ def near_texture(seen: Seen) -> NDArray[np.bool_]:
     The outline of a uniform object has no texture either: what lies behind it would be mixed in.
     """
     kept = segments.textured_parts(seen.lit, seen.uneven, _OUTLINE_REACH_PX // seen.reduction.every)
-    return np.asarray(distance(kept) <= seen.window // 2)
+    return np.asarray((distance(kept) <= seen.window // 2) & ~seen.plain)
 
 
 def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth, known: Sequence[Plane] = ()) -> Regions:
@@ -163,7 +163,7 @@ def _share_out(
     """Segments of layers: connected pixels of one plane, where that may be."""
     every = seen.reduction.every
     layer = segments.assign(volume, layers, pixels, separation_per_m, every, seen.lit, allowed)
-    parts, inside, unseen = _textured(seen, segments.split(layer, seen.lit, WINDOW_PX, every))
+    parts, inside, unseen = _textured(seen, segments.split(layer, seen.lit & ~seen.plain, WINDOW_PX, every))
     count = int(parts.max(initial=0))
     number, sizes = np.zeros(count + 1, dtype=np.int32), np.bincount(inside.ravel(), minlength=count + 1)
     found: list[segments.SegmentDepth] = []
@@ -176,6 +176,7 @@ def _share_out(
     near = segments.grown(label, WINDOW_PX / every)
     if unseen.any():
         near[(distance(unseen) <= WINDOW_PX / every) & (label == 0)] = 0
+    near[seen.plain] = 0
     target = joined(found, near)
     own = target == np.arange(target.size)
     renumbered = (np.cumsum(own) - 1).astype(np.int32)

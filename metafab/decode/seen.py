@@ -11,12 +11,17 @@ from scipy.ndimage import uniform_filter
 
 from metafab.camera.frame import RawFrame
 from metafab.core.conventions import FloatArray
+from metafab.decode.distance import distance
 from metafab.decode.levels import Levels
 from metafab.decode.reduce import Reduction
 from metafab.decode.twins import TwinGrid, Twins, extract
 
 #: Side of the narrowest window that says a depth, pixels of the frame.
 WINDOW_PX = 28
+#: Rms of a texture in the frame, as a share of the brightness, that tells a textured surface from a plain one.
+_FAINT = 0.01
+#: How far from an outline light of the other side is seen.
+_BLUR_PX = 12
 #: The reason that a dark frame comes back with; it is sound, there is nothing on it.
 NO_LIGHT = "there is no light in the frame"
 
@@ -100,8 +105,35 @@ class Seen:
     @cached_property
     def uneven(self) -> NDArray[np.bool_]:
         """Where the brightness of either image varies over a window by more than its noise."""
+        return np.asarray((self._texture > self._least_texture).any(axis=0))
+
+    @cached_property
+    def plain(self) -> NDArray[np.bool_]:
+        """Surfaces that show no texture, and what lies so near to one that it may be its outline.
+
+        Only where there is light enough for a faint texture to show in one window.
+        """
+        faint = (_FAINT * self.mean) ** 2
+        would_show = (faint > self._least_texture).any(axis=0)
+        calm = self.lit & (self._texture < faint).all(axis=0) & would_show
+        reach = self.window // 2
+        core = distance(~calm) > reach if not calm.all() else calm
+        # Windows of calm pixels end before anything else's light.
+        outline = 2 * reach + _BLUR_PX / self.reduction.every
+        return np.asarray((distance(core) <= outline) & self.lit)
+
+    @cached_property
+    def _texture(self) -> NDArray[np.float32]:
+        """Variance of the brightness over a window, that of its noise taken off: shape (2, n_y, n_x)."""
         square = uniform_filter(self.inner**2, (0, self.window, self.window))
-        noise = self.reduction.variance_left * (np.maximum(self.mean, 0.0) + self.levels.read_noise_e**2)
+        return np.asarray(square - self.mean**2 - self._noise)
+
+    @property
+    def _noise(self) -> NDArray[np.float32]:
+        return np.asarray(self.reduction.variance_left * (np.maximum(self.mean, 0.0) + self.levels.read_noise_e**2))
+
+    @property
+    def _least_texture(self) -> NDArray[np.float32]:
+        """Variance beyond that of the noise from which a window shows texture, electrons squared."""
         # The mean square of n nearly independent deviations is 1 +- sqrt(2 / n) of their variance.
-        most = noise * (1.0 + 6.0 * np.sqrt(2.0) / self.window)
-        return np.asarray((square - self.mean**2 > most).any(axis=0))
+        return np.asarray(self._noise * np.float32(6.0 * np.sqrt(2.0) / self.window))
