@@ -41,16 +41,20 @@ class Glance:
     """A frame at a glance.
 
     Attributes:
-        mean: shape (2, n_y, n_x), mean of the good pixels of each square of both images, margin included; 0 for none.
-        broken: the same shape, how many pixels of it are saturated or not a number.
+        mean: shape (2, n_y, n_x), mean of the pixels that are numbers of each square of both images, margin included,
+            saturated ones as full; 0 for none.
+        full: the same shape, how many pixels of it are saturated.
+        unread: the same shape, how many are not a number.
     """
 
     mean: NDArray[np.float32]
-    broken: NDArray[np.uint8]
+    full: NDArray[np.uint8]
+    unread: NDArray[np.uint8]
 
     def kept(self, last: Glance, anew: NDArray[np.bool_]) -> Glance:
         """``last`` but for the squares (n_y, n_x) that are taken ``anew``."""
-        return Glance(np.where(anew, self.mean, last.mean), np.where(anew, self.broken, last.broken))
+        pairs = ((self.mean, last.mean), (self.full, last.full), (self.unread, last.unread))
+        return Glance(*(np.where(anew, mine, its) for mine, its in pairs))
 
 
 @dataclass(frozen=True)
@@ -93,11 +97,30 @@ class Squares:
         """
         # Beside bright pixels some of their noise is mixed in: no pixel counts as quieter than a share of theirs.
         quietest = np.float32(levels.read_noise_e**2 + _SMALLEST_NOISE * levels.noise_variance)
+        # What is cut off at the full well varies less than what is not: it needs no variance of its own.
         variance = np.maximum(np.float32(0.5) * (now.mean + last.mean), np.float32(0.0)) + quietest
+        if last.unread.any():
+            # Means of fewer pixels.
+            variance *= np.float32(self.side**2) / np.maximum(np.float32(self.side**2) - last.unread, np.float32(1.0))
         change, variance = window_means(np.stack([(now.mean - last.mean) ** 2, variance]), _WINDOW)
         # The difference of two has twice the noise; the mean square of n of them is 1 +- sqrt(2 / n).
         least = 2.0 / self.side**2 * (1.0 + _DEVIATIONS * math.sqrt(2.0) / _WINDOW)
-        return np.asarray(((change > np.float32(least) * variance) | (now.broken != last.broken)).any(axis=0))
+        changed = (change > np.float32(least) * variance) | (now.unread != last.unread)
+        if (now.full != last.full).any():
+            changed |= self._filled(now.full, last.full)
+        return np.asarray(changed.any(axis=0))
+
+    def _filled(self, now: NDArray[np.uint8], last: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Squares about which more or fewer pixels are full than chance explains.
+
+        Light just at the full well fills every other pixel, and more of it is seen in nothing but in how many.
+        """
+        pixels = (_WINDOW * self.side) ** 2
+        one, other = window_means(np.stack([now, last]).astype(np.float32), _WINDOW) / np.float32(self.side**2)
+        share = np.float32(0.5) * (one + other)
+        # Pixels that are full by chance are most different where half of them are; the difference has twice the noise.
+        noise = np.float32(2.0 / pixels) * share * (np.float32(1.0) - share)
+        return np.asarray((one - other) ** 2 > np.float32(_DEVIATIONS**2) * noise + np.float32(1e-6))
 
     def reached(self, moved: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Compared pixels of the window that filters mix with something that moved."""
@@ -107,41 +130,45 @@ class Squares:
 
 def _means_plain(
     frame: NDArray[Any], row: NDArray[np.int32], column: NDArray[np.int32], side: int, limit: float
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    total, broken = np.zeros(row.shape), np.zeros(row.shape, dtype=np.uint8)
+) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.uint8]]:
+    total, (full, unread) = np.zeros(row.shape), np.zeros((2, *row.shape), dtype=np.uint8)
     for i in range(side):
         for j in range(side):
             at = np.clip(row + i, 0, frame.shape[0] - 1), np.clip(column + j, 0, frame.shape[1] - 1)
             values = frame[at].astype(np.float64)
             with np.errstate(invalid="ignore"):
-                good = (np.abs(values) < BRIGHTEST) & (values < limit)
-            total += np.where(good, values, 0.0)
-            broken += ~good
-    return (total / np.maximum(side**2 - broken.astype(np.int64), 1)).astype(np.float32), broken
+                number = np.abs(values) < BRIGHTEST
+            total += np.minimum(np.where(number, values, 0.0), limit)
+            full += number & (values >= limit)
+            unread += ~number
+    return (total / np.maximum(side**2 - unread.astype(np.int64), 1)).astype(np.float32), full, unread
 
 
 @compiled_parallel
 def _means(
     frame: NDArray[Any], row: NDArray[np.int32], column: NDArray[np.int32], side: int, limit: float
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.uint8]]:
     _, n_y, n_x = row.shape
-    mean, broken = np.empty(row.shape, dtype=np.float32), np.empty(row.shape, dtype=np.uint8)
+    mean = np.empty(row.shape, dtype=np.float32)
+    full, unread = np.empty(row.shape, dtype=np.uint8), np.empty(row.shape, dtype=np.uint8)
     last_row, last_column = frame.shape[0] - 1, frame.shape[1] - 1
     for y in prange(n_y):
         for image in range(2):
             for x in range(n_x):
-                total, bad = 0.0, 0
+                total, filled, bad = 0.0, 0, 0
                 for i in range(row[image, y, x], row[image, y, x] + side):
                     line = frame[min(max(i, 0), last_row)]
                     for j in range(column[image, y, x], column[image, y, x] + side):
                         value = np.float64(line[min(max(j, 0), last_column)])
                         # Chosen, not branched to: it is known too late which way to go.
-                        good = abs(value) < BRIGHTEST and value < limit
-                        total += value if good else 0.0
-                        bad += not good
+                        number = abs(value) < BRIGHTEST
+                        total += min(value, limit) if number else 0.0
+                        filled += bool(number and value >= limit)
+                        bad += not number
                 mean[image, y, x] = total / max(side * side - bad, 1)
-                broken[image, y, x] = bad
-    return mean, broken
+                full[image, y, x] = filled
+                unread[image, y, x] = bad
+    return mean, full, unread
 
 
 def parts_of(wanted: NDArray[np.bool_], block: int) -> list[tuple[slice, slice]]:
