@@ -29,6 +29,7 @@
 - ``changes``      what differs from an earlier frame
 - ``carried``      segments that go on from frame to frame
 - ``video``        a decoder that remembers what has not changed
+- ``point``        one image of a point in a photograph
 - ``pinhole``      calibration of a camera from photographs of a point
 - ``bound``        the least error that the pair allows at each place
 - ``judge``        errors against the truth

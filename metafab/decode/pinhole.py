@@ -26,25 +26,26 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from metafab.camera.frame import RawFrame
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.decode.calibration import stretched
+from metafab.decode.point import PointImage, find_point
 from metafab.optics.field import spline_weights
 from metafab.optics.point_spread import Psf
 
-#: How far from its predicted place an image of the point may stand, pixels.
-_SEARCH_PX = 64
 _ROUNDS = 3
 #: Places of one image's points are wrong together by so much: the pair is interpolated, and pixels are squares.
 _COMMON_PX = 0.02
-#: Vergences over the calibrated range that the search for the image tries.
-_TRIALS = 9
+#: No image of a point, by its camera, is explained worse: shares of its power.
+_LARGEST_MISFIT = 0.3
+#: Nor do places fit worse to a sensor that is only turned, shifted and magnified, pixels.
+_LARGEST_PLACE_RMS_PX = 0.5
+#: Nor do depths differ more from the table's, as a share, where that is more than so many standard errors.
+_LARGEST_DEPTH_RMS, _SIGMAS = 0.01, 5.0
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,8 @@ class CameraFit:
         rotation_error_deg: standard error of ``rotation_deg``.
         magnification_error: standard error of ``magnification``.
         shift_error_um: standard error of either coordinate of ``shift_um``.
+        chi_square: mean square of what the fit leaves of the photographs, in standard deviations of their noise.
+        misfit: largest share of an image's power that the prediction does not explain, noise taken off.
     """
 
     vergence_offset_per_m: float
@@ -76,6 +79,8 @@ class CameraFit:
     rotation_error_deg: float = 0.0
     magnification_error: float = 0.0
     shift_error_um: float = 0.0
+    chi_square: float = 1.0
+    misfit: float = 0.0
 
     @property
     def turn(self) -> FloatArray:
@@ -115,17 +120,21 @@ def calibrate(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: 
         ``details`` hold the fit's figures; ``phi_deg`` is turned with it, and ``error`` stays the prediction's.
 
     Raises:
-        InputError: too few frames, depths outside the range, another pixel, or no image of a point in a frame.
+        InputError: too few frames, depths outside the range, another pixel, no image of a point in a frame, or images
+            that are no camera's: saturated, unlike the prediction, at its end, or at odds with each other.
     """
     _check(frames, depths_m, predicted)
     vergence = 1.0 / np.asarray(depths_m, dtype=np.float64)
     fit = _AS_PREDICTED
     for _ in range(_ROUNDS):
         kernels = PairKernels(_turned(predicted, fit))
-        found = np.array(
-            [[_find(frame, v, p, kernels, fit) for p in (0, 1)] for frame, v in zip(frames, vergence, strict=True)]
-        )
-        fit = _fit(found, vergence, predicted)
+        points = [
+            [find_point(frame, z, p, kernels, _expected_um(predicted, p, fit)) for p in (0, 1)]
+            for frame, z in zip(frames, depths_m, strict=True)
+        ]
+        fit = _fit(points, vergence, predicted)
+    if faults := _faults(points, depths_m, fit):
+        raise InputError("calibration", faults)
     return _calibrated(predicted, fit), fit
 
 
@@ -186,79 +195,18 @@ def _turned(psf: Psf, fit: CameraFit) -> Psf:
     return dataclasses.replace(psf, psf=flat.reshape(psf.psf.shape).astype(np.float64), field=None)
 
 
-def _find(
-    frame: RawFrame, vergence_per_m: float, polarisation: int, kernels: PairKernels, fit: CameraFit
-) -> tuple[float, ...]:
-    """Vergence at which the point's image looks like this, its place (x, y) on the sensor in um, and their variances.
-
-    Residuals are in standard deviations of photon and read noise; where the prediction fits worse than that, the
-    variances grow with the mean square of what is left.
-    """
-    psf = kernels.psf
-    middle = psf.centre_um[polarisation, psf.depth_m.size // 2]
-    place_um = fit.turn @ middle + np.array(fit.shift_um)
-    n_y, n_x = kernels.shape
-    column, row = (round((place_um[axis] - frame.origin_um[axis]) / frame.pixel_um) for axis in (0, 1))
-    half_y, half_x = n_y // 2 + _SEARCH_PX, n_x // 2 + _SEARCH_PX
-    top, left = max(0, row - half_y), max(0, column - half_x)
-    part = np.asarray(frame.frame, dtype=np.float64)[top : row + half_y, left : column + half_x]
-    if part.shape[0] < n_y or part.shape[1] < n_x or not np.isfinite(part).all():
-        raise _no_point(vergence_per_m, polarisation)
-    part = part - np.median(part)
-    nodes = 1.0 / psf.depth_m
-    start, at = _coarse(part, kernels, polarisation, nodes)
-    cut = part[at[0] : at[0] + n_y, at[1] : at[1] + n_x]
-    if cut.max() <= 6.0 * (frame.read_noise_e + np.median(np.abs(part))):
-        raise _no_point(vergence_per_m, polarisation)
-    deviation = np.sqrt(np.maximum(cut, 0.0) + frame.read_noise_e**2 + 1.0)
-    ky, kx = scipy.fft.fftfreq(n_y)[:, None], scipy.fft.rfftfreq(n_x)[None, :]
-    basis = kernels.nodes[polarisation, :, 0, 0].astype(np.float64)
-
-    def residual(unknown: FloatArray) -> FloatArray:
-        kernel = np.tensordot(spline_weights(nodes, nodes.min() + unknown[0] * np.ptp(nodes)), basis, axes=(0, 0))
-        moved = scipy.fft.rfft2(kernel) * np.exp(-2j * np.pi * (ky * unknown[1] + kx * unknown[2]))
-        model = scipy.fft.irfft2(moved, (n_y, n_x)) / deviation
-        data, one = cut / deviation, 1.0 / deviation
-        # Brightness and background follow from the rest.
-        design = np.stack([model.ravel(), one.ravel()], axis=1)
-        share, *_ = np.linalg.lstsq(design, data.ravel(), rcond=None)
-        return np.asarray(data.ravel() - design @ share)
-
-    bounds = ([0.0, -8.0, -8.0], [1.0, 8.0, 8.0])
-    first = [float(np.clip((start - nodes.min()) / np.ptp(nodes), 0.02, 0.98)), 0.0, 0.0]
-    solved = least_squares(residual, first, bounds=bounds, x_scale=(0.05, 0.3, 0.3))
-    found = solved.x
-    left_over = max(1.0, 2.0 * float(solved.cost) / (cut.size - found.size))
-    slopes = np.asarray(solved.jac, dtype=np.float64)
-    variance = left_over * np.diag(np.linalg.pinv(slopes.T @ slopes))
-    scale = np.array([np.ptp(nodes), frame.pixel_um, frame.pixel_um]) ** 2
-    x_um = frame.origin_um[0] + frame.pixel_um * (left + at[1] + n_x // 2 + found[2])
-    y_um = frame.origin_um[1] + frame.pixel_um * (top + at[0] + n_y // 2 + found[1])
-    return (float(nodes.min() + found[0] * np.ptp(nodes)), float(x_um), float(y_um), *(variance * scale).tolist())
+def _expected_um(predicted: Psf, polarisation: int, fit: CameraFit) -> FloatArray:
+    """Where an image of a point on the axis stands in the frame."""
+    middle = predicted.centre_um[polarisation, predicted.depth_m.size // 2]
+    return np.asarray(fit.turn @ middle + np.array(fit.shift_um))
 
 
-def _coarse(
-    part: FloatArray, kernels: PairKernels, polarisation: int, nodes: FloatArray
-) -> tuple[float, tuple[int, int]]:
-    """The trial vergence and the whole pixel (first of the window) whose kernel the picture is most like."""
-    n_y, n_x = kernels.shape
-    spectrum = scipy.fft.rfft2(part)
-    best: tuple[float, float, tuple[int, int]] = (-np.inf, 0.0, (0, 0))
-    for trial in np.linspace(nodes.min(), nodes.max(), _TRIALS):
-        kernel = kernels.at_depth(float(1.0 / trial))[polarisation, 0, 0]
-        match = scipy.fft.irfft2(spectrum * np.conj(scipy.fft.rfft2(kernel, part.shape)), part.shape)
-        match = match[: part.shape[0] - n_y + 1, : part.shape[1] - n_x + 1] / np.linalg.norm(kernel)
-        row, column = np.unravel_index(int(match.argmax()), match.shape)
-        if match[row, column] > best[0]:
-            best = (float(match[row, column]), float(trial), (int(row), int(column)))
-    return best[1], best[2]
-
-
-def _fit(found: FloatArray, vergence: FloatArray, predicted: Psf) -> CameraFit:
-    """Misalignments from (vergence, x, y) and their variances of each frame and image: shape (n_frames, 2, 6).
+def _fit(points: Sequence[Sequence[PointImage]], vergence: FloatArray, predicted: Psf) -> CameraFit:
+    """Misalignments from the images of each frame, x before y.
 
     Standard errors are of the photographs' noise or of what they disagree by, whichever is more.
     """
+    found = np.array([[(p.vergence_per_m, *p.place_um, *p.variance) for p in pair] for pair in points])
     offset = found[..., 0] - vergence[:, None]
     by_image = np.median(offset, axis=0)
     centre = predicted.centre_um[:, predicted.depth_m.size // 2]
@@ -289,7 +237,49 @@ def _fit(found: FloatArray, vergence: FloatArray, predicted: Psf) -> CameraFit:
         math.degrees(turn_error / abs(factor)),
         turn_error,
         math.sqrt(place_variance / z.size + (turn_error * abs(z.mean())) ** 2),
+        float(np.mean([p.chi_square for pair in points for p in pair])),
+        max(p.misfit for pair in points for p in pair),
     )
+
+
+def _faults(points: Sequence[Sequence[PointImage]], depths_m: Sequence[float], fit: CameraFit) -> list[Fault]:
+    """Why the photographs are no calibration."""
+    full, unlike, at_end = {}, {}, {}
+    for pair, z in zip(points, depths_m, strict=True):
+        if pixels := sum(p.full_pixels for p in pair):
+            full[z] = f"{pixels} full pixels"
+        elif (misfit := max(p.misfit for p in pair)) > _LARGEST_MISFIT:
+            unlike[z] = f"{misfit:.0%} unlike it"
+        elif any(p.at_end for p in pair):
+            at_end[z] = "like an end of it"
+    faults = [
+        Fault(f"frame at {' and '.join(f'{z:g}' for z in got)} m", expected, ", ".join(got.values()), remedy)
+        for got, expected, remedy in (
+            (full, "points that are not saturated", "expose shorter"),
+            (
+                unlike,
+                f"images of a point as predicted, but for {_LARGEST_MISFIT:.0%} of their power",
+                "is it a point, of this mask, the right way up and not mirrored, and is the noise stated?",
+            ),
+            (
+                at_end,
+                "images like the prediction inside its range",
+                "check the depths, or predict the pair over a wider range (`metafab psf --depths-m ...`)",
+            ),
+        )
+        if got
+    ]
+    if not faults and fit.place_rms_px > _LARGEST_PLACE_RMS_PX:
+        expected = f"places of a sensor that is turned, shifted and magnified, within {_LARGEST_PLACE_RMS_PX:g} pixels"
+        remedy = "was the point on the axis in each, and the camera left alone between them?"
+        faults.append(Fault("place_rms_px", expected, f"{fit.place_rms_px:.3g} pixels", remedy))
+    noise = math.sqrt(np.mean([p.variance[0] for pair in points for p in pair]))
+    limit = max(_LARGEST_DEPTH_RMS * float(np.mean(1.0 / np.asarray(depths_m))), _SIGMAS * noise)
+    if not faults and fit.vergence_rms_per_m > limit:
+        expected = f"depths that differ from the table's by one offset, within {limit:.3g} per metre"
+        remedy = "does each frame's line in the table of depths tell its own depth?"
+        faults.append(Fault("vergence_rms_per_m", expected, f"{fit.vergence_rms_per_m:.3g} per metre", remedy))
+    return faults
 
 
 def _calibrated(predicted: Psf, fit: CameraFit) -> Psf:
@@ -328,14 +318,4 @@ def _calibrated(predicted: Psf, fit: CameraFit) -> Psf:
         sensor_distance_um=predicted.sensor_distance_um * fit.magnification,
         field=field,
         details={**predicted.details, **figures},
-    )
-
-
-def _no_point(vergence_per_m: float, polarisation: int) -> InputError:
-    return InputError.single(
-        "calibration",
-        f"frame at {1.0 / vergence_per_m:g} m",
-        f"the {'xy'[polarisation]} image of a point within {_SEARCH_PX} pixels of its predicted place, unsaturated",
-        "none",
-        "leave the frame out, or expose longer",
     )

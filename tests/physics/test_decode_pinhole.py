@@ -196,6 +196,102 @@ def test_what_cannot_be_a_calibration_is_refused(predicted: Psf) -> None:
         calibrate([good, dataclasses.replace(good, pixel_um=3.0)], [0.003, 0.0029], predicted)
 
 
+def flipped(frame: RawFrame) -> RawFrame:
+    """The last row first: a file that was read the wrong way up."""
+    last_um = frame.origin_um[1] + (frame.frame.shape[0] - 1) * frame.pixel_um
+    return dataclasses.replace(frame, frame=frame.frame[::-1], origin_um=(frame.origin_um[0], -last_um))
+
+
+def pictures_of_a_scene(predicted: Psf) -> list[RawFrame]:
+    """Textured squares at the depths of the table: three good photographs, of no point."""
+    return [
+        capture(Scene(objects=(SceneObject(depth_m=z, size=(0.12, 0.12)),), field_px=(96, 96), seed=n), predicted)
+        for n, z in enumerate(POINTS_M)
+    ]
+
+
+def test_a_scene_makes_no_camera(predicted: Psf) -> None:
+    with pytest.raises(InputError, match="is it a point"):
+        calibrate(pictures_of_a_scene(predicted), POINTS_M, predicted)
+
+
+def test_depths_in_the_wrong_order_make_no_camera(predicted: Psf) -> None:
+    frames = photographs(predicted, offsets_per_m=(4.0, 4.0))
+    with pytest.raises(InputError, match="table of depths") as refused:
+        calibrate(frames, POINTS_M[::-1], predicted)
+    assert [fault.field for fault in refused.value.faults] == ["vergence_rms_per_m"]
+    with pytest.raises(InputError, match="table of depths"):
+        calibrate(frames[:2], POINTS_M[1::-1], predicted)
+
+
+@pytest.mark.parametrize("electrons", [2e4, 2e6])
+def test_frames_upside_down_make_no_camera(predicted: Psf, electrons: float) -> None:
+    frames = photographs(predicted, offsets_per_m=(4.0, 4.0), electrons=electrons)
+    with pytest.raises(InputError, match="the right way up"):
+        calibrate([flipped(frame) for frame in frames], POINTS_M, predicted)
+
+
+def test_a_point_beyond_the_predicted_range_makes_no_camera(predicted: Psf) -> None:
+    with pytest.raises(InputError, match="wider range"):
+        calibrate(photographs(predicted, offsets_per_m=(52.0, 52.0)), POINTS_M, predicted)
+
+
+def test_a_point_that_moved_makes_no_camera(predicted: Psf) -> None:
+    frames = photographs(predicted, offsets_per_m=(0.0, 0.0))
+    x_um, y_um = frames[1].origin_um
+    frames[1] = dataclasses.replace(frames[1], origin_um=(x_um + 4.0 * PIXEL_UM, y_um))
+    with pytest.raises(InputError, match="place_rms_px"):
+        calibrate(frames, POINTS_M, predicted)
+
+
+def test_saturated_points_are_told_and_hot_pixels_are_none(predicted: Psf) -> None:
+    frames = photographs(predicted, offsets_per_m=(3.0, 3.0))
+    full_e = 0.6 * max(float(frame.frame.max()) for frame in frames)
+    cut = [dataclasses.replace(frame, frame=np.minimum(frame.frame, full_e), saturation_e=full_e) for frame in frames]
+    with pytest.raises(InputError, match="full pixels") as refused:
+        calibrate(cut, POINTS_M, predicted)
+    assert refused.value.faults[0].field == "frame at 0.0027 and 0.0029 and 0.0032 m"
+    hot_e = 2.0 * full_e
+    rng = np.random.default_rng(1)
+    hot = [
+        dataclasses.replace(
+            frame, frame=np.where(rng.random(frame.frame.shape) < 5e-4, hot_e, frame.frame), saturation_e=hot_e
+        )
+        for frame in frames
+    ]
+    _, fit = calibrate(hot, POINTS_M, predicted)
+    assert fit.vergence_offset_per_m == pytest.approx(3.0, abs=1.0)
+
+
+def test_what_the_fit_leaves_is_stated(predicted: Psf) -> None:
+    """Photon noise alone leaves a chi-square of one; what a prediction gets wrong grows with the light."""
+    faint, bright = (
+        calibrate(photographs(predicted, offsets_per_m=(0.0, 0.0), electrons=e), POINTS_M, predicted)[1]
+        for e in (2e4, 2e6)
+    )
+    assert 0.5 < faint.chi_square < 1.5
+    assert bright.chi_square > 2.0 * faint.chi_square
+    # The pixel's own blur, which the photographs have not: the same share of the power at any light.
+    assert faint.misfit < 0.06
+    assert 0.001 < bright.misfit < 0.06
+
+
+def test_the_command_refuses_what_is_no_calibration(predicted: Psf, tmp_path: Path) -> None:
+    optics.save(predicted, tmp_path / "psf.h5")
+    names = [tmp_path / f"scene{i}.tif" for i in range(3)]
+    for name, frame in zip(names, pictures_of_a_scene(predicted), strict=True):
+        camera.save_counts(frame, name)
+    table = "".join(f"{name.name}, {z}\n" for name, z in zip(names, POINTS_M, strict=True))
+    (tmp_path / "depths.csv").write_text(table)
+    answer = metafab(
+        "calibrate", *names, "--psf", tmp_path / "psf.h5", "--depths", tmp_path / "depths.csv",
+        "-o", tmp_path / "cal.h5", "--json",
+    )  # fmt: skip
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "is it a point" in answer.stderr
+    assert not (tmp_path / "cal.h5").exists()
+
+
 def test_the_command_writes_a_calibration_that_decodes(predicted: Psf, tmp_path: Path) -> None:
     frames = photographs(predicted, offsets_per_m=(5.0, 5.0))
     optics.save(predicted, tmp_path / "psf.h5")
