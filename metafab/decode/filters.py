@@ -78,7 +78,7 @@ class CrossFilters:
     window_power: FloatArray
     block_px: int
     _of_sizes: OrderedDict[tuple[int, int], tuple[NDArray[np.complex64], FloatArray]] = field(
-        default_factory=OrderedDict, repr=False
+        default_factory=OrderedDict, init=False, repr=False, compare=False
     )
 
     @classmethod
@@ -122,7 +122,9 @@ class CrossFilters:
         """
         block, part = self.block, self.reduction.within(rows, columns)
         blocks = (slice(at.start // block, -(-at.stop // block)) for at in (rows, columns))
-        return replace(self, reduction=part, shares=np.ascontiguousarray(self.shares[:, *blocks]))
+        found = replace(self, reduction=part, shares=np.ascontiguousarray(self.shares[:, *blocks]))
+        object.__setattr__(found, "_of_sizes", self._of_sizes)  # of the same kernels
+        return found
 
     @property
     def basis(self) -> NDArray[np.complex64]:

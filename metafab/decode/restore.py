@@ -71,7 +71,10 @@ class Restorer:
 
     calibration: Calibration
     tiling: Tiling
-    _kept: OrderedDict[tuple[int, int], NDArray[np.complex64]] = field(default_factory=OrderedDict, repr=False)
+    # No other calibration's: `dataclasses.replace` begins with none.
+    _kept: OrderedDict[tuple[int, int], NDArray[np.complex64]] = field(
+        default_factory=OrderedDict, init=False, repr=False, compare=False
+    )
 
     @classmethod
     def of(cls, calibration: Calibration) -> Restorer:

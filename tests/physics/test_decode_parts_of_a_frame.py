@@ -87,3 +87,11 @@ def test_a_part_at_the_end_of_the_window_ends_with_it(decoder: Decoder) -> None:
     np.testing.assert_array_equal(
         decoder.filters.within(*(slice(0, n) for n in reduction.shape)).basis, decoder.filters.basis
     )
+
+
+def test_parts_of_one_size_share_their_transforms_and_other_kernels_none(decoder: Decoder) -> None:
+    filters, block = decoder.filters, decoder.filters.block
+    one, two = (filters.within(slice(at, at + 3 * block), slice(0, 2 * block)) for at in (0, 2 * block))
+    assert one.basis is two.basis
+    other = dataclasses.replace(filters, kernels=2.0 * filters.kernels)
+    np.testing.assert_array_equal(other.basis, 2.0 * filters.basis)

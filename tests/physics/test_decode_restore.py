@@ -84,3 +84,16 @@ def test_what_is_kept_is_bounded_and_changes_nothing(
     assert decoder.restorer.nbytes < 2 * decoder.restorer.tiling.size[0] * decoder.restorer.tiling.size[1] * 8
     for image in (again, forgetful):
         np.testing.assert_array_equal(image.intensity_x, first.intensity_x)
+
+
+def test_another_calibrations_restorer_keeps_nothing_of_the_first(psf: Psf, frame: RawFrame) -> None:
+    other = helix_psf(1.0 / np.linspace(1 / 0.0026, 1 / 0.0034, 9), window_px=32)
+    mine, its = (Decoder.of(one, frame.frame.shape, frame.origin_um, frame.x_window) for one in (psf, other))
+    assert mine is not None
+    assert its is not None
+    key = (3, 0)
+    (first,) = mine.restorer._transfers([key])
+    (want,) = Restorer(its.calibration, mine.restorer.tiling)._transfers([key])
+    assert not np.allclose(first, want)
+    (got,) = dataclasses.replace(mine.restorer, calibration=its.calibration)._transfers([key])
+    np.testing.assert_array_equal(got, want)
