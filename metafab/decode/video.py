@@ -7,8 +7,9 @@ frames, with what lies around them: their segments are joined to the last frame'
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,8 +57,9 @@ class VideoDecoder:
     def __call__(self, frame: RawFrame) -> Image4D:
         """Decode the next frame: where nothing moved, all that is known of it is the last frame's.
 
-        ``details`` get ``changed_share``. A frame that cannot be decoded is forgotten at once; one that shows another
-        scene, or the same in other light, is decoded anew.
+        The image's arrays are for reading only (a copy of one is not): later frames go on from them, and one in which
+        nothing moved has the very same. ``details`` get ``changed_share``. A frame that cannot be decoded is forgotten
+        at once; one that shows another scene, or the same in other light, is decoded anew.
         """
         started = time.perf_counter()
         camera = (np.shape(frame.frame), frame.pixel_um, frame.origin_um, frame.read_noise_e, frame.saturation_e)
@@ -71,7 +73,7 @@ class VideoDecoder:
             if found is None:
                 return self.decoder(frame)
         self._last = *found, camera
-        image = judged(found[0].image, frame, seconds=time.perf_counter() - started)
+        image = judged(_for_reading(found[0].image), frame, seconds=time.perf_counter() - started)
         image.details["changed_share"] = self.changed_share
         return image
 
@@ -236,3 +238,13 @@ class VideoDecoder:
         about, of_part = self._about(part), self.decoder.filters.reduction.of_part
         known = last.pixels.within(*about), regions.within(*about), last.sharp.within(*of_part(*about))
         pictures.paste(Pictures.of(seen.within(*about), *known), of_part(*part), of_part(*about))
+
+
+def _for_reading(image: Image4D) -> Image4D:
+    """An image that shares its arrays, and by which nothing is written to them."""
+    views: dict[str, Any] = {
+        item.name: array.view() for item in fields(image) if isinstance(array := getattr(image, item.name), np.ndarray)
+    }
+    for view in views.values():
+        view.flags.writeable = False
+    return replace(image, segments=tuple(dict(row) for row in image.segments), **views)

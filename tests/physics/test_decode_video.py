@@ -78,6 +78,19 @@ def test_noise_alone_is_no_change(psf: Psf) -> None:
     assert shares == [1.0] + [0.0] * 11
 
 
+def test_a_still_scene_with_full_pixels_does_not_change(psf: Psf) -> None:
+    """Pixels near the full well are full in one frame and not in the next."""
+    bright = dataclasses.replace(SCENE, objects=(WALL,), frames=6, full_well_e=5000.0, bit_depth=12)
+    decoder, shares, full = None, [], []
+    for frame in film(bright, psf):
+        decoder = decoder or video(psf, frame)
+        shares.append(decoder(frame).details["changed_share"])
+        full.append(frame.frame >= (frame.saturation_e or np.inf))
+    assert min(one.sum() for one in full) > 1000
+    assert all((one != full[0]).sum() > 100 for one in full[1:])
+    assert shares == [1.0] + [0.0] * 5
+
+
 def test_the_truth_of_a_moving_object(frames: list[RawFrame]) -> None:
     for number, frame in enumerate(frames):
         assert frame.truth is not None
@@ -140,6 +153,27 @@ def test_where_it_changed_the_frame_by_itself_decides(psf: Psf, frames: list[Raw
     np.testing.assert_allclose(np.nanmedian(image.depth_m[car]), np.nanmedian(alone.depth_m[car]), rtol=3e-3)
 
 
+def test_who_writes_into_an_image_spoils_no_later_frame(psf: Psf, frames: list[RawFrame]) -> None:
+    """Every array of it is for reading, and its rows and figures are its own."""
+    shown = [*frames, frames[-1], frames[-1]]
+    untouched, decode = video(psf, frames[0]), video(psf, frames[0])
+    for frame in shown:
+        want, image = untouched(frame), decode(frame)
+        for item in dataclasses.fields(image):
+            got = getattr(image, item.name)
+            if isinstance(got, np.ndarray):
+                np.testing.assert_array_equal(got, getattr(want, item.name))
+                with pytest.raises(ValueError, match="read-only"):
+                    got[:] = 99
+                got.copy()[:] = 99
+        assert image.segments == want.segments
+        for row in image.segments:
+            row["depth_m"] = -1.0
+        assert image.details.keys() == want.details.keys()
+        image.details.clear()
+    assert untouched.changed_share == decode.changed_share == 0.0
+
+
 def test_frames_are_as_if_decoded_alone_and_leave_the_earlier_ones_as_they_were(
     psf: Psf, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,7 +182,8 @@ def test_frames_are_as_if_decoded_alone_and_leave_the_earlier_ones_as_they_were(
     monkeypatch.setattr(video_module, "_SECOND_LOOKS", ())
     decode = video(psf, street[0])
     images = [decode(frame) for frame in street]
-    assert 0.0 < decode.changed_share < 0.61
+    # The car and what it reaches: 0.36 of the window in the second frame, 0.42 in those after it.
+    assert all(0.3 < float(image.details["changed_share"]) < 0.5 for image in images[1:])
     copies = [image.depth_m.copy() for image in images]
     for frame, image, copy in zip(street, images, copies, strict=True):
         np.testing.assert_array_equal(image.depth_m, copy)
