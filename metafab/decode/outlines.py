@@ -12,6 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.numerics import HAS_NUMBA, compiled_parallel, prange
+from metafab.decode.peaks import mirrored
 from metafab.decode.pooling import window_means
 
 #: Outlines hardly move any more after so many rounds.
@@ -32,11 +34,52 @@ def settled(
     """
     if scores.shape[0] == 1:
         return layer
-    numbers = np.arange(scores.shape[0])[:, None, None]
+    shared_out = _shared_out if HAS_NUMBA and window // 2 <= min(layer.shape) else _shared_out_plain
     for _ in range(_ROUNDS):
-        shares = window_means(((layer == numbers) & counted).astype(np.float32), window)
-        shares += scores
-        before, layer = layer, shares.argmax(axis=0)
-        if np.array_equal(before[counted], layer[counted]):
+        before, layer = layer, shared_out(layer, scores, counted, window // 2)
+        if not ((before != layer) & counted).any():
             break
     return layer
+
+
+def _shared_out_plain(
+    layer: NDArray[np.intp], scores: NDArray[np.float32], counted: NDArray[np.bool_], reach: int
+) -> NDArray[np.intp]:
+    """The layer of the largest sum of score and share of the window about each pixel, mirrored at the edges."""
+    numbers = np.arange(scores.shape[0])[:, None, None]
+    shares = window_means(((layer == numbers) & counted).astype(np.float32), 2 * reach + 1)
+    return np.asarray((shares + scores).argmax(axis=0))
+
+
+@compiled_parallel
+def _shared_out(
+    layer: NDArray[np.intp], scores: NDArray[np.float32], counted: NDArray[np.bool_], reach: int
+) -> NDArray[np.intp]:
+    count, n_y, n_x = scores.shape
+    found = np.empty((n_y, n_x), dtype=np.intp)
+    share = np.float32(1.0 / (2 * reach + 1) ** 2)
+    for i in prange(n_y):
+        # Pixels of each layer in the window's columns, those beyond the edges included; and in the window.
+        columns = np.zeros((count, n_x + 2 * reach), dtype=np.int32)
+        inside = np.zeros(count, dtype=np.int32)
+        for m in range(i - reach, i + reach + 1):
+            row = mirrored(m, n_y)
+            for j in range(n_x):
+                if counted[row, j]:
+                    columns[layer[row, j], reach + j] += 1
+        for k in range(count):
+            for j in range(reach):
+                columns[k, reach - 1 - j] = columns[k, reach + j]
+                columns[k, reach + n_x + j] = columns[k, reach + n_x - 1 - j]
+            for j in range(2 * reach):
+                inside[k] += columns[k, j]
+        for j in range(n_x):
+            best, largest = 0, np.float32(-np.inf)
+            for k in range(count):
+                inside[k] += columns[k, j + 2 * reach]
+                total = share * np.float32(inside[k]) + scores[k, i, j]
+                if total > largest:
+                    best, largest = k, total
+                inside[k] -= columns[k, j]
+            found[i, j] = best
+    return found

@@ -42,7 +42,8 @@ def _peaks_plain(
 
 
 @compiled
-def _mirrored(index: int, count: int) -> int:
+def mirrored(index: int, count: int) -> int:
+    """The place in a line of pixels, mirrored at both ends, of one that may lie beyond them."""
     return -index - 1 if index < 0 else (2 * count - 1 - index if index >= count else index)
 
 
@@ -55,7 +56,7 @@ def _window_row(
     middle = down[reach : reach + n_x]
     middle[:] = np.float32(0.0)
     for i in range(row - reach, row + reach + 1):
-        line = pictures[_mirrored(i, n_y)]
+        line = pictures[mirrored(i, n_y)]
         for j in range(n_x):
             middle[j] += line[j]
     for j in range(reach):

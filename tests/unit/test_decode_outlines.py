@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from metafab.decode import outlines
 from metafab.decode.outlines import settled
 
 SHAPE = (60, 80)
@@ -60,3 +62,14 @@ def test_pixels_without_a_layer_have_no_share() -> None:
     scores[:, ~lit] = 0.0
     np.testing.assert_array_equal(settled(truth, scores, lit, 7)[lit], 1)
     assert not settled(truth, scores, EVERYWHERE, 7)[lit].any()
+
+
+@pytest.mark.parametrize("shape", [(23, 40), (9, 3), (4, 4)])
+@pytest.mark.parametrize("reach", [1, 3])
+def test_compiled_sharing_out_is_the_plain_one(shape: tuple[int, int], reach: int) -> None:
+    rng = np.random.default_rng(3)
+    layer, counted = rng.integers(0, 4, shape), rng.random(shape) < 0.8
+    scores = rng.normal(0.0, 0.2, (4, *shape)).astype(np.float32)
+    scores[2, :2] = -np.inf
+    plain = outlines._shared_out_plain(layer, scores, counted, reach)
+    assert (outlines._shared_out(layer, scores, counted, reach) == plain).mean() > 0.99  # sums that are nearly equal
