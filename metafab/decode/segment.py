@@ -112,7 +112,8 @@ def assign(
     if any(plane.tilted for plane in layers):
         at = np.stack([plane.over(volume.parts.shape[-2:]) for plane in layers])
     products = volume.at(flat if at.size == flat.size else at)
-    far = 0.05 * np.minimum(np.abs(pixels.vergence_per_m - at) / step_per_m, 4.0)
+    own, place = pixels.vergence_per_m.astype(np.float32), at.astype(np.float32)
+    far = np.float32(0.05) * np.minimum(np.abs(own - place) / np.float32(step_per_m), np.float32(4.0))
     wide, narrow = (
         (correlation(window_means(products, px // every | 1)) - far).astype(np.float32)
         for px in (_OUTLINE_WINDOW_PX, _NARROW_WINDOW_PX)
