@@ -54,7 +54,10 @@ class PlaneEstimator:
 
     def likeliest(self, images: FloatArray) -> float:
         """Depth at which two images, shape (2, n, n), electrons, are likeliest."""
-        seen = self._spectra(images)
+        return self.likeliest_of_spectra(self._spectra(images))
+
+    def likeliest_of_spectra(self, seen: ComplexArray) -> float:
+        """The same for spectra, shape (2, n, n // 2 + 1), scaled so that white noise has the variance of a pixel."""
         matched = np.abs(np.einsum("cpij,pij->cij", self.transfer.conj(), seen)) ** 2
         gain, cost = self._model
         return self._peak((np.einsum("kcij,cij->kc", gain, matched, optimize=True) - cost).max(axis=0))
@@ -102,7 +105,9 @@ class PlaneEstimator:
     def bound_m(self, depth_m: float, contrast: float) -> float:
         """Smallest standard deviation of depth from a plane whose texture's spectrum is known, and nothing else.
 
-        Whittle's information: half the sum over frequencies of tr(C^-1 C' C^-1 C'), of windows without taper.
+        Whittle's information: half the sum over frequencies of tr(C^-1 C' C^-1 C'), over the number of frequencies that
+        a taper makes one. A window that is cut out of a larger picture does worse: what its taper lets in from beyond
+        the edges is in no model.
         """
         index = int(np.clip(np.argmin(np.abs(self.depth_m - depth_m)), 1, self.depth_m.size - 2))
         here = self.transfer[index]
@@ -116,14 +121,13 @@ class PlaneEstimator:
         covariance = power[..., None, None] * outer + self.noise_e2 * np.eye(2)
         relative = np.linalg.solve(covariance, change)
         told = np.einsum("ijpq,ijqp->ij", relative, relative).real
-        information = 0.5 * float((self._weight() * told).sum())
+        information = 0.5 * float((self._weight() * told).sum()) / frequencies_in_one(here.shape[-2])
         return float("inf") if information <= 0.0 else information**-0.5
 
     def _spectra(self, images: FloatArray) -> ComplexArray:
         """Spectra of tapered windows, scaled so that white noise keeps its variance: shape (2, n, n // 2 + 1)."""
         side = images.shape[-1]
-        rise = np.sin(np.pi * (np.arange(side) + 0.5) / side) ** 2
-        taper = np.outer(rise, rise)
+        taper = _taper(side)
         level = (images * taper).sum(axis=(-2, -1), keepdims=True) / taper.sum()
         return np.asarray(scipy.fft.rfft2((images - level) * taper) / np.sqrt((taper**2).sum()))
 
@@ -145,3 +149,18 @@ class PlaneEstimator:
         low, middle, high = score[top - 1 : top + 2]
         place = top + 0.5 * (low - high) / min(float(low - 2.0 * middle + high), -1e-12)
         return 1.0 / float(np.interp(place, np.arange(score.size), 1.0 / self.depth_m))
+
+
+def _taper(side: int) -> FloatArray:
+    """Hann's window over a square."""
+    rise = np.sin(np.pi * (np.arange(side) + 0.5) / side) ** 2
+    return np.outer(rise, rise)
+
+
+def frequencies_in_one(side: int) -> float:
+    """How many neighbouring frequencies of a tapered window tell as much as one: its equivalent noise bandwidth.
+
+    (35/18)^2 = 3.78 for Hann's window; by the correlation of neighbouring periodogram values, sum w^4 / (sum w^2)^2.
+    """
+    taper = _taper(side)
+    return float(side**2 * (taper**4).sum() / (taper**2).sum() ** 2)

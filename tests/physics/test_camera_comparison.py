@@ -11,7 +11,7 @@ import pytest
 
 from metafab import comparison
 from metafab.camera.kernels import PairKernels
-from metafab.comparison.estimate import PlaneEstimator
+from metafab.comparison.estimate import PlaneEstimator, frequencies_in_one
 from metafab.comparison.study import photographed
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
@@ -62,6 +62,39 @@ def test_the_bound_falls_with_light_and_says_nothing_of_a_psf_that_stays(kernels
     assert PlaneEstimator.of(PairKernels(same), 96, 3000.0, 0.0).bound_m(0.003, 0.25) > 1.0
 
 
+def test_the_likeliest_depth_reaches_the_bound(kernels: PairKernels, estimator: PlaneEstimator) -> None:
+    """Textures that go on round the window need no taper, and no light comes from beyond: Whittle's own case."""
+    from metafab.camera.quality import texture_power
+
+    rng = np.random.default_rng(5)
+    power = texture_power(96, 3000.0, 0.25)
+    index = 31
+    true_m = float(estimator.depth_m[index])
+    found = []
+    for _ in range(80):
+        white = np.fft.rfft2(rng.normal(size=(96, 96))) / 96.0
+        noise = np.fft.rfft2(rng.normal(0.0, math.sqrt(estimator.noise_e2), (2, 96, 96))) / 96.0
+        found.append(estimator.likeliest_of_spectra(estimator.transfer[index] * np.sqrt(power) * white + noise))
+    untapered_m = estimator.bound_m(true_m, 0.25) / math.sqrt(frequencies_in_one(96))
+    # The standard deviation of 80 is known to 8 %.
+    assert np.std(found) / untapered_m == pytest.approx(1.0, abs=0.3)
+    # Of windows cut from a larger picture, which are tapered, the bound stays below.
+    cut = [estimator.likeliest(photographed(pair_at(kernels, true_m), LIGHT, n)) / true_m - 1.0 for n in range(30)]
+    ratio = float(np.sqrt(np.mean(np.square(cut)))) / (estimator.bound_m(true_m, 0.25) / true_m)
+    assert 1.0 < ratio < 3.0
+
+
+def test_hanns_window_makes_one_of_neighbouring_frequencies() -> None:
+    assert frequencies_in_one(96) == pytest.approx((35.0 / 18.0) ** 2, rel=1e-6)
+    # Periodograms of white noise: the variance of their mean, over that of as many independent ones.
+    rng = np.random.default_rng(2)
+    taper = np.outer(*[np.sin(np.pi * (np.arange(32) + 0.5) / 32) ** 2] * 2)
+    power = [np.abs(np.fft.fft2(rng.normal(size=(32, 32)) * taper)) ** 2 for _ in range(4000)]
+    means = np.mean(power, axis=(1, 2))
+    # Power at f and at -f is the same: half as many are independent.
+    assert np.var(means) / np.mean(means) ** 2 * 32**2 / 2.0 == pytest.approx(frequencies_in_one(32), rel=0.1)
+
+
 def test_two_equal_images_of_a_gaussian_texture_have_whittles_information() -> None:
     """A kernel that is only scaled by g: each of the frequencies tells (P g^2)' / (P g^2 + N / 2), closed form."""
     gains = np.linspace(1.0, 2.0, 9)
@@ -81,7 +114,7 @@ def test_two_equal_images_of_a_gaussian_texture_have_whittles_information() -> N
     power = texture_power(32, 1e6, 0.25)
     share = 2.0 * power * 2.0 * (transfer.conj() * slope).real / (2.0 * power * np.abs(transfer) ** 2 + 1e6)
     weight = estimator._weight()
-    expected = (0.5 * float((weight * share**2).sum())) ** -0.5
+    expected = (0.5 * float((weight * share**2).sum()) / frequencies_in_one(32)) ** -0.5
     assert estimator.bound_m(float(estimator.depth_m[index]), 0.25) == pytest.approx(expected, rel=1e-6)
 
 

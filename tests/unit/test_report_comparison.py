@@ -27,7 +27,12 @@ def comparison() -> Comparison:
 def test_errors_are_drawn_in_per_cent_with_their_bounds(comparison: Comparison, tmp_path: Path) -> None:
     _, axes = panel()
     figures.rival_depth_errors(comparison, axes)
-    assert len(axes.lines) == 10
+    # Each error with its bound, and a dotted line for the legend alone.
+    assert len(axes.lines) == 11
+    shown = axes.get_legend()
+    assert shown is not None
+    dotted = dict(zip([text.get_text() for text in shown.get_texts()], shown.get_lines(), strict=True))["bound of each"]
+    assert dotted.get_linestyle() == axes.lines[1].get_linestyle() == ":"
     np.testing.assert_allclose(np.asarray(axes.lines[0].get_ydata(), dtype=float), [0.1, 0.2, 0.3])
     np.testing.assert_allclose(np.asarray(axes.lines[1].get_ydata(), dtype=float), [0.01, 0.02, 0.03])
     _, axes = panel()

@@ -16,6 +16,7 @@ def rival_depth_errors(comparison: Comparison, axes: Axes) -> Axes:
     for name, error, bound, ink in zip(comparison.methods, comparison.error, comparison.bound, _INKS, strict=True):
         axes.plot(scale * comparison.depth_m, 100.0 * error, "o-", color=ink, linewidth=1.4, markersize=3, label=name)
         axes.plot(scale * comparison.depth_m, 100.0 * bound, color=ink, linewidth=1.0, linestyle=":")
+    axes.plot([], [], color=MUTED, linewidth=1.0, linestyle=":", label="bound of each")
     dress(axes, f"object depth / {unit}", "rms error of depth, %", "Depth of a textured plane")
     logarithmic(axes, "y")
     axes.set_ylim(top=20.0 * 100.0 * float(comparison.error.max()))

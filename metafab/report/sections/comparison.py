@@ -24,7 +24,8 @@ def comparison(run: RunFolder, drawn: Drawn) -> str:
         f"Target phases, equal aperture, light and sensor: planes of 1/f texture that fill the view, {found.planes} at "
         f"each depth, {found.electrons:g} electrons a pixel and image, contrast {found.contrast:g}, windows of "
         f"{found.side_px} x {found.side_px} px. All cameras by one likelihood, which knows the texture's spectrum; "
-        "dotted, the bound of that knowledge. Of a texture of unknown spectrum, a lens and a double helix tell nothing."
+        "dotted, the bound of that knowledge for tapered windows; light from beyond their edges keeps estimates above. "
+        "Of a texture of unknown spectrum, a lens and a double helix tell nothing."
     )
     return html.section(
         "comparison",
