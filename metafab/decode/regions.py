@@ -85,7 +85,7 @@ def layer_step_per_m(volume: Volume) -> float:
 
 def textured_pixels(seen: Seen, volume: Volume) -> PixelDepth:
     """The depth of each pixel by itself, claimed where something lit shows texture."""
-    variance = seen.variance
+    variance, _ = seen.variance, seen.uneven  # by loops over all threads, before another thread asks
     with kept_threads() as beside:
         near = beside.submit(near_texture, seen)
         pixels = pixel_depth(volume, seen.window, variance)

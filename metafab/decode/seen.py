@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter
 
 from metafab.camera.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.decode.distance import distance
 from metafab.decode.levels import Levels
+from metafab.decode.pooling import window_means
 from metafab.decode.reduce import Reduction
 from metafab.decode.twins import TwinGrid, Twins, extract
 
@@ -94,7 +94,7 @@ class Seen:
     @cached_property
     def mean(self) -> NDArray[np.float32]:
         """Brightness over a window: shape (2, n_y, n_x)."""
-        return np.asarray(uniform_filter(self.inner, (0, self.window, self.window)))
+        return window_means(self.inner, self.window)
 
     @cached_property
     def variance(self) -> FloatArray:
@@ -125,8 +125,7 @@ class Seen:
     @cached_property
     def _texture(self) -> NDArray[np.float32]:
         """Variance of the brightness over a window, that of its noise taken off: shape (2, n_y, n_x)."""
-        square = uniform_filter(self.inner**2, (0, self.window, self.window))
-        return np.asarray(square - self.mean**2 - self._noise)
+        return np.asarray(window_means(self.inner**2, self.window) - self.mean**2 - self._noise)
 
     @property
     def _noise(self) -> NDArray[np.float32]:
