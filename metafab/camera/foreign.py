@@ -11,8 +11,7 @@ from metafab.camera.frame import RawFrame
 from metafab.camera.store import load
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.files import whole_file
-from metafab.core.hdf5 import SUFFIXES
+from metafab.core.files import HDF5_SUFFIXES, whole_file
 from metafab.core.pictures import read_counts
 from metafab.optics.point_spread import Psf
 
@@ -65,7 +64,7 @@ def load_frame(path: Path, psf: Psf, *, counts: Counts = _ELECTRONS, first_row: 
     Raises:
         InputError: the file cannot be read, is no grey picture, or is metafab's own, in electrons already.
     """
-    if path.suffix.lower() in SUFFIXES:
+    if path.suffix.lower() in HDF5_SUFFIXES:
         if counts != _ELECTRONS:
             expected = "a camera's TIFF, PNG or .npy, where counts are given a meaning"
             raise InputError.single(
@@ -104,7 +103,7 @@ def require_frame_name(path: Path) -> None:
     Raises:
         InputError: the file's ending is none of those.
     """
-    if path.suffix.lower() not in {*SUFFIXES, *_COUNTED}:
+    if path.suffix.lower() not in {*HDF5_SUFFIXES, *_COUNTED}:
         raise InputError.single(str(path), "output", "a .h5, .tif, .png or .npy file", repr(path.suffix))
 
 

@@ -58,9 +58,9 @@ def _counts(black: float, gain: float, read_noise_e: float, white: float | None)
 def _as_counted(raw: RawFrame, path: Path, black: int) -> dict[str, float | None]:
     """What ``decode`` has to be told of a frame that was written in counts; nothing of a .h5."""
     from metafab.camera import counts_of
-    from metafab.core.hdf5 import SUFFIXES
+    from metafab.core.files import HDF5_SUFFIXES
 
-    if path.suffix.lower() in SUFFIXES:
+    if path.suffix.lower() in HDF5_SUFFIXES:
         return {}
     meant = counts_of(raw, black=black)
     return {name: getattr(meant, name) for name in ("black", "electrons_per_count", "read_noise_e", "white")}
@@ -100,12 +100,12 @@ def psf_command(
 ) -> None:
     """PSF pair of a written mask over depth."""
     from metafab import steps
-    from metafab.core import hdf5
+    from metafab.core.files import require_hdf5_name
     from metafab.core.measure import measured
     from metafab.spec import load_scene
 
     if output is not None:
-        hdf5.require_name(output)
+        require_hdf5_name(output)
     if ideal == (layout is not None):
         raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
     asked = {
@@ -182,12 +182,12 @@ def capture_command(
 ) -> None:
     """Raw frame of a scene, or the frames of a film: a .h5 with the truth, or counts in a .tif, .png or .npy."""
     from metafab import steps
-    from metafab.core.hdf5 import SUFFIXES
+    from metafab.core.files import HDF5_SUFFIXES
     from metafab.core.measure import measured
     from metafab.spec import load_scene
 
     path = output or Path("raw.h5")
-    if black and path.suffix.lower() in SUFFIXES:
+    if black and path.suffix.lower() in HDF5_SUFFIXES:
         expected = "a .tif, .png or .npy file, whose counts have a black level"
         raise InputError.single("capture", "--black", expected, f"{path.name}, in electrons", "leave it out")
     counted: dict[str, float | None] = {}
@@ -244,10 +244,10 @@ def decode_command(
 ) -> None:
     """4D image of a raw frame: both intensities, contrast and depth."""
     from metafab import steps
-    from metafab.core import hdf5
+    from metafab.core.files import require_hdf5_name
 
     path = output or Path("decoded.h5")
-    hdf5.require_name(path)
+    require_hdf5_name(path)
     with progress_bars() as progress:
         counts = _counts(black, electrons_per_count, read_noise_e, white)
         image = steps.restore(raw, psf, path, counts=counts, progress=progress)
@@ -279,10 +279,10 @@ def calibrate_command(
     from dataclasses import asdict
 
     from metafab import decode, steps
-    from metafab.core import hdf5
+    from metafab.core.files import require_hdf5_name
 
     path = output or Path("calibrated.h5")
-    hdf5.require_name(path)
+    require_hdf5_name(path)
     fit = steps.calibrate(frames, depths, psf, path, counts=_counts(black, electrons_per_count, read_noise_e, white))
     announce([f"not told apart: {decode.NOT_SEPARATED}"])
     show({**asdict(fit), "not_separated": decode.NOT_SEPARATED, "frames": len(frames), "file": path}, json_)

@@ -15,7 +15,12 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from metafab.core.errors import InputError
+
 Made = TypeVar("Made")
+
+#: What the names of our HDF5 files end with.
+HDF5_SUFFIXES = (".h5", ".hdf5")
 
 
 @contextmanager
@@ -35,6 +40,16 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 _PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part")
+
+
+def require_hdf5_name(path: Path) -> None:
+    """Refuse a name that no reader would take for an HDF5 file, before anything is computed.
+
+    Raises:
+        InputError: neither .h5 nor .hdf5.
+    """
+    if path.suffix.lower() not in HDF5_SUFFIXES:
+        raise InputError.single(str(path), "output", "a name ending with .h5", repr(path.suffix))
 
 
 def clear_parts(folder: Path) -> None:

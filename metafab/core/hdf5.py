@@ -21,19 +21,6 @@ from metafab import __version__
 from metafab.core.errors import InputError
 from metafab.core.files import whole_file
 
-#: What the names of our HDF5 files end with.
-SUFFIXES = (".h5", ".hdf5")
-
-
-def require_name(path: Path) -> None:
-    """Refuse a name that no reader would take for an HDF5 file, before anything is computed.
-
-    Raises:
-        InputError: neither .h5 nor .hdf5.
-    """
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError.single(str(path), "output", "a name ending with .h5", repr(path.suffix))
-
 
 @contextmanager
 def create(path: Path, *, kind: str, format_version: int, inputs_sha256: str) -> Iterator[h5py.File]:

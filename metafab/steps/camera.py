@@ -7,8 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from metafab.core.files import file_sha256, fingerprint
-from metafab.core.hdf5 import SUFFIXES
+from metafab.core.files import HDF5_SUFFIXES, file_sha256, fingerprint
 from metafab.core.progress import Progress, silent
 from metafab.run import Job, Step
 from metafab.spec import Scene
@@ -47,7 +46,7 @@ def expose_film(
     inputs = fingerprint(scene, frames, seed, file_sha256(psf_path))
     for number, frame in enumerate(camera.film(shown, psf, seed=seed, progress=progress), start=1):
         own = path if frames == 1 else path.with_name(f"{path.stem}_{number:04d}{path.suffix}")
-        if path.suffix.lower() in SUFFIXES:
+        if path.suffix.lower() in HDF5_SUFFIXES:
             camera.save(frame, own, inputs_sha256=inputs)
         else:
             camera.save_counts(frame, own, black=black)
