@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.decode.planes import Cells, Plane, distinct_planes
+from metafab.decode.reduce import place_within
 from metafab.decode.regions import Regions, depth_of
 from metafab.decode.segment import SegmentDepth
 from metafab.decode.volume import Volume
@@ -35,7 +36,7 @@ def planes_around(last: Regions, part: Part, about: Part, separation_per_m: floa
         separation_per_m: vergence by which planes differ.
     """
     label = last.label[about].copy()
-    label[_inside(part, about)] = 0
+    label[place_within(part, about)] = 0
     numbers, place = np.unique(label, return_inverse=True)
     around = [number for number in numbers.tolist() if number > 0]
     ranked = place.reshape(label.shape).astype(np.int32) + (0 if (numbers == 0).any() else 1)
@@ -58,7 +59,7 @@ def joined(
     Returns:
         All segments, and the number in them of each of the last frame's from 0 (for none): 0 for one that has gone.
     """
-    inside, count = _inside(part, about), len(last.depths)
+    inside, count = place_within(part, about), len(last.depths)
     same = _continued(last, found, part, about, separation_per_m)
     all_of_it, in_part = (np.bincount(near.ravel(), minlength=count + 1)[1:] for near in (last.near, last.near[part]))
     stays = all_of_it > in_part
@@ -94,7 +95,7 @@ def joined(
 def _continued(last: Regions, found: Regions, part: Part, about: Part, separation_per_m: float) -> NDArray[np.intp]:
     """Of each segment from 1 that was found, the last frame's that it goes on in around the part; 0 for none."""
     around, kept, count = np.ones(found.label.shape, dtype=bool), last.within(*about), len(last.depths) + 1
-    around[_inside(part, about)] = False
+    around[place_within(part, about)] = False
     pairs = np.bincount(found.label[around] * count + kept.label[around], minlength=(len(found.depths) + 1) * count)
     same = np.zeros(len(found.depths) + 1, dtype=np.intp)
     for index, on in enumerate(pairs.reshape(-1, count)):
@@ -121,11 +122,6 @@ def refreshed(regions: Regions, volume: Volume, every: int) -> Regions:
         known = depths[index]
         depths[index] = replace(depth_of(volume, cells, known.plane) or known, pixels=float(sizes[index]))
     return replace(regions, depths=tuple(depths))
-
-
-def _inside(part: Part, about: Part) -> Part:
-    rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(part, about, strict=True))
-    return rows, columns
 
 
 def _moved(depth: SegmentDepth, about: Part) -> SegmentDepth:

@@ -15,7 +15,7 @@ from metafab.decode.depth import HALF_CONFIDENCE, PixelDepth
 from metafab.decode.distance import distance
 from metafab.decode.image import Image4D
 from metafab.decode.pooling import window_means
-from metafab.decode.reduce import enlarged, repeated
+from metafab.decode.reduce import enlarged, place_within, repeated
 from metafab.decode.regions import Regions
 from metafab.decode.restore import LitTiles, Restorer, Sharp
 from metafab.decode.seen import WINDOW_PX, Seen
@@ -110,7 +110,7 @@ class Pictures:
 
     def paste(self, there: Pictures, part: tuple[slice, slice], about: tuple[slice, slice]) -> None:
         """Take a part from the pictures of what lies ``about`` it; both are pixels of these."""
-        inside = tuple(slice(a.start - b.start, a.stop - b.start) for a, b in zip(part, about, strict=True))
+        inside = place_within(part, about)
         for item in fields(self):
             getattr(self, item.name)[part] = getattr(there, item.name)[inside]
 
@@ -238,8 +238,8 @@ def _mismatch(volume: Volume, seen: Seen, regions: Regions) -> tuple[float, floa
     if not regions.depths:
         return None
     count = len(regions.depths)
-    pixels = np.bincount(regions.label.ravel(), minlength=count + 1)[1:]
     number = regions.label.ravel()
+    pixels = np.bincount(number, minlength=count + 1)[1:]
     sums = [np.bincount(number, np.maximum(image, np.float32(0.0)).ravel(), count + 1)[1:] for image in seen.inner]
     light = np.stack(sums) / np.maximum(pixels, 1)
     whole = np.array([depth.power for depth in regions.depths])

@@ -112,6 +112,12 @@ class Reduction:
         return y, x
 
 
+def place_within(part: tuple[slice, slice], about: tuple[slice, slice]) -> tuple[slice, slice]:
+    """A part of a picture, in the picture of what lies ``about`` it alone."""
+    rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(part, about, strict=True))
+    return rows, columns
+
+
 def _fade(inner: int, edge: int) -> NDArray[np.float32]:
     """1 over ``inner`` pixels, falling to 0 over the outer part of ``edge`` more at each end."""
     place = np.arange(inner + 2 * edge)

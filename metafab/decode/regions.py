@@ -113,10 +113,9 @@ def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth, known: Sequence
         pixels: the depth of each pixel by itself.
         known: planes that are in the picture; if some are tilted, pixels are shared out among them at once.
     """
-    separation = layer_step_per_m(volume)
     if any(plane.tilted for plane in known):
-        surfaces, allowed = _surfaces(list(known), pixels, separation, seen.window)
-        return _share_out(seen, volume, pixels, surfaces, separation, allowed)
+        return _shared_out_on(list(known), seen, volume, pixels)
+    separation = layer_step_per_m(volume)
     layers = [Plane(vergence) for vergence in segments.depth_layers(pixels, separation).tolist()]
     if not layers:
         nowhere = np.zeros(volume.parts.shape[-2:], dtype=np.int32)
@@ -125,9 +124,15 @@ def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth, known: Sequence
     if len(layers) >= _MANY_LAYERS or any(depth.plane.tilted for depth in regions.depths):
         planes = _planes(seen.lit, seen.reduction.every, volume, pixels, regions)
         if any(plane.tilted for plane in planes):
-            surfaces, allowed = _surfaces(planes, pixels, separation, seen.window)
-            regions = _share_out(seen, volume, pixels, surfaces, separation, allowed)
+            return _shared_out_on(planes, seen, volume, pixels)
     return regions
+
+
+def _shared_out_on(planes: list[Plane], seen: Seen, volume: Volume, pixels: PixelDepth) -> Regions:
+    """Segments of planes, and of the depths of what lies on none of them."""
+    separation = layer_step_per_m(volume)
+    surfaces, allowed = _surfaces(planes, pixels, separation, seen.window)
+    return _share_out(seen, volume, pixels, surfaces, separation, allowed)
 
 
 def _planes(lit: NDArray[np.bool_], every: int, volume: Volume, pixels: PixelDepth, regions: Regions) -> list[Plane]:

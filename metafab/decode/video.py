@@ -24,7 +24,7 @@ from metafab.decode.decoder import Decoded, Decoder
 from metafab.decode.depth import PixelDepth, pixel_depth
 from metafab.decode.image import Image4D
 from metafab.decode.judge import judged
-from metafab.decode.reduce import repeated
+from metafab.decode.reduce import place_within, repeated
 from metafab.decode.regions import Regions, find_regions, layer_step_per_m, near_texture
 from metafab.decode.restore import LitTiles
 from metafab.decode.seen import Seen
@@ -175,7 +175,7 @@ class VideoDecoder:
         """
         found = pixel_depth(volume, seen.window, seen.variance)
         found = PixelDepth(found.vergence_per_m, found.relative_error, found.claimed & near_texture(seen))
-        rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(part, about, strict=True))
+        rows, columns = place_within(part, about)
         inner, here = found.within(rows, columns), last.within(*part)
         here.vergence_per_m[:], here.relative_error[:] = inner.vergence_per_m, inner.relative_error
         here.claimed[:] = inner.claimed
@@ -220,7 +220,7 @@ class VideoDecoder:
             about = self._about(part)
             depths, its_vergences = focus(seen.within(*about), regions.within(*about), last.volume.vergences_per_m)
             numbers = np.where(depths > 0, depths + vergences.size, 0)
-            rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(part, about, strict=True))
+            rows, columns = place_within(part, about)
             label[part] = np.where(reached[part], numbers[rows, columns], 0)
             vergences = np.append(vergences, its_vergences)
         wanted, dark = (repeated(of, reduction.every, shape) for of in (label, reached & (label == 0)))
