@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 
 from metafab import camera, decode, optics, phase
 from metafab.core.conventions import FloatArray
-from metafab.core.measure import measured
-from metafab.decode.planes import Cells
-from metafab.decode.volume import Volume
+from metafab.core.parallel.measure import measured
+from metafab.decode.matching.cost_volume import Volume
+from metafab.decode.segmentation.planes import Cells
+from metafab.information.psf_fisher import Texture
 from metafab.layout import Lattice, sampling_lattice
-from metafab.optics.fisher import Texture
 from metafab.spec import Design, Scene, SceneObject, load_design
 from metafab.spec.design import SpiralZones
 

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from metafab import drc, layout, mask
-from metafab.core.measure import measured
+from metafab.core.parallel.measure import measured
 
 _lens = runpy.run_path(str(Path(__file__).with_name("lens.py")))
 

@@ -19,7 +19,7 @@ import gdstk
 import numpy as np
 
 from metafab import layout, mask
-from metafab.core.measure import measured
+from metafab.core.parallel.measure import measured
 from metafab.layout import PillarMap
 from metafab.spec import Design
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from metafab import layout, library, phase
-from metafab.core.measure import measured
+from metafab.core.parallel.measure import measured
 from metafab.library import Library
 from metafab.phase import PhaseProfile
 from metafab.spec import Design, UnitCell, load_design

@@ -21,8 +21,8 @@ import numpy as np
 from metafab import library
 from metafab.cell import CellNumerics, pillar_cell, solve_many
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.executor import default_workers, open_executor
-from metafab.core.measure import Cost, measured
+from metafab.core.parallel.executor import default_workers, open_executor
+from metafab.core.parallel.measure import Cost, measured
 from metafab.library import Library
 from metafab.spec import UnitCell, load_unit_cell
 

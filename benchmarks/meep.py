@@ -37,7 +37,7 @@ from metafab.core.conventions import ComplexArray
 from metafab.fullwave.patch import at_sites, differences
 from metafab.layout import Lattice
 from metafab.optics import Imaging, direct_irradiance
-from metafab.optics.source import FieldTile
+from metafab.optics.sources.source import FieldTile
 
 PLAIN_SCRIPT = Path(__file__).with_name("meep_plain.py")
 CELL = PillarCell(

@@ -23,13 +23,13 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
-from metafab.core.progress import silent
+from metafab.core.parallel.progress import silent
 from metafab.optics import Imaging, PsfBasis, WrittenField, direct_irradiance, psf, relative_l2
-from metafab.optics.band import band_ends, padded_px
-from metafab.optics.blocks import reduce_to_target
-from metafab.optics.image import Tangent, Window
-from metafab.optics.kernel import WindowKernel
-from metafab.optics.pupil import Pupil, reduce_field
+from metafab.optics.propagation.band import band_ends, padded_px
+from metafab.optics.propagation.blocks import reduce_to_target
+from metafab.optics.propagation.image import Tangent, Window
+from metafab.optics.propagation.kernel import WindowKernel
+from metafab.optics.propagation.pupil import Pupil, reduce_field
 
 WINDOW_PX, REFERENCE_POINTS = 64, 10
 TARGETS = (1e-2, 1e-3, 1e-4)

@@ -32,7 +32,7 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.optics import Imaging, WrittenField, direct_irradiance, relative_l2
-from metafab.optics.reference import incident_wave
+from metafab.optics.reference.direct_sum import incident_wave
 
 PEERS_FILE = Path(__file__).with_name("psf_peers.py")
 APERTURES_UM = (100.0, 200.0, 400.0, 800.0, 2000.0)

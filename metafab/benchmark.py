@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from metafab.core.errors import InputError, MissingToolError
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 
 ROOMS = ("cell", "meep", "library", "phase", "layout", "drc", "psf", "decode", "end_to_end")
 

@@ -13,9 +13,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from metafab import __version__
-from metafab.core.executor import default_workers
-from metafab.core.numerics import HAS_NUMBA
-from metafab.core.progress import Progress, silent
+from metafab.core.numeric.compiled import HAS_NUMBA
+from metafab.core.parallel.executor import default_workers
+from metafab.core.parallel.progress import Progress, silent
 from metafab.run import versions
 
 
@@ -64,7 +64,7 @@ def _film_matches_closed_form() -> bool:
 
 def _hdf5_writes() -> bool:
     """A small HDF5 file written and read."""
-    from metafab.core import hdf5
+    from metafab.core.storage import hdf5
 
     with TemporaryDirectory() as folder:
         path = Path(folder) / "test.h5"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 
 #: The paper's cell, sampled as coarsely as a lens can be mapped from.
 _UNIT_CELL = """

@@ -11,74 +11,20 @@ import json
 import platform
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from metafab import __version__
-from metafab.core.files import clear_parts, file_sha256, fingerprint, plain, whole_file, write_json
-from metafab.core.measure import measured
-from metafab.core.progress import Progress, silent
-from metafab.core.provenance import code_sha256, contents_sha256
+from metafab.core.parallel.measure import measured
+from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, plain, whole_file, write_json
+from metafab.core.storage.provenance import code_sha256, contents_sha256
 from metafab.spec import Design, canonical_toml
-
-if TYPE_CHECKING:
-    from metafab.phase import PhaseProfile
+from metafab.steps.job import Job, Step
 
 STEPS_FILE = "steps.json"
 _LIBRARIES = ("numpy", "scipy", "gdstk", "h5py", "shapely", "matplotlib", "pydantic", "numba", "klayout")
-
-
-@dataclass(frozen=True)
-class Job:
-    """What a run works on: the design, its folder, and how the work is spread.
-
-    Attributes:
-        design: the validated design.
-        folder: run folder, created when needed.
-        workers: processes; None for all cores.
-        cluster: address of a Dask scheduler, or None.
-        progress: callback of long work.
-    """
-
-    design: Design
-    folder: Path
-    workers: int | None = None
-    cluster: str | None = None
-    progress: Progress = silent
-
-    @cached_property
-    def profile(self) -> PhaseProfile:
-        """The design's target phases, optimised once for all steps that need them."""
-        from metafab.phase import profile_of
-
-        return profile_of(self.design, progress=self.progress)
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of the pipeline.
-
-    Attributes:
-        name: key in the summary.
-        rooms: packages whose code decides the result.
-        after: steps whose results it uses.
-        inputs: the parts of the design that it depends on.
-        outputs: the files that it writes, or has written.
-        work: does it, and returns the step's part of the summary.
-        pointless: why a design has no use for the step; None if it has.
-        reads: files that other commands may have left in the run folder, and that it uses.
-    """
-
-    name: str
-    rooms: tuple[str, ...]
-    after: tuple[str, ...]
-    inputs: Callable[[Design], Any]
-    outputs: Callable[[Job], tuple[Path, ...]]
-    work: Callable[[Job], dict[str, Any]]
-    pointless: Callable[[Design], str | None] = lambda design: None
-    reads: tuple[str, ...] = ()
 
 
 @dataclass

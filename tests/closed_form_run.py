@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from metafab.camera.frame import RawFrame, Truth
+from metafab.camera.frames.frame import RawFrame, Truth
 from metafab.decode.image import Image4D
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.library import Library

@@ -10,8 +10,8 @@ import numpy as np
 from metafab.core.conventions import FloatArray, Polarisation
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.optics import Imaging, WrittenField, ideal_field
-from metafab.optics.source import IdealField
-from metafab.phase.profile import PhaseProfile
+from metafab.optics.sources.source import IdealField
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Device
 
 ANGLE_DEG = 8.0

@@ -20,11 +20,11 @@ In: a Scene and a Psf, or a file. Out: a RawFrame.
 
 from metafab.camera.capture import capture, film
 from metafab.camera.exact import exact_psf
-from metafab.camera.foreign import Counts, counts_of, load_frame, require_frame_name, save_counts
-from metafab.camera.frame import RawFrame, Truth
+from metafab.camera.frames.foreign import Counts, counts_of, load_frame, require_frame_name, save_counts
+from metafab.camera.frames.frame import RawFrame, Truth
+from metafab.camera.frames.store import load, save
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
-from metafab.camera.store import load, save
 
 __all__ = [
     "Counts",

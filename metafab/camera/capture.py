@@ -8,16 +8,16 @@ from functools import cached_property
 
 import numpy as np
 
-from metafab.camera.blur import FieldBlur
-from metafab.camera.frame import RawFrame, Truth
+from metafab.camera.frames.frame import RawFrame, Truth
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
-from metafab.camera.motion import Shutter, moved
-from metafab.camera.render import Piece, Renderer, extent
+from metafab.camera.rendering.blur import FieldBlur
+from metafab.camera.rendering.motion import Shutter, moved
+from metafab.camera.rendering.render import Piece, Renderer, extent
+from metafab.camera.rendering.windows import Window, sensor_windows
 from metafab.camera.sensor import FixedPattern, expose
-from metafab.camera.windows import Window, sensor_windows
 from metafab.core.conventions import FloatArray
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 from metafab.optics.point_spread import Psf
 from metafab.spec.scene import Scene
 

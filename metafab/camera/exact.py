@@ -14,11 +14,11 @@ from functools import partial
 
 import numpy as np
 
-from metafab.camera.motion import Shutter, moved
-from metafab.camera.render import step_depths_m
+from metafab.camera.rendering.motion import Shutter, moved
+from metafab.camera.rendering.render import step_depths_m
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 from metafab.optics import Imaging, Psf, Source, at_tangent, psf, relative_l2
 from metafab.spec.scene import Scene
 

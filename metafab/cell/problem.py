@@ -12,8 +12,8 @@ from metafab.cell import rcwa
 from metafab.cell.response import CellNumerics, CellResponse, PillarCell, Shape, SizesAt, Slice
 from metafab.core.conventions import Side
 from metafab.core.errors import Fault, InputError
-from metafab.core.executor import SerialExecutor, stream
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.executor import SerialExecutor, stream
+from metafab.core.parallel.progress import Progress, silent
 from metafab.materials import refractive_index
 from metafab.spec.cell import Material, UnitCell
 

@@ -14,9 +14,9 @@ from typer.models import CommandFunctionType
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
-    from metafab.core.progress import Progress
-    from metafab.run import Job
+    from metafab.core.parallel.progress import Progress
     from metafab.spec import Design
+    from metafab.steps.job import Job
 
 HELP = {"help_option_names": ["-h", "--help"]}
 
@@ -73,8 +73,8 @@ TargetError = Annotated[
 
 def open_job(design: Path, folder: Path | None, workers: int | None, cluster: str | None, progress: Progress) -> Job:
     """The job of a design file, in ``folder`` or in ``runs/NAME``."""
-    from metafab.run import Job
     from metafab.spec import load_design
+    from metafab.steps.job import Job
 
     spec: Design = load_design(design)
     return Job(spec, folder or Path("runs") / spec.name, workers, cluster, progress)

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
-    from metafab.core.progress import Progress
+    from metafab.core.parallel.progress import Progress
 
 
 @contextmanager
 def progress_bars() -> Iterator[Progress]:
     """Bars with a time estimate on a terminal's stderr; silence elsewhere."""
-    from metafab.core.progress import silent
+    from metafab.core.parallel.progress import silent
 
     if not sys.stderr.isatty():
         yield silent
@@ -40,7 +40,7 @@ def progress_bars() -> Iterator[Progress]:
 
 def show(result: Any, as_json: bool) -> None:
     """Print a result as text, or as one JSON object."""
-    from metafab.core.files import plain
+    from metafab.core.storage.files import plain
 
     table = plain(result)
     if as_json:

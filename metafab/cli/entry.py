@@ -8,11 +8,19 @@ import sys
 from metafab.cli.app import app
 from metafab.cli.arguments import spread_depths
 from metafab.core.errors import MetafabError
-from metafab.core.interrupts import InterruptedRunError, raised_interrupts
+from metafab.core.parallel.interrupts import InterruptedRunError, raised_interrupts
 
 # Each adds its commands, in the order that --help shows.
 # isort: off
-from metafab.cli import whole, propose, cell, mask, fullwave, light, stokes, compare, showing  # noqa: F401
+from metafab.cli.commands import whole  # noqa: F401
+from metafab.cli.commands import propose  # noqa: F401
+from metafab.cli.commands import cell  # noqa: F401
+from metafab.cli.commands import mask  # noqa: F401
+from metafab.cli.commands import fullwave  # noqa: F401
+from metafab.cli.commands import light  # noqa: F401
+from metafab.cli.commands import stokes  # noqa: F401
+from metafab.cli.commands import compare  # noqa: F401
+from metafab.cli.commands import showing  # noqa: F401
 
 # isort: on
 

@@ -16,8 +16,8 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.camera.kernels import PairKernels
-from metafab.camera.quality import texture_power
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.information.sharpness import texture_power
 
 _CANDIDATES = 61
 #: Contrasts that are tried: that of a plane is not known.

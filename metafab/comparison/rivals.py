@@ -9,7 +9,7 @@ import numpy as np
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 from metafab.layout import lattice_of
 from metafab.optics import Imaging, Psf, depth_nodes, ideal_field, psf, without_depths
 from metafab.phase import profile_of

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from metafab.camera.quality import restored_error
+from metafab.camera.rendering.texture import make_texture
 from metafab.camera.sensor import FixedPattern, expose
-from metafab.camera.texture import make_texture
 from metafab.comparison.estimate import PlaneEstimator
 from metafab.comparison.rivals import Rival, rivals
 from metafab.core.conventions import FloatArray
-from metafab.core.files import read_json, write_json
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.files import read_json, write_json
+from metafab.information.sharpness import restored_error
 from metafab.spec import Design, Scene, SceneObject
 
 KIND = "metafab comparison"

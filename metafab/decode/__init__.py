@@ -38,14 +38,14 @@
 In: a RawFrame and a Psf. Out: an Image4D. No frame raises.
 """
 
-from metafab.decode.bound import DepthBound
+from metafab.decode.camera_fit.pinhole import NOT_SEPARATED, CameraFit, calibrate, read_depths
 from metafab.decode.decoder import Decoder, decode
+from metafab.decode.evaluation.bound import DepthBound
+from metafab.decode.evaluation.metrics import object_errors
+from metafab.decode.film.video import VideoDecoder
 from metafab.decode.image import Image4D
-from metafab.decode.judge import object_errors
-from metafab.decode.pinhole import NOT_SEPARATED, CameraFit, calibrate, read_depths
-from metafab.decode.seen import NO_LIGHT
+from metafab.decode.segmentation.frame_statistics import NO_LIGHT
 from metafab.decode.store import load, save
-from metafab.decode.video import VideoDecoder
 
 __all__ = [
     "NOT_SEPARATED",

@@ -7,25 +7,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.camera.frame import RawFrame
+from metafab.camera.frames.frame import RawFrame
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
-from metafab.core.executor import kept_threads
-from metafab.core.progress import Progress, silent
-from metafab.decode.calibration import Calibration
-from metafab.decode.compose import Pictures, empty, full_depth_m, lit_about, sharpened
-from metafab.decode.depth import PixelDepth
-from metafab.decode.filters import BASIS_ERROR, CrossFilters
+from metafab.core.parallel.executor import kept_threads
+from metafab.core.parallel.progress import Progress, silent
+from metafab.decode.evaluation.metrics import judged
 from metafab.decode.image import Image4D
-from metafab.decode.judge import judged
-from metafab.decode.levels import Levels
-from metafab.decode.reduce import repeated
-from metafab.decode.regions import Regions, find_regions, textured_pixels
-from metafab.decode.restore import Restorer, Sharp
-from metafab.decode.seen import Seen
-from metafab.decode.twins import TwinGrid
-from metafab.decode.volume import Volume
+from metafab.decode.images.compose import Pictures, empty, full_depth_m, lit_about, sharpened
+from metafab.decode.images.deconvolution import Restorer, Sharp
+from metafab.decode.matching.cost_volume import Volume
+from metafab.decode.matching.depth import PixelDepth
+from metafab.decode.matching.filters import BASIS_ERROR, CrossFilters
+from metafab.decode.matching.levels import Levels
+from metafab.decode.registration.calibration import Calibration
+from metafab.decode.registration.reduce import repeated
+from metafab.decode.registration.twins import TwinGrid
+from metafab.decode.segmentation.frame_statistics import Seen
+from metafab.decode.segmentation.regions import Regions, find_regions, textured_pixels
 from metafab.optics.point_spread import Psf
 
 #: Between so few candidates the agreement is smooth enough for its peak to be found: by a spline for segments, and by a

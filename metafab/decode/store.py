@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from metafab.core import hdf5
-from metafab.core.files import plain, untimed
+from metafab.core.storage import hdf5
+from metafab.core.storage.files import plain, untimed
 from metafab.decode.image import Image4D
 
 DECODED_KIND = "metafab decoded image"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from metafab.core.errors import InputError
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 from metafab.drc.lattice import check_lattice
 from metafab.drc.rectangles import check_rectangles
 from metafab.drc.report import DrcReport

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.executor import in_order, open_threads
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.executor import in_order, open_threads
+from metafab.core.parallel.progress import Progress, silent
 from metafab.drc.report import MARKERS, RULES, DrcReport, Marker, refuse_several_tops, upright_side_nm
 from metafab.layout import Aperture, Outline, smallest_gap
 from metafab.layout.pillars import SizeIndexArray
 from metafab.mask import ReadBack
-from metafab.mask.cells import count_sizes
+from metafab.mask.drawing.cells import count_sizes
 from metafab.spec import Design
 
 _BAND_ROWS = 256

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from metafab.core.errors import InputError, MissingToolError
-from metafab.core.executor import SerialExecutor, default_workers, in_order, open_executor
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.executor import SerialExecutor, default_workers, in_order, open_executor
+from metafab.core.parallel.progress import Progress, silent
 from metafab.drc.report import MARKERS, DrcReport, Marker, refuse_empty, refuse_several_tops, upright_side_nm
 from metafab.layout import Outline
 from metafab.mask import read_shapes
-from metafab.mask.known import KnownShapes
 from metafab.mask.read import Shapes
+from metafab.mask.shapes.known import KnownShapes
 from metafab.spec import Design
 
 #: Side of the engine's tiles. Its scan lines cost more the longer they are: 50 um take two thirds of the time of 170.

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from metafab.core.errors import InputError
-from metafab.core.executor import default_workers
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.executor import default_workers
+from metafab.core.parallel.progress import Progress, silent
 from metafab.drc.report import MARKERS, DrcReport, Marker, refuse_empty, refuse_several_tops, upright_side_nm
 from metafab.drc.rows import Near, Rows
 from metafab.layout import Outline
 from metafab.mask import read_shapes
-from metafab.mask.hierarchy import Chunk, IntArray, Other
+from metafab.mask.shapes.hierarchy import Chunk, IntArray, Other
 from metafab.spec import Design
 
 # Pairs too near; of these overlapping or touching; of these equal.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from metafab.core.errors import InputError
-from metafab.core.files import whole_file, write_json
+from metafab.core.storage.files import whole_file, write_json
 from metafab.spec import Design
 
 Engine = Literal["lattice", "rectangles", "polygons"]

@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.numerics import compiled
+from metafab.core.numeric.compiled import compiled
 from metafab.drc.report import MARKERS
-from metafab.mask.hierarchy import IntArray
+from metafab.mask.shapes.hierarchy import IntArray
 
 #: Rows of a band.
 _BAND_ROWS = 128

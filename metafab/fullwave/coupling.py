@@ -19,8 +19,8 @@ from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
 from metafab.cell.rcwa.row import RowNumerics, solve_row
 from metafab.cell.supercell import Supercell, SupercellResponse
 from metafab.core.conventions import POLARISATIONS, Polarisation
-from metafab.core.files import read_json, write_json
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.files import read_json, write_json
 from metafab.fullwave.written import Axis, line_at, local_period_sites, supercell_at
 from metafab.layout import PillarMap
 from metafab.library import Library

@@ -18,8 +18,8 @@ from metafab.cell.meep import Pool, SupercellSettings, estimate, solve_supercell
 from metafab.cell.supercell import IntArray, Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
-from metafab.core.hdf5 import create, open_kind, put
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.hdf5 import create, open_kind, put
 from metafab.fullwave.written import library_responses, supercell_at
 from metafab.layout import PillarMap
 from metafab.library import Library

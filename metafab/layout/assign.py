@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray, power_transmittance
-from metafab.core.executor import default_workers, in_order
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.executor import default_workers, in_order
+from metafab.core.parallel.progress import Progress, silent
 from metafab.layout.aperture import Aperture
 from metafab.layout.figures import TileFigures
 from metafab.layout.geometry import tile_sites
@@ -23,7 +23,7 @@ from metafab.layout.neighbours import JointSizes
 from metafab.layout.outlines import Outline
 from metafab.layout.pillars import Lattice, PillarMap, PillarTile
 from metafab.library import Library, SizeTable, build_size_table, global_offsets
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 
 #: Lattices up to this many sites are kept (2 bytes a site); larger ones are mapped again on each reading.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.executor import default_workers
+from metafab.core.parallel.executor import default_workers
 from metafab.layout.pillars import SizeIndexArray
 from metafab.library import SizeTable
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray, wrap_phase
-from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.core.numeric.compiled import HAS_NUMBA, compiled
 from metafab.layout.pillars import SizeIndexArray
 from metafab.library import SizeTable
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.core.numeric.compiled import HAS_NUMBA, compiled
 from metafab.layout.outlines import RECTANGLE, Outline, distance
 from metafab.layout.pillars import Lattice, SizeIndexArray
 

@@ -14,7 +14,7 @@ from metafab.layout.neighbours import JointSizes, reach_sites
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import PillarTile, SizeIndexArray
 from metafab.library import SizeTable
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 
 
 @dataclass(frozen=True)

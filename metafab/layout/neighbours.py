@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numerics import compiled
+from metafab.core.numeric.compiled import compiled
 from metafab.layout.candidates import candidates
 from metafab.layout.gaps import centre_distances, square_of_pair
 from metafab.layout.outlines import RECTANGLE, Outline

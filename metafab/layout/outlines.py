@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.numerics import compiled
+from metafab.core.numeric.compiled import compiled
 from metafab.spec import Design
 
 IntArray = NDArray[np.int64]

@@ -34,15 +34,15 @@ Readers take what is there, so files without the later groups load for ever.
 In: a UnitCell and an executor. Out: a Library, which ``lookup`` turns into the table that a layout maps with.
 """
 
-from metafab.library.build import SOLVER_SHARE, build, build_file
-from metafab.library.check import LibraryCheck, check
-from metafab.library.foresight import Foresight, foresee
-from metafab.library.index_error import index_phase_error_rad
 from metafab.library.library import Library, SizeResponse
-from metafab.library.lookup import SizeTable, build_size_table, global_offsets
-from metafab.library.quality import coverage_rad, quality
 from metafab.library.store import is_current, load, save
 from metafab.library.surface import Surface, evaluate
+from metafab.library.sweep.build import SOLVER_SHARE, build, build_file
+from metafab.library.sweep.foresight import Foresight, foresee
+from metafab.library.use.check import LibraryCheck, check
+from metafab.library.use.index_error import index_phase_error_rad
+from metafab.library.use.lookup import SizeTable, build_size_table, global_offsets
+from metafab.library.use.quality import coverage_rad, quality
 
 __all__ = [
     "SOLVER_SHARE",

@@ -16,7 +16,7 @@ import numpy as np
 from metafab.cell import PillarCell, pillar_cell
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
-from metafab.library.rational import Range, scaled
+from metafab.library.fit.rational import Range, scaled
 from metafab.spec import UnitCell
 
 Corner = Mapping[str, float]

@@ -11,11 +11,11 @@ from scipy.spatial import cKDTree
 from metafab.cell import is_square
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.files import fingerprint
+from metafab.core.storage.files import fingerprint
 from metafab.library.axes import Corner, CornerBox, corner_unit_cell
-from metafab.library.certificate import NEIGHBOURS, spread, steepness
-from metafab.library.corner_model import CornerModel
-from metafab.library.models import ModelPair
+from metafab.library.fit.certificate import NEIGHBOURS, spread, steepness
+from metafab.library.fit.corner_model import CornerModel
+from metafab.library.fit.models import ModelPair
 
 if TYPE_CHECKING:
     from metafab.library.library import Library

@@ -12,10 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from metafab.cell import PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
-from metafab.core.files import fingerprint
-from metafab.core.provenance import contents_sha256, sources_sha256
+from metafab.core.storage.files import fingerprint
+from metafab.core.storage.provenance import contents_sha256, sources_sha256
 from metafab.library.axes import Corner, corner_cell
-from metafab.library.models import SizeModel
+from metafab.library.fit.models import SizeModel
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.embedded import LIBRARY_FORMAT
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 #: Fewest widths and lengths that a surface goes through.
 SMALLEST_SURFACE = 4
 #: What a library's numbers come from, with all that it imports; the FDTD program is started, not imported.
-BUILT_BY = ("metafab.library.build", "metafab.cell.meep_worker")
+BUILT_BY = ("metafab.library.sweep.build", "metafab.cell.meep_worker")
 #: Index tables, which are read, not imported.
 TABLES = ("materials",)
 

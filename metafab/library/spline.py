@@ -15,7 +15,7 @@ from scipy.linalg import solve as solve_dense
 from scipy.ndimage import maximum_filter
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.numerics import HAS_NUMBA, compiled
+from metafab.core.numeric.compiled import HAS_NUMBA, compiled
 
 IntArray = NDArray[np.int64]
 

@@ -12,13 +12,13 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from metafab.core import hdf5
 from metafab.core.errors import InputError
-from metafab.library.corner_model import CornerModel, Shape
+from metafab.core.storage import hdf5
 from metafab.library.corners import Corners
+from metafab.library.fit.corner_model import CornerModel, Shape
+from metafab.library.fit.models import SizeModel
+from metafab.library.fit.rational import RationalModel, terms
 from metafab.library.library import Library, inputs_of
-from metafab.library.models import SizeModel
-from metafab.library.rational import RationalModel, terms
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.embedded import LIBRARY_FORMAT, LIBRARY_KIND
 from metafab.spec.toml import validate

@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
-from metafab.core.executor import default_workers
-from metafab.core.numerics import HAS_NUMBA
+from metafab.core.numeric.compiled import HAS_NUMBA
+from metafab.core.parallel.executor import default_workers
+from metafab.library.fit.models import SizeModel
 from metafab.library.library import SMALLEST_SURFACE, Library, SizeResponse
-from metafab.library.models import SizeModel
 from metafab.library.spline import Tiles, coefficients_of, grid_spline_error, spline_error
 
 #: The spline may add this part of the library's target error, unless the finest tiles are reached first.

@@ -30,8 +30,8 @@
 In: a PillarMap and a Design. Out: files; from a file: a ReadBack, the pillars and everything that is none.
 """
 
-from metafab.mask.cells import top_name
-from metafab.mask.copies import lens_copies
+from metafab.mask.drawing.cells import top_name
+from metafab.mask.drawing.copies import lens_copies
 from metafab.mask.plan import announcement, plan
 from metafab.mask.read import Leftover, ReadBack, Shapes, read, read_shapes
 from metafab.mask.write import WrittenFile, biased, write

@@ -7,15 +7,15 @@ import math
 import time
 from typing import Any
 
-from metafab.core.executor import default_workers
+from metafab.core.parallel.executor import default_workers
 from metafab.layout import Aperture, Outline, PillarMap, PillarTile, lattice_of
 from metafab.layout.assign import KEPT_SITES, mapping_of
 from metafab.library import Library
-from metafab.mask.gdsii_writer import BOUNDARY_WORDS, REFERENCE_WORDS
-from metafab.mask.stamps import Stamps, shapes_per_pillar
+from metafab.mask.drawing.cell_writer import MaskWriter
+from metafab.mask.drawing.stamps import Stamps, shapes_per_pillar
+from metafab.mask.gdsii.writer import BOUNDARY_WORDS, REFERENCE_WORDS
 from metafab.mask.write import WRITERS, biased, drawing_of
-from metafab.mask.writer import MaskWriter
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 
 #: GDSII has no limit of its own, but many readers count bytes in 32 bits.

@@ -14,16 +14,16 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.executor import default_workers, in_order
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.executor import default_workers, in_order
+from metafab.core.parallel.progress import Progress, silent
 from metafab.layout import Lattice, Outline, PillarMap, lattice_of, tile_sites
-from metafab.mask.copies import OtherCopies, lens_copies, lens_copy
-from metafab.mask.gdsii_reader import GdsiiReader
-from metafab.mask.hierarchy import Chunk, Hierarchy, IntArray, Other, Part
-from metafab.mask.known import RECTANGLES, KnownShapes
-from metafab.mask.oasis_reader import MixedBlockError, OasisReader
-from metafab.mask.oasis_writer import MAGIC
-from metafab.mask.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, Recovery
+from metafab.mask.drawing.copies import OtherCopies, lens_copies, lens_copy
+from metafab.mask.gdsii.reader import GdsiiReader
+from metafab.mask.oasis.reader import MixedBlockError, OasisReader
+from metafab.mask.oasis.writer import MAGIC
+from metafab.mask.shapes.hierarchy import Chunk, Hierarchy, IntArray, Other, Part
+from metafab.mask.shapes.known import RECTANGLES, KnownShapes
+from metafab.mask.shapes.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, Recovery
 from metafab.spec import Design
 
 Format = Literal["gds", "oas"]

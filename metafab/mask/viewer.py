@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from metafab.mask.surroundings import Surroundings
+from metafab.mask.drawing.surroundings import Surroundings
 from metafab.spec import Design
 
 _PROPERTIES = """ <properties>

@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 
 from metafab import __version__
 from metafab.core.errors import InputError
-from metafab.core.executor import default_workers, in_order
-from metafab.core.files import fingerprint, whole_file, write_json
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.executor import default_workers, in_order
+from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.files import fingerprint, whole_file, write_json
 from metafab.layout import Lattice, Outline, PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.geometry import whole_dbu
-from metafab.mask.cells import count_sizes, top_name
-from metafab.mask.copies import lens_copies
+from metafab.mask.drawing.cell_writer import Drawing, EncodedTile, MaskWriter, TileEncoder
+from metafab.mask.drawing.cells import count_sizes, top_name
+from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.drawing.stamps import Stamps
+from metafab.mask.drawing.surroundings import Surroundings, surroundings
 from metafab.mask.exposure import write_time
-from metafab.mask.gdsii_writer import GdsiiWriter
-from metafab.mask.oasis_writer import OasisWriter
-from metafab.mask.stamps import Stamps
-from metafab.mask.surroundings import Surroundings, surroundings
+from metafab.mask.gdsii.writer import GdsiiWriter
+from metafab.mask.oasis.writer import OasisWriter
 from metafab.mask.viewer import layer_properties
-from metafab.mask.writer import Drawing, EncodedTile, MaskWriter, TileEncoder
 from metafab.spec import Design
 
 WRITERS: dict[str, type[MaskWriter]] = {"gds": GdsiiWriter, "oas": OasisWriter}

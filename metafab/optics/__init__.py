@@ -35,38 +35,33 @@
 - ``spectrum``     the angular spectrum of a small lens: a second reference, and where all the power goes
 
 In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.library.library.Library`, or a
-:class:`~metafab.phase.profile.PhaseProfile`; an :class:`Imaging`. Out: a :class:`Psf`.
+:class:`~metafab.phase.terms.profile.PhaseProfile`; an :class:`Imaging`. Out: a :class:`Psf`.
 """
 
-from metafab.optics import metrics
-from metafab.optics.apodisation import Apodisation, apodised
-from metafab.optics.basis import PsfBasis
-from metafab.optics.chain import Loss, Wavefront, loss_chain, wavefront
-from metafab.optics.corners import CornerField, corner_fields
-from metafab.optics.depth import at_depths, concatenate, without_depths
-from metafab.optics.fabrication import ThinnedField, misplaced, stitched
-from metafab.optics.field import at_tangent
-from metafab.optics.fisher import PointSource, depth_crlb_m, point_information, twin_depth_information
-from metafab.optics.image import relative_l2
-from metafab.optics.imaging import Imaging, depth_nodes, field_tangents
-from metafab.optics.lobe import main_lobe_px, orientation_deg
-from metafab.optics.mtf import lens_modulation, modulation_transfer
-from metafab.optics.plate import Plate
+from metafab.information.psf_fisher import PointSource, depth_crlb_m, point_information, twin_depth_information
+from metafab.optics.geometry.imaging import Imaging, depth_nodes, field_tangents
+from metafab.optics.geometry.plate import Plate
+from metafab.optics.interpolation.basis import PsfBasis
+from metafab.optics.interpolation.depth import at_depths, concatenate, without_depths
+from metafab.optics.interpolation.field import at_tangent
+from metafab.optics.measures import metrics
+from metafab.optics.measures.chain import Loss, Wavefront, loss_chain, wavefront
+from metafab.optics.measures.lobe import main_lobe_px, orientation_deg
+from metafab.optics.measures.mtf import lens_modulation, modulation_transfer
+from metafab.optics.measures.space_variance import SpaceVariance, aberration_dioptre, seen_bias_dioptre, space_variance
 from metafab.optics.point_spread import Psf, PsfField
-from metafab.optics.reference import direct_irradiance
-from metafab.optics.source import ApodisedField, IdealField, Source, WrittenField, ideal_field, written_field
-from metafab.optics.space_variance import SpaceVariance, aberration_dioptre, seen_bias_dioptre, space_variance
-from metafab.optics.spectrum import AngularSpectrum
+from metafab.optics.propagation.image import relative_l2
+from metafab.optics.reference.angular_spectrum import AngularSpectrum
+from metafab.optics.reference.direct_sum import direct_irradiance
+from metafab.optics.sources.apodisation import Apodisation, apodised
+from metafab.optics.sources.source import ApodisedField, IdealField, Source, WrittenField, ideal_field, written_field
 from metafab.optics.stack import psf
 from metafab.optics.store import load, save
-from metafab.optics.tolerance import ToleranceRow, ToleranceTable, tolerance_table
-from metafab.optics.tolerance_store import load_tolerance, save_tolerance, tolerance_figures
 
 __all__ = [
     "AngularSpectrum",
     "Apodisation",
     "ApodisedField",
-    "CornerField",
     "IdealField",
     "Imaging",
     "Loss",
@@ -77,9 +72,6 @@ __all__ = [
     "PsfField",
     "Source",
     "SpaceVariance",
-    "ThinnedField",
-    "ToleranceRow",
-    "ToleranceTable",
     "Wavefront",
     "WrittenField",
     "aberration_dioptre",
@@ -87,7 +79,6 @@ __all__ = [
     "at_depths",
     "at_tangent",
     "concatenate",
-    "corner_fields",
     "depth_crlb_m",
     "depth_nodes",
     "direct_irradiance",
@@ -95,23 +86,17 @@ __all__ = [
     "ideal_field",
     "lens_modulation",
     "load",
-    "load_tolerance",
     "loss_chain",
     "main_lobe_px",
     "metrics",
-    "misplaced",
     "modulation_transfer",
     "orientation_deg",
     "point_information",
     "psf",
     "relative_l2",
     "save",
-    "save_tolerance",
     "seen_bias_dioptre",
     "space_variance",
-    "stitched",
-    "tolerance_figures",
-    "tolerance_table",
     "twin_depth_information",
     "wavefront",
     "without_depths",

@@ -12,17 +12,17 @@ from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.executor import default_workers, open_executor
-from metafab.core.progress import Progress, silent
-from metafab.optics.asked import require_answerable
-from metafab.optics.blocks import reduce_to_target
-from metafab.optics.image import Tangent, Window
-from metafab.optics.imaging import Imaging
-from metafab.optics.lobe import orientation_deg
-from metafab.optics.path import Ray, power_at_aperture
+from metafab.core.parallel.executor import default_workers, open_executor
+from metafab.core.parallel.progress import Progress, silent
+from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.geometry.path import Ray, power_at_aperture
+from metafab.optics.measures.lobe import orientation_deg
 from metafab.optics.point_spread import Psf, PsfField
-from metafab.optics.pupil import Pupil
-from metafab.optics.source import Source
+from metafab.optics.propagation.blocks import reduce_to_target
+from metafab.optics.propagation.image import Tangent, Window
+from metafab.optics.propagation.pupil import Pupil
+from metafab.optics.sources.source import Source
+from metafab.optics.validation import require_answerable
 
 
 def psf(

@@ -8,9 +8,9 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from metafab.core import hdf5
 from metafab.core.errors import Fault, InputError
-from metafab.core.files import plain, untimed
+from metafab.core.storage import hdf5
+from metafab.core.storage.files import plain, untimed
 from metafab.optics.point_spread import Psf, PsfField
 
 PSF_KIND = "metafab psf"

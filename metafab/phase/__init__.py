@@ -27,7 +27,21 @@
 In: a Design (or plain numbers). Out: a PhaseProfile for the layout room; radians, not wrapped.
 """
 
-from metafab.phase.bandwidth import (
+from metafab.information.twin_images import PointSource, Texture, twin_information
+from metafab.phase.build import profile_of, pupil_field, require_paintable
+from metafab.phase.optimise.blind import BlindDesign, BlindInformation, optimise_blind
+from metafab.phase.optimise.peak import PeakDesign, optimise_peak, spiral_field
+from metafab.phase.optimise.rotation import (
+    MainLobe,
+    full_turn_dioptre,
+    main_lobe,
+    ring_rotation,
+    rotation_deg_per_dioptre,
+)
+from metafab.phase.optimise.side_lobes import SideLobeDesign, limit_side_lobes, measured_side_lobes
+from metafab.phase.pupil import FocalPlane, Pupil, rim_defocus_per_dioptre_rad, rim_defocus_rad
+from metafab.phase.store import load, save
+from metafab.phase.studies.bandwidth import (
     BandwidthBudget,
     BandwidthTradeoff,
     Remedy,
@@ -36,12 +50,13 @@ from metafab.phase.bandwidth import (
     bandwidth_tradeoff,
     smear_um_per_nm,
 )
-from metafab.phase.blind import BlindDesign, BlindInformation, optimise_blind
-from metafab.phase.build import profile_of, pupil_field, require_paintable
-from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
-from metafab.phase.compare import DepthBounds, compare_masks, reference_masks
-from metafab.phase.estimate import most_likely_defocus, twin_images
-from metafab.phase.helices import (
+from metafab.phase.studies.compare import DepthBounds, compare_masks, reference_masks
+from metafab.phase.studies.estimate import most_likely_defocus, twin_images
+from metafab.phase.studies.propose import Proposal, propose
+from metafab.phase.studies.study import LobeOverDepth, PhaseStudy, bandwidth_figures, study
+from metafab.phase.studies.study_store import load_study, save_study
+from metafab.phase.terms.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
+from metafab.phase.terms.helices import (
     DoubleHelixPhase,
     SpiralZonesPhase,
     VortexPhase,
@@ -49,19 +64,10 @@ from metafab.phase.helices import (
     zone_charges,
     zone_radii,
 )
-from metafab.phase.hologram import Hologram, design_hologram
-from metafab.phase.information import PointSource, Texture, twin_information
-from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
-from metafab.phase.profile import PhaseProfile, Term
-from metafab.phase.propose import Proposal, propose
-from metafab.phase.pupil import FocalPlane, Pupil, rim_defocus_per_dioptre_rad, rim_defocus_rad
-from metafab.phase.rotation import MainLobe, full_turn_dioptre, main_lobe, ring_rotation, rotation_deg_per_dioptre
-from metafab.phase.sampled import SampledPhase, load_array
-from metafab.phase.side_lobes import SideLobeDesign, limit_side_lobes, measured_side_lobes
-from metafab.phase.store import load, save
-from metafab.phase.study import LobeOverDepth, PhaseStudy, bandwidth_figures, study
-from metafab.phase.study_store import load_study, save_study
-from metafab.phase.zernike import ZernikePhase
+from metafab.phase.terms.hologram import Hologram, design_hologram
+from metafab.phase.terms.profile import PhaseProfile, Term
+from metafab.phase.terms.sampled import SampledPhase, load_array
+from metafab.phase.terms.zernike import ZernikePhase
 
 __all__ = [
     "AxiconPhase",

@@ -9,20 +9,20 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray, image_distance_mm
 from metafab.core.errors import Fault, InputError
-from metafab.core.pictures import read_grey
-from metafab.core.progress import Progress, silent
-from metafab.phase.blind import BlindInformation, optimise_blind
-from metafab.phase.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
-from metafab.phase.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase
-from metafab.phase.hologram import design_hologram, widest_picture_um
-from metafab.phase.information import Texture
-from metafab.phase.peak import PeakDesign, optimise_peak, spiral_field
-from metafab.phase.profile import PhaseProfile, Term
+from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.pictures import read_grey
+from metafab.information.twin_images import Texture
+from metafab.phase.optimise.blind import BlindInformation, optimise_blind
+from metafab.phase.optimise.peak import PeakDesign, optimise_peak, spiral_field
+from metafab.phase.optimise.rotation import main_lobe, ring_rotation, rotation_deg_per_dioptre
+from metafab.phase.optimise.side_lobes import limit_side_lobes
 from metafab.phase.pupil import Pupil, phasor, rim_defocus_rad
-from metafab.phase.rotation import main_lobe, ring_rotation, rotation_deg_per_dioptre
-from metafab.phase.sampled import SampledPhase, load_array
-from metafab.phase.side_lobes import limit_side_lobes
-from metafab.phase.zernike import ZernikePhase
+from metafab.phase.terms.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
+from metafab.phase.terms.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase
+from metafab.phase.terms.hologram import design_hologram, widest_picture_um
+from metafab.phase.terms.profile import PhaseProfile, Term
+from metafab.phase.terms.sampled import SampledPhase, load_array
+from metafab.phase.terms.zernike import ZernikePhase
 from metafab.spec import design as spec
 from metafab.spec.design import Design
 

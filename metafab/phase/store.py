@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from metafab.core import hdf5
 from metafab.core.conventions import POLARISATIONS, FloatArray, wrap_phase
-from metafab.core.files import fingerprint
-from metafab.phase.carriers import CARRIERS
-from metafab.phase.profile import PhaseProfile
+from metafab.core.storage import hdf5
+from metafab.core.storage.files import fingerprint
+from metafab.phase.terms.carriers import CARRIERS
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 from metafab.spec.outline import encloses
 

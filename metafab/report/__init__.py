@@ -22,12 +22,12 @@
 In: the files of a run folder, a Library, benchmark rows. Out: PNG, HTML, JSON.
 """
 
-from metafab.report.benchmark import benchmark_page
-from metafab.report.comparison_page import comparison_figure
 from metafab.report.film import require_film_name, write_film
-from metafab.report.library_page import library_figure
-from metafab.report.proposal_page import proposal_figure
-from metafab.report.stokes_page import stokes_figure
+from metafab.report.pages.benchmark import benchmark_page
+from metafab.report.pages.comparison import comparison_figure
+from metafab.report.pages.library import library_figure
+from metafab.report.pages.proposal import proposal_figure
+from metafab.report.pages.stokes import stokes_figure
 from metafab.report.write import write
 
 __all__ = [

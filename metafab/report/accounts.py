@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from metafab.camera.frame import RawFrame
+from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import POLARISATIONS, FloatArray
 from metafab.decode.image import Image4D
 from metafab.optics.point_spread import Psf

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from metafab.core.conventions import POLARISATIONS
-from metafab.core.forked import shared
-from metafab.core.pictures import read_grey
-from metafab.core.progress import Progress
+from metafab.core.parallel.forked import shared
+from metafab.core.parallel.progress import Progress
+from metafab.core.storage.pictures import read_grey
 from metafab.layout import Outline
 from metafab.report import figures
 from metafab.report.accounts import budget_of, chain_of, depths_against_truth, modulation_of, seconds_of

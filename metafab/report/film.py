@@ -20,10 +20,10 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from metafab.camera.frame import RawFrame
+from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError, MetafabError, MissingToolError
-from metafab.core.files import whole_file
+from metafab.core.storage.files import whole_file
 from metafab.decode.image import Image4D
 from metafab.report.figures.image import contrast_reach
 from metafab.report.style import (

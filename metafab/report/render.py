@@ -25,7 +25,7 @@ from matplotlib.transforms import Affine2D, TransformedPath
 from numpy.typing import NDArray
 from PIL import Image
 
-from metafab.core.files import whole_file
+from metafab.core.storage.files import whole_file
 from metafab.report.style import CSS_VARIABLES
 
 _DPI = 160

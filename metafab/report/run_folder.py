@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from metafab.camera.frame import RawFrame
+from metafab.camera.frames.frame import RawFrame
 from metafab.comparison import Comparison
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import MetafabError

@@ -11,8 +11,8 @@ from typing import Any
 
 from metafab import __version__
 from metafab.core.errors import InputError
-from metafab.core.files import plain, whole_file
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.files import plain, whole_file
 from metafab.report import sections
 from metafab.report.draw import draw
 from metafab.report.run_folder import RunFolder, open_run

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from pathlib import Path
 
-from metafab.core import hdf5
+from metafab.core.storage import hdf5
 from metafab.spec.cell import UnitCell
 from metafab.spec.toml import validate
 

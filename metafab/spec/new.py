@@ -12,7 +12,7 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.files import whole_file
+from metafab.core.storage.files import whole_file
 from metafab.spec.cell import UnitCell
 from metafab.spec.load import load_unit_cell_of
 

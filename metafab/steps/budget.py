@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from metafab.core.files import file_sha256
-from metafab.run import Job
+from metafab.core.storage.files import file_sha256
+from metafab.steps.job import Job
 from metafab.steps.layout import mask_paths
 
 #: Sources that only a photograph meets.

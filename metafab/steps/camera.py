@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from metafab.core.files import HDF5_SUFFIXES, file_sha256, fingerprint
-from metafab.core.progress import Progress, silent
-from metafab.run import Job, Step
+from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.files import HDF5_SUFFIXES, file_sha256, fingerprint
 from metafab.spec import Scene
+from metafab.steps.job import Job, Step
 from metafab.steps.outputs import in_folder, nothing_to_decode
 
 if TYPE_CHECKING:

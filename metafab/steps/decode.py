@@ -11,10 +11,10 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
-from metafab.core.files import file_sha256, fingerprint
-from metafab.core.progress import Progress, silent
-from metafab.run import Job, Step
+from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.files import file_sha256, fingerprint
 from metafab.spec.fields import LARGEST
+from metafab.steps.job import Job, Step
 from metafab.steps.outputs import in_folder, nothing_to_decode
 
 if TYPE_CHECKING:
@@ -110,6 +110,6 @@ def _decode(job: Job) -> dict[str, Any]:
 
 
 DECODE = Step(
-    "decode", ("optics", "camera", "decode"), ("psf", "capture"),
+    "decode", ("information", "optics", "camera", "decode"), ("psf", "capture"),
     lambda d: None, in_folder("decoded.h5"), _decode, nothing_to_decode,
 )  # fmt: skip

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from metafab.run import Job, Step
+from metafab.steps.job import Job, Step
 from metafab.steps.layout import mask_paths
 from metafab.steps.outputs import in_folder, no_mask
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from metafab.core.errors import InputError
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 from metafab.spec import Scene
 
 if TYPE_CHECKING:

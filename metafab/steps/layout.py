@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from metafab.core.errors import InputError
-from metafab.core.executor import open_threads
-from metafab.run import Job, Step
+from metafab.core.parallel.executor import open_threads
+from metafab.steps.job import Job, Step
 from metafab.steps.library import open_library
 from metafab.steps.outputs import in_folder, no_mask
 

@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from metafab.core.latest import Latest, file_mark
-from metafab.run import Job, Step
+from metafab.core.storage.latest import Latest, file_mark
+from metafab.steps.job import Job, Step
 from metafab.steps.outputs import no_mask
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def library_stands(job: Job) -> bool:
 def open_library(job: Job) -> Library:
     """The design's library, built first when it is missing or was built from another unit cell."""
     from metafab import library
-    from metafab.core.executor import open_executor
+    from metafab.core.parallel.executor import open_executor
 
     path = library_path(job)
     if not library_stands(job):

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from metafab.run import Job, Step
 from metafab.steps.budget import recorded_coupling
+from metafab.steps.job import Job, Step
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
 from metafab.steps.optics import mask_source
@@ -22,7 +22,7 @@ _FREQUENCIES = 33
 
 def _merit(job: Job) -> dict[str, Any]:
     from metafab import optics
-    from metafab.core.files import write_json
+    from metafab.core.storage.files import write_json
 
     whole, ideal = (optics.load(job.folder / name) for name in ("psf.h5", "ideal_psf.h5"))
     written = optics.without_depths(whole, ~np.isin(whole.depth_m, ideal.depth_m))

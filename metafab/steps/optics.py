@@ -13,11 +13,11 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.files import file_sha256, fingerprint
-from metafab.core.latest import Latest, file_mark
-from metafab.core.provenance import contents_sha256
-from metafab.run import Job, Step
+from metafab.core.storage.files import file_sha256, fingerprint
+from metafab.core.storage.latest import Latest, file_mark
+from metafab.core.storage.provenance import contents_sha256
 from metafab.spec import Design, Scene
+from metafab.steps.job import Job, Step
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import library_path, open_library
 from metafab.steps.outputs import in_folder

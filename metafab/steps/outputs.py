@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from metafab.run import Job
 from metafab.spec import Design
+from metafab.steps.job import Job
 
 
 def in_folder(*names: str) -> Callable[[Job], tuple[Path, ...]]:

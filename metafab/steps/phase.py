@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from metafab.core.files import fingerprint
-from metafab.run import Job, Step
+from metafab.core.storage.files import fingerprint
 from metafab.spec import Design
+from metafab.steps.job import Job, Step
 from metafab.steps.outputs import in_folder
 
 
@@ -33,12 +33,12 @@ def _study(job: Job) -> dict[str, Any]:
 
 
 PHASE = Step(
-    "phase", ("spec", "phase"), (),
+    "phase", ("spec", "information", "phase"), (),
     lambda d: (d.phase, d.device, d.sensor, d.unit_cell.illumination, d.verify, d.numerics),
     in_folder("phase.h5"), _phase,
 )  # fmt: skip
 
 STUDY = Step(
-    "study", ("spec", "phase"), ("phase",),
+    "study", ("spec", "information", "phase"), ("phase",),
     lambda d: (*_study_inputs(d), d.numerics), in_folder("phase_study.h5"), _study,
 )  # fmt: skip

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from metafab.core.errors import Fault, InputError
-from metafab.run import Job, Step
 from metafab.spec import Design, Scene
+from metafab.steps.job import Job, Step
 
 
 def preflight(design: Design) -> None:

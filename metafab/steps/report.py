@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from metafab.run import Job, Step
+from metafab.steps.job import Job, Step
 
 
 def _report(job: Job) -> dict[str, Any]:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from metafab.core.errors import InputError
-from metafab.core.files import write_json
-from metafab.run import Job
+from metafab.core.storage.files import write_json
+from metafab.steps.job import Job
 from metafab.steps.library import open_library
 from metafab.steps.optics import calibration_depths
 

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 from metafab.layout import Lattice, lattice_of
 from metafab.library import Library
 from metafab.materials import refractive_index
-from metafab.optics.source import FieldTile
+from metafab.optics.sources.source import FieldTile
 from metafab.spec import Design
 from metafab.spec.outline import encloses
 from metafab.stokes.target import StokesProfile

@@ -8,10 +8,10 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
-from metafab.camera.render import Renderer
+from metafab.camera.rendering.render import Renderer
 from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
-from metafab.optics.field import spline_weights
+from metafab.optics.interpolation.field import spline_weights
 from metafab.spec import Scene
 from metafab.stokes.spread import StokesPsf
 

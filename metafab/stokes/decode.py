@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, uniform_filter
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.decode import segment as segments
-from metafab.decode.depth import PixelDepth, parabola, standard_error
-from metafab.decode.levels import LOWEST_FREQUENCY, Levels
-from metafab.decode.peaks import peaks
-from metafab.decode.planes import Cells, Plane, fitted_plane
-from metafab.decode.pooling import window_means
-from metafab.decode.regions import LAYER_SHARE
-from metafab.decode.volume import Volume, correlation
+from metafab.decode.matching.cost_volume import Volume, correlation
+from metafab.decode.matching.depth import PixelDepth, parabola, standard_error
+from metafab.decode.matching.levels import LOWEST_FREQUENCY, Levels
+from metafab.decode.matching.peaks import peaks
+from metafab.decode.matching.pooling import window_means
+from metafab.decode.segmentation import segment as segments
+from metafab.decode.segmentation.planes import Cells, Plane, fitted_plane
+from metafab.decode.segmentation.regions import LAYER_SHARE
 from metafab.stokes.camera import StokesFrame, kernels_at
 from metafab.stokes.spread import StokesPsf
 
@@ -83,7 +83,8 @@ def _volume(frame: StokesFrame, psf: StokesPsf) -> Volume:
     """Agreement of the twins at equally spaced vergences, all pairs together.
 
     Each image passes the other's transfer function, over the root of both their powers: in white noise, the residual of
-    the comparison is the likelihood (:mod:`metafab.decode.filters`), each frequency counting as it is above the noise.
+    the comparison is the likelihood (:mod:`metafab.decode.matching.filters`), each frequency counting as it is above
+    the noise.
     """
     vergences = np.linspace(1.0 / psf.depth_m[-1], 1.0 / psf.depth_m[0], _CANDIDATES)
     n_y, n_x = frame.images.shape[1:]

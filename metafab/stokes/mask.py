@@ -11,7 +11,7 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.files import whole_file
+from metafab.core.storage.files import whole_file
 from metafab.layout import lattice_of
 from metafab.library import Library
 from metafab.spec import Design

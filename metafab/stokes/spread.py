@@ -9,15 +9,15 @@ from typing import Protocol
 import numpy as np
 
 from metafab.core.conventions import FloatArray
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 from metafab.layout import Lattice
 from metafab.optics import Imaging
-from metafab.optics.kernel import WindowKernel
-from metafab.optics.path import Ray, power_at_aperture
-from metafab.optics.pupil import Carrier, reduce_field
-from metafab.optics.refocus import refocus
-from metafab.optics.source import FieldTile
-from metafab.optics.window import WindowTransform
+from metafab.optics.geometry.path import Ray, power_at_aperture
+from metafab.optics.propagation.kernel import WindowKernel
+from metafab.optics.propagation.pupil import Carrier, reduce_field
+from metafab.optics.propagation.refocus import refocus
+from metafab.optics.propagation.window import WindowTransform
+from metafab.optics.sources.source import FieldTile
 from metafab.spec import Device
 from metafab.spec.outline import encloses
 from metafab.stokes.bases import response_of

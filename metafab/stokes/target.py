@@ -16,10 +16,10 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.optics import Imaging
-from metafab.optics.path import Ray
+from metafab.optics.geometry.path import Ray
 from metafab.phase import PhaseProfile
 from metafab.phase.build import profile_of
-from metafab.phase.carriers import CARRIERS
+from metafab.phase.terms.carriers import CARRIERS
 from metafab.spec import Design
 from metafab.stokes.bases import JONES
 

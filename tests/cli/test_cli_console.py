@@ -19,7 +19,7 @@ import typer
 from metafab.cli import console, entry
 from metafab.cli.headlines import headlines
 from metafab.core.errors import InputError, MetafabError, MissingToolError, RulesViolatedError, SolverError
-from metafab.core.progress import silent
+from metafab.core.parallel.progress import silent
 from tests.conftest import MainJob
 from tests.main_job import SMALL, metafab
 

@@ -11,9 +11,9 @@ import pytest
 from metafab import camera, decode, steps
 from metafab.core.errors import InputError
 from metafab.optics import Psf
-from metafab.run import Job
 from metafab.spec import Design
 from metafab.spec.design import SpiralZones
+from metafab.steps.job import Job
 from tests.main_job import SMALL, metafab
 
 

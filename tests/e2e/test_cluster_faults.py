@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 from metafab import library
-from metafab.core.executor import open_executor
-from metafab.core.files import file_sha256
+from metafab.core.parallel.executor import open_executor
+from metafab.core.storage.files import file_sha256
 from metafab.layout.pillars import PillarMap
 from metafab.library import Library
-from metafab.optics import WrittenField, corner_fields, written_field
+from metafab.optics import WrittenField, written_field
 from metafab.spec import UnitCell
+from metafab.tolerance import corner_fields
 from tests import optics_lens as lens
 from tests.dask_workers import two_workers
 

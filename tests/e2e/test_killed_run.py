@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from metafab import library
-from metafab.core.files import clear_parts, whole_file
+from metafab.core.storage.files import clear_parts, whole_file
 from metafab.library import Library
 from metafab.spec import write_new
 from tests.main_job import ROOT, metafab

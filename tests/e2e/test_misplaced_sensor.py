@@ -10,8 +10,8 @@ import pytest
 
 from metafab import camera, decode, optics, steps
 from metafab.optics import Psf
-from metafab.run import Job
 from metafab.spec import Scene, load_design, load_scene
+from metafab.steps.job import Job
 from tests.conftest import MainJob
 from tests.main_job import ROOT, SMALL
 

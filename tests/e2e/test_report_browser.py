@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from metafab.core.progress import silent
+from metafab.core.parallel.progress import silent
 from metafab.library.library import Library
 from metafab.report.draw import draw
 from metafab.report.write import compose

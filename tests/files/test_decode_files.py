@@ -11,7 +11,7 @@ import tifffile
 
 from metafab.camera import capture, load_frame
 from metafab.core.errors import InputError
-from metafab.core.files import untimed
+from metafab.core.storage.files import untimed
 from metafab.decode import decode, load, save
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject

@@ -18,10 +18,10 @@ from tests.main_job import ROOT
 LIMIT_BYTES = 20_000
 
 WRITERS = {
-    "h5": "from metafab.core import hdf5\n"
+    "h5": "from metafab.core.storage import hdf5\n"
     "with hdf5.create(path, kind='k', format_version=1, inputs_sha256='') as file:\n"
     "    hdf5.put(file, 'x', np.arange(1e5), units='1', description='x', dims=('x',))",
-    "json": "from metafab.core.files import write_json\nwrite_json(path, list(range(20000)))",
+    "json": "from metafab.core.storage.files import write_json\nwrite_json(path, list(range(20000)))",
     "png": "from metafab.report.render import save_png\nfrom metafab.report.style import panel\n"
     "figure, axes = panel()\n"
     "axes.imshow(np.random.default_rng(1).random((300, 300)))\nsave_png(figure, path)",

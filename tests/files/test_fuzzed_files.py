@@ -22,14 +22,14 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from metafab import camera, decode, fullwave, library, mask, optics
-from metafab.core import hdf5
 from metafab.core.errors import InputError
-from metafab.core.pictures import read_grey
+from metafab.core.storage import hdf5
+from metafab.core.storage.pictures import read_grey
 from metafab.fullwave.patch import Patch, save_patch
 from metafab.layout import PillarMap, lattice_of
 from metafab.library import Library
 from metafab.materials.record import read_table
-from metafab.phase.sampled import load_array
+from metafab.phase.terms.sampled import load_array
 from metafab.spec import Design, load_design, load_scene, load_unit_cell
 from metafab.spec.embedded import unit_cell_of_library
 from tests.closed_form_run import decoded_image, raw_frame, turning_psf

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from metafab import library
-from metafab.core.executor import open_executor
-from metafab.core.files import file_sha256
+from metafab.core.parallel.executor import open_executor
+from metafab.core.storage.files import file_sha256
 from metafab.library import Library
 from metafab.spec import UnitCell, canonical_toml
 from tests import library_ridges as ridges
@@ -156,7 +156,7 @@ def test_a_script_without_a_guard_is_told_so_and_does_not_hang(coarse: UnitCell,
     script.write_text(
         "from pathlib import Path\n"
         "from metafab import library\n"
-        "from metafab.core.executor import open_executor\n"
+        "from metafab.core.parallel.executor import open_executor\n"
         "from metafab.spec import load_unit_cell\n"
         "with open_executor(2) as executor:\n"
         "    library.build_file(load_unit_cell(Path('cell.toml')), Path('library.h5'), executor=executor)\n"

@@ -12,7 +12,7 @@ from metafab import layout, mask
 from metafab.core.conventions import FloatArray, Polarisation
 from metafab.layout import Assignment, PillarMap
 from metafab.library import Library
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 
 

@@ -12,7 +12,7 @@ import pytest
 from metafab import drc, layout, mask
 from metafab.core.errors import InputError
 from metafab.library import Library
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 
 kdb = pytest.importorskip("klayout.db")

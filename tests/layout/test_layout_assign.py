@@ -15,7 +15,7 @@ from metafab.core.errors import InputError
 from metafab.layout import Aperture, Assignment
 from metafab.layout.assign import allowed_sizes
 from metafab.library import Library
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 from tests.layout.conftest import sizes_at_sites
 

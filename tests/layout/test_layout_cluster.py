@@ -14,10 +14,10 @@ import pytest
 
 from metafab import drc, layout, mask
 from metafab.core.errors import InputError
-from metafab.core.executor import ClusterExecutor, in_order, open_executor
+from metafab.core.parallel.executor import ClusterExecutor, in_order, open_executor
 from metafab.layout import Assignment
 from metafab.library import Library
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Copy, Design
 from tests.dask_workers import two_workers
 from tests.layout.conftest import sizes_at_sites

@@ -19,7 +19,7 @@ from metafab.core.errors import InputError
 from metafab.layout import Aperture, Assignment, Lattice, field_sites, lattice_of, smallest_gap, tile_sites
 from metafab.layout.gaps import smallest_gap_vectorised
 from metafab.library import Library
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design, load_design
 from metafab.spec.cell import CellGeometry
 from tests.conftest import ROOT

@@ -14,12 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from metafab import drc, layout, mask
-from metafab.core.numerics import HAS_NUMBA
+from metafab.core.numeric.compiled import HAS_NUMBA
 from metafab.layout import Lattice, neighbours
 from metafab.layout.gaps import smallest_gap_vectorised
 from metafab.layout.neighbours import JointSizes
 from metafab.library import Library, build_size_table
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design, UnitCell
 from tests.layout.conftest import sizes_at_sites
 

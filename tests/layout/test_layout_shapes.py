@@ -15,10 +15,10 @@ from metafab import drc, layout, mask, optics
 from metafab.layout import Aperture
 from metafab.library import Library
 from metafab.optics import Imaging
-from metafab.optics.path import Ray, power_at_aperture
-from metafab.optics.reference import direct_irradiance
+from metafab.optics.geometry.path import Ray, power_at_aperture
+from metafab.optics.reference.direct_sum import direct_irradiance
 from metafab.phase import LensPhase
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 from tests import optics_lens
 from tests.layout.conftest import sizes_at_sites

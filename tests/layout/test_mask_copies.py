@@ -15,8 +15,8 @@ from pydantic import TypeAdapter
 from metafab import drc, mask
 from metafab.core.errors import InputError
 from metafab.layout import Assignment
-from metafab.mask.copies import lens_copies
-from metafab.mask.surroundings import surroundings
+from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.drawing.surroundings import surroundings
 from metafab.spec import Chip, Copy, Design, Dose, Exposure, Mask
 from metafab.spec.toml import canonical_toml
 from tests.layout.conftest import sizes_at_sites

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from metafab import drc, mask
 from metafab.core.errors import InputError
-from metafab.mask import varints
-from metafab.mask.gdsii_writer import excess_64, record, text
-from metafab.mask.oasis_writer import CBLOCK, CELL, END, MAGIC, PLACEMENT, START
+from metafab.mask.gdsii.writer import excess_64, record, text
+from metafab.mask.oasis import varints
+from metafab.mask.oasis.writer import CBLOCK, CELL, END, MAGIC, PLACEMENT, START
 from metafab.spec import Design
 
 FORMATS = ("gds", "oas")

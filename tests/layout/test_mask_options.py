@@ -14,8 +14,8 @@ from metafab import drc, layout, mask
 from metafab.core.errors import InputError
 from metafab.layout import Assignment, PillarMap
 from metafab.library import Library
-from metafab.mask.surroundings import surroundings
-from metafab.phase.profile import PhaseProfile
+from metafab.mask.drawing.surroundings import surroundings
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Chip, Design, Dose, Exposure, Mask
 from metafab.spec.mask import Copy
 from tests.layout.conftest import sizes_at_sites

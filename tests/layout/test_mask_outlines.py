@@ -14,7 +14,7 @@ from metafab import drc, layout, mask
 from metafab.core.errors import InputError
 from metafab.layout import Assignment, Outline
 from metafab.library import Library
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Copy, Design, Dose, UnitCell
 from tests.layout.conftest import sizes_at_sites
 

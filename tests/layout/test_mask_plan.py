@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from metafab import layout, mask
-from metafab.cli.whole import run_command
+from metafab.cli.commands.whole import run_command
 from metafab.layout import Assignment
 from metafab.layout.mapping import Mapping
 from metafab.library import Library
-from metafab.phase.profile import PhaseProfile
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Copy, Design, Dose
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.optics.fisher import PointSource, Texture, point_information, twin_depth_information
+from metafab.information.psf_fisher import PointSource, Texture, point_information, twin_depth_information
 from metafab.phase import (
     BlindInformation,
     DoubleHelixPhase,

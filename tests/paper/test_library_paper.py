@@ -16,7 +16,7 @@ import pytest
 
 from metafab import library
 from metafab.core.conventions import wrap_phase
-from metafab.core.executor import open_executor
+from metafab.core.parallel.executor import open_executor
 from metafab.library import Library, build_size_table
 from metafab.spec import UnitCell
 

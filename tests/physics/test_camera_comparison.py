@@ -64,7 +64,7 @@ def test_the_bound_falls_with_light_and_says_nothing_of_a_psf_that_stays(kernels
 
 def test_the_likeliest_depth_reaches_the_bound(kernels: PairKernels, estimator: PlaneEstimator) -> None:
     """Textures that go on round the window need no taper, and no light comes from beyond: Whittle's own case."""
-    from metafab.camera.quality import texture_power
+    from metafab.information.sharpness import texture_power
 
     rng = np.random.default_rng(5)
     power = texture_power(96, 3000.0, 0.25)
@@ -109,7 +109,7 @@ def test_two_equal_images_of_a_gaussian_texture_have_whittles_information() -> N
     slope = (estimator.transfer[index + 1, 0] - estimator.transfer[index - 1, 0]) / (
         estimator.depth_m[index + 1] - estimator.depth_m[index - 1]
     )
-    from metafab.camera.quality import texture_power
+    from metafab.information.sharpness import texture_power
 
     power = texture_power(32, 1e6, 0.25)
     share = 2.0 * power * 2.0 * (transfer.conj() * slope).real / (2.0 * power * np.abs(transfer) ** 2 + 1e6)

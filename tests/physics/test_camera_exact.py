@@ -11,7 +11,7 @@ from metafab.camera import PairKernels, capture, exact_psf
 from metafab.core.errors import InputError
 from metafab.optics import Imaging, Psf, relative_l2
 from metafab.optics import psf as pair_of
-from metafab.optics.source import IdealField
+from metafab.optics.sources.source import IdealField
 from metafab.spec import Scene, SceneObject
 from tests.optics_lens import eq_2, eq_3_and_4, ideal, imaging
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import scipy.fft
 
-from metafab.camera.quality import restored_error, texture_power
 from metafab.core.conventions import FloatArray
+from metafab.information.sharpness import restored_error, texture_power
 
 SIDE = 64
 

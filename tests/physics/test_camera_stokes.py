@@ -17,9 +17,9 @@ from metafab.core.errors import InputError
 from metafab.layout import lattice_of
 from metafab.library.library import Library
 from metafab.optics import Imaging
-from metafab.run import Job
 from metafab.spec import Design, Scene, SceneObject
 from metafab.steps import full_stokes
+from metafab.steps.job import Job
 from metafab.stokes import mask
 from metafab.stokes.assign import turned
 from metafab.stokes.decode import StokesImage

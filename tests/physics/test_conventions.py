@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from metafab.core.conventions import FloatArray, image_distance_mm, sensor_distance_um, wrap_phase
 from metafab.optics import Imaging, direct_irradiance, psf, relative_l2
-from metafab.optics.lobe import main_lobe_px
-from metafab.optics.path import Ray
+from metafab.optics.geometry.path import Ray
+from metafab.optics.measures.lobe import main_lobe_px
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()

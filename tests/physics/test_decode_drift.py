@@ -11,9 +11,10 @@ from benchmarks.decode import window_errors
 from metafab.camera import capture
 from metafab.camera.geometry import ImageMap
 from metafab.core.conventions import FloatArray
-from metafab.decode import Decoder, DepthBound, filters
-from metafab.decode.calibration import Calibration
-from metafab.decode.drift import field_gradient, made_up, slope_weights
+from metafab.decode import Decoder, DepthBound
+from metafab.decode.matching import filters
+from metafab.decode.matching.drift import field_gradient, made_up, slope_weights
+from metafab.decode.registration.calibration import Calibration
 from metafab.optics.point_spread import Psf
 from metafab.phase import Texture
 from metafab.spec import Scene, SceneObject

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from metafab.camera import RawFrame, capture
-from metafab.decode import Decoder, segment
+from metafab.decode import Decoder
+from metafab.decode.segmentation import segment
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf

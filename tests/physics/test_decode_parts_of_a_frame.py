@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from metafab.camera import RawFrame, capture
-from metafab.core.progress import silent
+from metafab.core.parallel.progress import silent
 from metafab.decode import Decoder
-from metafab.decode.twins import extract, extract_part
+from metafab.decode.registration.twins import extract, extract_part
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf

@@ -9,11 +9,11 @@ import pytest
 
 from metafab.camera import capture
 from metafab.decode import Decoder, Image4D, decode
-from metafab.decode.compose import _maps, _power_without_noise
-from metafab.decode.depth import PixelDepth
-from metafab.decode.planes import Plane
-from metafab.decode.regions import Regions
-from metafab.decode.segment import SegmentDepth
+from metafab.decode.images.compose import _maps, _power_without_noise
+from metafab.decode.matching.depth import PixelDepth
+from metafab.decode.segmentation.planes import Plane
+from metafab.decode.segmentation.regions import Regions
+from metafab.decode.segmentation.segment import SegmentDepth
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from metafab.camera import RawFrame, capture
-from metafab.decode import Decoder, restore
-from metafab.decode.restore import Restorer, Sharp
+from metafab.decode import Decoder
+from metafab.decode.images import deconvolution as restore
+from metafab.decode.images.deconvolution import Restorer, Sharp
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf

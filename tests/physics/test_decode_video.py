@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from metafab.camera import RawFrame, capture, film
 from metafab.decode import Decoder, VideoDecoder
-from metafab.decode import video as video_module
+from metafab.decode.film import video as video_module
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from metafab.core.conventions import FloatArray
-from metafab.optics.fisher import (
+from metafab.information.psf_fisher import (
     PointSource,
     Texture,
     depth_crlb_m,

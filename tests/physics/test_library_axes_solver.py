@@ -35,8 +35,8 @@ def test_a_corner_holds_against_the_solver(
     target_error: float,
 ) -> None:
     """A small part of the sweep, few cells a round; six sizes at one corner, solved to a better error."""
-    monkeypatch.setattr("metafab.library.corner_rounds.FIRST_ROUND", 12)
-    monkeypatch.setattr("metafab.library.corner_rounds.SEQUENCE", 256)
+    monkeypatch.setattr("metafab.library.sweep.corner_rounds.FIRST_ROUND", 12)
+    monkeypatch.setattr("metafab.library.sweep.corner_rounds.SEQUENCE", 256)
     sweep = replace(unit_cell.sweep, width_nm=(100.0, 120.0), length_nm=(100.0, 120.0), size_grid_nm=5.0)
     cell = replace(unit_cell, sweep=replace(sweep, target_error=target_error, axes=Axes(**{axis: span})))
     if n_pillar is not None:

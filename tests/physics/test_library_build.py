@@ -13,7 +13,7 @@ from metafab import library
 from metafab.cell import CellNumerics, CellResponse, PillarCell
 from metafab.core.errors import InputError, SolverError
 from metafab.library import Library
-from metafab.library.sampling import SizeGrid
+from metafab.library.fit.sampling import SizeGrid
 from metafab.spec import UnitCell
 from tests import library_ridges as ridges
 

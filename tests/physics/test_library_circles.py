@@ -13,7 +13,7 @@ import pytest
 from metafab import library
 from metafab.core.errors import InputError
 from metafab.library import Library, build_size_table
-from metafab.library.lookup import phase_slope_per_nm
+from metafab.library.use.lookup import phase_slope_per_nm
 from metafab.report.figures import library as figures
 from metafab.spec import UnitCell, load_unit_cell
 

@@ -35,8 +35,8 @@ def cell(plain: UnitCell) -> UnitCell:
 def small_rounds() -> Iterator[None]:
     """The closed form is smooth here: rounds of a real build would spend their time on fits that it does not need."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("metafab.library.corner_rounds.FIRST_ROUND", 24)
-        patch.setattr("metafab.library.corner_rounds.SEQUENCE", 2048)
+        patch.setattr("metafab.library.sweep.corner_rounds.FIRST_ROUND", 24)
+        patch.setattr("metafab.library.sweep.corner_rounds.SEQUENCE", 2048)
         yield
 
 
@@ -136,7 +136,7 @@ def test_an_axis_out_of_reach_ends_and_says_so(cell: UnitCell, monkeypatch: pyte
         jump = 0.05 if int(1e6 * cell.wavelength_nm) % 2 else -0.05
         return replace(answer, t=answer.t + jump * np.eye(2))
 
-    monkeypatch.setattr("metafab.library.corner_rounds.MOST_SAMPLES", 40)
+    monkeypatch.setattr("metafab.library.sweep.corner_rounds.MOST_SAMPLES", 40)
     built = library.build(cell, solver=jumping)
     most = 40 * 3  # width, length and wavelength
     assert most <= float(built.details["corner_points_solved"]) <= 1.5 * most

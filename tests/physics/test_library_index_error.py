@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metafab.library.index_error import _phase_rms_rad, index_phase_error_rad
 from metafab.library.library import Library
+from metafab.library.use.index_error import _phase_rms_rad, index_phase_error_rad
 
 
 def _with_error(library: Library, n_error: float) -> Library:

@@ -11,7 +11,7 @@ import pytest
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.optics import direct_irradiance, psf, relative_l2
-from metafab.optics.band import at_wavelength
+from metafab.optics.propagation.band import at_wavelength
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging(aperture_um=40.0)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from metafab.optics import Imaging, Psf
-from metafab.run import Job
 from metafab.spec import Design, load_design, write_new
 from metafab.spec.design import Grating
 from metafab.steps import point_spread
+from metafab.steps.job import Job
 
 
 def _device(kind: str, folder: Path, **device: float) -> Design:

@@ -12,16 +12,16 @@ from metafab import library
 from metafab.core.conventions import FloatArray
 from metafab.layout.pillars import PillarMap
 from metafab.optics import Imaging, WrittenField, direct_irradiance, psf, relative_l2
-from metafab.optics.corners import corner_fields
-from metafab.optics.fabrication import MovedField, ThinnedField, misplaced, stitched
-from metafab.optics.image import Window
-from metafab.optics.metrics import peak_irradiance
-from metafab.optics.path import Ray
-from metafab.optics.pupil import Carrier, reduce_field
-from metafab.optics.scatter import Fault, Misplaced, Missing, Stitched
-from metafab.optics.source import Source
+from metafab.optics.geometry.path import Ray
+from metafab.optics.measures.metrics import peak_irradiance
+from metafab.optics.propagation.image import Window
+from metafab.optics.propagation.pupil import Carrier, reduce_field
+from metafab.optics.sources.source import Source
 from metafab.spec import UnitCell
 from metafab.spec.cell import Axes
+from metafab.tolerance.corners import corner_fields
+from metafab.tolerance.fabrication import MovedField, ThinnedField, misplaced, stitched
+from metafab.tolerance.scatter import Fault, Misplaced, Missing, Stitched
 from tests import library_ridges as ridges
 from tests import optics_lens as lens
 
@@ -162,8 +162,8 @@ def test_corners_of_the_library_are_the_same_pillars_at_other_sizes(
     unit_cell: UnitCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Amplitudes of biased pillars against the closed form that the library was built from; nothing is solved."""
-    monkeypatch.setattr("metafab.library.corner_rounds.FIRST_ROUND", 24)
-    monkeypatch.setattr("metafab.library.corner_rounds.SEQUENCE", 2048)
+    monkeypatch.setattr("metafab.library.sweep.corner_rounds.FIRST_ROUND", 24)
+    monkeypatch.setattr("metafab.library.sweep.corner_rounds.SEQUENCE", 2048)
     axes = Axes(wavelength_nm=(790.0, 810.0), cd_bias_nm=(-5.0, 5.0))
     written, built, sizes_nm = _two_pillars(unit_cell, axes)
     corners = corner_fields(written, built, {"cd_bias_nm": 5.0})

@@ -6,8 +6,8 @@ import pytest
 
 from metafab.layout.pillars import Lattice
 from metafab.optics import direct_irradiance, ideal_field, psf, relative_l2
-from metafab.optics.source import IdealField
-from metafab.phase.profile import PhaseProfile
+from metafab.optics.sources.source import IdealField
+from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Device
 from tests import optics_lens as lens
 

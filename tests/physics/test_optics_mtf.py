@@ -10,8 +10,9 @@ import pytest
 from scipy.special import j0, j1
 
 from metafab.core.conventions import FloatArray
-from metafab.optics import Psf, metrics, psf
-from metafab.optics.mtf import lens_modulation, modulation_transfer
+from metafab.optics import Psf, psf
+from metafab.optics.measures import metrics
+from metafab.optics.measures.mtf import lens_modulation, modulation_transfer
 from metafab.spec import Device
 from tests import optics_lens as lens
 from tests.conjugate_pair import helix_psf

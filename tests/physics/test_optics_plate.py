@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from metafab.optics import Imaging, direct_irradiance, psf, relative_l2
-from metafab.optics.path import Ray
-from metafab.optics.plate import Plate, focus_shift_um, lateral_shift_um
+from metafab.optics.geometry.path import Ray
+from metafab.optics.geometry.plate import Plate, focus_shift_um, lateral_shift_um
 from metafab.spec import Design
 from metafab.spec.design import Optics
 from tests import optics_lens as lens

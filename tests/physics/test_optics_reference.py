@@ -11,7 +11,7 @@ from scipy.special import j1
 
 from metafab.core.conventions import FloatArray
 from metafab.optics import Imaging, Psf, direct_irradiance, psf, relative_l2
-from metafab.optics.source import Source
+from metafab.optics.sources.source import Source
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()

@@ -13,8 +13,8 @@ from metafab import phase
 from metafab.camera.geometry import ImageMap
 from metafab.layout.pillars import Lattice
 from metafab.optics import Imaging, Psf, depth_nodes, direct_irradiance, ideal_field, psf
-from metafab.optics.source import IdealField
-from metafab.optics.space_variance import aberration_dioptre, seen_bias_dioptre, space_variance
+from metafab.optics.measures.space_variance import aberration_dioptre, seen_bias_dioptre, space_variance
+from metafab.optics.sources.source import IdealField
 from metafab.spec import load_design
 
 DESIGN = load_design(Path(__file__).parents[2] / "layouts" / "helix_2mm.toml")

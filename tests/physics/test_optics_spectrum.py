@@ -7,7 +7,7 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.optics import AngularSpectrum, direct_irradiance, psf, relative_l2
-from metafab.optics.path import Ray, power_at_aperture
+from metafab.optics.geometry.path import Ray, power_at_aperture
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging(aperture_um=40.0)

@@ -13,10 +13,10 @@ from scipy.special import j1
 
 from metafab.core.errors import InputError
 from metafab.optics import Apodisation, Imaging, apodised, direct_irradiance, psf, relative_l2
-from metafab.optics.source import IdealField
-from metafab.run import Job
+from metafab.optics.sources.source import IdealField
 from metafab.spec import Design, load_design
 from metafab.spec.design import Optics
+from metafab.steps.job import Job
 from metafab.steps.optics import ideal_source, lit_source
 from tests import optics_lens as lens
 from tests.main_job import ROOT

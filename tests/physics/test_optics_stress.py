@@ -12,9 +12,9 @@ import pytest
 from metafab.core.errors import InputError
 from metafab.layout.pillars import Lattice
 from metafab.optics import direct_irradiance, psf, relative_l2
-from metafab.optics.path import Ray, power_at_aperture
-from metafab.optics.pupil import Carrier, reduce_field
-from metafab.optics.source import FieldTile
+from metafab.optics.geometry.path import Ray, power_at_aperture
+from metafab.optics.propagation.pupil import Carrier, reduce_field
+from metafab.optics.sources.source import FieldTile
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging(aperture_um=40.0)

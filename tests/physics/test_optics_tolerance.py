@@ -14,21 +14,22 @@ from metafab import library
 from metafab.cell.rcwa import zero_order
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.executor import SerialExecutor, open_executor
-from metafab.core.progress import silent
+from metafab.core.parallel.executor import SerialExecutor, open_executor
+from metafab.core.parallel.progress import silent
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.axes import corner_cell
 from metafab.library.library import Library
-from metafab.optics import WrittenField, corner_fields, corners, psf, written_field
-from metafab.optics import tolerance as module
-from metafab.optics.blocks import reduce_to_target
-from metafab.optics.image import Window, relative_l2
-from metafab.optics.pupil import Pupil
-from metafab.optics.scatter import Stitched
-from metafab.optics.tolerance import ToleranceTable, tolerance_table
-from metafab.optics.tolerance_store import load_tolerance, save_tolerance
+from metafab.optics import WrittenField, psf, written_field
+from metafab.optics.propagation.blocks import reduce_to_target
+from metafab.optics.propagation.image import Window, relative_l2
+from metafab.optics.propagation.pupil import Pupil
 from metafab.spec import UnitCell
 from metafab.spec.design import Tolerances
+from metafab.tolerance import corner_fields, corners
+from metafab.tolerance import table as module
+from metafab.tolerance.scatter import Stitched
+from metafab.tolerance.store import load_tolerance, save_tolerance
+from metafab.tolerance.table import ToleranceTable, tolerance_table
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()
@@ -160,7 +161,7 @@ def test_one_field_is_not_stitched(written: WrittenField, small_library: Library
 def test_write_fields_that_no_block_divides_are_refused(written: WrittenField, monkeypatch: pytest.MonkeyPatch) -> None:
     """A prime number of sites leaves blocks of one site, as many as pillars: more than this small memory holds."""
     rows, columns = written.lattice.shape
-    monkeypatch.setattr("metafab.optics.blocks._MOST_BLOCKS", rows * columns - 1)
+    monkeypatch.setattr("metafab.optics.propagation.blocks._MOST_BLOCKS", rows * columns - 1)
     stitched = [Stitched(OPTICS, 30.0, sites, written.lattice) for sites in (80, 83)]
     module._require_memory(stitched[:1], written, 16)
     with pytest.raises(InputError, match=r"`mask\.write_field_um`.* blocks of 1 sites"):

@@ -25,7 +25,7 @@ from metafab.phase import (
     rim_defocus_rad,
     spiral_field,
 )
-from metafab.phase.bound import peak_bound
+from metafab.phase.optimise.bound import peak_bound
 from metafab.spec import Design
 
 COARSE = Pupil(64)

@@ -18,7 +18,7 @@ from metafab.phase import (
     rotation_deg_per_dioptre,
     spiral_field,
 )
-from metafab.phase.rotation import _refined_peak, full_turn_defocus_rad
+from metafab.phase.optimise.rotation import _refined_peak, full_turn_defocus_rad
 
 PUPIL = Pupil(128)
 

@@ -19,7 +19,7 @@ from metafab.phase import (
     profile_of,
     pupil_field,
 )
-from metafab.phase.side_lobes import AIRY_RADIUS, SideLobes
+from metafab.phase.optimise.side_lobes import AIRY_RADIUS, SideLobes
 from metafab.spec import Design
 from metafab.spec.design import SpiralZones
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from metafab.core.conventions import sensor_distance_um
-from metafab.optics.fisher import depth_crlb_m, point_information, twin_depth_information
+from metafab.information.psf_fisher import depth_crlb_m, point_information, twin_depth_information
 from metafab.phase import (
     FocalPlane,
     PointSource,
@@ -23,7 +23,7 @@ from metafab.phase import (
     spiral_field,
     study,
 )
-from metafab.phase.study import mask_field
+from metafab.phase.studies.study import mask_field
 from metafab.spec import Design
 from metafab.spec.design import Optics, SpiralZones
 

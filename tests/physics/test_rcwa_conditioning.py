@@ -9,9 +9,10 @@ import pytest
 from scipy.linalg import hilbert
 
 from metafab.cell import CellNumerics, PillarCell, Slice, solve
-from metafab.cell.rcwa import jones, stack, zero_order
-from metafab.cell.rcwa.conditioning import NO_MODES, condition, conditioning
-from metafab.cell.rcwa.eigenmodes import LayerModes, layer_modes
+from metafab.cell.rcwa import jones, zero_order
+from metafab.cell.rcwa.scattering import stack
+from metafab.cell.rcwa.scattering.conditioning import NO_MODES, condition, conditioning
+from metafab.cell.rcwa.scattering.eigenmodes import LayerModes, layer_modes
 from tests.paper_cell import SILICON
 
 

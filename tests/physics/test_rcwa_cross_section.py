@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.special import j1
 
 from metafab.cell import CellNumerics, PillarCell, rcwa, solve
-from metafab.cell.rcwa.cross_section import rectangles
 from metafab.cell.rcwa.jones import distance, zero_order
+from metafab.cell.rcwa.layers.cross_section import rectangles
 from metafab.core.errors import InputError
 from tests.plain_modes import transmitted
 

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metafab.cell.rcwa import doubling, jones, zero_order
+from metafab.cell.rcwa import jones, zero_order
 from metafab.cell.rcwa.jones import ZeroOrder
+from metafab.cell.rcwa.scattering import doubling
 from metafab.cell.response import PillarCell
 from tests.paper_cell import SILICON
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from metafab.cell import CellNumerics, PillarCell, Slice, solve
 from metafab.cell.rcwa import Formulation, zero_order
-from metafab.cell.rcwa.basis import AxisBasis, axis_basis
+from metafab.cell.rcwa.basis.axis import AxisBasis, axis_basis
+from metafab.cell.rcwa.basis.shared_map import outline_bases
 from metafab.cell.rcwa.jones import distance
-from metafab.cell.rcwa.outlines import outline_bases
 from metafab.cell.rcwa.slicing import slicing, smooth
 from metafab.core.conventions import Side
 from metafab.core.errors import InputError

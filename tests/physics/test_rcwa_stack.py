@@ -10,7 +10,8 @@ import pytest
 
 from metafab.cell import CellNumerics, Slice, solve
 from metafab.cell.fresnel import film_jones
-from metafab.cell.rcwa import derivatives, doubling, stack, zero_order
+from metafab.cell.rcwa import derivatives, zero_order
+from metafab.cell.rcwa.scattering import doubling, stack
 from metafab.core.conventions import Side
 from metafab.core.errors import InputError
 from tests.paper_cell import SILICON

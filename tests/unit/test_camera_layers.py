@@ -7,10 +7,10 @@ import numpy as np
 from metafab.camera.capture import _Lens
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
-from metafab.camera.motion import moved
-from metafab.camera.render import Renderer
-from metafab.camera.windows import sensor_windows
-from metafab.core.progress import silent
+from metafab.camera.rendering.motion import moved
+from metafab.camera.rendering.render import Renderer
+from metafab.camera.rendering.windows import sensor_windows
+from metafab.core.parallel.progress import silent
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
-from metafab.camera.render import Renderer
-from metafab.camera.texture import make_texture
+from metafab.camera.rendering.render import Renderer
+from metafab.camera.rendering.texture import make_texture
 from metafab.core.conventions import FloatArray
-from metafab.optics.field import spline_weights
+from metafab.optics.interpolation.field import spline_weights
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf

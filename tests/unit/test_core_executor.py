@@ -9,7 +9,7 @@ from concurrent.futures import Executor
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.core.executor import kept_threads, open_executor, stream
+from metafab.core.parallel.executor import kept_threads, open_executor, stream
 
 
 def _square(value: int) -> int:

@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
-from metafab.core import hdf5
 from metafab.core.errors import InputError
-from metafab.core.files import file_sha256, fingerprint, whole_file, write_json
+from metafab.core.storage import hdf5
+from metafab.core.storage.files import file_sha256, fingerprint, whole_file, write_json
 
 
 def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:

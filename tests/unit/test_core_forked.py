@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from metafab.core.forked import shared
-from metafab.core.interrupts import raised_interrupts
+from metafab.core.parallel.forked import shared
+from metafab.core.parallel.interrupts import raised_interrupts
 
 
 def test_results_come_in_order_from_other_processes() -> None:

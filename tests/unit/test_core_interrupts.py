@@ -17,8 +17,8 @@ from multiprocessing import resource_tracker
 
 import pytest
 
-from metafab.core.executor import open_executor
-from metafab.core.interrupts import InterruptedRunError, held_interrupts, raised_interrupts
+from metafab.core.parallel.executor import open_executor
+from metafab.core.parallel.interrupts import InterruptedRunError, held_interrupts, raised_interrupts
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 

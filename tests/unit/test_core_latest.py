@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from metafab.core.latest import Latest, file_mark
+from metafab.core.storage.latest import Latest, file_mark
 
 
 def test_the_same_key_gives_the_same_object_and_another_takes_its_place() -> None:

@@ -6,12 +6,12 @@ import subprocess
 import sys
 import time
 
-from metafab.core.measure import measured
+from metafab.core.parallel.measure import measured
 
 #: Each in an interpreter of its own: a process remembers the largest worker that it ever had.
 WORKER = """
 import subprocess, sys
-from metafab.core.measure import measured
+from metafab.core.parallel.measure import measured
 
 def work(megabytes):
     with measured() as cost:
@@ -27,7 +27,7 @@ print(before.peak_rss_mb, largest, after.peak_rss_mb)
 """
 FREED = """
 import numpy as np
-from metafab.core.measure import measured
+from metafab.core.parallel.measure import measured
 
 with measured() as cost:
     np.ones(50_000_000)

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from metafab.decode.carried import joined, planes_around, refreshed
-from metafab.decode.planes import Plane
-from metafab.decode.regions import Regions
-from metafab.decode.segment import SegmentDepth
-from metafab.decode.volume import Volume
+from metafab.decode.film.tracking import joined, planes_around, refreshed
+from metafab.decode.matching.cost_volume import Volume
+from metafab.decode.segmentation.planes import Plane
+from metafab.decode.segmentation.regions import Regions
+from metafab.decode.segmentation.segment import SegmentDepth
 
 SHAPE, STEP_PER_M = (40, 60), 0.1
 PART, ABOUT = (slice(10, 30), slice(20, 40)), (slice(5, 35), slice(15, 45))

@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from metafab.camera import RawFrame
-from metafab.decode import changes
-from metafab.decode.changes import Glance, Squares, parts_of
-from metafab.decode.levels import Levels
+from metafab.decode.film import changes
+from metafab.decode.film.changes import Glance, Squares, parts_of
+from metafab.decode.matching.levels import Levels
 
 LEVELS = Levels(signal=1000.0, noise_variance=1004.0, texture_rms=200.0, read_noise_e=2.0)
 

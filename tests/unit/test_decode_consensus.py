@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from metafab.decode.consensus import spanning_planes
-from metafab.decode.planes import Cells, Plane
+from metafab.decode.segmentation.consensus import spanning_planes
+from metafab.decode.segmentation.planes import Cells, Plane
 
 SIDE, ROWS, COLUMNS = 12, 13, 27
 SEPARATION_PER_M, ERROR_PER_M = 0.1, 0.01

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from metafab.decode.distance import _nearest_plain as plain
-from metafab.decode.distance import distance, nearest
+from metafab.decode.segmentation.distance import _nearest_plain as plain
+from metafab.decode.segmentation.distance import distance, nearest
 
 
 @settings(max_examples=60, deadline=None)

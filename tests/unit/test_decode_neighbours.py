@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metafab.decode.neighbours import joined
-from metafab.decode.planes import Plane
-from metafab.decode.segment import SegmentDepth
+from metafab.decode.segmentation.neighbours import joined
+from metafab.decode.segmentation.planes import Plane
+from metafab.decode.segmentation.segment import SegmentDepth
 
 #: A wall, a strip along its side, and an object that hides some of both.
 LABEL = np.ones((60, 80), dtype=np.int32)

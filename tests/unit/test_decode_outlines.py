@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from metafab.decode import outlines
-from metafab.decode.outlines import settled
+from metafab.decode.segmentation import outlines
+from metafab.decode.segmentation.outlines import settled
 
 SHAPE = (60, 80)
 EVERYWHERE = np.ones(SHAPE, dtype=bool)

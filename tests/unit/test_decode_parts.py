@@ -14,30 +14,21 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from scipy.interpolate import BSpline
 from scipy.ndimage import binary_dilation, binary_opening, uniform_filter
 
-from metafab.decode import (
-    calibration,
-    contrast,
-    filters,
-    mixing,
-    peaks,
-    pooling,
-    reduce,
-    resample,
-    restore,
-    tiles,
-    twins,
-)
-from metafab.decode import volume as volume_module
-from metafab.decode.compose import lit_about
-from metafab.decode.depth import parabola, spline_peaks, standard_error
-from metafab.decode.judge import structural_similarity
-from metafab.decode.reduce import Reduction, enlarged, repeated
-from metafab.decode.resample import Resampler
-from metafab.decode.seen import Seen
-from metafab.decode.segment import grown, interior, opened, split, textured
-from metafab.decode.tiles import Tiling
-from metafab.decode.volume import Volume, correlation
-from metafab.optics.field import spline_weights
+from metafab.decode.evaluation.metrics import structural_similarity
+from metafab.decode.images import contrast
+from metafab.decode.images import deconvolution as restore
+from metafab.decode.images.compose import lit_about
+from metafab.decode.matching import cost_volume as volume_module
+from metafab.decode.matching import filters, mixing, peaks, pooling
+from metafab.decode.matching.cost_volume import Volume, correlation
+from metafab.decode.matching.depth import parabola, spline_peaks, standard_error
+from metafab.decode.registration import calibration, reduce, resample, tiles, twins
+from metafab.decode.registration.reduce import Reduction, enlarged, repeated
+from metafab.decode.registration.resample import Resampler
+from metafab.decode.registration.tiles import Tiling
+from metafab.decode.segmentation.frame_statistics import Seen
+from metafab.decode.segmentation.segment import grown, interior, opened, split, textured
+from metafab.optics.interpolation.field import spline_weights
 
 
 def wave(row: np.ndarray, column: np.ndarray, ky: float, kx: float) -> np.ndarray:

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from metafab.decode.depth import PixelDepth
-from metafab.decode.planes import Cells, Plane, distinct_planes, fitted_plane
-from metafab.decode.regions import Regions, _planes, layer_step_per_m
-from metafab.decode.segment import SegmentDepth, segment_depth
-from metafab.decode.volume import Volume
+from metafab.decode.matching.cost_volume import Volume
+from metafab.decode.matching.depth import PixelDepth
+from metafab.decode.segmentation.planes import Cells, Plane, distinct_planes, fitted_plane
+from metafab.decode.segmentation.regions import Regions, _planes, layer_step_per_m
+from metafab.decode.segmentation.segment import SegmentDepth, segment_depth
 
 NODES = np.linspace(1.5, 3.5, 13)
 SHAPE = (96, 120)

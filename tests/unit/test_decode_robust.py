@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from metafab.camera import RawFrame, capture
-from metafab.decode import Image4D, decode, twins
+from metafab.decode import Image4D, decode
+from metafab.decode.registration import twins
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import PIXEL_UM, helix_psf

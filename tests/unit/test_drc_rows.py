@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from metafab.core.executor import SerialExecutor
+from metafab.core.parallel.executor import SerialExecutor
 from metafab.drc.rows import Rows
 
 HEIGHT, GAP = 40, 9.5

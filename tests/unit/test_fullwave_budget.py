@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from metafab import fullwave
-from metafab.core.files import file_sha256
+from metafab.core.storage.files import file_sha256
 from metafab.fullwave.coupling import CouplingRow
-from metafab.run import Job
 from metafab.spec import Design
 from metafab.steps import REPORT, error_budget, mask_paths, recorded_coupling
+from metafab.steps.job import Job
 
 ROW = CouplingRow(600.0, 0.0, "x", "y", "rcwa", 21, 1, 6.2, 0.8, 0.9, 0.03, 0.12, 0.01, 2.0)
 

@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from metafab import library
 from metafab.cell import is_square, pillar_cell
 from metafab.core.errors import InputError
-from metafab.library import corner_model
 from metafab.library.axes import CornerBox, corner_cell, corner_unit_cell
-from metafab.library.corner_model import CornerSamples, fit_corner_models
+from metafab.library.fit import corner_model
+from metafab.library.fit.corner_model import CornerSamples, fit_corner_models
+from metafab.library.fit.sampling import SizeGrid
 from metafab.library.library import Library
-from metafab.library.lookup import isotropic_sizes
-from metafab.library.sampling import SizeGrid
+from metafab.library.use.lookup import isotropic_sizes
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.cell import Axes, Material
 from metafab.spec.toml import validate

@@ -13,7 +13,7 @@ from hypothesis.extra.numpy import arrays
 
 from metafab.core.errors import InputError
 from metafab.library import Library, SizeTable, build_size_table, global_offsets
-from metafab.library.lookup import empty_cell_t, phase_slope_per_nm
+from metafab.library.use.lookup import empty_cell_t, phase_slope_per_nm
 
 CELLS = 64
 
@@ -181,6 +181,6 @@ def test_phase_error_is_wrapped(table: SizeTable) -> None:
 def test_compiled_and_vectorised_look_up_agree(table: SizeTable, phase_x: np.ndarray, phase_y: np.ndarray) -> None:
     """Also with shapes that broadcast; the compiled form must not differ in a single cell."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("metafab.library.lookup.HAS_NUMBA", False)
+        patch.setattr("metafab.library.use.lookup.HAS_NUMBA", False)
         vectorised = table.sizes_for(phase_x, phase_y)
     assert np.array_equal(table.sizes_for(phase_x, phase_y), vectorised)

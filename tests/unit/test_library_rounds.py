@@ -14,15 +14,15 @@ from metafab import library
 from metafab.cell import CellNumerics
 from metafab.cell.response import CellSolver
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.executor import SerialExecutor
-from metafab.core.progress import silent
-from metafab.library import between as between_sizes
-from metafab.library import rounds
-from metafab.library.between import Between, FineGrid, sample_between
-from metafab.library.checkpoint import Checkpoint
-from metafab.library.models import ModelPair, SizeModel
-from metafab.library.rounds import Outcome, PointSolver, sample, shortfall
-from metafab.library.sampling import SizeGrid
+from metafab.core.parallel.executor import SerialExecutor
+from metafab.core.parallel.progress import silent
+from metafab.library.fit.models import ModelPair, SizeModel
+from metafab.library.fit.sampling import SizeGrid
+from metafab.library.sweep import adaptive_sampling as rounds
+from metafab.library.sweep import between as between_sizes
+from metafab.library.sweep.adaptive_sampling import Outcome, PointSolver, sample, shortfall
+from metafab.library.sweep.between import Between, FineGrid, sample_between
+from metafab.library.sweep.checkpoint import Checkpoint
 from metafab.spec import UnitCell
 from tests import library_ridges as ridges
 

@@ -11,12 +11,12 @@ import pytest
 from metafab import library
 from metafab.cell import CellNumerics, CellResponse, PillarCell
 from metafab.cell.rcwa.certificate import climb
-from metafab.core.executor import open_executor
-from metafab.library import steep
-from metafab.library.certificate import solver_errors
-from metafab.library.models import SizeModel
-from metafab.library.rational import RationalModel
-from metafab.library.sampling import SizeGrid
+from metafab.core.parallel.executor import open_executor
+from metafab.library.fit.certificate import solver_errors
+from metafab.library.fit.models import SizeModel
+from metafab.library.fit.rational import RationalModel
+from metafab.library.fit.sampling import SizeGrid
+from metafab.library.sweep import steep
 from metafab.spec import UnitCell
 from tests import library_ridges as ridges
 

@@ -12,8 +12,8 @@ import pytest
 from metafab import library
 from metafab.core.errors import InputError
 from metafab.library import Library
-from metafab.library.models import SizeModel
-from metafab.library.rational import RationalModel
+from metafab.library.fit.models import SizeModel
+from metafab.library.fit.rational import RationalModel
 from metafab.library.spline import fill_plain
 from metafab.materials import refractive_index
 from metafab.spec import load_unit_cell

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from metafab.layout import Lattice, PillarTile
-from metafab.mask.cells import Stamp, count_sizes, tile_cell
-from metafab.mask.gdsii_rectangles import rectangles_of, rectangles_vectorised
-from metafab.mask.gdsii_writer import boundary_template, fill_boundaries, fill_boundaries_vectorised
-from metafab.mask.oasis_records import (
+from metafab.mask.drawing.cells import Stamp, count_sizes, tile_cell
+from metafab.mask.gdsii.rectangles import rectangles_of, rectangles_vectorised
+from metafab.mask.gdsii.writer import boundary_template, fill_boundaries, fill_boundaries_vectorised
+from metafab.mask.oasis.records import (
     SCANS,
     Scan,
     best_scan,

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from metafab.mask import oasis_reader, varints
-from metafab.mask.oasis_reader import OasisReader
-from metafab.mask.oasis_writer import CELL, END, MAGIC, RECTANGLE, START
+from metafab.mask.oasis import reader as oasis_reader
+from metafab.mask.oasis import varints
+from metafab.mask.oasis.reader import OasisReader
+from metafab.mask.oasis.writer import CELL, END, MAGIC, RECTANGLE, START
 
 COUNTS = st.integers(0, 5)
 SPACE = st.integers(0, 5000)

@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from metafab.mask import varints
-from metafab.mask.oasis_stream import Stream, read_displacements
+from metafab.mask.oasis import varints
+from metafab.mask.oasis.stream import Stream, read_displacements
 
 TOKENS = arrays(np.uint64, st.integers(0, 40), elements=st.integers(0, 2**63 - 1))
 

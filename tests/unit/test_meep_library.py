@@ -14,7 +14,7 @@ from metafab import library
 from metafab.cell import CellNumerics, CellResponse, PillarCell
 from metafab.cell.meep import Pool, finding, kept, solver
 from metafab.core.errors import SolverError
-from metafab.core.executor import open_executor
+from metafab.core.parallel.executor import open_executor
 from metafab.library import Library
 from metafab.spec import UnitCell
 from tests import library_ridges as ridges

@@ -7,7 +7,7 @@ import pytest
 
 from metafab.core.conventions import FloatArray
 from metafab.optics import Imaging, relative_l2
-from metafab.optics.band import at_wavelength, band_irradiance, padded_px
+from metafab.optics.propagation.band import at_wavelength, band_irradiance, padded_px
 
 LENS = Imaging(0.8, 20.0, 8.0, 21220.0, 3.45, 2000.0)
 WIDTH_NM, WINDOW_PX = 10.0, 40

@@ -9,7 +9,7 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.optics import Psf, PsfBasis, at_depths, at_tangent, psf, relative_l2
-from metafab.optics.imaging import depth_nodes
+from metafab.optics.geometry.imaging import depth_nodes
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging(aperture_um=40.0)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.core.executor import SerialExecutor
-from metafab.core.progress import silent
+from metafab.core.parallel.executor import SerialExecutor
+from metafab.core.parallel.progress import silent
 from metafab.optics import relative_l2
-from metafab.optics.blocks import reduce_to_target
-from metafab.optics.image import Window
-from metafab.optics.imaging import Imaging
-from metafab.optics.path import Ray
-from metafab.optics.pupil import Carrier, Pupil, reduce_field
+from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.geometry.path import Ray
+from metafab.optics.propagation.blocks import reduce_to_target
+from metafab.optics.propagation.image import Window
+from metafab.optics.propagation.pupil import Carrier, Pupil, reduce_field
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()
@@ -48,7 +48,7 @@ def test_large_windows_are_cut_and_small_ones_are_not() -> None:
 
 
 def test_blocks_beyond_memory_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("metafab.optics.blocks._MOST_BLOCKS", 100)
+    monkeypatch.setattr("metafab.optics.propagation.blocks._MOST_BLOCKS", 100)
     source = lens.written(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
     window = Window(OPTICS, 16, 1e-4)
     with pytest.raises(InputError, match="block sums"):

@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from metafab.core.numerics import HAS_NUMBA
-from metafab.optics.path import Ray, power_at_aperture
-from metafab.optics.pupil import Carrier, Pupil, add_tile_exactly, reduce_field, unfollowed_phase_rad
-from metafab.optics.source import FieldTile, Source
+from metafab.core.numeric.compiled import HAS_NUMBA
+from metafab.optics.geometry.path import Ray, power_at_aperture
+from metafab.optics.propagation.pupil import Carrier, Pupil, add_tile_exactly, reduce_field, unfollowed_phase_rad
+from metafab.optics.sources.source import FieldTile, Source
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()

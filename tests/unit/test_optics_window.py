@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.optics import refocus as refocusing
-from metafab.optics.kernel import WindowKernel
-from metafab.optics.path import Ray
-from metafab.optics.pupil import Carrier, Pupil
-from metafab.optics.refocus import refocus
-from metafab.optics.window import WindowTransform
+from metafab.optics.geometry.path import Ray
+from metafab.optics.propagation import refocus as refocusing
+from metafab.optics.propagation.kernel import WindowKernel
+from metafab.optics.propagation.pupil import Carrier, Pupil
+from metafab.optics.propagation.refocus import refocus
+from metafab.optics.propagation.window import WindowTransform
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()

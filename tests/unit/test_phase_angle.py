@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import metafab.phase.angle as module
-from metafab.phase.angle import angle
+import metafab.phase.terms.angle as module
+from metafab.phase.terms.angle import angle
 
 PARTS = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
 

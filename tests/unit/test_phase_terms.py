@@ -27,9 +27,9 @@ from metafab.phase import (
     VortexPhase,
     WaveSumPhase,
     ZernikePhase,
-    carriers,
     load_array,
 )
+from metafab.phase.terms import carriers
 
 X_UM = np.linspace(-90.0, 80.0, 23)
 Y_UM = np.linspace(-70.0, 95.0, 17)

@@ -10,7 +10,8 @@ import pytest
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.optics import Psf, metrics
+from metafab.optics import Psf
+from metafab.optics.measures import metrics
 from tests.conjugate_pair import helix_psf
 
 PIXEL_UM = 2.0

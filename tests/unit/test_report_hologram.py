@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from metafab.core.progress import silent
+from metafab.core.parallel.progress import silent
 from metafab.library.library import Library
 from metafab.report import figures
 from metafab.report.draw import draw

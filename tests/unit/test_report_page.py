@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.core.progress import silent
+from metafab.core.parallel.progress import silent
 from metafab.library.library import Library
 from metafab.optics import without_depths
 from metafab.report.draw import draw

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from metafab import camera, decode, library, mask, optics
-from metafab.core.files import write_json
+from metafab.core.storage.files import write_json
 from metafab.layout import PillarMap, lattice_of
 from metafab.library import Library
 from metafab.report.run_folder import open_run

@@ -12,9 +12,10 @@ import pytest
 
 from metafab import run as run_module
 from metafab.core.errors import InputError
-from metafab.core.provenance import contents_sha256
-from metafab.run import Job, Record, Step, run
+from metafab.core.storage.provenance import contents_sha256
+from metafab.run import Record, run
 from metafab.spec import Design
+from metafab.steps.job import Job, Step
 
 
 @pytest.fixture

@@ -9,15 +9,15 @@ from types import ModuleType
 
 import pytest
 
-from metafab.core import provenance, source_graph
-from metafab.core.source_graph import Import, defining_module, imports_of, sources_of
+from metafab.core.storage import provenance, source_graph
+from metafab.core.storage.source_graph import Import, defining_module, imports_of, sources_of
 from metafab.library.library import BUILT_BY, TABLES
 
-PACKAGE = Path(source_graph.__file__).parents[1]
+PACKAGE = Path(source_graph.__file__).parents[2]
 
 
 def name_of(path: Path) -> str:
-    """metafab/core/files.py -> metafab.core.files."""
+    """metafab/core/files.py -> metafab.core.storage.files."""
     return ".".join([PACKAGE.name, *path.relative_to(PACKAGE).with_suffix("").parts]).removesuffix(".__init__")
 
 
@@ -53,16 +53,16 @@ def test_names_lead_to_the_module_that_defines_them() -> None:
             if where is not None and where.startswith(PACKAGE.name):
                 assert defining_module(Import(package.__name__, name, name)) == where, name
     assert defining_module(Import("metafab.cell", "rcwa", "rcwa")) == "metafab.cell.rcwa"
-    assert defining_module(Import("metafab.core", "hdf5", "files")) == "metafab.core.hdf5"
+    assert defining_module(Import("metafab.core.storage", "hdf5", "files")) == "metafab.core.storage.hdf5"
 
 
 def test_a_library_hangs_on_solver_materials_and_its_own_spec(of_a_library: set[str]) -> None:
     needed = {
-        "cell/rcwa/eigenmodes.py",
+        "cell/rcwa/scattering/eigenmodes.py",
         "cell/meep_worker.py",
-        "core/hdf5.py",
-        "library/rational.py",
-        "library/certificate.py",
+        "core/storage/hdf5.py",
+        "library/fit/rational.py",
+        "library/fit/certificate.py",
         "materials/record.py",
         "spec/cell.py",
     }
@@ -73,7 +73,7 @@ def test_a_library_hangs_on_solver_materials_and_its_own_spec(of_a_library: set[
 def test_a_library_does_not_hang_on_what_comes_after_it(of_a_library: set[str]) -> None:
     rooms = {name.split("/")[0] for name in of_a_library} - {"__init__.py"}
     assert rooms == {"core", "spec", "materials", "cell", "library"}
-    others = {"spec/design.py", "spec/mask.py", "spec/scene.py", "library/check.py", "core/pictures.py"}
+    others = {"spec/design.py", "spec/mask.py", "spec/scene.py", "library/use/check.py", "core/storage/pictures.py"}
     assert not others & of_a_library
 
 

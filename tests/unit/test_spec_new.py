@@ -12,7 +12,7 @@ import pytest
 
 from metafab import layout
 from metafab.core.errors import InputError
-from metafab.core.pictures import read_grey
+from metafab.core.storage.pictures import read_grey
 from metafab.spec import UnitCell, kinds, load_design, write_new
 from metafab.spec.new import sample_picture, write_field_um
 from metafab.steps import preflight

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.core.latest import Latest
+from metafab.core.storage.latest import Latest
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.library import Library
-from metafab.run import Job
 from metafab.spec import Design
 from metafab.steps import optics as step
+from metafab.steps.job import Job
 from metafab.steps.optics import mask_source
 
 

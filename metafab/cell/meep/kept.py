@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from metafab.cell.meep.protocol import Job, Reply
-from metafab.core.files import fingerprint, whole_file
+from metafab.core.storage.files import fingerprint, whole_file
 
 #: Names the folder of finished runs; empty keeps none.
 VARIABLE = "METAFAB_MEEP_JOBS"

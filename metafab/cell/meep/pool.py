@@ -17,8 +17,8 @@ from metafab.cell.meep import finding
 from metafab.cell.meep.kept import KeptReplies, own_folder
 from metafab.cell.meep.protocol import Job, Reply, Worker
 from metafab.core.errors import InputError
-from metafab.core.executor import default_workers
-from metafab.core.files import file_sha256
+from metafab.core.parallel.executor import default_workers
+from metafab.core.storage.files import file_sha256
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from metafab.cell.meep import finding
 from metafab.core.conventions import Polarisation
 from metafab.core.errors import SolverError
-from metafab.core.files import plain
+from metafab.core.storage.files import plain
 
 Reply = dict[str, NDArray[Any]]
 

@@ -18,7 +18,7 @@ from metafab.cell.meep.pool import Pool, own_pool
 from metafab.cell.response import CellNumerics, CellResponse, PillarCell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
 from metafab.core.errors import Fault, InputError, SolverError
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 
 
 @dataclass(frozen=True)

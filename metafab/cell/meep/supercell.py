@@ -24,7 +24,7 @@ from metafab.cell.response import PillarCell
 from metafab.cell.supercell import IntArray, Supercell, SupercellResponse
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
 from metafab.core.errors import InputError, SolverError
-from metafab.core.progress import Progress, silent
+from metafab.core.parallel.progress import Progress, silent
 
 #: z = 0 lies off the nodes by this part of a pixel, where no face of a pixel meets it.
 _OFFSET = 0.25

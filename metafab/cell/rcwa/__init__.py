@@ -26,7 +26,7 @@ From one axis to the answer:
 - ``derivatives``    dt, dr by sizes, height and index, by reciprocity
 """
 
-from metafab.cell.rcwa.basis import Formulation
+from metafab.cell.rcwa.basis.axis import Formulation
 from metafab.cell.rcwa.certificate import solve
 from metafab.cell.rcwa.cost import seconds_estimate
 from metafab.cell.rcwa.derivatives import PillarDerivatives, derivatives

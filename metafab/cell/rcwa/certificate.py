@@ -13,7 +13,8 @@ pillar (a sharp resonance that the truncation shifts); the floor is what two tru
 last difference so large that the ladder has not begun to converge counts in full.
 
 Of a sloped pillar the error of its steps is added (:mod:`metafab.cell.rcwa.slicing`), and no bound is below what
-rounding may come to in ill-conditioned modes (:mod:`metafab.cell.rcwa.conditioning`). Where nothing was measured, the
+rounding may come to in ill-conditioned modes (:mod:`metafab.cell.rcwa.scattering.conditioning`). Where nothing was
+measured, the
 last two differences count threefold. That is so for holes, light at an angle, birefringent substrates, sloped walls,
 layers under or over the pillar, cross-sections other than one rectangle, pillars more than two wavelengths tall,
 periods that differ by more than 3 % or exceed 1.65 wavelengths inside the densest medium (which need more orders),
@@ -34,7 +35,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metafab.cell.rcwa.basis import Formulation
+from metafab.cell.rcwa.basis.axis import Formulation
 from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.cell.rcwa.slicing import slicing, smooth
 from metafab.cell.response import CellNumerics, CellResponse, PillarCell

@@ -21,8 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from metafab.cell.rcwa.admittance import LayerField, through_layer
-from metafab.cell.rcwa.basis import (
+from metafab.cell.rcwa.basis.axis import (
     AxisBasis,
     AxisParity,
     Formulation,
@@ -31,8 +30,6 @@ from metafab.cell.rcwa.basis import (
     symmetric_axis,
     travelling_axis,
 )
-from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves
-from metafab.cell.rcwa.factorisation import layer_tangents
 from metafab.cell.rcwa.jones import (
     ClassSolution,
     SymmetryClass,
@@ -42,6 +39,9 @@ from metafab.cell.rcwa.jones import (
     solve_class,
     symmetry_classes,
 )
+from metafab.cell.rcwa.layers.factorisation import layer_tangents
+from metafab.cell.rcwa.scattering.admittance import LayerField, through_layer
+from metafab.cell.rcwa.scattering.eigenmodes import LayerModes, PlaneWaves
 from metafab.cell.response import PillarCell
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError

@@ -15,7 +15,7 @@ from functools import partial
 
 import numpy as np
 
-from metafab.cell.rcwa.basis import AxisParity, Formulation
+from metafab.cell.rcwa.basis.axis import AxisParity, Formulation
 from metafab.cell.rcwa.certificate import climb, power_law
 from metafab.cell.rcwa.jones import in_plane_per_nm, one_thread, shares_of_power, solved_classes
 from metafab.cell.rcwa.slicing import slicing, smooth_array

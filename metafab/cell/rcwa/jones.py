@@ -13,8 +13,7 @@ from typing import Any, Protocol, cast
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-from metafab.cell.rcwa.admittance import LayerField, through_layer
-from metafab.cell.rcwa.basis import (
+from metafab.cell.rcwa.basis.axis import (
     AxisBasis,
     AxisParity,
     Formulation,
@@ -22,17 +21,18 @@ from metafab.cell.rcwa.basis import (
     symmetric_axis,
     travelling_axis,
 )
-from metafab.cell.rcwa.birefringence import TensorWaves, magnetic, tensor_waves
-from metafab.cell.rcwa.conditioning import NO_MODES, Conditioning, conditioning
-from metafab.cell.rcwa.cross_section import Rectangles, rectangles
-from metafab.cell.rcwa.doubling import Faces, through_by_doubling
-from metafab.cell.rcwa.eigenmodes import LayerModes, PlaneWaves, layer_modes, plane_waves
-from metafab.cell.rcwa.factorisation import largest_eigenvalue, layer_matrices
-from metafab.cell.rcwa.nested import nested_matrices
-from metafab.cell.rcwa.outlines import outline_bases
-from metafab.cell.rcwa.stack import StackLayer, through_stack
-from metafab.cell.rcwa.staggered import staggered_matrices
-from metafab.cell.rcwa.transverse import TransverseBasis, transverse_basis
+from metafab.cell.rcwa.basis.shared_map import outline_bases
+from metafab.cell.rcwa.basis.transverse import TransverseBasis, transverse_basis
+from metafab.cell.rcwa.layers.cross_section import Rectangles, rectangles
+from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue, layer_matrices
+from metafab.cell.rcwa.layers.nested import nested_matrices
+from metafab.cell.rcwa.layers.staggered import staggered_matrices
+from metafab.cell.rcwa.scattering.admittance import LayerField, through_layer
+from metafab.cell.rcwa.scattering.birefringence import TensorWaves, magnetic, tensor_waves
+from metafab.cell.rcwa.scattering.conditioning import NO_MODES, Conditioning, conditioning
+from metafab.cell.rcwa.scattering.doubling import Faces, through_by_doubling
+from metafab.cell.rcwa.scattering.eigenmodes import LayerModes, PlaneWaves, layer_modes, plane_waves
+from metafab.cell.rcwa.scattering.stack import StackLayer, through_stack
 from metafab.cell.response import PillarCell, Slice
 from metafab.core.conventions import ComplexArray, FloatArray, Side
 from metafab.core.errors import InputError
@@ -50,7 +50,8 @@ class ZeroOrder:
         transmitted_power: shape (2,), power in all transmitted orders for incident x and y, over the incident power.
         reflected_power: shape (2,), the same for reflection.
         coefficients: unknowns of the largest symmetry class.
-        inconsistency: by how much rounding broke reciprocity (:mod:`metafab.cell.rcwa.doubling`), as an amplitude; 0
+        inconsistency: by how much rounding broke reciprocity (:mod:`metafab.cell.rcwa.scattering.doubling`), as an
+        amplitude; 0
             where the modes were used.
         conditioning: of the worst layer's modes; 0 where none were used.
     """

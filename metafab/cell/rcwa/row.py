@@ -2,7 +2,8 @@
 
 What :mod:`metafab.cell.rcwa` does for a rectangle, without mirror symmetry along x and with a length of its own for
 every pillar. Along x the coordinate map gathers resolution at all 2 M walls; along y the rows share one map
-(:mod:`metafab.cell.rcwa.outlines`), whose parity is kept. With U_i and V_i the overlaps of pillar i with the functions
+(:mod:`metafab.cell.rcwa.basis.shared_map`), whose parity is kept. With U_i and V_i the overlaps of pillar i with the
+functions
 along x and y, Li's rules become (J. Opt. Soc. Am. A 14, 2758, 1997)
 
     eps_u: sum over the bands b of y between one length and the next, [inverse rule in x of what b crosses] (x) V_b,
@@ -18,14 +19,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.cell.rcwa.admittance import through_layer
-from metafab.cell.rcwa.basis import AxisBasis, AxisParity, IntArray, Matrix, symmetric_axis
+from metafab.cell.rcwa.basis.axis import AxisBasis, AxisParity, IntArray, Matrix, symmetric_axis
+from metafab.cell.rcwa.basis.coordinates import stretched
+from metafab.cell.rcwa.basis.shared_map import outline_bases
+from metafab.cell.rcwa.basis.transverse import TransverseBasis, transverse_basis
 from metafab.cell.rcwa.certificate import solve
-from metafab.cell.rcwa.coordinates import stretched
-from metafab.cell.rcwa.eigenmodes import layer_modes, plane_waves
 from metafab.cell.rcwa.jones import one_thread, permittivity
-from metafab.cell.rcwa.outlines import outline_bases
-from metafab.cell.rcwa.transverse import TransverseBasis, transverse_basis
+from metafab.cell.rcwa.scattering.admittance import through_layer
+from metafab.cell.rcwa.scattering.eigenmodes import layer_modes, plane_waves
 from metafab.cell.response import CellNumerics
 from metafab.cell.supercell import Supercell, SupercellResponse
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
@@ -241,7 +242,7 @@ def _matrices(
     eps_pillar: complex,
     eps_around: complex,
 ) -> tuple[TransverseBasis, Matrix, Matrix]:
-    """The transverse basis and P, Q of :mod:`metafab.cell.rcwa.factorisation`."""
+    """The transverse basis and P, Q of :mod:`metafab.cell.rcwa.layers.factorisation`."""
     parities = [symmetric_axis(basis, even_first=polarisation == "x") for basis in bases]
     v, step = parities[0], eps_pillar - eps_around
     n = row.wavenumber.size

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from metafab.cell.rcwa.basis import Formulation, Matrix
+from metafab.cell.rcwa.basis.axis import Formulation, Matrix
 from metafab.cell.rcwa.jones import ZeroOrder, distance, zero_order
 from metafab.cell.response import CellNumerics, PillarCell
 from metafab.core.conventions import FloatArray

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
-from metafab.camera.frame import RawFrame
+from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray, Polarisation
 from metafab.decode.image import Image4D
 from metafab.report.style import (

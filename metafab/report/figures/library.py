@@ -10,8 +10,8 @@ from matplotlib.colors import LogNorm
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation, power_transmittance
 from metafab.library.library import Library
-from metafab.library.lookup import phase_slope_per_nm
-from metafab.library.quality import CD_BIAS_NM, quality
+from metafab.library.use.lookup import phase_slope_per_nm
+from metafab.library.use.quality import CD_BIAS_NM, quality
 from metafab.materials import refractive_index
 from metafab.report.style import (
     ERROR_MAP,

@@ -1,0 +1,1 @@
+"""Raw frames in memory and in files."""

@@ -1,0 +1,111 @@
+"""Raw frames in HDF5: ``raw.h5`` with the truth where a simulation knows it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike
+
+from metafab.camera.frames.frame import RawFrame, Truth
+from metafab.core.errors import Fault, InputError
+from metafab.core.storage import hdf5
+from metafab.spec.fields import LARGEST
+
+RAW_KIND = "metafab raw frame"
+RAW_FORMAT = 1
+
+
+def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
+    """Write a frame, whole or not at all."""
+    with hdf5.create(path, kind=RAW_KIND, format_version=RAW_FORMAT, inputs_sha256=inputs_sha256) as file:
+        _axes(file, frame.frame.shape, frame.origin_um, frame.pixel_um)
+        _image(file, "frame", frame.frame, "e", "raw frame (electrons, or counts of a camera)")
+        file.attrs["pixel_um"] = frame.pixel_um
+        file.attrs["origin_um"] = frame.origin_um
+        file.attrs["read_noise_e"] = frame.read_noise_e
+        if frame.x_window is not None:
+            file.attrs["x_window"] = frame.x_window
+        if frame.saturation_e is not None:
+            file.attrs["saturation_e"] = frame.saturation_e
+            file.attrs["saturation_assumed"] = frame.saturation_assumed
+        if frame.truth is None or frame.truth_origin_um is None:
+            return
+        group = file.create_group("truth")
+        group.attrs["origin_um"] = frame.truth_origin_um
+        truth = frame.truth
+        _axes(group, truth.depth_m.shape, frame.truth_origin_um, frame.pixel_um)
+        _image(group, "depth_m", truth.depth_m, "m", "object depth, NaN for none")
+        _image(group, "intensity_x", truth.intensity_x, "e", "sharp image, x polarisation")
+        _image(group, "intensity_y", truth.intensity_y, "e", "sharp image, y polarisation")
+        _image(group, "label", truth.label, "1", "object number from 1, 0 for none")
+
+
+def load(path: Path | str) -> RawFrame:
+    """Read a frame.
+
+    Raises:
+        InputError: the file is missing, truncated, foreign or of a newer format.
+    """
+    remedy = "make it with `metafab capture SCENE.toml --psf PSF.h5`"
+    with hdf5.open_kind(path, kind=RAW_KIND, format_version=RAW_FORMAT, remedy=remedy) as file:
+        truth, truth_origin_um = None, None
+        if "truth" in file:
+            group = file["truth"]
+            depth_m, intensity_x, intensity_y = (
+                np.asarray(group[name], dtype=np.float64) for name in ("depth_m", "intensity_x", "intensity_y")
+            )
+            truth = Truth(depth_m, intensity_x, intensity_y, np.asarray(group["label"], dtype=np.int32))
+            truth_origin_um = _pair(group.attrs["origin_um"])
+        saturation, window = file.attrs.get("saturation_e"), file.attrs.get("x_window")
+        frame = RawFrame(
+            np.asarray(file["frame"], dtype=np.float64),
+            float(file.attrs["pixel_um"]),
+            _pair(file.attrs["origin_um"]),
+            float(file.attrs["read_noise_e"]),
+            truth,
+            truth_origin_um,
+            None if window is None else (int(window[0]), int(window[1]), int(window[2]), int(window[3])),
+            None if saturation is None else float(saturation),
+            bool(file.attrs.get("saturation_assumed", False)),
+        )
+    if faults := _faults(frame):
+        raise InputError(str(path), faults)
+    return frame
+
+
+def _faults(frame: RawFrame) -> list[Fault]:
+    """What no frame of ours says of itself."""
+    faults = []
+    if frame.frame.ndim != 2:
+        faults.append(Fault("frame", "rows and columns", f"an array of shape {frame.frame.shape}"))
+    if not 0.0 < frame.pixel_um < np.inf:
+        faults.append(Fault("pixel_um", "a pitch above zero", f"{frame.pixel_um:g}"))
+    if not 0.0 <= frame.read_noise_e < np.inf:
+        faults.append(Fault("read_noise_e", "electrons, not below zero", f"{frame.read_noise_e:g}"))
+    if frame.saturation_e is not None and not frame.saturation_e > 0.0:
+        faults.append(Fault("saturation_e", "electrons above zero", f"{frame.saturation_e:g}"))
+    for name, origin_um in (("origin_um", frame.origin_um), ("truth/origin_um", frame.truth_origin_um or (0.0, 0.0))):
+        if not np.abs(origin_um).max() < LARGEST:
+            faults.append(Fault(name, "a place on the sensor", f"{origin_um}"))
+    if not frame.holds_window:
+        faults.append(Fault("x_window", f"a window in a frame of shape {frame.frame.shape}", f"{frame.x_window}"))
+    if frame.truth is not None and len({part.shape for part in vars(frame.truth).values()}) > 1:
+        shapes = ", ".join(str(part.shape) for part in vars(frame.truth).values())
+        faults.append(Fault("truth", "arrays of one shape", shapes))
+    return faults
+
+
+def _axes(group: h5py.Group, shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um: float) -> None:
+    for name, start, count in (("x_um", origin_um[0], shape[1]), ("y_um", origin_um[1], shape[0])):
+        place = start + pixel_um * np.arange(count)
+        hdf5.put(group, name, place, units="um", description=f"{name[0]} on the sensor plane", dims=(name,))
+
+
+def _image(group: h5py.Group, name: str, values: ArrayLike, units: str, description: str) -> None:
+    hdf5.put(group, name, values, units=units, description=description, dims=("y_um", "x_um"), compress=True)
+
+
+def _pair(values: np.ndarray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])

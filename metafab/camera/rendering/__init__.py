@@ -1,0 +1,1 @@
+"""A scene rendered layer by layer and blurred."""

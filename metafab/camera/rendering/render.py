@@ -1,0 +1,151 @@
+"""A scene on a grid of directions, object by object: coverage and brightness at each depth, before any blur."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from metafab.camera.rendering.texture import Texture, make_texture
+from metafab.core.conventions import FloatArray
+from metafab.spec.scene import Scene, SceneObject
+
+_SUPERSAMPLING = 2
+#: A tilted or curved piece is cut into steps of at most this much of its depth.
+_TILT_STEP = 0.004
+
+
+@dataclass(frozen=True)
+class Piece:
+    """What one object shows on a crop of a pixel grid, before any blur.
+
+    Attributes:
+        label: number of the object from 1.
+        depth_m: shape (n_steps,), the depths that it is made of; one if it is flat.
+        rows: rows of the grid that the crop covers; likewise ``columns``.
+        coverage: shape (n_steps, n_y, n_x), share of each pixel that each step covers.
+        brightness: the same shape, coverage times texture times the object's brightness, both polarisations' mean.
+        share: (x, y) factors of the two polarisations; their mean is 1.
+    """
+
+    label: int
+    depth_m: FloatArray
+    rows: slice
+    columns: slice
+    coverage: FloatArray
+    brightness: FloatArray
+    share: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Renderer:
+    """A scene whose textures are drawn once, so that both polarisations see the same.
+
+    Attributes:
+        scene: what is shown.
+        textures: one for each object.
+    """
+
+    scene: Scene
+    textures: tuple[Texture, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, pixel_tangent: float, seed: int) -> Renderer:
+        """Draw the textures at a resolution of ``pixel_tangent`` (a pixel's size as a tangent)."""
+        sequences = np.random.SeedSequence(seed).spawn(len(scene.objects))
+        textures = []
+        for spec, sequence in zip(scene.objects, sequences, strict=True):
+            width, height = (max(4, math.ceil(side / pixel_tangent)) for side in spec.size)
+            textures.append(make_texture(spec, (min(height, 4096), min(width, 4096)), np.random.default_rng(sequence)))
+        return cls(scene, tuple(textures))
+
+    def pieces(self, tangent_x: FloatArray, tangent_y: FloatArray) -> Iterator[Piece]:
+        """All objects in sight, farthest first, on a grid with directions ``tangent_x``, ``tangent_y`` (n_y, n_x)."""
+        for index, _ in self.farthest_first():
+            piece = self.piece(index, tangent_x, tangent_y)
+            if piece is not None:
+                yield piece
+
+    def farthest_first(self) -> list[tuple[int, SceneObject]]:
+        """The objects with their numbers from 0, in the order in which each hides those before it."""
+        return sorted(enumerate(self.scene.objects), key=lambda numbered: -numbered[1].depth_m)
+
+    def piece(self, index: int, tangent_x: FloatArray, tangent_y: FloatArray) -> Piece | None:
+        """What one object, numbered from 0, shows on a grid; None out of sight."""
+        spec = self.scene.objects[index]
+        slopes_x, slopes_y = np.gradient(tangent_x), np.gradient(tangent_y)
+        pixel = max(float(np.abs(slope).max(initial=0.0)) for slope in (*slopes_x, *slopes_y))
+        near = (np.abs(tangent_x - spec.centre[0]) <= 0.5 * spec.size[0] + 2.0 * pixel) & (
+            np.abs(tangent_y - spec.centre[1]) <= 0.5 * spec.size[1] + 2.0 * pixel
+        )
+        if not near.any():
+            return None
+        rows, columns = (extent(near.any(axis=axis)) for axis in (1, 0))
+        crop = (rows, columns)
+        fine_x = _supersampled(tangent_x[crop], slopes_x[0][crop], slopes_x[1][crop])
+        fine_y = _supersampled(tangent_y[crop], slopes_y[0][crop], slopes_y[1][crop])
+        u, v = (fine_x - spec.centre[0]) / spec.size[0], (fine_y - spec.centre[1]) / spec.size[1]
+        covered = _covered(spec, u, v, pixel / _SUPERSAMPLING)
+        lit = covered * self.textures[index](u + 0.5, v + 0.5) * spec.brightness
+        depth_m, step = _steps(spec, u, v)
+        coverage = np.stack([_binned(np.where(step == k, covered, 0.0)) for k in range(depth_m.size)])
+        brightness = np.stack([_binned(np.where(step == k, lit, 0.0)) for k in range(depth_m.size)])
+        contrast = spec.polarisation_contrast
+        share = (2.0 * contrast / (1.0 + contrast), 2.0 / (1.0 + contrast))
+        return Piece(index + 1, depth_m, rows, columns, coverage, brightness, share)
+
+
+def _covered(spec: SceneObject, u: FloatArray, v: FloatArray, sample: float) -> FloatArray:
+    """Share of each sample (of the tangent size ``sample``) inside the outline: exact for a rectangle."""
+    if spec.outline == "ellipse":
+        radius = np.maximum(np.hypot(u, v), 1e-12)
+        slope = np.hypot(u / spec.size[0], v / spec.size[1]) / radius
+        return np.asarray(np.clip((0.5 - radius) / (slope * sample) + 0.5, 0.0, 1.0))
+    inside_x = np.clip((0.5 - np.abs(u)) * spec.size[0] / sample + 0.5, 0.0, 1.0)
+    inside_y = np.clip((0.5 - np.abs(v)) * spec.size[1] / sample + 0.5, 0.0, 1.0)
+    return np.asarray(inside_x * inside_y)
+
+
+def step_depths_m(spec: SceneObject) -> FloatArray:
+    """The depths that a piece is made of, ascending: shape (n_steps,), one if it is flat."""
+    nearest, farthest = spec.relative_depths
+    count = max(1, math.ceil((farthest - nearest) / _TILT_STEP))
+    return np.asarray(spec.depth_m * (1.0 + nearest + (farthest - nearest) * (np.arange(count) + 0.5) / count))
+
+
+def _steps(spec: SceneObject, u: FloatArray, v: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Depths of a piece's steps, and the step that each sample belongs to."""
+    depth_m = step_depths_m(spec)
+    nearest, farthest = spec.relative_depths
+    if depth_m.size == 1:
+        return depth_m, np.zeros(u.shape, dtype=np.intp)
+    height = spec.tilt[0] * u + spec.tilt[1] * v + 4.0 * (spec.bulge[0] * u**2 + spec.bulge[1] * v**2)
+    step = np.floor((height - nearest) / (farthest - nearest) * depth_m.size)
+    return depth_m, np.clip(step, 0, depth_m.size - 1).astype(np.intp)
+
+
+def extent(hit: ArrayLike) -> slice:
+    """From the first to the last hit of a row of flags, at least one of which is set."""
+    where = np.flatnonzero(np.asarray(hit))
+    return slice(int(where[0]), int(where[-1]) + 1)
+
+
+def _supersampled(values: FloatArray, slope_y: FloatArray, slope_x: FloatArray) -> FloatArray:
+    """Values at a regular grid of points inside each pixel, linear within it: shape (s n_y, s n_x)."""
+    s = _SUPERSAMPLING
+    offset = (np.arange(s) + 0.5) / s - 0.5
+    fine = (
+        values[:, None, :, None]
+        + slope_y[:, None, :, None] * offset[None, :, None, None]
+        + slope_x[:, None, :, None] * offset[None, None, None, :]
+    )
+    return np.asarray(fine.reshape(values.shape[0] * s, values.shape[1] * s))
+
+
+def _binned(fine: FloatArray) -> FloatArray:
+    s = _SUPERSAMPLING
+    n_y, n_x = fine.shape[0] // s, fine.shape[1] // s
+    return np.asarray(fine.reshape(n_y, s, n_x, s).mean(axis=(1, 3)))

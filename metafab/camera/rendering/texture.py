@@ -1,0 +1,84 @@
+"""Textures: brightness patterns of mean 1 on a unit square, sampled anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import scipy.fft
+from scipy.ndimage import map_coordinates, spline_filter
+
+from metafab.core.conventions import FloatArray
+from metafab.core.storage.pictures import read_grey
+from metafab.spec.scene import SceneObject
+
+Texture = Callable[[FloatArray, FloatArray], FloatArray]
+
+_CHECKER_SQUARES = 8
+_DARKEST = 0.02  # nothing that reflects is blacker than this, relative to its mean
+
+
+def make_texture(spec: SceneObject, texels: tuple[int, int], rng: np.random.Generator) -> Texture:
+    """The texture of an object as a function of (u, v), each 0 to 1 across its bounding box.
+
+    Args:
+        spec: kind, contrast (rms over mean) and picture of the texture.
+        texels: (n_v, n_u) resolution of a procedural texture.
+        rng: source of the procedural texture's randomness.
+    """
+    if spec.texture == "uniform" or spec.texture_contrast == 0.0:
+        return lambda u, v: np.ones(np.broadcast_shapes(u.shape, v.shape))
+    if spec.texture == "checker":
+        return lambda u, v: _checker(u, v, spec.texture_contrast)
+    if spec.texture == "image" and spec.texture_file is not None:
+        pattern = _picture(spec.texture_file)
+    else:
+        pattern = fractal(texels, rng)
+    return _sampled(_with_contrast(pattern, spec.texture_contrast))
+
+
+def fractal(shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
+    """Gaussian noise with amplitude 1/frequency, as natural scenes have: mean 0, rms 1, not periodic."""
+    n_y, n_x = (2 * count for count in shape)  # twice the size, cropped: opposite edges stay unrelated
+    frequency = np.hypot(scipy.fft.fftfreq(n_y)[:, None] * 1.0, scipy.fft.rfftfreq(n_x)[None, :])
+    frequency[0, 0] = np.inf
+    spectrum = scipy.fft.rfft2(rng.standard_normal((n_y, n_x))) / frequency
+    pattern = scipy.fft.irfft2(spectrum, (n_y, n_x))[: shape[0], : shape[1]]
+    pattern -= pattern.mean()
+    return np.asarray(pattern / max(float(pattern.std()), 1e-300))
+
+
+def _checker(u: FloatArray, v: FloatArray, contrast: float) -> FloatArray:
+    parity = (np.floor(_CHECKER_SQUARES * u) + np.floor(_CHECKER_SQUARES * v)) % 2
+    return 1.0 + min(contrast, 1.0 - _DARKEST) * (2.0 * parity - 1.0)
+
+
+def _picture(path: Path) -> FloatArray:
+    """A picture's grey values, lowest row first, mean 0, rms 1."""
+    grey = read_grey(path)[::-1]
+    grey = grey - grey.mean()
+    return np.asarray(grey / max(float(grey.std()), 1e-300))
+
+
+def _with_contrast(pattern: FloatArray, contrast: float) -> FloatArray:
+    """1 + contrast * pattern, kept above the darkest value with mean 1 and the wanted rms (where attainable)."""
+    values = 1.0 + contrast * pattern
+    for _ in range(20):
+        values = np.maximum(values, _DARKEST)
+        values = 1.0 + (values - values.mean()) * (contrast / max(float(values.std()), 1e-300))
+        if values.min() >= _DARKEST:
+            break
+    return np.maximum(values, _DARKEST)
+
+
+def _sampled(values: FloatArray) -> Texture:
+    coefficients = spline_filter(values, order=3, mode="mirror")
+    n_v, n_u = values.shape
+
+    def texture(u: FloatArray, v: FloatArray) -> FloatArray:
+        place = np.broadcast_arrays(v * n_v - 0.5, u * n_u - 0.5)
+        sampled = map_coordinates(coefficients, place, order=3, mode="mirror", prefilter=False)
+        return np.maximum(sampled, 0.0)
+
+    return texture

@@ -1,0 +1,1 @@
+"""Truncated bases of the unit cell: coordinate maps, basis functions, symmetry classes."""

@@ -1,0 +1,1 @@
+"""Maxwell's equations of one layer as matrices, for each cross-section."""

@@ -1,0 +1,179 @@
+"""Maxwell's equations of one layer as two matrices, with Li's factorisation rules for an upright rectangle.
+
+In units of 1/k0 along z, for e = (E_u, E_v) and h = (H_v, -H_u),
+
+    de/dz = i P h,    P = 1 - B N^-1 B^T,                         B = [K_u;  K_v^T] (from E_z),
+    dh/dz = i Q e,    Q = [[eps_u, 0], [0, eps_v]] - C C^T,       C = [K_v; -K_u^T] (from H_z),
+
+with N the matrix of the permittivity for E_z and i K the derivative from family b to family a. All are real where the
+permittivity is. E_u is normal to two walls and tangential to the other two: its
+permittivity follows the inverse rule along u within each interval of v, then the direct rule along v (Li, J. Opt. Soc.
+Am. A 14, 2758, 1997). For a rectangle that is a sum of two Kronecker products of one-dimensional matrices.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metafab.cell.rcwa.basis.axis import AxisParity, Matrix
+from metafab.cell.rcwa.basis.transverse import TransverseBasis
+from metafab.core.conventions import FloatArray
+
+
+def layer_matrices(
+    basis: TransverseBasis, k0_per_nm: float, eps_pillar: complex, eps_around: complex
+) -> tuple[Matrix, Matrix]:
+    """P and Q of a layer that holds a rectangle, in the (TM, TE) basis.
+
+    Args:
+        basis: symmetry class, n coefficients.
+        k0_per_nm: vacuum wave number.
+        eps_pillar: permittivity of the pillar; a real number gives real matrices where the class allows it.
+        eps_around: permittivity around it.
+
+    Returns:
+        P and Q, each of shape (n, n).
+    """
+    u, v = basis.u, basis.v
+    contrast_u, contrast_v = (contrast(x, eps_pillar, eps_around) for x in (u.a, v.b))
+    eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
+    return assembled(basis, k0_per_nm, kron(contrast_u, v.a), kron(u.b, contrast_v), eta_z, eps_around)
+
+
+def assembled(
+    basis: TransverseBasis,
+    k0_per_nm: float,
+    contrast_u: Matrix,
+    contrast_v: Matrix,
+    eta_z: Matrix,
+    eps_around: complex,
+) -> tuple[Matrix, Matrix]:
+    """P and Q in the (TM, TE) basis from what the layer does to each component of E.
+
+    Args:
+        basis: symmetry class, n coefficients.
+        k0_per_nm: vacuum wave number.
+        contrast_u: permittivity for E_u less ``eps_around``, shape (n_u, n_u); likewise ``contrast_v`` for E_v.
+        contrast_v: see ``contrast_u``.
+        eta_z: inverse of the permittivity for E_z.
+        eps_around: permittivity that is everywhere.
+    """
+    # In (TM, TE) E_z drives TM waves only and H_z TE waves only, each the one of its own wave vector.
+    n_u = len(contrast_u)
+    q = np.zeros((basis.size, basis.size), dtype=np.result_type(contrast_u, contrast_v))
+    q[:n_u, :n_u], q[n_u:, n_u:] = contrast_u, contrast_v
+    q = basis.turn(q)
+    _diagonal(q)[:] += eps_around - np.where(basis.is_tm, 0.0, basis.k_squared / k0_per_nm**2)
+    k = basis.k_with_e_z / k0_per_nm
+    p = np.eye(basis.size, dtype=eta_z.dtype)
+    p[basis.with_e_z[:, None], basis.with_e_z] -= k[:, None] * eta_z * k
+    return p, q
+
+
+def largest_eigenvalue(eps_pillar: complex, eps_around: complex) -> float:
+    """Bound on the real part of the eigenvalues of P Q: the larger permittivity; infinite where no bound is known.
+
+    No mode of a dielectric layer is slower than light in its denser part, whatever the truncation. Modes bound to the
+    surface of a metal may be.
+    """
+    eps = (complex(eps_pillar), complex(eps_around))
+    dielectric = all(abs(each.imag) <= each.real for each in eps)
+    return max(map(abs, eps)) if dielectric else float("inf")
+
+
+def layer_tangents(
+    basis: TransverseBasis,
+    d_u: AxisParity | None,
+    d_v: AxisParity | None,
+    k0_per_nm: float,
+    eps_pillar: complex,
+    eps_around: complex,
+    d_eps_pillar: complex = 0.0,
+) -> tuple[Matrix, Matrix]:
+    """The changes dP and dQ of :func:`layer_matrices` for a change ``d_u`` or ``d_v`` of the axes (None: unchanged).
+
+    ``d_eps_pillar`` is a change of the pillar's permittivity. Equal permittivities give the change of a uniform medium:
+    that of its wave numbers alone.
+    """
+    u, v = basis.u, basis.v
+    d_u, d_v = d_u or _unchanged(u), d_v or _unchanged(v)
+    n_u = u.label_a.size * v.label_a.size
+    step = eps_pillar - eps_around
+    rule_u, rule_v = (inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
+    # eps_u = rule(u) (x) v + eps_around (1 (x) (1 - v)), and the same with u and v exchanged for eps_v.
+    d_inverse = -d_eps_pillar / eps_pillar**2
+    d_eps_u = kron(_inverse_rule_tangent(rule_u, d_u.a, eps_pillar, eps_around, d_inverse * u.a), v.a)
+    d_eps_u = d_eps_u + kron(rule_u - eps_around * np.eye(len(u.a)), d_v.a)
+    d_eps_v = kron(u.b, _inverse_rule_tangent(rule_v, d_v.b, eps_pillar, eps_around, d_inverse * v.b))
+    d_eps_v = d_eps_v + kron(d_u.b, rule_v - eps_around * np.eye(len(v.b)))
+    eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
+    d_eps_z = step * (kron(d_u.b, v.a) + kron(u.b, d_v.a)) + d_eps_pillar * kron(u.b, v.a)
+    d_eta_z = -eta_z @ d_eps_z @ eta_z
+
+    from_e_z, from_h_z = _longitudinal(u, v, k0_per_nm)
+    d_from_e_z, d_from_h_z = _longitudinal(d_u, d_v, k0_per_nm)
+    half_p = d_from_e_z @ eta_z @ from_e_z.T
+    half_q = d_from_h_z @ from_h_z.T
+    p = -(half_p + half_p.T + from_e_z @ d_eta_z @ from_e_z.T)
+    q = -(half_q + half_q.T).astype(d_eps_u.dtype)
+    q[:n_u, :n_u] += d_eps_u
+    q[n_u:, n_u:] += d_eps_v
+    return basis.turn(p), basis.turn(q)
+
+
+def _longitudinal(u: AxisParity, v: AxisParity, k0_per_nm: float) -> tuple[FloatArray, FloatArray]:
+    """B and C: what E_z and H_z contribute to the transverse equations."""
+    k_u, k_v = _wavenumber(u) / k0_per_nm, _wavenumber(v) / k0_per_nm
+    from_e_z = np.concatenate([kron(k_u, np.eye(len(v.a))), kron(np.eye(len(u.b)), k_v.T)])
+    from_h_z = np.concatenate([kron(np.eye(len(u.a)), k_v), -kron(k_u.T, np.eye(len(v.b)))])
+    return from_e_z, from_h_z
+
+
+def _unchanged(axis: AxisParity) -> AxisParity:
+    return AxisParity(0.0 * axis.a, 0.0 * axis.b, axis.label_a, axis.label_b, 0.0 * axis.wavenumber)
+
+
+def _inverse_rule_tangent(
+    rule: Matrix, d_overlap: FloatArray, eps_pillar: complex, eps_around: complex, also: Matrix
+) -> Matrix:
+    return np.asarray(-rule @ (d_overlap * (1.0 / eps_pillar - 1.0 / eps_around) + also) @ rule)
+
+
+def inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+    """Permittivity along an axis that the field is normal to walls on, from the pillar's indicator."""
+    mixed = overlap * (1.0 / eps_pillar - 1.0 / eps_around)
+    _diagonal(mixed)[:] += 1.0 / eps_around
+    return np.linalg.inv(mixed)
+
+
+def contrast(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+    """What :func:`inverse_rule` gives, less the permittivity around the pillar."""
+    rule = inverse_rule(overlap, eps_pillar, eps_around)
+    _diagonal(rule)[:] -= eps_around
+    return rule
+
+
+def _inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+    """Inverse of eps_around + (eps_pillar - eps_around) u (x) v from the eigenvectors of the two small factors."""
+    value_u, vector_u = np.linalg.eigh(u)
+    value_v, vector_v = np.linalg.eigh(v)
+    weight = 1.0 / (eps_around + (eps_pillar - eps_around) * value_u[:, None] * value_v)
+    outer_u, outer_v = ((x[:, None] * x).reshape(-1, len(x)) for x in (vector_u, vector_v))
+    product = (outer_u @ weight @ outer_v.T).reshape(len(u), len(u), len(v), len(v))
+    return np.asarray(product.transpose(0, 2, 1, 3).reshape(len(u) * len(v), -1))
+
+
+def _diagonal(matrix: Matrix) -> Matrix:
+    """The diagonal of a square matrix, to be written to."""
+    return np.asarray(np.einsum("ii->i", matrix))
+
+
+def _wavenumber(axis: AxisParity) -> FloatArray:
+    same = axis.label_a[:, None] == axis.label_b
+    return np.asarray(np.where(same, axis.wavenumber[axis.label_b], 0.0))
+
+
+def kron(u: Matrix, v: Matrix) -> Matrix:
+    """Kronecker product of two matrices."""
+    product = u[:, None, :, None] * v[None, :, None, :]
+    return np.asarray(product.reshape(u.shape[0] * v.shape[0], u.shape[1] * v.shape[1]))

@@ -1,0 +1,1 @@
+"""Modes of a layer and what a stack of layers does to an incident wave."""

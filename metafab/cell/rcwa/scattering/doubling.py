@@ -1,0 +1,204 @@
+"""One incident wave through one layer without its modes: the layer's admittance by doubling its thickness.
+
+In a layer e'' = -A e with A = P Q and z in units of 1/k0. With W^2 = A, the fields at the faces of a slab of thickness
+d obey
+
+    P h(0) = i (F e(0) - G e(d)),      P h(d) = i (G e(0) - F e(d)),      F = W cot(W d),    G = W / sin(W d),
+
+and both matrices are functions of A, without a branch of the root. A thin slab has F from Lambert's continued fraction
+of x cot x, whose convergent of degree four in x^2 is good for travelling and evanescent modes alike. One step of
+cot x = (cot(x/2) - tan(x/2)) / 2, 1 / sin x = (cot(x/2) + tan(x/2)) / 2 gives F and G of twice the thickness, and from
+then on two slabs are laid on each other,
+
+    F(2 d) = F - G F^-1 G / 2,         G(2 d) = G F^-1 G / 2,
+
+at one linear system a doubling. Evanescent modes leave G as they die out, and nothing grows with the thickness.
+
+Half the layer is enough. Sum and difference of the fields at the two faces are those of a slab with a magnetic and with
+an electric mirror in the middle, F - G = -A F_half^-1 and F + G = F_half; and as P and Q are symmetric,
+Q F_half^-1 = F_half^-T Q, so that no further inverse is needed:
+
+    F_half^T (h(0) - h(d)) = -i Q (e(0) + e(d)),       P (h(0) + h(d)) = i F_half (e(0) - e(d)).
+
+(For layers on each other :mod:`metafab.cell.rcwa.scattering.stack` takes the whole slab's matrices instead.)
+
+With outgoing waves on either side these are two equations for two sets of amplitudes. Light from the other side is
+solved along with the light that is asked for. Rounding breaks the reciprocity of the two; where it does no answer is
+given, and the modes are the way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.linalg import lapack
+
+from metafab.cell.rcwa.basis.axis import Matrix
+from metafab.cell.rcwa.scattering.conditioning import NO_MODES, Conditioning
+from metafab.cell.rcwa.scattering.eigenmodes import PlaneWaves
+from metafab.core.conventions import ComplexArray
+
+#: x cot x as a ratio of two polynomials in x^2, a row each: Lambert's continued fraction cut after nine partial
+#: quotients 1, 3, .., 17. For real x it is off by 1e-13 at 1.5. For x = i y it is off by a factor 1 - 2 q, with
+#: q = 4e-3 at y = 16, 0.06 at 32 and 0.25 at 64, and each doubling squares q.
+_LAMBERT = np.array(
+    [
+        [34459425.0, -16216200.0, 945945.0, -13860.0, 45.0],
+        [34459425.0, -4729725.0, 135135.0, -990.0, 1.0],
+    ]
+)
+#: Largest x of a travelling mode in the thin slab.
+_THIN = 1.5
+#: Largest violation of reciprocity, as an amplitude, that is accepted. Amplitudes were found within a hundred times
+#: this of those from the modes.
+CONSISTENT = 1e-10
+
+
+@dataclass(frozen=True)
+class Faces:
+    """Field of p incident waves at the two faces of a layer.
+
+    Attributes:
+        transmitted: shape (n, p), transverse E where the layer ends.
+        reflected: shape (n, p), transverse E of the reflected waves where the layer begins.
+        inconsistency: by how much rounding broke reciprocity, as an amplitude; 0 where the modes were used.
+        conditioning: of the worst layer's modes; 0 where none were used.
+    """
+
+    transmitted: ComplexArray
+    reflected: ComplexArray
+    inconsistency: float
+    conditioning: Conditioning = NO_MODES
+
+
+def through_by_doubling(
+    p: Matrix,
+    q: Matrix,
+    thickness_k0: float,
+    incoming: PlaneWaves,
+    outgoing: PlaneWaves,
+    incident: ComplexArray,
+    largest_a: float = np.inf,
+) -> Faces | None:
+    """Field of the waves ``incident``, or None where rounding would show.
+
+    Args:
+        p: shape (n, n), P of the layer.
+        q: shape (n, n), Q of the layer.
+        thickness_k0: thickness times k0.
+        incoming: plane waves of the half space that the light comes from.
+        outgoing: plane waves of the half space behind.
+        incident: shape (n, k), transverse E of k incident waves where the layer begins.
+        largest_a: bound on the real part of the eigenvalues of A, where one is known.
+    """
+    with np.errstate(all="ignore"):  # What is not finite is refused below.
+        half = _doubled(p, q, thickness_k0, largest_a, last=1)
+        if half is None:
+            return None
+        f, _ = half
+        # Columns: the waves that are asked for, then the same amplitudes from the far side.
+        n, count = incident.shape
+        near_wave = np.divide(incident, incoming.e[:, None], out=np.zeros_like(incident), where=incident != 0.0)
+        near_h, far_h = incoming.h[:, None] * near_wave, outgoing.h[:, None] * incident
+        far_e = outgoing.e[:, None] * incident
+        sums = f.T @ np.hstack([near_h, far_h]) + 1j * (q @ np.hstack([incident, far_e]))
+        differences = p @ np.hstack([near_h, -far_h]) - 1j * (f @ np.hstack([incident, -far_e]))
+        # With r and w the outgoing amplitudes, near and far:
+        # (F^T H - i Q E) (r, w) = sums  and  (P H + i F E) (r, -w) = differences.
+        electric, magnetic = (
+            [first * waves.h + (1j * sign * waves.e) * second for waves in (incoming, outgoing)]
+            for first, second, sign in ((p, f, 1.0), (f.T, q, -1.0))
+        )
+        seen = _solve(electric[1], np.hstack([electric[0], differences]))
+        if seen is None:
+            return None
+        turned = magnetic[1] @ seen
+        turned[:, :n] += magnetic[0]
+        turned[:, n:] += sums
+        r = _solve(turned[:, :n], turned[:, n:])
+        if r is None:
+            return None
+        e_near, e_far = incoming.e[:, None] * r, outgoing.e[:, None] * (seen[:, :n] @ r - seen[:, n:])
+        # Lorentz: what light from the near side sends to the far side, and the other way round.
+        there, back = e_far[:, :count].T @ far_h, near_h.T @ e_near[:, count:]
+        scale = max(np.abs(near_h).max(), np.abs(far_h).max())
+        inconsistency = float(np.abs(there - back).max() / scale)
+    # A value that is not a number fails the comparison too.
+    return Faces(e_far[:, :count], e_near[:, :count], inconsistency) if inconsistency <= CONSISTENT else None
+
+
+def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -> tuple[Matrix, Matrix] | None:
+    """P^-1 F and P^-1 G of a layer, both symmetric; None where they cannot be had.
+
+    Args:
+        p: shape (n, n), P of the layer.
+        q: shape (n, n), Q of the layer.
+        thickness_k0: thickness times k0.
+        largest_a: bound on the real part of the eigenvalues of A, where one is known.
+    """
+    with np.errstate(all="ignore"):  # What is not finite shows in the answer.
+        found = _doubled(p, q, thickness_k0, largest_a, last=0)
+        both = None if found is None else _solve(p, np.hstack(found))
+    return None if both is None else (both[:, : len(p)], both[:, len(p) :])
+
+
+def _doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: int) -> tuple[Matrix, Matrix] | None:
+    """F and G of the layer by doublings, the ``last`` ones left out (G only after one); None where they fail."""
+    _keep_freed_memory()
+    powers = np.empty((4, *p.shape), dtype=np.result_type(p, q))
+    a = np.matmul(p, q, out=powers[0])
+    for k, (one, other) in enumerate(((0, 0), (1, 0), (1, 1)), start=1):
+        np.matmul(powers[one], powers[other], out=powers[k])
+    # ||A^4||^(1/4) bounds the eigenvalues of A, and is nearer to the largest than ||A||.
+    largest = float(np.abs(powers[3]).sum(axis=0).max()) ** 0.25
+    steepest = np.sqrt(largest) * thickness
+    if not 0.0 < steepest < np.inf:
+        return None
+    travelling = min(steepest, np.sqrt(largest_a) * thickness)
+    halvings = max(1, int(np.ceil(max(0.5 * np.log2(steepest), np.log2(travelling / _THIN)))))
+    f, g = _thin_slab(powers, thickness / 2.0**halvings), a
+    for doubling in range(halvings - last):
+        turned = None if f is None else _quotient(g, f)
+        if f is None or turned is None:
+            return None
+        # G F^-1 G and no other order of the factors: rounding errors that do not commute would grow.
+        g = turned @ g if doubling else f + turned
+        g *= 0.5
+        f -= g
+    return None if f is None else (f, g)
+
+
+@cache
+def _keep_freed_memory() -> None:
+    """Spare a fifth of the time at 100 unknowns: let the C library keep a few freed MB instead of asking for them anew.
+
+    glibc returns memory beyond twice the largest mapped block that was ever freed. This is such a block, never touched.
+    """
+    np.empty(16 << 20, dtype=np.uint8)
+
+
+def _thin_slab(powers: Matrix, thickness: float) -> Matrix | None:
+    """F of a thin slab from ``powers`` 1 to 4 of A, shape (4, n, n)."""
+    scaled = _LAMBERT * thickness ** (2.0 * np.arange(5))
+    scaled[1] *= thickness
+    parts = np.tensordot(scaled[:, 1:], powers, axes=1)
+    n = powers.shape[1]
+    parts.reshape(2, n * n)[:, :: n + 1] += scaled[:, :1]
+    numerator, denominator = parts
+    return _quotient(numerator, denominator)
+
+
+def _quotient(numerator: Matrix, denominator: Matrix) -> Matrix | None:
+    """``numerator`` times the inverse of ``denominator``; None where that does not exist."""
+    # The transpose of a row-wise array is what LAPACK takes without reordering it.
+    quotient = _solve(denominator.T, numerator.T)
+    return None if quotient is None else quotient.T
+
+
+def _solve(matrix: Matrix, columns: Matrix) -> Matrix | None:
+    """LAPACK itself: on small matrices the checks around it cost as much as the work. None where singular."""
+    gesv = lapack.zgesv if matrix.dtype == np.complex128 else lapack.dgesv
+    _, _, solution, info = gesv(matrix, columns)
+    return np.asarray(solution) if info == 0 else None

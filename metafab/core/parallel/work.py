@@ -1,0 +1,38 @@
+"""How long work is spread over processors, and to whom its progress is reported."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+
+from metafab.core.parallel.executor import open_executor, open_threads
+from metafab.core.parallel.progress import Progress, silent
+
+
+@dataclass(frozen=True)
+class Work:
+    """Resources of long work, passed down unchanged from the command line.
+
+    Attributes:
+        workers: processes or threads; None for all cores.
+        cluster: address of a Dask scheduler, or None for this machine.
+        progress: callback of long work.
+    """
+
+    workers: int | None = None
+    cluster: str | None = None
+    progress: Progress = silent
+
+    def processes(self) -> AbstractContextManager[Executor]:
+        """Open an executor over processes of this machine, or over the cluster.
+
+        Raises:
+            InputError: ``workers`` is below one.
+            MissingToolError: ``cluster`` is set but Dask is not installed.
+        """
+        return open_executor(self.workers, self.cluster)
+
+    def threads(self) -> AbstractContextManager[Executor]:
+        """Open an executor over threads of this process, or over the cluster."""
+        return open_threads(self.workers, self.cluster)

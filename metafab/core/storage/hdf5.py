@@ -1,0 +1,148 @@
+"""HDF5 as metafab writes it: every dataset with units and a description, every file with its provenance.
+
+Behind the last byte that HDF5 knows of stands a checksum of all before it. The HDF5 library trusts what it reads, and
+a damaged file can keep it busy for ever; so damage is found first. Programs that change a file by HDF5 drop the
+checksum as they close it, and files without one open as ever.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import ArrayLike
+
+from metafab import __version__
+from metafab.core.errors import InputError
+from metafab.core.storage.files import whole_file
+
+
+@contextmanager
+def create(path: Path, *, kind: str, format_version: int, inputs_sha256: str) -> Iterator[h5py.File]:
+    """A new HDF5 file that appears under ``path`` only when the block has succeeded.
+
+    Args:
+        path: final name.
+        kind: what the file holds, such as ``"metafab library"``; readers refuse other kinds.
+        format_version: version of this kind's layout.
+        inputs_sha256: fingerprint of everything that the content depends on.
+    """
+    # Made in memory: on a full disk the HDF5 library brings the process down, Python's own writing does not.
+    with whole_file(path) as part:
+        # Without tracked times, the same content gives the same bytes.
+        options: dict[str, Any] = {"libver": ("v110", "v110"), "track_order": True}
+        with h5py.File(part, "w", driver="core", backing_store=False, **options) as file:
+            file.attrs["kind"] = kind
+            file.attrs["format_version"] = format_version
+            file.attrs["inputs_sha256"] = inputs_sha256
+            file.attrs["metafab_version"] = __version__
+            yield file
+            file.flush()
+            image = file.id.get_file_image()
+        with part.open("wb") as stream:
+            stream.write(image)
+            stream.write(_seal(zlib.crc32(image)))
+
+
+def put(
+    group: h5py.Group,
+    name: str,
+    data: ArrayLike,
+    *,
+    units: str,
+    description: str,
+    dims: Sequence[str] = (),
+    compress: bool = False,
+) -> h5py.Dataset:
+    """Store an array with its units, a one-line description and, by name, its dimension scales.
+
+    A name in ``dims`` that is a dataset of ``group``, or else of the file's root, becomes that axis' scale; a dataset
+    whose only dimension is itself (``dims=(name,)``) becomes a scale. Readers such as xarray want all axes of an array
+    scaled, or none.
+    """
+    array = np.asarray(data)
+    if array.dtype.kind == "U":
+        array = array.astype("S")
+    options: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if compress else {}
+    dataset = group.create_dataset(name, data=array, track_times=False, **options)
+    dataset.attrs["units"] = units
+    dataset.attrs["description"] = description
+    if tuple(dims) == (name,):
+        dataset.make_scale(name)
+        return dataset
+    for axis, dimension in enumerate(dims):
+        dataset.dims[axis].label = dimension
+        for place in (group, group.file):
+            if dimension in place:
+                dataset.dims[axis].attach_scale(place[dimension])
+                break
+    return dataset
+
+
+@contextmanager
+def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) -> Iterator[h5py.File]:
+    """Open an existing file of a kind for reading, or say in one line why it cannot be used.
+
+    Raises:
+        InputError: the file is missing, truncated, not HDF5, of another kind, or of a newer format.
+    """
+    path, expected = Path(path), f"a {kind} file (HDF5, format {format_version} or older)"
+    if not path.is_file():
+        raise InputError.single(str(path), "file", expected, "nothing at that path", remedy)
+    try:
+        if _damaged(path):
+            got = "a damaged file (its bytes are not those that were written)"
+            raise InputError.single(str(path), "file", expected, got, remedy)
+        file = h5py.File(path, "r")
+    except (OSError, RuntimeError) as error:
+        reason = "a truncated or foreign file" if path.stat().st_size else "an empty file"
+        raise InputError.single(str(path), "file", expected, f"{reason} ({error})", remedy) from error
+    with file:
+        try:
+            found = file.attrs.get("kind")
+            if not isinstance(found, str) or found != kind:
+                got = f"an HDF5 file of kind {found!r}" if found else "an HDF5 file that metafab did not write"
+                raise InputError.single(str(path), "kind", expected, got, remedy)
+            version = int(file.attrs.get("format_version", 0))
+            if version > format_version:
+                raise InputError.single(
+                    str(path), "format_version", expected, f"format {version}", "update metafab to read this file"
+                )
+            yield file
+        except _UNREADABLE as error:
+            raise InputError.single(
+                str(path), "content", expected, f"unreadable or missing content ({error})", remedy
+            ) from error
+
+
+#: What h5py, NumPy and JSON raise on content that is not what its place promises.
+_UNREADABLE = (LookupError, OSError, ValueError, TypeError, AttributeError, RuntimeError, MemoryError)
+_SEAL = b"\nmetafab crc32 "
+#: Bytes of the checksum at the end of a file.
+SEAL_BYTES = len(_SEAL) + 9
+
+
+def _seal(checksum: int) -> bytes:
+    """The checksum as it stands at the end of a file."""
+    return _SEAL + f"{checksum:08x}\n".encode()
+
+
+def _damaged(path: Path) -> bool:
+    """Whether a file carries a checksum that is not its own."""
+    left, checksum = path.stat().st_size - SEAL_BYTES, 0
+    if left < 0:
+        return False
+    with path.open("rb") as stream:
+        stream.seek(left)
+        found = stream.read()
+        if not found.startswith(_SEAL):
+            return False
+        stream.seek(0)
+        while left > 0 and (chunk := stream.read(min(left, 1 << 20))):
+            checksum, left = zlib.crc32(chunk, checksum), left - len(chunk)
+    return found != _seal(checksum)

@@ -1,0 +1,73 @@
+"""What a result depends on beyond its settings: the code that made it, and the content of files that were named."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from metafab import __version__
+from metafab.core.storage.files import file_sha256
+from metafab.core.storage.source_graph import sources_of
+
+_PACKAGE = Path(__file__).parents[2]
+
+
+@cache
+def code_sha256(rooms: tuple[str, ...]) -> str:
+    """Hash of the source of some rooms, and of what all rooms stand on: changed code makes its results stale."""
+    digest = sha256(__version__.encode())
+    for room in ("core", "steps", *rooms):
+        digest.update(_room_sha256(room))
+    return digest.hexdigest()
+
+
+@cache
+def sources_sha256(modules: tuple[str, ...], rooms: tuple[str, ...]) -> str:
+    """Hash of the source of some modules, of all that they import from this package, and of whole rooms besides."""
+    digest = sha256(__version__.encode())
+    digest.update(_files_sha256(sources_of(modules)))
+    for room in rooms:
+        digest.update(_room_sha256(room))
+    return digest.hexdigest()
+
+
+@cache
+def _room_sha256(room: str) -> bytes:
+    sources = (_PACKAGE / room).rglob("*.*")
+    return _files_sha256(sorted(path for path in sources if path.suffix in {".py", ".csv", ".html", ".css", ".js"}))
+
+
+def _files_sha256(paths: Iterable[Path]) -> bytes:
+    digest = sha256()
+    for path in paths:
+        digest.update(path.relative_to(_PACKAGE).as_posix().encode())
+        digest.update(path.read_bytes())
+    return digest.digest()
+
+
+def contents_sha256(spec: Any) -> list[str]:
+    """Hashes of the files that a spec names (phase arrays, pictures, index tables), in the order of its fields.
+
+    Their content counts, not their names; a file that is not there counts as missing.
+    """
+    return [file_sha256(path) if path.is_file() else "missing" for path in _named_files(spec)]
+
+
+def _named_files(value: Any) -> Iterator[Path]:
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, str) and value.lower().endswith(".csv"):
+        yield Path(value)
+    elif is_dataclass(value) and not isinstance(value, type):
+        for item in fields(value):
+            yield from _named_files(getattr(value, item.name))
+    elif isinstance(value, Mapping):
+        for item in value.values():
+            yield from _named_files(item)
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _named_files(item)

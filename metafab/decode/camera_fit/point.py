@@ -1,0 +1,168 @@
+"""One image of a point in a photograph: where it stands, which depth it looks like, and how well the model fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+from scipy.optimize import OptimizeResult, least_squares
+
+from metafab.camera.frames.frame import RawFrame
+from metafab.camera.kernels import PairKernels
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.optics.interpolation.field import spline_weights
+
+#: How far from its predicted place an image of the point may stand, pixels.
+_SEARCH_PX = 64
+#: Vergences over the calibrated range that the search for the image tries.
+_TRIALS = 9
+#: So near to an end of the calibrated range, as a share of it, a vergence was stopped by the end.
+_AT_END = 1e-3
+#: A full pixel among others of this share of its light belongs to the point; alone in the dark, it is a hot one.
+_LIT = 0.25
+
+
+@dataclass(frozen=True)
+class PointImage:
+    """What one image of the point says.
+
+    Attributes:
+        vergence_per_m: at which the prediction looks most like it.
+        place_um: (x, y) on the sensor.
+        variance: of the vergence and of both coordinates of the place, by the photograph's noise; where the prediction
+            fits worse than that, by what is left.
+        chi_square: mean square of what is left, in standard deviations of photon and read noise; 1 for a perfect model.
+        misfit: share of the image's power that the model does not explain, noise taken off.
+        full_pixels: saturated ones in the image.
+        at_end: whether the vergence was stopped by an end of the predicted range.
+    """
+
+    vergence_per_m: float
+    place_um: tuple[float, float]
+    variance: tuple[float, float, float]
+    chi_square: float
+    misfit: float
+    full_pixels: int
+    at_end: bool
+
+
+def find_point(
+    frame: RawFrame, depth_m: float, polarisation: int, kernels: PairKernels, place_um: FloatArray
+) -> PointImage:
+    """Look for the image of a point and fit it.
+
+    Args:
+        frame: the photograph.
+        depth_m: the point's, for messages.
+        polarisation: 0 for x, 1 for y.
+        kernels: the prediction on the axis.
+        place_um: (x, y), about where the image is looked for.
+
+    Raises:
+        InputError: there is none.
+    """
+    n_y, n_x = kernels.shape
+    column, row = (round((place_um[axis] - frame.origin_um[axis]) / frame.pixel_um) for axis in (0, 1))
+    half_y, half_x = n_y // 2 + _SEARCH_PX, n_x // 2 + _SEARCH_PX
+    top, left = max(0, row - half_y), max(0, column - half_x)
+    part = np.asarray(frame.frame, dtype=np.float64)[top : row + half_y, left : column + half_x]
+    if part.shape[0] < n_y or part.shape[1] < n_x or not np.isfinite(part).all():
+        raise _no_point(depth_m, polarisation)
+    part, full = _without_hot(part, frame.saturation_e)
+    part = part - np.median(part)
+    start, at = _coarse(part, kernels, polarisation, 1.0 / kernels.psf.depth_m)
+    window = slice(at[0], at[0] + n_y), slice(at[1], at[1] + n_x)
+    cut = part[window]
+    if cut.max() <= 6.0 * (frame.read_noise_e + np.median(np.abs(part))):
+        raise _no_point(depth_m, polarisation)
+    solved, explained = _fitted(cut, kernels, polarisation, start, frame.read_noise_e)
+    found, range_per_m = solved.x, float(np.ptp(1.0 / kernels.psf.depth_m))
+    freedom = cut.size - found.size - 2
+    chi_square = 2.0 * float(solved.cost) / freedom
+    slopes = np.asarray(solved.jac, dtype=np.float64)
+    variance = max(1.0, chi_square) * np.diag(np.linalg.pinv(slopes.T @ slopes))
+    variance = variance * np.array([range_per_m, frame.pixel_um, frame.pixel_um]) ** 2
+    x_um = frame.origin_um[0] + frame.pixel_um * (left + at[1] + n_x // 2 + float(found[2]))
+    y_um = frame.origin_um[1] + frame.pixel_um * (top + at[0] + n_y // 2 + float(found[1]))
+    left_over = max(0.0, 2.0 * float(solved.cost) - freedom)
+    return PointImage(
+        float(1.0 / kernels.psf.depth_m.max() + found[0] * range_per_m),
+        (x_um, y_um),
+        (float(variance[0]), float(variance[1]), float(variance[2])),
+        chi_square,
+        left_over / max(left_over + explained, 1e-300),
+        int(full[window].sum()),
+        bool(min(found[0], 1.0 - found[0]) < _AT_END),
+    )
+
+
+def _without_hot(part: FloatArray, saturation_e: float | None) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """The picture with hot pixels mended from those about them, and which of the others are full."""
+    if saturation_e is None or not (full := part >= saturation_e).any():
+        return part, np.zeros(part.shape, dtype=np.bool_)
+    about = median_filter(part, 3)
+    lit = about > _LIT * saturation_e
+    return np.where(full & ~lit, about, part), full & lit
+
+
+def _fitted(
+    cut: FloatArray, kernels: PairKernels, polarisation: int, start_per_m: float, read_noise_e: float
+) -> tuple[OptimizeResult, float]:
+    """Vergence (as a share of the range) and place (row, column, from the middle) of a point in a window.
+
+    Also the power that the model explains, in the same units as the cost: standard deviations of the noise, squared.
+    """
+    n_y, n_x = cut.shape
+    nodes = 1.0 / kernels.psf.depth_m
+    deviation = np.sqrt(np.maximum(cut, 0.0) + read_noise_e**2 + 1.0)
+    ky, kx = scipy.fft.fftfreq(n_y)[:, None], scipy.fft.rfftfreq(n_x)[None, :]
+    basis = kernels.nodes[polarisation, :, 0, 0].astype(np.float64)
+    data, one = (cut / deviation).ravel(), (1.0 / deviation).ravel()
+
+    def model(unknown: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The point's image and the whole model. Brightness and background follow from the rest."""
+        kernel = np.tensordot(spline_weights(nodes, nodes.min() + unknown[0] * np.ptp(nodes)), basis, axes=(0, 0))
+        moved = scipy.fft.rfft2(kernel) * np.exp(-2j * np.pi * (ky * unknown[1] + kx * unknown[2]))
+        image = (scipy.fft.irfft2(moved, (n_y, n_x)) / deviation).ravel()
+        design = np.stack([image, one], axis=1)
+        share, *_ = np.linalg.lstsq(design, data, rcond=None)
+        return np.asarray(share[0] * image), np.asarray(design @ share)
+
+    def residual(unknown: FloatArray) -> FloatArray:
+        return np.asarray(data - model(unknown)[1])
+
+    bounds = ([0.0, -8.0, -8.0], [1.0, 8.0, 8.0])
+    first = [float(np.clip((start_per_m - nodes.min()) / np.ptp(nodes), 0.02, 0.98)), 0.0, 0.0]
+    solved = least_squares(residual, first, bounds=bounds, x_scale=(0.05, 0.3, 0.3))
+    return solved, float((model(solved.x)[0] ** 2).sum())
+
+
+def _coarse(
+    part: FloatArray, kernels: PairKernels, polarisation: int, nodes: FloatArray
+) -> tuple[float, tuple[int, int]]:
+    """The trial vergence and the whole pixel (first of the window) whose kernel the picture is most like."""
+    n_y, n_x = kernels.shape
+    spectrum = scipy.fft.rfft2(part)
+    best: tuple[float, float, tuple[int, int]] = (-np.inf, 0.0, (0, 0))
+    for trial in np.linspace(nodes.min(), nodes.max(), _TRIALS):
+        kernel = kernels.at_depth(float(1.0 / trial))[polarisation, 0, 0]
+        match = scipy.fft.irfft2(spectrum * np.conj(scipy.fft.rfft2(kernel, part.shape)), part.shape)
+        match = match[: part.shape[0] - n_y + 1, : part.shape[1] - n_x + 1] / np.linalg.norm(kernel)
+        row, column = np.unravel_index(int(match.argmax()), match.shape)
+        if match[row, column] > best[0]:
+            best = (float(match[row, column]), float(trial), (int(row), int(column)))
+    return best[1], best[2]
+
+
+def _no_point(depth_m: float, polarisation: int) -> InputError:
+    return InputError.single(
+        "calibration",
+        f"frame at {depth_m:g} m",
+        f"the {'xy'[polarisation]} image of a point within {_SEARCH_PX} pixels of its predicted place",
+        "none",
+        "leave the frame out, or expose longer",
+    )

@@ -1,0 +1,1 @@
+"""Decoded images against the truth and against the Cramer-Rao bound."""

@@ -1,0 +1,1 @@
+"""Films: change detection, tracking of segments, frame after frame."""

@@ -1,0 +1,1 @@
+"""All-in-focus images, contrast, and the composed Image4D."""

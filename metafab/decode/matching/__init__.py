@@ -1,0 +1,1 @@
+"""Cost volume of the twin images over candidate depths."""

@@ -1,0 +1,1 @@
+"""The two images of a frame brought onto one grid."""

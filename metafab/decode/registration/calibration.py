@@ -1,0 +1,146 @@
+"""The PSF pair as the decoder uses it: kernels on the grid of the x image, at any tile and depth.
+
+The image is cut into tiles, small enough for one pair each. The y image has been brought onto the x image's grid, so
+its kernels are stretched by the same map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, PPoly
+from scipy.ndimage import map_coordinates, spline_filter1d
+from scipy.sparse import csr_matrix
+
+from metafab.camera.geometry import ImageMap
+from metafab.camera.kernels import PairKernels
+from metafab.core.conventions import FloatArray
+from metafab.decode.registration.tiles import Tiling
+from metafab.decode.registration.twins import TwinGrid
+from metafab.optics.interpolation.field import spline_weights
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """The pair's kernels on the grid of the x image.
+
+    Attributes:
+        kernels: the PSF calibration.
+        grid: the twin grid.
+        image_map: directions to the sensor.
+    """
+
+    kernels: PairKernels
+    grid: TwinGrid
+    image_map: ImageMap
+
+    def core_px(self, change: float) -> tuple[float, float]:
+        """(n_y, n_x) of a tile from whose centre to whose edge the pair changes by ``change`` (relative L2)."""
+        pixel_tangent = self.kernels.psf.pixel_um / self.kernels.psf.sensor_distance_um
+        rate_y, rate_x = _change_per_tangent(self.kernels)
+        return 2.0 * change / max(rate_y * pixel_tangent, 1e-12), 2.0 * change / max(rate_x * pixel_tangent, 1e-12)
+
+    def tile_weights(self, tiling: Tiling, every: int) -> NDArray[np.float32]:
+        """Share of each field point in each tile's kernel: shape (n_tiles, n_field_y * n_field_x).
+
+        Args:
+            tiling: tiles of every ``every``-th pixel of the window.
+            every: step of the tiling's pixels.
+        """
+        row, column = self.grid.margin + every * tiling.middles.T
+        weights = self.kernels.field_weights(self.grid.tangent_x[row, column], self.grid.tangent_y[row, column])
+        return weights.reshape(tiling.n_tiles, -1).astype(np.float32)
+
+    def block_weights(self, shape: tuple[int, int], every: int, block: int) -> NDArray[np.float32]:
+        """Share of each field point in the middle of each block of pixels: shape (n_block_y, n_block_x, n_field).
+
+        Args:
+            shape: (n_y, n_x) of every ``every``-th pixel of the window.
+            every: step of those pixels.
+            block: side of a block of them.
+        """
+        grid = self.grid
+        row, column = (
+            grid.margin + np.minimum(every * (np.arange(-(-n // block)) * block + 0.5 * (block - 1)), most - 1.0)
+            for n, most in zip(shape, grid.shape, strict=True)
+        )
+        place = np.meshgrid(row, column, indexing="ij")
+        tangents = (map_coordinates(axis, place, order=1) for axis in (grid.tangent_x, grid.tangent_y))
+        weights = self.kernels.field_weights(*tangents)
+        return weights.reshape(row.size, column.size, -1).astype(np.float32)
+
+    @cached_property
+    def stack(self) -> NDArray[np.float32]:
+        """Kernels at all calibrated depths with y's stretched: (2, n_depth, n_field, n_y, n_x)."""
+        nodes = self.kernels.nodes.copy()
+        for j, tangent_y in enumerate(self.kernels.tangent_y):
+            for i, tangent_x in enumerate(self.kernels.tangent_x):
+                stretch = self._stretch(tangent_x, tangent_y)
+                if np.abs(stretch - np.eye(2)).max() > 1e-6:
+                    nodes[1, :, j, i] = stretched(nodes[1, :, j, i], stretch)
+        return nodes.reshape(*nodes.shape[:2], -1, *nodes.shape[-2:])
+
+    def _stretch(self, tangent_x: float, tangent_y: float) -> FloatArray:
+        """d(place in the y image) / d(place in the x image), shape (2, 2) over (x, y)."""
+        x, y = (self.image_map.jacobian_um(p, np.array(tangent_x), np.array(tangent_y)) for p in (0, 1))
+        return np.asarray(y @ np.linalg.inv(x))
+
+    def depth_weights(self, vergence_per_m: float | FloatArray) -> NDArray[np.float32]:
+        """Share of each calibrated depth at one vergence or several: shape (..., n_depth)."""
+        return spline_weights(1.0 / self.kernels.psf.depth_m, vergence_per_m).astype(np.float32)
+
+
+def _change_per_tangent(kernels: PairKernels) -> tuple[float, float]:
+    """Largest relative L2 change of the pair per unit tangent along y and x, at the middle depth."""
+    middle = kernels.at_depth(float(np.median(kernels.psf.depth_m)))
+    rates = []
+    for axis, nodes in ((1, kernels.tangent_y), (2, kernels.tangent_x)):
+        if nodes.size == 1:
+            rates.append(0.0)
+            continue
+        span = float(nodes[-1] - nodes[0])
+        places = np.linspace(nodes[0], nodes[-1], 33)
+        step = 1e-3 * span
+        low, high = (spline_weights(nodes, places + d) for d in (-step, step))
+        change = np.linalg.norm(np.tensordot(high - low, middle, axes=(1, axis)).reshape(33, -1), axis=1)
+        level = np.linalg.norm(np.tensordot(low, middle, axes=(1, axis)).reshape(33, -1), axis=1)
+        rates.append(float(np.median(change / level)) / (2.0 * step))
+    return rates[0], rates[1]
+
+
+def stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.float32]:
+    """h(J r) |J| for a stack of kernels (n, n_y, n_x), by a quintic spline; zero outside of the window."""
+    n_y, n_x = kernels.shape[-2:]
+    coefficients = spline_filter1d(kernels, order=5, axis=-1, mode="mirror", output=np.float32)
+    coefficients = spline_filter1d(coefficients, order=5, axis=-2, mode="mirror", output=np.float32)
+    y, x = np.mgrid[:n_y, :n_x]
+    x, y = x - n_x // 2, y - n_y // 2
+    place_x = stretch[0, 0] * x + stretch[0, 1] * y + n_x // 2
+    place_y = stretch[1, 0] * x + stretch[1, 1] * y + n_y // 2
+    inside = (place_x >= 0) & (place_x <= n_x - 1) & (place_y >= 0) & (place_y <= n_y - 1)
+    first_x, first_y = np.floor(place_x).astype(int) - 2, np.floor(place_y).astype(int) - 2
+    weight_x = _quintic_weights(place_x - (first_x + 2)) * inside
+    weight_y = _quintic_weights(place_y - (first_y + 2))
+    row = np.stack([_mirrored(first_y + j, n_y) for j in range(6)])
+    column = np.stack([_mirrored(first_x + i, n_x) for i in range(6)])
+    source = (row[:, None] * n_x + column[None, :]).reshape(36, -1)
+    weight = (weight_y[:, None] * weight_x[None, :]).reshape(36, -1) * abs(np.linalg.det(stretch))
+    starts = np.arange(0, 36 * n_y * n_x + 1, 36)
+    matrix = csr_matrix((weight.T.ravel().astype(np.float32), source.T.ravel(), starts), shape=(n_y * n_x,) * 2)
+    return np.asarray((matrix @ coefficients.reshape(-1, n_y * n_x).T).T.reshape(kernels.shape), dtype=np.float32)
+
+
+#: Powers (highest first) of each of the quintic B-spline's six pieces; SciPy puts five empty ones and one of 0 before.
+_QUINTIC = PPoly.from_spline(BSpline.basis_element(np.arange(-3.0, 4.0)).tck).c[:, 5:11]
+
+
+def _quintic_weights(fraction: FloatArray) -> FloatArray:
+    """Of the six coefficients about a place, by its fraction of a pixel beyond the third: shape (6, ...)."""
+    return np.stack([np.polyval(_QUINTIC[:, 5 - i], fraction) for i in range(6)])
+
+
+def _mirrored(index: NDArray[np.intp], count: int) -> NDArray[np.intp]:
+    return np.asarray((count - 1) - np.abs((count - 1) - np.abs(index)) % (2 * count))

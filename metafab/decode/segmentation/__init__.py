@@ -1,0 +1,1 @@
+"""Segments of a frame: connected pixels on one plane."""

@@ -1,0 +1,1 @@
+"""What can be known about depth: Fisher information and Cramer-Rao bounds."""

@@ -1,0 +1,1 @@
+"""Models of the amplitudes over the sizes, fitted to solved samples, and the error that they support."""

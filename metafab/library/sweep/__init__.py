@@ -1,0 +1,1 @@
+"""Building a library: adaptive sampling, checkpoints, corners."""

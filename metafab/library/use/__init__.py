@@ -1,0 +1,1 @@
+"""Using a library: inverse look-up, quality, checks."""

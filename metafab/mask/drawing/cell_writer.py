@@ -1,0 +1,171 @@
+"""What both formats share: tiles become cells as they come, and the top cell places them, once or several times."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.layout.pillars import Lattice, PillarTile
+from metafab.mask.drawing.cells import Stamp, TileCell, lens_name, tile_cell
+from metafab.mask.drawing.copies import LensCopy, biases_dbu
+from metafab.mask.shapes.hierarchy import IntArray
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What a writer knows of a mask before the first tile comes.
+
+    Attributes:
+        lattice: lattice of the tiles.
+        top: name of the top cell.
+        copies: lenses to place where there are several; without any, the top cell is the lens.
+        flat: whether the top cell is the only one and holds every rectangle, those of each copy at its place.
+    """
+
+    lattice: Lattice
+    top: str
+    copies: tuple[LensCopy, ...] = ()
+    flat: bool = False
+
+
+@dataclass(frozen=True)
+class EncodedTile:
+    """What is stamped on the sites of a tile, in a format's bytes.
+
+    Attributes:
+        bias_dbu: of the copy of the lens that it belongs to.
+        cell: their cell.
+        content: its elements, shape (n,); where the mask is flat, a piece for each copy of the lens.
+        cells: what the elements refer to, by name, as the format writes it.
+    """
+
+    bias_dbu: int
+    cell: TileCell
+    content: tuple[NDArray[np.uint8], ...]
+    cells: Mapping[str, bytes] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TileEncoder(ABC):
+    """Tiles -> bytes of a format; knows nothing of the file and may travel to another process.
+
+    Attributes:
+        drawing: what is drawn.
+    """
+
+    drawing: Drawing
+
+    def __call__(self, tile: PillarTile, stamp: Stamp) -> EncodedTile:
+        """``stamp`` on the sites of ``tile`` as :meth:`MaskWriter.add` takes it. Safe to call from several threads."""
+        cell = tile_cell(self.drawing.lattice, tile, stamp)
+        if not self.drawing.flat:
+            return EncodedTile(stamp.bias_dbu, cell, (self._content(tile, cell, stamp),), self._cells(tile, stamp))
+        copies = (copy for copy in self.drawing.copies if copy.bias_dbu == stamp.bias_dbu)
+        pieces = (self._content(tile, cell.flattened(copy.x_dbu, copy.y_dbu), stamp) for copy in copies)
+        return EncodedTile(stamp.bias_dbu, cell, tuple(pieces))
+
+    def _cells(self, tile: PillarTile, stamp: Stamp) -> dict[str, bytes]:
+        """Cells that the elements of a tile refer to, unless the mask is flat; none here."""
+        return {}
+
+    @abstractmethod
+    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
+        """The elements of the cell of a tile."""
+
+
+class MaskWriter(ABC):
+    """Writes a mask by streaming; memory stays that of the tiles in flight.
+
+    Args:
+        stream: binary stream at its start.
+        drawing: what is drawn.
+
+    Attributes:
+        encoder: makes of tiles what :meth:`add` takes.
+
+    Raises:
+        InputError: the format cannot hold it.
+    """
+
+    encoder: TileEncoder
+
+    def __init__(self, stream: BinaryIO, drawing: Drawing) -> None:
+        self._stream = stream
+        self._drawing = drawing
+        self._placed: dict[int, list[TileCell]] = {bias: [] for bias in biases_dbu(drawing.copies) or (0,)}
+        self._cells: dict[str, bytes] = {}
+        self._begin_file()
+        if drawing.flat:
+            self._begin_cell(drawing.top)
+
+    def add(self, tile: EncodedTile) -> None:
+        """Append the cell of a tile. Its memory may be used again: it must not be read afterwards."""
+        self._cells.update(tile.cells)
+        if not self._drawing.flat:
+            self._placed[tile.bias_dbu].append(tile.cell)
+            self._begin_cell(tile.cell.name)
+        for piece in tile.content:
+            self._write(piece.data)  # not copied: a tile may have tens of megabytes
+        if not self._drawing.flat:
+            self._end_cell()
+
+    def close(self, beside: Iterable[tuple[int, IntArray]] = ()) -> None:
+        """Write the top cell, with (layer, rectangles) ``beside`` the pillars in it, and the end of the file.
+
+        Raises:
+            InputError: the format cannot hold a rectangle.
+        """
+        drawing = self._drawing
+        for _, cell in sorted(self._cells.items()):
+            self._write(cell)
+        if not drawing.flat:
+            self._begin_top()
+        for layer, rectangles in beside:
+            self._draw(layer, rectangles)
+        self._end_cell()
+        self._end_file()
+
+    def _begin_top(self) -> None:
+        """The cells of the copies, and the top cell that places them or, without any, the tiles."""
+        drawing = self._drawing
+        if drawing.copies:
+            for bias_dbu in self._placed:
+                self._begin_cell(lens_name(bias_dbu, drawing.top))
+                self._place_tiles(bias_dbu)
+                self._end_cell()
+        self._begin_cell(drawing.top)
+        if not drawing.copies:
+            self._place_tiles(0)
+        for copy in drawing.copies:
+            self._place(lens_name(copy.bias_dbu, drawing.top), copy.x_dbu, copy.y_dbu)
+
+    def _place_tiles(self, bias_dbu: int) -> None:
+        for cell in self._placed[bias_dbu]:
+            self._place(cell.name, cell.x_dbu, cell.y_dbu)
+
+    def _write(self, data: bytes | memoryview) -> None:
+        self._stream.write(data)
+
+    @abstractmethod
+    def _begin_file(self) -> None: ...
+
+    @abstractmethod
+    def _begin_cell(self, name: str) -> None: ...
+
+    @abstractmethod
+    def _place(self, name: str, x_dbu: int, y_dbu: int) -> None: ...
+
+    @abstractmethod
+    def _draw(self, layer: int, rectangles: IntArray) -> None:
+        """Rectangles, shape (n, 4), on datatype 0."""
+
+    @abstractmethod
+    def _end_cell(self) -> None: ...
+
+    @abstractmethod
+    def _end_file(self) -> None: ...

@@ -1,0 +1,109 @@
+"""Several lenses on one chip: where each copy stands, what bias it is drawn with, and telling them apart in a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from metafab.core.errors import InputError
+from metafab.layout import lattice_of
+from metafab.layout.geometry import aperture_dbu, whole_dbu
+from metafab.mask.shapes.hierarchy import IntArray
+from metafab.spec import Design
+
+
+@dataclass(frozen=True)
+class LensCopy:
+    """One lens of the chip.
+
+    Attributes:
+        x_dbu: where its optical axis stands; likewise ``y_dbu``.
+        bias_dbu: added to the width and length that the lens is drawn with anyway.
+        label: drawn above it; None for nothing.
+    """
+
+    x_dbu: int
+    y_dbu: int
+    bias_dbu: int = 0
+    label: str | None = None
+
+
+_ALONE = LensCopy(0, 0)
+
+
+def lens_copies(design: Design) -> tuple[LensCopy, ...]:
+    """The lenses of the chip in the order of ``mask.copies``; the single one in the middle where none are listed.
+
+    Raises:
+        InputError: a place is no whole, or a bias no even, number of database units, or two lenses overlap.
+    """
+    unit_nm = design.mask.database_unit_nm
+    found: list[LensCopy] = []
+    for number, copy in enumerate(design.mask.copies, start=1):
+        key = f"mask.copies[{number}]"
+        x_dbu, y_dbu = (whole_dbu(at_um * 1e3, unit_nm, f"{key}.at_um") for at_um in copy.at_um)
+        bias_dbu = whole_dbu(copy.bias_nm, unit_nm, f"{key}.bias_nm", even=True)
+        for other, before in enumerate(found, start=1):
+            if max(abs(x_dbu - before.x_dbu), abs(y_dbu - before.y_dbu)) < aperture_dbu(design):
+                expected = f"at least {design.device.aperture_um:g} um from copy {other}, along x or along y"
+                raise InputError.single(design.name, f"{key}.at_um", expected, f"{copy.at_um}", "move it")
+        found.append(LensCopy(x_dbu, y_dbu, bias_dbu, copy.label))
+    return tuple(found) or (_ALONE,)
+
+
+def lens_copy(design: Design, number: int) -> LensCopy:
+    """Copy ``number``, counted from 1.
+
+    Raises:
+        InputError: there is no such copy.
+    """
+    copies = lens_copies(design)
+    if not 1 <= number <= len(copies):
+        raise InputError.single(design.name, "copy", f"1 to {len(copies)}", str(number), "see `mask.copies`")
+    return copies[number - 1]
+
+
+def biases_dbu(copies: Sequence[LensCopy]) -> tuple[int, ...]:
+    """The distinct biases, each of which becomes cells of its own."""
+    return tuple(sorted({copy.bias_dbu for copy in copies}))
+
+
+class OtherCopies:
+    """Sets the rectangles of all copies but one apart, and counts them.
+
+    Args:
+        design: the chip.
+        number: the copy whose rectangles are wanted, counted from 1.
+        unit_ratio: file units in database units of the design.
+
+    Attributes:
+        counts: rectangles seen in the lattice square of every other copy, by its number.
+    """
+
+    def __init__(self, design: Design, number: int, unit_ratio: Fraction) -> None:
+        lattice, ratio = lattice_of(design), float(unit_ratio)
+        sides = np.array(lattice.shape[::-1]) * lattice.period_dbu
+        self._half = sides / 2.0 / ratio
+        self._centres = {
+            other: np.array([copy.x_dbu, copy.y_dbu]) / ratio
+            for other, copy in enumerate(lens_copies(design), start=1)
+            if other != number
+        }
+        self.counts = dict.fromkeys(self._centres, 0)
+
+    def without(self, rectangles: IntArray, shift: IntArray) -> IntArray:
+        """Those of ``rectangles``, shape (n, 4), moved by ``shift``, whose centres lie in no other copy."""
+        if not self._centres or not len(rectangles):
+            return rectangles
+        centre = rectangles[:, :2] + rectangles[:, 2:] / 2.0 + shift
+        low, high = centre.min(axis=0), centre.max(axis=0)
+        kept = np.ones(len(rectangles), dtype=bool)
+        for number, middle in self._centres.items():
+            if np.all(low <= middle + self._half) and np.all(high >= middle - self._half):
+                here = np.all(np.abs(centre - middle) <= self._half, axis=1)
+                self.counts[number] += int(np.count_nonzero(here))
+                kept &= ~here
+        return rectangles if kept.all() else rectangles[kept]

@@ -1,0 +1,85 @@
+"""What is drawn on the sites of a lens: pillars by dose class, and the field around them, with every bias."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.errors import InputError
+from metafab.layout import Outline, PillarMap, PillarTile
+from metafab.mask.drawing.cells import Stamp, pillar_stamp
+from metafab.mask.drawing.copies import biases_dbu, lens_copies
+from metafab.mask.drawing.dose import DoseClasses
+from metafab.mask.drawing.inverse import RECTANGLES, InvertedField
+from metafab.mask.shapes.hierarchy import IntArray
+from metafab.spec import Design
+
+
+class Stamps:
+    """What is drawn, tile by tile.
+
+    Args:
+        drawn: the pillars with ``mask.bias_nm``.
+        design: layers, dose classes, tone and copies.
+
+    Raises:
+        InputError: the field cannot be inverted around these pillars.
+    """
+
+    def __init__(self, drawn: PillarMap, design: Design) -> None:
+        self._size_dbu = drawn.size_dbu
+        self._mask = design.mask
+        self._copies = lens_copies(design)
+        self._biases = biases_dbu(self._copies)
+        self._outline = Outline.of(design)
+        self._classes = DoseClasses(drawn, design.mask.dose, self._outline)
+        self._pillars: dict[tuple[int, int], Stamp] = {}
+        inverted = design.mask.tone == "inverted"
+        if inverted and not self._outline.is_rectangle:
+            expected = "rectangular pillars, around which the field is rectangles"
+            raise InputError.single(
+                "mask", "tone", expected, f"pillars of shape {self._outline.shape!r}", "use 'positive'"
+            )
+        self._field = InvertedField(drawn, design.mask.field_layer, self._biases) if inverted else None
+
+    def of(self, tile: PillarTile) -> Iterator[tuple[PillarTile, Stamp]]:
+        """Indices, and the rectangles that they stand for. Safe to call from several threads."""
+        for number, part in self._classes.split(tile):
+            for bias in self._biases:
+                yield part, self._pillar_stamp(number, bias)
+        if self._field is not None:
+            yield from self._field.of(tile)
+
+    def _pillar_stamp(self, dose_class: int, bias_dbu: int) -> Stamp:
+        """Made once; by two threads at the same time, twice the same."""
+        key = dose_class, bias_dbu
+        if key not in self._pillars:
+            mask = self._mask
+            self._pillars[key] = pillar_stamp(self._size_dbu, mask.layer, mask.datatype, *key, self._outline)
+        return self._pillars[key]
+
+    def exposed(self, used: NDArray[np.int64], seen: set[tuple[int, int]]) -> int:
+        """Shapes that are exposed in all copies: the field's where that is drawn, and else the pillars.
+
+        Args:
+            used: sites of each size in the tiles ``seen``, shape (n_sizes + 1,); index 0 counts those without a pillar.
+            seen: (row, column) of the tiles that hold pillars.
+        """
+        if self._field is None:
+            return len(self._copies) * int(used[1:].sum())
+        return self._field.count(used, seen, self._copies)
+
+    def beside(self, seen: set[tuple[int, int]]) -> list[tuple[int, IntArray]]:
+        """(layer, rectangles) of the field in the tiles, of every copy, that are not among ``seen`` (row, column)."""
+        if self._field is None:
+            return []
+        return [(self._mask.field_layer, self._field.without_pillars(seen, self._copies))]
+
+
+def shapes_per_pillar(design: Design) -> int:
+    """Rectangles that one pillar of the lens becomes in the file, at most."""
+    copies = lens_copies(design)
+    drawings = len(copies) if design.mask.flat else len(biases_dbu(copies))
+    return drawings * (1 + (RECTANGLES if design.mask.tone == "inverted" else 0))

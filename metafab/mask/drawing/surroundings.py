@@ -1,0 +1,170 @@
+"""What is drawn beside the pillars of one lens or several: write fields, marks, frame, labels, scale bar and street."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.core.errors import InputError
+from metafab.layout import lattice_of
+from metafab.layout.geometry import aperture_dbu
+from metafab.mask.drawing.copies import LensCopy, lens_copies
+from metafab.mask.drawing.font import ROWS, text_rectangles, width_squares
+from metafab.mask.shapes.hierarchy import IntArray
+from metafab.spec import Chip, Design
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Rectangles of one kind.
+
+    Attributes:
+        name: what they are, for layer lists.
+        layer: layer; the datatype is 0.
+        rectangles: shape (n, 4), x, y of the lower left corner, width, height in database units.
+    """
+
+    name: str
+    layer: int
+    rectangles: IntArray
+
+
+def surroundings(design: Design) -> tuple[Surroundings, ...]:
+    """All that the design draws beside its pillars; empty unless asked for.
+
+    Raises:
+        InputError: marks, label or scale bar do not fit where they belong.
+    """
+    found, copies = [], lens_copies(design)
+    if design.mask.tone == "positive":
+        lattice = lattice_of(design)
+        width, height = (n * p for n, p in zip(lattice.shape[::-1], lattice.period_dbu, strict=True))
+        corners = [(copy.x_dbu - width // 2, copy.y_dbu - height // 2) for copy in copies]
+        field = np.array([[x, y, width, height] for x, y in corners], dtype=np.int64)
+        found.append(Surroundings("write field: expose field NOT pillars", design.mask.field_layer, field))
+    if design.mask.chip is not None:
+        found += _chip(design, design.mask.chip, copies)
+    return tuple(kind for kind in found if len(kind.rectangles))
+
+
+@dataclass(frozen=True)
+class _Box:
+    """A rectangle by its sides, database units."""
+
+    left: int
+    bottom: int
+    right: int
+    top: int
+
+    def grown(self, by: int) -> _Box:
+        """The same, each side further out."""
+        return _Box(self.left - by, self.bottom - by, self.right + by, self.top + by)
+
+
+def _chip(design: Design, chip: Chip, copies: Sequence[LensCopy]) -> list[Surroundings]:
+    lens, margin = aperture_dbu(design) // 2, _dbu(design, chip.margin_um)
+    across, along = [copy.x_dbu for copy in copies], [copy.y_dbu for copy in copies]
+    lenses = _Box(min(across), min(along), max(across), max(along)).grown(lens)
+    inner = lenses.grown(margin)
+    outer = inner.grown(_dbu(design, chip.frame_um))
+    text = np.concatenate([_text(design, chip, lenses, margin), *_copy_labels(design, chip, copies, lens)])
+    return [
+        Surroundings("alignment marks", chip.mark_layer, _marks(design, chip, lenses.grown(margin // 2))),
+        Surroundings("frame", chip.frame_layer, _ring(inner, outer)),
+        Surroundings("label and scale bar", chip.text_layer, text),
+        Surroundings("dicing street", chip.street_layer, _ring(outer, outer.grown(_dbu(design, chip.street_um)))),
+    ]
+
+
+def _marks(design: Design, chip: Chip, centres: _Box) -> IntArray:
+    """Crosses centred at the corners of ``centres``, three rectangles each, so that none overlap."""
+    if chip.mark_um > chip.margin_um:
+        raise _no_room(design, "mark_um", f"at most the margin of {chip.margin_um:g} um", f"{chip.mark_um:g} um")
+    arm, line = _dbu(design, chip.mark_um), _dbu(design, chip.mark_line_um)
+    if not arm:
+        return np.empty((0, 4), dtype=np.int64)
+    if line >= arm:
+        raise _no_room(design, "mark_line_um", f"less than `mark_um`, {chip.mark_um:g} um", f"{chip.mark_line_um:g} um")
+    half, rest = arm // 2, (arm - line) // 2
+    cross = [(-half, -line // 2, arm, line), (-line // 2, -half, line, rest), (-line // 2, line // 2, line, rest)]
+    corners = [(x, y, 0, 0) for y in (centres.bottom, centres.top) for x in (centres.left, centres.right)]
+    return np.concatenate([np.array(cross) + corner for corner in np.array(corners, dtype=np.int64)])
+
+
+def _ring(inner: _Box, outer: _Box) -> IntArray:
+    """The ring between two boxes, as four rectangles that do not overlap."""
+    line = outer.right - inner.right
+    if line == 0:
+        return np.empty((0, 4), dtype=np.int64)
+    whole, rest = outer.right - outer.left, inner.top - inner.bottom
+    sides = [(outer.left, outer.bottom, whole, line), (outer.left, inner.top, whole, line)]
+    sides += [(outer.left, inner.bottom, line, rest), (inner.right, inner.bottom, line, rest)]
+    return np.array(sides, dtype=np.int64)
+
+
+def _copy_labels(design: Design, chip: Chip, copies: Sequence[LensCopy], lens: int) -> Iterator[IntArray]:
+    """The label of each copy that has one, close above the square of its lens and no wider.
+
+    Raises:
+        InputError: it is wider than its lens, or lies on another one.
+    """
+    square = _dbu(design, chip.text_um) // ROWS
+    for number, copy in enumerate(copies, start=1):
+        if copy.label is None:
+            continue
+        key, width = f"mask.copies[{number}].label", width_squares(copy.label) * square
+        if width > 2 * lens:
+            um = width * design.mask.database_unit_nm * 1e-3
+            expected = f"at most the lens' {design.device.aperture_um:g} um"
+            raise InputError.single(design.name, key, expected, f"{um:g} um", "shorten it, or `mask.chip.text_um`")
+        left, bottom = copy.x_dbu - lens, copy.y_dbu + lens + square
+        for other in copies:
+            aside = left >= other.x_dbu + lens or left + width <= other.x_dbu - lens
+            if not (aside or bottom >= other.y_dbu + lens or bottom + ROWS * square <= other.y_dbu - lens):
+                expected, got = "room above the lens", f"a lens at {other.x_dbu}, {other.y_dbu} database units there"
+                raise InputError.single(design.name, key, expected, got, "move the copies apart")
+        yield _moved(text_rectangles(copy.label, square), left, bottom)
+
+
+def _text(design: Design, chip: Chip, lenses: _Box, margin: int) -> IntArray:
+    """The label at the left and the scale bar, its length written above it, at the right; both below all lenses."""
+    label = design.name if chip.label is None else chip.label
+    square = _dbu(design, chip.text_um) // ROWS
+    if square < 1 or (ROWS + 2 * bool(design.mask.copies)) * square > margin:
+        raise _no_room(design, "text_um", f"at most the margin of {chip.margin_um:g} um", f"{chip.text_um:g} um")
+    # Marks reach inwards to the box around the lenses at most; text keeps half a margin from them.
+    left, right = lenses.left + margin // 2, lenses.right - margin // 2
+    bottom = lenses.bottom - margin // 2 - ROWS * square // 2
+    found = [_moved(text_rectangles(label, square), left, bottom)]
+    used = width_squares(label) * square
+    if chip.scale_bar_um:
+        bar = _dbu(design, chip.scale_bar_um)
+        caption = f"{chip.scale_bar_um:g} UM"
+        small = max(1, square // 2)
+        found.append(np.array([[right - bar, bottom, bar, square]], dtype=np.int64))
+        found.append(_moved(text_rectangles(caption, small), right - bar, bottom + 2 * square))
+        used += max(bar, width_squares(caption) * small) + ROWS * square
+    if used > right - left:
+        room_um = (right - left) * design.mask.database_unit_nm * 1e-3
+        raise _no_room(
+            design,
+            "label",
+            f"label and scale bar within {room_um:g} um",
+            f"{used * design.mask.database_unit_nm * 1e-3:g} um",
+        )
+    return np.concatenate(found)
+
+
+def _moved(rectangles: IntArray, x: int, y: int) -> IntArray:
+    return rectangles + np.array([x, y, 0, 0], dtype=np.int64)
+
+
+def _dbu(design: Design, length_um: float) -> int:
+    """An even number of database units, so that centred rectangles are exact."""
+    return 2 * round(length_um * 5e2 / design.mask.database_unit_nm)
+
+
+def _no_room(design: Design, key: str, expected: str, got: str) -> InputError:
+    return InputError.single(design.name, f"mask.chip.{key}", expected, got, "make it smaller or `margin_um` wider")

@@ -1,0 +1,1 @@
+"""GDSII (Stream format 6): reader and writer."""

@@ -1,0 +1,1 @@
+"""OASIS (SEMI P39): reader and writer."""

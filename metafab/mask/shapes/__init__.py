@@ -1,0 +1,1 @@
+"""Cells, references and shapes of a mask file, whatever its format."""

@@ -1,0 +1,200 @@
+"""Rectangles of a file -> sizes at lattice sites; whatever does not fit is kept apart, never dropped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.errors import InputError
+from metafab.core.numeric.compiled import HAS_NUMBA, compiled
+from metafab.layout import Lattice
+from metafab.layout.pillars import SizeIndexArray
+from metafab.mask.shapes.hierarchy import IntArray
+
+PLACED, OFF_SITE, DUPLICATE, OFF_GRID, TOO_MANY_SIZES = range(5)
+
+#: Rectangles that are kept with their places; beyond, they are only counted.
+KEPT = 200_000
+
+
+@dataclass
+class Strays:
+    """Rectangles of one kind that found no site of their own.
+
+    Attributes:
+        count: how many.
+        rectangles: up to :data:`KEPT` of them, shape (m, 4), x, y, width, height in file units.
+    """
+
+    count: int
+    rectangles: IntArray
+
+
+class Recovery:
+    """Collects rectangles into an array of size indices over a lattice.
+
+    Args:
+        lattice: where pillars are expected.
+        unit_ratio: file units in database units of the lattice.
+        source: file, for messages.
+        at_dbu: where the centre of the lattice stands in the file, (x, y).
+
+    Attributes:
+        size_index: shape ``lattice.shape``; indices into :meth:`size_dbu` once :meth:`finish` has sorted them.
+    """
+
+    def __init__(self, lattice: Lattice, unit_ratio: Fraction, source: str, at_dbu: tuple[int, int]) -> None:
+        self._every = 2 if lattice.hexagonal else 1
+        self._ratio = np.array([unit_ratio.numerator, unit_ratio.denominator], dtype=np.int64)
+        self._source = source
+        self._origin = np.array([lattice.x_dbu()[0] + at_dbu[0], lattice.y_dbu()[0] + at_dbu[1]], dtype=np.int64)
+        self._period = np.array(lattice.period_dbu, dtype=np.int64)
+        # Index of every (width, length) up to a pillar's cell, filled in the order of appearance.
+        self._index_of = np.zeros((lattice.cell_dbu[0] + 1, lattice.cell_dbu[1] + 1), dtype=np.uint16)
+        self._sizes = np.zeros((np.iinfo(np.uint16).max + 1, 2), dtype=np.int32)
+        self._size_count = np.ones(1, dtype=np.int64)
+        self._kept: dict[int, list[IntArray]] = {OFF_SITE: [], DUPLICATE: [], OFF_GRID: []}
+        self._counts = dict.fromkeys(self._kept, 0)
+        self.size_index: SizeIndexArray = np.zeros(lattice.shape, dtype=np.uint16)
+
+    def add(self, rectangles: IntArray, shift: IntArray) -> None:
+        """Put rectangles, shape (n, 4), moved by ``shift``, shape (2,), all in file units, at their sites."""
+        verdict = np.empty(len(rectangles), dtype=np.uint8)
+        arguments = (
+            np.ascontiguousarray(rectangles), shift, self._ratio, self._origin, self._period, self._every,
+            self._index_of, self._sizes, self._size_count, self.size_index, verdict,
+        )  # fmt: skip
+        failures = _place(*arguments) if HAS_NUMBA else place_vectorised(*arguments)
+        if not failures:
+            return
+        if np.any(verdict == TOO_MANY_SIZES):
+            raise InputError.single(
+                self._source, "pillars", "up to 65535 sizes", "more", "is this the mask of a metafab design?"
+            )
+        for kind, kept in self._kept.items():
+            found = rectangles[verdict == kind]
+            room = KEPT - min(self._counts[kind], KEPT)
+            if len(found) and room:
+                kept.append(found[:room] + np.concatenate([shift, [0, 0]]))
+            self._counts[kind] += len(found)
+
+    def strays(self, kind: int) -> Strays:
+        """What was kept apart as ``kind``."""
+        return Strays(self._counts[kind], np.concatenate([np.empty((0, 4), dtype=np.int64), *self._kept[kind]]))
+
+    def finish(self) -> NDArray[np.int32]:
+        """Sort the sizes by width and length, renumber the sites, and return the sizes, shape (n_sizes + 1, 2)."""
+        count = int(self._size_count[0])
+        found = self._sizes[:count]
+        order = np.lexsort((found[:, 1], found[:, 0]))
+        rank = np.empty(count, dtype=np.uint16)
+        rank[order] = np.arange(count)
+        for start in range(0, len(self.size_index), 256):
+            rows = self.size_index[start : start + 256]
+            rows[...] = rank[rows]
+        return np.ascontiguousarray(found[order])
+
+
+def place_vectorised(
+    rectangles: IntArray,
+    shift: IntArray,
+    ratio: IntArray,
+    origin: IntArray,
+    period: IntArray,
+    every: int,
+    index_of: SizeIndexArray,
+    sizes: NDArray[np.int32],
+    size_count: IntArray,
+    size_index: SizeIndexArray,
+    verdict: NDArray[np.uint8],
+) -> int:
+    """As the compiled loop, in NumPy alone; returns how many rectangles are not placed.
+
+    Only where row and column add up to a multiple of ``every`` is a site.
+    """
+    scaled, rest = np.divmod((rectangles + np.concatenate([shift, [0, 0]])) * ratio[0], ratio[1])
+    verdict[:] = np.where(np.any(rest != 0, axis=1), OFF_GRID, PLACED)
+    twice = 2 * (scaled[:, :2] - origin) + scaled[:, 2:]
+    site, off = np.divmod(twice, 2 * period)
+    largest = np.array(index_of.shape) - 1
+    lost = np.any((off != 0) | (site < 0) | (site >= size_index.shape[::-1]) | (scaled[:, 2:] > largest), axis=1)
+    lost |= site.sum(axis=1) % every != 0
+    verdict[(verdict == PLACED) & lost] = OFF_SITE
+    good = np.flatnonzero(verdict == PLACED)
+    column, row = site[good].T
+    # Of several at one site the first is placed.
+    _, first = np.unique(row * size_index.shape[1] + column, return_index=True)
+    fresh = np.zeros(good.size, dtype=bool)
+    fresh[first] = True
+    fresh &= size_index[row, column] == 0
+    verdict[good[~fresh]] = DUPLICATE
+    good, row, column = good[fresh], row[fresh], column[fresh]
+    width, length = scaled[good, 2:].T
+    unknown = index_of[width, length] == 0
+    for size in np.unique(scaled[good[unknown], 2:], axis=0):
+        if size_count[0] == len(sizes):
+            verdict[good] = TOO_MANY_SIZES
+            return len(good)
+        sizes[size_count[0]] = size
+        index_of[tuple(size)] = size_count[0]
+        size_count[0] += 1
+    size_index[row, column] = index_of[width, length]
+    return int(np.count_nonzero(verdict))
+
+
+@compiled
+def _place(
+    rectangles: IntArray,
+    shift: IntArray,
+    ratio: IntArray,
+    origin: IntArray,
+    period: IntArray,
+    every: int,
+    index_of: SizeIndexArray,
+    sizes: NDArray[np.int32],
+    size_count: IntArray,
+    size_index: SizeIndexArray,
+    verdict: NDArray[np.uint8],
+) -> int:
+    failures = 0
+    n_y, n_x = size_index.shape
+    widest, longest = index_of.shape[0] - 1, index_of.shape[1] - 1
+    inverse_x, inverse_y = 0.5 / period[0], 0.5 / period[1]
+    for i in range(len(rectangles)):
+        x, y = rectangles[i, 0] + shift[0], rectangles[i, 1] + shift[1]
+        width, length = rectangles[i, 2], rectangles[i, 3]
+        verdict[i] = PLACED
+        if ratio[0] != ratio[1]:
+            x, y, width, length = x * ratio[0], y * ratio[0], width * ratio[0], length * ratio[0]
+            if x % ratio[1] or y % ratio[1] or width % ratio[1] or length % ratio[1]:
+                verdict[i] = OFF_GRID
+                failures += 1
+                continue
+            x, y, width, length = x // ratio[1], y // ratio[1], width // ratio[1], length // ratio[1]
+        twice_x, twice_y = 2 * (x - origin[0]) + width, 2 * (y - origin[1]) + length
+        # A rounded product is an exact quotient wherever there is one, which the next line makes sure of.
+        column, row = np.int64(np.rint(twice_x * inverse_x)), np.int64(np.rint(twice_y * inverse_y))
+        on_site = twice_x == column * 2 * period[0] and twice_y == row * 2 * period[1]
+        inside = 0 <= column < n_x and 0 <= row < n_y and width <= widest and length <= longest
+        if not (on_site and inside) or (every > 1 and (row + column) % every != 0):
+            verdict[i] = OFF_SITE
+            failures += 1
+            continue
+        if size_index[row, column] != 0:
+            verdict[i] = DUPLICATE
+            failures += 1
+            continue
+        size = np.int64(index_of[width, length])
+        if size == 0:
+            size = size_count[0]
+            if size == len(sizes):
+                verdict[i] = TOO_MANY_SIZES
+                return failures + 1
+            sizes[size, 0], sizes[size, 1] = width, length
+            index_of[width, length] = size
+            size_count[0] += 1
+        size_index[row, column] = size
+    return failures

@@ -1,0 +1,205 @@
+"""Where light goes: the geometry of lens and sensor, image points by the grating law, nodes over depth and field."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray, Polarisation, sensor_distance_um
+from metafab.core.errors import InputError
+from metafab.materials import refractive_index
+from metafab.optics.geometry.plate import Plate
+from metafab.spec import Design
+from metafab.spec.design import Grating
+
+#: Relative L2 error of cubic interpolation between depths whose rim defocus differs by one radian; the measured
+#: error falls with the fourth power of the step (``tests/physics/test_optics_depth.py`` holds it as a bound).
+_CUBIC_ERROR_PER_RAD4 = 4.0e-3
+_FEWEST_NODES = 6
+
+
+@dataclass(frozen=True)
+class Imaging:
+    """Lens and sensor as the propagation sees them.
+
+    Attributes:
+        wavelength_um: vacuum wavelength; object and sensor stand in vacuum (air).
+        focal_length_mm: focal length of the split lens.
+        split_angle_deg: theta of Eqs. 3 and 4; 0 for a lens without polarisation splitting.
+        sensor_distance_um: distance of the sensor plane from the metasurface.
+        pixel_um: sampling step on the sensor.
+        aperture_um: diameter of a circle or ring, side of a square or of the one that holds a polygon.
+        aperture_shape: outline through which light comes.
+        deflection: direction cosines (x, y) that gratings add, for x and for y polarisation.
+        inner_um: diameter of a ring's hole.
+        outline_um: (x, y) of a polygon's vertices.
+        plates: the substrate as x and as y polarised light sees it, between scene and pillars; none for air.
+    """
+
+    wavelength_um: float
+    focal_length_mm: float
+    split_angle_deg: float
+    sensor_distance_um: float
+    pixel_um: float
+    aperture_um: float
+    aperture_shape: Literal["circle", "square", "ring", "polygon"] = "circle"
+    deflection: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    inner_um: float = 0.0
+    outline_um: tuple[tuple[float, float], ...] = ()
+    plates: tuple[Plate, ...] = ()
+
+    @classmethod
+    def of(cls, design: Design) -> Imaging:
+        """The imaging geometry of a design: sensor where an object at ``focus_depth_m`` is sharp.
+
+        Raises:
+            InputError: the focus depth is not beyond the focal length.
+        """
+        device, sensor, angle_deg = design.device, design.sensor, design.split_angle_deg
+        if sensor.focus_depth_m * 1e3 <= device.focal_length_mm:
+            raise InputError.single(
+                "design",
+                "sensor.focus_depth_m",
+                f"more than the focal length, {device.focal_length_mm * 1e-3:g} m",
+                f"{sensor.focus_depth_m:g} m",
+                "nearer objects have no real image",
+            )
+        distance = sensor_distance_um(device.focal_length_mm, angle_deg, sensor.focus_depth_m)
+        return cls(
+            design.wavelength_um,
+            device.focal_length_mm,
+            angle_deg,
+            distance,
+            sensor.pixel_um,
+            device.aperture_um,
+            device.aperture_shape,
+            (_deflection(design, "x"), _deflection(design, "y")),
+            device.inner_um,
+            device.outline_um,
+            _plates(design),
+        )
+
+    @property
+    def wavenumber(self) -> float:
+        """Vacuum wavenumber 2 pi / wavelength, rad/um."""
+        return 2.0 * math.pi / self.wavelength_um
+
+    def image_point_um(self, polarisation: int, tangent: tuple[float, float]) -> tuple[float, float]:
+        """Geometric image point on the sensor plane of an object in the direction ``tangent``.
+
+        The ray through the lens' centre obeys the grating law with the gradient of Eq. 3 (or 4) there: the
+        direction cosines of the light become (-t_x, -t_y) / sqrt(1 + t^2) + (-+sin theta, 0), and those of the
+        design's gratings are added. Images are inverted: an object at +x has its image at -x of the on-axis image
+        point.
+
+        Args:
+            polarisation: 0 for x, 1 for y.
+            tangent: (x/z, y/z) of the object.
+
+        Returns:
+            (x, y) in um from the optical axis.
+
+        Raises:
+            InputError: the light would leave at 90 degrees or more.
+        """
+        t_x, t_y = tangent
+        secant = math.sqrt(1.0 + t_x * t_x + t_y * t_y)
+        sign = -1.0 if polarisation == 0 else 1.0
+        add_x, add_y = self.deflection[polarisation]
+        s_x = -t_x / secant + sign * math.sin(math.radians(self.split_angle_deg)) + add_x
+        s_y = -t_y / secant + add_y
+        transverse = s_x * s_x + s_y * s_y
+        if transverse >= 1.0:
+            raise InputError.single(
+                "optics",
+                "tangent",
+                "an object whose light leaves the lens towards the sensor",
+                f"({t_x:g}, {t_y:g}) with a split of {self.split_angle_deg:g} degrees",
+                "choose an object nearer to the axis",
+            )
+        scale = self.sensor_distance_um / math.sqrt(1.0 - transverse)
+        return s_x * scale, s_y * scale
+
+    def finest_fringe_um(self, polarisation: int, tangent: tuple[float, float]) -> float:
+        """Smallest period of the irradiance about an image point: what the aperture's opposite ends interfere to.
+
+        Sums over pixels are exact integrals where these are smaller; half of it samples the irradiance fully.
+        """
+        x, y = self.image_point_um(polarisation, tangent)
+        half = 0.5 * self.aperture_um
+        ends = []
+        for edge_x, edge_y, axis in ((half, 0.0, 0), (0.0, half, 1)):
+            there, back = (np.array([x - s * edge_x, y - s * edge_y, self.sensor_distance_um]) for s in (1.0, -1.0))
+            ends.append(abs(float(there[axis] / np.linalg.norm(there) - back[axis] / np.linalg.norm(back))))
+        return self.wavelength_um / max(ends)
+
+
+def depth_nodes(imaging: Imaging, z_min_m: float, z_max_m: float, target_error: float) -> FloatArray:
+    """Depths between which cubic interpolation in vergence keeps to ``target_error`` (relative L2 of irradiance).
+
+    Args:
+        imaging: geometry; the rim defocus k R^2 / 2 (1/z_min - 1/z_max) sets how many nodes are needed.
+        z_min_m: nearest depth.
+        z_max_m: farthest depth; ``math.inf`` is allowed.
+        target_error: error wanted.
+
+    Returns:
+        Shape (n,), ascending, uniform in 1/z, both ends included.
+    """
+    if not 0.0 < z_min_m < z_max_m:
+        raise InputError.single(
+            "optics", "depths", "0 < nearest < farthest depth", f"{z_min_m:g} and {z_max_m:g} m", ""
+        )
+    near, far = 1.0 / z_min_m, 1.0 / z_max_m
+    corner = math.sqrt(2.0) if imaging.aperture_shape in {"square", "polygon"} else 1.0
+    rim_um = 0.5 * imaging.aperture_um * corner
+    span_rad = 0.5 * imaging.wavenumber * rim_um**2 * (near - far) * 1e-6
+    step_rad = (target_error / _CUBIC_ERROR_PER_RAD4) ** 0.25
+    count = max(_FEWEST_NODES, math.ceil(span_rad / step_rad) + 1)
+    with np.errstate(divide="ignore"):
+        depths = 1.0 / np.linspace(near, far, count)
+    depths[0], depths[-1] = z_min_m, z_max_m
+    return np.asarray(depths)
+
+
+def field_tangents(design: Design, imaging: Imaging) -> tuple[FloatArray, FloatArray] | None:
+    """Field points that span the scene's image: ``field_px`` = (rows, columns) about the axis.
+
+    Returns:
+        (x/z, y/z) of shapes (n_x,) and (n_y,) = ``verify.field_points``, ascending; one point is the axis. None for
+        a design without a scene.
+    """
+    if design.scene is None:
+        return None
+    rows, columns = design.scene.field_px
+    count_x, count_y = design.verify.field_points
+    return _axis(columns, count_x, imaging), _axis(rows, count_y, imaging)
+
+
+def _plates(design: Design) -> tuple[Plate, ...]:
+    """The substrate where `optics.substrate_um` gives it a thickness."""
+    if design.optics is None or design.optics.substrate_um == 0.0:
+        return ()
+    cell = design.unit_cell
+    index = refractive_index(cell.materials.substrate, cell.illumination.wavelength_nm)
+    return tuple(Plate(design.optics.substrate_um, float(n.real)) for n in index[:2])
+
+
+def _deflection(design: Design, polarisation: Polarisation) -> tuple[float, float]:
+    """Direction cosines that a design's gratings add to light of one polarisation."""
+    x = y = 0.0
+    for term in design.phase:
+        if isinstance(term, Grating) and term.polarisation in {None, polarisation}:
+            sine = math.sin(math.radians(term.angle_deg))
+            x += sine * math.cos(math.radians(term.azimuth_deg))
+            y += sine * math.sin(math.radians(term.azimuth_deg))
+    return x, y
+
+
+def _axis(pixels: int, count: int, imaging: Imaging) -> FloatArray:
+    """``count`` directions over ``pixels`` pixels about the axis; one alone is the axis."""
+    reach = 0.5 * pixels * imaging.pixel_um / imaging.sensor_distance_um if count > 1 else 0.0
+    return np.linspace(-reach, reach, count)

@@ -1,0 +1,1 @@
+"""PSFs between the nodes of a stack in depth and field."""

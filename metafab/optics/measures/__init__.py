@@ -1,0 +1,1 @@
+"""Figures of merit of a PSF stack and of a written mask."""

@@ -1,0 +1,191 @@
+"""Where the light of a written mask goes, factor by factor, from the aperture through a pinhole about its image.
+
+The field behind the pillars is the wanted wave, u = exp(i target phase), times c = <a u*>, and a rest that is
+orthogonal to it: |c|^2 is the share of the light in the wanted wave. It is the transmittance times what the library's
+phases and amplitudes can follow (measured on sizes as fine as if they were continuous) times what snapping to the size
+grid leaves of that, times the rim where no whole cell has room. Unlike neighbours take more, as full-wave rows of the
+mask tell. The wanted wave itself, the target phases alone, loses what passes beside the pinhole; and some of the rest
+falls into it. The factors multiply to the efficiency of the written mask, which is measured by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.library.library import Library
+from metafab.optics.sources.source import WrittenField
+from metafab.phase.terms.profile import PhaseProfile
+from metafab.spec import Device
+from metafab.spec.outline import encloses
+
+#: Sites that are looked at, in whole rows spread evenly; and targets that are mapped to sizes off the grid.
+_MOST_SITES, _TARGETS = 3_000_000, 20_000
+#: Step of the sizes that stand for continuous ones, nm.
+_FINE_NM = 0.5
+
+
+@dataclass(frozen=True)
+class Wavefront:
+    """How much of the light behind a mask is in the wanted wave; x and y polarisation each.
+
+    Attributes:
+        overlap: |<a u*>|^2 / <|a|^2> over sites with a pillar.
+        error: statistical error of ``overlap``: rows are a sample.
+        best_overlap: the same with sizes off the grid, each chosen as the mapping chooses.
+        filled: share of the sites in the aperture that carry a pillar.
+        sites: how many with a pillar were looked at.
+    """
+
+    overlap: tuple[float, float]
+    error: tuple[float, float]
+    best_overlap: tuple[float, float]
+    filled: float
+    sites: int
+
+
+@dataclass(frozen=True)
+class Loss:
+    """One factor of the chain.
+
+    Attributes:
+        stage: what takes the light.
+        factor: what it leaves, of x and of y polarised light; None where it was not measured.
+    """
+
+    stage: str
+    factor: tuple[float, float] | None
+
+
+def wavefront(written: WrittenField, profile: PhaseProfile, device: Device, library: Library) -> Wavefront:
+    """Compare the written pillars' field with the target phases, on rows spread over the lens."""
+    sums = np.zeros((2, 2), dtype=np.complex128)  # [half of the rows, polarisation]
+    powers, counts, inside = np.zeros((2, 2)), np.zeros(2), 0
+    targets: list[FloatArray] = []
+    for row, site_amplitude, site_target_rad in _rows(written, profile, device):
+        half, inside = row % 2, inside + site_target_rad.shape[1]
+        lit = site_amplitude.any(axis=0)
+        amplitude, target_rad = site_amplitude[:, lit], site_target_rad[:, lit]
+        sums[half] += np.sum(amplitude * np.exp(-1j * target_rad), axis=1)
+        powers[half] += np.sum(np.abs(amplitude) ** 2, axis=1)
+        counts[half] += target_rad.shape[1]
+        targets.append(target_rad[:, :: max(1, target_rad.shape[1] // 64)])
+    with np.errstate(invalid="ignore"):
+        halves = np.abs(sums) ** 2 / (powers * counts[:, None])
+        whole = np.abs(sums.sum(axis=0)) ** 2 / (powers.sum(axis=0) * counts.sum())
+    scatter = 0.5 * np.abs(halves[0] - halves[1]) if counts.all() else np.full(2, np.nan)
+    some = np.concatenate(targets, axis=1)
+    some = some[:, :: max(1, some.shape[1] // _TARGETS)] + np.angle(sums.sum(axis=0))[:, None]
+    best = _best_overlap(written, some, library)
+    return Wavefront(
+        overlap=(float(whole[0]), float(whole[1])),
+        error=(float(scatter[0]), float(scatter[1])),
+        best_overlap=(float(best[0]), float(best[1])),
+        filled=float(counts.sum() / max(inside, 1)),
+        sites=int(counts.sum()),
+    )
+
+
+def loss_chain(
+    front: Wavefront,
+    transmitted: FloatArray,
+    through_pinhole: FloatArray,
+    ideal_through_pinhole: FloatArray,
+    coupling: float | None = None,
+    stopped: FloatArray | None = None,
+) -> list[Loss]:
+    """The factors from the aperture to the pinhole; each argument but ``coupling`` holds x and y.
+
+    Args:
+        front: how much of the transmitted light is in the wanted wave.
+        transmitted: share of the light at the aperture that leaves the pillars.
+        through_pinhole: share that passes the pinhole behind the written mask, as the library's pillars would have it.
+        ideal_through_pinhole: the same of the target phases.
+        stopped: share of the light at the aperture that passes a stop or an amplitude before the pillars, which
+            ``transmitted`` and both efficiencies hold, too; None where there is none.
+        coupling: efficiency of full-wave rows over that of the same rows by the library; None where not measured.
+
+    Returns:
+        Losses whose factors multiply to ``through_pinhole`` times ``coupling``.
+    """
+    overlap, best = np.array(front.overlap), np.array(front.best_overlap)
+    before = [] if stopped is None else [_loss("stop and amplitude before the pillars", stopped)]
+    if stopped is not None:
+        transmitted, ideal_through_pinhole = transmitted / stopped, ideal_through_pinhole / stopped
+        through_pinhole = through_pinhole / stopped
+    # Dark sites take their power, and once more of the amplitude at the image.
+    wanted = transmitted * overlap * front.filled
+    return [
+        *before,
+        _loss("through the pillars", transmitted),
+        _loss("wave that the library can follow", best),
+        _loss("sizes snapped to the grid", overlap / best),
+        Loss("rim without whole cells", (front.filled, front.filled)),
+        Loss("unlike neighbours, full-wave", None if coupling is None else (coupling, coupling)),
+        _loss("target phases through the pinhole", ideal_through_pinhole),
+        _loss("stray light into the pinhole", through_pinhole / (wanted * ideal_through_pinhole)),
+    ]
+
+
+def _loss(stage: str, factor: FloatArray) -> Loss:
+    return Loss(stage, (float(factor[0]), float(factor[1])))
+
+
+def _rows(
+    written: WrittenField, profile: PhaseProfile, device: Device
+) -> Iterator[tuple[int, ComplexArray, FloatArray]]:
+    """(number, amplitudes (2, n), target phases (2, n)) of the sites inside the aperture, of some rows of each tile."""
+    lattice = written.lattice
+    x_um, y_um = lattice.x_um(), lattice.y_um()
+    every = max(1, -(-x_um.size * y_um.size // _MOST_SITES))
+    for tile in written.tiles():
+        n_y, n_x = tile.amplitude(0).shape
+        chosen = np.arange(-tile.row % every, n_y, every)
+        if not chosen.size:
+            continue
+        columns, rows = x_um[tile.column : tile.column + n_x], y_um[tile.row + chosen]
+        inside = encloses(device, columns, rows)
+        if lattice.hexagonal:
+            inside &= lattice.carries(tile.row + chosen, tile.column + np.arange(n_x))
+        target_rad = profile(columns, rows)
+        amplitude = np.array([tile.amplitude(p)[chosen] for p in (0, 1)])
+        for i, row in enumerate(chosen):
+            if inside[i].any():
+                yield int(tile.row + row) // every, amplitude[:, i, inside[i]], target_rad[:, i, inside[i]]
+
+
+def _best_overlap(written: WrittenField, target_rad: FloatArray, library: Library) -> FloatArray:
+    """|<a u*>|^2 / <|a|^2> of sizes off the grid, within the sizes that the mask has.
+
+    The largest inner product with the wanted field is the nearest neighbour once a fifth coordinate makes all
+    sizes equally long (:mod:`metafab.library.use.lookup`).
+    """
+    size_nm = written.pillars.size_nm()[1:]
+    axes = [_fine_axis(size_nm[:, axis], min(library.width_nm.size, library.length_nm.size)) for axis in (0, 1)]
+    width, length = np.meshgrid(*axes)
+    continuous = min(a.size for a in axes) > 1 and library.is_continuous
+    fine = library.surface(width, length) if continuous else library.at_sizes(*size_nm.T)
+    t = np.stack([fine.t_xx.ravel(), fine.t_yy.ravel()], axis=1)
+    parts = np.stack([t[:, 0].real, t[:, 0].imag, t[:, 1].real, t[:, 1].imag], axis=1)
+    square = (parts**2).sum(axis=1)
+    sized = np.concatenate([parts, np.sqrt(square.max() - square)[:, None]], axis=1)
+    # Sizes lie on a surface: halving boxes in their middle makes a tree that is asked in half the time.
+    tree = cKDTree(sized, balanced_tree=False, compact_nodes=False)
+    wanted = np.stack(
+        [f(row) for row in target_rad for f in (np.cos, np.sin)] + [np.zeros(target_rad.shape[1])], axis=1
+    )
+    chosen = t[tree.query(wanted)[1]].T
+    coherent = np.abs((chosen * np.exp(-1j * target_rad)).mean(axis=1)) ** 2
+    return np.asarray(coherent / (np.abs(chosen) ** 2).mean(axis=1))
+
+
+def _fine_axis(sizes_nm: FloatArray, library_sizes: int) -> FloatArray:
+    """Sizes from the smallest to the largest of the mask, off the grid where the library has a surface there."""
+    low, high = float(sizes_nm.min()), float(sizes_nm.max())
+    if library_sizes < 4 or high <= low:
+        return np.array([low])
+    return np.linspace(low, high, round((high - low) / _FINE_NM) + 1)

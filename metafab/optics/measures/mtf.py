@@ -1,0 +1,76 @@
+"""Modulation transfer of a PSF pair over depth, and of a standard lens: same aperture and sensor, no spiral."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.point_spread import Psf
+from metafab.spec import Device
+from metafab.spec.outline import encloses
+
+#: Samples across a standard lens: the fewest, for each radian of rim defocus, and the most.
+_SAMPLES, _SAMPLES_PER_RAD, _MOST_SAMPLES = 192, 6.0, 1024
+
+
+def modulation_transfer(psf: Psf) -> tuple[FloatArray, FloatArray]:
+    """MTF averaged over azimuth; light outside the window is not in it.
+
+    Returns:
+        Mean frequency of each ring, shape (n_frequency,), cycles per um from 0 to half the sampling rate; and the
+        mean modulus of the PSF's spectrum over its value at 0, shape (2, n_depth, n_frequency).
+    """
+    n_y, n_x = psf.psf.shape[2:]
+    spectrum = np.abs(np.fft.fft2(psf.psf))
+    frequency, mean = _rings(spectrum.reshape(-1, n_y, n_x), 1.0 / (n_y * psf.pixel_um), 1.0 / (n_x * psf.pixel_um))
+    with np.errstate(invalid="ignore"):
+        return frequency, (mean / mean[:, :1]).reshape(*psf.psf.shape[:2], -1)
+
+
+def lens_modulation(
+    imaging: Imaging, device: Device, depth_m: float, frequency_per_um: FloatArray, focus_depth_m: float
+) -> FloatArray:
+    """MTF of an aberration-free lens on the axis with the design's aperture, focal length and focus, over azimuth.
+
+    Its pupil function is the outline times the defocus of an object at ``depth_m``, exact in the aperture; the transfer
+    is its autocorrelation (Goodman, Introduction to Fourier Optics, 6.4).
+
+    Args:
+        imaging: wavelength, sensor distance, split angle (which shortens the sensor's distance only).
+        device: the aperture's outline.
+        depth_m: object depth; ``math.inf`` is allowed.
+        frequency_per_um: shape (n,), on the sensor.
+        focus_depth_m: depth of an object in focus.
+
+    Returns:
+        Shape (n,), 1 at frequency 0; 0 beyond the lens' cut-off.
+    """
+    far, sharp = 1e-6 / depth_m, 1e-6 / focus_depth_m
+    rim_um = 0.5 * device.aperture_um
+    rim_rad = 0.5 * imaging.wavenumber * rim_um**2 * abs(far - sharp)
+    count = min(_MOST_SAMPLES, math.ceil(_SAMPLES + _SAMPLES_PER_RAD * rim_rad))
+    step_um = device.aperture_um / count
+    axis = np.asarray((np.arange(count) - 0.5 * (count - 1)) * step_um, dtype=np.float64)
+    square = axis[None, :] ** 2 + axis[:, None] ** 2
+    # sqrt(r^2 + z^2) - z without cancellation, infinity included.
+    path = [w * square / (1.0 + np.sqrt(1.0 + w * w * square)) for w in (far, sharp)]
+    pupil = encloses(device, axis, axis) * np.exp(1j * imaging.wavenumber * (path[0] - path[1]))
+    transfer = np.abs(np.fft.ifft2(np.abs(np.fft.fft2(pupil, (2 * count, 2 * count))) ** 2))
+    image_um = imaging.sensor_distance_um / math.cos(math.radians(imaging.split_angle_deg))
+    lag = step_um / (imaging.wavelength_um * image_um)
+    rings, mean = _rings(transfer[None], lag, lag)
+    return np.asarray(np.interp(frequency_per_um, rings, mean[0] / mean[0, 0], right=0.0))
+
+
+def _rings(values: FloatArray, step_y: float, step_x: float) -> tuple[FloatArray, FloatArray]:
+    """Mean radius and mean value of rings about entry [0, 0] of cyclic maps (n, n_y, n_x)."""
+    n_y, n_x = values.shape[1:]
+    radius = np.hypot((np.fft.fftfreq(n_y) * n_y * step_y)[:, None], (np.fft.fftfreq(n_x) * n_x * step_x)[None, :])
+    count = min(n_y, n_x) // 2
+    ring = np.rint(radius / max(step_y, step_x)).astype(np.int64).ravel()
+    pixels = np.bincount(ring)[: count + 1]
+    mean = np.array([np.bincount(ring, one.ravel())[: count + 1] / pixels for one in values])
+    return np.bincount(ring, radius.ravel())[: count + 1] / pixels, mean

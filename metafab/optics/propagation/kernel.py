@@ -1,0 +1,174 @@
+"""The propagation kernel from the lens to one window of the sensor, split where it is separable.
+
+The kernel h(R) exp(ikR) from a lens point (x, y) to a window point (u, v) is, up to a phase on the window alone,
+
+    exp(ik R(x, y; 0, 0)) x exp(ik X(x, u)) x exp(ik Y(y, v)) x (smooth rest).
+
+The first factor belongs to the pupil's path. X and Y are the exact change of distance along the axes; being
+functions of one lens and one window coordinate they are the two matrices of a separable transform. The rest
+(curvature and skew off the axes, obliquity, fall-off with distance) has low rank: it is sampled on Chebyshev
+points and split by a singular value decomposition, sum over m of A_m(u, v) B_m(x, y).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.optics.propagation import chebyshev
+from metafab.optics.propagation.chebyshev import Span
+
+#: Block phases are reduced in double precision; what is left fits single precision: 1e-6 of the field at most.
+SingleComplexArray = NDArray[np.complex64]
+
+#: Kernels that are kept, least used first to go, and the largest window of one: 2 MB each, where terms are many.
+_KERNELS_KEPT, _LARGEST_KEPT_PX = 16, 128
+
+
+@dataclass(frozen=True)
+class WindowKernel:
+    """Propagation from Chebyshev points of the lens to one window, whatever the blocks are.
+
+    Attributes:
+        wavenumber: k, rad/um; that of the blocks, or another wavelength's.
+        target_um: (x, y, z) of the window's centre point.
+        offsets_um: shape (n,), window points along x and y from the centre.
+        lens_um: ((lowest, highest) x, (lowest, highest) y) of the lens points.
+        left: shape (n, q_y), exp(ik Y).
+        right: shape (q_x, n), exp(ik X).
+        over_window: shape (rank, n, n), A_m.
+        over_lens: shape (rank, q_y, q_x), B_m.
+    """
+
+    wavenumber: float
+    target_um: tuple[float, float, float]
+    offsets_um: FloatArray
+    lens_um: tuple[Span, Span]
+    left: SingleComplexArray
+    right: SingleComplexArray
+    over_window: SingleComplexArray
+    over_lens: SingleComplexArray
+
+    @classmethod
+    def build(
+        cls,
+        wavenumber: float,
+        target_um: tuple[float, float, float],
+        lens_um: tuple[Span, Span],
+        window_px: int,
+        pixel_um: float,
+        tolerance: float,
+    ) -> WindowKernel:
+        """Sample and split the kernel; kernels of usual windows are kept for the next depth, mask or halved block.
+
+        Args:
+            wavenumber: k, rad/um.
+            target_um: centre of the window, which is point ``window_px // 2`` along either side.
+            lens_um: box that holds all block centres.
+            window_px: points a side.
+            pixel_um: distance of points.
+            tolerance: relative error, 1e-7 or more.
+        """
+        build = _build if window_px <= _LARGEST_KEPT_PX else _build.__wrapped__
+        return build(wavenumber, target_um, lens_um, window_px, pixel_um, tolerance)
+
+    @staticmethod
+    def forget() -> None:
+        """Drop the kernels that were kept."""
+        _build.cache_clear()
+
+    @property
+    def rank(self) -> int:
+        """Terms of the low-rank part."""
+        return int(self.over_window.shape[0])
+
+
+def largest_changes_rad(
+    wavenumber: float, target_um: tuple[float, float, float], lens_um: tuple[Span, Span], window_um: Span
+) -> tuple[float, float, float]:
+    """Largest phases kX, kY and of the rest: at the corners of lens and window, which spans ``window_um`` each way."""
+    corners = np.array(np.meshgrid(*lens_um, window_um, window_um, indexing="ij")).reshape(4, -1)
+    x, y, rest = (wavenumber * float(np.abs(change).max()) for change in _changes_um(target_um, *corners))
+    return x, y, rest
+
+
+@lru_cache(maxsize=_KERNELS_KEPT)
+def _build(
+    k: float, target_um: tuple[float, float, float], lens_um: tuple[Span, Span], window_px: int, pixel_um: float,
+    tolerance: float,
+) -> WindowKernel:  # fmt: skip
+    offsets = np.multiply(np.arange(window_px) - window_px // 2, pixel_um, dtype=np.float64)
+    span = (float(offsets[0]), float(offsets[-1]))
+    changes_rad = largest_changes_rad(k, target_um, lens_um, span)
+    x, y = (
+        chebyshev.points(s, chebyshev.points_needed(c, tolerance))
+        for s, c in zip(lens_um, changes_rad[:2], strict=True)
+    )
+    over_window, over_lens = _split_rest(k, target_um, lens_um, span, changes_rad[2], tolerance)
+    to_window = chebyshev.interpolation(span, over_window.shape[1], offsets)
+    to_x, to_y = (chebyshev.interpolation(s, over_lens.shape[1], at) for s, at in zip(lens_um, (x, y), strict=True))
+    along_x, _, _ = _changes_um(target_um, x[:, None], 0.0, offsets[None, :], 0.0)
+    _, along_y, _ = _changes_um(target_um, 0.0, y[None, :], 0.0, offsets[:, None])
+    return WindowKernel(
+        k,
+        target_um,
+        offsets,
+        lens_um,
+        np.exp(1j * k * along_y).astype(np.complex64),
+        np.exp(1j * k * along_x).astype(np.complex64),
+        (to_window @ over_window @ to_window.T).astype(np.complex64),
+        (to_y @ over_lens @ to_x.T).astype(np.complex64),
+    )
+
+
+def _split_rest(
+    k: float,
+    target_um: tuple[float, float, float],
+    lens_um: tuple[Span, Span],
+    window_um: Span,
+    rest_rad: float,
+    tolerance: float,
+) -> tuple[ComplexArray, ComplexArray]:
+    """A_m and B_m, each of shape (rank, count, count), on Chebyshev points of the window and of the lens.
+
+    The eigenvectors of the Gram matrix are the right singular vectors; squared singular values below 1e-14 of the
+    largest are lost in rounding, hence the smallest tolerance of 1e-7.
+    """
+    count = chebyshev.points_needed(rest_rad, tolerance)
+    x, y = np.meshgrid(*(chebyshev.points(span, count) for span in lens_um))
+    u, v = np.meshgrid(*(chebyshev.points(span, count) for span in (window_um, window_um)))
+    x, y, u, v = x.reshape(-1, 1), y.reshape(-1, 1), u.reshape(1, -1), v.reshape(1, -1)
+    _, _, rest = _changes_um(target_um, x, y, u, v)
+    distance = np.sqrt((target_um[0] + u - x) ** 2 + (target_um[1] + v - y) ** 2 + target_um[2] ** 2)
+    spreading = target_um[2] / (2.0 * np.pi * distance**2) * (1.0 / distance - 1j * k)
+    kernel = spreading * np.exp(1j * k * rest)
+    squares, vectors = np.linalg.eigh(kernel.conj().T @ kernel)
+    lost = np.cumsum(np.maximum(squares, 0.0))
+    first = min(int(np.searchsorted(lost, tolerance**2 * lost[-1])), squares.size - 1)
+    kept = vectors[:, first:]
+    shape = (-1, count, count)
+    return kept.conj().T.reshape(shape), (kernel @ kept).T.reshape(shape)
+
+
+def _changes_um(
+    target_um: tuple[float, float, float], x: Any, y: Any, u: Any, v: Any
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """X(x, u), Y(y, v) and the rest of R(x, y; u, v) - R(x, y; 0, 0) - R(0, 0; u, v) + R(0, 0; 0, 0)."""
+    c_x, c_y, c_z = target_um
+
+    def change(x: Any, y: Any, u: Any, v: Any) -> FloatArray:
+        return np.asarray(
+            np.sqrt((c_x + u - x) ** 2 + (c_y + v - y) ** 2 + c_z**2)
+            - np.sqrt((c_x - x) ** 2 + (c_y - y) ** 2 + c_z**2)
+            - np.sqrt((c_x + u) ** 2 + (c_y + v) ** 2 + c_z**2)
+            + math.hypot(c_x, c_y, c_z)
+        )
+
+    along_x, along_y = change(x, 0.0, u, 0.0), change(0.0, y, 0.0, v)
+    return along_x, along_y, change(x, y, u, v) - along_x - along_y

@@ -1,0 +1,91 @@
+"""From block sums to the field on one window of the sensor: a few matrix Fourier transforms.
+
+Blocks are gathered on the Chebyshev points of the lens, each term of the kernel's low-rank part takes them to the
+window by two matrices, and the window's side of the terms adds them up.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+from metafab.optics.propagation import chebyshev
+from metafab.optics.propagation.kernel import SingleComplexArray, WindowKernel
+from metafab.optics.propagation.pupil import Pupil
+
+
+@dataclass(frozen=True)
+class WindowTransform:
+    """The linear map from refocused blocks to the field on the window.
+
+    Attributes:
+        kernel: from Chebyshev points to the window.
+        gather_y: shape (q_y, n_y), transposed interpolation: blocks to weights on Chebyshev points.
+        gather_x: shape (n_x, q_x).
+        by_order: shape (3, n, n) or (1, n, n), what a window point makes of a block's sum and moments: the
+            diffraction of a block, and i times its phase slope along x and y. Blocks of one site have no moments.
+    """
+
+    kernel: WindowKernel
+    gather_y: NDArray[np.float32]
+    gather_x: NDArray[np.float32]
+    by_order: SingleComplexArray
+
+    @classmethod
+    def build(cls, pupil: Pupil, kernel: WindowKernel) -> WindowTransform:
+        """The transform from the blocks of ``pupil`` to the window of ``kernel``."""
+        q_y, q_x = kernel.over_lens.shape[1:]
+        (x, y, z), block, n = kernel.target_um, pupil.carrier.block_sites, kernel.offsets_um.size
+        distance = math.hypot(x, y, z)
+        slope_x, slope_y = (
+            -kernel.wavenumber * (1.0 - (c / distance) ** 2) / distance * kernel.offsets_um for c in (x, y)
+        )
+        diffraction = np.outer(
+            _dirichlet(slope_y * pupil.pitch_um[1], block), _dirichlet(slope_x * pupil.pitch_um[0], block)
+        )
+        orders = [diffraction, 1j * np.tile(slope_x, (n, 1)), 1j * np.tile(slope_y, (n, 1)).T]
+        return cls(
+            kernel,
+            chebyshev.interpolation(kernel.lens_um[1], q_y, pupil.y_um).T.astype(np.float32, order="C"),
+            chebyshev.interpolation(kernel.lens_um[0], q_x, pupil.x_um).astype(np.float32, order="C"),
+            np.array(orders[: 1 if block == 1 else 3], dtype=np.complex64),
+        )
+
+    def field(self, blocks: SingleComplexArray) -> SingleComplexArray:
+        """Field on the window, shape (n, n), of refocused blocks of shape (1 or 3, n_y, n_x)."""
+        kernel = self.kernel
+        rows = (self.gather_y @ blocks.view(np.float32)).view(np.complex64)
+        weights = (rows.real @ self.gather_x) + 1j * (rows.imag @ self.gather_x)
+        total = np.zeros(self.by_order.shape[1:], dtype=np.complex64)
+        for terms, order, weight in zip(self._terms(), self.by_order, weights, strict=True):
+            images = kernel.left @ (kernel.over_lens[terms] * weight) @ kernel.right
+            images *= kernel.over_window[terms]
+            total += order * images.sum(axis=0)
+        return total
+
+    def _terms(self) -> list[slice]:
+        """Low-rank terms for sum and moments: terms grow in strength, and moments, small, need the stronger half."""
+        return [slice(None), *2 * [slice(self.kernel.rank // 2, None)]][: self.by_order.shape[0]]
+
+    def adjoint(self, field: SingleComplexArray) -> SingleComplexArray:
+        """Blocks, shape (1 or 3, n_y, n_x), of a window field: the conjugate transpose of :meth:`field`."""
+        kernel = self.kernel
+        blocks = []
+        for terms, order in zip(self._terms(), self.by_order, strict=True):
+            images = kernel.over_window[terms].conj() * (order.conj() * field)
+            weights = kernel.left.conj().T @ images @ kernel.right.conj().T
+            total = np.einsum("mvu,mvu->vu", kernel.over_lens[terms].conj(), weights)
+            blocks.append(self.gather_y.T @ total @ self.gather_x.T)
+        return np.array(blocks, dtype=np.complex64)
+
+
+def _dirichlet(phase_per_site: FloatArray, sites: int) -> FloatArray:
+    """Mean of exp(i phase n) over a centred run of ``sites``: the diffraction of a block, 1 for one site."""
+    half = 0.5 * phase_per_site
+    steep = np.abs(np.sin(half)) > 1e-9
+    safe = np.where(steep, half, 1.0)
+    return np.where(steep, np.sin(sites * safe) / (sites * np.sin(safe)), 1.0)

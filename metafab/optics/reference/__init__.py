@@ -1,0 +1,1 @@
+"""Slow, exact references for the fast propagation."""

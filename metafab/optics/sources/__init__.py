@@ -1,0 +1,1 @@
+"""The field that leaves the metasurface."""

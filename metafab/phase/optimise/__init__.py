@@ -1,0 +1,1 @@
+"""Optimisers of a helix, and bounds on what any optimiser can reach."""

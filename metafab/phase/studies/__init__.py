@@ -1,0 +1,1 @@
+"""What target phases are worth before anything is made of them."""

@@ -1,0 +1,114 @@
+"""Faulty masks, pillar by pillar: moved and missing ones, as sources like any other, exact and slow.
+
+A pillar that stands aside by d sends the light of its site from there: its phase changes by k times the change of the
+path over it, which is followed exactly for the ray to the geometric image point. Random draws depend on seed and tile
+alone. :mod:`metafab.tolerance.scatter` does the same to block sums, many times faster, and is tested on these.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.layout.pillars import Lattice
+from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.geometry.path import Ray
+from metafab.optics.sources.source import FieldTile, Source
+
+#: (dx, dy) in um of each site of a tile, broadcasting to its shape.
+Offsets = Callable[[FieldTile, tuple[int, int]], tuple[FloatArray, FloatArray]]
+
+
+@dataclass(frozen=True)
+class MovedField:
+    """A source whose sites stand aside.
+
+    Attributes:
+        source: the sites at their places.
+        imaging: geometry.
+        offsets_um: how far each is moved.
+        depth_m: object depth of the rays along which the paths change (they hardly depend on it).
+    """
+
+    source: Source
+    imaging: Imaging
+    offsets_um: Offsets
+    depth_m: float
+
+    @property
+    def lattice(self) -> Lattice:
+        """The unmoved sites."""
+        return self.source.lattice
+
+    def tiles(self) -> Iterator[FieldTile]:
+        """The source's tiles with the moved pillars' phases."""
+        x_um, y_um, k = self.lattice.x_um(), self.lattice.y_um(), self.imaging.wavenumber
+        rays = [Ray.towards_image(self.imaging, p, self.depth_m, (0.0, 0.0)) for p in (0, 1)]
+        for tile in self.source.tiles():
+            n_y, n_x = tile.amplitude(0).shape
+            x, y = x_um[None, tile.column : tile.column + n_x], y_um[tile.row : tile.row + n_y, None]
+            dx, dy = self.offsets_um(tile, (n_y, n_x))
+            turned = [
+                tile.amplitude(p) * np.exp(1j * k * (ray.path_um(x + dx, y + dy) - ray.path_um(x, y)))
+                for p, ray in enumerate(rays)
+            ]
+            yield FieldTile(tile.row, tile.column, amplitudes=np.array(turned))
+
+
+@dataclass(frozen=True)
+class ThinnedField:
+    """A source some of whose sites are dark.
+
+    Attributes:
+        source: all sites.
+        share: of the sites that are lost, 0 to 1.
+        seed: of the choice.
+    """
+
+    source: Source
+    share: float
+    seed: int = 0
+
+    @property
+    def lattice(self) -> Lattice:
+        """The source's lattice."""
+        return self.source.lattice
+
+    def tiles(self) -> Iterator[FieldTile]:
+        """The source's tiles without the lost sites."""
+        for tile in self.source.tiles():
+            amplitudes = np.array([tile.amplitude(p) for p in (0, 1)])
+            lost = _random(self.seed, tile).random(amplitudes.shape[1:]) < self.share
+            yield FieldTile(tile.row, tile.column, amplitudes=np.where(lost, 0.0, amplitudes))
+
+
+def misplaced(source: Source, imaging: Imaging, depth_m: float, rms_nm: float, *, seed: int = 0) -> MovedField:
+    """Every pillar on its own aside, Gaussian, ``rms_nm`` along x and along y."""
+
+    def offsets(tile: FieldTile, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+        dx, dy = _random(seed, tile).normal(scale=1e-3 * rms_nm, size=(2, *shape))
+        return dx, dy
+
+    return MovedField(source, imaging, offsets, depth_m)
+
+
+def stitched(
+    source: Source, imaging: Imaging, depth_m: float, rms_nm: float, field_sites: int, *, seed: int = 0
+) -> MovedField:
+    """Every write field of ``field_sites`` sites a side as a whole aside, Gaussian, ``rms_nm`` along x and y."""
+    rows, columns = (-(-count // field_sites) for count in source.lattice.shape)
+    moved = np.random.default_rng(seed).normal(scale=1e-3 * rms_nm, size=(2, rows, columns))
+
+    def offsets(tile: FieldTile, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+        row, column = ((at + np.arange(n)) // field_sites for at, n in zip((tile.row, tile.column), shape, strict=True))
+        dx, dy = moved[:, row[:, None], column[None, :]]
+        return dx, dy
+
+    return MovedField(source, imaging, offsets, depth_m)
+
+
+def _random(seed: int, tile: FieldTile) -> np.random.Generator:
+    return np.random.default_rng((seed, tile.row, tile.column))
