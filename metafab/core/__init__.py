@@ -1,12 +1,8 @@
-"""What every room stands on.
+"""Foundations of every room.
 
-- ``conventions``  signs, axes, reference planes; array types
-- ``errors``       faults and exit codes
-- ``files``        whole files, JSON, fingerprints
-- ``provenance``   hashes of code and of the files that a spec names
-- ``pictures``     grey pictures that other programs wrote
-- ``hdf5``         datasets with units, descriptions and scales
-- ``executor``     processes or a Dask cluster behind one interface
-- ``progress``     the callback by which long work reports
-- ``numerics``     optional compilation (numba) behind one decorator
+- ``conventions``  signs, axes, units and reference planes, with the array types
+- ``errors``       faults, errors and their exit codes
+- ``numeric``      compilation by numba, and numerics that several rooms share
+- ``parallel``     executors, worker processes, interrupts, progress, cost of a block
+- ``storage``      atomic files, HDF5, pictures, fingerprints
 """

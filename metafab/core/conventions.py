@@ -8,8 +8,8 @@ Axes
     ``[..., y, x]``, the first row is the lowest y. Pixel centres lie on integers times the pitch. The optical
     axis passes through the centre of the pillar lattice.
 Pillars
-    ``width`` is along x, ``length`` along y. The Jones basis is (x, y); ``t_xy`` is the x field that y
-    polarised light leaves behind. A rectangle at normal incidence has ``t_xy = t_yx = 0``.
+    ``width`` is along x, ``length`` along y. The Jones basis is (x, y); ``t_xy`` is the x component of the
+    transmitted field for y polarised incidence. A rectangle at normal incidence has ``t_xy = t_yx = 0``.
 Reference planes
     ``t`` is the zero-order electric field at the plane where the pillar ends, on the side of the outgoing
     light, over the incident electric field at the plane where the pillar begins. For light from the
@@ -63,12 +63,16 @@ def wrap_phase(phase_rad: ArrayLike) -> FloatArray:
 
 
 def power_transmittance(t: ArrayLike, n_in: complex, n_out: complex) -> FloatArray:
-    """Zero-order power transmittance |t|^2 Re(n_out) / Re(n_in) at normal incidence."""
+    """Zero-order power transmittance |t|^2 Re(n_out) / Re(n_in) at normal incidence, in the shape of ``t``."""
     return np.asarray(np.abs(np.asarray(t)) ** 2 * (n_out.real / n_in.real), dtype=np.float64)
 
 
 def image_distance_mm(focal_length_mm: float, depth_m: float) -> float:
-    """Image distance s' of an object at ``depth_m``: 1/s' = 1/f - 1/depth; ``math.inf`` is a valid depth."""
+    """Image distance s' of an object at ``depth_m``: 1/s' = 1/f - 1/depth; ``math.inf`` is a valid depth.
+
+    Raises:
+        ValueError: the object stands within the focal length and has no real image.
+    """
     vergence_per_mm = 1.0 / focal_length_mm - (0.0 if math.isinf(depth_m) else 1e-3 / depth_m)
     if vergence_per_mm <= 0.0:
         raise ValueError(

@@ -1,6 +1,6 @@
-"""What can go wrong, and with which exit code: input and rules 2, everything else 1.
+"""Errors with their exit codes: 2 for bad input and violated rules, 1 for failures.
 
-A fault names the field, what was expected, what came, and what to do. All faults of one file travel together.
+A fault names the field, the expected value, the value found, and the remedy. One error carries all faults of a file.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong with an input.
+    """One fault of an input.
 
-    Where several fields do not go together, ``expected`` is the whole sentence, naming them, and ``got`` is empty;
-    ``field`` is the table that they stand in, empty for the file itself.
+    If several fields contradict each other, ``expected`` holds the whole sentence, ``got`` is empty, and ``field`` is
+    the table that contains them (empty for the file itself).
     """
 
     field: str
@@ -30,17 +30,17 @@ class Fault:
 
 
 class MetafabError(Exception):
-    """Base of every error that metafab raises on purpose; the command line exits with ``exit_code``."""
+    """Base class of metafab's own errors; the command line exits with ``exit_code``."""
 
     exit_code = 1
 
 
 class InputError(MetafabError):
-    """A file, an option or an argument cannot be used.
+    """An unusable file, option or argument.
 
     Args:
         source: the file or command-line option at fault.
-        faults: everything that is wrong with it.
+        faults: all of its faults.
     """
 
     exit_code = 2
@@ -67,8 +67,8 @@ class RulesViolatedError(MetafabError):
 
 
 class SolverError(MetafabError):
-    """A solver could not give a trustworthy answer."""
+    """A solver reached no trustworthy answer."""
 
 
 class MissingToolError(MetafabError):
-    """An optional program or package is not installed; the message says how to get it."""
+    """A missing optional program or package; the message says how to install it."""

@@ -1,1 +1,9 @@
-"""Work spread over threads, processes or a cluster, with progress, interrupts and its cost."""
+"""Parallel work.
+
+- ``work``        Work: workers, cluster and progress of a long computation
+- ``executor``    executors over processes, threads or a Dask cluster, and streams of results
+- ``forked``      short work in forked processes
+- ``interrupts``  Ctrl-C and SIGTERM
+- ``progress``    the progress callback
+- ``measure``     time and memory of a block
+"""

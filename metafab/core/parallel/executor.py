@@ -1,6 +1,6 @@
-"""One executor interface for tiles and library points: in this process, on this machine, or on a cluster.
+"""Executors for tiles and library points: in this process, on this machine, or on a Dask cluster.
 
-The interface is that of :mod:`concurrent.futures`; a Dask client offers the same two methods.
+All have the interface of :class:`concurrent.futures.Executor`.
 """
 
 from __future__ import annotations
@@ -29,23 +29,23 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 
 class SerialExecutor(Executor):
-    """Runs each call at once, in this process; for one worker and for debugging."""
+    """Executor that runs each call immediately in this process: for one worker, and for debugging."""
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
         """Call ``fn`` now and return its finished future."""
         future: Future[Result] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
-        except Exception as error:  # what a pool would hand over, too
+        except Exception as error:  # as a pool would: the future carries it
             future.set_exception(error)
         return future
 
 
 class ClusterExecutor(Executor):
-    """Runs calls on the workers of a Dask client.
+    """Executor over the workers of a Dask cluster.
 
     Args:
-        client: of ``distributed``; stays open.
+        client: a ``distributed.Client``; the caller closes it.
     """
 
     def __init__(self, client: Any) -> None:
@@ -53,20 +53,20 @@ class ClusterExecutor(Executor):
         self._calls = client.get_executor()
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
-        """Call ``fn`` on a worker; a call whose worker dies is made again by another."""
+        """Call ``fn`` on a worker; Dask repeats a call whose worker dies."""
         return cast("Future[Result]", self._calls.submit(fn, *args, **kwargs))
 
     def submit_with(self, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
-        """What submits ``function`` of an item: the function travels to each worker once, and not with each item.
+        """Return a callable that submits ``function`` of an item and sends ``function`` to each worker only once.
 
-        The function is itself the result of a call, which Dask makes again should every worker that holds it die.
+        ``function`` is held as a task result, which Dask recomputes if every worker that holds it dies.
         """
         shared = self._client.submit(_same, function, pure=False)
         return partial(self.submit, _call, shared)
 
     @property
     def slots(self) -> int:
-        """Calls that can run at the same time."""
+        """Number of calls that can run at the same time."""
         return max(1, int(sum(self._client.nthreads().values())))
 
 
@@ -79,21 +79,21 @@ def _call(function: Callable[[Item], Result], item: Item) -> Result:
 
 
 class _Processes(ProcessPoolExecutor):
-    """Worker processes that an interrupt of this one finds whole or not at all."""
+    """Process pool whose start cannot be interrupted halfway."""
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
-        """As any executor; the first call starts the processes."""
+        """Submit a call; the first call starts the processes."""
         with held_interrupts():
             return super().submit(fn, *args, **kwargs)
 
 
 def default_workers() -> int:
-    """The cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 def _single_threaded() -> None:
-    """In a worker process: one BLAS thread each, all cores by processes; Ctrl-C is the parent's business."""
+    """Initialise a worker process: one BLAS thread, and Ctrl-C is left to the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     from threadpoolctl import threadpool_limits
 
@@ -102,7 +102,7 @@ def _single_threaded() -> None:
 
 @contextmanager
 def open_executor(workers: int | None = None, cluster: str | None = None) -> Iterator[Executor]:
-    """An executor over ``workers`` processes, or over the Dask scheduler at ``cluster``.
+    """Open an executor over ``workers`` processes, or over the Dask scheduler at ``cluster``.
 
     Raises:
         InputError: ``workers`` is below one.
@@ -150,7 +150,7 @@ def open_executor(workers: int | None = None, cluster: str | None = None) -> Ite
 
 
 def open_threads(workers: int | None = None, cluster: str | None = None) -> AbstractContextManager[Executor]:
-    """Threads of this process, for work that leaves them free to run and shares what it holds; or a cluster.
+    """Open an executor over threads of this process (for work that releases the interpreter lock), or a cluster.
 
     Raises:
         InputError, MissingToolError: as :func:`open_executor`.
@@ -160,9 +160,9 @@ def open_threads(workers: int | None = None, cluster: str | None = None) -> Abst
 
 @contextmanager
 def kept_threads() -> Iterator[ThreadPoolExecutor]:
-    """Threads for many small jobs one after the other: within another such block, those of that block.
+    """Open a thread pool for many short jobs; a nested block reuses the pool of the outer one.
 
-    To start and end threads takes a millisecond. Jobs must not wait for other jobs of the same threads.
+    Starting and ending threads takes a millisecond. A job must not wait for another job of the same pool.
     """
     kept = _kept_threads.get()
     if kept is not None:
@@ -177,7 +177,7 @@ def kept_threads() -> Iterator[ThreadPoolExecutor]:
 
 
 def _submitter(executor: Executor, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
-    """What submits ``function`` of an item."""
+    """Return a callable that submits ``function`` of an item."""
     if isinstance(executor, ClusterExecutor):
         return executor.submit_with(function)
     return lambda item: executor.submit(function, item)
@@ -186,9 +186,9 @@ def _submitter(executor: Executor, function: Callable[[Item], Result]) -> Callab
 def stream(
     executor: Executor, function: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = 8
 ) -> Iterator[tuple[Item, Result]]:
-    """Apply ``function`` to each item and yield (item, result) pairs as they finish, few in flight at a time.
+    """Apply ``function`` to each item and yield (item, result) pairs as they finish.
 
-    Memory stays bounded however many items there are: at most ``ahead`` are submitted and not yet yielded.
+    Memory stays bounded for any number of items: at most ``ahead`` are submitted and not yet yielded.
     """
     submit = _submitter(executor, function)
     source = iter(items)
@@ -206,13 +206,13 @@ def stream(
 def in_order(
     executor: Executor, function: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = 8
 ) -> Iterator[Result]:
-    """Apply ``function`` to each item and yield the results in the order of the items, few in flight at a time.
+    """Apply ``function`` to each item and yield the results in the order of the items, at most ``ahead`` in flight.
 
-    On a cluster there are as many in flight as keep it busy, and ``function`` is sent to each worker once.
+    On a cluster, two calls per slot are in flight, and ``function`` is sent to each worker once.
     """
     submit = _submitter(executor, function)
     if isinstance(executor, ClusterExecutor):
-        ahead = 2 * executor.slots  # what a worker has finished and not handed over dies with it
+        ahead = 2 * executor.slots  # results that a worker has not yet handed over die with it
     source = iter(items)
     pending: deque[Future[Result]] = deque()
     try:

@@ -1,4 +1,4 @@
-"""Work that is shared with copies of this process, which start at once with all that it holds."""
+"""Work shared with forked copies of this process, which inherit its memory."""
 
 from __future__ import annotations
 
@@ -16,38 +16,37 @@ from metafab.core.parallel.executor import default_workers
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-#: In a copy: the function and the items that it inherited.
+#: In a forked process: the inherited function and items.
 _inherited: list[Any] = []
 
 
 def shared(function: Callable[[Item], Result], items: Sequence[Item], workers: int | None = None) -> Iterator[Result]:
-    """Apply ``function`` to each item in copies of this process and yield the results in the order of the items.
+    """Apply ``function`` to each item in forked processes and yield the results in the order of the items.
 
-    A copy needs no imports and is sent no data, which pays for work of seconds;
-    :mod:`metafab.core.parallel.executor` is for
-    all that is longer. Only results travel. Where a process cannot be copied safely (other threads run in it, or the
-    system is not Linux), and for one worker, the work is done here; the results are the same.
+    A fork starts without imports and without sending data, which pays for work of a few seconds; use
+    :mod:`metafab.core.parallel.executor` for longer work. Only results are pickled. The work is done in this process,
+    with the same results, for one worker, with other threads running, or on systems other than Linux.
 
     Args:
-        function: changes nothing in this process that anybody waits for; must not start compiled parallel loops.
-        items: what it is applied to.
+        function: has no side effects in this process and starts no compiled parallel loop.
+        items: arguments of ``function``.
         workers: processes; None for all cores.
     """
     count = min(default_workers() if workers is None else workers, len(items))
     if count < 2 or sys.platform != "linux" or threading.active_count() > 1:
         yield from map(function, items)
         return
-    copied = multiprocessing.get_context("fork")
-    # What a copy is initialised with it inherits; it is not sent.
-    with ProcessPoolExecutor(count, mp_context=copied, initializer=_inherit, initargs=(function, items)) as pool:
+    context = multiprocessing.get_context("fork")
+    # With the fork context, the arguments of the initialiser are inherited, not pickled.
+    with ProcessPoolExecutor(count, mp_context=context, initializer=_inherit, initargs=(function, items)) as pool:
         yield from pool.map(_apply, range(len(items)))
 
 
 def _inherit(function: Callable[[Any], Any], items: Sequence[Any]) -> None:
     _inherited[:] = function, items
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C, which reaches all of a terminal's, is the parent's business
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to the whole group; the parent handles it
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    gc.freeze()  # what was inherited stays: looking through it for garbage would copy its pages, too
+    gc.freeze()  # a collection would touch, and so copy, every inherited page
 
 
 def _apply(index: int) -> Any:

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: raised wherever the program stands, held while a worker process starts, and never lost."""
+"""Ctrl-C and SIGTERM: raised in the main thread, deferred while a worker process starts, never lost."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 
-#: After this the code that could not raise (a finalizer, a callback) has returned; if not, it is tried once more.
+#: Delay before a signal is sent again (s): by then the finalizer or callback that could not raise has usually returned.
 _AGAIN_AFTER_S = 0.01
 
 
 class InterruptedRunError(BaseException):
-    """Ctrl-C or SIGTERM: unwinds everything, so that half-written files are removed; nobody swallows it."""
+    """Ctrl-C or SIGTERM; unwinds the whole stack, so that half-written files are removed."""
 
     def __init__(self, number: signal.Signals) -> None:
         super().__init__(number)
@@ -31,10 +31,10 @@ class InterruptedRunError(BaseException):
 
 @contextmanager
 def raised_interrupts() -> Iterator[None]:
-    """Within the block, Ctrl-C and SIGTERM raise :class:`InterruptedRunError` in the main thread, of which this is.
+    """Raise :class:`InterruptedRunError` on Ctrl-C and SIGTERM within the block; call it in the main thread.
 
-    A signal may arrive in a finalizer, in the callback of a weak reference or in one that compiled code calls. From
-    there nothing can be raised: Python prints it and goes on. Here it is not printed, and raised a moment later.
+    A signal may arrive in a finalizer or in a callback, where Python prints an exception and goes on. Such a signal is
+    not printed but sent again after 10 ms.
     """
     hook = sys.unraisablehook
     before = {number: signal.signal(number, _interrupt) for number in _ENDING}
@@ -65,18 +65,18 @@ def _raising_again(hook: Callable[[UnraisableHookArgs], Any]) -> Callable[[Unrai
 def _send_later(number: signal.Signals) -> None:
     time.sleep(_AGAIN_AFTER_S)
     if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(cast("int", threading.main_thread().ident), number)  # wakes it from what it waits for
+        signal.pthread_kill(cast("int", threading.main_thread().ident), number)  # interrupts a blocking wait
     else:
         _thread.interrupt_main(number)
 
 
 @contextmanager
 def held_interrupts() -> Iterator[None]:
-    """Within the block, Ctrl-C and SIGTERM wait: they do what they would have done when it ends.
+    """Defer Ctrl-C and SIGTERM to the end of the block.
 
-    For what must not be left half done, such as handing a new process what it begins with. Processes that start within
-    never see Ctrl-C, which a terminal sends to all of them: to end them is the business of who started them. In other
-    threads than the main one nothing needs to be held, as no signal is raised there.
+    Used for actions that must not stop halfway, such as starting a process and sending its first message. A process
+    started within the block ignores Ctrl-C, which a terminal sends to all processes of the group; its parent ends it.
+    Outside the main thread the block has no effect, because signals are raised only there.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -97,7 +97,7 @@ def held_interrupts() -> Iterator[None]:
 
 
 def _hide_from_new_processes() -> set[int] | None:
-    """Block Ctrl-C for this thread, which its new processes inherit; the signals blocked before, None on Windows."""
+    """Block Ctrl-C for this thread and its new processes; return the previous signal mask, None on Windows."""
     if not hasattr(signal, "pthread_sigmask"):
         return None
     return set(signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}))

@@ -1,4 +1,4 @@
-"""Seconds and peak memory of a step."""
+"""Wall-clock time, processor time and peak memory of a block."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ _STATUS = Path("/proc/self/status")
 
 @dataclass
 class Cost:
-    """What a block cost; filled in when it ends.
+    """Cost of a block; filled in when the block ends.
 
     Attributes:
-        seconds: wall clock.
-        processor_seconds: of this process, all threads together; what others do on the machine changes it little.
-        peak_rss_mb: largest resident set of any one process inside the block: of this one (on Linux; elsewhere since
-            its start), or of a worker that ended in the block, if it was larger than all that ended before.
+        seconds: wall-clock time.
+        peak_rss_mb: largest resident set of one process: this one (on Linux within the block, elsewhere since its
+            start), or a worker that ended within the block, if larger than all workers before it.
+        processor_seconds: processor time of all threads of this process.
     """
 
     seconds: float = 0.0
@@ -57,16 +57,16 @@ def peak_rss_mb() -> float:
 
 
 def _workers_peak_mb() -> float:
-    """Largest resident set of all processes that this one has waited for."""
+    """Largest resident set of all child processes that have ended, in megabytes."""
     return _megabytes(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 
 
 def _reset_peak() -> None:
-    """Linux forgets the old peak on this write; where it cannot, the peak counts from the process' start."""
+    """Reset the peak (Linux only); elsewhere it counts from the start of the process."""
     with suppress(OSError):
         _PEAK_RESET.write_text("5")
 
 
 def _megabytes(maxrss: int) -> float:
-    """``ru_maxrss`` is in kibibytes on Linux and in bytes on macOS."""
+    """Convert ``ru_maxrss``, which is in kibibytes on Linux and in bytes on macOS."""
     return maxrss / 1e6 if sys.platform == "darwin" else maxrss * 1024 / 1e6

@@ -1,1 +1,9 @@
-"""Files: whole or absent, HDF5, pictures, fingerprints and the code that results depend on."""
+"""Files.
+
+- ``files``         atomic writing, JSON, fingerprints
+- ``hdf5``          HDF5 with units, descriptions, provenance and a checksum
+- ``pictures``      reader of grey pictures
+- ``latest``        cache of one entry
+- ``provenance``    fingerprints of source code and of named files
+- ``source_graph``  import graph of the package
+"""

@@ -1,4 +1,4 @@
-"""Files that are either whole or absent, and the fingerprints by which steps are skipped."""
+"""Atomic file writing, JSON, and fingerprints of inputs."""
 
 from __future__ import annotations
 
@@ -19,16 +19,15 @@ from metafab.core.errors import InputError
 
 Made = TypeVar("Made")
 
-#: What the names of our HDF5 files end with.
+#: Accepted suffixes of HDF5 files.
 HDF5_SUFFIXES = (".h5", ".hdf5")
 
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Write beside, then rename: yields a temporary path that becomes ``path`` only if the block succeeds.
+    """Yield a temporary path that is renamed to ``path`` if the block succeeds.
 
-    Anything that interrupts the block, Ctrl-C included, removes the temporary file and leaves an earlier
-    ``path`` untouched.
+    Any exception, Ctrl-C included, removes the temporary file and leaves an earlier ``path`` untouched.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(3)}.part")
@@ -43,7 +42,7 @@ _PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part")
 
 
 def require_hdf5_name(path: Path) -> None:
-    """Refuse a name that no reader would take for an HDF5 file, before anything is computed.
+    """Check that an output name ends with an HDF5 suffix.
 
     Raises:
         InputError: neither .h5 nor .hdf5.
@@ -53,7 +52,7 @@ def require_hdf5_name(path: Path) -> None:
 
 
 def clear_parts(folder: Path) -> None:
-    """Remove the temporary files that processes of this machine left in ``folder`` when they were killed."""
+    """Remove temporary files of killed processes from ``folder``."""
     for path in folder.glob(".*.part"):
         match = _PART.fullmatch(path.name)
         if match is not None and not _alive(int(match[1])):
@@ -61,7 +60,7 @@ def clear_parts(folder: Path) -> None:
 
 
 def _alive(pid: int) -> bool:
-    """Whether a process of this number runs; of another user's, too."""
+    """Whether a process with this number is running, under any user."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
@@ -72,12 +71,12 @@ def _alive(pid: int) -> bool:
 
 
 def untimed(details: Mapping[str, Any]) -> dict[str, Any]:
-    """Figures of a result as its file keeps them: without their time, so that equal results have equal bytes."""
+    """``details`` without the run time, so that equal results give equal files."""
     return {name: value for name, value in details.items() if name != "seconds"}
 
 
 def plain(value: Any) -> Any:
-    """``value`` as JSON types: dataclasses become dicts, arrays lists, complex numbers [re, im] pairs."""
+    """Convert ``value`` to JSON types: dataclasses to dicts, arrays to lists, complex numbers to [re, im] pairs."""
     if is_dataclass(value) and not isinstance(value, type):
         return plain(asdict(value))
     if isinstance(value, Mapping):
@@ -104,13 +103,13 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def read_json(path: Path, kind: str, format_version: int, make: Callable[[dict[str, Any]], Made]) -> Made | None:
-    """What ``make`` makes of a file of a kind; None where there is none, or one that is not ours or of a newer format.
+    """Read a JSON file of a kind; return None if it is missing, unreadable, of another kind or of a newer format.
 
     Args:
-        path: what :func:`write_json` wrote, with ``kind`` and ``format_version`` among its keys.
-        kind: which kind of file.
-        format_version: the newest that can be read.
-        make: takes the other keys; what they lack or hold wrongly makes the file none of ours.
+        path: a file written by :func:`write_json`, with ``kind`` and ``format_version`` among its keys.
+        kind: expected kind.
+        format_version: newest readable format.
+        make: builds the result from the other keys; a KeyError, TypeError or ValueError counts as unreadable.
     """
     try:
         table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -122,7 +121,7 @@ def read_json(path: Path, kind: str, format_version: int, make: Callable[[dict[s
 
 
 def fingerprint(*parts: Any) -> str:
-    """Hexadecimal SHA-256 of the canonical JSON of ``parts``: equal inputs, equal text, on every machine."""
+    """Hexadecimal SHA-256 of the canonical JSON of ``parts``; the same on every machine."""
     text = json.dumps(plain(parts), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()
 

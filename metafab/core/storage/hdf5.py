@@ -1,8 +1,8 @@
-"""HDF5 as metafab writes it: every dataset with units and a description, every file with its provenance.
+"""HDF5 files of metafab: every dataset with units and a description, every file with its provenance and a checksum.
 
-Behind the last byte that HDF5 knows of stands a checksum of all before it. The HDF5 library trusts what it reads, and
-a damaged file can keep it busy for ever; so damage is found first. Programs that change a file by HDF5 drop the
-checksum as they close it, and files without one open as ever.
+The checksum follows the last byte of the HDF5 image. The HDF5 library trusts a file's content and may hang on a damaged
+one, so the checksum is tested before the file is opened. Programs that modify the file through HDF5 drop the checksum;
+files without one are opened without the test.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from metafab.core.storage.files import whole_file
 
 @contextmanager
 def create(path: Path, *, kind: str, format_version: int, inputs_sha256: str) -> Iterator[h5py.File]:
-    """A new HDF5 file that appears under ``path`` only when the block has succeeded.
+    """Create an HDF5 file that appears under ``path`` only if the block succeeds.
 
     Args:
         path: final name.
-        kind: what the file holds, such as ``"metafab library"``; readers refuse other kinds.
+        kind: kind of content, such as ``"metafab library"``; readers refuse other kinds.
         format_version: version of this kind's layout.
-        inputs_sha256: fingerprint of everything that the content depends on.
+        inputs_sha256: fingerprint of all inputs of the content.
     """
-    # Made in memory: on a full disk the HDF5 library brings the process down, Python's own writing does not.
+    # The file is built in memory: on a full disk the HDF5 library aborts the process, Python's own write raises.
     with whole_file(path) as part:
         # Without tracked times, the same content gives the same bytes.
         options: dict[str, Any] = {"libver": ("v110", "v110"), "track_order": True}
@@ -61,9 +61,15 @@ def put(
 ) -> h5py.Dataset:
     """Store an array with its units, a one-line description and, by name, its dimension scales.
 
-    A name in ``dims`` that is a dataset of ``group``, or else of the file's root, becomes that axis' scale; a dataset
-    whose only dimension is itself (``dims=(name,)``) becomes a scale. Readers such as xarray want all axes of an array
-    scaled, or none.
+    Args:
+        group: where the dataset is created.
+        name: name of the dataset.
+        data: array of any shape; text is stored as bytes.
+        units: physical unit, "1" for pure numbers.
+        description: one line.
+        dims: names of the axes. A dataset of ``group``, or else of the file's root, with such a name becomes the scale
+            of that axis; ``dims=(name,)`` makes the dataset itself a scale. xarray requires scales on all axes or none.
+        compress: whether to deflate.
     """
     array = np.asarray(data)
     if array.dtype.kind == "U":
@@ -86,7 +92,7 @@ def put(
 
 @contextmanager
 def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) -> Iterator[h5py.File]:
-    """Open an existing file of a kind for reading, or say in one line why it cannot be used.
+    """Open an existing file of a kind for reading.
 
     Raises:
         InputError: the file is missing, truncated, not HDF5, of another kind, or of a newer format.

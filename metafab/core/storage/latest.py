@@ -1,4 +1,4 @@
-"""The latest result of a kind, for whoever asks for the same again: files that several steps read are read once."""
+"""A cache of one entry: a file that several steps read is read once."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ Result = TypeVar("Result")
 
 
 class Latest(Generic[Result]):
-    """Holds one result, so that memory is bounded by the largest of its kind. Results are shared: never change them."""
+    """Thread-safe cache of the latest result. Callers share the result and must not change it."""
 
     def __init__(self) -> None:
         self._lock = Lock()
         self._held: tuple[Hashable, Result] | None = None
 
     def of(self, key: Hashable, make: Callable[[], Result]) -> Result:
-        """The held result if it was made for an equal ``key``, else a new one, which takes its place."""
+        """Return the cached result for ``key``, or make, cache and return a new one."""
         with self._lock:
             if self._held is None or self._held[0] != key:
                 self._held = None
@@ -27,7 +27,7 @@ class Latest(Generic[Result]):
 
 
 def file_mark(path: Path) -> tuple[str, int, int]:
-    """A file's place, size in bytes and time of its last change in ns: another mark, another content.
+    """Absolute path, size in bytes and modification time in ns of a file, as a cache key.
 
     Raises:
         OSError: there is no such file.

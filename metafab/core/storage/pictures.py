@@ -1,4 +1,4 @@
-"""Pictures that other programs wrote: TIFF and PNG of 8, 12 or 16 bit, and NumPy arrays."""
+"""Reader of grey pictures: TIFF and PNG of 8, 12 or 16 bit, and NumPy arrays."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 
 _SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy"}
-#: No sensor has more.
+#: Longest side of a picture (pixels); no image sensor has more.
 _LONGEST_SIDE_PX = 1 << 16
 _REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
 
 
 def read_grey(path: Path) -> FloatArray:
-    """A picture's values as floats, shape (rows, columns), first row as in the file; colours are averaged.
+    """Read a picture as floats, shape (rows, columns), first row as in the file; colours are averaged.
 
     Raises:
         InputError: the file cannot be read, or is no picture.
@@ -27,14 +27,15 @@ def read_grey(path: Path) -> FloatArray:
 
 
 def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float | None]:
-    """A grey picture's values, and the level at which its file type saturates (None for floats).
+    """Read a grey picture and its saturation level.
 
     Args:
         path: .tif, .tiff, .png or .npy.
         colours: whether colours are averaged; otherwise they are refused.
 
     Returns:
-        Shape (rows, columns), first row as in the file; 12-bit counts are taken as they are.
+        The values, shape (rows, columns), first row as in the file; and the count at which the file type saturates,
+        None for floats. 12-bit counts are not rescaled.
 
     Raises:
         InputError: the file cannot be read, or is no grey picture.
@@ -46,7 +47,7 @@ def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float
         raise InputError.single(str(path), "file", f"a {kind} file", "no file at that path", "check the path")
     try:
         values = _decoders()[kind](path)
-    except Exception as error:  # the image libraries raise whatever they meet in a broken file
+    except Exception as error:  # image libraries raise errors of any type on a broken file
         got = f"a truncated or foreign file ({type(error).__name__}: {error})"
         raise InputError.single(str(path), "file", f"a readable {kind} file", got, _REMEDY) from error
     if values.ndim == 3 and colours:
@@ -63,11 +64,11 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
     def tiff(path: Path) -> np.ndarray:
         import tifffile
 
-        # What it logs of a file's oddities would come beside our one message; cameras' own tags are none of ours.
+        # tifffile logs every unusual tag of a camera's file; a user gets one message instead.
         logging.getLogger("tifffile").setLevel(logging.CRITICAL)
         with tifffile.TiffFile(path) as file:
             page = file.pages.first
-            # A damaged size field claims more strips than could be walked through in a day.
+            # A damaged size field may claim billions of strips.
             if max(page.imagewidth, page.imagelength) > _LONGEST_SIDE_PX:
                 raise ValueError(f"{page.imagelength} x {page.imagewidth} pixels, more than {_LONGEST_SIDE_PX} a side")
             return np.asarray(file.asarray())

@@ -1,4 +1,4 @@
-"""What a result depends on beyond its settings: the code that made it, and the content of files that were named."""
+"""Fingerprints of source code and of the files that a spec names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PACKAGE = Path(__file__).parents[2]
 
 @cache
 def code_sha256(rooms: tuple[str, ...]) -> str:
-    """Hash of the source of some rooms, and of what all rooms stand on: changed code makes its results stale."""
+    """Hash of the source of ``rooms``, of ``core`` and of ``steps``; a change makes results stale."""
     digest = sha256(__version__.encode())
     for room in ("core", "steps", *rooms):
         digest.update(_room_sha256(room))
@@ -27,7 +27,7 @@ def code_sha256(rooms: tuple[str, ...]) -> str:
 
 @cache
 def sources_sha256(modules: tuple[str, ...], rooms: tuple[str, ...]) -> str:
-    """Hash of the source of some modules, of all that they import from this package, and of whole rooms besides."""
+    """Hash of the source of ``modules``, of every module of this package that they import, and of ``rooms``."""
     digest = sha256(__version__.encode())
     digest.update(_files_sha256(sources_of(modules)))
     for room in rooms:
@@ -52,7 +52,7 @@ def _files_sha256(paths: Iterable[Path]) -> bytes:
 def contents_sha256(spec: Any) -> list[str]:
     """Hashes of the files that a spec names (phase arrays, pictures, index tables), in the order of its fields.
 
-    Their content counts, not their names; a file that is not there counts as missing.
+    Only the content counts; a missing file gives "missing".
     """
     return [file_sha256(path) if path.is_file() else "missing" for path in _named_files(spec)]
 
