@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from metafab.camera.frames.frame import RawFrame, Truth
-from metafab.decode.image import Image4D
+from metafab.decode.image import Image4D, SegmentFigures
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.library import Library
 from metafab.optics.point_spread import Psf, PsfField
@@ -61,8 +61,8 @@ def decoded_image() -> Image4D:
     with np.errstate(invalid="ignore", divide="ignore"):
         contrast = np.where(segment > 0, intensity_x / intensity_y, np.nan)
     rows = (
-        {"segment": 1.0, "depth_m": 0.2604, "depth_error_m": 4e-4},
-        {"segment": 2.0, "depth_m": 0.3291, "depth_error_m": 8e-4},
+        SegmentFigures(1, 320, 0.2604, 0.0, 0.0, 4e-4, 900.0 / 850.0, 2e-3, 0.98),
+        SegmentFigures(2, 288, 0.3291, 0.0, 0.0, 8e-4, 2.5, 5e-3, 0.97),
     )
     confidence = np.where(segment > 0, 0.9, 0.0)
     return Image4D(

@@ -43,7 +43,7 @@ from metafab.decode.decoder import Decoder, decode
 from metafab.decode.evaluation.bound import DepthBound
 from metafab.decode.evaluation.metrics import object_errors
 from metafab.decode.film.video import VideoDecoder
-from metafab.decode.image import Image4D
+from metafab.decode.image import Image4D, SegmentFigures
 from metafab.decode.segmentation.frame_statistics import NO_LIGHT
 from metafab.decode.store import load, save
 
@@ -54,6 +54,7 @@ __all__ = [
     "Decoder",
     "DepthBound",
     "Image4D",
+    "SegmentFigures",
     "VideoDecoder",
     "calibrate",
     "decode",

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import plain, untimed
-from metafab.decode.image import Image4D
+from metafab.decode.image import Image4D, SegmentFigures
 
 DECODED_KIND = "metafab decoded image"
 DECODED_FORMAT = 1
@@ -24,6 +27,8 @@ _DATASETS = (
     ("segment", "1", "number of the segment from 1, 0 for none"),
     ("depth_pixel_m", "m", "depth of the pixel by itself, NaN where none is claimed"),
 )
+
+_SEGMENT_FIGURES = tuple(item.name for item in fields(SegmentFigures))
 
 
 def save(image: Image4D, path: Path, *, inputs_sha256: str = "") -> None:
@@ -64,9 +69,15 @@ def load(path: Path | str) -> Image4D:
             arrays["segment"].astype(np.int32),
             (float(origin[0]), float(origin[1])),
             float(file.attrs["pixel_um"]),
-            tuple(json.loads(str(file.attrs["segments"]))),
+            tuple(_segment_figures(row) for row in json.loads(str(file.attrs["segments"]))),
             arrays.get("depth_pixel_m"),
             arrays.get("contrast_error"),
             None if nmae is None else float(nmae),
             json.loads(str(file.attrs["details"])),
         )
+
+
+def _segment_figures(row: dict[str, float | None]) -> SegmentFigures:
+    """Figures of one segment from its JSON object; a figure that is null or missing is NaN."""
+    known: dict[str, Any] = {name: math.nan if (value := row.get(name)) is None else value for name in _SEGMENT_FIGURES}
+    return SegmentFigures(**{**known, "number": int(known["number"]), "pixels": int(known["pixels"])})

@@ -83,7 +83,7 @@ def depths_against_truth(run: RunFolder) -> tuple[FloatArray, FloatArray, FloatA
     true_m = None if decoded is None or run.raw is None else _truth_on(decoded, run.raw)
     if decoded is None or true_m is None:
         return None
-    errors = {int(row["segment"]): row.get("depth_error_m", 0.0) for row in decoded.segments if "segment" in row}
+    errors = {figures.number: figures.error_m for figures in decoded.segments}
     rows = []
     for number in np.unique(decoded.segment[decoded.segment > 0]):
         inside = (decoded.segment == number) & np.isfinite(decoded.depth_m) & np.isfinite(true_m)

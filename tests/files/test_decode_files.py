@@ -46,9 +46,9 @@ def test_a_cameras_counts_give_the_depths_of_the_electrons(psf: Psf, tmp_path: P
     tifffile.imwrite(tmp_path / "frame.tif", counts[::-1])
     image = decode(load_frame(tmp_path / "frame.tif", psf), psf)
     assert image.nmae is None
-    biggest = max(image.segments, key=lambda row: row["pixels"])
+    biggest = max(image.segments, key=lambda row: row.pixels)
     # The electrons' own error on 62 x 62 pixels is near 0.3 %: three of them.
-    assert biggest["depth_m"] == pytest.approx(0.0029, rel=0.01)
+    assert biggest.depth_m == pytest.approx(0.0029, rel=0.01)
 
 
 def test_an_undecodable_frame_can_be_saved(psf: Psf, tmp_path: Path) -> None:

@@ -42,9 +42,9 @@ def test_nmae_is_below_one_per_cent(image: Image4D) -> None:
 def test_the_polarising_piece_stands_out(small_design: Design, image: Image4D) -> None:
     """Metal and other materials are told apart by I_x / I_y."""
     for piece in small_design.scene.objects:
-        row = min(image.segments, key=lambda r: abs(r["depth_m"] - piece.depth_m))
+        row = min(image.segments, key=lambda r: abs(r.depth_m - piece.depth_m))
         # 2 %, and what an outline's pixels mix in.
-        assert row["contrast"] == pytest.approx(piece.polarisation_contrast, rel=0.03)
+        assert row.contrast == pytest.approx(piece.polarisation_contrast, rel=0.03)
 
 
 def test_the_twins_are_side_by_side(frame: RawFrame) -> None:

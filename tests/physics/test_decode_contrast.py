@@ -58,8 +58,8 @@ def test_the_stated_error_of_each_pixel_is_its_scatter(images: list[Image4D]) ->
 
 def test_the_stated_error_of_a_segment_is_its_scatter(images: list[Image4D]) -> None:
     """Of 24 draws the scatter is known to 15 %: within a factor of 1.6 by three standard deviations."""
-    rows = [max(image.segments, key=lambda row: row["pixels"]) for image in images]
-    contrast, stated = (np.array([row[key] for row in rows]) for key in ("contrast", "contrast_error"))
+    rows = [max(image.segments, key=lambda row: row.pixels) for image in images]
+    contrast, stated = (np.array([getattr(row, key) for row in rows]) for key in ("contrast", "contrast_error"))
     assert contrast.mean() == pytest.approx(2.0, rel=0.02)
     assert contrast.std(ddof=1) / stated.mean() == pytest.approx(1.0, abs=0.6)
 
@@ -82,4 +82,4 @@ def test_errors_travel_in_files(images: list[Image4D], tmp_path: Path) -> None:
     again = load(tmp_path / "decoded.h5")
     np.testing.assert_array_equal(again.contrast_error, images[0].contrast_error)
     assert again.segments == images[0].segments
-    assert {"contrast_error", "slope_x_per_m", "slope_y_per_m"} <= again.segments[0].keys()
+    assert np.isfinite(again.segments[0].contrast_error)

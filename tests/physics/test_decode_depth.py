@@ -64,11 +64,11 @@ def test_a_tilted_plane_is_decoded_as_one(psf: Psf) -> None:
     tilted = SceneObject(depth_m=0.0029, size=(0.24, 0.34), tilt=(0.0, 0.10), texture_contrast=0.4)
     scene = Scene(objects=(tilted,), photons_per_pixel=2e4, field_px=(220, 150), seed=3)
     image = decode(capture(scene, psf), psf)
-    biggest = max(image.segments, key=lambda row: row["pixels"])
+    biggest = max(image.segments, key=lambda row: row.pixels)
     # 1/depth changes by 0.10 / 0.0029 over the plane's 0.34 of tangent; images are inverted.
     change = 0.10 / 0.0029 / (0.34 * psf.sensor_distance_um / psf.pixel_um)
-    assert biggest["slope_y_per_m"] == pytest.approx(change, rel=0.1)
-    assert abs(biggest["slope_x_per_m"]) < 0.1 * change
+    assert biggest.slope_y_per_m == pytest.approx(change, rel=0.1)
+    assert abs(biggest.slope_x_per_m) < 0.1 * change
     assert image.nmae == pytest.approx(0.0, abs=3e-3)
     assert image.details["worst_object_error"] < 3e-3
 
@@ -103,8 +103,8 @@ def test_stated_errors_are_the_scatter(psf: Psf) -> None:
     errors = []
     for seed in range(12):
         image = decode(capture(Scene(objects=(plane(0.0029),), seed=seed), psf), psf)
-        biggest = max(image.segments, key=lambda row: row["pixels"])
-        errors.append((biggest["depth_m"] - 0.0029) / biggest["error_m"])
+        biggest = max(image.segments, key=lambda row: row.pixels)
+        errors.append((biggest.depth_m - 0.0029) / biggest.error_m)
     assert np.abs(errors).max() < 4.0
     assert 0.5 < float(np.sqrt(np.mean(np.square(errors)))) < 2.0
 

@@ -247,4 +247,4 @@ def _for_reading(image: Image4D) -> Image4D:
     }
     for view in views.values():
         view.flags.writeable = False
-    return replace(image, segments=tuple(dict(row) for row in image.segments), **views)
+    return replace(image, **views)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.image import Image4D
+from metafab.decode.image import Image4D, SegmentFigures
 from metafab.decode.images.contrast import SegmentLight, pixel_contrast
 from metafab.decode.images.deconvolution import LitTiles, Restorer, Sharp
 from metafab.decode.matching.cost_volume import Volume
@@ -144,7 +144,7 @@ class Pictures:
             self.segment,
             seen.twins.grid.origin_um,
             frame.pixel_um,
-            _rows(regions, light, every, seen.levels.read_noise_e),
+            _segment_figures(regions, light, every, seen.levels.read_noise_e),
             self.depth_pixel_m,
             self.contrast_error,
             details=details,
@@ -199,21 +199,23 @@ def _lit(images: NDArray[np.float32], floor_e: float) -> NDArray[np.bool_]:
     return np.asarray(window_means(images[0] + images[1], 3) > floor_e)
 
 
-def _rows(regions: Regions, light: SegmentLight, every: int, read_noise_e: float) -> tuple[dict[str, float], ...]:
-    """What is known of each segment: its contrast from its inside, over which blur and sharpening keep the light."""
+def _segment_figures(
+    regions: Regions, light: SegmentLight, every: int, read_noise_e: float
+) -> tuple[SegmentFigures, ...]:
+    """Figures of each segment; its contrast is that of its interior, where deconvolution keeps the light."""
     contrast, error = light.contrast(read_noise_e)
     return tuple(
-        {
-            "number": float(index + 1),
-            "pixels": float(light.pixels[index]),
-            "depth_m": 1.0 / depth.vergence_per_m,
-            "slope_x_per_m": depth.plane.slope_per_m[1] / every,
-            "slope_y_per_m": depth.plane.slope_per_m[0] / every,
-            "error_m": depth.relative_error / depth.vergence_per_m,
-            "contrast": float(contrast[index]),
-            "contrast_error": float(error[index]),
-            "correlation": depth.correlation,
-        }
+        SegmentFigures(
+            number=index + 1,
+            pixels=int(light.pixels[index]),
+            depth_m=1.0 / depth.vergence_per_m,
+            slope_x_per_m=depth.plane.slope_per_m[1] / every,
+            slope_y_per_m=depth.plane.slope_per_m[0] / every,
+            error_m=depth.relative_error / depth.vergence_per_m,
+            contrast=float(contrast[index]),
+            contrast_error=float(error[index]),
+            correlation=depth.correlation,
+        )
         for index, depth in enumerate(regions.depths)
     )
 

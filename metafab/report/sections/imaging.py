@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import fields
 from html import escape
 
+from metafab.decode.image import SegmentFigures
 from metafab.report import html
 from metafab.report.run_folder import RunFolder
 from metafab.report.sections.parts import Drawn, facts_line
@@ -73,13 +74,11 @@ def _judged(run: RunFolder) -> str:
 
 
 def _segments(run: RunFolder) -> str:
-    segments = run.part("decode").get("segments") or (run.decoded.segments if run.decoded is not None else ())
-    rows = [row for row in segments if isinstance(row, Mapping)] if not isinstance(segments, int) else []
-    if not rows:
+    if run.decoded is None or not run.decoded.segments:
         return ""
-    keys = list(rows[0])
+    keys = [item.name for item in fields(SegmentFigures)]
     return html.table(
         [html.column(key) for key in keys],
-        [[html.number(row.get(key), 4) for key in keys] for row in rows],
+        [[html.number(getattr(row, key), 4) for key in keys] for row in run.decoded.segments],
         ["n"] * len(keys),
     )
