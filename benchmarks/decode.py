@@ -31,7 +31,7 @@ from metafab.decode.segmentation.planes import Cells
 from metafab.information.psf_fisher import Texture
 from metafab.layout import Lattice, sampling_lattice
 from metafab.spec import Design, Scene, SceneObject, load_design
-from metafab.spec.design import SpiralZones
+from metafab.spec.terms import SpiralZones
 
 LAYOUTS = Path(__file__).parents[1] / "layouts"
 DESIGN, PAPER_DESIGN = LAYOUTS / "helix_small.toml", LAYOUTS / "helix_2mm.toml"

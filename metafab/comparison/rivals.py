@@ -14,7 +14,7 @@ from metafab.layout import lattice_of
 from metafab.optics import Imaging, Psf, depth_nodes, ideal_field, psf, without_depths
 from metafab.phase import profile_of
 from metafab.spec import Design
-from metafab.spec.design import DoubleHelix, Grating, Lens, PhaseTerm, SplitLens
+from metafab.spec.terms import DoubleHelix, Grating, Lens, PhaseTerm, SplitLens
 
 #: Terms that bring the light to the sensor; all others shape the PSF.
 _CARRIERS = (SplitLens, Lens, Grating)

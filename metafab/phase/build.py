@@ -23,7 +23,7 @@ from metafab.phase.terms.hologram import design_hologram, widest_picture_um
 from metafab.phase.terms.profile import PhaseProfile, Term
 from metafab.phase.terms.sampled import SampledPhase, load_array
 from metafab.phase.terms.zernike import ZernikePhase
-from metafab.spec import design as spec
+from metafab.spec import terms as spec
 from metafab.spec.design import Design
 
 #: Depths at which the rotation is measured; between neighbours the lobe turns by less than half a turn.

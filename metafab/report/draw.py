@@ -22,7 +22,7 @@ from metafab.report.mask_picture import picture_of
 from metafab.report.render import save_both
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import BARS, MAP, PICTURE, PLOT, Margins, panel
-from metafab.spec.design import Picture
+from metafab.spec.terms import Picture
 
 
 @dataclass(frozen=True)

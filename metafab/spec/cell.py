@@ -15,12 +15,12 @@ from metafab.spec.fields import CONFIG, NonNegative, Positive, Real, TargetError
 
 @dataclass(frozen=True, config=CONFIG)
 class Material:
-    """A refractive index n + ik (time sign of the conventions: k > 0 absorbs).
+    """A refractive index n + ik; k > 0 absorbs (see the conventions).
 
     ``n_error`` is the standard uncertainty of n; it enters the error budget, not the solution. ``n_y`` and ``k_y``
-    are given only where y polarisation sees another index: a uniaxial substrate whose optic axis lies in the
-    surface. ``n_z`` and ``k_z`` are its index along z, which light at an angle sees too. ``record`` names an entry of
-    the ``materials`` room in place of numbers.
+    describe a substrate whose index differs for y polarisation (a uniaxial crystal with its optic axis in the
+    surface), ``n_z`` and ``k_z`` its index along z, which matters at oblique incidence. ``record`` names an entry of
+    the ``materials`` room and replaces the numbers.
     """
 
     n: Positive | None = None
@@ -43,13 +43,13 @@ def _material(value: object) -> object:
     return {"record": value} if isinstance(value, str) else value
 
 
-#: Distance of the rows of a regular hexagonal lattice over its period, and how far one may be from regular.
+#: Row distance of a regular hexagonal lattice over its period, and its largest allowed relative deviation.
 _ROWS_PER_PERIOD, _MOST_STRAIN = math.sqrt(3.0) / 2.0, 0.01
 
-#: Lengths of a cell over the wavelength beyond which they are taken for another unit's numbers.
+#: Range of a cell's lengths over the wavelength; a length outside it is probably in another unit.
 _LEAST_WAVELENGTHS, _MOST_WAVELENGTHS = 0.01, 100.0
 
-#: Sizes along one axis beyond which maps of both no longer fit any memory.
+#: Largest number of size steps along one axis; maps over both axes must fit into memory.
 _MOST_STEPS = 10_000
 
 SidewallAngle = Annotated[float, Field(strict=True, ge=60.0, le=120.0)]
@@ -76,18 +76,18 @@ class Layer:
 
 @dataclass(frozen=True, config=CONFIG)
 class CellGeometry:
-    """The unit cell: a pillar of rectangular cross-section centred in a rectangular period.
+    """Geometry of the unit cell: one pillar centred in a rectangular or hexagonal lattice cell.
 
-    ``lattice`` is rectangular if not given. On a hexagonal one every other row stands half a period aside, and
-    ``period_nm`` is the distance of pillars within a row; rows are sqrt(3)/2 of it apart, rounded to a whole nanometre,
-    so that a mask can hold what was solved. Given as two numbers, the second is the distance of rows, within 1 % of it.
-    ``sidewall_angle_deg`` is the angle between walls and substrate inside the pillar, 90 if not given; below 90 the
-    pillar narrows upwards. ``sizes_at`` says where on its height widths and lengths are meant, the middle if not given.
-    ``film`` lists closed films between substrate and pillars, from the substrate on, and ``cap`` layers on each pillar,
-    from the pillar on, with its outline and the ambient around them; none if not given.
-    ``shape`` is the cross-section within width and length: a rectangle, an ellipse, a circle (width and length are
-    equal, and only such sizes are swept), or a cross, the rectangle together with itself turned by 90 degrees.
-    ``corner_radius_nm`` rounds a rectangle's corners.
+    ``lattice``: rectangular by default. In a hexagonal lattice every other row is shifted by half a period;
+    ``period_nm`` is the distance of pillars within a row. The row distance is sqrt(3)/2 of it, rounded to a whole
+    nanometre so that a mask can hold it, or the second number of ``period_nm``, which must lie within 1 % of that.
+    ``shape``: cross-section within width and length. A circle has equal width and length, and only such sizes are
+    swept; a cross is the union of the rectangle and the rectangle turned by 90 degrees.
+    ``corner_radius_nm``: radius of a rectangle's corners.
+    ``sidewall_angle_deg``: angle between wall and substrate inside the pillar, 90 by default; below 90 the pillar
+    narrows upwards. ``sizes_at``: height at which width and length are measured, the middle by default.
+    ``film``: uniform films between substrate and pillars, from the substrate up. ``cap``: layers on top of each
+    pillar, with the pillar's outline, from the pillar up.
     """
 
     period_nm: tuple[Positive, Positive]
@@ -129,13 +129,13 @@ class CellGeometry:
 
     @property
     def is_hexagonal(self) -> bool:
-        """Whether every other row of pillars stands half a period aside."""
+        """Whether every other row of pillars is shifted by half a period."""
         return self.lattice == "hexagonal"
 
 
 @dataclass(frozen=True, config=CONFIG)
 class CellMaterials:
-    """What the pillar, the half space below it and the half space above it are made of."""
+    """Materials of the pillar, of the half space below it and of the half space above it."""
 
     pillar: Material
     substrate: Material
@@ -157,7 +157,7 @@ class CellMaterials:
 
 @dataclass(frozen=True, config=CONFIG)
 class Illumination:
-    """A plane wave: vacuum wavelength and the side that it comes from."""
+    """Incident plane wave: vacuum wavelength and side of incidence."""
 
     wavelength_nm: Positive
     side: Side = "substrate"
@@ -165,14 +165,13 @@ class Illumination:
 
 @dataclass(frozen=True, config=CONFIG)
 class Axes:
-    """What a library covers beyond sizes, each as [lowest, highest] around the unit cell's own value; all optional.
+    """Further axes of a library beyond the sizes, each a range [lowest, highest]; all optional.
 
-    ``wavelength_nm``, ``height_nm``, ``sidewall_angle_deg`` and ``corner_radius_nm`` contain the cell's own.
-    ``cd_bias_nm`` is added to width and length alike, ``pillar_n_shift`` to the real part of the pillar's index; both
-    contain 0.
-    ``angle_x_deg`` is the angle of incidence in the x-z plane, inside the medium that the light comes from, from 0 on
-    (t is even in it); ``angle_y_deg`` likewise in the y-z plane. Light in any other plane mixes the polarisations,
-    which a library does not hold, so only one of the two can be asked.
+    ``wavelength_nm``, ``height_nm``, ``sidewall_angle_deg`` and ``corner_radius_nm`` contain the unit cell's value.
+    ``cd_bias_nm`` is added to width and length, ``pillar_n_shift`` to the real part of the pillar's index; both ranges
+    contain 0. ``angle_x_deg`` is the angle of incidence in the x-z plane, in the medium of incidence; its range starts
+    at 0, because t is even in it. ``angle_y_deg`` is that in the y-z plane. Only one of the two can be swept: in any
+    other plane of incidence the polarisations mix, and a library holds no cross-polarised amplitudes.
     """
 
     wavelength_nm: tuple[Positive, Positive] | None = None
@@ -186,7 +185,7 @@ class Axes:
 
     @property
     def asked(self) -> dict[str, tuple[float, float]]:
-        """The axes that were asked for, in the order of the fields."""
+        """Ranges of the swept axes, in the order of the fields."""
         spans = {item.name: getattr(self, item.name) for item in fields(self)}
         return {name: span for name, span in spans.items() if span is not None}
 
@@ -204,10 +203,7 @@ class Axes:
 
 @dataclass(frozen=True, config=CONFIG)
 class Sweep:
-    """The sizes that a library covers, and the largest error in complex t that it may have.
-
-    ``axes`` names what else it covers (wavelength, height, ...); nothing if not given.
-    """
+    """Sizes of a library, and its target error in complex t; ``axes`` lists further axes (wavelength, height, ...)."""
 
     width_nm: tuple[Positive, Positive]
     length_nm: tuple[Positive, Positive]
@@ -234,7 +230,7 @@ class Sweep:
 
 @dataclass(frozen=True, config=CONFIG)
 class Solver:
-    """Which solver builds the library."""
+    """Solver that builds the library."""
 
     name: Literal["rcwa", "meep"] = "rcwa"
 
@@ -283,7 +279,7 @@ class UnitCell:
         if self.sweep.width_nm != self.sweep.length_nm:
             raise ValueError("`sweep.length_nm` of circles must equal `sweep.width_nm`: both are the diameter")
         if self.sweep.axes is not None and self.sweep.axes.asked:
-            raise ValueError("`sweep.axes` are modelled over width and length; of circles, build a library each")
+            raise ValueError("`sweep.axes` is not available for circles; build one library for each value")
         return self
 
     @model_validator(mode="after")
@@ -305,7 +301,7 @@ class UnitCell:
         return self
 
     def nominal(self, axis: str) -> float:
-        """The cell's own value on an axis of :class:`Axes`."""
+        """Value of the unit cell on an axis of :class:`Axes`."""
         own = {
             "wavelength_nm": self.illumination.wavelength_nm,
             "height_nm": self.cell.height_nm,
@@ -316,5 +312,5 @@ class UnitCell:
 
     @property
     def has_square_lattice(self) -> bool:
-        """Whether a quarter turn maps the lattice to itself; what the materials do is for the ``cell`` room to say."""
+        """Whether a rotation by 90 degrees maps the lattice to itself; materials are not considered."""
         return self.cell.period_nm[0] == self.cell.period_nm[1] and not self.cell.is_hexagonal

@@ -1,4 +1,4 @@
-"""The unit cell inside a built library file: a library carries the spec that it was built from."""
+"""Unit cell stored in a built library file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Checked field types of input files. Numbers are strict: a quoted "350" is a fault, not 350."""
+"""Validated field types of input files. Numbers are strict: a quoted "350" is a fault, not 350."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pydantic import AfterValidator, ConfigDict, Field
 #: Unknown keys are refused, values cannot change, defaults are checked too.
 CONFIG = ConfigDict(extra="forbid", validate_default=True)
 
-#: Beyond any length, count or time of this field in any of its units, and far from where arithmetic overflows.
+#: Largest magnitude of any number: above every physical value in any unit, far below overflow.
 LARGEST = 1e15
 
 
@@ -25,7 +25,7 @@ Positive = Annotated[float, Field(strict=True, gt=0.0, le=LARGEST, allow_inf_nan
 NonNegative = Annotated[float, Field(strict=True, ge=0.0, le=LARGEST, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(strict=True, ge=0.0, le=1.0)]
 TargetError = Annotated[float, Field(strict=True, ge=1e-12, lt=1.0)]
-#: Of an object whose distance may be infinite.
+#: Object distance, m; may be infinite.
 DepthOrInfinity = Annotated[float, Field(strict=True, gt=0.0), AfterValidator(_far_or_infinite)]
 Count = Annotated[int, Field(strict=True, ge=1)]
 Index = Annotated[int, Field(strict=True, ge=0, le=65535)]

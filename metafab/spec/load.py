@@ -1,4 +1,4 @@
-"""The files that users write -> specs: a unit cell, a scene, a design with the files that it names."""
+"""Loaders of unit-cell, scene and design files, with the files that they reference."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def load_unit_cell(path: Path | str) -> UnitCell:
 
 
 def load_unit_cell_of(library: Path) -> UnitCell:
-    """The unit cell behind a design's ``library``: a TOML file, or a built library that carries its own.
+    """Read the unit cell of a design's ``library``: a unit-cell file, or a built library that contains one.
 
     Raises:
         InputError: as :func:`load_unit_cell`.
@@ -39,13 +39,17 @@ def load_unit_cell_of(library: Path) -> UnitCell:
 
 
 def load_scene(path: Path | str) -> Scene:
-    """Read a scene file (the keys of a design's ``[scene]`` table at top level, or under ``[scene]``)."""
+    """Read a scene file: the keys of a design's ``[scene]`` table, at top level or under ``[scene]``.
+
+    Raises:
+        InputError: the file cannot be read, or holds faults (all of them are reported).
+    """
     table = read_toml(Path(path))
     return validate(Scene, table.get("scene", table), str(path))
 
 
 def load_design(path: Path | str) -> Design:
-    """Read a design file, with the unit cell and the scene that it names.
+    """Read a design file with the unit cell and the scene that it references.
 
     ``library`` is a unit-cell file or a built library, relative to the design; ``scene`` a table or a file.
 
@@ -75,7 +79,7 @@ _FAULTY = object()
 
 
 def _referenced_unit_cell(path: Path, table: dict[str, Any], faults: list[Fault]) -> Any:
-    """The unit cell behind ``library``, or what is wrong with it."""
+    """Unit cell of the key ``library``; faults are appended."""
     reference = table.get("library")
     if not isinstance(reference, str):
         if reference is not None:

@@ -1,4 +1,4 @@
-"""The mask file: formats, layers and units, what surrounds the lens, and how the shop exposes it."""
+"""Mask of a design: formats, layers and units, the chip around the lens, and exposure settings."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from metafab.spec.fields import CONFIG, Index, NonNegative, Positive, Real
 
 @dataclass(frozen=True, config=CONFIG)
 class Dose:
-    """Dose classes on consecutive datatypes, ready for proximity-effect correction.
+    """Dose classes on consecutive datatypes, for proximity-effect correction.
 
-    Class 0, on ``mask.datatype``, holds the smallest pillars ("size": by drawn area) or the emptiest surroundings
-    ("density": covered share of the ``block_um`` wide block around the pillar); the classes divide the range evenly.
+    Classes divide evenly the range of the pillars' drawn areas ("size"), or of the pattern density in blocks of side
+    ``block_um`` ("density"). Class 0, on ``mask.datatype``, holds the smallest areas or densities.
     """
 
     by: Literal["size", "density"] = "size"
@@ -25,10 +25,11 @@ class Dose:
 
 @dataclass(frozen=True, config=CONFIG)
 class Chip:
-    """What is drawn around the lens, each kind on a layer of its own, datatype 0; a length of 0 leaves a kind out.
+    """Marks, frame, text and dicing street around the lens, each on its own layer (datatype 0).
 
-    ``margin_um`` lies between the square that bounds the aperture and the frame; crosses of arms ``mark_um`` stand
-    at its four corners, the label and the scale bar below the lens, and the dicing street outside the frame.
+    The frame surrounds the aperture's bounding square at a distance of ``margin_um``; crosses with arms of ``mark_um``
+    stand at its four corners, label and scale bar below the lens, the dicing street outside the frame. A length of 0
+    omits a kind.
     """
 
     margin_um: Positive = 100.0
@@ -46,16 +47,16 @@ class Chip:
 
     @property
     def layers(self) -> tuple[int, ...]:
-        """All of its layers."""
+        """Layers of marks, frame, text and street."""
         return self.mark_layer, self.frame_layer, self.text_layer, self.street_layer
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Copy:
-    """One lens of several on a chip, centred at ``at_um`` = (x, y).
+    """One of several lenses on a chip, centred at ``at_um`` = (x, y).
 
-    ``bias_nm`` is added to ``mask.bias_nm``, for corner variants: the mapping does not leave room for it, so that
-    design rules may not hold for a wider copy. ``label`` is drawn above the lens, on the text layer of the chip.
+    ``bias_nm`` is added to ``mask.bias_nm`` for process variants. The mapping leaves no room for it, so a copy with a
+    positive bias may violate the design rules. ``label`` is drawn above the lens, on the text layer of the chip.
     """
 
     at_um: tuple[Real, Real]
@@ -65,7 +66,7 @@ class Copy:
 
 @dataclass(frozen=True, config=CONFIG)
 class Exposure:
-    """What the write time follows from: area dose, beam current, and settling for each shape and write field."""
+    """Exposure settings that determine the write time."""
 
     dose_uc_per_cm2: Positive
     beam_current_na: Positive
@@ -75,17 +76,17 @@ class Exposure:
 
 @dataclass(frozen=True, config=CONFIG)
 class Mask:
-    """How the layout is written; with ``formats = []`` it is not.
+    """Mask files of a design.
 
-    A design without a mask ends at its target phases: PSFs, frames and depths are those of a perfect lens. So lenses
-    can be judged whose pillars are too many to write.
+    ``formats = []`` writes no mask: PSFs, frames and depths are then simulated from the target phases, as for lenses
+    with too many pillars to write.
 
-    ``bias_nm`` is added to the width and length of every drawn pillar (etch compensation); pillars stand without it,
-    while the gap and feature rules hold for what is drawn. ``tone`` "negative" exposes what stays; "positive" adds
-    the write field on ``field_layer``, and the shop exposes field NOT pillars; "inverted" draws that very difference on
-    ``field_layer`` in rectangles, five times as many shapes. ``flat`` puts every rectangle into the top cell, for
-    software that knows no cells; such files open far more slowly. The unit cell's ``corner_radius_nm`` is what exposure
-    and etch do to rectangles, unless ``draw_corners`` has the mask draw it.
+    ``bias_nm`` is added to the width and length of every drawn pillar, to compensate for the etch; simulated pillars
+    have no bias, while gap and feature rules hold for drawn shapes. ``tone`` "negative": the drawn pillars are exposed
+    and remain. "positive": the write field is also drawn, on ``field_layer``, and field NOT pillars is exposed.
+    "inverted": field NOT pillars is drawn on ``field_layer`` as rectangles, five times as many shapes. ``flat`` puts
+    every rectangle into the top cell, for software without cells; such files open far more slowly. The unit cell's
+    ``corner_radius_nm`` describes printed pillars and is not drawn unless ``draw_corners`` is set.
     """
 
     formats: tuple[Literal["gds", "oas"], ...] = ("gds", "oas")

@@ -1,4 +1,4 @@
-"""A first design file of each kind of device, commented, with the samples that it needs to run at once."""
+"""Commented sample design for each kind of device, with the sample files that it needs."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _UNIT_CELL = Path("unitcell_lib") / "sos_800nm.toml"
 
 
 def kinds() -> dict[str, str]:
-    """Every kind of device and what it is, in one line."""
+    """Kinds of device, each with a one-line description."""
     files = resources.files("metafab.spec") / "kinds"
     texts = {item.name: item.read_text(encoding="utf-8") for item in files.iterdir() if item.name.endswith(".toml")}
     return {name.removesuffix(".toml"): _title(texts[name]) for name in sorted(texts)}
 
 
 def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -> tuple[Path, ...]:
-    """Write ``folder/name.toml`` and the sample files that its kind needs.
+    """Write ``folder/name.toml`` and the sample files of its kind.
 
     Args:
-        name: of the design; letters, digits, ``_`` and ``-``.
+        name: design name; letters, digits, ``_`` and ``-``.
         kind: one of :func:`kinds`.
-        folder: where the files go; made if missing.
+        folder: output folder, created if missing.
         library: unit-cell file or built library; None for the paper's, looked for in ``unitcell_lib`` beside the
             folder, above it, and beside the package.
 
@@ -70,20 +70,20 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
 
 
 def write_field_um(unit_cell: UnitCell) -> float:
-    """Side of a write field near 500 um: a whole number of periods along x and y that divides into many tiles.
+    """Side of a write field near 500 um: a whole number of periods along x and y with many divisors.
 
-    On a hexagonal lattice the rows fit themselves to the field, and only its width counts.
+    On a hexagonal lattice only the period along the rows counts.
     """
     cell = unit_cell.cell
     periods_pm = [round(1e3 * period_nm) for period_nm in cell.period_nm[: 1 if cell.is_hexagonal else 2]]
     step_pm = math.lcm(*periods_pm)
-    # Where it is near enough, a count with many divisors, for tiles are whole parts of a field.
+    # A count with many divisors, if one is near: tiles divide a field evenly.
     several = _DIVISIBLE if _DIVISIBLE * step_pm <= _WRITE_FIELD_PM else 1
     return 1e-6 * several * step_pm * max(1, round(_WRITE_FIELD_PM / (several * step_pm)))
 
 
 def sample_picture(rows: int = 240) -> FloatArray:
-    """Rings, bars and a wedge of grey, shape (rows, rows), 0 to 1, first row at the top."""
+    """Test picture with a ring, bars and a grey wedge: shape (rows, rows), 0 to 1, first row at the top."""
     y, x = np.meshgrid(*2 * [(np.arange(rows) + 0.5) / rows * 2.0 - 1.0], indexing="ij")
     radius = np.hypot(x, y)
     picture = np.where((radius > 0.8) & (radius < 0.92), 1.0, 0.0)
@@ -106,7 +106,7 @@ def _write_phase(path: Path) -> None:
 
 
 def _title(text: str) -> str:
-    """The comment lines at the top of a design file, up to the first full stop."""
+    """First sentence of the comment at the top of a design file."""
     lines = []
     for line in text.splitlines():
         if not line.startswith("#") or line.startswith("# Run it with"):

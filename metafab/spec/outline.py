@@ -1,4 +1,4 @@
-"""The aperture's outline in the plane: which points it encloses."""
+"""Points enclosed by the aperture."""
 
 from __future__ import annotations
 
@@ -11,7 +11,12 @@ from metafab.spec.design import Device
 
 
 def encloses(device: Device, x_um: FloatArray, y_um: FloatArray) -> NDArray[np.bool_]:
-    """Which points of the grid ``x_um`` (n_x,) by ``y_um`` (n_y,) lie in the aperture, its rim included.
+    """Mask of the grid points within the aperture, its rim included.
+
+    Args:
+        device: the aperture.
+        x_um: shape (n_x,).
+        y_um: shape (n_y,).
 
     Returns:
         Shape (n_y, n_x).

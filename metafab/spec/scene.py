@@ -1,4 +1,4 @@
-"""The scene file: opaque objects at depths, each with texture and polarisation, photons and noise."""
+"""Scene: opaque objects with depth, texture and polarisation; photons and noise of the sensor."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from metafab.spec.fields import CONFIG, Fraction, NonNegative, Positive, Real
 
 @dataclass(frozen=True, config=CONFIG)
 class SceneObject:
-    """An opaque piece, flat unless it is tilted or bulges; nearer objects hide what is behind them.
+    """An opaque surface: flat, tilted or bulging; nearer objects occlude farther ones.
 
-    Position and size are directions as tangents (x/z, y/z), so a piece keeps its place in the image when its
-    depth changes. ``depth_m`` is the depth of its centre; a tilted or curved piece is nearer or farther elsewhere:
-    at u, v from -1/2 to 1/2 across it, depth / depth_m = 1 + tilt . (u, v) + 4 bulge . (u^2, v^2).
+    Centre and size are tangents of directions (x/z, y/z), so the image of an object does not move when its depth
+    changes. ``depth_m`` is the depth at the centre; at u, v from -1/2 to 1/2 across the object,
+    depth / depth_m = 1 + tilt . (u, v) + 4 bulge . (u^2, v^2).
     """
 
     depth_m: Positive
@@ -71,16 +71,16 @@ class SceneObject:
 
     @property
     def moves(self) -> bool:
-        """Whether it has a velocity."""
+        """Whether the object moves."""
         return any(self.velocity_m_per_s)
 
     @property
     def relative_depths(self) -> tuple[float, float]:
-        """(nearest, farthest) change of depth over ``depth_m`` on the piece's bounding box: (0, 0) if it is flat."""
+        """Least and largest relative change of depth over the object's bounding box: (0, 0) for a flat one."""
         lowest = highest = 0.0
         for tilt, bulge in zip(self.tilt, self.bulge, strict=True):
             heights = [0.5 * tilt + bulge, -0.5 * tilt + bulge]
-            if abs(tilt) < 4.0 * abs(bulge):  # The vertex lies on the piece.
+            if abs(tilt) < 4.0 * abs(bulge):  # the vertex lies on the object
                 heights.append(-(tilt**2) / (16.0 * bulge))
             lowest, highest = lowest + min(heights), highest + max(heights)
         return lowest, highest
@@ -93,31 +93,28 @@ class Scene:
     objects: Annotated[tuple[SceneObject, ...], Field(min_length=1)]
     photons_per_pixel: Annotated[
         Positive,
-        Field(
-            description="that reach a pixel of the axis at brightness 1, mean of both images; electrons at "
-            "quantum efficiency 1"
-        ),
+        Field(description="photons on an axial pixel at brightness 1, mean of both images"),
     ] = 3000.0
-    quantum_efficiency: Annotated[float, Field(strict=True, gt=0.0, le=1.0, description="electrons a photon")] = 1.0
+    quantum_efficiency: Annotated[float, Field(strict=True, gt=0.0, le=1.0, description="electrons per photon")] = 1.0
     vignetting: Annotated[
         Literal["natural", "none"], Field(description="natural: the fourth power of the field angle's cosine")
     ] = "natural"
     read_noise_e: NonNegative = 2.0
-    dark_e: Annotated[NonNegative, Field(description="electrons a pixel and frame that come without light")] = 0.0
-    dark_current_e_per_s: Annotated[NonNegative, Field(description="the same, for every second of exposure")] = 0.0
+    dark_e: Annotated[NonNegative, Field(description="dark electrons per pixel and frame")] = 0.0
+    dark_current_e_per_s: Annotated[NonNegative, Field(description="dark electrons per pixel and second")] = 0.0
     response_rms: Annotated[
-        Fraction, Field(description="how much pixels' responses differ, rms over mean; the same in all frames")
+        Fraction, Field(description="fixed-pattern noise: rms of the pixels' responses over their mean")
     ] = 0.0
-    hot_pixels: Annotated[Fraction, Field(description="share of pixels that are always full")] = 0.0
-    full_well_e: Annotated[Positive | None, Field(description="electrons at which a pixel is full")] = None
+    hot_pixels: Annotated[Fraction, Field(description="share of pixels that are always saturated")] = 0.0
+    full_well_e: Annotated[Positive | None, Field(description="full-well capacity, electrons")] = None
     bit_depth: Annotated[
         int | None, Field(strict=True, ge=1, le=16, description="bits of a count; needs the full well")
     ] = None
-    frames: Annotated[int, Field(strict=True, ge=1, description="of a film (metafab.camera.film)")] = 1
+    frames: Annotated[int, Field(strict=True, ge=1, description="number of frames of a film")] = 1
     frame_interval_s: Annotated[Positive, Field(description="from the start of one frame to that of the next")] = 0.04
-    exposure_s: Annotated[NonNegative, Field(description="what moves in this time is blurred; 0 for a flash")] = 0.0
+    exposure_s: Annotated[NonNegative, Field(description="exposure time; 0 for a flash")] = 0.0
     row_time_s: Annotated[
-        NonNegative, Field(description="rolling shutter: how much later each row begins than the one below; 0: global")
+        NonNegative, Field(description="rolling shutter: delay of each row after the row below; 0 for a global shutter")
     ] = 0.0
     background: Annotated[Fraction, Field(description="brightness behind all objects")] = 0.0
     field_px: Annotated[
@@ -143,12 +140,12 @@ class Scene:
 
     @property
     def end_s(self) -> float:
-        """When the last frame's last row has been exposed, from the start of the first."""
+        """End of the exposure of the last row of the last frame, from the start of the first frame, s."""
         return (self.frames - 1) * self.frame_interval_s + self.exposure_s + self.row_time_s * self.field_px[0]
 
     @property
     def dark_frame_e(self) -> float:
-        """Mean electrons a pixel and frame that come without light."""
+        """Mean dark electrons per pixel and frame."""
         return self.dark_e + self.dark_current_e_per_s * self.exposure_s
 
     @property

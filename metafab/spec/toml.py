@@ -1,4 +1,4 @@
-"""TOML <-> a spec of any kind: every fault of a file at once, and all defaults written out."""
+"""TOML -> spec, reporting all faults of a file; spec -> canonical TOML."""
 
 from __future__ import annotations
 
@@ -17,16 +17,15 @@ from metafab.core.errors import Fault, InputError
 
 Spec = TypeVar("Spec")
 
-#: Keys whose values are paths, relative to the file that they stand in.
+#: Keys whose values are paths relative to their file.
 _FILE_KEYS = {"file", "texture_file", "amplitude_file"}
 
-
-#: An outline of a hundred thousand vertices takes less.
+#: Largest accepted file (bytes); an outline of 100 000 vertices is smaller.
 _LARGEST_BYTES = 8 * 10**6
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The table of a TOML file, paths in it made absolute.
+    """Read a TOML file and make its paths absolute.
 
     Raises:
         InputError: the file is missing, unreadable, no plain file, larger than any design, or no TOML.
@@ -44,7 +43,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _text(path: Path) -> str:
-    """A small file's text; pipes and devices never end."""
+    """Text of a regular file of limited size; pipes and devices, which may never end, are refused."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise InputError.single(str(path), "file", "a TOML file", "a folder, pipe or device", "check the path")
     if (size := path.stat().st_size) > _LARGEST_BYTES:
@@ -54,7 +53,11 @@ def _text(path: Path) -> str:
 
 
 def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
-    """``table`` as a spec, or an :class:`InputError` with all of its faults."""
+    """Convert ``table`` to a spec.
+
+    Raises:
+        InputError: with all faults of the table.
+    """
     try:
         checked: Spec = adapter(spec).validate_python(table)
     except ValidationError as error:
@@ -63,18 +66,18 @@ def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
 
 
 def canonical_toml(spec: Any) -> str:
-    """A spec as TOML with every default written out, in the order of its fields: what a run folder keeps."""
+    """A spec as TOML text with every default written out, in the order of its fields."""
     return tomli_w.dumps(_toml_table(spec))
 
 
 @cache
 def adapter(spec: Any) -> TypeAdapter[Any]:
-    """What checks a table against a spec, made once."""
+    """Validator of a spec, built once."""
     return TypeAdapter(spec)
 
 
 def faults_of(error: ValidationError) -> list[Fault]:
-    """Pydantic's findings in our words."""
+    """Convert pydantic's errors to faults."""
     faults = []
     for item in error.errors(include_url=False):
         field = _path(item["loc"])
@@ -93,7 +96,7 @@ def faults_of(error: ValidationError) -> list[Fault]:
 
 
 def _resolved(value: Any, folder: Path, key: str = "") -> Any:
-    """The table with every path that it names made absolute; tables of an index (.csv) may stand for a record."""
+    """Copy of a table with absolute paths; a material may name a table of its index (.csv) in place of a record."""
     if isinstance(value, dict):
         return {name: _resolved(item, folder, name) for name, item in value.items()}
     if isinstance(value, list):

@@ -12,7 +12,7 @@ from metafab import camera, decode, steps
 from metafab.core.errors import InputError
 from metafab.optics import Psf
 from metafab.spec import Design
-from metafab.spec.design import SpiralZones
+from metafab.spec.terms import SpiralZones
 from metafab.steps.job import Job
 from tests.main_job import SMALL, metafab
 

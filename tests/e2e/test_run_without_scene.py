@@ -11,7 +11,7 @@ from metafab import library, run
 from metafab.core.errors import InputError
 from metafab.optics import Imaging, depth_nodes, field_tangents
 from metafab.spec import Design, canonical_toml, load_design
-from metafab.spec.design import Lens
+from metafab.spec.terms import Lens
 from metafab.steps import calibration_depths, open_library
 from tests.main_job import SMALL
 

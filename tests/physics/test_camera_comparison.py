@@ -16,7 +16,7 @@ from metafab.comparison.study import photographed
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.spec import Design, Scene, SceneObject
-from metafab.spec.design import Lens
+from metafab.spec.terms import Lens
 from tests.conjugate_pair import helix_psf
 
 DEPTH_M = 1.0 / np.linspace(400.0, 294.0, 13)

@@ -11,7 +11,7 @@ import pytest
 
 from metafab.optics import Imaging, Psf
 from metafab.spec import Design, load_design, write_new
-from metafab.spec.design import Grating
+from metafab.spec.terms import Grating
 from metafab.steps import point_spread
 from metafab.steps.job import Job
 

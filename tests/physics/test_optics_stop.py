@@ -135,7 +135,7 @@ def test_wrong_amplitudes_are_refused(small_design: Design, tmp_path: Path, samp
 @pytest.mark.parametrize(
     ("keys", "expected"),
     [
-        ("stop_um = 300.0", "a wider stop stops nothing"),
+        ("stop_um = 300.0", "must be at most `device.aperture_um`"),
         ("substrate_um = 3e4", "20000"),
         ('amplitude_file = "filter.npy"', "go together"),
         ("amplitude_pitch_um = 2.0", "go together"),

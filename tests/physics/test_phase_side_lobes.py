@@ -21,7 +21,7 @@ from metafab.phase import (
 )
 from metafab.phase.optimise.side_lobes import AIRY_RADIUS, SideLobes
 from metafab.spec import Design
-from metafab.spec.design import SpiralZones
+from metafab.spec.terms import SpiralZones
 
 PUPIL = Pupil(48)
 

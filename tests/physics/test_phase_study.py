@@ -25,7 +25,8 @@ from metafab.phase import (
 )
 from metafab.phase.studies.study import mask_field
 from metafab.spec import Design
-from metafab.spec.design import Optics, SpiralZones
+from metafab.spec.design import Optics
+from metafab.spec.terms import SpiralZones
 
 PUPIL = Pupil(32)
 DEPTH_M = 1.0 / np.linspace(4.0, 3.0, 13)

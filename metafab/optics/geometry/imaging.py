@@ -13,7 +13,7 @@ from metafab.core.errors import InputError
 from metafab.materials import refractive_index
 from metafab.optics.geometry.plate import Plate
 from metafab.spec import Design
-from metafab.spec.design import Grating
+from metafab.spec.terms import Grating
 
 #: Relative L2 error of cubic interpolation between depths whose rim defocus differs by one radian; the measured
 #: error falls with the fourth power of the step (``tests/physics/test_optics_depth.py`` holds it as a bound).

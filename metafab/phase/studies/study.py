@@ -21,7 +21,8 @@ from metafab.phase.studies.bandwidth import BandwidthBudget, SplitImaging, bandw
 from metafab.phase.studies.compare import DepthBounds, compare_masks, reference_masks
 from metafab.phase.terms.carriers import CARRIERS
 from metafab.phase.terms.profile import PhaseProfile
-from metafab.spec.design import Design, SpiralZones
+from metafab.spec.design import Design
+from metafab.spec.terms import SpiralZones
 
 #: Samples a side of the pupil and depths for the lobe, for the bounds, and for the filter.
 _LOBE_SAMPLES, _LOBE_DEPTHS = 128, 61
