@@ -8,6 +8,7 @@
 - ``embedded`` unit cell stored in a built library
 - ``mask``     Mask: formats, layers, bias, tone, dose classes, chip, copies, exposure
 - ``scene``    Scene: objects at depths, photons, noise
+- ``construct``  unit cells and designs made in Python, without files
 - ``new``      sample design file of each kind of device (``kinds/``)
 - ``toml``     TOML -> spec, reporting all faults of a file; spec -> canonical TOML
 - ``load``     unit-cell, scene and design files, with the files that they reference
@@ -16,6 +17,7 @@ In: paths. Out: frozen dataclasses whose public names carry their units.
 """
 
 from metafab.spec.cell import Axes, Illumination, Material, Solver, Sweep, UnitCell
+from metafab.spec.construct import make_design, make_unit_cell
 from metafab.spec.design import Design, Device, Numerics, Optics, Rules, Sensor, Verify
 from metafab.spec.load import load_design, load_scene, load_unit_cell
 from metafab.spec.mask import Chip, Copy, Dose, Exposure, Mask
@@ -51,5 +53,7 @@ __all__ = [
     "load_design",
     "load_scene",
     "load_unit_cell",
+    "make_design",
+    "make_unit_cell",
     "write_new",
 ]

@@ -11,7 +11,7 @@ import pytest
 from metafab.core.errors import InputError
 from metafab.spec import Design, canonical_toml, load_design, load_scene, load_unit_cell
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 SMALL = ROOT / "layouts" / "helix_small.toml"
 CELL = ROOT / "unitcell_lib" / "sos_800nm.toml"
 

@@ -17,7 +17,7 @@ from metafab.spec import UnitCell, kinds, load_design, write_new
 from metafab.spec.new import sample_picture, write_field_um
 from metafab.steps import preflight
 
-UNIT_CELL = Path(__file__).parents[2] / "unitcell_lib" / "sos_800nm.toml"
+UNIT_CELL = Path(__file__).parents[3] / "unitcell_lib" / "sos_800nm.toml"
 
 
 @pytest.mark.parametrize("kind", kinds())

@@ -1,0 +1,150 @@
+"""Unit cells and designs made in Python, without any file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from metafab.core.conventions import Side
+from metafab.spec.cell import UnitCell
+from metafab.spec.design import Design
+from metafab.spec.new import write_field_um
+from metafab.spec.toml import validate
+
+if TYPE_CHECKING:
+    from metafab.spec.scene import Scene
+    from metafab.spec.terms import PhaseTerm
+
+
+def make_unit_cell(
+    *,
+    period_nm: float | tuple[float, float],
+    height_nm: float,
+    pillar: complex | str,
+    substrate: complex | str,
+    wavelength_nm: float,
+    sizes_nm: tuple[float, float],
+    size_grid_nm: float = 2.0,
+    ambient: complex | str = 1.0,
+    side: Side = "substrate",
+    shape: Literal["rectangle", "ellipse", "circle", "cross"] = "rectangle",
+    lattice: Literal["rectangular", "hexagonal"] = "rectangular",
+    target_error: float = 2e-3,
+) -> UnitCell:
+    """Make a unit cell.
+
+    Args:
+        period_nm: lattice period, or (x, y).
+        height_nm: pillar height.
+        pillar: refractive index n + ik, or the name of a material record.
+        substrate: index or record.
+        wavelength_nm: vacuum wavelength.
+        sizes_nm: smallest and largest width and length of a pillar.
+        size_grid_nm: step of the sizes.
+        ambient: index or record.
+        side: side from which the light comes.
+        shape: cross-section of the pillar.
+        lattice: kind of lattice.
+        target_error: largest error of complex t in a library of the cell.
+
+    Raises:
+        InputError: with all faults.
+    """
+    table = {
+        "cell": {"period_nm": period_nm, "height_nm": height_nm, "shape": shape, "lattice": lattice},
+        "materials": {name: _material(value) for name, value in _named(pillar, substrate, ambient).items()},
+        "illumination": {"wavelength_nm": wavelength_nm, "side": side},
+        "sweep": {
+            "width_nm": sizes_nm,
+            "length_nm": sizes_nm,
+            "size_grid_nm": size_grid_nm,
+            "target_error": target_error,
+        },
+    }
+    return validate(UnitCell, _as_floats(table), "unit_cell")
+
+
+def make_design(
+    cell: UnitCell,
+    *,
+    aperture_um: float,
+    focal_length_mm: float,
+    phase: Sequence[PhaseTerm],
+    pixel_um: float,
+    focus_depth_m: float,
+    depths_m: Sequence[float] | None = None,
+    scene: Scene | None = None,
+    name: str = "lens",
+    aperture_shape: Literal["circle", "square"] = "circle",
+    min_gap_nm: float = 100.0,
+    min_feature_nm: float = 100.0,
+    formats: Sequence[Literal["gds", "oas"]] = ("oas",),
+    window_px: int = 64,
+    target_error: float = 1e-3,
+) -> Design:
+    """Make a design; the other keys of a design file keep their defaults.
+
+    Args:
+        cell: the unit cell.
+        aperture_um: diameter, or side of a square.
+        focal_length_mm: focal length.
+        phase: terms of :mod:`metafab.spec.terms`, added up in order.
+        pixel_um: pixel pitch of the sensor.
+        focus_depth_m: object depth for which the sensor is in focus.
+        depths_m: depths at which PSFs are simulated, ascending; ``focus_depth_m`` alone by default.
+        scene: a scene to photograph.
+        name: name of the design and of the top cell of its mask.
+        aperture_shape: outline of the lens.
+        min_gap_nm: smallest gap between pillars.
+        min_feature_nm: smallest width or length.
+        formats: formats of the mask; none for a lens simulated from its target phases.
+        window_px: side of the PSF window.
+        target_error: relative error of the PSFs.
+
+    Raises:
+        InputError: with all faults.
+    """
+    table = {
+        "name": name,
+        "library": Path("library.h5"),
+        "unit_cell": cell,
+        "device": {"aperture_um": aperture_um, "focal_length_mm": focal_length_mm, "aperture_shape": aperture_shape},
+        "phase": tuple(phase),
+        "rules": {"min_gap_nm": min_gap_nm, "min_feature_nm": min_feature_nm},
+        "mask": {"formats": tuple(formats), "write_field_um": write_field_um(cell)},
+        "sensor": {"pixel_um": pixel_um, "focus_depth_m": focus_depth_m},
+        "verify": {
+            "depths_m": (focus_depth_m,) if depths_m is None else tuple(depths_m),
+            "window_px": window_px,
+            "target_error": target_error,
+        },
+        "scene": scene,
+    }
+    return validate(Design, _as_floats(table), "design")
+
+
+def _named(pillar: complex | str, substrate: complex | str, ambient: complex | str) -> dict[str, complex | str]:
+    return {"pillar": pillar, "substrate": substrate, "ambient": ambient}
+
+
+def _material(value: complex | str) -> dict[str, Any]:
+    if isinstance(value, str):
+        return {"record": value}
+    index = complex(value)
+    return {"n": index.real, "k": index.imag}
+
+
+#: Keys whose values are integers.
+_INTEGERS = {"window_px"}
+
+
+def _as_floats(value: Any, key: str = "") -> Any:
+    """Copy of a table with whole numbers as floats: in Python, 350 nm is as good as 350.0 nm."""
+    if isinstance(value, dict):
+        return {name: _as_floats(item, name) for name, item in value.items()}
+    if isinstance(value, tuple | list):
+        return tuple(_as_floats(item, key) for item in value)
+    if isinstance(value, int) and not isinstance(value, bool) and key not in _INTEGERS:
+        return float(value)
+    return value

@@ -1,0 +1,82 @@
+"""Unit cells and designs made in Python equal those read from files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.spec import Sensor, UnitCell, load_design, load_unit_cell, make_design, make_unit_cell
+from metafab.spec.cell import CellGeometry, CellMaterials, Illumination, Material
+from metafab.spec.design import Device
+from metafab.spec.terms import SpiralZones, SplitLens
+
+ROOT = Path(__file__).parents[3]
+
+
+def paper_cell() -> UnitCell:
+    return make_unit_cell(
+        period_nm=350,
+        height_nm=600,
+        pillar=3.6941 + 0.0065j,
+        substrate=1.7601,
+        wavelength_nm=800,
+        sizes_nm=(100, 250),
+    )
+
+
+def test_a_cell_in_python_is_the_cell_of_the_file() -> None:
+    made, read = paper_cell(), load_unit_cell(ROOT / "unitcell_lib" / "sos_800nm.toml")
+    assert made.cell == replace(read.cell, lattice="rectangular")
+    assert made.illumination == read.illumination
+    assert made.sweep == read.sweep
+    assert (made.materials.pillar.n, made.materials.pillar.k) == (read.materials.pillar.n, read.materials.pillar.k)
+
+
+def test_a_design_in_python_is_the_design_of_the_file() -> None:
+    read = load_design(ROOT / "layouts" / "helix_small.toml")
+    made = make_design(
+        paper_cell(),
+        name="helix_small",
+        aperture_um=200,
+        focal_length_mm=1,
+        phase=[SpiralZones(zones=4, exponent=0.5, optimise="peak"), SplitLens(angle_deg=8.0)],
+        pixel_um=2.4,
+        focus_depth_m=0.003,
+        depths_m=(0.0025, 0.0028, 0.0031, 0.0034),
+        formats=("gds", "oas"),
+        scene=read.scene,
+    )
+    for part in ("name", "device", "phase", "rules", "mask", "sensor", "scene", "numerics"):
+        assert getattr(made, part) == getattr(read, part), part
+    assert made.verify.depths_m == read.verify.depths_m
+
+
+def test_a_record_stands_for_an_index() -> None:
+    assert make_unit_cell(
+        period_nm=350, height_nm=600, pillar="Si_Green2008", substrate=1.76, wavelength_nm=800, sizes_nm=(100, 250)
+    ).materials.pillar == Material(record="Si_Green2008")
+
+
+def test_all_faults_are_reported_at_once() -> None:
+    with pytest.raises(InputError) as caught:
+        make_unit_cell(period_nm=-350, height_nm=0, pillar=3.7, substrate=1.76, wavelength_nm=800, sizes_nm=(100, 250))
+    assert {fault.field for fault in caught.value.faults} == {
+        "cell.period_nm[0]",
+        "cell.period_nm[1]",
+        "cell.height_nm",
+    }
+
+
+def test_specs_are_dataclasses_with_units_in_their_names() -> None:
+    assert Device(aperture_um=10.0, focal_length_mm=1.0).aperture_shape == "circle"
+    assert Sensor(pixel_um=2.0, focus_depth_m=0.3).pixel_um == 2.0
+    cell = UnitCell(
+        cell=CellGeometry(period_nm=(350.0, 350.0), height_nm=600.0),
+        materials=CellMaterials(pillar=Material(n=3.7), substrate=Material(n=1.76)),
+        illumination=Illumination(wavelength_nm=800.0),
+        sweep=paper_cell().sweep,
+    )
+    assert cell.cell.height_nm == 600.0
