@@ -34,8 +34,8 @@ def rows(quick: bool) -> list[dict[str, Any]]:
     table: list[dict[str, Any]] = []
     with measured() as cost:
         assignment = layout.assign(profile, library, design)
-    pillars = assignment.figures["pillars"]
-    table.append(_row("mapping, phases included", assignment.figures["phase_rms_error_rad"], cost, pillars))
+    pillars = assignment.figures.pillars
+    table.append(_row("mapping, phases included", assignment.figures.phase_rms_error_rad, cost, pillars))
     with TemporaryDirectory() as folder:
         for suffix in ("oas", "gds"):
             table += _own(suffix, assignment.pillars, design, Path(folder), pillars)

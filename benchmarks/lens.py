@@ -70,14 +70,14 @@ def gap_rows(quick: bool) -> list[dict[str, Any]]:
                 {
                     "name": f"mapping by {rule}, gap {gap_nm:g} nm, {design.device.aperture_um:g} um",
                     "series": f"mapping by {rule}, gaps {GAPS_NM[0]:g} to {GAPS_NM[-1]:g} nm",
-                    "error": figures["phase_rms_error_rad"],
+                    "error": figures.phase_rms_error_rad,
                     "seconds": cost.seconds,
                     "processor_seconds": cost.processor_seconds,
                     "peak_rss_mb": cost.peak_rss_mb,
-                    "pillars": figures["pillars"],
-                    "mean_transmittance": figures["mean_transmittance"],
-                    "efficiency": figures["efficiency"],
-                    "min_gap_nm": figures["min_gap_nm"],
+                    "pillars": figures.pillars,
+                    "mean_transmittance": figures.mean_transmittance,
+                    "efficiency": figures.efficiency,
+                    "min_gap_nm": figures.min_gap_nm,
                 }
             )
     return table

@@ -1,31 +1,30 @@
-"""Target phases + Library + rules -> PillarMap, tile by tile.
+"""Target phases and a library -> the size of every pillar, tile by tile.
 
-- ``pillars``   Lattice, PillarTile, PillarMap: pillars as integers
-- ``geometry``  a design's lattice, write fields and tiles in whole database units
-- ``sampling``  sites for target phases alone, without a mask
-- ``aperture``  which sites carry a pillar
-- ``outlines``  what a pillar of a size is drawn as
-- ``gaps``      distances between neighbours, diagonals included
-- ``candidates``, ``neighbours``  sizes chosen jointly, where pairs of neighbours must keep the gap
-- ``figures``   how well chosen sizes follow their targets
-- ``mapping``   one tile: the best sizes
-- ``assign``    the whole lens
+In: a :class:`~metafab.phase.PhaseProfile`, a :class:`~metafab.library.Library` and a :class:`~metafab.spec.Design`.
+Out: an :class:`Assignment`, which holds the :class:`PillarMap` and its figures.
 
-In: a PhaseProfile, a Library and a Design. Out: an Assignment, the PillarMap and its figures.
+- ``pillars``: lattice, tiles and map of the pillars, in whole database units
+- ``geometry``: lattice, write fields and tiles of a design
+- ``aperture``: the sites that carry a pillar
+- ``outlines``: polygon of a pillar, and distance between two pillars
+- ``gap_rule``: the sizes that ``rules.min_gap_nm`` allows; the gap rule is applied here
+- ``joint``: sizes chosen jointly, so that each pair of neighbours keeps the gap
+- ``gaps``: distances between neighbouring pillars
+- ``figures``: phase error, field overlap and efficiency of the chosen sizes
+- ``mapping``: the sizes of one tile
+- ``assign``: the sizes of the whole lens
 """
 
 from metafab.layout.aperture import Aperture
 from metafab.layout.assign import Assignment, assign
-from metafab.layout.gaps import Gaps, smallest_gap
-from metafab.layout.geometry import field_sites, lattice_of, tile_sites
+from metafab.layout.gaps import smallest_gap
+from metafab.layout.geometry import field_sites, lattice_of, sampling_lattice, tile_sites
 from metafab.layout.outlines import Outline
 from metafab.layout.pillars import Lattice, PillarMap, PillarTile
-from metafab.layout.sampling import sampling_lattice
 
 __all__ = [
     "Aperture",
     "Assignment",
-    "Gaps",
     "Lattice",
     "Outline",
     "PillarMap",

@@ -1,4 +1,7 @@
-"""How well chosen sizes follow their targets: sums over a tile that add up to a lens' figures."""
+"""Figures of a mapping: how well the chosen sizes follow the target phases.
+
+Sums over tiles (:class:`TileSums`) add up to those of the lens, which give its :class:`MappingFigures`.
+"""
 
 from __future__ import annotations
 
@@ -7,82 +10,133 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import FloatArray, wrap_phase
-from metafab.core.numeric.compiled import HAS_NUMBA, compiled
+from metafab.core.conventions import ComplexArray, FloatArray, power_transmittance
+from metafab.core.numeric.compiled import compiled
 from metafab.layout.pillars import SizeIndexArray
-from metafab.library import SizeTable
+from metafab.library import Library, SizeTable
 
 
 @dataclass(frozen=True)
-class TileFigures:
-    """Sums over the pillars of a tile; those of all tiles add up to the lens'.
+class MappingFigures:
+    """How well the pillars of a lens follow the target phases; ``_x`` and ``_y`` name the polarisation.
 
     Attributes:
-        pillars: how many.
-        overlap: shape (2,), sum of t exp(-i target) for x and y polarisation.
-        power: shape (2,), sum of |t|^2.
-        square_error: shape (2,), sum of (arg t - target)^2, each wrapped to (-pi, pi].
-        used: shape (n_sizes + 1,), pillars of each size.
-        smallest_gap_dbu: over all pairs with a pillar in the tile, neighbours in other tiles included.
-        plain: where sizes were chosen jointly, the figures of the plain choice.
+        pillars: number of pillars.
+        distinct_sizes: number of different sizes among them.
+        min_gap_nm: smallest gap between neighbours; None for a single pillar.
+        phase_rms_error_rad: rms over both polarisations, after the constant phases of the mapping.
+        mean_transmittance: power transmittance, mean over pillars and polarisations.
+        mean_transmittance_x: power transmittance of x polarisation.
+        mean_transmittance_y: power transmittance of y polarisation.
+        field_overlap: |<target, t>|^2 / (<target, target> <t, t>), mean of both polarisations.
+        field_overlap_x: overlap of x polarisation.
+        field_overlap_y: overlap of y polarisation.
+        efficiency: transmittance times overlap, the share of power in the wanted wave, mean of both polarisations.
+        efficiency_x: efficiency of x polarisation.
+        efficiency_y: efficiency of y polarisation.
     """
 
     pillars: int
-    overlap: NDArray[np.complex128]
+    distinct_sizes: int
+    min_gap_nm: float | None
+    phase_rms_error_rad: float
+    mean_transmittance: float
+    mean_transmittance_x: float
+    mean_transmittance_y: float
+    field_overlap: float
+    field_overlap_x: float
+    field_overlap_y: float
+    efficiency: float
+    efficiency_x: float
+    efficiency_y: float
+
+
+@dataclass(frozen=True)
+class TileSums:
+    """Sums over the pillars of a tile; those of all tiles add up to those of the lens.
+
+    Attributes:
+        pillars: number of pillars.
+        overlap: shape (2,), sum of t exp(-i target) for x and y polarisation.
+        power: shape (2,), sum of |t|^2.
+        square_error: shape (2,), sum of (arg t - target)^2, each difference wrapped to (-pi, pi].
+        used: shape (n_sizes + 1,), number of pillars of each size.
+        smallest_gap_dbu: over all pairs with a pillar in the tile, neighbours in other tiles included.
+        each: sums of the sizes that keep the gap independently, where sizes were then chosen jointly.
+    """
+
+    pillars: int
+    overlap: ComplexArray
     power: FloatArray
     square_error: FloatArray
     used: NDArray[np.int64]
     smallest_gap_dbu: float
-    plain: TileFigures | None = None
+    each: TileSums | None = None
 
     @classmethod
     def of(
         cls, size_index: SizeIndexArray, target_rad: FloatArray, table: SizeTable, smallest_gap_dbu: float
-    ) -> TileFigures:
-        """Figures of a block of sites, shape (n_y, n_x), against its targets, shape (2, n_y, n_x), rad, any turns."""
+    ) -> TileSums:
+        """Sum over a block of sites.
+
+        Args:
+            size_index: shape (n_y, n_x), 0 for no pillar.
+            target_rad: shape (2, n_y, n_x), target phases, not necessarily wrapped.
+            table: transmission of each size.
+            smallest_gap_dbu: smallest gap of the block.
+        """
         used = np.bincount(size_index.ravel(), minlength=len(table.size_dbu))
         used[0] = 0
-        overlap, square_error = compare(size_index, target_rad, table)
-        return cls(int(used.sum()), overlap, used @ np.abs(table.t) ** 2, square_error, used, smallest_gap_dbu)
+        amplitude = np.abs(table.t)
+        amplitude[0] = 0.0
+        targets = np.ascontiguousarray(target_rad)
+        sums = _sum_overlap_and_error(size_index, targets, amplitude.T.copy(), np.angle(table.t).T.copy())
+        overlap = sums[:, 0] + 1j * sums[:, 1]
+        return cls(int(used.sum()), overlap, used @ np.abs(table.t) ** 2, sums[:, 2], used, smallest_gap_dbu)
 
-    def __add__(self, other: TileFigures) -> TileFigures:
-        return TileFigures(
+    def __add__(self, other: TileSums) -> TileSums:
+        return TileSums(
             self.pillars + other.pillars,
             self.overlap + other.overlap,
             self.power + other.power,
             self.square_error + other.square_error,
             self.used + other.used,
             min(self.smallest_gap_dbu, other.smallest_gap_dbu),
-            self.plain + other.plain if self.plain and other.plain else None,
+            self.each + other.each if self.each and other.each else None,
+        )
+
+    def figures(self, library: Library, table: SizeTable) -> MappingFigures:
+        """Return the figures of the lens whose sums these are; the library gives the refractive indices."""
+        from metafab.cell import pillar_cell
+
+        cell = pillar_cell(library.unit_cell, 0.0, 0.0)
+        media = zip(self.power, cell.n_in, cell.n_out, strict=True)
+        transmittance = np.array([power_transmittance(np.sqrt(p / self.pillars), a, b) for p, a, b in media])
+        overlap = np.abs(self.overlap) ** 2 / (self.pillars * self.power)
+        efficiency = transmittance * overlap
+        gap_dbu = self.smallest_gap_dbu
+        return MappingFigures(
+            pillars=self.pillars,
+            distinct_sizes=int(np.count_nonzero(self.used[1:])),
+            min_gap_nm=gap_dbu * table.database_unit_nm if np.isfinite(gap_dbu) else None,
+            phase_rms_error_rad=float(np.sqrt(self.square_error.sum() / (2 * self.pillars))),
+            mean_transmittance=float(transmittance.mean()),
+            mean_transmittance_x=float(transmittance[0]),
+            mean_transmittance_y=float(transmittance[1]),
+            field_overlap=float(overlap.mean()),
+            field_overlap_x=float(overlap[0]),
+            field_overlap_y=float(overlap[1]),
+            efficiency=float(efficiency.mean()),
+            efficiency_x=float(efficiency[0]),
+            efficiency_y=float(efficiency[1]),
         )
 
 
-def compare(
-    size_index: SizeIndexArray, target_rad: FloatArray, table: SizeTable
-) -> tuple[NDArray[np.complex128], FloatArray]:
-    """Sums of t exp(-i target) and of the squared phase error over the pillars, each of shape (2,)."""
-    if not HAS_NUMBA:
-        return compare_vectorised(size_index, target_rad, table)
-    amplitude = np.abs(table.t)
-    amplitude[0] = 0.0
-    sums = _compare(size_index, np.ascontiguousarray(target_rad), amplitude.T.copy(), np.angle(table.t).T.copy())
-    return sums[:, 0] + 1j * sums[:, 1], sums[:, 2]
-
-
-def compare_vectorised(
-    size_index: SizeIndexArray, target_rad: FloatArray, table: SizeTable
-) -> tuple[NDArray[np.complex128], FloatArray]:
-    """As :func:`compare`, in NumPy alone."""
-    filled = size_index > 0
-    t = table.t[size_index[filled]].T
-    error = wrap_phase(np.angle(t) - target_rad[:, filled])
-    return np.sum(np.abs(t) * np.exp(1j * error), axis=1), np.sum(error**2, axis=1)
-
-
 def _even_series(function: np.ufunc, odd: bool) -> tuple[float, ...]:
-    """Cosine, or sine over its argument, as a polynomial of degree 9 in q = error^2 on [0, pi^2], lowest power first.
+    """Coefficients of cos(e), or of sin(e) / e if ``odd``, as a polynomial of degree 9 in e^2 on [0, pi^2].
 
-    Interpolation in Chebyshev points; the coefficients fall like (pi / 2)^(2 n) / (2 n)!, to 1e-14 at the tenth.
+    Interpolation at Chebyshev points; coefficients from the lowest power. They fall like (pi / 2)^(2 n) / (2 n)!, to
+    1e-14 at the tenth.
     """
 
     def sampled(q: FloatArray) -> FloatArray:
@@ -98,12 +152,12 @@ _COSINE, _SINE = _even_series(np.cos, odd=False), _even_series(np.sin, odd=True)
 
 
 @compiled
-def _compare(
+def _sum_overlap_and_error(
     size_index: SizeIndexArray, target_rad: FloatArray, amplitude: FloatArray, phase_rad: FloatArray
 ) -> FloatArray:
-    """Per channel: real and imaginary part of the overlap, squared error.
+    """Per polarisation: real and imaginary part of the overlap, and the squared phase error; shape (2, 3).
 
-    Looking up, computing and adding are loops of their own over a row, so that the middle one is vectorised.
+    Looking up, computing and adding are separate loops over a row, so that the middle one is vectorised.
     """
     sums = np.zeros((2, 3))
     c, s = _COSINE, _SINE

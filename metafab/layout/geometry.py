@@ -1,4 +1,4 @@
-"""A design's lengths as whole numbers of database units: the lattice, write fields and tiles.
+"""Lattice, write fields and tiles of a design, in whole database units.
 
 Nothing is rounded on the way: a length that is not a whole number of units is a fault of the design.
 """
@@ -7,24 +7,37 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from metafab.core.errors import InputError
 from metafab.layout.pillars import Lattice
+from metafab.phase import PhaseProfile
 from metafab.spec import Design
+from metafab.spec.outline import encloses
 
-#: Coordinates of GDSII, and of most readers, are whole numbers of 32 bits; the centre of the lens is 0.
+#: GDSII and most readers hold coordinates as 32-bit integers; the centre of the lens is 0.
 MAX_APERTURE_DBU = 2**31
-#: Units along a unit cell: beyond, the tables of sizes would not fit the memory, and no writer has so fine a grid.
+#: Units along a unit cell. Finer grids would need tables of sizes larger than the memory; no writer has one.
 MAX_CELL_DBU = 2**15
+
+#: Places per side at which the phase slope is sampled.
+_SLOPE_PLACES = 181
+#: Fewest sites across the aperture, so that its rim is sampled as well.
+_FEWEST_SITES = 1000
+#: Share of the places that may be steeper than the limit: zone boundaries are steps, not slopes.
+_STEP_SHARE = 0.02
+#: Largest phase step between samples as a share of pi, the Nyquist limit.
+_SHARE_OF_NYQUIST = 0.9
 
 
 def whole_dbu(length_nm: float, database_unit_nm: float, field: str, *, even: bool = False) -> int:
-    """``length_nm`` in database units.
+    """Convert ``length_nm`` to database units.
 
     Args:
         length_nm: the length.
         database_unit_nm: size of one unit.
-        field: what the length is called in messages.
-        even: whether half the length must be a whole number of units, too.
+        field: name of the length in messages.
+        even: whether half the length must be a whole number of units as well.
 
     Raises:
         InputError: it is not a whole (or even) number of units.
@@ -43,7 +56,7 @@ def whole_dbu(length_nm: float, database_unit_nm: float, field: str, *, even: bo
 
 
 def _remedy(length_nm: float, unit_nm: float, step: int) -> str:
-    """The lengths to either side that would do, and the largest of some finer units if one does."""
+    """Suggest the nearest valid lengths and, if there is one, the coarsest finer unit that fits."""
     below = math.floor(length_nm / unit_nm / step) * step * unit_nm
     lengths = f"use {below:g} or {below + step * unit_nm:g} nm"
     for part in (2, 4, 5, 8, 10, 20, 50, 100):
@@ -54,17 +67,16 @@ def _remedy(length_nm: float, unit_nm: float, step: int) -> str:
 
 
 def lattice_of(design: Design) -> Lattice:
-    """The sites whose unit cells fit into the square that bounds the aperture, centred on the axis.
+    """Lattice of the sites whose unit cells fit into the square that bounds the aperture, centred on the axis.
 
     Raises:
-        InputError: the period is not a whole number of database units, the aperture holds no cell, or the unit is so
-            small that the file's or the tables' numbers would not do.
+        InputError: the period is not a whole number of database units, the aperture holds no cell, or the database
+            unit is too small for the integers of the file or for the tables of sizes.
     """
     unit_nm, hexagonal = design.mask.database_unit_nm, design.unit_cell.cell.is_hexagonal
-    whole_x, whole_y = (
-        whole_dbu(period, unit_nm, "cell.period_nm", even=hexagonal and axis == 0)
-        for axis, period in enumerate(design.unit_cell.cell.period_nm)
-    )
+    period_x_nm, period_y_nm = design.unit_cell.cell.period_nm
+    whole_x = whole_dbu(period_x_nm, unit_nm, "cell.period_nm", even=hexagonal)
+    whole_y = whole_dbu(period_y_nm, unit_nm, "cell.period_nm")
     p_x, p_y = whole_x // 2 if hexagonal else whole_x, whole_y
     aperture = aperture_dbu(design)
     columns, rows = aperture // p_x, aperture // p_y
@@ -75,14 +87,14 @@ def lattice_of(design: Design) -> Lattice:
             "at least one period",
             f"{design.device.aperture_um:g} um for periods of {design.unit_cell.cell.period_nm} nm",
         )
-    _refuse_tiny_unit(design, max(whole_x, whole_y), aperture)
-    if hexagonal:  # Odd numbers: the lattice is its own mirror image in both axes.
+    _require_coarse_unit(design, max(whole_x, whole_y), aperture)
+    if hexagonal:  # Odd numbers make the lattice symmetric about both axes.
         columns, rows = columns // 2 * 2 + 1, (rows - 1) // 2 * 2 + 1
     return Lattice((p_x, p_y), (rows, columns), unit_nm, hexagonal)
 
 
-def _refuse_tiny_unit(design: Design, cell_dbu: int, aperture: int) -> None:
-    """Refuse units of which an aperture or a unit cell holds too many."""
+def _require_coarse_unit(design: Design, cell_dbu: int, aperture: int) -> None:
+    """Refuse a database unit of which an aperture or a unit cell holds too many."""
     unit_nm = design.mask.database_unit_nm
     for name, units, most in (("unit cell", cell_dbu, MAX_CELL_DBU), ("aperture", aperture, MAX_APERTURE_DBU)):
         if units > most:
@@ -97,24 +109,24 @@ def aperture_dbu(design: Design) -> int:
 
 
 def floor_dbu(length_um: float, design: Design) -> int:
-    """A length in database units, rounded down but for a millionth of a unit."""
+    """Convert a length to database units, rounded down after adding a millionth of a unit."""
     return math.floor(length_um * 1e3 / design.mask.database_unit_nm + 1e-6)
 
 
 def nearest_dbu(length_um: float, design: Design) -> int:
-    """A length in database units, rounded to the nearest."""
+    """Convert a length to database units, rounded to the nearest."""
     return round(length_um * 1e3 / design.mask.database_unit_nm)
 
 
 def field_sites(design: Design) -> tuple[int, int]:
     """Sites along (x, y) of one write field.
 
-    Fields that cut through a cell would stitch inside a pillar, so a field is a whole number of periods. Periods of a
-    hexagonal lattice have no common multiple of that size: a field is then as wide as asked and as many whole tiles
+    A field is a whole number of periods, so that no pillar is stitched from two fields. The periods of a hexagonal
+    lattice have no common multiple of that size: there, a field is ``write_field_um`` wide and as many whole tiles
     high as fit, and its sides follow the zigzag of the rows, half a period deep.
 
     Raises:
-        InputError: it is not.
+        InputError: the write field is not a whole number of periods.
     """
     field_nm = design.mask.write_field_um * 1e3
     cell = design.unit_cell.cell
@@ -140,9 +152,9 @@ def field_sites(design: Design) -> tuple[int, int]:
 
 
 def tile_sites(design: Design) -> int:
-    """Sites a side of a tile: the divisor of the write field nearest (in ratio) to ``numerics.tile_sites``.
+    """Sites per side of a tile: the divisor of the write field nearest (in ratio) to ``numerics.tile_sites``.
 
-    Tiles then never straddle two write fields, and each becomes one cell of the mask file.
+    A tile therefore lies in one write field. Each tile becomes one cell of the mask file.
     """
     return _nearest_divisor(math.gcd(*field_sites(design)), design.numerics.tile_sites)
 
@@ -150,3 +162,36 @@ def tile_sites(design: Design) -> int:
 def _nearest_divisor(number: int, wanted: int) -> int:
     divisors = (k for k in range(1, number + 1) if number % k == 0)
     return min(divisors, key=lambda k: (abs(math.log(k / wanted)), k))
+
+
+def sampling_lattice(profile: PhaseProfile, design: Design) -> Lattice:
+    """Coarsest square lattice that samples the target phases below the Nyquist limit; for designs without a mask.
+
+    The pitch is an even number of periods. The steepest slope decides it, a few steps between zones left out: the
+    phase, lens and split included, turns by less than pi from site to site, so that no alias of the image falls into
+    the window. Where no coarser lattice will do, the lattice of the pillars is returned.
+
+    Raises:
+        InputError: as :func:`lattice_of`.
+    """
+    fine = lattice_of(design)
+    period, aperture = max(fine.cell_dbu), aperture_dbu(design)
+    turn_rad = _steepest_turn_rad(profile, design, period * fine.database_unit_nm * 1e-3)
+    periods = min(math.floor(_SHARE_OF_NYQUIST * math.pi / max(turn_rad, 1e-9)), aperture // (_FEWEST_SITES * period))
+    if periods < 2:
+        return fine
+    pitch = periods // 2 * 2 * period  # Even, so that the sites next to the axis are whole numbers.
+    count = aperture // pitch
+    return Lattice((pitch, pitch), (count, count), fine.database_unit_nm)
+
+
+def _steepest_turn_rad(profile: PhaseProfile, design: Design, step_um: float) -> float:
+    """Quantile ``1 - _STEP_SHARE`` of the phase change per step along x or y, over both polarisations."""
+    half_um = 0.5 * design.device.aperture_um - step_um
+    places_um = np.linspace(-half_um, half_um, _SLOPE_PLACES)
+    pairs_um = np.stack([places_um, places_um + step_um], axis=1).ravel()
+    inside = encloses(design.device, places_um, places_um)
+    along_x = np.diff(profile(pairs_um, places_um).reshape(2, _SLOPE_PLACES, _SLOPE_PLACES, 2), axis=3)[..., 0]
+    along_y = np.diff(profile(places_um, pairs_um).reshape(2, _SLOPE_PLACES, 2, _SLOPE_PLACES), axis=2)[:, :, 0]
+    turns_rad = np.abs(np.angle(np.exp(1j * np.stack([along_x, along_y]))))[..., inside]
+    return float(np.quantile(turns_rad, 1.0 - _STEP_SHARE))

@@ -1,4 +1,4 @@
-"""One tile: target phases -> the best sizes, and how well they do."""
+"""Mapping of one tile: target phases -> the best sizes, and the sums that say how well they fit."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.layout.aperture import Aperture
-from metafab.layout.figures import TileFigures
+from metafab.layout.figures import TileSums
 from metafab.layout.gaps import smallest_gap
-from metafab.layout.neighbours import JointSizes, reach_sites
+from metafab.layout.joint import JointSizes, reach_sites
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import PillarTile, SizeIndexArray
 from metafab.library import SizeTable
@@ -18,17 +18,17 @@ from metafab.phase.terms.profile import PhaseProfile
 
 
 @dataclass(frozen=True)
-class Mapping:
-    """Everything that a tile needs; small enough to travel to another process.
+class TileMapping:
+    """Everything that is needed to map a tile; small enough to travel to another process.
 
     Attributes:
         profile: target phases.
-        table: sizes and the look-up.
-        aperture: which sites carry a pillar.
+        table: sizes and their look-up table.
+        aperture: sites that carry a pillar.
         offset_rad: constants added to the target phases of x and y polarisation.
-        tile_sites: sites a side of a tile.
-        joint: chooses sizes jointly, from the look-up's on; None where every pillar keeps the gap by itself.
-        outline: of the pillars, for their gaps.
+        tile_sites: sites per side of a tile.
+        joint: chooses sizes jointly, starting from the look-up table; None where every pillar keeps the gap alone.
+        outline: outline of the pillars, for their gaps.
     """
 
     profile: PhaseProfile
@@ -39,46 +39,41 @@ class Mapping:
     joint: JointSizes | None = None
     outline: Outline = RECTANGLE
 
-    def places(self) -> list[tuple[int, int]]:
+    def corners(self) -> list[tuple[int, int]]:
         """(row, column) of every tile that holds a pillar, row by row."""
-        n_y, n_x = self.aperture.lattice.shape
-        step = self.tile_sites
-        return [
-            (row, column)
-            for row in range(0, n_y, step)
-            for column in range(0, n_x, step)
-            if self.aperture.meets(row, column, step)
-        ]
+        all_corners = self.aperture.lattice.tile_corners(self.tile_sites)
+        return [(row, column) for row, column in all_corners if self.aperture.meets(row, column, self.tile_sites)]
 
-    def __call__(self, place: tuple[int, int]) -> tuple[PillarTile, TileFigures]:
-        """Map the tile at (row, column)."""
+    def __call__(self, corner: tuple[int, int]) -> tuple[PillarTile, TileSums]:
+        """Map the tile whose first site is ``corner``, (row, column)."""
         lattice = self.aperture.lattice
         halo = np.array(lattice.reach) if self.joint is None else np.add(lattice.reach, reach_sites(lattice))
-        first = np.maximum(np.subtract(place, halo), 0).tolist()
-        last = np.minimum(np.add(place, self.tile_sites + halo), lattice.shape).tolist()
-        target = self.profile(lattice.x_um()[first[1] : last[1]], lattice.y_um()[first[0] : last[0]])
+        row, column = np.maximum(np.subtract(corner, halo), 0).tolist()
+        last_row, last_column = np.minimum(np.add(corner, self.tile_sites + halo), lattice.shape).tolist()
+        target = self.profile(lattice.x_um()[column:last_column], lattice.y_um()[row:last_row])
         target += np.reshape(self.offset_rad, (2, 1, 1))
         sizes = self.table.sizes_for(target[0], target[1])
-        sizes *= self.aperture.inside(first[0], first[1], sizes.shape)
+        sizes *= self.aperture.inside(row, column, sizes.shape)
+        inset = corner[0] - row, corner[1] - column
+        tile, sums = self._tile(corner, inset, sizes, target)
         if self.joint is None:
-            return self._tile(place, first, sizes, target)
-        _, plain = self._tile(place, first, sizes, target)
-        self.joint.improve(sizes, target, lattice, (first[0], first[1]))
-        tile, figures = self._tile(place, first, sizes, target)
-        return tile, replace(figures, plain=plain)
+            return tile, sums
+        self.joint.improve(sizes, target, lattice, (row, column))
+        tile, joint_sums = self._tile(corner, inset, sizes, target)
+        return tile, replace(joint_sums, each=sums)
 
     def _tile(
-        self, place: tuple[int, int], corner: list[int], sizes: SizeIndexArray, target_rad: FloatArray
-    ) -> tuple[PillarTile, TileFigures]:
-        """The tile at (row, column) and its figures, from a block with a halo whose first site is ``corner``."""
-        row, column = (start - shift for start, shift in zip(place, corner, strict=True))
+        self, corner: tuple[int, int], inset: tuple[int, int], sizes: SizeIndexArray, target_rad: FloatArray
+    ) -> tuple[PillarTile, TileSums]:
+        """Cut the tile at ``inset`` out of a block with a halo, and sum over it."""
+        row, column = inset
         core = np.s_[row : row + self.tile_sites, column : column + self.tile_sites]
-        down, right = self.aperture.lattice.reach
+        lattice = self.aperture.lattice
+        down, right = lattice.reach
         low, left = max(row - down, 0), max(column - right, 0)
-        beside = np.s_[low : row + self.tile_sites + down, left : column + self.tile_sites + right]
-        block, lattice = sizes[beside], self.aperture.lattice
-        gap_dbu = smallest_gap(block, self.table.size_dbu, lattice, outline=self.outline).smallest_dbu
+        with_neighbours = np.s_[low : row + self.tile_sites + down, left : column + self.tile_sites + right]
+        gaps = smallest_gap(sizes[with_neighbours], self.table.size_dbu, lattice, outline=self.outline)
         counted = np.zeros_like(sizes)
         counted[core] = sizes[core]
-        tile = PillarTile(*place, np.ascontiguousarray(sizes[core]))
-        return tile, TileFigures.of(counted, target_rad, self.table, gap_dbu)
+        tile = PillarTile(*corner, np.ascontiguousarray(sizes[core]))
+        return tile, TileSums.of(counted, target_rad, self.table, gaps.smallest_dbu)

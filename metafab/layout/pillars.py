@@ -21,17 +21,20 @@ SizeIndexArray = NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Lattice:
-    """A lattice whose centre is the optical axis: all sites of a rectangular grid, or every other one.
+    """A lattice centred on the optical axis: all sites of a rectangular grid, or every other one.
 
-    A hexagonal lattice is the half of a rectangular grid whose row and column are both even or both odd, like the
-    squares of one colour on a chessboard; its grid is half a period fine along x. So both kinds of lattice are arrays
-    of sites at products of x and y, and rooms that add up pillars need not know which one it is.
+    A hexagonal lattice consists of the grid sites whose row and column are both even or both odd, like the squares of
+    one colour on a chessboard. The grid is half a period fine along x. Both kinds are thus rectangular arrays of
+    sites, and code that sums over pillars need not distinguish them.
 
     Attributes:
-        period_dbu: (x, y) pitch of the grid of sites.
+        period_dbu: (x, y) pitch of the grid.
         shape: (n_y, n_x) sites of the grid.
-        database_unit_nm: size of one dbu.
+        database_unit_nm: size of one database unit.
         hexagonal: whether only every other site can carry a pillar.
+
+    Raises:
+        InputError: an odd period with an even number of sites, which puts sites on half units.
     """
 
     period_dbu: tuple[int, int]
@@ -47,12 +50,12 @@ class Lattice:
                     "database_unit_nm",
                     f"a unit in which half the {axis} period is a whole number",
                     f"a period of {period} units",
-                    "halve the unit, so that sites beside the axis stay exact",
+                    "halve the unit, so that the sites next to the axis stay exact",
                 )
 
     @property
     def cell_dbu(self) -> tuple[int, int]:
-        """(x, y) sides of the rectangle that belongs to one pillar; those of all pillars cover the plane once."""
+        """(x, y) sides of the rectangle that belongs to one pillar; these rectangles tile the plane."""
         p_x, p_y = self.period_dbu
         return (2 * p_x, p_y) if self.hexagonal else (p_x, p_y)
 
@@ -63,19 +66,33 @@ class Lattice:
 
     @property
     def pairs(self) -> tuple[tuple[int, int], ...]:
-        """(rows, columns) from a site to half of its nearest neighbours: each pair of neighbours is one of them."""
+        """(rows, columns) from a site to half of its nearest neighbours: each pair of neighbours occurs once."""
         return ((0, 2), (1, 1), (1, -1)) if self.hexagonal else ((0, 1), (1, 0), (1, 1), (1, -1))
 
     @property
     def reach(self) -> tuple[int, int]:
-        """(rows, columns) to the farthest of them."""
+        """(rows, columns) to the farthest of the nearest neighbours."""
         return max(down for down, _ in self.pairs), max(right for _, right in self.pairs)
 
     def carries(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Which sites of these rows and columns can carry a pillar, shape (rows, columns)."""
+        """Whether the sites can carry a pillar.
+
+        Args:
+            rows: shape (n_rows,).
+            columns: shape (n_columns,).
+
+        Returns:
+            Shape (n_rows, n_columns).
+        """
         if not self.hexagonal:
             return np.ones((rows.size, columns.size), dtype=np.bool_)
         return np.asarray((rows[:, None] + columns) % 2 == 0)
+
+    def tile_corners(self, tile_sites: int) -> Iterator[tuple[int, int]]:
+        """(row, column) of the first site of each square tile, row by row; tiles at the edges are smaller."""
+        for row in range(0, self.shape[0], tile_sites):
+            for column in range(0, self.shape[1], tile_sites):
+                yield row, column
 
     def x_dbu(self) -> NDArray[np.int64]:
         """Site centres along x, shape (n_x,)."""
@@ -103,8 +120,8 @@ class PillarTile:
     """A rectangular block of sites.
 
     Attributes:
-        row: lattice row of the tile's first row.
-        column: lattice column of the tile's first column.
+        row: lattice row of the first row of the tile.
+        column: lattice column of the first column of the tile.
         size_index: shape (n_y, n_x); 0 means no pillar, i the i-th row of the map's size table.
     """
 
@@ -112,17 +129,23 @@ class PillarTile:
     column: int
     size_index: SizeIndexArray
 
+    @property
+    def window(self) -> tuple[slice, slice]:
+        """Rows and columns of the tile in an array over the whole lattice."""
+        n_y, n_x = self.size_index.shape
+        return slice(self.row, self.row + n_y), slice(self.column, self.column + n_x)
+
 
 @dataclass(frozen=True)
 class PillarMap:
-    """All pillars of a lens, as a stream of tiles that can be read again and again.
+    """All pillars of a lens, as a stream of tiles that can be read repeatedly.
 
     Attributes:
-        lattice: where the sites are.
+        lattice: lattice of the sites.
         size_dbu: shape (n_sizes + 1, 2), (width, length) of each size index; row 0 is (0, 0), no pillar.
-        tiles: opens the stream; tiles cover the lattice once, row by row of tiles, empty ones may be left out.
-        tile_sites: sites a side of a tile (edge tiles are smaller).
-        whole: shape ``lattice.shape``, the indices of all tiles; None where these are held nowhere.
+        tiles: opens the stream; tiles cover the lattice once, row by row of tiles; empty tiles may be left out.
+        tile_sites: sites per side of a tile (tiles at the edges are smaller).
+        whole: shape ``lattice.shape``, the indices of all tiles; None if they are not held in memory.
     """
 
     lattice: Lattice
@@ -135,27 +158,35 @@ class PillarMap:
     def from_array(
         cls, lattice: Lattice, size_dbu: NDArray[np.int32], size_index: SizeIndexArray, tile_sites: int
     ) -> PillarMap:
-        """A map over an array in memory (or on disk, memory-mapped) of shape ``lattice.shape``."""
+        """Make a map from an array in memory, or on disk (memory-mapped).
+
+        Args:
+            lattice: lattice of the sites.
+            size_dbu: shape (n_sizes + 1, 2), as the attribute.
+            size_index: shape ``lattice.shape``.
+            tile_sites: sites per side of a tile.
+
+        Raises:
+            ValueError: ``size_index`` has another shape.
+        """
         if size_index.shape != lattice.shape:
             raise ValueError(f"`size_index`: expected shape {lattice.shape}, got {size_index.shape}")
 
         def tiles() -> Iterator[PillarTile]:
-            for row in range(0, lattice.shape[0], tile_sites):
-                for column in range(0, lattice.shape[1], tile_sites):
-                    block = size_index[row : row + tile_sites, column : column + tile_sites]
-                    if block.any():
-                        yield PillarTile(row, column, block)
+            for row, column in lattice.tile_corners(tile_sites):
+                block = size_index[row : row + tile_sites, column : column + tile_sites]
+                if block.any():
+                    yield PillarTile(row, column, block)
 
         return cls(lattice, size_dbu, tiles, tile_sites, size_index)
 
     def to_array(self) -> SizeIndexArray:
-        """All tiles as one array of shape ``lattice.shape`` (2 bytes a site); not to be written to."""
+        """All tiles as one array of shape ``lattice.shape`` (2 bytes per site); read-only by agreement."""
         if self.whole is not None:
             return self.whole
         whole = np.zeros(self.lattice.shape, dtype=np.uint16)
         for tile in self.tiles():
-            n_y, n_x = tile.size_index.shape
-            whole[tile.row : tile.row + n_y, tile.column : tile.column + n_x] = tile.size_index
+            whole[tile.window] = tile.size_index
         return whole
 
     def size_nm(self) -> FloatArray:

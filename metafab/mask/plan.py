@@ -42,7 +42,7 @@ def plan(profile: PhaseProfile, library: Library, design: Design, workers: int |
     start = time.perf_counter()
     mapping = mapping_of(profile, library, design)
     table, aperture = mapping.table, mapping.aperture
-    places = mapping.places()
+    places = mapping.corners()
     # Evenly through the list: rim and centre, all rows of tiles alike. The first is mapped twice, to warm up.
     count = min(_SAMPLED_TILES, len(places))
     chosen = [places[(2 * k + 1) * len(places) // (2 * count)] for k in range(count)]

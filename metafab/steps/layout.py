@@ -31,9 +31,9 @@ def write_layout(job: Job) -> dict[str, Any]:
             job.design,
             executor=executor,
             progress=job.progress,
-            mapping=assignment.figures,
+            mapping=assignment.to_json(),
         )
-    return {**assignment.figures, "files": [{"name": file.path.name, "bytes": file.bytes} for file in files]}
+    return {**assignment.to_json(), "files": [{"name": file.path.name, "bytes": file.bytes} for file in files]}
 
 
 def mask_paths(job: Job) -> tuple[Path, ...]:

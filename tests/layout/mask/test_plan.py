@@ -12,10 +12,11 @@ import pytest
 from metafab import layout, mask
 from metafab.cli.commands.whole import run_command
 from metafab.layout import Assignment
-from metafab.layout.mapping import Mapping
+from metafab.layout.mapping import TileMapping
 from metafab.library import Library
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Copy, Design, Dose
+from tests.conftest import ROOT
 
 
 def test_bytes_are_those_of_the_written_files(
@@ -27,7 +28,7 @@ def test_bytes_are_those_of_the_written_files(
 ) -> None:
     """All tiles are sampled: missing are the file's head and end (256 bytes in OASIS), each tile's frame and place."""
     plan = mask.plan(profile, smooth_library, tiny_design)
-    assert plan["pillars"] == tiny.figures["pillars"]
+    assert plan["pillars"] == tiny.figures.pillars
     assert plan["sampled_tiles"] == plan["tiles"] <= 16
     for suffix in ("gds", "oas"):
         assert 0 < tiny_files[suffix].stat().st_size - plan["bytes"][suffix] < 300 + 120 * plan["tiles"]
@@ -50,15 +51,15 @@ def test_the_plan_counts_how_often_a_lens_that_is_not_kept_is_mapped(
     for module in (sys.modules[layout.assign.__module__], sys.modules[mask.plan.__module__]):
         monkeypatch.setattr(module, "KEPT_SITES", 0)
     calls: list[object] = []
-    mapped = Mapping.__call__
+    mapped = TileMapping.__call__
 
-    def counted(self: Mapping, place: Any) -> Any:
+    def counted(self: TileMapping, place: Any) -> Any:
         calls.append(place)
         return mapped(self, place)
 
     design = replace(tiny_design, mask=replace(tiny_design.mask, dose=dose))
     plan = mask.plan(profile, smooth_library, design, workers=7)
-    monkeypatch.setattr(Mapping, "__call__", counted)
+    monkeypatch.setattr(TileMapping, "__call__", counted)
     assignment = layout.assign(profile, smooth_library, design)
     mask.write(assignment.pillars, tmp_path, design)
     assert len(calls) == plan["mappings"] * plan["tiles"]
@@ -93,7 +94,7 @@ def test_a_run_announces_a_large_gdsii_before_its_first_step(
         raise _BegunError
 
     monkeypatch.setattr("metafab.run._State.bring_up_to_date", begun)
-    design = Path(__file__).parents[2] / "layouts" / "helix_small.toml"
+    design = ROOT / "layouts" / "helix_small.toml"
     with pytest.raises(_BegunError):
         run_command(design, tmp_path / "small")
     assert capsys.readouterr().err == ""
@@ -124,7 +125,7 @@ def test_the_plan_counts_all_that_is_drawn(
     written = {file.path.suffix[1:]: file.bytes for file in mask.write(tiny.pillars, tmp_path, design)}
     for suffix in ("gds", "oas"):
         assert 0 < written[suffix] - plan["bytes"][suffix] < 500 + 1500 * plan["tiles"]
-    assert plan["bytes"]["gds"] >= 64 * 3 * tiny.figures["pillars"]
+    assert plan["bytes"]["gds"] >= 64 * 3 * tiny.figures.pillars
 
 
 def test_a_large_gdsii_is_announced_from_its_size_alone(small_design: Design) -> None:

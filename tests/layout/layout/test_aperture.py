@@ -51,13 +51,13 @@ def test_from_phases_to_a_psf(shape: str, smooth_library: Library, tiny_design: 
     design = _design(tiny_design, shape)
     lens = LensPhase(design.wavelength_um, 200.0)
     assignment = layout.assign(PhaseProfile((lens,), {}), smooth_library, design)
-    assert assignment.figures["pillars"] == Aperture.of(design).count
+    assert assignment.figures.pillars == Aperture.of(design).count
     mask.write(assignment.pillars, tmp_path, design)
     for suffix in ("gds", "oas"):
         path = tmp_path / f"layout.{suffix}"
         report = drc.check(path, design)
         assert report.clean, report.violations
-        assert report.pillars == assignment.figures["pillars"]
+        assert report.pillars == assignment.figures.pillars
     pillars = mask.read(path, design).pillars
     assert np.array_equal(sizes_at_sites(pillars), sizes_at_sites(assignment.pillars))
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -13,7 +12,7 @@ from metafab import layout
 from metafab.core.conventions import wrap_phase
 from metafab.core.errors import InputError
 from metafab.layout import Aperture, Assignment
-from metafab.layout.assign import allowed_sizes
+from metafab.layout.gap_rule import allowed_sizes
 from metafab.library import Library
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
@@ -23,7 +22,7 @@ from tests.layout.conftest import sizes_at_sites
 def test_exactly_the_sites_inside_the_aperture_carry_a_pillar(tiny: Assignment, tiny_design: Design) -> None:
     aperture = Aperture.of(tiny_design)
     assert np.array_equal(tiny.pillars.to_array() > 0, aperture.inside(0, 0, aperture.lattice.shape))
-    assert tiny.figures["pillars"] == aperture.count
+    assert tiny.figures.pillars == aperture.count
 
 
 def test_figures_are_what_a_direct_sum_over_the_pillars_gives(
@@ -32,15 +31,15 @@ def test_figures_are_what_a_direct_sum_over_the_pillars_gives(
     lattice, index = tiny.pillars.lattice, tiny.pillars.to_array()
     width, length = np.moveaxis(tiny.pillars.size_nm()[index[index > 0]], -1, 0)
     reached = smooth_library.at_sizes(width, length)
-    target = profile(lattice.x_um(), lattice.y_um())[:, index > 0] + np.reshape(tiny.figures["offsets_rad"], (2, 1))
+    target = profile(lattice.x_um(), lattice.y_um())[:, index > 0] + np.reshape(tiny.offsets_rad, (2, 1))
     square = 0.0
     for t, wanted, name in zip((reached.t_xx, reached.t_yy), target, "xy", strict=True):
         error = wrap_phase(np.angle(t) - wanted)
         overlap = abs(np.sum(t * np.exp(-1j * wanted))) ** 2 / (wanted.size * np.sum(np.abs(t) ** 2))
         # 1e-9: the same float64 terms in another order.
-        assert tiny.figures[f"field_overlap_{name}"] == pytest.approx(overlap, rel=1e-9)
+        assert getattr(tiny.figures, f"field_overlap_{name}") == pytest.approx(overlap, rel=1e-9)
         square += np.mean(error**2) / 2
-    assert tiny.figures["phase_rms_error_rad"] == pytest.approx(np.sqrt(square), rel=1e-9)
+    assert tiny.figures.phase_rms_error_rad == pytest.approx(np.sqrt(square), rel=1e-9)
 
 
 def test_no_other_size_would_overlap_much_better(
@@ -50,9 +49,7 @@ def test_no_other_size_would_overlap_much_better(
     table = allowed_sizes(smooth_library, tiny_design)
     lattice, index = tiny.pillars.lattice, tiny.pillars.to_array()
     row = lattice.shape[0] // 2
-    target = profile(lattice.x_um(), lattice.y_um()[row : row + 1])[:, 0] + np.reshape(
-        tiny.figures["offsets_rad"], (2, 1)
-    )
+    target = profile(lattice.x_um(), lattice.y_um()[row : row + 1])[:, 0] + np.reshape(tiny.offsets_rad, (2, 1))
     overlap = np.real(table.t @ np.exp(-1j * target))
     chosen = overlap[index[row], np.arange(index.shape[1])]
     inside = index[row] > 0
@@ -68,19 +65,17 @@ def test_tiling_and_workers_change_nothing(
     with ThreadPoolExecutor(3) as threads:
         other = layout.assign(profile, smooth_library, design, executor=threads)
     assert np.array_equal(other.pillars.to_array(), tiny.pillars.to_array())
-    assert other.figures["min_gap_nm"] == tiny.figures["min_gap_nm"]
-    assert other.figures["phase_rms_error_rad"] == pytest.approx(tiny.figures["phase_rms_error_rad"], rel=1e-12)
+    assert other.figures.min_gap_nm == tiny.figures.min_gap_nm
+    assert other.figures.phase_rms_error_rad == pytest.approx(tiny.figures.phase_rms_error_rad, rel=1e-12)
 
 
 def test_a_lens_too_large_to_keep_is_mapped_again_on_each_reading(
-    monkeypatch: pytest.MonkeyPatch,
     tiny: Assignment,
     profile: PhaseProfile,
     smooth_library: Library,
     tiny_design: Design,
 ) -> None:
-    monkeypatch.setattr(sys.modules["metafab.layout.assign"], "KEPT_SITES", 100)
-    streamed = layout.assign(profile, smooth_library, tiny_design)
+    streamed = layout.assign(profile, smooth_library, tiny_design, kept_sites=100)
     assert streamed.figures == tiny.figures
     for _ in range(2):
         assert np.array_equal(streamed.pillars.to_array(), tiny.pillars.to_array())
@@ -97,14 +92,14 @@ def test_gaps_keep_the_rule(
         assignment.pillars.to_array(), assignment.pillars.size_dbu, assignment.pillars.lattice, min_gap_nm / 0.5
     )
     assert found.below == 0
-    assert found.smallest_dbu * 0.5 == pytest.approx(assignment.figures["min_gap_nm"], rel=1e-12)
-    assert assignment.figures["min_gap_nm"] >= min_gap_nm
+    assert found.smallest_dbu * 0.5 == pytest.approx(assignment.figures.min_gap_nm, rel=1e-12)
+    assert assignment.figures.min_gap_nm >= min_gap_nm
 
 
 def test_sizes_are_the_librarys(tiny: Assignment, smooth_library: Library) -> None:
     size_nm = sizes_at_sites(tiny.pillars).reshape(-1, 2) * 0.5
     used = np.unique(size_nm[size_nm[:, 0] > 0], axis=0)
-    assert len(used) == tiny.figures["distinct_sizes"]
+    assert len(used) == tiny.figures.distinct_sizes
     smooth_library.at_sizes(used[:, 0], used[:, 1])  # raises where a size is not in the library
 
 
@@ -129,22 +124,6 @@ def test_rules_that_leave_no_size_are_refused(
         layout.assign(profile, smooth_library, design)
 
 
-def test_without_numba_the_map_is_the_same(
-    tiny: Assignment,
-    profile: PhaseProfile,
-    smooth_library: Library,
-    tiny_design: Design,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    for module in ("layout.gaps", "layout.figures", "library.lookup"):
-        monkeypatch.setattr(f"metafab.{module}.HAS_NUMBA", False)
-    plain = layout.assign(profile, smooth_library, tiny_design)
-    assert np.array_equal(plain.pillars.to_array(), tiny.pillars.to_array())
-    # Sums in another order, of terms to 1e-12.
-    for name in ("phase_rms_error_rad", "field_overlap", "mean_transmittance", "min_gap_nm"):
-        assert plain.figures[name] == pytest.approx(tiny.figures[name], rel=1e-10)
-
-
 def test_rules_may_ask_for_one_response_to_both_polarisations_and_for_calm_sizes(
     profile: PhaseProfile, smooth_library: Library, tiny_design: Design
 ) -> None:
@@ -161,5 +140,5 @@ def test_rules_may_ask_for_one_response_to_both_polarisations_and_for_calm_sizes
 def test_a_single_pillar_has_no_gap(profile: PhaseProfile, smooth_library: Library, small_design: Design) -> None:
     design = replace(small_design, device=replace(small_design.device, aperture_um=0.5))
     figures = layout.assign(profile, smooth_library, design).figures
-    assert figures["pillars"] == 1
-    assert figures["min_gap_nm"] is None
+    assert figures.pillars == 1
+    assert figures.min_gap_nm is None

@@ -101,7 +101,7 @@ def test_each_copy_is_read_back_and_the_others_are_counted(
     back = mask.read(files[suffix], chip, copy=number)
     bias_nm = 4.0 + COPIES[number - 1].bias_nm
     assert np.array_equal(sizes_at_sites(mask.biased(back.pillars, -bias_nm)), sizes_at_sites(tiny.pillars))
-    count = tiny.figures["pillars"]
+    count = tiny.figures.pillars
     assert back.other_copies == {other: count for other in (1, 2, 3, 4) if other != number}
     assert back.off_site.count == back.off_grid.count == back.duplicates.count == 0
     assert back.at_nm == tuple(1e3 * at for at in COPIES[number - 1].at_um)
@@ -118,7 +118,7 @@ def test_a_flattened_file_in_units_of_another_tool_tells_its_copies_apart(
     opened.write(str(tmp_path / "flat.gds"), options)
     back = mask.read(tmp_path / "flat.gds", chip, copy=2)
     assert np.array_equal(sizes_at_sites(mask.biased(back.pillars, -14.0)), sizes_at_sites(tiny.pillars))
-    assert set(back.other_copies.values()) == {tiny.figures["pillars"]}
+    assert set(back.other_copies.values()) == {tiny.figures.pillars}
 
 
 @pytest.mark.parametrize("suffix", FORMATS)
@@ -134,7 +134,7 @@ def test_equal_copies_share_their_cells(suffix: str, tiny: Assignment, tiny_desi
 
 def test_figures_count_one_lens_and_the_write_time_all(tiny: Assignment, chip: Design, files: dict[str, Path]) -> None:
     told = json.loads((files["gds"].parent / "layout.json").read_text())
-    assert told["pillars"] == tiny.figures["pillars"]
+    assert told["pillars"] == tiny.figures.pillars
     rectangles = _expected_rectangles(tiny)
     area_um2 = float((rectangles[:, 2] * rectangles[:, 3]).sum()) * 0.25e-6
     assert sum(copy["area_um2"] for copy in told["copies"]) == pytest.approx(area_um2, rel=1e-12)
@@ -173,7 +173,7 @@ def test_lattice_rules_look_at_one_copy_and_miss_no_other(
     loose = replace(chip, rules=replace(chip.rules, min_gap_nm=50.0, min_feature_nm=50.0))
     report = drc.check(files[suffix], loose)
     assert report.clean
-    assert report.other_copies == dict.fromkeys((2, 3, 4), tiny.figures["pillars"])
+    assert report.other_copies == dict.fromkeys((2, 3, 4), tiny.figures.pillars)
     opened = kdb.Layout()
     opened.read(str(files[suffix]))
     opened.top_cells()[0].flatten(True)
@@ -194,7 +194,7 @@ def test_engines_without_a_lattice_check_all_copies(tiny: Assignment, chip: Desi
     for engine in ("rectangles", "polygons"):
         report = drc.check(files["oas"], loose, engine=engine, workers=1)
         assert report.clean
-        assert report.pillars == 4 * tiny.figures["pillars"]
+        assert report.pillars == 4 * tiny.figures.pillars
 
 
 @pytest.mark.parametrize(
@@ -227,7 +227,7 @@ def test_a_copy_may_stand_beside_the_middle_and_alone(tiny: Assignment, tiny_des
         assert back.other_copies == {}
         # Without the table the same file holds nothing where the lens should be, and says so.
         lost = mask.read(tmp_path / f"layout.{suffix}", tiny_design)
-        assert lost.off_site.count == tiny.figures["pillars"]
+        assert lost.off_site.count == tiny.figures.pillars
 
 
 def test_the_table_survives_the_canonical_design_file(chip: Design) -> None:

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
+import pickle
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import asdict, replace
 from itertools import product
 from pathlib import Path
 
@@ -14,13 +18,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from metafab import drc, layout, mask
-from metafab.core.numeric.compiled import HAS_NUMBA
-from metafab.layout import Lattice, neighbours
-from metafab.layout.gaps import smallest_gap_vectorised
-from metafab.layout.neighbours import JointSizes
+from metafab.layout import Lattice
+from metafab.layout.joint import JointSizes
 from metafab.library import Library, build_size_table
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design, UnitCell
+from tests.conftest import ROOT
+from tests.gaps_by_numpy import gaps_by_numpy
 from tests.layout.conftest import sizes_at_sites
 
 GAP_DBU = 280.0  # 140 nm: plain pillars up to 210 nm, joint ones up to 320 nm beside the smallest
@@ -81,7 +85,7 @@ def test_every_gap_is_kept_and_nothing_is_lost(
     before = size_index.copy()
     joint.improve(size_index, target_rad, lattice, corner)
     assert np.array_equal(size_index > 0, before > 0)
-    gaps = smallest_gap_vectorised(size_index, joint.table.size_dbu, lattice, GAP_DBU - 1e-6, shape[0])
+    gaps = gaps_by_numpy(size_index, joint.table.size_dbu, lattice, GAP_DBU - 1e-6, shape[0])
     assert gaps.below == 0
     assert _overlap(joint, size_index, target_rad) >= _overlap(joint, before, target_rad) - 1e-9
 
@@ -106,33 +110,31 @@ def test_two_pillars_get_the_best_pair_of_candidates(joint: JointSizes, seed: in
     best = -np.inf
     for pair in product(*lists):
         block = np.array(pair, dtype=np.uint16).reshape(size_index.shape)
-        gaps = smallest_gap_vectorised(block, joint.table.size_dbu, lattice, GAP_DBU - 1e-6, len(block))
+        gaps = gaps_by_numpy(block, joint.table.size_dbu, lattice, GAP_DBU - 1e-6, len(block))
         if gaps.below == 0:
             best = max(best, _overlap(joint, block, target_rad))
     joint.improve(size_index, target_rad, lattice, (0, 0))
     assert _overlap(joint, size_index, target_rad) == pytest.approx(best, abs=1e-9)
 
 
-@pytest.mark.skipif(not HAS_NUMBA, reason="the kernel is plain Python then")
-def test_compiled_and_plain_python_agree(joint: JointSizes, monkeypatch: pytest.MonkeyPatch) -> None:
-    compiled, target_rad, lattice = _block(joint, 11, (12, 13), 0.1)
-    plain = compiled.copy()
-    joint.improve(compiled, target_rad, lattice, (1, 2))
-    for name in (
-        "_visit",
-        "_make_room",
-        "_read",
-        "_write",
-        "_first_that_fits",
-        "_near",
-        "_overlap",
-        "_listed",
-        "_at",
-        "square_of_pair",
-    ):
-        monkeypatch.setattr(neighbours, name, getattr(neighbours, name).py_func)
-    joint.improve(plain, target_rad, lattice, (1, 2))
-    assert np.array_equal(plain, compiled)
+_PLAIN_PYTHON = """
+import pickle, sys
+with open(sys.argv[1], "rb") as stream:
+    joint, size_index, target_rad, lattice = pickle.load(stream)
+joint.improve(size_index, target_rad, lattice, (1, 2))
+with open(sys.argv[1], "wb") as stream:
+    pickle.dump(size_index, stream)
+"""
+
+
+def test_compiled_and_plain_python_agree(joint: JointSizes, tmp_path: Path) -> None:
+    size_index, target_rad, lattice = _block(joint, 11, (12, 13), 0.1)
+    block = tmp_path / "block.pickle"
+    block.write_bytes(pickle.dumps((joint, size_index, target_rad, lattice)))
+    joint.improve(size_index, target_rad, lattice, (1, 2))
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
+    subprocess.run([sys.executable, "-c", _PLAIN_PYTHON, block], env=environment, check=True)
+    assert np.array_equal(pickle.loads(block.read_bytes()), size_index)
 
 
 def test_lists_fall_in_overlap_and_hold_a_size_that_fits_anywhere(joint: JointSizes) -> None:
@@ -163,7 +165,7 @@ def test_tiling_and_workers_change_nothing(
     with ThreadPoolExecutor(workers) as threads:
         other = layout.assign(profile, wide_library, design, executor=threads)
     assert np.array_equal(other.pillars.to_array(), reference.pillars.to_array())
-    assert other.figures["min_gap_nm"] == reference.figures["min_gap_nm"] >= 140.0
+    assert other.figures.min_gap_nm == reference.figures.min_gap_nm >= 140.0
 
 
 def test_the_gain_over_the_plain_rule_is_told(
@@ -173,16 +175,17 @@ def test_the_gain_over_the_plain_rule_is_told(
     pairs = assignment.figures
     each = replace(pairs_design, rules=replace(pairs_design.rules, gap_rule="each"))
     plain = layout.assign(profile, wide_library, each).figures
-    told = pairs["gap_rule_each"]
-    assert {name: plain[name] for name in told} == pytest.approx(told, rel=1e-12)
-    assert pairs["efficiency"] > plain["efficiency"]
-    assert pairs["phase_rms_error_rad"] < plain["phase_rms_error_rad"]
-    mask.write(assignment.pillars, tmp_path, pairs_design, mapping=pairs)
+    assert assignment.gap_rule_each is not None
+    assert asdict(assignment.gap_rule_each) == pytest.approx(asdict(plain), rel=1e-12)
+    assert pairs.efficiency > plain.efficiency
+    assert pairs.phase_rms_error_rad < plain.phase_rms_error_rad
+    mask.write(assignment.pillars, tmp_path, pairs_design, mapping=assignment.to_json())
     sidecar = json.loads((tmp_path / "layout.json").read_text())
-    assert sidecar["mapping"]["gap_rule_each"] == told
+    assert sidecar["mapping"]["gap_rule_each"] == asdict(assignment.gap_rule_each)
+    assert sidecar["mapping"]["efficiency"] == pairs.efficiency
     report = drc.check(tmp_path / "layout.oas", pairs_design)
     assert report.clean
-    assert report.min_gap_nm == pairs["min_gap_nm"]
+    assert report.min_gap_nm == pairs.min_gap_nm
 
 
 def test_a_library_without_larger_sizes_is_mapped_as_ever(

@@ -10,7 +10,7 @@ from shapely import affinity
 from shapely.geometry import Point, Polygon, box
 
 from metafab.layout import Lattice, Outline, smallest_gap
-from metafab.layout.outlines import CHORD_NM, area_of, plain
+from metafab.layout.outlines import CHORD_NM, canonical_polygon, polygon_area
 
 OUTLINES = [Outline("ellipse", 0.5), Outline("rounded", 0.5, 60.0), Outline("cross", 0.5), Outline("rectangle", 0.5)]
 SIDES = st.integers(40, 350).map(lambda half: 2 * half)
@@ -45,7 +45,7 @@ def test_polygons_keep_to_the_curve_on_the_grid(outline: Outline, width: int, le
     (reach,) = outline.boxes(np.array([[width, length]], dtype=np.int32)).tolist()
     assert np.array_equal(2 * vertices.max(axis=0), reach)
     assert np.array_equal(-2 * vertices.min(axis=0), reach)
-    assert polygon.area == area_of(vertices) == outline.area(np.array([[width, length]], dtype=np.int32))[0]
+    assert polygon.area == polygon_area(vertices) == outline.area(np.array([[width, length]], dtype=np.int32))[0]
 
 
 @pytest.mark.parametrize("outline", OUTLINES, ids=lambda outline: outline.shape)
@@ -76,7 +76,7 @@ def test_outlines_of_other_shapes_are_not_known() -> None:
     assert cross.size_of(circle.vertices(300, 300)) is None
     assert circle.size_of(cross.vertices(300, 200)) is None
     assert circle.size_of(circle.vertices(300, 200) * [1, 2]) is None
-    assert plain(np.array([[0, 0], [10, 0], [20, 0]])).size == 0
+    assert canonical_polygon(np.array([[0, 0], [10, 0], [20, 0]])).size == 0
 
 
 @pytest.mark.parametrize("hexagonal", [False, True])

@@ -17,12 +17,12 @@ from shapely.geometry import box
 from metafab import drc, layout, mask
 from metafab.core.errors import InputError
 from metafab.layout import Aperture, Assignment, Lattice, field_sites, lattice_of, smallest_gap, tile_sites
-from metafab.layout.gaps import smallest_gap_vectorised
 from metafab.library import Library
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design, load_design
 from metafab.spec.cell import CellGeometry
 from tests.conftest import ROOT
+from tests.gaps_by_numpy import gaps_by_numpy
 from tests.layout.conftest import sizes_at_sites
 
 SIZES = np.array([[0, 0], [20, 20], [50, 20], [20, 50], [50, 50], [80, 60]], dtype=np.int32)
@@ -142,7 +142,7 @@ def test_all_pairs_are_judged_as_by_plain_geometry(seed: int, limit: float, rows
     distances = [a.distance(b) for i, a in enumerate(pillars) for b in pillars[:i]]
     assert found.below == sum(d < limit for d in distances)
     assert found.overlapping == sum(d == 0.0 for d in distances)
-    plain = smallest_gap_vectorised(block, SIZES, lattice, limit, rows)
+    plain = gaps_by_numpy(block, SIZES, lattice, limit, rows)
     compiled = smallest_gap(block, SIZES, lattice, limit, rows)
     assert compiled.smallest_dbu == plain.smallest_dbu
     assert np.array_equal(compiled.too_small, plain.too_small)
@@ -153,10 +153,10 @@ def test_mapping_fills_the_aperture_and_keeps_the_gap(mapped: Assignment, design
     aperture = Aperture.of(design)
     assert np.array_equal(mapped.pillars.to_array() > 0, aperture.inside(0, 0, aperture.lattice.shape))
     # A circle of 40 um less half a ring of cells along the rim: within 2 %.
-    area_um2 = aperture.lattice.cell_um2 * mapped.figures["pillars"]
+    area_um2 = aperture.lattice.cell_um2 * mapped.figures.pillars
     assert area_um2 == pytest.approx(math.pi * 19.8**2, rel=0.02)
-    assert mapped.figures["min_gap_nm"] >= 100.0
-    assert _smallest_distance_nm(mapped) == pytest.approx(mapped.figures["min_gap_nm"], abs=1e-6)
+    assert mapped.figures.min_gap_nm >= 100.0
+    assert _smallest_distance_nm(mapped) == pytest.approx(mapped.figures.min_gap_nm, abs=1e-6)
 
 
 def _smallest_distance_nm(mapped: Assignment) -> float:
@@ -179,15 +179,16 @@ def test_tiling_changes_nothing(
     tiled = replace(design, numerics=replace(design.numerics, tile_sites=tile_sites))
     other = layout.assign(profile, library, tiled)
     assert np.array_equal(other.pillars.to_array(), mapped.pillars.to_array())
-    assert other.figures["min_gap_nm"] == mapped.figures["min_gap_nm"]
+    assert other.figures.min_gap_nm == mapped.figures.min_gap_nm
 
 
 def test_pairs_chosen_jointly_keep_the_gap_and_gain(profile: PhaseProfile, library: Library, design: Design) -> None:
     rules = replace(design.rules, min_gap_nm=130.0, gap_rule="pairs")
     joint = layout.assign(profile, library, replace(design, rules=rules))
-    assert joint.figures["min_gap_nm"] >= 130.0
+    assert joint.gap_rule_each is not None
+    assert joint.figures.min_gap_nm >= 130.0
     assert _smallest_distance_nm(joint) >= 130.0 - 1e-6
-    assert joint.figures["efficiency"] > joint.figures["gap_rule_each"]["efficiency"]
+    assert joint.figures.efficiency > joint.gap_rule_each.efficiency
     assert joint.pillars.size_dbu[joint.pillars.to_array()].max(axis=(0, 1)).max() > 2 * (303.0 - 130.0)
     tiled = replace(design, rules=rules, numerics=replace(design.numerics, tile_sites=17))
     assert np.array_equal(layout.assign(profile, library, tiled).pillars.to_array(), joint.pillars.to_array())
@@ -203,15 +204,15 @@ def test_the_written_file_reads_back_and_is_clean(
     for engine in ("lattice", "rectangles"):
         report = drc.check(files[suffix], design, engine=engine)
         assert report.clean
-        assert report.pillars == mapped.figures["pillars"]
-        assert report.min_gap_nm == mapped.figures["min_gap_nm"]
+        assert report.pillars == mapped.figures.pillars
+        assert report.min_gap_nm == mapped.figures.min_gap_nm
 
 
 def test_klayout_sees_the_same(mapped: Assignment, design: Design, files: dict[str, Path]) -> None:
     pytest.importorskip("klayout.db")
     report = drc.check(files["oas"], design, engine="polygons", workers=1)
     assert report.clean
-    assert report.pillars == mapped.figures["pillars"]
+    assert report.pillars == mapped.figures.pillars
 
 
 def test_planted_faults_are_found(mapped: Assignment, design: Design, tmp_path: Path) -> None:

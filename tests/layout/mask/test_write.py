@@ -105,7 +105,7 @@ def test_dose_classes_divide_the_pillars_and_are_read_as_one_mask(
     path = tmp_path / f"layout.{suffix}"
     layers = _layers(path)
     assert set(layers) == {"1/7", "1/8", "1/9"}
-    assert sum(region.count() for region in layers.values()) == tiny.figures["pillars"]
+    assert sum(region.count() for region in layers.values()) == tiny.figures.pillars
     if by == "size":
         # Thirds of the range of areas in the table: an independent count, from the sizes alone.
         area = np.prod(tiny.pillars.size_dbu.astype(float), axis=1)
@@ -117,7 +117,7 @@ def test_dose_classes_divide_the_pillars_and_are_read_as_one_mask(
     for engine in ("lattice", "polygons"):
         report = drc.check(path, design, engine=engine, workers=1)
         assert report.clean
-        assert report.pillars == tiny.figures["pillars"]
+        assert report.pillars == tiny.figures.pillars
 
 
 def test_density_classes_do_not_depend_on_tiles(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
@@ -239,7 +239,7 @@ def test_write_time_is_dose_times_area_over_current(tiny: Assignment, tiny_desig
     for tone in ("negative", "positive"):
         mask.write(tiny.pillars, tmp_path, _with(tiny_design, exposure=exposure, tone=tone))
         totals[tone] = json.loads((tmp_path / "layout.json").read_text())
-    told, pillars = totals["negative"]["exposure"], tiny.figures["pillars"]
+    told, pillars = totals["negative"]["exposure"], tiny.figures.pillars
     # 1 uC/cm2 over 1 um2 is 1e-8 uC; 2 nA is 2e-3 uC/s.
     assert told["beam_seconds"] == pytest.approx(800.0 * totals["negative"]["area_um2"] * 1e-8 / 2e-3, rel=1e-12)
     assert told["settling_seconds"] == pytest.approx(pillars * 0.5e-6 + 0.040, rel=1e-12)
@@ -261,7 +261,7 @@ def test_the_write_time_of_an_inverted_mask_is_that_of_its_field(
     drawn.read(str(tmp_path / "layout.gds"))
     field = kdb.Region(drawn.top_cell().begin_shapes_rec(drawn.layer(2, 0)))
     field.merged_semantics = False
-    assert told["shapes"] == field.count() > 2 * 4 * tiny.figures["pillars"]
+    assert told["shapes"] == field.count() > 2 * 4 * tiny.figures.pillars
     assert told["area_um2"] == pytest.approx(field.area() * 0.25e-6, rel=1e-9)
     assert told["settling_seconds"] == pytest.approx(field.count() * 0.5e-6 + 2 * 0.040, rel=1e-12)
 

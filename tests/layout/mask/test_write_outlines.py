@@ -67,7 +67,7 @@ def _same(read_back: mask.ReadBack, mapped: Assignment) -> bool:
 @pytest.mark.parametrize("suffix", ["gds", "oas"])
 def test_sizes_are_read_back(suffix: str, shaped: tuple[Design, Assignment], files: dict[str, Path]) -> None:
     design, mapped = shaped
-    assert mapped.figures["distinct_sizes"] > 10
+    assert mapped.figures.distinct_sizes > 10
     assert _same(mask.read(files[suffix], design), mapped)
 
 
@@ -109,12 +109,12 @@ def test_the_rules_are_kept_and_faults_are_found(
     for suffix, path in files.items():
         report = drc.check(path, design)
         assert report.clean, (suffix, report.violations)
-        assert report.min_gap_nm == mapped.figures["min_gap_nm"] >= design.rules.min_gap_nm
+        assert report.min_gap_nm == mapped.figures.min_gap_nm >= design.rules.min_gap_nm
     assert drc.check(files["oas"], design, engine="polygons", workers=1).clean
     with pytest.raises(InputError, match="pillars of another shape"):
         drc.check(files["oas"], design, engine="rectangles")
     # KLayout lists each pair of sides that are too near, of which two round pillars have several.
-    near = replace(design, rules=replace(design.rules, min_gap_nm=mapped.figures["min_gap_nm"] + 6.0))
+    near = replace(design, rules=replace(design.rules, min_gap_nm=mapped.figures.min_gap_nm + 6.0))
     found = drc.check(files["oas"], near).violations["min_gap"]
     assert drc.check(files["oas"], near, engine="polygons", workers=1).violations["min_gap"] >= found > 0
 

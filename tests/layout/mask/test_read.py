@@ -94,8 +94,8 @@ def test_sidecar_states_count_area_and_density(tiny: Assignment, tiny_files: dic
     sidecar = json.loads(tiny_files["json"].read_text())
     size = sizes_at_sites(tiny.pillars).astype(np.int64)
     area_um2 = int(np.sum(size[..., 0] * size[..., 1])) * 0.25e-6
-    assert sidecar["pillars"] == tiny.figures["pillars"]
-    assert sidecar["distinct_sizes"] == tiny.figures["distinct_sizes"]
+    assert sidecar["pillars"] == tiny.figures.pillars
+    assert sidecar["distinct_sizes"] == tiny.figures.distinct_sizes
     assert sidecar["area_um2"] == pytest.approx(area_um2, rel=1e-12)
     assert sidecar["density"] == pytest.approx(area_um2 / (sidecar["pillars"] * 0.35**2), rel=1e-12)
 

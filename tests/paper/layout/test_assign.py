@@ -12,8 +12,7 @@ import pytest
 from metafab import drc, layout, mask, phase
 from metafab.library import Library
 from metafab.spec import Design, load_design
-
-ROOT = Path(__file__).parent.parent.parent
+from tests.conftest import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -55,5 +54,5 @@ def test_both_phases_are_reached_independently(paper_design: Design, smooth_libr
     """
     inner = replace(paper_design, device=replace(paper_design.device, aperture_um=60.0))
     figures = layout.assign(phase.profile_of(inner), smooth_library, inner).figures
-    assert figures["phase_rms_error_rad"] < 0.1 * math.pi / np.sqrt(3.0)
-    assert figures["field_overlap"] > 0.97
+    assert figures.phase_rms_error_rad < 0.1 * math.pi / np.sqrt(3.0)
+    assert figures.field_overlap > 0.97

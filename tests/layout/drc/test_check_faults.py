@@ -232,8 +232,8 @@ def test_the_mask_itself_is_clean(
         report = drc.check(tiny_files[suffix], tiny_design, engine=engine, workers=2)
         assert report.clean
         assert report.violations.keys() <= drc.RULES.keys()
-        assert report.pillars == tiny.figures["pillars"]
-    assert drc.check(tiny_files[suffix], tiny_design).min_gap_nm == tiny.figures["min_gap_nm"]
+        assert report.pillars == tiny.figures.pillars
+    assert drc.check(tiny_files[suffix], tiny_design).min_gap_nm == tiny.figures.min_gap_nm
 
 
 def test_edges_off_the_grid_are_found(plant: Plant, tiny_design: Design, tmp_path: Path) -> None:

@@ -1,0 +1,74 @@
+"""The gap rule: the sizes that the rules of a design allow. It is applied here and nowhere else in the mapping.
+
+``rules.min_gap_nm`` is the smallest gap between drawn pillars; with ``mask.bias_nm`` it becomes
+``Design.min_spacing_nm``, the smallest gap between standing ones. ``rules.gap_rule`` says who keeps it:
+
+- "each": every pillar alone. :func:`allowed_sizes` limits width and length to the period less the gap, so that any
+  two pillars may be neighbours.
+- "pairs": each pair of neighbours. :func:`joint_sizes` admits larger pillars, and :mod:`metafab.layout.joint` chooses
+  sizes that keep the gap.
+
+Gaps are measured by :mod:`metafab.layout.gaps`, and :mod:`metafab.drc` checks the rule on the written file.
+"""
+
+from __future__ import annotations
+
+from metafab.layout.joint import JointSizes
+from metafab.layout.outlines import Outline
+from metafab.layout.pillars import Lattice
+from metafab.library import Library, SizeTable, build_size_table
+from metafab.spec import Design
+
+
+def allowed_sizes(library: Library, design: Design) -> SizeTable:
+    """Return the look-up table of the sizes that are allowed at every site, whatever the neighbours.
+
+    Raises:
+        InputError: the library has no such size.
+    """
+    p_x, p_y = design.unit_cell.cell.period_nm
+    return build_size_table(
+        library,
+        database_unit_nm=design.mask.database_unit_nm,
+        max_width_nm=p_x - design.min_spacing_nm,
+        max_length_nm=p_y - design.min_spacing_nm,
+        min_feature_nm=design.min_side_nm,
+        cd_sigma_nm=design.rules.cd_sigma_nm,
+        isotropic=design.rules.polarisation_independent,
+    )
+
+
+def joint_sizes(library: Library, design: Design, each: SizeTable, lattice: Lattice) -> JointSizes | None:
+    """Return the joint choice for ``gap_rule = "pairs"``.
+
+    Args:
+        library: response of every size.
+        design: rules, period and grid.
+        each: sizes that are allowed at every site, as :func:`allowed_sizes` returns them.
+        lattice: lattice of the sites.
+
+    Returns:
+        The joint choice; None if the rule is "each" or the library has no larger size.
+    """
+    if design.rules.gap_rule != "pairs":
+        return None
+    p_x, p_y = design.unit_cell.cell.period_nm
+
+    def largest_nm(period_nm: float) -> float:
+        """Largest side that leaves the gap next to the smallest pillar and does not exceed the cell."""
+        return min(period_nm, 2.0 * (period_nm - design.min_spacing_nm) - design.min_side_nm)
+
+    wide = build_size_table(
+        library,
+        database_unit_nm=design.mask.database_unit_nm,
+        max_width_nm=largest_nm(p_x),
+        max_length_nm=largest_nm(p_y),
+        min_feature_nm=design.min_side_nm,
+        cells=2,
+        cd_sigma_nm=design.rules.cd_sigma_nm,
+        isotropic=design.rules.polarisation_independent,
+    )
+    if len(wide.size_dbu) == len(each.size_dbu):
+        return None
+    gap_dbu = design.min_spacing_nm / design.mask.database_unit_nm
+    return JointSizes.of(wide, each, lattice, gap_dbu, Outline.of(design))
