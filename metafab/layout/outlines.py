@@ -85,6 +85,15 @@ class Outline:
         """Corners relative to the centre, counter-clockwise, shape (n, 2); width and length are even numbers."""
         return _vertices(self, width_dbu, length_dbu)
 
+    def polygons(self, size_dbu: NDArray[np.int64]) -> tuple[IntArray, ...]:
+        """Vertices of each size index about its centre, shape (n, 2) each; a single point for index 0, no pillar.
+
+        Args:
+            size_dbu: shape (n_sizes + 1, 2), even numbers.
+        """
+        nothing = np.zeros((1, 2), dtype=np.int64)
+        return nothing, *(self.vertices(width, length) for width, length in size_dbu[1:].tolist())
+
     def area(self, size_dbu: NDArray[np.int32]) -> FloatArray:
         """Area of each size's polygon.
 

@@ -146,6 +146,7 @@ class PillarMap:
         tiles: opens the stream; tiles cover the lattice once, row by row of tiles; empty tiles may be left out.
         tile_sites: sites per side of a tile (tiles at the edges are smaller).
         whole: shape ``lattice.shape``, the indices of all tiles; None if they are not held in memory.
+        angle_deg: shape (n_sizes + 1,), counter-clockwise turn of each size about its site; None for upright pillars.
     """
 
     lattice: Lattice
@@ -153,10 +154,16 @@ class PillarMap:
     tiles: Callable[[], Iterator[PillarTile]]
     tile_sites: int
     whole: SizeIndexArray | None = None
+    angle_deg: FloatArray | None = None
 
     @classmethod
     def from_array(
-        cls, lattice: Lattice, size_dbu: NDArray[np.int32], size_index: SizeIndexArray, tile_sites: int
+        cls,
+        lattice: Lattice,
+        size_dbu: NDArray[np.int32],
+        size_index: SizeIndexArray,
+        tile_sites: int,
+        angle_deg: FloatArray | None = None,
     ) -> PillarMap:
         """Make a map from an array in memory, or on disk (memory-mapped).
 
@@ -165,6 +172,7 @@ class PillarMap:
             size_dbu: shape (n_sizes + 1, 2), as the attribute.
             size_index: shape ``lattice.shape``.
             tile_sites: sites per side of a tile.
+            angle_deg: shape (n_sizes + 1,), as the attribute.
 
         Raises:
             ValueError: ``size_index`` has another shape.
@@ -178,7 +186,7 @@ class PillarMap:
                 if block.any():
                     yield PillarTile(row, column, block)
 
-        return cls(lattice, size_dbu, tiles, tile_sites, size_index)
+        return cls(lattice, size_dbu, tiles, tile_sites, size_index, angle_deg)
 
     def to_array(self) -> SizeIndexArray:
         """All tiles as one array of shape ``lattice.shape`` (2 bytes per site); read-only by agreement."""

@@ -83,7 +83,9 @@ class ReadBack:
     database_unit_nm: float
 
 
-def read(path: Path, design: Design, progress: Progress = silent, copy: int = 1) -> ReadBack:
+def read(
+    path: Path, design: Design, progress: Progress = silent, copy: int = 1, known: KnownShapes | None = None
+) -> ReadBack:
     """Read the pillars of ``design`` from a GDSII or OASIS file, told apart by its first bytes.
 
     The file may be metafab's own or have been through other software: flat or hierarchical, with arrays and
@@ -94,6 +96,7 @@ def read(path: Path, design: Design, progress: Progress = silent, copy: int = 1)
         design: whose lattice, layer and unit the pillars are read for.
         progress: told about bytes indexed and shapes read.
         copy: which lens of ``mask.copies``, counted from 1; rectangles of the others are counted, not placed.
+        known: recognises pillars among shapes; by default those of the design's cross-section, upright.
 
     Raises:
         InputError: the file is missing, empty, truncated, damaged or of another kind, or holds far more shapes
@@ -101,7 +104,7 @@ def read(path: Path, design: Design, progress: Progress = silent, copy: int = 1)
     """
     kind = format_of(path)
     layer = (design.mask.layer, *design.mask.datatypes)
-    known = KnownShapes(Outline.of(design))
+    known = known or KnownShapes(Outline.of(design))
     if kind == "gds":
         return _recover(path, kind, GdsiiReader(path, layer, progress, known=known), design, progress, copy)
     try:

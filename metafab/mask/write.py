@@ -18,8 +18,9 @@ from metafab.core.errors import InputError
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import fingerprint, whole_file, write_json
-from metafab.layout import Lattice, Outline, PillarMap, PillarTile, field_sites, lattice_of
+from metafab.layout import Lattice, PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.geometry import whole_dbu
+from metafab.layout.turned import outline_of
 from metafab.mask.drawing.cell_writer import Drawing, EncodedTile, MaskWriter, TileEncoder
 from metafab.mask.drawing.cells import count_sizes, top_name
 from metafab.mask.drawing.copies import lens_copies
@@ -74,6 +75,38 @@ def write(
     Raises:
         InputError: edges would lie off the grid, or a format cannot hold the layout.
     """
+    files = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
+    sidecar = write_drawings(pillars, files, design, progress, executor)
+    _write_text(directory / "layout.lyp", layer_properties(design, surroundings(design)))
+    for other in WRITERS.keys() - files.keys():
+        (directory / f"layout.{other}").unlink(missing_ok=True)
+    write_json(directory / "layout.json", sidecar if mapping is None else {**sidecar, "mapping": dict(mapping)})
+    paths = [*files.values(), directory / "layout.lyp", directory / "layout.json"]
+    return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
+
+
+def write_drawings(
+    pillars: PillarMap,
+    files: Mapping[str, Path],
+    design: Design,
+    progress: Progress = silent,
+    executor: Executor | None = None,
+) -> dict[str, Any]:
+    """Write upright or turned pillars to mask files, without their sidecars.
+
+    Args:
+        pillars: drawn sizes must be even in database units.
+        files: path by format, "gds" or "oas".
+        design: layer, unit, write field, name.
+        progress: called while tiles are written.
+        executor: encodes tiles; threads of this process unless given.
+
+    Returns:
+        The contents of ``layout.json``: provenance, counts and areas.
+
+    Raises:
+        InputError: edges would lie off the grid, or a format cannot hold the layout.
+    """
     _check_grid(pillars, design)
     drawn = biased(pillars, design.mask.bias_nm)
     for copy in design.mask.copies:
@@ -81,7 +114,6 @@ def write(
     beside = surroundings(design)
     stamps = Stamps(drawn, design)
     figures = _Figures(drawn, design)
-    files = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     with ExitStack() as stack:
         writers: list[MaskWriter] = []
         for suffix, path in files.items():
@@ -102,14 +134,8 @@ def write(
         for writer in writers:
             writer.close(drawn_beside)
         progress("mask", sites, sites)
-    _write_text(directory / "layout.lyp", layer_properties(design, beside))
     written = {suffix: path.stat().st_size for suffix, path in files.items()}
-    for other in WRITERS.keys() - files.keys():
-        (directory / f"layout.{other}").unlink(missing_ok=True)
-    sidecar = {**_provenance(design, beside), **figures.summary(stamps, seen), "bytes": written}
-    write_json(directory / "layout.json", sidecar if mapping is None else {**sidecar, "mapping": dict(mapping)})
-    paths = [*files.values(), directory / "layout.lyp", directory / "layout.json"]
-    return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
+    return {**_provenance(design, beside), **figures.summary(stamps, seen), "bytes": written}
 
 
 @dataclass(frozen=True)
@@ -140,7 +166,7 @@ class _Figures:
         rows, columns = pillars.lattice.shape
         self._shapes_in = np.zeros((-(-rows // along), -(-columns // across)), dtype=np.int64)
         self._twice_area_in_dbu = np.zeros_like(self._shapes_in)
-        self._outline = Outline.of(design)
+        self._outline = outline_of(pillars, design)
         # Twice the area: whole numbers, whatever the outline.
         self._twice_area_dbu = self._twice_area(0)
         self._used = np.zeros(len(pillars.size_dbu), dtype=np.int64)

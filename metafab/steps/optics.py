@@ -48,10 +48,11 @@ def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
     return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
 
 
-def mask_source(job: Job, path: Path, copy: int = 1) -> WrittenField:
+def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) -> WrittenField:
     """What light the pillars of a written file let through; of several lenses, those of one, counted from 1.
 
-    Steps that follow each other share the pillars as long as file and design are the same.
+    Steps that follow each other share the pillars as long as file and design are the same. ``angles`` is the number of
+    angles in half a turn that turned pillars may have; None for upright pillars.
 
     Raises:
         InputError: the file cannot be read, or holds shapes that are no pillars of the lattice: nothing is dropped.
@@ -59,18 +60,22 @@ def mask_source(job: Job, path: Path, copy: int = 1) -> WrittenField:
     from metafab import optics
 
     if path.is_file():
-        key = (file_mark(path), fingerprint(job.design), copy)
-        standing = _READ.of(key, lambda: _standing_pillars(job, path, copy))
+        key = (file_mark(path), fingerprint(job.design), copy, angles)
+        standing = _READ.of(key, lambda: _standing_pillars(job, path, copy, angles))
     else:
-        standing = _standing_pillars(job, path, copy)
+        standing = _standing_pillars(job, path, copy, angles)
     return optics.written_field(standing, open_library(job))
 
 
-def _standing_pillars(job: Job, path: Path, copy: int) -> PillarMap:
+def _standing_pillars(job: Job, path: Path, copy: int, angles: int | None) -> PillarMap:
     """The pillars of a file, without the bias that they are drawn with."""
     from metafab import mask
+    from metafab.mask.turned import read_turned
 
-    back = mask.read(path, job.design, progress=job.progress, copy=copy)
+    if angles is None:
+        back = mask.read(path, job.design, progress=job.progress, copy=copy)
+    else:
+        back = read_turned(path, job.design, angles, progress=job.progress, copy=copy)
     unplaced = {
         "off the lattice": back.off_site.count,
         "off the grid": back.off_grid.count,

@@ -1,4 +1,4 @@
-"""The full-Stokes sibling of a camera design: mask file, PSFs of the file read back, a frame, and what it tells."""
+"""Full-Stokes sibling of a camera design: mask, PSFs of the file read back, and a decoded frame of six images."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ import numpy as np
 
 from metafab.core.errors import InputError
 from metafab.core.storage.files import write_json
+from metafab.spec.turned import require_turnable
 from metafab.steps.job import Job
 from metafab.steps.library import open_library
-from metafab.steps.optics import calibration_depths
+from metafab.steps.optics import calibration_depths, lit_source, mask_source
+from metafab.steps.preflight import preflight
 
 if TYPE_CHECKING:
-    from metafab.stokes import StokesFrame, StokesImage
+    from metafab.camera.stokes import StokesFrame
+    from metafab.decode.stokes import StokesImage
 
 
 def full_stokes(
@@ -21,57 +24,62 @@ def full_stokes(
 ) -> tuple[dict[str, Any], StokesFrame, StokesImage]:
     """Write ``stokes.oas`` (or .gds) and ``stokes.json``, and photograph and decode the design's scene.
 
+    Args:
+        job: a design with a mask and a scene.
+        row_angle_deg: angle between rows of images, seen from the lens.
+        angles: angles of pillars in half a turn.
+        size_step_nm: step of widths and lengths.
+
+    Returns:
+        The contents of ``stokes.json``, the frame and the decoded image.
+
     Raises:
-        InputError: the design has no scene, or its gap leaves no room for turned pillars.
+        InputError: the design has no mask or scene, keys that turned pillars do not support, or no room for them.
     """
-    from metafab import stokes
-    from metafab.layout import lattice_of
-    from metafab.optics import Apodisation, Imaging
-    from metafab.stokes import mask
+    from metafab import optics
+    from metafab.camera.stokes import photograph
+    from metafab.core.polarisation import STATES
+    from metafab.decode.stokes import decode_stokes, stokes_errors
+    from metafab.layout.turned import assign_turned
+    from metafab.mask.write import write_drawings
+    from metafab.optics.polarisation_states import stokes_psf
+    from metafab.phase.terms.jones_target import JonesTarget
 
     design = job.design
     if not design.has_mask:
         raise InputError.single(design.name, "mask.formats", "'gds', 'oas' or both", "none", "name one")
     if design.scene is None:
         raise InputError.single(design.name, "scene", "a scene to photograph", "none", "add a `[scene]` table")
-    if Apodisation.of(design) is not None:
-        raise InputError.single(
-            design.name, "optics", "no stop or amplitude", "one", "full-Stokes PSFs do not know of them: leave them out"
-        )
-    if design.scene.exposure_s > 0.0 and any(piece.moves for piece in design.scene.objects):
-        raise InputError.single(
-            design.name, "scene.exposure_s", "0 s where objects move", f"{design.scene.exposure_s:g} s",
-            "full-Stokes frames know no motion",
-        )  # fmt: skip
-    imaging, library = Imaging.of(design), open_library(job)
-    profile = stokes.stokes_profile(design, row_angle_deg)
-    pillars = stokes.assign(profile, library, design, angles=angles, size_step_nm=size_step_nm, progress=job.progress)
-    job.folder.mkdir(parents=True, exist_ok=True)
-    files = [mask.write(pillars, job.folder / f"stokes.{suffix}", design) for suffix in design.mask.formats]
-    written = mask.read(files[-1], library, design, angles=angles)
-    depths_m = calibration_depths(design, imaging)
-    window_px = design.verify.window_px
-    ideal = stokes.stokes_psf(
-        stokes.UnitaryField(profile, lattice_of(design), design.device), profile, imaging, depths_m[:1],
-        window_px=window_px,
-    )  # fmt: skip
-    psf = stokes.stokes_psf(written, profile, imaging, depths_m, window_px=window_px, progress=job.progress)
-    frame = stokes.photograph(design.scene, psf)
-    image = stokes.decode_stokes(frame, psf)
-    own = np.einsum("kj,kj->k", psf.instrument, stokes.stokes_of(stokes.JONES))
-    wrong = np.einsum("kj,kj->k", psf.instrument, stokes.stokes_of(stokes.JONES[[1, 0, 3, 2, 5, 4]]))
+    require_turnable(design)
+    preflight(design)
+    imaging, library, target = optics.Imaging.of(design), open_library(job), JonesTarget.of(design, row_angle_deg)
+    assignment = assign_turned(
+        target, library, design, angles=angles, size_step_nm=size_step_nm, progress=job.progress
+    )
+    files = {suffix: job.folder / f"stokes.{suffix}" for suffix in design.mask.formats}
+    mask_figures = write_drawings(assignment.pillars, files, design, job.progress)
+    written = mask_source(job, files[design.mask.formats[-1]], angles=angles)
+    perfect = optics.ideal_field(target, written.lattice, design.device)
+    depths_m, window_px = calibration_depths(design, imaging), design.verify.window_px
+    ideal, psf = (
+        stokes_psf(lit_source(job, source), target, imaging, at_m, window_px=window_px, progress=job.progress)
+        for source, at_m in ((perfect, depths_m[:1]), (written, depths_m))
+    )
+    frame = photograph(design.scene, psf)
+    image = decode_stokes(frame, psf)
     figures = {
-        "pillars": int((written.index > 0).sum()),
-        "distinct": len(written.kinds),
+        "pillars": mask_figures["pillars"],
+        "distinct": mask_figures["distinct_sizes"],
         "angles": angles,
-        "overlap": pillars.overlap,
-        "states": stokes.STATES,
-        "efficiency": own,
-        "extinction_ratio": own / wrong,
-        "ideal_efficiency": np.einsum("kj,kj->k", ideal.instrument, stokes.stokes_of(stokes.JONES)),
+        "overlap": assignment.overlap,
+        "states": STATES,
+        "efficiency": psf.efficiency,
+        "extinction_ratio": psf.extinction_ratio,
+        "ideal_efficiency": ideal.efficiency,
         "condition_number": float(np.linalg.cond(psf.instrument)),
-        **stokes.stokes_errors(image, frame),
-        "files": [{"name": path.name, "bytes": path.stat().st_size} for path in files],
+        **stokes_errors(image, frame),
+        "files": [{"name": path.name, "bytes": path.stat().st_size} for path in files.values()],
+        "mask": mask_figures,
     }
     write_json(job.folder / "stokes.json", figures)
     return figures, frame, image

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from metafab.core.numeric.compiled import HAS_NUMBA, compiled
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import Lattice, PillarTile
+from metafab.layout.turned import TurnedRectangles
 
 _LONGEST_NAME = 32  # what every GDSII reader takes
 
@@ -49,6 +50,7 @@ class Stamp:
         bias_dbu: of the copy of the lens that it belongs to.
         tag: tells the cells of several stamps of one tile apart.
         polygons: the corners of each size from its first, shape (n, 2) each; None for rectangles.
+        turned: whether several polygons share one width and length, at different angles.
     """
 
     size_dbu: NDArray[np.int64]
@@ -58,6 +60,7 @@ class Stamp:
     bias_dbu: int = 0
     tag: str = ""
     polygons: tuple[NDArray[np.int64], ...] | None = None
+    turned: bool = False
 
 
 def pillar_stamp(
@@ -75,10 +78,14 @@ def pillar_stamp(
     )
     if outline.is_rectangle:
         return stamp
-    nothing = np.zeros((1, 2), dtype=np.int64)
-    polygons = [nothing, *(outline.vertices(width, length) for width, length in drawn[1:].tolist())]
+    polygons = outline.polygons(drawn)
     first = np.array([polygon[0] for polygon in polygons])
-    return replace(stamp, corner_dbu=first, polygons=tuple(polygon - polygon[0] for polygon in polygons))
+    return replace(
+        stamp,
+        corner_dbu=first,
+        polygons=tuple(polygon - polygon[0] for polygon in polygons),
+        turned=isinstance(outline, TurnedRectangles),
+    )
 
 
 def count_sizes(size_index: NDArray[np.uint16], sizes: int) -> NDArray[np.int64]:

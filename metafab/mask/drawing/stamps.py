@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.errors import InputError
-from metafab.layout import Outline, PillarMap, PillarTile
+from metafab.layout import PillarMap, PillarTile
+from metafab.layout.turned import outline_of
 from metafab.mask.drawing.cells import Stamp, pillar_stamp
 from metafab.mask.drawing.copies import biases_dbu, lens_copies
 from metafab.mask.drawing.dose import DoseClasses
@@ -33,7 +34,7 @@ class Stamps:
         self._mask = design.mask
         self._copies = lens_copies(design)
         self._biases = biases_dbu(self._copies)
-        self._outline = Outline.of(design)
+        self._outline = outline_of(drawn, design)
         self._classes = DoseClasses(drawn, design.mask.dose, self._outline)
         self._pillars: dict[tuple[int, int], Stamp] = {}
         inverted = design.mask.tone == "inverted"

@@ -153,8 +153,13 @@ def _structure(name: str) -> bytes:
 
 
 def _size_name(stamp: Stamp, size: int) -> str:
-    """The cell of a polygon, by drawn width and length in database units, layer and datatype apart: 16 characters."""
+    """The cell of a polygon, by drawn width and length in database units, layer and datatype apart: 16 characters.
+
+    Turned pillars of one size differ in angle: the size index and the drawn width, which differs by bias, name them.
+    """
     width, length = stamp.size_dbu[size].tolist()
+    if stamp.turned:
+        return f"T{size:05d}W{width:06d}D{stamp.datatype % 100:02d}"
     return f"W{width:06d}L{length:05d}D{stamp.datatype % 100:02d}"
 
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.layout.pillars import Lattice, PillarMap, SizeIndexArray
 from metafab.library.library import Library
-from metafab.materials import refractive_index
-from metafab.phase.terms.profile import PhaseProfile
+from metafab.library.use.amplitudes import power_amplitudes, turned_jones
 from metafab.spec import Device
 from metafab.spec.outline import encloses
 
@@ -32,8 +31,9 @@ class FieldTile:
         row: lattice row of the first row.
         column: lattice column of the first column.
         size_index: shape (n_y, n_x), rows of ``table``; None for a tile that carries its amplitudes.
-        table: shape (n, 2), power-normalised amplitude of x and y polarisation of each index.
-        amplitudes: shape (2, n_y, n_x) where ``size_index`` is None.
+        table: shape (n, n_polarisations), power-normalised amplitude of each index for x and y polarisation or, of
+            turned pillars, the Jones matrix' entries xx, xy = yx and yy.
+        amplitudes: shape (n_polarisations, n_y, n_x) where ``size_index`` is None.
     """
 
     row: int
@@ -41,6 +41,14 @@ class FieldTile:
     size_index: SizeIndexArray | None = None
     table: ComplexArray | None = None
     amplitudes: ComplexArray | None = None
+
+    @property
+    def polarisations(self) -> int:
+        """Number of amplitudes at each site: 2, or 3 entries of Jones matrices."""
+        if self.table is not None:
+            return self.table.shape[1]
+        assert self.amplitudes is not None
+        return len(self.amplitudes)
 
     def amplitude(self, polarisation: int) -> ComplexArray:
         """Amplitude of one polarisation at each site, shape (n_y, n_x)."""
@@ -75,7 +83,8 @@ class WrittenField:
 
     Attributes:
         pillars: the sites' size indices.
-        table: shape (n_sizes + 1, 2), t sqrt(n_out / n_in) of each size for x and y; row 0 (no pillar) is dark.
+        table: shape (n_sizes + 1, n_polarisations), t sqrt(n_out / n_in) of each size, as :class:`FieldTile` holds it;
+            row 0 (no pillar) is dark.
     """
 
     pillars: PillarMap
@@ -92,6 +101,13 @@ class WrittenField:
             yield FieldTile(tile.row, tile.column, tile.size_index, self.table)
 
 
+class Target(Protocol):
+    """Target phases or Jones matrices."""
+
+    def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
+        """Amplitudes on the grid of ``x_um`` (n_x,) and ``y_um`` (n_y,), shape (n_polarisations, n_y, n_x)."""
+
+
 @dataclass(frozen=True)
 class IdealField:
     """The target phases at full transmission inside the aperture.
@@ -102,7 +118,7 @@ class IdealField:
         device: the aperture's outline and size.
     """
 
-    profile: PhaseProfile
+    profile: Target
     lattice: Lattice
     device: Device
 
@@ -116,8 +132,7 @@ class IdealField:
                 if self.lattice.hexagonal:
                     inside &= self.lattice.carries(row + np.arange(tile_y.size), column + np.arange(tile_x.size))
                 if inside.any():
-                    phase_rad = self.profile(tile_x, tile_y)
-                    yield FieldTile(row, column, amplitudes=np.exp(1j * phase_rad) * inside)
+                    yield FieldTile(row, column, amplitudes=self.profile.transmission(tile_x, tile_y) * inside)
 
 
 @dataclass(frozen=True)
@@ -146,8 +161,8 @@ class ApodisedField:
             if (let_through == 1.0).all():
                 yield tile
             elif let_through.any():
-                pair = np.array([tile.amplitude(p) * let_through for p in (0, 1)])
-                yield FieldTile(tile.row, tile.column, amplitudes=pair)
+                amplitudes = [tile.amplitude(p) * let_through for p in range(tile.polarisations)]
+                yield FieldTile(tile.row, tile.column, amplitudes=np.array(amplitudes))
 
 
 def written_field(pillars: PillarMap, library: Library) -> WrittenField:
@@ -156,20 +171,14 @@ def written_field(pillars: PillarMap, library: Library) -> WrittenField:
     Raises:
         InputError: the mask holds a size that the library does not.
     """
-    cell = library.unit_cell
-    wavelength_nm = cell.illumination.wavelength_nm
-    substrate = refractive_index(cell.materials.substrate, wavelength_nm)
-    ambient = refractive_index(cell.materials.ambient, wavelength_nm)
-    n_in, n_out = (substrate, ambient) if cell.illumination.side == "substrate" else (ambient, substrate)
-    table = np.zeros((pillars.size_dbu.shape[0], 2), dtype=np.complex128)
-    if table.shape[0] > 1:
-        width_nm, length_nm = pillars.size_nm()[1:].T
-        response = library.at_sizes(width_nm, length_nm)
-        for column, t in enumerate((response.t_xx, response.t_yy)):
-            table[1:, column] = t * np.sqrt(n_out[column].real / n_in[column].real)
+    width_nm, length_nm = pillars.size_nm()[1:].T
+    table = power_amplitudes(library, width_nm, length_nm) if width_nm.size else np.empty((0, 2), dtype=np.complex128)
+    if pillars.angle_deg is not None:
+        table = turned_jones(table, pillars.angle_deg[1:])
+    table = np.concatenate([np.zeros((1, table.shape[1]), dtype=np.complex128), table])
     return WrittenField(pillars, table)
 
 
-def ideal_field(profile: PhaseProfile, lattice: Lattice, device: Device) -> IdealField:
+def ideal_field(profile: Target, lattice: Lattice, device: Device) -> IdealField:
     """The field of the target phases themselves: what a perfect library and mask would give."""
     return IdealField(profile, lattice, device)

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from metafab.core.conventions import POLARISATIONS, FloatArray, Polarisation
+from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 
 
 class Term(Protocol):
@@ -48,3 +48,7 @@ class PhaseProfile:
             for term in others:
                 total[index] += term(x_um, y_um, polarisation)
         return total
+
+    def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
+        """Return exp(i phase) on the grid of ``x_um`` (n_x,) and ``y_um`` (n_y,), shape (2, n_y, n_x)."""
+        return np.asarray(np.exp(1j * self(x_um, y_um)))

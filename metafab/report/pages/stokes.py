@@ -9,7 +9,9 @@ from matplotlib.figure import Figure
 
 from metafab.report.render import save_png
 from metafab.report.style import CONTRAST_MAP, DEPTH_MAP, bare, colour_bar, depth_unit, show_map
-from metafab.stokes import STATES, StokesFrame, StokesImage
+from metafab.camera.stokes import StokesFrame
+from metafab.core.polarisation import STATES
+from metafab.decode.stokes import StokesImage
 
 
 def stokes_figure(frame: StokesFrame, image: StokesImage, path: Path) -> Path:

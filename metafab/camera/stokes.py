@@ -13,7 +13,7 @@ from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
 from metafab.optics.interpolation.field import spline_weights
 from metafab.spec import Scene
-from metafab.stokes.spread import StokesPsf
+from metafab.optics.polarisation_states import StokesPsf
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,8 @@ from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation import segment as segments
 from metafab.decode.segmentation.planes import Cells, Plane, fitted_plane
 from metafab.decode.segmentation.regions import LAYER_SHARE
-from metafab.stokes.camera import StokesFrame, kernels_at
-from metafab.stokes.spread import StokesPsf
+from metafab.camera.stokes import StokesFrame, kernels_at
+from metafab.optics.polarisation_states import StokesPsf
 
 _CANDIDATES = 25
 _LAYERS = 9

@@ -1,0 +1,109 @@
+"""Target Jones matrices of a full-Stokes lens: six states of polarisation to six places, each with a rotating lobe.
+
+A pillar turned by an angle has a symmetric Jones matrix, and every symmetric unitary matrix is that of a lossless
+pillar with two phases and an angle. The matrix exp(i psi) v* v^H sends the state v alone to a place and is symmetric,
+too. The target is the sum of six such matrices, with the phases psi of six off-axis lenses: all pillars serve all
+places. Three kinds of pillars side by side could send at most a ninth of a state's light to its place.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.core.conventions import ComplexArray, FloatArray, sensor_distance_um
+from metafab.core.polarisation import JONES
+from metafab.phase.build import profile_of
+from metafab.phase.terms.carriers import CARRIERS
+from metafab.phase.terms.profile import PhaseProfile
+from metafab.spec import Design
+
+
+@dataclass(frozen=True)
+class JonesTarget:
+    """Sum of six off-axis lenses, one for each state of :data:`metafab.core.polarisation.STATES`.
+
+    Attributes:
+        helix: phases of the rotating lobe; the second state of each pair gets the y phase, the conjugate of x.
+        places_um: shape (6, 2), (x, y) of each state's image of the axis on the sensor plane.
+        sensor_distance_um: distance of the sensor plane from the lens.
+        focus_depth_m: depth of the object on the axis that is in focus.
+        wavenumber: vacuum wavenumber, rad/um.
+    """
+
+    helix: PhaseProfile
+    places_um: FloatArray
+    sensor_distance_um: float
+    focus_depth_m: float
+    wavenumber: float
+
+    @classmethod
+    def of(cls, design: Design, row_angle_deg: float) -> JonesTarget:
+        """Build the target of a design from its helix, its split angle and its sensor.
+
+        The pairs of states stand in three rows, the first in the middle. The first state of a pair goes to -x and the
+        second to +x, like x and y polarisation in Eqs. 3 and 4 of Shen 2023.
+
+        Args:
+            design: a camera design with a split lens.
+            row_angle_deg: angle between neighbouring rows, seen from the lens.
+        """
+        profile, depth_m = profile_of(design), design.sensor.focus_depth_m
+        helix = PhaseProfile(tuple(term for term in profile.terms if not isinstance(term, CARRIERS)), profile.figures)
+        distance_um = sensor_distance_um(design.device.focal_length_mm, design.split_angle_deg, depth_m)
+        sine_x = math.sin(math.radians(design.split_angle_deg))
+        places = []
+        for row in (0.0, 1.0, -1.0):
+            sine_y = math.sin(math.radians(row * row_angle_deg))
+            scale_um = distance_um / math.sqrt(1.0 - sine_x**2 - sine_y**2)
+            places += [(-sine_x * scale_um, sine_y * scale_um), (sine_x * scale_um, sine_y * scale_um)]
+        return cls(helix, np.array(places), distance_um, depth_m, 2.0 * math.pi / design.wavelength_um)
+
+    def __call__(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
+        """Evaluate the sum on a grid.
+
+        Args:
+            x_um: shape (n_x,), positions from the optical axis.
+            y_um: shape (n_y,).
+
+        Returns:
+            Shape (3, n_y, n_x), matrix entries xx, xy = yx and yy.
+        """
+        helix_rad = self.helix(x_um, y_um)
+        total = np.zeros((3, y_um.size, x_um.size), dtype=np.complex128)
+        for index, (state, place_um) in enumerate(zip(JONES.conj(), self.places_um.tolist(), strict=True)):
+            wave = np.exp(1j * (helix_rad[index % 2] - self.wavenumber * self._path_um(x_um, y_um, *place_um)))
+            for entry, (row, column) in enumerate(((0, 0), (0, 1), (1, 1))):
+                total[entry] += state[row] * state[column] * wave
+        return total
+
+    def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
+        """Return the nearest lossless matrices to the target, shape (3, n_y, n_x): the light behind perfect pillars."""
+        return nearest_unitary(self(x_um, y_um))
+
+    def _path_um(self, x_um: FloatArray, y_um: FloatArray, place_x_um: float, place_y_um: float) -> FloatArray:
+        """Path from the focused object over each lens point to a place, minus the path over the lens' centre."""
+        radius_squared, vergence = x_um**2 + y_um[:, None] ** 2, 1e-6 / self.focus_depth_m
+        bend = vergence * radius_squared
+        image_squared = place_x_um**2 + place_y_um**2 + self.sensor_distance_um**2
+        fall = radius_squared - 2.0 * (x_um * place_x_um + y_um[:, None] * place_y_um)
+        source_um = bend / (np.sqrt(vergence * bend + 1.0) + 1.0)
+        return np.asarray(source_um + fall / (np.sqrt(fall + image_squared) + math.sqrt(image_squared)))
+
+
+def nearest_unitary(target: ComplexArray) -> ComplexArray:
+    """Return the unitary matrices nearest to symmetric ones (Frobenius norm), which are symmetric, too.
+
+    Args:
+        target: shape (3, ...), entries xx, xy = yx and yy.
+
+    Returns:
+        Same shape and entries.
+    """
+    matrices = np.stack([target[[0, 1]], target[[1, 2]]])
+    left, _, right = np.linalg.svd(np.moveaxis(matrices, (0, 1), (-2, -1)))
+    product = left @ right
+    mean = 0.5 * (product[..., 0, 1] + product[..., 1, 0])
+    return np.stack([product[..., 0, 0], mean, product[..., 1, 1]])
