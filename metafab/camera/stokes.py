@@ -12,8 +12,8 @@ from metafab.camera.rendering.render import Renderer
 from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
 from metafab.optics.interpolation.field import spline_weights
-from metafab.spec import Scene
 from metafab.optics.polarisation_states import StokesPsf
+from metafab.spec import Scene
 
 
 @dataclass(frozen=True)

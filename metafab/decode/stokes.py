@@ -17,6 +17,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, uniform_filter
 
+from metafab.camera.stokes import StokesFrame, kernels_at
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.decode.matching.cost_volume import Volume, correlation
 from metafab.decode.matching.depth import PixelDepth, parabola, standard_error
@@ -26,7 +27,6 @@ from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation import segment as segments
 from metafab.decode.segmentation.planes import Cells, Plane, fitted_plane
 from metafab.decode.segmentation.regions import LAYER_SHARE
-from metafab.camera.stokes import StokesFrame, kernels_at
 from metafab.optics.polarisation_states import StokesPsf
 
 _CANDIDATES = 25

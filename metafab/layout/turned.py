@@ -61,7 +61,7 @@ def turned_rectangle(width_dbu: int, length_dbu: int, angle_deg: float) -> IntAr
     """Return the vertices of a turned rectangle about its centre, shape (4, 2), rounded to whole database units."""
     cosine, sine = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     corners = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (width_dbu, length_dbu)
-    return np.rint(corners @ np.array([[cosine, sine], [-sine, cosine]])).astype(np.int64)
+    return np.asarray(np.rint(corners @ np.array([[cosine, sine], [-sine, cosine]])), dtype=np.int64)
 
 
 def outline_of(pillars: PillarMap, design: Design) -> Outline:

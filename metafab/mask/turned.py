@@ -40,7 +40,7 @@ def read_turned(path: Path, design: Design, angles: int, progress: Progress = si
     Raises:
         InputError: as :func:`metafab.mask.read`.
     """
-    outlines = _RecognisedOutlines.of(design, angles)
+    outlines = _RecognisedOutlines.of_turned(design, angles)
     back = read(path, design, progress, copy, known=KnownShapes(outlines))
     return replace(back, pillars=outlines.decoded(back.pillars))
 
@@ -69,16 +69,17 @@ class _RecognisedOutlines(Outline):
     _next_number: Iterator[int] = field(default_factory=itertools.count)
 
     @classmethod
-    def of(cls, design: Design, angles: int) -> _RecognisedOutlines:
+    def of_turned(cls, design: Design, angles: int) -> _RecognisedOutlines:
         """Outlines of a design's turned pillars, drawn with its biases."""
         sweep, unit_nm = design.unit_cell.sweep, design.mask.database_unit_nm
-        smallest_dbu = (whole_dbu(sweep.width_nm[0], unit_nm, "width_nm"), whole_dbu(sweep.length_nm[0], unit_nm, "length_nm"))
+        width_dbu = whole_dbu(sweep.width_nm[0], unit_nm, "sweep.width_nm")
+        length_dbu = whole_dbu(sweep.length_nm[0], unit_nm, "sweep.length_nm")
         bias_dbu = whole_dbu(design.mask.bias_nm, unit_nm, "mask.bias_nm", even=True)
         return cls(
             "rectangle",
             unit_nm,
             angle_step_deg=180.0 / angles,
-            smallest_dbu=smallest_dbu,
+            smallest_dbu=(width_dbu, length_dbu),
             grid_dbu=whole_dbu(sweep.size_grid_nm, unit_nm, "sweep.size_grid_nm"),
             biases_dbu=tuple(bias_dbu + copy_dbu for copy_dbu in biases_dbu(lens_copies(design))),
             per_width=lattice_of(design).cell_dbu[1] // 2,
@@ -96,7 +97,8 @@ class _RecognisedOutlines(Outline):
             return None
         # Counter-clockwise from the lowest corner, the first side is the width: its angle lies in [0, 90) degrees.
         sides = np.diff(ring[:3], axis=0)
-        angle_deg = round(math.degrees(math.atan2(sides[0, 1], sides[0, 0])) / self.angle_step_deg) * self.angle_step_deg
+        measured_deg = math.degrees(math.atan2(sides[0, 1], sides[0, 0]))
+        angle_deg = round(measured_deg / self.angle_step_deg) * self.angle_step_deg
         measured_dbu = np.hypot(*sides.T)
         for bias_dbu in self.biases_dbu:
             first_dbu = np.array(self.smallest_dbu) + bias_dbu

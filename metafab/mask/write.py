@@ -75,7 +75,7 @@ def write(
     Raises:
         InputError: edges would lie off the grid, or a format cannot hold the layout.
     """
-    files = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
+    files: dict[str, Path] = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     sidecar = write_drawings(pillars, files, design, progress, executor)
     _write_text(directory / "layout.lyp", layer_properties(design, surroundings(design)))
     for other in WRITERS.keys() - files.keys():

@@ -46,18 +46,19 @@ class StokesPsf:
 
     @property
     def instrument(self) -> FloatArray:
-        """Instrument matrix at the middle depth, shape (6, 4): power in each window per unit of each Stokes parameter."""
+        """Instrument matrix at the middle depth, shape (6, 4): power in each window per unit Stokes parameter."""
         return np.asarray(self.psf[:, :, self.depth_m.size // 2].sum(axis=(-2, -1)) * self.pixel_um**2)
 
     @property
     def efficiency(self) -> FloatArray:
         """Share of each state's power in its own window at the middle depth, shape (6,)."""
-        return np.einsum("kj,kj->k", self.instrument, stokes_of(JONES))
+        return np.asarray(np.sum(self.instrument * stokes_of(JONES), axis=1))
 
     @property
     def extinction_ratio(self) -> FloatArray:
         """Efficiency of each state over that of the orthogonal state in the same window, shape (6,)."""
-        return self.efficiency / np.einsum("kj,kj->k", self.instrument, stokes_of(JONES[list(ORTHOGONAL)]))
+        unwanted = np.sum(self.instrument * stokes_of(JONES[list(ORTHOGONAL)]), axis=1)
+        return np.asarray(self.efficiency / unwanted)
 
 
 def stokes_psf(
@@ -82,9 +83,8 @@ def stokes_psf(
     depth_m = np.asarray(depths_m, dtype=np.float64)
     targets_um = [(x, y, imaging.sensor_distance_um) for x, y in target.places_um.tolist()]
     focus = 1e-6 / target.focus_depth_m
-    carriers = [
-        Carrier(entry, Ray(focus, (0.0, 0.0), target_um), _BLOCK_SITES) for target_um in targets_um for entry in range(3)
-    ]
+    focused = [Ray(focus, (0.0, 0.0), target_um) for target_um in targets_um]
+    carriers = [Carrier(entry, ray, _BLOCK_SITES) for ray in focused for entry in range(3)]
     pupils = reduce_field(source, carriers, imaging.wavenumber, progress=progress)
     psf = np.empty((len(targets_um), 4, depth_m.size, window_px, window_px))
     for place, target_um in enumerate(targets_um):
@@ -99,7 +99,7 @@ def stokes_psf(
             blocks = [refocus(pupil, ray, imaging.wavenumber) for pupil in entries]
             fields = [transform.field(block) for transform, block in zip(transforms, blocks, strict=True)]
             xx, xy, yy = np.array(fields, dtype=np.complex128)
-            per_unit_power = entries[0].cell_um2**2 / power_at_aperture(imaging, ray)
+            per_unit_power = entries[0].cell_um2 ** 2 / power_at_aperture(imaging, ray)
             psf[place, :, index] = stokes_response(xx, xy, xy, yy) * per_unit_power
         progress("psf", place + 1, len(targets_um))
     return StokesPsf(depth_m, imaging.pixel_um, psf, target.places_um, imaging.sensor_distance_um)

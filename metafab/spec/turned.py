@@ -33,6 +33,6 @@ def require_turnable(design: Design) -> None:
         unavailable["scene.row_time_s"] = design.scene.row_time_s > 0.0
     faults = [Fault(key, "not available with turned pillars", "") for key, used in unavailable.items() if used]
     if design.split_angle_deg == 0.0:
-        faults.append(Fault("phase", "a `split_lens` of more than 0 degrees", "none", "the six images lie beside its axis"))
+        faults.append(Fault("phase", "a `split_lens` of more than 0 degrees, which sets the images apart", "none"))
     if faults:
         raise InputError(design.name, faults)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -53,18 +55,15 @@ def full_stokes(
     require_turnable(design)
     preflight(design)
     imaging, library, target = optics.Imaging.of(design), open_library(job), JonesTarget.of(design, row_angle_deg)
-    assignment = assign_turned(
-        target, library, design, angles=angles, size_step_nm=size_step_nm, progress=job.progress
-    )
-    files = {suffix: job.folder / f"stokes.{suffix}" for suffix in design.mask.formats}
+    assignment = assign_turned(target, library, design, angles=angles, size_step_nm=size_step_nm, progress=job.progress)
+    files: dict[str, Path] = {suffix: job.folder / f"stokes.{suffix}" for suffix in design.mask.formats}
     mask_figures = write_drawings(assignment.pillars, files, design, job.progress)
     written = mask_source(job, files[design.mask.formats[-1]], angles=angles)
     perfect = optics.ideal_field(target, written.lattice, design.device)
     depths_m, window_px = calibration_depths(design, imaging), design.verify.window_px
-    ideal, psf = (
-        stokes_psf(lit_source(job, source), target, imaging, at_m, window_px=window_px, progress=job.progress)
-        for source, at_m in ((perfect, depths_m[:1]), (written, depths_m))
-    )
+    psf_of = partial(stokes_psf, target=target, imaging=imaging, window_px=window_px, progress=job.progress)
+    ideal = psf_of(lit_source(job, perfect), depths_m=depths_m[:1])
+    psf = psf_of(lit_source(job, written), depths_m=depths_m)
     frame = photograph(design.scene, psf)
     image = decode_stokes(frame, psf)
     figures = {

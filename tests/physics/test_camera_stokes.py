@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from metafab.stokes import mask
+from metafab.stokes.assign import turned
+from metafab.stokes.decode import StokesImage
 from pydantic import ValidationError
 
 from metafab import stokes
@@ -20,9 +23,6 @@ from metafab.optics import Imaging
 from metafab.spec import Design, Scene, SceneObject
 from metafab.steps import full_stokes
 from metafab.steps.job import Job
-from metafab.stokes import mask
-from metafab.stokes.assign import turned
-from metafab.stokes.decode import StokesImage
 
 ANGLES = 8
 

@@ -10,10 +10,10 @@ import pytest
 from matplotlib import colormaps
 from PIL import Image
 
-from metafab.report import stokes_figure
-from metafab.report.style import CONTRAST_MAP, DEPTH_MAP
 from metafab.camera.stokes import StokesFrame
 from metafab.decode.stokes import StokesImage
+from metafab.report import stokes_figure
+from metafab.report.style import CONTRAST_MAP, DEPTH_MAP
 
 #: S1/S0, S2/S0, S3/S0 of the left and right half of the scene.
 LEFT, RIGHT = (0.8, -0.4, 0.0), (-0.8, 0.4, 0.6)

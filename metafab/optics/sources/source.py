@@ -46,7 +46,7 @@ class FieldTile:
     def polarisations(self) -> int:
         """Number of amplitudes at each site: 2, or 3 entries of Jones matrices."""
         if self.table is not None:
-            return self.table.shape[1]
+            return int(self.table.shape[1])
         assert self.amplitudes is not None
         return len(self.amplitudes)
 

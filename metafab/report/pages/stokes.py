@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from metafab.report.render import save_png
-from metafab.report.style import CONTRAST_MAP, DEPTH_MAP, bare, colour_bar, depth_unit, show_map
 from metafab.camera.stokes import StokesFrame
 from metafab.core.polarisation import STATES
 from metafab.decode.stokes import StokesImage
+from metafab.report.render import save_png
+from metafab.report.style import CONTRAST_MAP, DEPTH_MAP, bare, colour_bar, depth_unit, show_map
 
 
 def stokes_figure(frame: StokesFrame, image: StokesImage, path: Path) -> Path:
