@@ -13,6 +13,7 @@ Out: an :class:`Assignment`, which holds the :class:`PillarMap` and its figures.
 - ``figures``: phase error, field overlap and efficiency of the chosen sizes
 - ``mapping``: the sizes of one tile
 - ``assign``: the sizes of the whole lens
+- ``turned``: size and angle of turned pillars, and their outlines
 """
 
 from metafab.layout.aperture import Aperture

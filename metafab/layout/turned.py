@@ -12,7 +12,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
 from metafab.layout.geometry import lattice_of, tile_sites, whole_dbu
-from metafab.layout.outlines import IntArray, Outline, area_of
+from metafab.layout.outlines import IntArray, Outline, polygon_area
 from metafab.layout.pillars import PillarMap
 from metafab.library import Library
 from metafab.library.use.amplitudes import power_amplitudes, turned_jones
@@ -54,7 +54,7 @@ class TurnedRectangles(Outline):
 
     def area(self, size_dbu: NDArray[np.int32]) -> FloatArray:
         """Area of each polygon, shape (n_sizes + 1,), squared database units."""
-        return np.array([area_of(polygon) for polygon in self.polygons(size_dbu.astype(np.int64))])
+        return np.array([polygon_area(polygon) for polygon in self.polygons(size_dbu.astype(np.int64))])
 
 
 def turned_rectangle(width_dbu: int, length_dbu: int, angle_deg: float) -> IntArray:

@@ -13,7 +13,7 @@ import numpy as np
 from metafab.core.parallel.progress import Progress, silent
 from metafab.layout import PillarMap, lattice_of
 from metafab.layout.geometry import whole_dbu
-from metafab.layout.outlines import IntArray, Outline, plain
+from metafab.layout.outlines import IntArray, Outline, canonical_polygon
 from metafab.layout.turned import turned_rectangle
 from metafab.mask.drawing.copies import biases_dbu, lens_copies
 from metafab.mask.read import ReadBack, read
@@ -92,7 +92,7 @@ class _RecognisedOutlines(Outline):
 
     def size_of(self, polygon: IntArray) -> tuple[int, int] | None:
         """Encoded kind of a polygon, shape (n, 2), anywhere on the grid; None for other shapes."""
-        ring = plain(polygon)
+        ring = canonical_polygon(polygon)
         if len(ring) != 4:
             return None
         # Counter-clockwise from the lowest corner, the first side is the width: its angle lies in [0, 90) degrees.
@@ -104,7 +104,8 @@ class _RecognisedOutlines(Outline):
             first_dbu = np.array(self.smallest_dbu) + bias_dbu
             size_dbu = first_dbu + np.rint((measured_dbu - first_dbu) / self.grid_dbu).astype(np.int64) * self.grid_dbu
             width, length = size_dbu.tolist()
-            if np.array_equal(2 * plain(turned_rectangle(width, length, angle_deg)), 2 * ring - ring[0] - ring[2]):
+            drawn = canonical_polygon(turned_rectangle(width, length, angle_deg))
+            if np.array_equal(2 * drawn, 2 * ring - ring[0] - ring[2]):
                 number = self._numbers.setdefault((width, length, angle_deg), next(self._next_number))
                 across, along = divmod(number, self.per_width)
                 return 2 * (across + 1), 2 * (along + 1)
