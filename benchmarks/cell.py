@@ -26,12 +26,14 @@ from typing import Any
 import numpy as np
 
 from metafab.cell import CellNumerics, PillarCell
-from metafab.cell.rcwa import Formulation, ZeroOrder, fourier_limit, solve, zero_order
-from metafab.cell.rcwa.jones import distance
+from metafab.cell.rcwa import solve, zero_order
+from metafab.cell.rcwa.basis.coordinates import Formulation
+from metafab.cell.rcwa.jones import ZeroOrder, distance
 
 RESONANT_NM = ((250.0, 250.0), (150.0, 210.0), (145.0, 245.0), (155.0, 185.0), (220.0, 195.0), (220.8, 244.6))
 #: Whole nanometres, so that a raster of 0.5 nm is exact: one plain pillar, one beside a resonance.
 PEER_NM = ((120.0, 180.0), (150.0, 210.0))
+fourier_limit = runpy.run_path(str(Path(__file__).with_name("fourier_limit.py")))["fourier_limit"]
 PEERS_FILE = Path(__file__).with_name("cell_peers.py")
 TARGETS = (1e-2, 1e-3, 1e-4)
 TRUNCATIONS = (3, 4, 5, 6, 7, 8, 9)

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import json
 import resource
+import runpy
 import subprocess
 import sys
 import time
@@ -26,12 +27,10 @@ from typing import Any
 
 import numpy as np
 
-from metafab.cell import rcwa
+from metafab.cell import CellNumerics, PillarCell, rcwa
 from metafab.cell.meep import MeepSettings, Pool, SupercellSettings, finding, solve, solve_supercell
-from metafab.cell.meep.deembedding import amplitudes
 from metafab.cell.meep.grid import family, plan
 from metafab.cell.rcwa.row import RowNumerics, solve_row
-from metafab.cell.response import CellNumerics, PillarCell
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import ComplexArray
 from metafab.fullwave.patch import at_sites, differences
@@ -39,6 +38,7 @@ from metafab.layout import Lattice
 from metafab.optics import Imaging, direct_irradiance
 from metafab.optics.sources.source import FieldTile
 
+fourier_limit = runpy.run_path(str(Path(__file__).with_name("fourier_limit.py")))["fourier_limit"]
 PLAIN_SCRIPT = Path(__file__).with_name("meep_plain.py")
 CELL = PillarCell(
     period_nm=(350.0, 350.0),
@@ -86,7 +86,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
 def _cells(pool: Pool, sizes: tuple[tuple[float, float], ...], members: tuple[int, ...]) -> Iterator[dict[str, Any]]:
     for width, length in sizes:
         cell = replace(CELL, width_nm=width, length_nm=length)
-        reference, plain = rcwa.solve(cell, CellNumerics(1e-4)), rcwa.fourier_limit(cell)
+        reference, plain = rcwa.solve(cell, CellNumerics(1e-4)), fourier_limit(cell)
         response = solve(cell, CellNumerics(TARGET, "meep"), MeepSettings(members), pool)
         difference = float(np.max(np.abs(response.t - reference.t)))
         yield _row(f"{width:g} x {length:g} nm", difference, response.seconds) | {
@@ -108,7 +108,7 @@ def _savings() -> Iterator[dict[str, Any]]:
     with Pool(1) as pool:
         reply = pool.run(run.job)
     ours = _children_s() - before
-    t = amplitudes(run, reply["limit"][:, 0, 0], reply["incident"])[0]
+    t = run.amplitudes(reply["limit"][:, 0, 0], reply["incident"])[0]
     yield _row(f"driver, {run.job.n_x} px a period", abs(t - reference), ours)
     index = complex(CELL.n_pillar)
     script = {
@@ -125,8 +125,12 @@ def _savings() -> Iterator[dict[str, Any]]:
     before = _children_s()
     done = subprocess.run(
         [str(finding.best().interpreter), "-I", str(PLAIN_SCRIPT)],
-        input=json.dumps(script), text=True, capture_output=True, env=finding.clean_environment(), check=True,
-    )  # fmt: skip
+        input=json.dumps(script),
+        text=True,
+        capture_output=True,
+        env=finding.clean_environment(),
+        check=True,
+    )
     plain = _children_s() - before
     # Meep itself prints on stdout, too.
     answer = next(json.loads(line) for line in done.stdout.splitlines() if line.startswith("{"))

@@ -27,7 +27,7 @@ def examine(*, rehearse: bool = False, progress: Progress = silent) -> dict[str,
         progress: callback of the rehearsal.
     """
     from metafab.cell import meep
-    from metafab.cell.meep import kept
+    from metafab.cell.meep.pool import own_folder
 
     tests = SELF_TESTS | ({"rehearsal": partial(_rehearsal_passes, progress)} if rehearse else {})
     candidates = meep.find()
@@ -43,7 +43,7 @@ def examine(*, rehearse: bool = False, progress: Progress = silent) -> dict[str,
             "version": best.version if best else None,
             "python": str(best.interpreter) if best else None,
             "tried": candidates,
-            "finished_runs": kept.own_folder(),
+            "finished_runs": own_folder(),
         },
         "mpi": _first_line("mpirun", "--version"),
         "klayout": {"python": find_spec("klayout") is not None, "program": shutil.which("klayout")},

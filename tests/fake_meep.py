@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from metafab.cell.meep import Pool
-from metafab.cell.meep.deembedding import grid_wavenumber
+from metafab.cell.meep.grid import grid_wavenumber
 from metafab.cell.meep.protocol import Job, Reply
 
 

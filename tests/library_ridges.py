@@ -11,8 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metafab.cell import CellNumerics, CellResponse, PillarCell
-from metafab.cell.response import CellSolver
+from metafab.cell import CellNumerics, CellResponse, CellSolver, PillarCell
 from metafab.core.errors import SolverError
 
 #: Half widths of the two ridges, nm.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metafab.cell.response import PillarCell
+from metafab.cell import PillarCell
 
 #: Silicon of 600 nm on sapphire at 800 nm; a size on the flank of a resonance.
 SILICON = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)

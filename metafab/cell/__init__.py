@@ -1,25 +1,28 @@
-"""One unit cell under a plane wave: a PillarCell in, a CellResponse (Jones t and r, error) out.
+"""One unit cell under a plane wave: a PillarCell in, a CellResponse (Jones matrices t and r, and their error) out.
 
-- ``response``     what every solver is asked and answers
-- ``problem``      from a unit-cell spec to cells, and the calls that solve one or many
-- ``fresnel``      closed forms: interface and film, in the same planes and types
-- ``halfspace``    plane waves of a birefringent substrate
-- ``supercell``    unlike pillars in one period: what is asked, answered, and predicted from each alone
-- ``rcwa``         the Fourier modal method, certified
-- ``meep``         the real Meep (FDTD) as a separate program
+- ``pillar``       the cell: pillar, layers, half spaces, light
+- ``fresnel``      closed forms of interfaces, films and birefringent half spaces
+- ``response``     numerics and result that all solvers share
+- ``validation``   faults of cells and numerics
+- ``problem``      unit-cell spec -> cells; solves one cell or many
+- ``supercell``    unlike pillars in one period, and the prediction of the local-period approximation
+- ``rcwa``         the Fourier modal method with a bound on its error
+- ``meep``         FDTD by Meep, a separate program
+- ``meep_worker``  the program that runs Meep
 """
 
+from metafab.cell.pillar import PillarCell, Slice
 from metafab.cell.problem import is_square, pillar_cell, solve, solve_many
-from metafab.cell.response import CellNumerics, CellResponse, CellSolver, PillarCell, Slice
+from metafab.cell.response import CellNumerics, CellResponse, CellSolver
 
 __all__ = [
+    "solve",
+    "pillar_cell",
+    "PillarCell",
     "CellNumerics",
     "CellResponse",
-    "CellSolver",
-    "PillarCell",
-    "Slice",
-    "is_square",
-    "pillar_cell",
-    "solve",
     "solve_many",
+    "is_square",
+    "Slice",
+    "CellSolver",
 ]

@@ -1,8 +1,16 @@
-"""Closed forms: an interface and a film, in the planes and the basis of every other solver.
+"""Closed forms in the planes and the basis of every other solver: an interface, a film, a birefringent half space.
 
 With tangential fields, s and p light differ only in the admittance of a medium, Y_s = q and Y_p = eps / q, where
 q = sqrt(eps - k^2) is the wave number across the layers over k0. An interface has r = (Y1 - Y2) / (Y1 + Y2) and
 t = 2 Y1 / (Y1 + Y2); a film is the Airy sum of two of them (Born and Wolf, Principles of Optics, section 1.6).
+
+In a birefringent half space with principal axes x, y and z, e = (E_x, E_y) and h = (H_y, -H_x) obey
+
+    de/dz = i P h,  dh/dz = i Q e:    P = 1 - k k^T / eps_z,    Q = diag(eps_x, eps_y) - k' k'^T,    k' = (-k_y, k_x),
+
+with k the wave vector in the plane over k0 and lengths in units of 1/k0. These are Berreman's four equations
+(J. Opt. Soc. Am. 62, 502, 1972), in two pairs because no principal axis is oblique. The eigenvectors of P Q are the
+two outgoing waves.
 """
 
 from __future__ import annotations
@@ -11,9 +19,8 @@ import math
 
 import numpy as np
 
-from metafab.cell.halfspace import admittance
-from metafab.cell.response import PillarCell
-from metafab.core.conventions import ComplexArray, Side
+from metafab.cell.pillar import PillarCell
+from metafab.core.conventions import ComplexArray, FloatArray
 
 
 def interface(admittance_in: complex, admittance_out: complex) -> tuple[complex, complex]:
@@ -28,9 +35,9 @@ def film(
     """(t, r) of the tangential electric field through a film.
 
     Args:
-        admittance_in: of the medium that the light comes from.
-        admittance_film: of the film.
-        admittance_out: of the medium behind.
+        admittance_in: admittance of the medium that the light comes from.
+        admittance_film: admittance of the film.
+        admittance_out: admittance of the medium behind the film.
         turn: exp(i q k0 d), one pass through the film.
 
     Returns:
@@ -47,7 +54,7 @@ def film_jones(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, Complex
 
     Args:
         cell: half spaces, height and light; the pillar is ignored.
-        n_film: index of the layer; that of the pillar for a closed film, of the ambient for an empty cell.
+        n_film: index of the layer: the pillar's for a closed film, the ambient's for an empty cell.
 
     Returns:
         t and r, each of shape (2, 2), of the tangential field in the basis (x, y).
@@ -70,11 +77,31 @@ def film_jones(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, Complex
     return jones_t, jones_r
 
 
+def admittance(index: tuple[complex, complex, complex], k: FloatArray) -> ComplexArray:
+    """Admittance Y of a birefringent half space, h = Y e for outgoing light along +z.
+
+    Args:
+        index: along x, y and z.
+        k: shape (2,), wave vector in the plane over k0; not at the edge of a light cone, where Y has a pole.
+
+    Returns:
+        Shape (2, 2).
+    """
+    eps = np.asarray(index, dtype=np.complex128) ** 2
+    across = np.array([-k[1], k[0]])
+    p = np.eye(2) - np.outer(k, k) / eps[2]
+    q = np.diag(eps[:2]) - np.outer(across, across)
+    beta_squared, e = np.linalg.eig(p @ q)
+    beta = np.sqrt(beta_squared)
+    beta = np.where(beta.imag < -1e-12 * np.abs(beta.real), -beta, beta)
+    return np.asarray(q @ e / beta @ np.linalg.inv(e))
+
+
 def _film_on_tensor(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, ComplexArray]:
-    """The same between half spaces of which one is birefringent: admittances are matrices, the film's q is one."""
+    """:func:`film_jones` where one half space is birefringent: admittances are matrices, the film's q is a number."""
     k = np.array(cell.in_plane)
-    far: Side = "ambient" if cell.side == "substrate" else "substrate"
-    y_in, y_out = (admittance(cell.tensor(side) or (complex(cell.n_ambient),) * 3, k) for side in (cell.side, far))
+    isotropic = (complex(cell.n_ambient),) * 3
+    y_in, y_out = (admittance(cell.tensor(side) or isotropic, k) for side in (cell.side, cell.far_side))
     y_film = admittance((complex(n_film),) * 3, k)
     turn = np.exp(2j * math.pi * np.sqrt(complex(n_film) ** 2 - k @ k) * cell.height_nm / cell.wavelength_nm)
     back = np.linalg.solve(y_film + y_out, y_film - y_out)

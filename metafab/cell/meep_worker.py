@@ -1,12 +1,12 @@
-"""The FDTD side: a program of its own, run by whichever interpreter has Meep; see ``metafab.cell.meep``.
+"""Worker program for FDTD, run by an interpreter that has Meep; :mod:`metafab.cell.meep` drives it.
 
-Standard library, NumPy and Meep only. One JSON object a line comes in on stdin and goes out on stdout:
+It uses the standard library, NumPy and Meep only. JSON objects, one a line, come in on stdin and go out on stdout:
 
-- ``{"id", "job", "arrays"}`` asks for one run; ``arrays`` is the path of the .npz file to write
-- ``{"id", "progress"}`` tells the simulated time while it lasts
-- ``{"id", "done", "seconds"}`` or ``{"id", "error"}`` ends it
+- ``{"id", "job", "arrays"}`` starts one run; ``arrays`` is the path of the .npz file to write
+- ``{"id", "progress"}`` reports the simulated time during the run
+- ``{"id", "done", "seconds"}`` or ``{"id", "error"}`` ends the run
 
-``--probe`` prints one object that says whether this interpreter has the FDTD Meep, and exits.
+``--probe`` prints one object with the result of :func:`probe`, and exits.
 
 Lengths are micrometres and times micrometres / c, as in Meep; fields depend on time as exp(-i omega t).
 """
@@ -24,24 +24,24 @@ import numpy as np
 
 Json = dict[str, Any]  # Python 3.9 and later
 
-#: A pulse of this relative width (Meep's ``fwidth``) dies soon and excites few modes that the answer lacks.
+#: Relative width of the pulse (Meep's ``fwidth``): it dies soon and excites few modes far from the design wavelength.
 _PULSE_WIDTH = 0.5
 _PULSE_CUTOFF = 5.0
-#: Samples of the running Fourier transform: one every so many optical periods.
+#: Optical periods between samples of the running Fourier transform.
 _SAMPLE_PERIODS = 1.25
-#: Modes that a decaying tail may hold, and the window from which they are found.
+#: Modes of a decaying tail, and the number of samples from which they are fitted.
 _TAIL_MODES = 6
 _TAIL_SAMPLES = 3 * _TAIL_MODES
-#: How many limits in a row must agree.
+#: Number of consecutive limits that must agree.
 _AGREEING_LIMITS = 3
 
 
 def tail_limit(samples: Any, modes: int = _TAIL_MODES) -> Any:
-    """Limit of a sequence whose tail is a sum of decaying oscillations: reduced rank extrapolation.
+    """Limit of a sequence whose tail is a sum of decaying oscillations, by reduced rank extrapolation.
 
     With s_j = s + sum_m c_m q_m^j, weights a_k that annihilate the differences of the window and add up to one
-    give s = sum_k a_k s_(j+k), exactly where no more than ``modes`` of the q_m matter (Sidi, Vector
-    Extrapolation Methods, 2017, ch. 1). A mode of high quality need not be waited for.
+    give s = sum_k a_k s_(j+k), exactly where at most ``modes`` of the q_m matter (Sidi, Vector Extrapolation
+    Methods, 2017, ch. 1). Modes of high quality need not decay first.
 
     Args:
         samples: shape (n_samples, n_values), n_samples >= 2 (modes + 1).
@@ -70,13 +70,13 @@ def run(job: Json, report: Any) -> Json:
     """Drive one plane-wave pulse through a periodic structure.
 
     Args:
-        job: as :class:`metafab.cell.meep.protocol.Job` documents.
-        report: called with the simulated time now and then.
+        job: fields of :class:`metafab.cell.meep.protocol.Job`.
+        report: callback with the simulated time.
 
     Returns:
-        Arrays of the reply: ``time`` (n_samples,), ``amplitude`` (n_samples, n_monitors, n_components,
-        n_orders), ``limit`` (the same without samples), ``tail`` (largest change of the last limits)
-        and ``incident`` (n_monitors,).
+        Arrays of the reply: ``time`` of shape (n_samples,), ``amplitude`` of shape (n_samples, n_monitors,
+        n_components, n_orders), ``limit`` of shape (n_monitors, n_components, n_orders), ``tail`` (scalar, largest
+        change of the last limits) and ``incident`` of shape (n_monitors,).
     """
     import meep as mp
 
@@ -84,11 +84,11 @@ def run(job: Json, report: Any) -> Json:
     empty = _simulation(mp, job, empty=True)
     monitors = _monitors(mp, job, empty, empty=True)
     pulse = 2.0 * _PULSE_CUTOFF * job["wavelength_um"] / _PULSE_WIDTH
-    # Behind the pulse only the absorber's echo is left: two passes through the cell are ample.
+    # After the pulse only the absorber's echo remains: two passes through the cell are ample.
     slowness = max(abs(complex(*epsilon)) for epsilon in job["epsilon_in"]) ** 0.5
     empty.run(until=pulse + 2.0 * slowness * job["n_z"] * job["pixel_um"])
-    own = job["components"].index(job["polarisation"])
-    incident = _amplitudes(mp, job, empty, monitors, empty=True)[:, own, 0]
+    co_polarised = job["components"].index(job["polarisation"])
+    incident = _amplitudes(mp, job, empty, monitors, empty=True)[:, co_polarised, 0]
     empty.reset_meep()
 
     cell = _simulation(mp, job, empty=False)
@@ -125,7 +125,7 @@ def run(job: Json, report: Any) -> Json:
 
 
 def _medium(mp: Any, job: Json, epsilon: Any, mu: Any = (1.0, 1.0, 1.0)) -> Any:
-    """A material that is constant over frequency, its loss exact at the design wavelength."""
+    """A material without dispersion, its loss exact at the design wavelength."""
     values = [complex(*axis) for axis in epsilon]
     omega = 2.0 * math.pi / job["wavelength_um"]
     return mp.Medium(
@@ -136,7 +136,7 @@ def _medium(mp: Any, job: Json, epsilon: Any, mu: Any = (1.0, 1.0, 1.0)) -> Any:
 
 
 def _lateral_um(job: Json, empty: bool) -> tuple[float, float]:
-    """Periods; the empty cell is as uniform as the wave and needs two pixels only."""
+    """Periods; the empty cell is uniform across the wave, so that two pixels suffice."""
     n_x, n_y = (2, 2) if empty else (job["n_x"], job["n_y"])
     return n_x * job["pixel_um"], n_y * job["pixel_um"]
 
@@ -182,7 +182,7 @@ def _simulation(mp: Any, job: Json, *, empty: bool) -> Any:
         Courant=job["courant"],
         geometry=geometry,
         eps_averaging=job["smooth"],
-        # Otherwise blocks that leave the cell come in again at its other end, along z, too.
+        # Otherwise blocks that leave the cell re-enter at its other end, along z too.
         ensure_periodicity=False,
         default_material=_medium(mp, job, job["epsilon_in"]),
         boundary_layers=[mp.PML(job["absorber_nodes"] * pixel, direction=mp.Z)],
@@ -242,7 +242,7 @@ def _amplitudes(mp: Any, job: Json, simulation: Any, monitors: list[Any], *, emp
 
 
 def probe() -> Json:
-    """Whether this interpreter's ``meep`` is the FDTD program: a wave in vacuum must advance as it should."""
+    """Test whether this interpreter's ``meep`` is the FDTD program, by the phase of a wave in vacuum."""
     answer = {"python": ".".join(map(str, sys.version_info[:3])), "found": False, "version": "", "reason": ""}
     try:
         import meep as mp
@@ -272,7 +272,7 @@ def probe() -> Json:
     except Exception as error:
         answer["reason"] = f"it failed in vacuum: {type(error).__name__}: {error}"
         return answer
-    # Half a wavelength turns the field over; the grid's own dispersion is 4e-3 of that.
+    # Half a wavelength inverts the field; the dispersion of the grid is 4e-3 of that.
     if abs(second / first + 1.0) > 0.05:
         answer["reason"] = "its waves do not travel as they should in vacuum"
         return answer
@@ -281,7 +281,7 @@ def probe() -> Json:
 
 
 def serve(stream: Any) -> None:
-    """Answer jobs until stdin ends; leave when whoever started us is gone."""
+    """Answer jobs until stdin ends, or the parent process is gone."""
     parent = os.getppid()
 
     def say(message: Json) -> None:
@@ -308,7 +308,7 @@ def serve(stream: Any) -> None:
 
 
 def main() -> None:
-    """Keep the real stdout for the protocol: Meep's own prints, C++ ones included, go to stderr."""
+    """Run as a program. The protocol keeps the real stdout; Meep's prints, C++ ones included, go to stderr."""
     sys.stdout.flush()
     protocol = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)

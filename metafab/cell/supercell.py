@@ -1,7 +1,8 @@
-"""Unlike pillars in one period: what a solver is asked, what it answers, and what their own responses predict.
+"""Unlike pillars in one period: the supercell, its diffraction orders, and the local-period approximation.
 
-The library solves every pillar among copies of itself (local-period approximation). A supercell holds n_y x n_x
-unlike ones, as they stand on a lens; its diffraction orders tell what the approximation misses: how neighbours couple.
+The library solves every pillar in a lattice of equal pillars (local-period approximation). A supercell holds n_y x n_x
+unlike pillars, as they stand on a lens. The difference of its diffraction orders from those that the single pillars
+predict is the coupling between neighbours.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.cell.response import PillarCell
-from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
-from metafab.core.errors import Fault, InputError
+from metafab.cell.pillar import PillarCell
+from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
+from metafab.core.errors import InputError
 
 IntArray = NDArray[np.intp]
 
@@ -24,9 +25,12 @@ class Supercell:
     """Pillars of many sizes in one period.
 
     Attributes:
-        cell: period of one site, materials and illumination along the axis; its own pillar size is not looked at.
-            Pillars are upright, without layers, on a substrate whose waves do not mix.
+        cell: period of one site, materials, and light along the axis; its own pillar size is ignored. Pillars are
+            upright rectangles without layers, on an isotropic substrate.
         size_nm: shape (n_y, n_x, 2), (width, length) at each site, lowest y first; (0, 0) for no pillar.
+
+    Raises:
+        InputError: sizes of another shape or beyond the period, or a cell that no supercell solver treats.
     """
 
     cell: PillarCell
@@ -38,23 +42,9 @@ class Supercell:
             raise InputError.single("supercell", "size_nm", "shape (n_y, n_x, 2), at least one pillar", f"{shape}")
         sizes = np.asarray(self.size_nm, dtype=np.float64)
         if not (np.all(sizes >= 0.0) and np.all(sizes <= self.cell.period_nm)):
-            raise InputError.single(
-                "supercell", "size_nm", f"0 to the period of {self.cell.period_nm} nm", f"{sizes.max():g} nm"
-            )
-        cell = self.cell
-        untreated = {
-            "angle_deg": cell.angle_deg != 0.0,
-            "under, over": bool(cell.under or cell.over),
-            "sidewall_angle_deg": cell.is_sloped,
-            "n_substrate_z": cell.is_birefringent,
-            "is_staggered": cell.is_staggered,
-            "shape, corner_radius_nm": cell.is_shaped,
-        }
-        faults = [
-            Fault(name, "the plain cell's for supercells", "another", "leave it out to see how neighbours couple")
-            for name, found in untreated.items()
-            if found
-        ]
+            expected = f"0 to the period of {self.cell.period_nm} nm"
+            raise InputError.single("supercell", "size_nm", expected, f"{sizes.max():g} nm")
+        faults = self.cell.untreated("a supercell", remedy="leave it out to see how neighbours couple")
         if faults:
             raise InputError("supercell", faults)
 
@@ -65,18 +55,18 @@ class Supercell:
 
     @property
     def period_um(self) -> tuple[float, float]:
-        """Of the supercell along (x, y)."""
+        """Period of the supercell along (x, y)."""
         n_y, n_x = self.shape
         return n_x * self.cell.period_nm[0] * 1e-3, n_y * self.cell.period_nm[1] * 1e-3
 
     def exchanged(self) -> Supercell:
-        """The same with x and y swapped; polarisations and orders swap with them."""
+        """The supercell with x and y exchanged; polarisations and orders exchange with them."""
         cell = self.cell
         turned = replace(cell, period_nm=cell.period_nm[::-1], n_substrate=cell.n_substrate[::-1])
         return Supercell(turned, np.ascontiguousarray(self.size_nm.transpose(1, 0, 2)[:, :, ::-1]))
 
     def alone(self) -> dict[tuple[float, float], PillarCell]:
-        """Each distinct pillar in a cell of its own."""
+        """Each distinct (width, length) -> its own periodic cell."""
         sizes = np.unique(self.size_nm.reshape(-1, 2), axis=0)
         return {
             (float(w), float(length)): replace(self.cell, width_nm=float(w), length_nm=float(length))
@@ -84,18 +74,18 @@ class Supercell:
         }
 
     def propagating(self, polarisation: Polarisation) -> IntArray:
-        """Orders (m, n) along (x, y) that leave behind the pillars, shape (n_orders, 2), by n, then m."""
-        reach = self.cell.n_out[0 if polarisation == "x" else 1].real / (self.cell.wavelength_nm * 1e-3)
+        """Orders (m, n) along (x, y) that propagate behind the pillars, shape (n_orders, 2), sorted by n, then m."""
+        reach = self.cell.n_out[POLARISATIONS.index(polarisation)].real / (self.cell.wavelength_nm * 1e-3)
         m, n = (np.arange(-math.floor(reach * p), math.floor(reach * p) + 1) for p in self.period_um)
         orders = np.stack(np.meshgrid(m, n), axis=-1).reshape(-1, 2)
         return np.asarray(orders[np.hypot(*(orders / self.period_um).T) < reach * (1.0 - 1e-9)], dtype=np.intp)
 
     def across_per_um(self, orders: IntArray) -> FloatArray:
-        """(k_x, k_y) of orders, shape (n_orders, 2), rad/um."""
+        """(k_x, k_y) of ``orders``, shape (n_orders, 2): shape (n_orders, 2), rad/um."""
         return np.asarray(2.0 * np.pi * orders / self.period_um, dtype=np.float64)
 
     def flux(self, orders: IntArray, amplitude: ComplexArray, polarisation: Polarisation) -> FloatArray:
-        """Power of orders along z over that of an incident wave of unit amplitude, shape (n_orders,).
+        """Power of orders along z over that of an incident wave of unit amplitude.
 
         A wave of tangential field E carries k_z |E|^2 + |k.E|^2 / k_z, as E_z = -k.E / k_z belongs to it.
 
@@ -103,8 +93,11 @@ class Supercell:
             orders: shape (n_orders, 2), propagating.
             amplitude: shape (n_orders, 2), E_x and E_y of each.
             polarisation: of the incident wave.
+
+        Returns:
+            Shape (n_orders,).
         """
-        axis = 0 if polarisation == "x" else 1
+        axis = POLARISATIONS.index(polarisation)
         vacuum = 2.0 * math.pi / (self.cell.wavelength_nm * 1e-3)
         k = self.across_per_um(orders)
         k_z = np.sqrt((vacuum * self.cell.n_out[axis].real) ** 2 - np.sum(k**2, axis=-1))
@@ -112,11 +105,14 @@ class Supercell:
         return np.asarray(carried / (vacuum * self.cell.n_in[axis].real), dtype=np.float64)
 
     def local_period(self, orders: IntArray, responses: ComplexArray) -> ComplexArray:
-        """Amplitudes of orders by the local-period approximation: one sample a site, shape (n_orders,).
+        """Amplitudes of orders by the local-period approximation, one sample a site.
 
         Args:
             orders: shape (n_orders, 2).
-            responses: shape (n_y, n_x), each pillar's own zero-order t.
+            responses: shape (n_y, n_x), zero-order t of each pillar in its own periodic cell.
+
+        Returns:
+            Shape (n_orders,).
         """
         n_y, n_x = self.shape
         x, y = (((np.arange(count) + 0.5) / count - 0.5) for count in (n_x, n_y))
@@ -127,17 +123,17 @@ class Supercell:
 
 @dataclass(frozen=True)
 class SupercellResponse:
-    """Transmitted orders of a supercell, for one polarisation.
+    """Transmitted orders of a supercell for one polarisation.
 
     Attributes:
-        supercell: what was solved.
+        supercell: the supercell that was solved.
         polarisation: of the incident wave.
-        order: shape (n_orders, 2), those that propagate behind the pillars.
-        amplitude: shape (n_orders, 2), E_x and E_y over incident E, planes of the conventions, phases from the middle
-            of the supercell.
-        responses: shape (n_y, n_x), each pillar's own zero-order t, by the same numerics.
-        error: estimate of the largest absolute error of an amplitude: truncation (rcwa), or what is left of the
-            decaying field (meep: the grid's own error is common to ``amplitude`` and ``responses``).
+        order: shape (n_orders, 2), orders (m, n) that propagate behind the pillars.
+        amplitude: shape (n_orders, 2), E_x and E_y over incident E in the planes of the conventions, with phases from
+            the middle of the supercell.
+        responses: shape (n_y, n_x), zero-order t of each pillar in its own periodic cell, by the same solver.
+        error: estimate of the largest absolute error of an amplitude: truncation (rcwa), or the remainder of the
+            decaying field (meep: the error of the grid is common to ``amplitude`` and ``responses``).
         seconds: time that the solution took.
     """
 
@@ -152,11 +148,11 @@ class SupercellResponse:
     @property
     def co_polarised(self) -> ComplexArray:
         """Amplitudes of the incident polarisation, shape (n_orders,)."""
-        return np.asarray(self.amplitude[:, 0 if self.polarisation == "x" else 1])
+        return np.asarray(self.amplitude[:, POLARISATIONS.index(self.polarisation)])
 
     @property
     def local_period(self) -> ComplexArray:
-        """The amplitudes that the pillars' own responses predict, shape (n_orders,)."""
+        """Amplitudes by the local-period approximation, shape (n_orders,)."""
         return self.supercell.local_period(self.order, self.responses)
 
     @property
@@ -166,13 +162,12 @@ class SupercellResponse:
 
     @property
     def local_period_efficiency(self) -> FloatArray:
-        """The same by the local-period approximation."""
-        axis = 0 if self.polarisation == "x" else 1
+        """Transmitted over incident power of each order by the local-period approximation, shape (n_orders,)."""
         predicted = np.zeros_like(self.amplitude)
-        predicted[:, axis] = self.local_period
+        predicted[:, POLARISATIONS.index(self.polarisation)] = self.local_period
         return self.supercell.flux(self.order, predicted, self.polarisation)
 
     @property
     def coupling_error(self) -> float:
-        """Root of the summed squared differences of all orders: rms of the field that the approximation misses."""
+        """Field that the local-period approximation misses: root of the summed squared differences of all orders."""
         return float(np.sqrt(np.sum(np.abs(self.co_polarised - self.local_period) ** 2)))

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from metafab import library
-from metafab.cell import CellNumerics
-from metafab.cell.response import CellSolver
+from metafab.cell import CellNumerics, CellSolver
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.executor import SerialExecutor
 from metafab.core.parallel.progress import silent

@@ -10,7 +10,7 @@ import pytest
 
 from metafab import library
 from metafab.cell import CellNumerics, CellResponse, PillarCell
-from metafab.cell.rcwa.certificate import climb
+from metafab.cell.rcwa.certificate import ladder
 from metafab.core.parallel.executor import open_executor
 from metafab.library.fit.certificate import solver_errors
 from metafab.library.fit.models import SizeModel
@@ -101,6 +101,6 @@ def test_two_workers_write_the_bytes_of_one(unit_cell: UnitCell, tmp_path: Path)
 
 def test_seven_cosines_are_tried_only_where_nothing_was_measured() -> None:
     """Pillars that six cosines did not serve go on to eight, unless seven are all that may be had."""
-    assert climb(CellNumerics(1e-3), measured=True)[:4] == (4, 6, 8, 9)
-    assert climb(CellNumerics(1e-3))[:4] == (4, 6, 7, 8)
-    assert climb(CellNumerics(1e-3, max_orders=7), measured=True) == (4, 6, 7)
+    assert ladder(CellNumerics(1e-3), measured=True)[:4] == (4, 6, 8, 9)
+    assert ladder(CellNumerics(1e-3))[:4] == (4, 6, 7, 8)
+    assert ladder(CellNumerics(1e-3, max_orders=7), measured=True) == (4, 6, 7)

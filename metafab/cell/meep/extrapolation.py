@@ -1,4 +1,4 @@
-"""From several resolutions to the limit of vanishing pixels, with an error that the spread supports."""
+"""Richardson extrapolation of several resolutions to the limit of vanishing pixels, with an error from their spread."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
 
-#: Of h in the error of a field that is singular at a right-angled corner, 2 alpha for a field r^(alpha - 1) with
-#: alpha > 2/3 at any dielectric; smooth fields have h^2.
+#: Power of h in the error of a field that is singular at a right-angled corner: 2 alpha for a field r^(alpha - 1), with
+#: alpha > 2/3 for any dielectric; smooth fields have h^2.
 _SLOWEST_POWER = 4.0 / 3.0
 
 
 @dataclass(frozen=True)
 class Extrapolated:
-    """The limit and how far it can be trusted.
+    """Limit of a sequence of grids.
 
     Attributes:
-        value: shape (n_values,).
+        value: shape (n_values,), the limit.
         error: estimate of the largest absolute error among the values.
-        gain: how much larger an independent error of each grid's values becomes in the limit.
+        gain: factor from an independent error of each grid's values to that of the limit.
     """
 
     value: ComplexArray
@@ -33,13 +33,16 @@ class Extrapolated:
 def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Extrapolated:
     """Limit of v(h) = v + c_2 h^2 + c_4 h^4 + ... from grids that share their coordinates.
 
-    The three finest grids give both coefficients, two give the first only. The error is what the limit of second
-    order from the two finest grids would still lack if the step to it from the one before were all due to a
-    term in h^(4/3), the slowest that the corners of a pillar add. With two grids it is the whole correction.
+    The three finest grids give both coefficients, two grids the first only. The error assumes that the step between the
+    last two second-order limits is due to a term in h^(4/3), the slowest that a pillar's corners add. With two grids it
+    is the whole correction.
 
     Args:
         pixel_um: at least two grid spacings, coarse to fine.
-        values: for each, shape (n_values,).
+        values: for each grid, shape (n_values,).
+
+    Raises:
+        ValueError: fewer than two grids, or spacings that do not descend.
     """
     if len(pixel_um) < 2 or len(pixel_um) != len(values):
         raise ValueError(f"`pixel_um`: expected two or more, as many as `values`, got {len(pixel_um)}")

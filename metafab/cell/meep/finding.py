@@ -1,4 +1,4 @@
-"""Which interpreter has the FDTD Meep: usually not the one that runs metafab."""
+"""Interpreters that have the FDTD Meep, usually not the one that runs metafab."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from typing import Any
 
 from metafab.core.errors import MissingToolError
 
-#: Names an interpreter that has Meep, before all others.
+#: Environment variable with the first interpreter to try.
 VARIABLE = "METAFAB_MEEP_PYTHON"
 WORKER = Path(__file__).parent.parent / "meep_worker.py"
 
-#: What a worker may see of our environment: PYTHONPATH or an active venv would lead another interpreter astray.
+#: Environment variables of a worker: PYTHONPATH or an active venv would mislead another interpreter.
 _PASSED_ON = ("PATH", "HOME", "LANG", "LC_ALL", "TMPDIR", "LD_LIBRARY_PATH", "SystemRoot")
 _PROBE_SECONDS = 60.0
 
@@ -32,14 +32,14 @@ HOW_TO_INSTALL = (
 
 @dataclass(frozen=True)
 class MeepCandidate:
-    """An interpreter that was looked at.
+    """An interpreter that was probed for Meep.
 
     Attributes:
-        interpreter: its path.
+        interpreter: path of the interpreter.
         found: whether it has the FDTD Meep, proved by a wave in vacuum.
         version: Meep's version, "" where there is none.
-        python: the interpreter's own version.
-        reason: why it was not taken, "" where it was.
+        python: the interpreter's version.
+        reason: reason against it, "" where it has Meep.
     """
 
     interpreter: Path
@@ -50,47 +50,47 @@ class MeepCandidate:
 
 
 def find(interpreter: str | Path | None = None) -> list[MeepCandidate]:
-    """Look for Meep in every likely interpreter.
+    """Probe every likely interpreter for Meep.
 
     Args:
-        interpreter: the only one to look at; by default ``METAFAB_MEEP_PYTHON``, then the current interpreter,
+        interpreter: the only one to probe; by default ``METAFAB_MEEP_PYTHON``, then the current interpreter,
             ``/usr/bin/python3`` and the conda environments.
 
     Returns:
-        One entry an interpreter, in the order of preference.
+        One entry per interpreter, in the order of preference.
     """
     return [probe(path) for path in ([Path(interpreter)] if interpreter is not None else _likely())]
 
 
 def best(interpreter: str | Path | None = None) -> MeepCandidate:
-    """The first interpreter that has Meep; those after it are not looked at.
+    """The first interpreter that has Meep; those after it are not probed.
 
     Raises:
-        MissingToolError: none has it; the message says what was found in each, and how to install Meep.
+        MissingToolError: none has it; the message gives the reason for each, and how to install Meep.
     """
-    seen = []
+    reasons = []
     for path in [Path(interpreter)] if interpreter is not None else _likely():
         candidate = probe(path)
         if candidate.found:
             return candidate
-        seen.append(f"  {candidate.interpreter}: {candidate.reason}")
-    raise MissingToolError("\n".join(["no interpreter with the FDTD program Meep:", *seen, f"  {HOW_TO_INSTALL}"]))
+        reasons.append(f"  {candidate.interpreter}: {candidate.reason}")
+    raise MissingToolError("\n".join(["no interpreter with the FDTD program Meep:", *reasons, f"  {HOW_TO_INSTALL}"]))
 
 
 def command(interpreter: Path) -> list[str]:
-    """How a worker is started. ``-I`` keeps the worker's own folder off the path, where our room is called ``meep``."""
+    """Command of a worker. ``-I`` keeps the worker's folder, which has a package ``meep`` of ours, off the path."""
     return [str(interpreter), "-I", str(WORKER)]
 
 
 def clean_environment() -> dict[str, str]:
-    """The environment of a worker: one thread, no trace of our own interpreter."""
+    """Environment of a worker: one thread, and no settings of this interpreter."""
     environment = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
     return environment | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
 
 
 @cache
 def probe(interpreter: Path) -> MeepCandidate:
-    """Ask one interpreter; it is asked only once in the life of this process."""
+    """Probe one interpreter, once in the life of this process."""
     try:
         finished = subprocess.run(
             [*command(interpreter), "--probe"],
@@ -114,12 +114,8 @@ def probe(interpreter: Path) -> MeepCandidate:
 
 
 def _likely() -> Iterator[Path]:
-    seen: set[Path] = set()
-    for path in _places():
-        # Virtual environments link to one binary but see different packages: compare paths, not their targets.
-        if path not in seen and path.exists():
-            seen.add(path)
-            yield path
+    # Virtual environments link to one binary but have different packages: compare paths, not their targets.
+    yield from (path for path in dict.fromkeys(_places()) if path.exists())
 
 
 def _places() -> Iterator[Path]:

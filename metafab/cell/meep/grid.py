@@ -1,24 +1,28 @@
-"""A unit cell on Meep's grid: a family of resolutions that share their coordinates, and one run of it."""
+"""A unit cell on Meep's grid: resolutions that share their coordinates, one FDTD run, and its t and r."""
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
-from metafab.cell.meep.coordinates import Axis, cuboids, lateral_axis
-from metafab.cell.meep.protocol import Block, Job
-from metafab.cell.response import PillarCell
-from metafab.core.conventions import Polarisation
+from numpy.typing import NDArray
 
-#: Of the vacuum wavelength: absorber, and clearance between source, monitors and pillar.
+from metafab.cell.meep.protocol import Job
+from metafab.cell.meep.stretched_axes import Axis, lateral_axis, stretched_blocks
+from metafab.cell.pillar import PillarCell
+from metafab.core.conventions import POLARISATIONS, Polarisation
+
+#: Thickness of an absorber, and clearance between source, monitors and pillar, in vacuum wavelengths.
 ABSORBER = 0.5
 CLEARANCE = 0.3
 #: Pixels between source and near monitor, and between any of these planes and an absorber.
 PLANE_NODES = 3
-#: Half periods that the coarsest member of a family may have, in pixels.
+#: Half periods of the coarsest grid, in pixels.
 _FAMILY = range(5, 10)
-#: Part of the stability limit that the time step takes.
+#: Time step over the stability limit.
 _STABILITY = 0.95
 
 
@@ -27,7 +31,7 @@ class Family:
     """Grids that differ by a whole factor only: member j has 2 j times these numbers of pixels.
 
     Attributes:
-        period: half the pixels a period along (x, y), at j = 1.
+        period: half the pixels of a period along (x, y), at j = 1.
         inside: half those of the pillar.
         height: half those of the pillar's height.
     """
@@ -39,10 +43,10 @@ class Family:
 
 @dataclass(frozen=True)
 class Plan:
-    """A job and what de-embedding needs to know about it.
+    """A job, with the distances and indices that de-embedding needs.
 
     Attributes:
-        job: for the worker; its monitors are the near plane (incident and reflected light) and the far one.
+        job: FDTD run; its monitors are the near plane (incident and reflected light) and the far one.
         near_um: z of the near monitor, from the plane where the light comes in (negative).
         far_um: z of the far monitor, from the pillar's other plane.
         n_in: index of the polarisation on the near side.
@@ -55,41 +59,73 @@ class Plan:
     n_in: float
     n_out: float
 
+    def amplitudes(self, limit: NDArray[Any], incident: NDArray[Any]) -> tuple[complex, complex]:
+        """(t, r) of the polarisation, in the planes of the conventions.
+
+        Args:
+            limit: shape (2,), zero order of the near and the far monitor.
+            incident: shape (2,), zero order of the empty run.
+        """
+        job = self.job
+        k_in = grid_wavenumber(self.n_in, job.wavelength_um, job.pixel_um, job.courant)
+        k_out = grid_wavenumber(self.n_out, job.wavelength_um, job.pixel_um, job.courant)
+        arriving = complex(incident[0]) * cmath.exp(-1j * k_in * self.near_um)
+        t = complex(limit[1]) * cmath.exp(-1j * k_out * self.far_um) / arriving
+        r = (complex(limit[0]) - complex(incident[0])) * cmath.exp(1j * k_in * self.near_um) / arriving
+        return t, r
+
+
+def grid_wavenumber(
+    n: float, wavelength_um: float, pixel_um: float, courant: float, across: tuple[float, float] = (0.0, 0.0)
+) -> complex:
+    """Wave number along z (rad/um) of a plane wave on the Yee grid; imaginary where it is evanescent.
+
+    The sum of sin^2(k_i dx / 2) / dx^2 over the axes is n^2 sin^2(omega dt / 2) / dt^2 (Taflove and Hagness 2005,
+    Eq. 4.5). With the wave numbers of the continuum, results would depend on the place of the monitors.
+
+    Args:
+        n: index of the medium.
+        wavelength_um: vacuum wavelength.
+        pixel_um: grid spacing.
+        courant: time step over grid spacing.
+        across: wave numbers along x and y, rad/um.
+    """
+    total = n / courant * math.sin(math.pi * courant * pixel_um / wavelength_um)
+    along = cmath.sqrt(total**2 - sum(math.sin(k * pixel_um / 2.0) ** 2 for k in across))
+    return 2.0 / pixel_um * cmath.asin(along)
+
+
+def permittivity(n: tuple[complex, complex]) -> tuple[complex, complex, complex]:
+    """Permittivity along x, y, z. The zero order does not depend on eps_z; evanescent orders get the mean."""
+    x, y = complex(n[0]) ** 2, complex(n[1]) ** 2
+    return x, y, (x + y) / 2.0
+
 
 def family(cell: PillarCell) -> Family:
-    """The family of grids that must be stretched least.
+    """The family of grids with the least stretching.
 
-    The pixel is that of the x period; the y period gets the number of pixels that comes nearest.
+    The pixel is that of the x period; the y period gets the nearest number of pixels.
     """
 
     def stretch(count: int, length: float, pixel: float) -> float:
         return abs(math.log(length / (count * pixel))) if length > 0.0 and count > 0 else 0.0
 
-    best: tuple[float, Family] | None = None
     sizes = (cell.width_nm, cell.length_nm)
+    grids: list[tuple[float, Family]] = []
     for p_x in _FAMILY:
         pixel = cell.period_nm[0] / p_x
         period = (p_x, max(1, round(cell.period_nm[1] / pixel)))
-        inside = tuple(
-            _split(size, whole, count) for size, whole, count in zip(sizes, cell.period_nm, period, strict=True)
-        )
+        in_x, in_y = map(_split, sizes, cell.period_nm, period)
         height = max(1, round(cell.height_nm / pixel))
-        worst = max(
-            stretch(height, cell.height_nm, pixel),
-            *(stretch(i, size, pixel) for i, size in zip(inside, sizes, strict=True)),
-            *(
-                stretch(p - i, whole - size, pixel)
-                for p, i, whole, size in zip(period, inside, cell.period_nm, sizes, strict=True)
-            ),
-        )
-        if best is None or worst < best[0]:
-            best = worst, Family(period, (inside[0], inside[1]), height)
-    assert best is not None
-    return best[1]
+        worst = stretch(height, cell.height_nm, pixel)
+        for i, p, size, whole in zip((in_x, in_y), period, sizes, cell.period_nm, strict=True):
+            worst = max(worst, stretch(i, size, pixel), stretch(p - i, whole - size, pixel))
+        grids.append((worst, Family(period, (in_x, in_y), height)))
+    return min(grids, key=lambda grid: grid[0])[1]
 
 
 def _split(size: float, period: float, count: int) -> int:
-    """Pixels of the pillar, of ``count`` a period; a pillar and a gap keep one each."""
+    """Pixels of the pillar out of ``count`` of a period; a pillar and a gap keep one each."""
     if size <= 0.0:
         return 0
     if size >= period:
@@ -107,18 +143,16 @@ def plan(
     longest_time: float,
     shift_nodes: int = 0,
 ) -> Plan:
-    """The FDTD run of one polarisation.
-
-    Light runs along +z whatever its side; z = 0 is where the pillar begins for it.
+    """The FDTD run of one polarisation; light runs along +z from either side, and z = 0 is where the pillar begins.
 
     Args:
-        cell: what to solve.
+        cell: the cell.
         polarisation: of the incident wave.
-        grids: of :func:`family`.
+        grids: grids from :func:`family`.
         member: resolution, in multiples of the coarsest.
-        decay: see :class:`Job`.
-        longest_time: see :class:`Job`.
-        shift_nodes: moves both monitors outwards; results must not notice.
+        decay: as of :class:`Job`.
+        longest_time: as of :class:`Job`.
+        shift_nodes: pixels by which both monitors move outwards, without effect on t and r.
     """
     n_x, n_y = (2 * member * count for count in grids.period)
     pixel = cell.period_nm[0] * 1e-3 / n_x
@@ -138,7 +172,7 @@ def plan(
         for inside, size, period, count in sizes
     )
     z = Axis((0, begin, end, n_z), (1.0, height / ((end - begin) * pixel), 1.0), (0, 1, 2))
-    axis = 0 if polarisation == "x" else 1
+    axis = POLARISATIONS.index(polarisation)
     job = Job(
         pixel_um=pixel,
         n_x=n_x,
@@ -154,7 +188,7 @@ def plan(
         # Where E_x is stretched by x alone, the wave's flux varies along y, and the other way round.
         weight=tuple((y if polarisation == "x" else x).node_stretch()),
         epsilon_in=permittivity(cell.n_in),
-        blocks=_blocks(cell, (x, y, z), pixel, n_z),
+        blocks=stretched_blocks((x, y, z), _epsilon(cell), pixel, n_z / 2),
         smooth=False,
         mirrors=("x", "y"),
         decay=decay,
@@ -171,26 +205,12 @@ def _courant(cell: PillarCell, axes: tuple[Axis, Axis, Axis]) -> float:
     return min(0.5, _STABILITY * slowest_n / math.sqrt(inverse))
 
 
-def permittivity(n: tuple[complex, complex]) -> tuple[complex, complex, complex]:
-    """Permittivity along x, y, z. The zero order does not see eps_z; evanescent orders do, and get the mean."""
-    x, y = complex(n[0]) ** 2, complex(n[1]) ** 2
-    return x, y, (x + y) / 2.0
-
-
-def _blocks(cell: PillarCell, axes: tuple[Axis, Axis, Axis], pixel: float, n_z: int) -> tuple[Block, ...]:
-    ambient = permittivity((cell.n_ambient, cell.n_ambient))
-    pillar = permittivity((cell.n_pillar, cell.n_pillar))
+def _epsilon(cell: PillarCell) -> dict[tuple[int, int, int], tuple[complex, ...]]:
+    """Regions along (x, y, z) -> permittivity along x, y and z."""
+    ambient, pillar = (permittivity((n, n)) for n in (cell.n_ambient, cell.n_pillar))
     epsilon: dict[tuple[int, int, int], tuple[complex, ...]] = {}
     for in_x, in_y in product((0, 1), repeat=2):
         epsilon[in_x, in_y, 0] = permittivity(cell.n_in)
         epsilon[in_x, in_y, 1] = pillar if in_x and in_y else ambient
         epsilon[in_x, in_y, 2] = permittivity(cell.n_out)
-    return tuple(
-        Block(
-            (box.low[0] * pixel, box.low[1] * pixel, (box.low[2] - n_z / 2) * pixel),
-            (box.high[0] * pixel, box.high[1] * pixel, (box.high[2] - n_z / 2) * pixel),
-            box.epsilon,
-            box.mu,
-        )
-        for box in cuboids(axes, epsilon)
-    )
+    return epsilon

@@ -1,40 +1,77 @@
-"""Long-lived workers, one a core, replaced before their memory grows; what they finished is not run again."""
+"""A pool of long-lived workers, one a core, with finished runs kept on disk."""
 
 from __future__ import annotations
 
+import os
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+import zipfile
+from collections.abc import Callable, Sequence
 from functools import cache
 from multiprocessing.util import Finalize
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 
 from metafab.cell.meep import finding
-from metafab.cell.meep.kept import KeptReplies, own_folder
 from metafab.cell.meep.protocol import Job, Reply, Worker
-from metafab.core.errors import InputError
+from metafab.core.errors import InputError, SolverError
 from metafab.core.parallel.executor import default_workers
-from metafab.core.storage.files import file_sha256
+from metafab.core.storage.files import file_sha256, fingerprint, whole_file
 
-Item = TypeVar("Item")
-Result = TypeVar("Result")
+#: Environment variable with the folder of finished runs; empty keeps none.
+FOLDER_VARIABLE = "METAFAB_MEEP_JOBS"
+
+
+def own_folder() -> Path | None:
+    """Folder of this user's finished runs: ``METAFAB_MEEP_JOBS``, or ``metafab/meep`` in the user's cache."""
+    named = os.environ.get(FOLDER_VARIABLE)
+    if named is not None:
+        return Path(named) if named else None
+    caches = os.environ.get("XDG_CACHE_HOME")
+    return (Path(caches) if caches else Path.home() / ".cache") / "metafab" / "meep"
+
+
+class KeptReplies:
+    """Replies of finished jobs, one .npz file each; any number of processes may share the folder.
+
+    Args:
+        folder: folder of the files; made when the first one is kept.
+        program: identity of the program that runs the jobs (worker's source, version of Meep).
+    """
+
+    def __init__(self, folder: Path, program: str) -> None:
+        self._folder = folder
+        self._program = program
+
+    def find(self, job: Job) -> Reply | None:
+        """Return the reply of an equal finished job, or None. A damaged file counts as none, and is replaced."""
+        try:
+            with np.load(self._path(job), allow_pickle=False) as content:
+                return {name: np.array(content[name]) for name in content.files}
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def keep(self, job: Job, reply: Reply) -> None:
+        """Write a reply, whole or not at all."""
+        with whole_file(self._path(job)) as part, part.open("wb") as stream:
+            np.savez(stream, **reply)  # type: ignore[arg-type]
+
+    def _path(self, job: Job) -> Path:
+        return self._folder / f"{fingerprint(self._program, job)[:40]}.npz"
 
 
 class Pool:
-    """Runs jobs on several workers at once; a context manager, safe to share between threads.
+    """Workers that run several jobs at once; a context manager, safe to share between threads.
 
-    Workers start when they are first needed. One that has failed is replaced for the next job.
+    Workers start when they are first needed. A worker that failed is replaced for the next job.
 
     Args:
-        workers: processes, one thread each; by default as many as there are cores.
+        workers: processes, one thread each; by default one a core.
         command: the worker's program; by default the first interpreter that has Meep.
-        jobs_per_worker: a worker is replaced after so many jobs, as Meep does not give back all of its memory.
+        jobs_per_worker: jobs after which a worker is replaced, as Meep does not return all of its memory.
         limit_s: time limit of one job.
-        keep: folder of finished jobs; an equal job, this process' or an earlier one's, is answered from it.
+        keep: folder of finished jobs, of this process or an earlier one; an equal job is answered from it.
     """
 
     def __init__(
@@ -62,8 +99,12 @@ class Pool:
     def run(self, job: Job, report: Callable[[float], None] | None = None) -> Reply:
         """Run one job on a free worker, waiting for one if need be, unless its reply was kept.
 
+        Args:
+            job: the FDTD run.
+            report: callback with the simulated time in um / c.
+
         Returns:
-            The worker's arrays, and ``seconds``, what the run took when it was made.
+            The worker's arrays, and ``seconds``, the time of the run when it was made.
 
         Raises:
             SolverError: as :meth:`Worker.run`.
@@ -84,25 +125,21 @@ class Pool:
                 kept.keep(job, reply)
             return reply
 
-    def stream(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[tuple[Item, Result]]:
-        """Apply ``function``, which calls :meth:`run`, to each item, as many at once as there are workers.
+    def run_to_decay(self, job: Job, report: Callable[[float], None] | None = None) -> Reply:
+        """Run one job whose fields must decay within its longest time; arguments and result as of :meth:`run`.
 
-        Pairs (item, result) come as they finish. The first failure, or leaving early, ends all workers.
+        Raises:
+            SolverError: the fields did not decay, or as :meth:`run`.
+            MissingToolError: no interpreter has Meep.
         """
-        todo = iter(items)
-        pending: dict[Future[Any], Item] = {}
-        with ThreadPoolExecutor(self.size) as threads:
-            try:
-                while True:
-                    while len(pending) < self.size and (item := next(todo, None)) is not None:
-                        pending[threads.submit(function, item)] = item
-                    if not pending:
-                        return
-                    for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                        yield pending.pop(future), future.result()
-            finally:
-                if pending:
-                    self.close()
+        reply = self.run(job, report)
+        if not np.isfinite(reply["tail"]):
+            periods = job.longest_time / job.wavelength_um
+            raise SolverError(
+                f"Meep: the fields had not begun to decay after {periods:g} optical periods; "
+                "give more by `longest_periods`"
+            )
+        return reply
 
     def close(self) -> None:
         """End all workers. The pool can be used again: it starts new ones."""
@@ -147,10 +184,7 @@ class Pool:
 
 @cache
 def own_pool() -> Pool:
-    """The one worker of this process, for cells that are solved one by one; it ends with the process.
-
-    It keeps what it finished in :func:`metafab.cell.meep.kept.own_folder`.
-    """
+    """The one-worker pool of this process for single cells; it ends with the process and keeps its finished runs."""
     pool = Pool(1, keep=own_folder())
     # Unlike atexit, this also runs at the end of a process that multiprocessing started.
     Finalize(None, pool.close, exitpriority=100)

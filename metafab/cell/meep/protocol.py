@@ -1,4 +1,4 @@
-"""One worker process: jobs as JSON lines, arrays as .npz files, time limits, and a sure end."""
+"""FDTD jobs, and one worker process that runs them: JSON lines, arrays as .npz files, time limits, a sure end."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from metafab.core.conventions import Polarisation
 from metafab.core.errors import SolverError
 from metafab.core.storage.files import plain
 
+#: Arrays of one run by name, as :func:`metafab.cell.meep_worker.run` documents them.
 Reply = dict[str, NDArray[Any]]
 
 _STDERR_LINES = 12
@@ -54,23 +55,23 @@ class Job:
 
     Attributes:
         pixel_um: grid spacing.
-        n_x: pixels a period along x; even.
-        n_y: pixels a period along y; even.
+        n_x: pixels of the period along x; even.
+        n_y: pixels of the period along y; even.
         n_z: pixels along z, absorbers included; even.
         absorber_nodes: thickness of each absorber (PML), in pixels.
-        source_node: where the pulse starts, in pixels from the lower end.
-        monitor_nodes: where fields are recorded, in the same way.
+        source_node: plane of the pulse's source, in pixels from the lower end.
+        monitor_nodes: planes of the recorded fields, in pixels from the lower end.
         wavelength_um: vacuum wavelength of the recorded fields.
         polarisation: of the pulse.
         components: recorded components of E.
         orders: recorded diffraction orders (m, n) along x and y.
         weight: shape (n_y,) for x polarisation, (n_x,) for y: of the source, and of the points in each average.
-        epsilon_in: permittivity along x, y and z wherever there is no block; the source lies in it.
+        epsilon_in: permittivity along x, y and z outside the blocks, the source's place included.
         blocks: the structure.
-        smooth: whether Meep averages pixels that a wall crosses; not where blocks are made for the grid's points.
+        smooth: whether Meep averages pixels that a wall crosses; false for blocks made for the grid's points.
         mirrors: axes along which the structure equals its mirror image; each halves the work.
-        decay: the run ends when extrapolated orders change by no more than this, relative to the incident wave.
-        longest_time: it ends at this time (um / c) at the latest.
+        decay: the run ends when the extrapolated orders change by at most this, relative to the incident wave.
+        longest_time: latest end of the run, um / c.
         courant: time step over grid spacing.
     """
 
@@ -95,13 +96,13 @@ class Job:
     courant: float = 0.5
 
     def to_json(self) -> dict[str, Any]:
-        """The job as the worker reads it; complex numbers as [re, im]."""
+        """The job as JSON types; complex numbers as [re, im]."""
         table: dict[str, Any] = plain(self)
         return table
 
 
 class Worker:
-    """A process that runs jobs one after the other. Not to be shared between threads.
+    """A process that runs jobs one after the other; not to be shared between threads.
 
     Args:
         command: the program and its arguments; by default the first interpreter that has Meep.
@@ -120,12 +121,15 @@ class Worker:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
-            # A group of its own: Ctrl-C reaches us alone, and we end everything that it started.
+            # A group of its own: Ctrl-C does not reach it, and ending the group ends all that it started.
             start_new_session=True,
         )
         self._readers = [
-            threading.Thread(target=self._read_stdout, daemon=True),
-            threading.Thread(target=self._read_stderr, daemon=True),
+            threading.Thread(target=read, args=(stream,), daemon=True)
+            for read, stream in (
+                (self._read_stdout, self._process.stdout),
+                (self._read_stderr, self._process.stderr),
+            )
         ]
         for reader in self._readers:
             reader.start()
@@ -139,16 +143,16 @@ class Worker:
         """Run one job to its end.
 
         Args:
-            job: what to simulate.
-            limit_s: the worker is killed when it takes longer.
-            report: called with the simulated time in um / c.
+            job: the FDTD run.
+            limit_s: time limit, after which the worker is killed.
+            report: callback with the simulated time in um / c.
 
         Returns:
             The arrays that :func:`metafab.cell.meep_worker.run` documents.
 
         Raises:
-            SolverError: the worker failed, died, talked nonsense or took too long. Only after a failure that it
-                reported itself can it be used again (see ``alive``).
+            SolverError: the worker reported an error, died, broke the protocol or took too long. It can be used again
+                only after an error that it reported (see ``alive``).
         """
         name = f"{self.jobs_done}"
         arrays = Path(self._folder.name) / f"{name}.npz"
@@ -161,8 +165,7 @@ class Worker:
             self.close()
             raise self._failure(f"its arrays cannot be read ({error})") from error
         except BaseException:
-            # Ctrl-C included: a run that nobody waits for must not go on. A failure that the worker
-            # reported itself has left it idle.
+            # Ctrl-C included: an abandoned run must not go on. After an error that it reported the worker is idle.
             if not self._idle:
                 self.close()
             raise
@@ -229,24 +232,22 @@ class Worker:
             if report is not None and "progress" in message:
                 report(float(message["progress"]))
 
-    def _failure(self, what: str) -> SolverError:
+    def _failure(self, reason: str) -> SolverError:
         if not self._idle:
-            # What it said last may still be on its way.
+            # Its last lines may still be on their way.
             self._readers[1].join(0.2)
-        said = "".join(f"\n  | {line}" for line in self._stderr)
-        return SolverError(f"Meep worker: {what}{said}")
+        stderr = "".join(f"\n  | {line}" for line in self._stderr)
+        return SolverError(f"Meep worker: {reason}{stderr}")
 
-    def _read_stdout(self) -> None:
-        assert self._process.stdout is not None
+    def _read_stdout(self, stream: IO[str]) -> None:
         with contextlib.suppress(ValueError, OSError):
-            for line in self._process.stdout:
+            for line in stream:
                 self._lines.put(line)
         self._lines.put(None)
 
-    def _read_stderr(self) -> None:
-        assert self._process.stderr is not None
+    def _read_stderr(self, stream: IO[str]) -> None:
         with contextlib.suppress(ValueError, OSError):
-            for line in self._process.stderr:
+            for line in stream:
                 self._stderr.append(line.rstrip())
 
 

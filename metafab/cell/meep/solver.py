@@ -1,35 +1,35 @@
-"""One unit cell by FDTD: both polarisations, several resolutions, the limit, and its error."""
+"""One unit cell by FDTD: both polarisations at several resolutions, their limit, and its error."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from metafab.cell.meep.deembedding import amplitudes
 from metafab.cell.meep.extrapolation import richardson
 from metafab.cell.meep.grid import family, plan
 from metafab.cell.meep.pool import Pool, own_pool
-from metafab.cell.response import CellNumerics, CellResponse, PillarCell
+from metafab.cell.pillar import PillarCell
+from metafab.cell.response import CellNumerics, CellResponse, SolverDetails
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
-from metafab.core.errors import Fault, InputError, SolverError
-from metafab.core.parallel.progress import Progress, silent
+from metafab.core.errors import Fault, InputError
 
 
 @dataclass(frozen=True)
 class MeepSettings:
-    """What is particular to FDTD.
+    """Numerics of FDTD.
 
     Attributes:
-        members: grids of the cell's family to solve on, coarse to fine, at least two. A member has 10 to 18 times its
-            number pixels a period. From the third on, finer ones are left out once the target error is reached.
-        decay: a run ends when its extrapolated orders change by no more than this, relative to the incident wave.
-        longest_periods: it ends after this many optical periods at the latest.
+        members: grids of the cell's family, coarse to fine, at least two. Member j has 10 j to 18 j pixels a period.
+            From the third on, finer ones are skipped once the target error is reached.
+        decay: a run ends when its extrapolated orders change by at most this, relative to the incident wave.
+        longest_periods: longest run, in optical periods.
+
+    Raises:
+        InputError: fewer than two members, or members that do not ascend from 1.
     """
 
     members: tuple[int, ...] = (1, 2, 3, 4)
@@ -42,59 +42,68 @@ class MeepSettings:
             raise InputError.single("meep", "members", "two or more whole numbers from 1, ascending", f"{self.members}")
 
 
+@dataclass(frozen=True)
+class MeepDetails(SolverDetails):
+    """Figures of a solution by FDTD.
+
+    Attributes:
+        grids: number of grids that were solved.
+        pixels_per_period: pixels of the x period on the finest grid.
+        error_resolution: error of the extrapolation to vanishing pixels.
+        error_decay: error of the fields' remaining decay.
+        last_correction: largest change of any amplitude from the finest grid to the limit.
+        fdtd_seconds: time of all runs, kept ones as when they ran.
+        simulated_optical_periods: length of the longest run.
+    """
+
+    grids: int
+    pixels_per_period: int
+    error_resolution: float
+    error_decay: float
+    last_correction: float
+    fdtd_seconds: float
+    simulated_optical_periods: float
+
+
 def solve(
-    cell: PillarCell,
-    numerics: CellNumerics,
-    settings: MeepSettings = MeepSettings(),
-    pool: Pool | None = None,
+    cell: PillarCell, numerics: CellNumerics, settings: MeepSettings = MeepSettings(), pool: Pool | None = None
 ) -> CellResponse:
-    """Jones matrices of one cell at normal incidence.
+    """Solve one cell at normal incidence for its Jones matrices.
 
     Args:
-        cell: what to solve.
-        numerics: target error; ``solver`` is not looked at.
-        settings: grid and decay.
-        pool: workers to use; by default one that lives as long as this process.
+        cell: the cell.
+        numerics: target error; ``solver`` is ignored.
+        settings: grids and decay.
+        pool: workers; by default a pool that lives as long as this process.
 
     Raises:
-        InputError: the cell lies outside what this solver treats.
+        InputError: the solver does not treat the cell.
         MissingToolError: no interpreter has Meep.
         SolverError: a worker failed, or the fields did not decay.
     """
     refuse_untreated(cell)
     start = time.perf_counter()
     workers = own_pool() if pool is None else pool
-    # An x/y exchange symmetric cell answers both polarisations alike.
+    # A cell that exchanging x and y leaves unchanged has equal amplitudes for both polarisations.
     square = cell.period_nm[0] == cell.period_nm[1] and cell.width_nm == cell.length_nm
     same = square and cell.n_substrate[0] == cell.n_substrate[1]
     polarisations: tuple[Polarisation, ...] = ("x",) if same else POLARISATIONS
-    grids = family(cell)
+    grids, wavelength_um = family(cell), cell.wavelength_nm * 1e-3
+    longest_time = settings.longest_periods * wavelength_um
     pixels: list[float] = []
     values: list[ComplexArray] = []
     tail = simulated = spent = 0.0
     for member in settings.members:
-        found = []
+        amplitudes = []
         for polarisation in polarisations:
-            run = plan(
-                cell,
-                polarisation,
-                grids,
-                member,
-                decay=settings.decay,
-                longest_time=settings.longest_periods * cell.wavelength_nm * 1e-3,
-            )
-            reply = workers.run(run.job)
-            if not np.isfinite(reply["tail"]):
-                raise SolverError(
-                    f"Meep: the fields had not begun to decay after {settings.longest_periods:g} optical periods; "
-                    "give more by `longest_periods`"
-                )
-            found.append(amplitudes(run, reply["limit"][:, 0, 0], reply["incident"]))
+            run = plan(cell, polarisation, grids, member, decay=settings.decay, longest_time=longest_time)
+            reply = workers.run_to_decay(run.job)
+            amplitudes.append(run.amplitudes(reply["limit"][:, 0, 0], reply["incident"]))
             tail = max(tail, float(reply["tail"]))
             simulated = max(simulated, float(reply["time"][-1]))
             spent += float(reply["seconds"])
         pixels.append(run.job.pixel_um)
-        values.append(np.array(found).T.ravel())
+        values.append(np.array(amplitudes).T.ravel())
         if len(pixels) == 1:
             continue
         best = richardson(pixels, values)
@@ -111,56 +120,33 @@ def solve(
         converged=error <= numerics.target_error,
         resolution=round(1.0 / pixels[-1]),
         seconds=time.perf_counter() - start,
-        details={
-            "grids": float(len(pixels)),
-            "pixels_per_period": float(run.job.n_x),
-            "error_resolution": float(best.error),
-            "error_decay": best.gain * tail,
-            "last_correction": float(np.max(np.abs(best.value - values[-1]))),
-            "fdtd_seconds": spent,
-            "simulated_optical_periods": simulated / (cell.wavelength_nm * 1e-3),
-        },
+        details=MeepDetails(
+            grids=len(pixels),
+            pixels_per_period=run.job.n_x,
+            error_resolution=float(best.error),
+            error_decay=best.gain * tail,
+            last_correction=float(np.max(np.abs(best.value - values[-1]))),
+            fdtd_seconds=spent,
+            simulated_optical_periods=simulated / wavelength_um,
+        ),
     )
 
 
-def solve_many(
-    cells: Iterable[PillarCell],
-    numerics: CellNumerics,
-    pool: Pool,
-    settings: MeepSettings = MeepSettings(),
-    progress: Progress = silent,
-) -> Iterator[CellResponse]:
-    """Solve many cells over the workers of ``pool``; responses come as they finish."""
-    todo = list(cells)
-    one = partial(solve, numerics=numerics, settings=settings, pool=pool)
-    for done, (_, response) in enumerate(pool.stream(one, todo), start=1):
-        progress("cells by FDTD", done, len(todo))
-        yield response
-
-
 def refuse_untreated(cell: PillarCell) -> None:
-    """Say what this solver cannot do, before anything is started.
+    """Refuse a cell that FDTD does not treat here, before any worker starts.
 
     Raises:
         InputError: with every reason.
     """
-    faults = []
+    faults = cell.untreated("the solver meep", treated=("angle_deg",), remedy="solve with rcwa")
     if cell.angle_deg != 0.0:
-        faults.append(
-            Fault(
-                "angle_deg",
-                "0 for the solver meep",
-                f"{cell.angle_deg:g}",
-                "a pulse at a fixed wave vector arrives at another angle at every frequency; use rcwa",
-            )
-        )
-    indices = {"n_substrate": cell.n_substrate, "n_ambient": (cell.n_ambient,)}
-    faults += [
-        Fault(name, "a lossless half space for the solver meep", f"{n}", "drop its k, or use rcwa")
-        for name, values in indices.items()
-        for n in dict.fromkeys(map(complex, values))
-        if n.imag != 0.0
-    ]
+        remedy = "a pulse of fixed wave vector has another angle at every frequency; use rcwa"
+        faults.append(Fault("angle_deg", "0 for the solver meep", f"{cell.angle_deg:g}", remedy))
+    for name, indices in (("n_substrate", cell.n_substrate), ("n_ambient", (cell.n_ambient,))):
+        for n in dict.fromkeys(map(complex, indices)):
+            if n.imag != 0.0:
+                expected = "a lossless half space for the solver meep"
+                faults.append(Fault(name, expected, f"{n}", "drop its k, or use rcwa"))
     if (complex(cell.n_pillar) ** 2).real <= 0.0:
         faults.append(Fault("n_pillar", "a dielectric for the solver meep", f"{cell.n_pillar}", "for a metal use rcwa"))
     if not math.isfinite(cell.height_nm) or cell.height_nm <= 0.0:

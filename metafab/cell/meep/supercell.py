@@ -1,8 +1,8 @@
 """Unlike pillars in one period by FDTD, and each of them alone on the same grid.
 
-The walls of many pillars fit no stretched grid, so they lie anywhere between the nodes and Meep averages the pixels
-that they cross. What the grid itself gets wrong is common to the supercell and to the lone pillars: their difference
-is the coupling between neighbours.
+The walls of many pillars fit no stretched grid, so that they lie anywhere between the nodes and Meep averages the
+pixels that they cross. The error of the grid is common to the supercell and to the lone pillars: their difference is
+the coupling between neighbours.
 """
 
 from __future__ import annotations
@@ -10,40 +10,38 @@ from __future__ import annotations
 import cmath
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metafab.cell.meep.deembedding import grid_wavenumber
-from metafab.cell.meep.grid import ABSORBER, CLEARANCE, PLANE_NODES, permittivity
+from metafab.cell.meep.grid import ABSORBER, CLEARANCE, PLANE_NODES, grid_wavenumber, permittivity
 from metafab.cell.meep.pool import Pool, own_pool
 from metafab.cell.meep.protocol import Block, Job
 from metafab.cell.meep.solver import refuse_untreated
-from metafab.cell.response import PillarCell
+from metafab.cell.pillar import PillarCell
 from metafab.cell.supercell import IntArray, Supercell, SupercellResponse
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
-from metafab.core.errors import InputError, SolverError
+from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
 
-#: z = 0 lies off the nodes by this part of a pixel, where no face of a pixel meets it.
+#: Distance of z = 0 from the nodes, in pixels: no point of a pixel lies there.
 _OFFSET = 0.25
 _COURANT = 0.5
-#: Measured with Meep 1.25 on one core: pixel updates a second (4e7 on small cells), bytes a pixel.
+#: Measured with Meep 1.25 on one core: pixel updates per second (4e7 on small cells), and bytes per pixel.
 _UPDATES_PER_S = 3e7
 _BYTES_PER_PIXEL = 200.0
-#: Optical periods that a run lasts at the usual decay of 1e-2 to 1e-3.
+#: Optical periods of a run at a decay of 1e-2 to 1e-3.
 _USUAL_PERIODS = 75.0
 
 
 @dataclass(frozen=True)
 class SupercellSettings:
-    """How a supercell is solved by FDTD.
+    """Numerics of a supercell by FDTD.
 
     Attributes:
-        pixels_per_period: even; the pixel is the x period of a site over it, and the y period must hold an even number.
-        decay: see :class:`metafab.cell.meep.protocol.Job`.
-        longest_periods: a run ends after this many optical periods at the latest.
+        pixels_per_period: pixels of a site's x period, even and from 8; the y period must hold an even number too.
+        decay: a run ends when its extrapolated orders change by at most this, relative to the incident wave.
+        longest_periods: longest run, in optical periods.
     """
 
     pixels_per_period: int = 16
@@ -53,10 +51,10 @@ class SupercellSettings:
 
 @dataclass(frozen=True)
 class Cost:
-    """What a run is expected to take on one core.
+    """Expected cost of a run on one core.
 
     Attributes:
-        pixels: of the simulated part of the supercell.
+        pixels: pixels of the simulated part of the supercell.
         seconds: time.
         bytes: memory.
     """
@@ -67,13 +65,13 @@ class Cost:
 
 
 def estimate(supercell: Supercell, settings: SupercellSettings = SupercellSettings()) -> Cost:
-    """What :func:`solve_supercell` will cost, for one polarisation, lone pillars included.
+    """Expected cost of :func:`solve_supercell` for one polarisation, lone pillars included.
 
     Raises:
         InputError: the grid does not fit.
     """
     whole, *alone = (
-        _plan(each, "x", settings).job for each in (supercell, *(_lone(cell) for cell in supercell.alone().values()))
+        plan(each, "x", settings).job for each in (supercell, *(_lone(cell) for cell in supercell.alone().values()))
     )
     pixels = [job.n_x * job.n_y * job.n_z / 2 ** len(job.mirrors) for job in (whole, *alone)]
     steps = _USUAL_PERIODS * whole.wavelength_um / (_COURANT * whole.pixel_um)
@@ -87,17 +85,17 @@ def solve_supercell(
     pool: Pool | None = None,
     progress: Progress = silent,
 ) -> SupercellResponse:
-    """Solve a supercell, and each distinct pillar alone on the same grid.
+    """Solve a supercell at normal incidence, and each distinct pillar alone on the same grid.
 
     Args:
-        supercell: what to solve, at normal incidence.
+        supercell: the supercell.
         polarisation: of the incident wave.
         settings: grid and decay.
-        pool: workers to use; by default one that lives as long as this process.
-        progress: called with the optical periods simulated, and the lone pillars done.
+        pool: workers; by default a pool that lives as long as this process.
+        progress: callback with the simulated optical periods, and the lone pillars done.
 
     Raises:
-        InputError: the cell lies outside what this solver treats, or the grid does not fit.
+        InputError: the solver does not treat the cell, or the grid does not fit.
         MissingToolError: no interpreter has Meep.
         SolverError: a worker failed, or the fields did not decay.
     """
@@ -105,13 +103,13 @@ def solve_supercell(
     start = time.perf_counter()
     workers = own_pool() if pool is None else pool
     order = supercell.propagating(polarisation)
-    amplitude, tail = _run(workers, _plan(supercell, polarisation, settings, order), progress)
+    amplitude, tail = _run(workers, plan(supercell, polarisation, settings, order), progress)
     axis = POLARISATIONS.index(polarisation)
-    own: dict[tuple[float, float], complex] = {}
+    responses: dict[tuple[float, float], complex] = {}
     alone = supercell.alone()
     for done, (size, cell) in enumerate(alone.items(), start=1):
-        found, own_tail = _run(workers, _plan(_lone(cell), polarisation, settings, np.zeros((1, 2), dtype=np.intp)))
-        own[size], tail = complex(found[0, axis]), max(tail, own_tail)
+        zero_order, lone_tail = _run(workers, plan(_lone(cell), polarisation, settings))
+        responses[size], tail = complex(zero_order[0, axis]), max(tail, lone_tail)
         progress("lone pillars", done, len(alone))
     sizes = supercell.size_nm.reshape(-1, 2)
     return SupercellResponse(
@@ -119,7 +117,7 @@ def solve_supercell(
         polarisation=polarisation,
         order=order,
         amplitude=amplitude,
-        responses=np.array([own[float(w), float(length)] for w, length in sizes]).reshape(supercell.shape),
+        responses=np.array([responses[float(w), float(length)] for w, length in sizes]).reshape(supercell.shape),
         error=tail,
         seconds=time.perf_counter() - start,
     )
@@ -130,8 +128,16 @@ def _lone(cell: PillarCell) -> Supercell:
 
 
 @dataclass(frozen=True)
-class _Plan:
-    """A job, and what de-embedding needs: planes in um from where the pillars begin and end, k of every order."""
+class SupercellPlan:
+    """A job, with the distances and wave numbers that de-embedding needs.
+
+    Attributes:
+        job: FDTD run.
+        near_um: z of the near monitor, from the plane where the pillars begin.
+        far_um: z of the far monitor, from the plane where the pillars end.
+        k_in: wave number along z of the incident wave on the grid, rad/um.
+        k_out: wave number along z of each order on the grid, rad/um.
+    """
 
     job: Job
     near_um: float
@@ -140,30 +146,36 @@ class _Plan:
     k_out: tuple[complex, ...]
 
 
-def _run(pool: Pool, plan: _Plan, progress: Progress = silent) -> tuple[ComplexArray, float]:
-    """Amplitudes of the transmitted orders in our planes, shape (n_orders, 2), and the tail."""
-    job = plan.job
+def _run(pool: Pool, run: SupercellPlan, progress: Progress = silent) -> tuple[ComplexArray, float]:
+    """Amplitudes of the transmitted orders in the planes of the conventions, shape (n_orders, 2), and the tail."""
+    job = run.job
     longest = job.longest_time / job.wavelength_um
-    reply = pool.run(job, lambda done: progress("supercell by FDTD", done / job.wavelength_um, longest))
-    if not np.isfinite(reply["tail"]):
-        raise SolverError(
-            f"Meep: the fields had not begun to decay after {longest:g} optical periods; give more by `longest_periods`"
-        )
-    arriving = complex(reply["incident"][0]) * cmath.exp(-1j * plan.k_in * plan.near_um)
-    back = np.array([cmath.exp(-1j * k * plan.far_um) for k in plan.k_out])
+    reply = pool.run_to_decay(job, lambda done: progress("supercell by FDTD", done / job.wavelength_um, longest))
+    arriving = complex(reply["incident"][0]) * cmath.exp(-1j * run.k_in * run.near_um)
+    back = np.array([cmath.exp(-1j * k * run.far_um) for k in run.k_out])
     return np.asarray(reply["limit"][1].T * back[:, None] / arriving), float(reply["tail"])
 
 
-def _plan(
+def plan(
     supercell: Supercell, polarisation: Polarisation, settings: SupercellSettings, order: IntArray | None = None
-) -> _Plan:
+) -> SupercellPlan:
+    """The FDTD run of one polarisation.
+
+    Args:
+        supercell: the supercell.
+        polarisation: of the incident wave.
+        settings: grid and decay.
+        order: shape (n_orders, 2), recorded orders (m, n); by default the zero order.
+
+    Raises:
+        InputError: the grid does not fit.
+    """
     cell = supercell.cell
     per_x = settings.pixels_per_period
     per_y = per_x * cell.period_nm[1] / cell.period_nm[0]
     if per_x < 8 or per_x % 2 or abs(per_y - round(per_y)) > 1e-6 or round(per_y) % 2:
-        raise InputError.single(
-            "meep", "pixels_per_period", "an even number from 8 that also divides the y period", f"{per_x}"
-        )
+        expected = "an even number from 8 that also divides the y period"
+        raise InputError.single("meep", "pixels_per_period", expected, f"{per_x}")
     order = np.zeros((1, 2), dtype=np.intp) if order is None else order
     pixel = cell.period_nm[0] * 1e-3 / per_x
     wavelength, height = cell.wavelength_nm * 1e-3, cell.height_nm * 1e-3
@@ -196,27 +208,27 @@ def _plan(
         longest_time=settings.longest_periods * wavelength,
         courant=_COURANT,
     )
-    k_in, *k_out = (
-        grid_wavenumber(n, wavelength, pixel, _COURANT, (float(x), float(y)))
-        for n, (x, y) in (
-            (cell.n_in[axis].real, (0.0, 0.0)),
-            *((cell.n_out[axis].real, across) for across in supercell.across_per_um(order)),
-        )
+    n_in, n_out = cell.n_in[axis].real, cell.n_out[axis].real
+    k_in = grid_wavenumber(n_in, wavelength, pixel, _COURANT)
+    k_out = tuple(
+        grid_wavenumber(n_out, wavelength, pixel, _COURANT, (float(x), float(y)))
+        for x, y in supercell.across_per_um(order)
     )
-    return _Plan(job, (near - begin) * pixel, (far - begin) * pixel - height, k_in, tuple(k_out))
+    return SupercellPlan(job, (near - begin) * pixel, (far - begin) * pixel - height, k_in, k_out)
 
 
 def _mirrors(supercell: Supercell) -> tuple[Polarisation, ...]:
+    """Axes along which the supercell equals its mirror image."""
     sizes = supercell.size_nm
-    flipped: Sequence[tuple[Polarisation, np.ndarray]] = (("x", sizes[:, ::-1]), ("y", sizes[::-1]))
-    return tuple(name for name, other in flipped if np.array_equal(sizes, other))
+    flipped = (sizes[:, ::-1], sizes[::-1])
+    return tuple(name for name, other in zip(POLARISATIONS, flipped, strict=True) if np.array_equal(sizes, other))
 
 
 def _blocks(supercell: Supercell, pixel: float, n_z: int, begin: float) -> tuple[Block, ...]:
     """Half spaces and pillars.
 
-    Feet go into the substrate, which then covers them: at their rims Meep's smoothing finds two materials that
-    meet in a plane, not three.
+    Pillars continue into the substrate, which then covers their feet: at the rims Meep's smoothing then meets two
+    materials and one plane, not three materials.
     """
     cell = supercell.cell
     start, height = (begin - n_z / 2) * pixel, cell.height_nm * 1e-3

@@ -1,31 +1,24 @@
-"""Truncation raised until the error is what was asked, and the bound on that error.
+"""Adaptive truncation: the number of cosines rises until a bound on the error is below the target.
 
-The truncations form a ladder, and a target says which of its rungs are climbed. How much nearer to the truth a rung is
-than an earlier one was measured on 173 pillars of four materials, resonances among them, against references of 13 and
-14 orders (benchmarks/cell.py repeats it for silicon). What was found are claims: with d(M, k) the largest difference
-of any amplitude between M and k orders,
+The truncations form a ladder, and the target selects the rungs that are solved. The bounds were measured on 173 pillars
+of four materials, resonances among them, against references of 13 and 14 orders. With d(M, k) the largest difference
+of any amplitude between M and k orders, a claim is
 
     error(M) <= max( floor, share(k) d(M, k) ... ),
 
-each with a margin of 1.4 over the worst pillar. A rung may have several claims, a low floor with a large share or the
-other way round; each holds by itself, so that the least of them is the bound. Differences see what is special about a
-pillar (a sharp resonance that the truncation shifts); the floor is what two truncations can agree on by accident. A
-last difference so large that the ladder has not begun to converge counts in full.
+with a margin of 1.4 over the worst pillar. Differences include the special features of a pillar (a sharp resonance that
+the truncation shifts); the floor covers truncations that agree by accident. A rung may have several claims, a low floor
+with a large share or the other way round; each holds, so that the least is the bound. A last difference so large that
+the ladder has not begun to converge counts in full.
 
-Of a sloped pillar the error of its steps is added (:mod:`metafab.cell.rcwa.slicing`), and no bound is below what
-rounding may come to in ill-conditioned modes (:mod:`metafab.cell.rcwa.scattering.conditioning`). Where nothing was
-measured, the
-last two differences count threefold. That is so for holes, light at an angle, birefringent substrates, sloped walls,
-layers under or over the pillar, cross-sections other than one rectangle, pillars more than two wavelengths tall,
-periods that differ by more than 3 % or exceed 1.65 wavelengths inside the densest medium (which need more orders),
-sizes above 0.7 of the period, indices that differ more than fourfold or absorb strongly, and metals, where the field at
-the corners has no limit that Fourier methods approach steadily.
+The error of a sloped pillar's steps is added (:mod:`metafab.cell.rcwa.slicing`), and no bound is below the rounding of
+ill-conditioned modes (:mod:`metafab.cell.rcwa.scattering.modes`). Cells unlike the measured ones (:func:`is_measured`)
+take three times the last two differences.
 
-Cross-sections of several rectangles converge as a power of the truncation, and two rungs side by side then tell little:
-d(M, k) is the error at M times (M / k)^p - 1. The bound is the largest error that any earlier rung implies, with the
-margin over the worst of 48 pillars of four materials against references of 18 orders, and no less than threefold the
-last two differences.
-tests/physics/test_rcwa_certificate.py also looks far from the pillars that were measured.
+Cross-sections of several rectangles converge as a power of the truncation, and two neighbouring rungs then differ
+little: d(M, k) is the error at M times (M / k)^p - 1. The bound is the largest error that any earlier rung implies,
+with the margin over the worst of 48 pillars of four materials against references of 18 orders, and at least three
+times the last two differences.
 """
 
 from __future__ import annotations
@@ -35,10 +28,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metafab.cell.rcwa.basis.axis import Formulation
+from metafab.cell.pillar import PillarCell
+from metafab.cell.rcwa.basis.coordinates import Formulation
 from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.cell.rcwa.slicing import slicing, smooth
-from metafab.cell.response import CellNumerics, CellResponse, PillarCell
+from metafab.cell.response import CellNumerics, CellResponse, SolverDetails
 from metafab.core.errors import SolverError
 
 
@@ -47,15 +41,15 @@ class Claim:
     """A bound on the error at one truncation.
 
     Attributes:
-        floor: least bound that it ever gives.
-        shares: (earlier orders, share of the difference to them that bounds the error); all must be known.
+        floor: smallest bound of this claim.
+        shares: (earlier orders, factor from the difference to them to the bound); all must be solved.
     """
 
     floor: float
     shares: tuple[tuple[int, float], ...]
 
 
-#: For each truncation, by its cosines along each axis, what bounds its error.
+#: Cosines along each axis -> claims on the error of that truncation.
 _CLAIMS: dict[Formulation, dict[int, tuple[Claim, ...]]] = {
     "adaptive": {
         5: (Claim(6e-4, ((3, 0.67),)),),
@@ -79,7 +73,7 @@ _CLAIMS: dict[Formulation, dict[int, tuple[Claim, ...]]] = {
         14: (Claim(2e-5, ((12, 1.5), (10, 1.0))),),
         16: (Claim(1.2e-5, ((14, 1.5), (12, 1.0))),),
     },
-    # Plain harmonics converge algebraically: half the orders are at least twice as far from the truth.
+    # Plain harmonics converge algebraically: half the orders have at least twice the error.
     "fourier": {
         6: (Claim(5e-2, ((3, 1.5), (4, 1.5))),),
         8: (Claim(2e-2, ((4, 1.5), (6, 1.5))),),
@@ -88,8 +82,8 @@ _CLAIMS: dict[Formulation, dict[int, tuple[Claim, ...]]] = {
         24: (Claim(2e-3, ((12, 1.5), (16, 1.5))),),
     },
 }
-#: (least target, truncations climbed for it): where an answer is likely in two steps.
-_CLIMBS: dict[Formulation, tuple[tuple[float, tuple[int, ...]], ...]] = {
+#: (least target, rungs for it), chosen so that two rungs are likely to suffice.
+_LADDERS: dict[Formulation, tuple[tuple[float, tuple[int, ...]], ...]] = {
     "adaptive": (
         (0.0, (6, 8, 9, 10, 12, 14, 16)),
         (5e-4, (4, 6, 7, 8, 9, 10, 12, 14, 16)),
@@ -97,20 +91,20 @@ _CLIMBS: dict[Formulation, tuple[tuple[float, tuple[int, ...]], ...]] = {
     ),
     "fourier": ((0.0, (3, 4, 6, 8, 12, 16, 24)),),
 }
-#: A measured cell that 6 cosines did not serve is next tried with 8, which the claims reach from 6: at targets of 5e-4
-#: on, 7 served 5 of the 90 silicon pillars that 6 had not, at more than half the cost of 8.
+#: Rung that measured cells skip between 6 and 8: at targets from 5e-4, 7 cosines were enough for 5 of the 90 silicon
+#: pillars that needed more than 6, at more than half the cost of 8.
 _SELDOM_ENOUGH = 7
-#: Last differences above this are those of a ladder that has not begun to converge.
+#: Last difference above which the ladder has not begun to converge.
 _NOT_CONVERGING = 5e-2
-#: Claims were measured on square cells up to this wide in wavelengths inside the densest medium, this tall in
-#: wavelengths in vacuum, with indices up to this ratio and extinction up to this share of the index.
+#: Measured range: period in wavelengths inside the densest medium, height in vacuum wavelengths, ratio of the indices,
+#: and extinction over index.
 _WIDEST, _TALLEST, _STEEPEST, _DIMMEST = 1.65, 2.0, 4.0, 0.05
-#: Longer period over the shorter one of what still counts as square.
+#: Measured range: ratio of the periods.
 _LONGEST = 1.03
-#: Largest size over its period: between silicon pillars that stand closer, claims broke on heights not measured.
+#: Measured range: size over period. Between silicon pillars that stand closer, claims failed at some heights.
 _FULLEST = 0.7
-#: What a difference counts where none were.
-_UNMEASURED = 3.0
+#: Factor from a difference to the bound where nothing was measured.
+UNMEASURED = 3.0
 
 
 @dataclass(frozen=True)
@@ -119,14 +113,14 @@ class PowerLaw:
 
     Attributes:
         power: the error falls at least as the truncation to minus this power.
-        from_orders: from here on.
+        from_orders: smallest truncation to which the law applies.
     """
 
     power: float
     from_orders: int
 
     def bound(self, orders: int, earlier: dict[int, float]) -> float:
-        """Bound on the error at ``orders`` from the differences to earlier truncations; infinite below the first."""
+        """Bound on the error at ``orders`` from differences to ``earlier`` truncations; inf below ``from_orders``."""
         if orders < self.from_orders or not earlier:
             return float("inf")
         implied = (apart / (float(orders / count) ** self.power - 1.0) for count, apart in earlier.items())
@@ -136,25 +130,69 @@ class PowerLaw:
 #: Curved outlines converge more slowly than corners between straight walls.
 _CURVED, _STRAIGHT = PowerLaw(1.5, 7), PowerLaw(2.0, 6)
 _LAW_MARGIN = 1.4
-#: The climb of a power law begins low: far rungs tell most.
+#: Target whose ladder a power law uses at least: distant rungs determine the error best.
 _FAR_TARGET = 4e-3
 
 
-def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResponse:  # noqa: B008 (frozen)
-    """Jones matrices of ``cell``, with a bound on their error that is at most the target where it converged.
+@dataclass(frozen=True)
+class RcwaDetails(SolverDetails):
+    """Figures of a solution by RCWA.
 
-    The truncation is raised up to ``numerics.max_orders``. If the target is not met there, the best solution comes
-    back with ``converged`` false and the error that it has.
+    Attributes:
+        formulation: "adaptive" or "fourier".
+        orders_x: cosines along x of the finest truncation.
+        orders_y: cosines along y, equal to ``orders_x``.
+        coefficients: unknowns of the largest symmetry class.
+        truncations: number of truncations that were solved.
+        inconsistency: violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
+        condition: condition number of the worst layer's modes; 0 where none were used.
+        transmitted_power_x: power in all transmitted orders over the incident power, for incident x.
+        transmitted_power_y: power in all transmitted orders over the incident power, for incident y.
+        reflected_power_x: power in all reflected orders over the incident power, for incident x.
+        reflected_power_y: power in all reflected orders over the incident power, for incident y.
+    """
+
+    formulation: Formulation
+    orders_x: int
+    orders_y: int
+    coefficients: int
+    truncations: int
+    inconsistency: float
+    condition: float
+    transmitted_power_x: float
+    transmitted_power_y: float
+    reflected_power_x: float
+    reflected_power_y: float
+
+
+@dataclass(frozen=True)
+class SlopedDetails(RcwaDetails):
+    """Figures of a sloped pillar by RCWA.
+
+    Attributes:
+        steps: number of steps in the finer of the two extrapolated cuts.
+        slicing_error: bound on the error of the steps.
+    """
+
+    steps: int
+    slicing_error: float
+
+
+def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResponse:  # noqa: B008 (frozen)
+    """Solve ``cell`` for its Jones matrices, with a bound on their error that is at most the target if it converged.
+
+    The truncation rises up to ``numerics.max_orders``. If the target is not met there, the finest solution is returned
+    with ``converged`` false and the error that it has.
 
     Raises:
-        InputError: see :func:`metafab.cell.rcwa.jones.zero_order`.
+        InputError: as :func:`metafab.cell.rcwa.jones.zero_order`.
         SolverError: an amplitude is not a finite number.
     """
     started = time.perf_counter()
     cut = slicing(cell, numerics)
     measured, law = is_measured(cell), power_law(cell)
     solved: dict[int, ZeroOrder] = {}
-    for orders in climb(numerics, measured=measured, law=law):
+    for orders in ladder(numerics, measured=measured, law=law):
         solved[orders] = smooth(cell, orders, numerics.formulation, cut.steps)
         error = bound(orders, solved, numerics.formulation, measured=measured, law=law) + cut.error
         error = max(error, solved[orders].conditioning.rounding)
@@ -163,6 +201,21 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     last = solved[orders]
     if not (np.isfinite(last.t).all() and np.isfinite(last.r).all()):
         raise SolverError(f"rcwa gave no finite amplitudes with {orders} orders for {cell}")
+    details = RcwaDetails(
+        formulation=numerics.formulation,
+        orders_x=orders,
+        orders_y=orders,
+        coefficients=last.coefficients,
+        truncations=len(solved),
+        inconsistency=last.inconsistency,
+        condition=last.conditioning.condition,
+        transmitted_power_x=float(last.transmitted_power[0]),
+        transmitted_power_y=float(last.transmitted_power[1]),
+        reflected_power_x=float(last.reflected_power[0]),
+        reflected_power_y=float(last.reflected_power[1]),
+    )
+    if cell.is_sloped:
+        details = SlopedDetails(**vars(details), steps=cut.steps, slicing_error=cut.error)
     return CellResponse(
         cell=cell,
         numerics=numerics,
@@ -172,32 +225,22 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
         converged=bool(error <= numerics.target_error),
         resolution=(2 * orders + 1) ** 2,
         seconds=time.perf_counter() - started,
-        details={
-            "formulation": numerics.formulation,
-            "orders_x": orders,
-            "orders_y": orders,
-            "coefficients": last.coefficients,
-            "truncations": len(solved),
-            "inconsistency": last.inconsistency,
-            "condition": last.conditioning.condition,
-            "transmitted_power_x": float(last.transmitted_power[0]),
-            "transmitted_power_y": float(last.transmitted_power[1]),
-            "reflected_power_x": float(last.reflected_power[0]),
-            "reflected_power_y": float(last.reflected_power[1]),
-            **({"steps": cut.steps, "slicing_error": cut.error} if cell.is_sloped else {}),
-        },
+        details=details,
     )
 
 
-def climb(numerics: CellNumerics, *, measured: bool = False, law: PowerLaw | None = None) -> tuple[int, ...]:
-    """Truncations to try for the target, up to ``numerics.max_orders``: two at least, where so many are allowed.
+def ladder(numerics: CellNumerics, *, measured: bool = False, law: PowerLaw | None = None) -> tuple[int, ...]:
+    """Truncations for the target, ascending up to ``numerics.max_orders``; at least two where that many are allowed.
 
-    ``measured`` tells whether the cell is of the kind that the claims were measured on, ``law`` how else it converges.
+    Args:
+        numerics: target error, formulation and largest truncation.
+        measured: whether the claims were measured on cells of this kind.
+        law: convergence of a cross-section of several rectangles.
     """
     if law is not None:
         numerics = replace(numerics, target_error=max(numerics.target_error, _FAR_TARGET))
     below: tuple[int, ...] = ()
-    for least_target, all_rungs in reversed(_CLIMBS[numerics.formulation]):
+    for least_target, all_rungs in reversed(_LADDERS[numerics.formulation]):
         rungs = tuple(orders for orders in all_rungs if orders <= numerics.max_orders)
         if len(rungs) >= 2 or not below:
             below = rungs
@@ -205,7 +248,7 @@ def climb(numerics: CellNumerics, *, measured: bool = False, law: PowerLaw | Non
             break
     if measured and 4 in below and max(below) > _SELDOM_ENOUGH:
         return tuple(orders for orders in below if orders != _SELDOM_ENOUGH)
-    return below or _CLIMBS[numerics.formulation][-1][1][:1]
+    return below or _LADDERS[numerics.formulation][-1][1][:1]
 
 
 def bound(
@@ -218,7 +261,12 @@ def bound(
 ) -> float:
     """Bound on the error of ``solved[orders]`` from the earlier solutions; infinite where they do not suffice.
 
-    ``measured`` tells whether the cell is of the kind that the claims were measured on, ``law`` how else it converges.
+    Args:
+        orders: truncation whose error is bounded.
+        solved: truncation -> solution.
+        formulation: "adaptive" or "fourier".
+        measured: whether the claims were measured on cells of this kind.
+        law: convergence of a cross-section of several rectangles.
     """
     earlier = {count: distance(solved[orders], solution) for count, solution in solved.items() if count < orders}
     claims = [
@@ -228,7 +276,7 @@ def bound(
         return float("inf")
     if not measured:
         by_law = 0.0 if law is None else law.bound(orders, earlier)
-        return max(by_law, claims[0].floor, *(_UNMEASURED * earlier[count] for count in sorted(earlier)[-2:]))
+        return max(by_law, claims[0].floor, *(UNMEASURED * earlier[count] for count in sorted(earlier)[-2:]))
     nearest = earlier[max(earlier)]
     if nearest > _NOT_CONVERGING:
         return nearest
@@ -236,14 +284,19 @@ def bound(
 
 
 def power_law(cell: PillarCell) -> PowerLaw | None:
-    """How a cross-section of several rectangles converges; None for a single one."""
+    """Convergence of a cross-section of several rectangles; None for a single rectangle."""
     if not cell.is_shaped:
         return None
     return _CURVED if cell.shape == "ellipse" else _STRAIGHT
 
 
 def is_measured(cell: PillarCell) -> bool:
-    """Whether ``cell`` is of the kind that the claims were measured on."""
+    """Whether the claims were measured on cells like ``cell``.
+
+    They were not for holes, light at an angle, birefringent substrates, sloped walls, layers, cross-sections of several
+    rectangles, tall pillars, wide or oblong cells, sizes near the period, steep or strongly absorbing indices, and
+    metals, where the field at the corners has no limit that Fourier methods approach steadily.
+    """
     pillar, around = complex(cell.n_pillar), complex(cell.n_ambient)
     sizes = (cell.width_nm, cell.length_nm)
     densest = max(n.real for n in (pillar, around, *map(complex, cell.n_substrate)))

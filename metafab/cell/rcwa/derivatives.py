@@ -1,4 +1,4 @@
-"""Derivatives of the Jones matrices by what the pillar is, from one solution and its reverse.
+"""Derivatives of the Jones matrices by sizes, height and index, from one solution and its reverse.
 
 P and Q are symmetric, so that for a field (e, h) and a second one (a, b) of the same equations, lit from either side,
 d/dz (a^T dh - de^T b) = i (a^T dQ e - b^T dP h). Integrated over z this is the Lorentz reciprocity of the truncated
@@ -7,46 +7,32 @@ equations: with Y the admittance of the zero order on the side that the second f
     2 e_0^T Y d(amplitudes) = i int (a^T dQ e - b^T dP h) dz,
 
 exactly, for the change dP, dQ of the truncated matrices, the stretched coordinate included, and at any angle: the
-second field has the same wave vectors, and stands for light that comes back along the first. Modes make the integral a
-closed form, so each derivative costs a few matrix products beside the eigenvalue problem. In the half spaces only the
-evanescent waves of the stretched basis change; the zero order does not. A taller layer is the same layer with a sheet
-of P and Q more at its far face, where the integrand is known without an integral.
+second field has the same wave vectors, and stands for light that returns along the first. Modes make the integral a
+closed form, so that each derivative costs a few matrix products besides the eigenvalue problem. In the half spaces only
+the evanescent waves of the stretched basis change; the zero order does not. A taller layer has one more sheet of P and
+Q at its far face, where the integrand is known without an integral.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from metafab.cell.rcwa.basis.axis import (
-    AxisBasis,
-    AxisParity,
-    Formulation,
-    Matrix,
-    axis_tangent,
-    symmetric_axis,
-    travelling_axis,
-)
-from metafab.cell.rcwa.jones import (
-    ClassSolution,
-    SymmetryClass,
-    matrices,
-    one_thread,
-    permittivity,
-    solve_class,
-    symmetry_classes,
-)
+from metafab.cell.pillar import PillarCell
+from metafab.cell.rcwa.basis.axis import AxisBasis, AxisParity, axis_tangent, symmetric_axis, travelling_axis
+from metafab.cell.rcwa.basis.coordinates import Formulation, Matrix
+from metafab.cell.rcwa.jones import one_thread, solve_by_modes
 from metafab.cell.rcwa.layers.factorisation import layer_tangents
-from metafab.cell.rcwa.scattering.admittance import LayerField, through_layer
-from metafab.cell.rcwa.scattering.eigenmodes import LayerModes, PlaneWaves
-from metafab.cell.response import PillarCell
+from metafab.cell.rcwa.scattering.half_space import PlaneWaves, plane_waves
+from metafab.cell.rcwa.scattering.mode_matching import LayerField, through_layer
+from metafab.cell.rcwa.scattering.modes import LayerModes
+from metafab.cell.rcwa.symmetry import SymmetryClass, permittivity, symmetry_classes
 from metafab.core.conventions import ComplexArray
-from metafab.core.errors import InputError
+from metafab.core.errors import Fault, InputError
 
-#: Stands for a propagation constant of zero: at a Rayleigh anomaly the derivative is infinite.
+#: Used for a propagation constant of zero: at a Rayleigh anomaly the derivative is infinite.
 _SMALLEST = 1e-9
 
 
@@ -55,9 +41,16 @@ class PillarDerivatives:
     """Jones matrices at one truncation and their derivatives.
 
     Attributes:
-        t: shape (2, 2); ``r`` likewise, as in :class:`metafab.cell.rcwa.jones.ZeroOrder`.
-        t_per_width: shape (2, 2), d t / d width, 1/nm; likewise by length and height, and of r.
-        t_per_index: shape (2, 2), d t / d n_pillar; analytic, so that times i it is that by the extinction.
+        t: shape (2, 2), transmission as in :class:`metafab.cell.rcwa.jones.ZeroOrder`.
+        r: shape (2, 2), reflection.
+        t_per_width: shape (2, 2), d t / d width, 1/nm.
+        t_per_length: shape (2, 2), d t / d length, 1/nm.
+        t_per_height: shape (2, 2), d t / d height, 1/nm.
+        t_per_index: shape (2, 2), d t / d n_pillar; analytic: i times it is the derivative by the extinction.
+        r_per_width: shape (2, 2), d r / d width, 1/nm.
+        r_per_length: shape (2, 2), d r / d length, 1/nm.
+        r_per_height: shape (2, 2), d r / d height, 1/nm.
+        r_per_index: shape (2, 2), d r / d n_pillar.
     """
 
     t: ComplexArray
@@ -73,20 +66,27 @@ class PillarDerivatives:
 
 
 def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adaptive") -> PillarDerivatives:
-    """Jones matrices of ``cell`` and their derivatives by both sizes, height and index; any angle of incidence.
+    """Jones matrices of ``cell`` and their derivatives by both sizes, height and index, at any angle of incidence.
 
-    The direction of the light is held (its wave vector in the plane of the cell).
+    The light's wave vector in the plane of the cell is held constant.
 
     Args:
-        cell: a pillar with upright walls: sizes above 0 and below the period.
+        cell: a plain rectangle with upright walls: sizes above 0 and below the period.
         orders: cosines along each axis.
         formulation: "adaptive" or "fourier".
 
     Raises:
-        InputError: the pillar has no walls along an axis, sloped ones, layers under or over it, or a birefringent
-            substrate; or as :func:`metafab.cell.rcwa.jones.zero_order`.
+        InputError: the cell is not such a pillar, or as :func:`metafab.cell.rcwa.jones.zero_order`.
     """
-    _check(cell)
+    faults = cell.untreated("derivatives", treated=("angle_deg",))
+    sizes = (("width_nm", cell.width_nm), ("length_nm", cell.length_nm))
+    faults += [
+        Fault(name, f"above 0 and below the period of {period:g} nm", f"{size:g} nm")
+        for (name, size), period in zip(sizes, cell.period_nm, strict=True)
+        if not 0.0 < size < period
+    ]
+    if faults:
+        raise InputError("cell", faults)
     tangents = [
         axis_tangent(period, size, orders, formulation)
         for period, size in zip(cell.period_nm, (cell.width_nm, cell.length_nm), strict=True)
@@ -94,29 +94,12 @@ def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adapt
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     d_t, d_r = np.zeros((4, 2, 2), dtype=np.complex128), np.zeros((4, 2, 2), dtype=np.complex128)
     with one_thread():
-        for case in symmetry_classes(cell, (orders, orders), formulation):
-            solution, incident = solve_class(cell, case), case.basis.zero_order()
-            t += incident.T @ solution.field.transmitted
-            r += incident.T @ solution.field.reflected
-            of_t, of_r = _amplitude_tangents(cell, case, solution, tangents)
+        for case in symmetry_classes(cell, orders, formulation):
+            field, of_t, of_r = _amplitude_tangents(case, tangents)
+            t += case.incident.T @ field.transmitted
+            r += case.incident.T @ field.reflected
             d_t, d_r = d_t + of_t, d_r + of_r
     return PillarDerivatives(t, r, *d_t, *d_r)
-
-
-def _check(cell: PillarCell) -> None:
-    if cell.under or cell.over:
-        raise InputError.single("cell", "under, over", "empty for derivatives", "layers")
-    if cell.is_sloped:
-        raise InputError.single("cell", "sidewall_angle_deg", "90 for derivatives", f"{cell.sidewall_angle_deg:g}")
-    if cell.is_shaped:
-        raise InputError.single("cell", "shape, corner_radius_nm", "a plain rectangle for derivatives", cell.shape)
-    if cell.is_birefringent:
-        raise InputError.single("cell", "n_substrate_z", "that of an isotropic substrate", f"{cell.n_substrate_z}")
-    for name, size, period in zip(
-        ("width_nm", "length_nm"), (cell.width_nm, cell.length_nm), cell.period_nm, strict=True
-    ):
-        if not 0.0 < size < period:
-            raise InputError.single("cell", name, f"above 0 and below the period of {period:g} nm", f"{size:g} nm")
 
 
 class _Change(NamedTuple):
@@ -127,16 +110,15 @@ class _Change(NamedTuple):
 
 
 def _amplitude_tangents(
-    cell: PillarCell, case: SymmetryClass, solution: ClassSolution, tangents: list[AxisBasis]
-) -> tuple[ComplexArray, ComplexArray]:
-    """Derivatives of t and r of one class, each of shape (4, 2, 2): by width, length, height and index."""
-    basis, incident = case.basis, case.basis.zero_order()
-    modes, incoming, outgoing = solution.modes, solution.incoming, solution.outgoing
-    k0_per_nm = 2.0 * math.pi / cell.wavelength_nm
-    thickness = k0_per_nm * cell.height_nm
-    first = solution.field
-    from_far = _reversed(through_layer(modes, thickness, outgoing, incoming, incident))
+    case: SymmetryClass, tangents: list[AxisBasis]
+) -> tuple[LayerField, ComplexArray, ComplexArray]:
+    """Field of one class, and derivatives of t and r by width, length, height and index, each of shape (4, 2, 2)."""
+    cell, basis, incident, k0_per_nm = case.cell, case.basis, case.incident, case.cell.k0_per_nm
     eps = [permittivity(n) for n in (cell.n_pillar, cell.n_ambient, case.n_in, case.n_out)]
+    incoming, outgoing = (plane_waves(basis, k0_per_nm, each) for each in eps[2:])
+    modes, first = solve_by_modes(case, incoming, outgoing)
+    thickness = case.thickness_k0()
+    from_far = _reversed(through_layer(modes, thickness, outgoing, incoming, incident))
 
     def change(axis: int, eps_inside: complex, eps_around: complex) -> _Change:
         moved = _like((basis.u, basis.v)[axis], tangents[axis])
@@ -157,7 +139,7 @@ def _amplitude_tangents(
             ]
         )
 
-    p, q = matrices(cell, case)
+    p, q = case.matrices()
     y_far = _admittance(outgoing)[:, None]
     e, h = first.transmitted, y_far * first.transmitted
     at_far = [
@@ -175,16 +157,16 @@ def _amplitude_tangents(
         np.linalg.pinv(2.0 * incident.T @ (_admittance(waves)[:, None] * incident)) for waves in (outgoing, incoming)
     ]
     d_t, d_r = (np.stack([1j * side @ total[k] for total in totals]) for k, side in enumerate(sides))
-    return d_t, d_r
+    return first, d_t, d_r
 
 
 def _reversed(field: LayerField) -> LayerField:
-    """The field of light from the far side, written as that of :class:`LayerField` along +z."""
+    """The field of light from the far side, in the order of :class:`LayerField` along +z."""
     return LayerField(field.backward, field.forward, field.reflected, field.transmitted)
 
 
 def _like(axis: AxisParity, tangent: AxisBasis) -> AxisParity:
-    """``tangent`` in the families of ``axis``; what is split off a travelling wave does not change."""
+    """``tangent`` in the families of ``axis``; the incident wave number of a travelling wave does not change."""
     if axis.label_a.size == axis.label_b.size:
         return travelling_axis(tangent, 0.0)
     return symmetric_axis(tangent, even_first=bool(axis.label_a[0] == 0))
@@ -209,7 +191,7 @@ def _layer_kernel(modes: LayerModes, thickness: float, change: _Change) -> _Laye
     decay = np.exp(1j * beta * thickness)
     along = (decay[:, None] * decay - 1.0) / (1j * total)
     close = np.abs(gap) * thickness < 1e-4
-    # Two opposite waves of nearly the same beta: the first terms of the series in gap, else the difference.
+    # Opposite waves of nearly equal beta: the first terms of the series in gap, else the difference.
     series = thickness * np.exp(0.5j * total * thickness) * (1.0 - (gap * thickness) ** 2 / 24.0)
     against = np.where(close, series, (decay[:, None] - decay) / (1j * np.where(close, 1.0, gap)))
     from_q, from_p = modes.e.T @ change.q @ modes.e, modes.h.T @ change.p @ modes.h
@@ -217,9 +199,9 @@ def _layer_kernel(modes: LayerModes, thickness: float, change: _Change) -> _Laye
 
 
 def _half_space_kernel(waves: PlaneWaves, change: _Change) -> ComplexArray:
-    """The same over a half space, shape (n, n), between the transverse E of outgoing waves where it begins.
+    """Integral over a half space between the transverse E of outgoing waves where it begins, shape (n, n).
 
-    The zero order, incident light included, drops out: nothing in dP and dQ touches it.
+    The zero order, incident light included, drops out: dP and dQ are zero there.
     """
     admittance = _admittance(waves)
     beta = np.where(waves.beta == 0.0, _SMALLEST, waves.beta)

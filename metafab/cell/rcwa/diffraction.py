@@ -1,8 +1,8 @@
-"""Efficiencies of single diffraction orders, where cells are wide enough for more than the zero order to leave.
+"""Efficiencies of single diffraction orders, where a cell is wide enough for more than the zero order to leave.
 
-The waves of the truncated basis stand for orders one by one: label m of an axis for order m (and -m, where a mirror
-plane binds the two with equal power). The efficiency of an order is the power along z of its TM and TE wave over that
-of the incident wave; with nothing absorbed, the efficiencies of all orders on both sides add up to 1.
+The waves of the truncated basis correspond to orders: label m of an axis to order m (and -m, where a mirror plane gives
+the two equal power). The efficiency of an order is the power along z of its TM and TE wave over that of the incident
+wave. Without absorption the efficiencies of all orders on both sides add up to 1.
 """
 
 from __future__ import annotations
@@ -15,16 +15,19 @@ from functools import partial
 
 import numpy as np
 
-from metafab.cell.rcwa.basis.axis import AxisParity, Formulation
-from metafab.cell.rcwa.certificate import climb, power_law
-from metafab.cell.rcwa.jones import in_plane_per_nm, one_thread, shares_of_power, solved_classes
+from metafab.cell.pillar import PillarCell
+from metafab.cell.rcwa.basis.axis import AxisParity
+from metafab.cell.rcwa.basis.coordinates import Formulation, IntArray
+from metafab.cell.rcwa.certificate import UNMEASURED, ladder, power_law
+from metafab.cell.rcwa.jones import one_thread, solved_classes
 from metafab.cell.rcwa.slicing import slicing, smooth_array
-from metafab.cell.response import CellNumerics, PillarCell
+from metafab.cell.rcwa.symmetry import in_plane_per_nm
+from metafab.cell.response import CellNumerics
 from metafab.core.conventions import FloatArray
 
 Order = tuple[int, int]
-#: What the last two differences between truncations count, as for all cells that no claim was measured on.
-_SHARE = 3.0
+#: Order -> shape (2,), efficiency for incident x and y.
+Efficiencies = dict[Order, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -34,12 +37,11 @@ class DiffractedOrder:
     Attributes:
         order: (m, n): its wave vector in the plane is that of the incident light plus (m / period_x, n / period_y)
             turns.
-        polar_deg: angle from the axis, in the medium that it leaves into; where that has several indices, by the one
-            along x.
+        polar_deg: angle from the axis in the medium that the order leaves into; by the index along x if it has several.
         azimuth_deg: direction of its wave vector in the plane, counter-clockwise from +x, in (-180, 180]; 0 on the
             axis.
         efficiency_x: its power over the incident power, for light with E along x in the plane of the cell.
-        efficiency_y: the same for y.
+        efficiency_y: its power over the incident power, for light with E along y.
     """
 
     order: Order
@@ -54,10 +56,10 @@ class Diffraction:
     """All orders that leave a cell.
 
     Attributes:
-        transmitted: by n, then m.
-        reflected: likewise.
+        transmitted: transmitted orders, sorted by n, then m.
+        reflected: reflected orders, likewise.
         error: estimate of the largest error of any efficiency.
-        converged: whether that is at most the target.
+        converged: whether ``error`` is at most the target.
         truncation: cosines along each axis.
     """
 
@@ -71,8 +73,8 @@ class Diffraction:
 def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Diffraction:  # noqa: B008 (frozen)
     """Efficiencies of every order that leaves ``cell``, to ``numerics.target_error`` where that can be reached.
 
-    Of an absorbing half space, those orders are listed that the real part of its index lets propagate, with their
-    power where the layer ends.
+    In an absorbing half space the orders are those that propagate by the real part of its index, with their power where
+    the layer ends.
 
     Raises:
         InputError: as :func:`metafab.cell.rcwa.jones.zero_order`.
@@ -83,12 +85,12 @@ def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Di
     farthest = max(abs(number) for side in sides for order in side for number in order)
     error, orders = math.inf, 0
     law = power_law(cell)
-    for orders in climb(numerics, law=law):
+    for orders in ladder(numerics, law=law):
         solved[orders] = smooth_array(cell, cut.steps, partial(_listed, cell, orders, numerics.formulation, sides))
         if len(solved) > 1 and orders >= farthest:
             changes = {count: float(np.abs(solved[orders] - solved[count]).max()) for count in sorted(solved)[:-1]}
             by_law = 0.0 if law is None else law.bound(orders, changes)
-            error = max(by_law, *(_SHARE * changes[count] for count in sorted(changes)[-2:])) + 2.0 * cut.error
+            error = max(by_law, *(UNMEASURED * changes[count] for count in sorted(changes)[-2:])) + 2.0 * cut.error
         if error <= numerics.target_error:
             break
     values = iter(solved[orders])
@@ -100,12 +102,12 @@ def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Di
 
 
 def diffracts(cell: PillarCell) -> bool:
-    """Whether orders beside the zero order leave ``cell``, on either side."""
+    """Whether orders other than the zero order leave ``cell``, on either side."""
     return any(len(propagating_orders(cell, index)) > 1 for index in (cell.n_in, cell.n_out))
 
 
 def propagating_orders(cell: PillarCell, index: tuple[complex, complex]) -> tuple[Order, ...]:
-    """Orders (m, n) that propagate in a half space of ``index``, as x and y polarised light see it; by n, then m."""
+    """Orders (m, n) that propagate in a half space with ``index`` for x and y polarisation; sorted by n, then m."""
     reach = max(complex(n).real for n in index) / cell.wavelength_nm
     start = np.array(in_plane_per_nm(cell)) / (2.0 * math.pi)
     # The centred cell of a hexagonal lattice is two rows long, and every other of its orders is dark.
@@ -122,40 +124,36 @@ def propagating_orders(cell: PillarCell, index: tuple[complex, complex]) -> tupl
 
 def efficiencies(
     cell: PillarCell, orders: int, formulation: Formulation = "adaptive", steps: int = 1
-) -> tuple[dict[Order, FloatArray], dict[Order, FloatArray]]:
-    """Efficiencies of every order of the basis at one truncation; 0 for those that die out.
+) -> tuple[Efficiencies, Efficiencies]:
+    """Transmitted and reflected efficiencies of every order of the basis at one truncation; 0 for evanescent orders.
 
     Returns:
-        Transmitted and reflected: order -> shape (2,), for incident x and y.
+        Two dictionaries from orders to arrays of shape (2,), for incident x and y.
     """
-    sides: tuple[dict[Order, FloatArray], dict[Order, FloatArray]] = (
-        defaultdict(lambda: np.zeros(2)),
-        defaultdict(lambda: np.zeros(2)),
-    )
+    sides: tuple[Efficiencies, Efficiencies] = (defaultdict(lambda: np.zeros(2)), defaultdict(lambda: np.zeros(2)))
     with one_thread():
         for solved in solved_classes(cell, orders, formulation, steps):
-            basis = solved.case.basis
-            both = [(u, v) for u in _orders(basis.u, "a") for v in _orders(basis.v, "a")]
-            both += [(u, v) for u in _orders(basis.u, "b") for v in _orders(basis.v, "b")]
-            for side, powers in zip(sides, shares_of_power(solved), strict=True):
-                for (u, v), power in zip(both, powers, strict=True):
-                    for m in u:
-                        for n in v:
-                            side[m, n] = side[m, n] + power / (len(u) * len(v))
+            u, v = solved.case.basis.u, solved.case.basis.v
+            both = [(m, n) for m in _orders(u, u.label_a) for n in _orders(v, v.label_a)]
+            both += [(m, n) for m in _orders(u, u.label_b) for n in _orders(v, v.label_b)]
+            for side, powers in zip(sides, solved.shares_of_power(), strict=True):
+                for (m_bound, n_bound), power in zip(both, powers, strict=True):
+                    for m in m_bound:
+                        for n in n_bound:
+                            side[m, n] = side[m, n] + power / (len(m_bound) * len(n_bound))
     return dict(sides[0]), dict(sides[1])
 
 
 def _listed(
     cell: PillarCell, orders: int, formulation: Formulation, sides: Sequence[Sequence[Order]], steps: int
 ) -> FloatArray:
-    """Shape (all orders of both ``sides``, 2): their efficiencies, 0 for what the basis does not hold."""
+    """Efficiencies of all orders of both ``sides``, shape (n_orders, 2); 0 for orders outside the basis."""
     powers = efficiencies(cell, orders, formulation, steps)
     return np.array([power.get(order, (0.0, 0.0)) for power, side in zip(powers, sides, strict=True) for order in side])
 
 
-def _orders(axis: AxisParity, family: str) -> list[tuple[int, ...]]:
-    """Orders that each function of a family stands for: one if it travels, two of equal power if it has a parity."""
-    labels = axis.label_a if family == "a" else axis.label_b
+def _orders(axis: AxisParity, labels: IntArray) -> list[tuple[int, ...]]:
+    """Orders of each function of a family: one if it travels, two of equal power if it has a parity."""
     count = (axis.wavenumber.size - 1) // 2
     if axis.label_a.size == axis.label_b.size:
         return [(int(label),) if label <= count else (int(count - label),) for label in labels]

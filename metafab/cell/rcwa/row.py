@@ -1,12 +1,10 @@
 """A row of unlike pillars along x by the Fourier modal method: one period of M cells by one cell.
 
-What :mod:`metafab.cell.rcwa` does for a rectangle, without mirror symmetry along x and with a length of its own for
-every pillar. Along x the coordinate map gathers resolution at all 2 M walls; along y the rows share one map
-(:mod:`metafab.cell.rcwa.basis.shared_map`), whose parity is kept. With U_i and V_i the overlaps of pillar i with the
-functions
-along x and y, Li's rules become (J. Opt. Soc. Am. A 14, 2758, 1997)
+There is no mirror symmetry along x, and every pillar has its own length. Along x the coordinate map gathers resolution
+at all 2 M walls; along y the pillars share one map, whose parity is kept. With U_i and V_i the overlaps of pillar i
+with the functions along x and y, Li's rules become (J. Opt. Soc. Am. A 14, 2758, 1997)
 
-    eps_u: sum over the bands b of y between one length and the next, [inverse rule in x of what b crosses] (x) V_b,
+    eps_u: sum over the bands b of y between one length and the next, [inverse rule in x of the pillars in b] (x) V_b,
     eps_v: sum over i, U_i (x) [inverse rule in y of pillar i] + eps_around (1 - sum U_i) (x) 1,
     eps_z: eps_around + (eps_pillar - eps_around) sum over i, U_i (x) V_i.
 """
@@ -19,33 +17,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.cell.rcwa.basis.axis import AxisBasis, AxisParity, IntArray, Matrix, symmetric_axis
-from metafab.cell.rcwa.basis.coordinates import stretched
-from metafab.cell.rcwa.basis.shared_map import outline_bases
+from metafab.cell.rcwa.basis.axis import AxisBasis, AxisParity, outline_bases, symmetric_axis
+from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix, stretched
 from metafab.cell.rcwa.basis.transverse import TransverseBasis, transverse_basis
 from metafab.cell.rcwa.certificate import solve
-from metafab.cell.rcwa.jones import one_thread, permittivity
-from metafab.cell.rcwa.scattering.admittance import through_layer
-from metafab.cell.rcwa.scattering.eigenmodes import layer_modes, plane_waves
+from metafab.cell.rcwa.jones import one_thread
+from metafab.cell.rcwa.scattering.half_space import plane_waves
+from metafab.cell.rcwa.scattering.mode_matching import through_layer
+from metafab.cell.rcwa.scattering.modes import layer_modes
+from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.response import CellNumerics
 from metafab.cell.supercell import Supercell, SupercellResponse
-from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
+from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
 
-#: Error asked of each pillar alone.
+#: Target error of each pillar in its own periodic cell.
 _ALONE = 1e-3
-#: Nodes of the quadrature that finds the phase of a basis function, per interval of the map.
+#: Gauss-Legendre nodes for the phase of a basis function, per interval of the map.
 _NODES = 16
 
 
 @dataclass(frozen=True)
 class RowNumerics:
-    """How a row is solved.
+    """Numerics of a row.
 
     Attributes:
-        orders_x: harmonics along x per site and direction, coarse to fine: the last is the answer, the one before tells
-            its error.
-        orders_y: cosines along y beside the constant, likewise.
+        orders_x: harmonics along x per site and direction, coarse to fine; the fine truncation is the answer, its
+            difference to the coarse one the error.
+        orders_y: cosines along y besides the constant, likewise.
     """
 
     orders_x: tuple[int, int] = (3, 4)
@@ -63,17 +62,16 @@ class _Interval:
     amplitude: float
 
     def harmonics(self, k: IntArray, period: float) -> ComplexArray:
-        """Integral of dx/du exp(-2 pi i k u / period) over the interval, over the period."""
+        """Integral of dx/du exp(-2 pi i k u / period) over the interval, over the period; shapes (n,)."""
         turns = k * self.length / period
         side = 0.5 * self.amplitude * (np.sinc(turns - 1.0) + np.sinc(turns + 1.0))
         return np.asarray(self.rise / period * (np.sinc(turns) + side) * np.exp(-2j * np.pi * k * self.middle / period))
 
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(x, dx/du) at ``s`` from the middle."""
+        """(x, dx/du) at ``s`` from the middle; shapes (n,)."""
         turn, mean = 2.0 * np.pi * s / self.length, self.rise / self.length
-        return self.middle_x + mean * (s + self.amplitude * self.length / (2.0 * np.pi) * np.sin(turn)), mean * (
-            1.0 + self.amplitude * np.cos(turn)
-        )
+        x = self.middle_x + mean * (s + self.amplitude * self.length / (2.0 * np.pi) * np.sin(turn))
+        return x, mean * (1.0 + self.amplitude * np.cos(turn))
 
 
 @dataclass(frozen=True)
@@ -83,8 +81,8 @@ class RowAxis:
     Attributes:
         wavenumber: shape (n,), rad/nm, the zero order first, then by magnitude.
         pillars: shape (M, n, n), the indicator of each pillar between the basis functions.
-        order: shape (n,), the diffraction order that each function is.
-        phase: shape (n,), <function | plane wave of its order>: of modulus one where the basis resolves it.
+        order: shape (n,), diffraction order of each function.
+        phase: shape (n,), <function | plane wave of its order>, of modulus one where the basis resolves the wave.
     """
 
     wavenumber: FloatArray
@@ -96,7 +94,7 @@ class RowAxis:
 def solve_row(
     supercell: Supercell, polarisation: Polarisation, numerics: RowNumerics = RowNumerics()
 ) -> SupercellResponse:
-    """Solve a row of pillars at normal incidence; each pillar alone by the certified solver.
+    """Solve a row of pillars at normal incidence, and each pillar in its own periodic cell.
 
     Args:
         supercell: one site along y; for a row along y, see :meth:`Supercell.exchanged`.
@@ -106,25 +104,29 @@ def solve_row(
     Raises:
         InputError: more than one row, or orders along y that propagate.
     """
-    _check(supercell, polarisation)
     start = time.perf_counter()
     order = supercell.propagating(polarisation)
-    amplitudes = [
+    if supercell.shape[0] != 1:
+        got = f"{supercell.shape[0]} rows"
+        raise InputError.single("supercell", "size_nm", "one row along x for rcwa", got, "use meep")
+    if np.any(order[:, 1] != 0):
+        expected = "a y period without orders of its own behind the pillars"
+        raise InputError.single("supercell", "period_nm", expected, f"{supercell.cell.period_nm[1]}")
+    coarse, fine = (
         row_orders(supercell, polarisation, order[:, 0], *orders)
         for orders in zip(numerics.orders_x, numerics.orders_y, strict=True)
-    ]
-    axis = 0 if polarisation == "x" else 1
-    own = {size: solve(cell, CellNumerics(_ALONE)) for size, cell in supercell.alone().items()}
-    sizes = [(float(w), float(length)) for w, length in supercell.size_nm[0]]
-    both = np.zeros((len(order), 2), dtype=np.complex128)
-    both[:, axis] = amplitudes[-1]
+    )
+    axis = POLARISATIONS.index(polarisation)
+    lone = {size: solve(cell, CellNumerics(_ALONE)).t[axis, axis] for size, cell in supercell.alone().items()}
+    amplitude = np.zeros((len(order), 2), dtype=np.complex128)
+    amplitude[:, axis] = fine
     return SupercellResponse(
         supercell=supercell,
         polarisation=polarisation,
         order=order,
-        amplitude=both,
-        responses=np.array([[own[size].t[axis, axis] for size in sizes]]),
-        error=float(np.max(np.abs(amplitudes[-1] - amplitudes[-2]))),
+        amplitude=amplitude,
+        responses=np.array([[lone[float(w), float(length)] for w, length in supercell.size_nm[0]]]),
+        error=float(np.max(np.abs(fine - coarse))),
         seconds=time.perf_counter() - start,
     )
 
@@ -132,20 +134,30 @@ def solve_row(
 def row_orders(
     supercell: Supercell, polarisation: Polarisation, order: IntArray, orders_x: int, orders_y: int
 ) -> ComplexArray:
-    """Transmitted amplitudes (n,) of the orders (m, 0), E of the polarisation, at one truncation."""
-    cell, axis = supercell.cell, 0 if polarisation == "x" else 1
-    k0_per_nm = 2.0 * math.pi / cell.wavelength_nm
+    """Transmitted amplitudes of a row at one truncation, E along the polarisation.
+
+    Args:
+        supercell: one site along y.
+        polarisation: of the incident wave.
+        order: shape (n,), numbers m of the orders (m, 0).
+        orders_x: harmonics along x per site and direction.
+        orders_y: cosines along y besides the constant.
+
+    Returns:
+        Shape (n,).
+    """
+    cell, axis = supercell.cell, POLARISATIONS.index(polarisation)
     width, length = supercell.size_nm[0].T
     along_x = row_axis(cell.period_nm[0], width, orders_x)
     bases = outline_bases(cell.period_nm[1], tuple(map(float, length)), orders_y, "adaptive")
     with one_thread():
-        basis, p, q = _matrices(
-            along_x, bases, length, polarisation, k0_per_nm, permittivity(cell.n_pillar), permittivity(cell.n_ambient)
-        )
+        basis, p, q = _matrices(along_x, bases, supercell, polarisation)
         incident = basis.zero_order()[:, axis : axis + 1]
-        incoming, outgoing = (plane_waves(basis, k0_per_nm, permittivity(n[axis])) for n in (cell.n_in, cell.n_out))
-        field = through_layer(layer_modes(p, q), k0_per_nm * cell.height_nm, incoming, outgoing, incident)
-    # Orders (m, 0) lie in the xz plane: (TM, TE) are E_x and E_y themselves.
+        incoming, outgoing = (
+            plane_waves(basis, cell.k0_per_nm, permittivity(n[axis])) for n in (cell.n_in, cell.n_out)
+        )
+        field = through_layer(layer_modes(p, q), cell.k0_per_nm * cell.height_nm, incoming, outgoing, incident)
+    # Orders (m, 0) lie in the xz plane, so that (TM, TE) are E_x and E_y.
     n_v = basis.v.label_a.size if polarisation == "x" else basis.v.label_b.size
     first = 0 if polarisation == "x" else along_x.wavenumber.size * basis.v.label_a.size
     place = np.array([int(np.flatnonzero(along_x.order == m)[0]) for m in order])
@@ -153,10 +165,14 @@ def row_orders(
 
 
 def row_axis(period_nm: float, width_nm: FloatArray, orders: int) -> RowAxis:
-    """Basis of a row of pillars of these widths, centred on their sites, ``orders`` harmonics a site and direction.
+    """Basis of the x axis of a row: the plane waves of the empty row in stretched harmonics.
 
-    The plane waves of the empty row as the stretched harmonics see them: D v = k F v with D the wave numbers of u and
-    F the Gram matrix of dx/du.
+    They solve D v = k F v with D the wave numbers of u and F the Gram matrix of dx/du.
+
+    Args:
+        period_nm: period of one site.
+        width_nm: shape (M,), widths of the pillars, centred on their sites; 0 for no pillar.
+        orders: harmonics per site and direction.
     """
     count = len(width_nm)
     intervals, owner = _intervals(np.asarray(width_nm, dtype=np.float64) / period_nm, orders)
@@ -185,43 +201,39 @@ def row_axis(period_nm: float, width_nm: FloatArray, orders: int) -> RowAxis:
 
 
 def _intervals(fill: FloatArray, orders: int) -> tuple[list[_Interval], list[int]]:
-    """Pillars and gaps of a row, in sites from its middle, and which pillar (-1: none) each belongs to.
+    """Pillars and gaps of a row in sites from its middle, and the pillar of each interval (-1 for a gap).
 
-    Each site keeps its share of the parameter range, and in it the pillar the share that the map of a lone pillar
-    gives it.
+    Each site keeps its share of the parameter range, and the pillar in it the share of the map of a lone pillar.
     """
     maps = [stretched(1.0, float(f), orders) for f in fill]
     walls_x, walls_u, owner = [], [], []
-    for i, (f, own) in enumerate(zip(fill, maps, strict=True)):
+    for i, (f, lone) in enumerate(zip(fill, maps, strict=True)):
         middle = i + 0.5 - len(fill) / 2.0
         if f > 0.0:
             walls_x += [middle - f / 2.0, middle + f / 2.0]
-            walls_u += [middle - own.wall_fraction / 2.0, middle + own.wall_fraction / 2.0]
+            walls_u += [middle - lone.wall_fraction / 2.0, middle + lone.wall_fraction / 2.0]
             owner += [i, -1]
     if not owner:
         return [_Interval(0.0, float(len(fill)), 0.0, float(len(fill)), 0.0)], [-1]
     walls_x.append(walls_x[0] + len(fill))
     walls_u.append(walls_u[0] + len(fill))
-    found, kept = [], []
+    intervals, owners = [], []
     for j, i in enumerate(owner):
         rise, length = walls_x[j + 1] - walls_x[j], walls_u[j + 1] - walls_u[j]
         if rise <= 1e-12:
             continue
-        own = maps[max(i, 0)]
-        slope = own.slope_inside if i >= 0 else own.slope_outside
-        found.append(
-            _Interval(
-                0.5 * (walls_u[j] + walls_u[j + 1]), length, 0.5 * (walls_x[j] + walls_x[j + 1]), rise, 1.0 - slope
-            )
-        )
-        kept.append(i)
-    return found, kept
+        lone = maps[max(i, 0)]
+        amplitude = 1.0 - (lone.slope_inside if i >= 0 else lone.slope_outside)
+        middle_u, middle_x = 0.5 * (walls_u[j] + walls_u[j + 1]), 0.5 * (walls_x[j] + walls_x[j + 1])
+        intervals.append(_Interval(middle_u, length, middle_x, rise, amplitude))
+        owners.append(i)
+    return intervals, owners
 
 
 def _phases(
     intervals: list[_Interval], harmonic: IntArray, vector: ComplexArray, order: IntArray, count: int
 ) -> ComplexArray:
-    """<basis function | plane wave of its order>, by Gauss-Legendre over each interval."""
+    """<basis function | plane wave of its order>, by Gauss-Legendre quadrature over each interval."""
     node, weight = np.polynomial.legendre.leggauss(_NODES * max(1, math.ceil(max(p.length for p in intervals))))
     total = np.zeros(len(order), dtype=np.complex128)
     for part in intervals:
@@ -234,17 +246,13 @@ def _phases(
 
 
 def _matrices(
-    row: RowAxis,
-    bases: tuple[AxisBasis, ...],
-    length_nm: FloatArray,
-    polarisation: Polarisation,
-    k0_per_nm: float,
-    eps_pillar: complex,
-    eps_around: complex,
+    row: RowAxis, bases: tuple[AxisBasis, ...], supercell: Supercell, polarisation: Polarisation
 ) -> tuple[TransverseBasis, Matrix, Matrix]:
     """The transverse basis and P, Q of :mod:`metafab.cell.rcwa.layers.factorisation`."""
-    parities = [symmetric_axis(basis, even_first=polarisation == "x") for basis in bases]
-    v, step = parities[0], eps_pillar - eps_around
+    cell, length_nm = supercell.cell, supercell.size_nm[0, :, 1]
+    eps_pillar, eps_around = permittivity(cell.n_pillar), permittivity(cell.n_ambient)
+    along_y = [symmetric_axis(basis, even_first=polarisation == "x") for basis in bases]
+    v, step = along_y[0], eps_pillar - eps_around
     n = row.wavenumber.size
     label = np.arange(n)
     u = AxisParity(row.pillars[0].real, row.pillars[0].real, label, label, row.wavenumber)
@@ -258,18 +266,18 @@ def _matrices(
     eps_u: Matrix = np.zeros((n * len(v.a),) * 2, dtype=np.complex128)
     below = np.zeros_like(one_a)
     for bound in np.unique(length_nm):
-        up_to = parities[int(np.flatnonzero(length_nm == bound)[0])].a
+        up_to = along_y[int(np.flatnonzero(length_nm == bound)[0])].a
         eps_u = eps_u + np.kron(inverse_rule(row.pillars[length_nm >= bound].sum(axis=0)), up_to - below)
         below = up_to
     eps_u = eps_u + eps_around * np.kron(one_u, one_a - below)
     eps_v = eps_around * np.kron(one_u - row.pillars.sum(axis=0), one_b)
     eps_z = eps_around * np.kron(one_u, one_a)
-    for pillar, parity in zip(row.pillars, parities, strict=True):
+    for pillar, parity in zip(row.pillars, along_y, strict=True):
         eps_v = eps_v + np.kron(pillar, inverse_rule(parity.b))
         eps_z = eps_z + step * np.kron(pillar, parity.a)
 
-    k_u = np.diag(row.wavenumber / k0_per_nm)
-    k_v = np.where(v.label_a[:, None] == v.label_b, v.wavenumber[v.label_b], 0.0) / k0_per_nm
+    k_u = np.diag(row.wavenumber / cell.k0_per_nm)
+    k_v = np.where(v.label_a[:, None] == v.label_b, v.wavenumber[v.label_b], 0.0) / cell.k0_per_nm
     from_e_z = np.concatenate([np.kron(k_u, one_a), np.kron(one_u, k_v.T)])
     from_h_z = np.concatenate([np.kron(one_u, k_v), -np.kron(k_u, one_b)])
     p = np.eye(basis.size) - from_e_z @ np.linalg.solve(eps_z, from_e_z.T)
@@ -277,18 +285,6 @@ def _matrices(
     n_u = len(eps_u)
     q[:n_u, :n_u] += eps_u
     q[n_u:, n_u:] += eps_v
-    # Hermitian, not symmetric: turned from both sides one after the other.
+    # Hermitian, not symmetric: change the basis from one side, then from the other.
     p, q = (basis.turn_rows(basis.turn_rows(matrix).T).T for matrix in (p, q))
     return basis, p, q
-
-
-def _check(supercell: Supercell, polarisation: Polarisation) -> None:
-    cell = supercell.cell
-    if supercell.shape[0] != 1:
-        raise InputError.single(
-            "supercell", "size_nm", "one row along x for rcwa", f"{supercell.shape[0]} rows", "use meep"
-        )
-    if np.any(supercell.propagating(polarisation)[:, 1] != 0):
-        raise InputError.single(
-            "supercell", "period_nm", "a y period without orders of its own behind the pillars", f"{cell.period_nm[1]}"
-        )

@@ -1,14 +1,14 @@
-"""A sloped pillar as the limit of thin steps, how many of them it takes, and what that costs in accuracy.
+"""A sloped pillar as the limit of thin steps: the number of steps, and a bound on their error.
 
 Cut into n steps, each as wide as the pillar is in its middle, the amplitudes S_n tend to those of the smooth wall by
-second order as soon as a step is thin against the field's decay length, and more slowly in its most evanescent part.
-Richardson's extrapolation takes the second order away,
+second order once a step is thin against the field's decay length, and more slowly in the most evanescent part.
+Richardson extrapolation removes the second order,
 
-    R_n = S_n + (S_n - S_(n/2)) / 3,
+    R_n = S_n + (S_n - S_(n/2)) / 3.
 
-and what is left falls at least as fast as S_n does, so that the change from R_(n/2) to R_n is more than the error of
-R_n. It is taken at a low truncation and counts ``_MARGIN`` fold: steps cost more where more of the evanescent field is
-resolved, on resonant silicon up to 2.4 times as much with 8 cosines as with 5.
+The rest falls at least as fast as the error of S_n, so that the change from R_(n/2) to R_n exceeds the error of R_n.
+The change is taken at a low truncation and multiplied by ``_MARGIN``: steps matter more where more of the evanescent
+field is resolved, on resonant silicon up to 2.4 times as much with 8 cosines as with 5.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from metafab.cell.rcwa.basis.axis import Formulation, Matrix
+from metafab.cell.pillar import PillarCell
+from metafab.cell.rcwa.basis.coordinates import Formulation, Matrix
 from metafab.cell.rcwa.jones import ZeroOrder, distance, zero_order
-from metafab.cell.response import CellNumerics, PillarCell
+from metafab.cell.response import CellNumerics
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 
-#: Truncation at which the steps are counted.
+#: Cosines of the truncation at which the number of steps is chosen.
 _ORDERS = 5
-#: Most steps that are tried.
-MOST_STEPS = 64
-#: What a difference counts, and the share of the target that is left to the steps.
+#: Largest number of steps.
+_MOST_STEPS = 64
+#: Factor from a change to its error bound, and the steps' share of the target error.
 _MARGIN, _SHARE = 1.5, 0.5
 
 
@@ -35,8 +36,8 @@ class Slicing:
     """Steps of a sloped pillar.
 
     Attributes:
-        steps: how many, of equal height, in the finer of the two cuts that are extrapolated; 1 for upright walls.
-        error: bound on what they change in any amplitude; 0 for upright walls.
+        steps: number of steps of equal height in the finer of the two cuts; 1 for upright walls.
+        error: bound on the error of any amplitude from the steps; 0 for upright walls.
     """
 
     steps: int
@@ -54,16 +55,17 @@ def smooth(cell: PillarCell, orders: int, formulation: Formulation, steps: int) 
 
 
 def smooth_array(cell: PillarCell, steps: int, stepped: Callable[[int], FloatArray]) -> FloatArray:
-    """The same of ``stepped``, any figures as a function of the number of steps."""
+    """Extrapolate figures of any shape, ``stepped(number of steps)``, from ``steps`` / 2 and ``steps``; that shape."""
     if not cell.is_sloped:
         return stepped(1)
     return _richardson(stepped(steps // 2), stepped(steps))
 
 
 def slicing(cell: PillarCell, numerics: CellNumerics) -> Slicing:
-    """The steps that ``numerics`` gives, or as many as keep to their share of its target error, and their error.
+    """Choose the number of steps, and bound its error.
 
-    Where ``MOST_STEPS`` do not keep to it, the error says so.
+    The number is ``numerics.steps``, or the smallest that keeps to the steps' share of the target error. The bound is
+    larger than this share where the largest number of steps does not reach it.
 
     Raises:
         InputError: ``numerics.steps`` is odd or below 2; or as :func:`metafab.cell.rcwa.jones.zero_order`.
@@ -80,7 +82,7 @@ def slicing(cell: PillarCell, numerics: CellNumerics) -> Slicing:
     if steps is not None:
         halves = cut(steps // 2), cut(steps), cut(2 * steps)
         coarse, fine = _extrapolated(*halves[:2]), _extrapolated(*halves[1:])
-        # What is left at 2 n is no more than the change, so that at n it is no more than twice.
+        # The error at 2 n is at most the change, so that the error at n is at most twice the change.
         return Slicing(steps, 2.0 * _MARGIN * distance(coarse, fine))
     steps, last = 2, cut(2)
     limit, earlier = _extrapolated(cut(1), last), float("inf")
@@ -88,9 +90,9 @@ def slicing(cell: PillarCell, numerics: CellNumerics) -> Slicing:
         steps, before, last = 2 * steps, last, cut(2 * steps)
         coarse, limit = limit, _extrapolated(before, last)
         change = distance(coarse, limit)
-        # Two limits may agree by accident, so that the change before counts as well, as if by second order.
+        # Two limits may agree by accident: the change before counts as well, as if reduced by second order.
         error = _MARGIN * max(change, 0.25 * earlier)
-        if error <= _SHARE * numerics.target_error or 2 * steps > MOST_STEPS:
+        if error <= _SHARE * numerics.target_error or 2 * steps > _MOST_STEPS:
             return Slicing(steps, error)
         earlier = change
 

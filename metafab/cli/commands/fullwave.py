@@ -79,7 +79,7 @@ def patch_command(
     """
     from metafab import fullwave, mask, steps
     from metafab.cell.meep import Pool, SupercellSettings
-    from metafab.cell.meep.kept import own_folder
+    from metafab.cell.meep.pool import own_folder
     from metafab.core.storage.files import file_sha256, fingerprint
 
     require_positive("--size-um", size_um)

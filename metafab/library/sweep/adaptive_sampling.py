@@ -20,7 +20,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.cell.response import CellNumerics, CellSolver, PillarCell
+from metafab.cell import CellNumerics, CellSolver, PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.executor import SerialExecutor, stream
 from metafab.core.parallel.progress import Progress

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from metafab.cell import solve
-from metafab.cell.response import CellNumerics, CellSolver
+from metafab.cell import CellNumerics, CellSolver, solve
 from metafab.core.conventions import ComplexArray
 from metafab.core.parallel.executor import SerialExecutor
 from metafab.core.parallel.progress import Progress, silent

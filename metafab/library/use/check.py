@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from metafab.cell import solve
-from metafab.cell.response import CellNumerics, CellResponse, CellSolver, PillarCell
+from metafab.cell import CellNumerics, CellResponse, CellSolver, PillarCell, solve
 from metafab.core.parallel.executor import SerialExecutor, stream
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.library import Library

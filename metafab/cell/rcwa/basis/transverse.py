@@ -1,4 +1,4 @@
-"""The transverse field of one symmetry class: which coefficients exist, and which of them travel as one plane wave.
+"""Transverse field of one symmetry class: its coefficients, paired to TM and TE plane waves.
 
 E_u lives in the families (a, a) of the two axes, E_v in (b, b), E_z in (b, a), H_z in (a, b); H_v goes with E_u and
 -H_u with E_v. With light along z a rectangle has four symmetry classes, of which x and y polarised light see one each;
@@ -9,20 +9,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
-from metafab.cell.rcwa.basis.axis import AxisParity, IntArray
+from metafab.cell.rcwa.basis.axis import AxisParity
+from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.core.conventions import ComplexArray, FloatArray
 
 
 @dataclass(frozen=True)
 class TransverseBasis:
-    """Pairs (E_u, E_v) of one wave vector, turned to (TM, TE): diagonal in every uniform medium.
+    """Coefficients of E_u and E_v, those of equal wave vector rotated to (TM, TE): diagonal in every uniform medium.
 
-    Where only one of E_u and E_v has a wave vector, it is TM (along it) or TE (across it) by itself. A wave vector of
-    zero counts as TE.
+    Where only one of E_u and E_v has a wave vector, that coefficient is TM (along it) or TE (across it). A wave vector
+    of zero counts as TE.
 
     Attributes:
         u: families along x.
@@ -31,8 +31,9 @@ class TransverseBasis:
         is_tm: shape (n,), whether the coefficient is TM.
         pair_u, pair_v: shape (pairs,), coefficients of E_u and of E_v that share a wave vector.
         along: shape (2, pairs), the unit vector (u, v) along it.
-        with_e_z: shape (n_z,), the one coefficient that goes with each of E_z: a TM wave, or one of no wave vector.
-        k_with_e_z: shape (n_z,), the wave number that takes E_z to it, 1/nm; negative where it alone is and runs so.
+        with_e_z: shape (n_z,), the coefficient that each coefficient of E_z drives: TM, or without a wave vector.
+        k_with_e_z: shape (n_z,), wave number that takes E_z to that coefficient, 1/nm; negative for an unpaired
+            coefficient of negative wave number.
     """
 
     u: AxisParity
@@ -50,12 +51,12 @@ class TransverseBasis:
         """Number of coefficients n."""
         return int(self.k_squared.size)
 
-    def turn(self, matrix: Any) -> Any:
-        """``matrix``, symmetric of shape (n, n), from (E_u, E_v) to (TM, TE): an orthogonal change of basis."""
+    def turn(self, matrix: Matrix) -> Matrix:
+        """Change the basis of a symmetric ``matrix``, shape (n, n), from (E_u, E_v) to (TM, TE); shape (n, n)."""
         return self.turn_rows(self.turn_rows(matrix).T)
 
-    def turn_rows(self, columns: Any) -> Any:
-        """``columns``, shape (n, any), from (E_u, E_v) to (TM, TE)."""
+    def turn_rows(self, columns: Matrix) -> Matrix:
+        """Change the basis of ``columns``, shape (n, any), from (E_u, E_v) to (TM, TE); shape (n, any)."""
         turned = np.array(columns, order="C")
         e_u, e_v = turned[self.pair_u], turned[self.pair_v]
         a_u, a_v = self.along[:, :, None]
@@ -64,7 +65,7 @@ class TransverseBasis:
         return turned
 
     def zero_order(self) -> ComplexArray:
-        """Shape (n, 2): the columns of incident E_x = 1 and E_y = 1; zero where the class does not hold them."""
+        """Incident E_x = 1 and E_y = 1 as columns, shape (n, 2); zero where the class does not hold them."""
         field = np.zeros((self.size, 2), dtype=np.complex128)
         n_u = self.u.label_a.size * self.v.label_a.size
         if self.u.label_a[0] == 0 and self.v.label_a[0] == 0:
@@ -75,7 +76,7 @@ class TransverseBasis:
 
 
 def transverse_basis(u: AxisParity, v: AxisParity) -> TransverseBasis:
-    """The transverse basis of the symmetry class that ``u`` and ``v`` name."""
+    """The transverse basis of the symmetry class with families ``u`` along x and ``v`` along y."""
     labels = (axis.tobytes() for axis in (u.label_a, u.label_b, v.label_a, v.label_b))
     label, pair_u, pair_v, with_e_z = _pairs(*labels)
     n_u = u.label_a.size * v.label_a.size
@@ -97,9 +98,9 @@ def transverse_basis(u: AxisParity, v: AxisParity) -> TransverseBasis:
 
 @lru_cache(maxsize=64)
 def _pairs(u_a: bytes, u_b: bytes, v_a: bytes, v_b: bytes) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """Labels (2, n) of all coefficients, those of E_u and E_v that share one, and those that go with E_z.
+    """Labels (2, n) of all coefficients; pairs of E_u and E_v of equal label; coefficients that E_z drives.
 
-    Cached by the axes' labels.
+    Arguments are the bytes of the axes' labels, which can be hashed.
     """
     in_e_u, in_e_v, in_e_z = _grid(u_a, v_a), _grid(u_b, v_b), _grid(u_b, v_a)
     stride = 1 + max(in_e_u.max(initial=0), in_e_v.max(initial=0))

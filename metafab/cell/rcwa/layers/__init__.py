@@ -1,1 +1,6 @@
-"""Maxwell's equations of one layer as matrices, for each cross-section."""
+"""Maxwell's equations of one layer as matrices P and Q: symmetry class and permittivities in, two matrices out.
+
+- ``factorisation``  one rectangle by Li's factorisation rules, and the derivative of its matrices
+- ``nested``         crosses, rounded corners and ellipses as nested rectangles
+- ``staggered``      two rectangles of a hexagonal lattice
+"""

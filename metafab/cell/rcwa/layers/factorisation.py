@@ -6,16 +6,17 @@ In units of 1/k0 along z, for e = (E_u, E_v) and h = (H_v, -H_u),
     dh/dz = i Q e,    Q = [[eps_u, 0], [0, eps_v]] - C C^T,       C = [K_v; -K_u^T] (from H_z),
 
 with N the matrix of the permittivity for E_z and i K the derivative from family b to family a. All are real where the
-permittivity is. E_u is normal to two walls and tangential to the other two: its
-permittivity follows the inverse rule along u within each interval of v, then the direct rule along v (Li, J. Opt. Soc.
-Am. A 14, 2758, 1997). For a rectangle that is a sum of two Kronecker products of one-dimensional matrices.
+permittivity is real. E_u is normal to two walls and tangential to the other two: its permittivity follows the inverse
+rule along u within each interval of v, then the direct rule along v (Li, J. Opt. Soc. Am. A 14, 2758, 1997). For a
+rectangle that is a sum of two Kronecker products of one-dimensional matrices.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from metafab.cell.rcwa.basis.axis import AxisParity, Matrix
+from metafab.cell.rcwa.basis.axis import AxisParity
+from metafab.cell.rcwa.basis.coordinates import Matrix
 from metafab.cell.rcwa.basis.transverse import TransverseBasis
 from metafab.core.conventions import FloatArray
 
@@ -29,7 +30,7 @@ def layer_matrices(
         basis: symmetry class, n coefficients.
         k0_per_nm: vacuum wave number.
         eps_pillar: permittivity of the pillar; a real number gives real matrices where the class allows it.
-        eps_around: permittivity around it.
+        eps_around: permittivity around the pillar.
 
     Returns:
         P and Q, each of shape (n, n).
@@ -48,17 +49,20 @@ def assembled(
     eta_z: Matrix,
     eps_around: complex,
 ) -> tuple[Matrix, Matrix]:
-    """P and Q in the (TM, TE) basis from what the layer does to each component of E.
+    """P and Q in the (TM, TE) basis from the permittivity matrix of each component of E.
 
     Args:
         basis: symmetry class, n coefficients.
         k0_per_nm: vacuum wave number.
-        contrast_u: permittivity for E_u less ``eps_around``, shape (n_u, n_u); likewise ``contrast_v`` for E_v.
-        contrast_v: see ``contrast_u``.
-        eta_z: inverse of the permittivity for E_z.
-        eps_around: permittivity that is everywhere.
+        contrast_u: shape (n_u, n_u), permittivity for E_u less ``eps_around``.
+        contrast_v: shape (n_v, n_v), permittivity for E_v less ``eps_around``.
+        eta_z: shape (n_z, n_z), inverse of the permittivity for E_z.
+        eps_around: permittivity around the pillar.
+
+    Returns:
+        P and Q, each of shape (n, n).
     """
-    # In (TM, TE) E_z drives TM waves only and H_z TE waves only, each the one of its own wave vector.
+    # In (TM, TE) E_z drives TM waves only and H_z TE waves only, each the wave of its own wave vector.
     n_u = len(contrast_u)
     q = np.zeros((basis.size, basis.size), dtype=np.result_type(contrast_u, contrast_v))
     q[:n_u, :n_u], q[n_u:, n_u:] = contrast_u, contrast_v
@@ -71,10 +75,10 @@ def assembled(
 
 
 def largest_eigenvalue(eps_pillar: complex, eps_around: complex) -> float:
-    """Bound on the real part of the eigenvalues of P Q: the larger permittivity; infinite where no bound is known.
+    """Bound on the real part of the eigenvalues of P Q: the larger permittivity; infinite for metals.
 
-    No mode of a dielectric layer is slower than light in its denser part, whatever the truncation. Modes bound to the
-    surface of a metal may be.
+    No mode of a dielectric layer is slower than light in its denser part, at any truncation. Modes bound to the surface
+    of a metal may be.
     """
     eps = (complex(eps_pillar), complex(eps_around))
     dielectric = all(abs(each.imag) <= each.real for each in eps)
@@ -90,10 +94,19 @@ def layer_tangents(
     eps_around: complex,
     d_eps_pillar: complex = 0.0,
 ) -> tuple[Matrix, Matrix]:
-    """The changes dP and dQ of :func:`layer_matrices` for a change ``d_u`` or ``d_v`` of the axes (None: unchanged).
+    """Derivatives dP and dQ of :func:`layer_matrices`.
 
-    ``d_eps_pillar`` is a change of the pillar's permittivity. Equal permittivities give the change of a uniform medium:
-    that of its wave numbers alone.
+    Args:
+        basis: symmetry class, n coefficients.
+        d_u: derivative of the axis along x; None where it does not change.
+        d_v: derivative of the axis along y; None where it does not change.
+        k0_per_nm: vacuum wave number.
+        eps_pillar: permittivity of the pillar; that of a uniform medium leaves the change of its wave numbers alone.
+        eps_around: permittivity around the pillar.
+        d_eps_pillar: derivative of the pillar's permittivity.
+
+    Returns:
+        dP and dQ in the (TM, TE) basis, each of shape (n, n).
     """
     u, v = basis.u, basis.v
     d_u, d_v = d_u or _unchanged(u), d_v or _unchanged(v)
@@ -122,7 +135,7 @@ def layer_tangents(
 
 
 def _longitudinal(u: AxisParity, v: AxisParity, k0_per_nm: float) -> tuple[FloatArray, FloatArray]:
-    """B and C: what E_z and H_z contribute to the transverse equations."""
+    """B and C: the contributions of E_z and H_z to the transverse equations."""
     k_u, k_v = _wavenumber(u) / k0_per_nm, _wavenumber(v) / k0_per_nm
     from_e_z = np.concatenate([kron(k_u, np.eye(len(v.a))), kron(np.eye(len(u.b)), k_v.T)])
     from_h_z = np.concatenate([kron(np.eye(len(u.a)), k_v), -kron(k_u.T, np.eye(len(v.b)))])
@@ -140,14 +153,23 @@ def _inverse_rule_tangent(
 
 
 def inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
-    """Permittivity along an axis that the field is normal to walls on, from the pillar's indicator."""
+    """Permittivity for a field normal to the walls, by Li's inverse rule.
+
+    Args:
+        overlap: shape (n, n), the pillar's indicator along the axis.
+        eps_pillar: permittivity of the pillar.
+        eps_around: permittivity around the pillar.
+
+    Returns:
+        Shape (n, n).
+    """
     mixed = overlap * (1.0 / eps_pillar - 1.0 / eps_around)
     _diagonal(mixed)[:] += 1.0 / eps_around
     return np.linalg.inv(mixed)
 
 
 def contrast(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
-    """What :func:`inverse_rule` gives, less the permittivity around the pillar."""
+    """:func:`inverse_rule` less the permittivity around the pillar; ``overlap`` and result of shape (n, n)."""
     rule = inverse_rule(overlap, eps_pillar, eps_around)
     _diagonal(rule)[:] -= eps_around
     return rule
@@ -164,7 +186,7 @@ def _inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, e
 
 
 def _diagonal(matrix: Matrix) -> Matrix:
-    """The diagonal of a square matrix, to be written to."""
+    """Writable view of the diagonal of a square matrix."""
     return np.asarray(np.einsum("ii->i", matrix))
 
 
@@ -174,6 +196,6 @@ def _wavenumber(axis: AxisParity) -> FloatArray:
 
 
 def kron(u: Matrix, v: Matrix) -> Matrix:
-    """Kronecker product of two matrices."""
+    """Kronecker product of ``u``, shape (n, m), and ``v``, shape (p, q); shape (n p, m q)."""
     product = u[:, None, :, None] * v[None, :, None, :]
     return np.asarray(product.reshape(u.shape[0] * v.shape[0], u.shape[1] * v.shape[1]))

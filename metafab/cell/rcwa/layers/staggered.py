@@ -1,16 +1,15 @@
 """The layer of a hexagonal lattice: two rectangles in a centred cell, one in its middle and one at its corners.
 
-The cell is a period long along x and two rows along y. About the first pillar it has the same two mirror planes as a
-single one, so the symmetry classes are those of :mod:`metafab.cell.rcwa.basis.transverse`, over half a cell along
-each axis.
-There the first pillar covers u_1 (x) v_1, from the origin on, and the second u_2 (x) v_2, up to the far ends. Their
-lengths never overlap along v, their widths may along u. Li's rules (J. Opt. Soc. Am. A 14, 2758, 1997) then hold strip
-by strip: E_u is normal to walls along u, within each interval of v,
+The cell is one period long along x and two rows long along y. About the first pillar it has two mirror planes, so that
+the symmetry classes are those of a single rectangle (:mod:`metafab.cell.rcwa.basis.transverse`), over half a cell along
+each axis. There the first pillar covers u_1 (x) v_1, from the origin, and the second u_2 (x) v_2, up to the far ends.
+Their lengths never overlap along v; their widths may along u. Li's rules (J. Opt. Soc. Am. A 14, 2758, 1997) then hold
+strip by strip: E_u is normal to walls along u, within each interval of v,
 
-    eps_u = rule(u_1) (x) v_1 + rule(u_2) (x) v_2 + eps_around 1 (x) (1 - v_1 - v_2),
+    eps_u = rule(u_1) (x) v_1 + rule(u_2) (x) v_2 + eps_around 1 (x) (1 - v_1 - v_2).
 
-and likewise for E_v, with a strip of its own where both pillars stand at one u, and permittivity
-rule(v_1 + v_2). E_z follows the direct rule.
+E_v follows likewise, with one more strip where both pillars share a u, of permittivity rule(v_1 + v_2). E_z follows the
+direct rule.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.cell.rcwa.basis.axis import Matrix
+from metafab.cell.rcwa.basis.coordinates import Matrix
 from metafab.cell.rcwa.basis.transverse import TransverseBasis
 from metafab.cell.rcwa.layers.factorisation import assembled, inverse_rule, kron
 from metafab.core.conventions import FloatArray
@@ -27,12 +26,12 @@ from metafab.core.conventions import FloatArray
 
 @dataclass(frozen=True)
 class Strips:
-    """One family's indicators along one axis: the first pillar, the second, and where both stand.
+    """Indicators of one family along one axis.
 
     Attributes:
-        first: shape (n, n); ``second`` and ``both`` likewise.
-        second: see ``first``.
-        both: see ``first``; zero where the pillars do not overlap along the axis.
+        first: shape (n, n), the first pillar.
+        second: shape (n, n), the second pillar.
+        both: shape (n, n), where both stand; zero where the pillars do not overlap along the axis.
     """
 
     first: FloatArray
@@ -47,7 +46,7 @@ def staggered_matrices(
 
     Args:
         basis: symmetry class with the first pillar's outline.
-        gap: the same with the outline of the gap that the second pillar leaves about the origin.
+        gap: the same class with the outline of the gap that the second pillar leaves around the origin.
         k0_per_nm: vacuum wave number.
         eps_pillar: permittivity of the pillars; a real number gives real matrices.
         eps_around: permittivity around them.
@@ -57,8 +56,8 @@ def staggered_matrices(
     """
     u_a, u_b = _strips(basis.u.a, gap.u.a), _strips(basis.u.b, gap.u.b)
     v_a, v_b = _strips(basis.v.a, gap.v.a), _strips(basis.v.b, gap.v.b)
-    eps_u = _permittivity(v_a, u_a, eps_pillar, eps_around, normal_first=False)
-    eps_v = _permittivity(u_b, v_b, eps_pillar, eps_around, normal_first=True)
+    eps_u = _permittivity(v_a, u_a, eps_pillar, eps_around, strip_first=False)
+    eps_v = _permittivity(u_b, v_b, eps_pillar, eps_around, strip_first=True)
     pillars = kron(u_b.first, v_a.first) + kron(u_b.second, v_a.second)
     eta_z = np.linalg.inv(eps_around * np.eye(len(pillars)) + (eps_pillar - eps_around) * pillars)
     around_u, around_v = (eps_around * np.eye(len(eps)) for eps in (eps_u, eps_v))
@@ -68,36 +67,34 @@ def staggered_matrices(
 def _strips(outline: FloatArray, gap: FloatArray) -> Strips:
     """Indicators from those of [0, first wall] and of [0, second wall]."""
     whole = np.eye(len(outline))
-    # Walls change places where the pillars overlap: the first then ends behind the beginning of the second.
+    # Where the pillars overlap, the first one ends behind the beginning of the second.
     overlap = float(np.trace(outline)) > float(np.trace(gap))
     return Strips(outline, whole - gap, outline - gap if overlap else np.zeros_like(whole))
 
 
 def _permittivity(
-    strips: Strips, across: Strips, eps_pillar: complex, eps_around: complex, *, normal_first: bool
+    strips: Strips, across: Strips, eps_pillar: complex, eps_around: complex, *, strip_first: bool
 ) -> Matrix:
-    """Direct rule over strips, in each of them the inverse rule across its walls.
+    """Permittivity by the direct rule over strips, and by the inverse rule across the walls in each strip.
 
     Args:
-        strips: along the axis that the field is tangential to.
-        across: along the axis that it is normal to.
+        strips: indicators along the axis that the field is tangential to.
+        across: indicators along the axis that the field is normal to.
         eps_pillar: permittivity of the pillars.
-        eps_around: around them.
-        normal_first: whether the strips' axis is the first factor.
+        eps_around: permittivity around them.
+        strip_first: whether the axis of the strips is the first factor of the Kronecker products.
     """
-    whole = np.eye(len(across.first))
-    parts = [
+
+    def product(strip: Matrix, rule: Matrix) -> Matrix:
+        return kron(strip, rule) if strip_first else kron(rule, strip)
+
+    outside = np.eye(len(strips.first)) - strips.first - strips.second + strips.both
+    total = product(outside, eps_around * np.eye(len(across.first)))
+    for strip, filled in (
         (strips.first - strips.both, across.first),
         (strips.second - strips.both, across.second),
         (strips.both, across.first + across.second),
-    ]
-    outside = np.eye(len(strips.first)) - strips.first - strips.second + strips.both
-    total = _product(outside, eps_around * whole, normal_first)
-    for strip, filled in parts:
+    ):
         if np.any(strip):
-            total = total + _product(strip, inverse_rule(filled, eps_pillar, eps_around), normal_first)
+            total = total + product(strip, inverse_rule(filled, eps_pillar, eps_around))
     return total
-
-
-def _product(strip: Matrix, rule: Matrix, strip_first: bool) -> Matrix:
-    return kron(strip, rule) if strip_first else kron(rule, strip)

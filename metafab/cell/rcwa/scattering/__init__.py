@@ -1,1 +1,8 @@
-"""Modes of a layer and what a stack of layers does to an incident wave."""
+"""Scattering of one incident wave by layers: matrices P, Q and half spaces in, transmitted and reflected field out.
+
+- ``half_space``     outgoing plane waves, isotropic and birefringent
+- ``modes``          modes of one layer, and how ill-conditioned they are
+- ``doubling``       one layer without modes, by doubling its thickness: the fast way, with a test of its rounding
+- ``mode_matching``  one layer by its modes, stable at any height
+- ``stack``          several layers, by slabs or by modes
+"""

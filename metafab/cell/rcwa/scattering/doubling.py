@@ -1,4 +1,4 @@
-"""One incident wave through one layer without its modes: the layer's admittance by doubling its thickness.
+"""One incident wave through one layer without its modes, by doubling the admittance of a thin slab.
 
 In a layer e'' = -A e with A = P Q and z in units of 1/k0. With W^2 = A, the fields at the faces of a slab of thickness
 d obey
@@ -7,24 +7,22 @@ d obey
 
 and both matrices are functions of A, without a branch of the root. A thin slab has F from Lambert's continued fraction
 of x cot x, whose convergent of degree four in x^2 is good for travelling and evanescent modes alike. One step of
-cot x = (cot(x/2) - tan(x/2)) / 2, 1 / sin x = (cot(x/2) + tan(x/2)) / 2 gives F and G of twice the thickness, and from
-then on two slabs are laid on each other,
+cot x = (cot(x/2) - tan(x/2)) / 2, 1 / sin x = (cot(x/2) + tan(x/2)) / 2 gives F and G of twice the thickness. From
+then on each doubling takes one linear system:
 
-    F(2 d) = F - G F^-1 G / 2,         G(2 d) = G F^-1 G / 2,
+    F(2 d) = F - G F^-1 G / 2,         G(2 d) = G F^-1 G / 2.
 
-at one linear system a doubling. Evanescent modes leave G as they die out, and nothing grows with the thickness.
+Evanescent modes leave G as they die out, and nothing grows with the thickness.
 
 Half the layer is enough. Sum and difference of the fields at the two faces are those of a slab with a magnetic and with
-an electric mirror in the middle, F - G = -A F_half^-1 and F + G = F_half; and as P and Q are symmetric,
+an electric mirror in the middle, F - G = -A F_half^-1 and F + G = F_half. As P and Q are symmetric,
 Q F_half^-1 = F_half^-T Q, so that no further inverse is needed:
 
     F_half^T (h(0) - h(d)) = -i Q (e(0) + e(d)),       P (h(0) + h(d)) = i F_half (e(0) - e(d)).
 
-(For layers on each other :mod:`metafab.cell.rcwa.scattering.stack` takes the whole slab's matrices instead.)
-
-With outgoing waves on either side these are two equations for two sets of amplitudes. Light from the other side is
-solved along with the light that is asked for. Rounding breaks the reciprocity of the two; where it does no answer is
-given, and the modes are the way.
+With outgoing waves on either side these are two equations for two sets of amplitudes. Light from the far side is solved
+along with the incident light. Rounding breaks the reciprocity of the two; where it does, there is no answer, and mode
+matching takes over. (:mod:`metafab.cell.rcwa.scattering.stack` uses the matrices of the whole slab instead.)
 """
 
 from __future__ import annotations
@@ -35,9 +33,9 @@ from functools import cache
 import numpy as np
 from scipy.linalg import lapack
 
-from metafab.cell.rcwa.basis.axis import Matrix
-from metafab.cell.rcwa.scattering.conditioning import NO_MODES, Conditioning
-from metafab.cell.rcwa.scattering.eigenmodes import PlaneWaves
+from metafab.cell.rcwa.basis.coordinates import Matrix
+from metafab.cell.rcwa.scattering.half_space import PlaneWaves
+from metafab.cell.rcwa.scattering.modes import NO_MODES, Conditioning
 from metafab.core.conventions import ComplexArray
 
 #: x cot x as a ratio of two polynomials in x^2, a row each: Lambert's continued fraction cut after nine partial
@@ -51,8 +49,7 @@ _LAMBERT = np.array(
 )
 #: Largest x of a travelling mode in the thin slab.
 _THIN = 1.5
-#: Largest violation of reciprocity, as an amplitude, that is accepted. Amplitudes were found within a hundred times
-#: this of those from the modes.
+#: Largest accepted violation of reciprocity, as an amplitude. Amplitudes by modes differ up to a hundredfold.
 CONSISTENT = 1e-10
 
 
@@ -63,8 +60,8 @@ class Faces:
     Attributes:
         transmitted: shape (n, p), transverse E where the layer ends.
         reflected: shape (n, p), transverse E of the reflected waves where the layer begins.
-        inconsistency: by how much rounding broke reciprocity, as an amplitude; 0 where the modes were used.
-        conditioning: of the worst layer's modes; 0 where none were used.
+        inconsistency: violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
+        conditioning: conditioning of the worst layer's modes; 0 where none were used.
     """
 
     transmitted: ComplexArray
@@ -82,7 +79,7 @@ def through_by_doubling(
     incident: ComplexArray,
     largest_a: float = np.inf,
 ) -> Faces | None:
-    """Field of the waves ``incident``, or None where rounding would show.
+    """Solve one layer for the field of the waves ``incident``; None where rounding is too large.
 
     Args:
         p: shape (n, n), P of the layer.
@@ -93,12 +90,12 @@ def through_by_doubling(
         incident: shape (n, k), transverse E of k incident waves where the layer begins.
         largest_a: bound on the real part of the eigenvalues of A, where one is known.
     """
-    with np.errstate(all="ignore"):  # What is not finite is refused below.
+    with np.errstate(all="ignore"):  # values that are not finite are refused below
         half = _doubled(p, q, thickness_k0, largest_a, last=1)
         if half is None:
             return None
         f, _ = half
-        # Columns: the waves that are asked for, then the same amplitudes from the far side.
+        # Columns: the incident waves, then equal amplitudes from the far side.
         n, count = incident.shape
         near_wave = np.divide(incident, incoming.e[:, None], out=np.zeros_like(incident), where=incident != 0.0)
         near_h, far_h = incoming.h[:, None] * near_wave, outgoing.h[:, None] * incident
@@ -111,26 +108,26 @@ def through_by_doubling(
             [first * waves.h + (1j * sign * waves.e) * second for waves in (incoming, outgoing)]
             for first, second, sign in ((p, f, 1.0), (f.T, q, -1.0))
         )
-        seen = _solve(electric[1], np.hstack([electric[0], differences]))
-        if seen is None:
+        response = _solve(electric[1], np.hstack([electric[0], differences]))
+        if response is None:
             return None
-        turned = magnetic[1] @ seen
-        turned[:, :n] += magnetic[0]
-        turned[:, n:] += sums
-        r = _solve(turned[:, :n], turned[:, n:])
+        reduced = magnetic[1] @ response
+        reduced[:, :n] += magnetic[0]
+        reduced[:, n:] += sums
+        r = _solve(reduced[:, :n], reduced[:, n:])
         if r is None:
             return None
-        e_near, e_far = incoming.e[:, None] * r, outgoing.e[:, None] * (seen[:, :n] @ r - seen[:, n:])
-        # Lorentz: what light from the near side sends to the far side, and the other way round.
+        e_near, e_far = incoming.e[:, None] * r, outgoing.e[:, None] * (response[:, :n] @ r - response[:, n:])
+        # Lorentz reciprocity: transmission from the near to the far side, and back.
         there, back = e_far[:, :count].T @ far_h, near_h.T @ e_near[:, count:]
         scale = max(np.abs(near_h).max(), np.abs(far_h).max())
         inconsistency = float(np.abs(there - back).max() / scale)
-    # A value that is not a number fails the comparison too.
+    # The comparison fails for NaN too.
     return Faces(e_far[:, :count], e_near[:, :count], inconsistency) if inconsistency <= CONSISTENT else None
 
 
 def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -> tuple[Matrix, Matrix] | None:
-    """P^-1 F and P^-1 G of a layer, both symmetric; None where they cannot be had.
+    """P^-1 F and P^-1 G of a layer, both symmetric, shape (n, n); None where a matrix is singular.
 
     Args:
         p: shape (n, n), P of the layer.
@@ -138,14 +135,14 @@ def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -
         thickness_k0: thickness times k0.
         largest_a: bound on the real part of the eigenvalues of A, where one is known.
     """
-    with np.errstate(all="ignore"):  # What is not finite shows in the answer.
-        found = _doubled(p, q, thickness_k0, largest_a, last=0)
-        both = None if found is None else _solve(p, np.hstack(found))
+    with np.errstate(all="ignore"):  # values that are not finite reach the answer, which is tested
+        whole = _doubled(p, q, thickness_k0, largest_a, last=0)
+        both = None if whole is None else _solve(p, np.hstack(whole))
     return None if both is None else (both[:, : len(p)], both[:, len(p) :])
 
 
 def _doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: int) -> tuple[Matrix, Matrix] | None:
-    """F and G of the layer by doublings, the ``last`` ones left out (G only after one); None where they fail."""
+    """F and G of the layer by doubling, without the ``last`` doublings (G needs one); None where it fails."""
     _keep_freed_memory()
     powers = np.empty((4, *p.shape), dtype=np.result_type(p, q))
     a = np.matmul(p, q, out=powers[0])
@@ -172,7 +169,7 @@ def _doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: 
 
 @cache
 def _keep_freed_memory() -> None:
-    """Spare a fifth of the time at 100 unknowns: let the C library keep a few freed MB instead of asking for them anew.
+    """Let the C library keep a few freed MB, which saves a fifth of the time at 100 unknowns.
 
     glibc returns memory beyond twice the largest mapped block that was ever freed. This is such a block, never touched.
     """
@@ -198,7 +195,7 @@ def _quotient(numerator: Matrix, denominator: Matrix) -> Matrix | None:
 
 
 def _solve(matrix: Matrix, columns: Matrix) -> Matrix | None:
-    """LAPACK itself: on small matrices the checks around it cost as much as the work. None where singular."""
+    """Solve by LAPACK directly, as NumPy's checks take as long as small matrices; None where singular."""
     gesv = lapack.zgesv if matrix.dtype == np.complex128 else lapack.dgesv
     _, _, solution, info = gesv(matrix, columns)
     return np.asarray(solution) if info == 0 else None

@@ -1,8 +1,7 @@
 """One incident wave through several layers, from the far side to the side of the light: by slabs, else by modes.
 
-Behind a face every field is e = U w + e_s, h = V w + h_s, with w what is not known and (e_s, h_s) of light that comes
-from the far side. For plane waves U and V are diagonal, or in pairs
-(:mod:`metafab.cell.rcwa.scattering.birefringence`).
+Behind a face every field is e = U w + e_s, h = V w + h_s, with w unknown and (e_s, h_s) the field of light from the far
+side. For plane waves U and V are diagonal, or coupled in pairs (:mod:`metafab.cell.rcwa.scattering.half_space`).
 
 **Slabs.** With Phi = P^-1 F and Gamma = P^-1 G of :mod:`metafab.cell.rcwa.scattering.doubling`, both symmetric, a
 layer has
@@ -11,23 +10,23 @@ layer has
 
 so that w = T e(0) - c follows from (Phi U - i V) (T, c) = (Gamma, Phi e_s - i h_s), and where the layer begins
 
-    h = i (Phi - Gamma U T) e + i Gamma (U c - e_s):
+    h = i (Phi - Gamma U T) e + i Gamma (U c - e_s).
 
-a pair for the next layer, with e itself in place of w. Phi has a pole where a layer is half a wave thick, and V one
-where e has a node: digits are lost in proportion to their size. Light from the far side is solved along. Where rounding
-breaks the reciprocity of the two, or an admittance is too large, the modes are the way.
+This is the pair of the next layer, with e in place of w. Phi has a pole where a layer is half a wave thick, and V one
+where e has a node: digits are lost in proportion to their size. Light from the far side is solved along with the
+incident light. Where rounding breaks the reciprocity of the two, or an admittance is too large, modes are used.
 
 **Modes.** In a layer with modes E, H that decay by X from face to face, c+ taken where the layer begins and c- where it
-ends, the far face asks
+ends, continuity at the far face is
 
     X c+ + c- = E^-1 U w,    X c+ - c- = H^-1 V w,
 
 so that with S and D half the sum and half the difference of E^-1 U and H^-1 V
 
-    w = S^-1 X c+,    c- = D w,    and where it begins    e = E (1 + X D S^-1 X) c+,    h = H (1 - X D S^-1 X) c+:
+    w = S^-1 X c+,    c- = D w,    and where it begins    e = E (1 + X D S^-1 X) c+,    h = H (1 - X D S^-1 X) c+.
 
-a pair for the next layer, with c+ in place of w. Exponentials only decay, however thick a layer is. It is the
-R-matrix recursion of multilayer gratings (Li, J. Opt. Soc. Am. A 13, 1024, 1996) for outgoing light alone.
+This is the pair of the next layer, with c+ in place of w. Exponentials only decay, at any thickness. It is the R-matrix
+recursion of multilayer gratings (Li, J. Opt. Soc. Am. A 13, 1024, 1996) for outgoing light alone.
 """
 
 from __future__ import annotations
@@ -37,14 +36,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.cell.rcwa.basis.axis import Matrix
-from metafab.cell.rcwa.scattering.birefringence import TensorWaves, as_matrices, magnetic
-from metafab.cell.rcwa.scattering.conditioning import NO_MODES, conditioning
+from metafab.cell.rcwa.basis.coordinates import Matrix
 from metafab.cell.rcwa.scattering.doubling import CONSISTENT, Faces, slab
-from metafab.cell.rcwa.scattering.eigenmodes import PlaneWaves, layer_modes
+from metafab.cell.rcwa.scattering.half_space import Waves, as_matrices, magnetic
+from metafab.cell.rcwa.scattering.modes import NO_MODES, conditioning, layer_modes
 from metafab.core.conventions import ComplexArray
 
-#: Largest admittance for which slabs are used: beyond it 11 digits are not sure.
+#: Largest admittance for which slabs are used: beyond it fewer than 11 digits are certain.
 _LARGEST_ADMITTANCE = 1e5
 
 
@@ -53,7 +51,8 @@ class StackLayer:
     """One layer.
 
     Attributes:
-        p: shape (n, n), P of the layer; ``q`` likewise.
+        p: shape (n, n), P of the layer.
+        q: shape (n, n), Q of the layer.
         thickness_k0: thickness times k0, from 0.
         largest_a: bound on the real part of the eigenvalues of P Q; infinite where none is known.
     """
@@ -65,45 +64,39 @@ class StackLayer:
 
 
 def through_stack(
-    layers: Sequence[StackLayer],
-    incoming: PlaneWaves | TensorWaves,
-    outgoing: PlaneWaves | TensorWaves,
-    incident: ComplexArray,
+    layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray, *, slabs: bool = True
 ) -> Faces:
-    """Field of the waves ``incident`` at the first and the last face.
+    """Solve a stack for the field of the waves ``incident`` at its first and last face.
 
     Args:
         layers: from the side of the light to the far side.
         incoming: plane waves of the half space that the light comes from.
         outgoing: plane waves of the half space behind.
         incident: shape (n, p), transverse E of p incident waves where the first layer begins.
+        slabs: whether slabs are tried before modes.
     """
     layers = [layer for layer in layers if layer.thickness_k0 > 0.0]
-    return by_slabs(layers, incoming, outgoing, incident) or by_modes(layers, incoming, outgoing, incident)
+    faces = by_slabs(layers, incoming, outgoing, incident) if slabs else None
+    return faces or by_modes(layers, incoming, outgoing, incident)
 
 
-def by_slabs(
-    layers: Sequence[StackLayer],
-    incoming: PlaneWaves | TensorWaves,
-    outgoing: PlaneWaves | TensorWaves,
-    incident: ComplexArray,
-) -> Faces | None:
-    """The same without modes, for layers of some thickness; None where that cannot be done or rounding would show."""
+def by_slabs(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray) -> Faces | None:
+    """Solve a stack by slabs, arguments as of :func:`through_stack`; None where rounding is too large."""
     (e_in, h_in), (e_out, h_out) = as_matrices(incoming), as_matrices(outgoing)
     n, count = incident.shape
     passed, largest = [], 0.0
     try:
         near_h, far_h = magnetic(incoming, incident), h_out @ incident
         u, v, e_lit, h_lit = e_out, h_out, e_out @ incident, -far_h
-        with np.errstate(all="ignore"):  # What is not finite is refused below.
+        with np.errstate(all="ignore"):  # values that are not finite are refused below
             for layer in reversed(layers):
-                found = slab(layer.p, layer.q, layer.thickness_k0, layer.largest_a)
-                if found is None:
+                both = slab(layer.p, layer.q, layer.thickness_k0, layer.largest_a)
+                if both is None:
                     return None
-                phi, gamma = found
+                phi, gamma = both
                 largest = max(largest, np.abs(phi).max(), np.abs(gamma).max(), np.abs(v).max())
-                seen = np.linalg.solve(phi @ u - 1j * v, np.hstack([gamma, phi @ e_lit - 1j * h_lit]))
-                onward, turned = seen[:, :n], seen[:, n:]
+                solved = np.linalg.solve(phi @ u - 1j * v, np.hstack([gamma, phi @ e_lit - 1j * h_lit]))
+                onward, turned = solved[:, :n], solved[:, n:]
                 v, h_lit = 1j * (phi - gamma @ (u @ onward)), 1j * (gamma @ (u @ turned - e_lit))
                 u, e_lit = np.eye(n, dtype=np.complex128), np.zeros_like(e_lit)
                 passed.append(onward)
@@ -116,23 +109,18 @@ def by_slabs(
             for onward in reversed(passed):
                 lit = onward @ lit
             transmitted = e_out @ lit
-            # Lorentz: what light from the near side sends to the far side, and the other way round.
+            # Lorentz reciprocity: transmission from the near to the far side, and back.
             scale = max(np.abs(near_h).max(), np.abs(far_h).max())
             inconsistency = float(np.abs(transmitted.T @ far_h - near_h.T @ arriving).max() / scale)
     except np.linalg.LinAlgError:
         return None
-    # A value that is not a number fails the comparisons too.
-    sure = inconsistency <= CONSISTENT and max(largest, np.abs(v).max()) <= _LARGEST_ADMITTANCE
-    return Faces(transmitted, reflected, inconsistency) if sure else None
+    # The comparisons fail for NaN too.
+    trusted = inconsistency <= CONSISTENT and max(largest, np.abs(v).max()) <= _LARGEST_ADMITTANCE
+    return Faces(transmitted, reflected, inconsistency) if trusted else None
 
 
-def by_modes(
-    layers: Sequence[StackLayer],
-    incoming: PlaneWaves | TensorWaves,
-    outgoing: PlaneWaves | TensorWaves,
-    incident: ComplexArray,
-) -> Faces:
-    """The same by the modes of every layer."""
+def by_modes(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray) -> Faces:
+    """Solve a stack by the modes of every layer, arguments as of :func:`through_stack`."""
     e_out, h_out = as_matrices(outgoing)
     e, h = e_out, h_out
     passed, worst = [], NO_MODES

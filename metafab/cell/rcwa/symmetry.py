@@ -1,0 +1,207 @@
+"""Symmetry classes of a cell: layers, bases and outer waves of the fields that either polarisation excites.
+
+A rectangle under light along z has four symmetry classes, of which x and y polarised light excite one each. Light in a
+mirror plane leaves two classes along one axis; other light has one class with all coefficients.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+from metafab.cell.pillar import PillarCell, Slice
+from metafab.cell.rcwa.basis.axis import AxisBasis, AxisParity, outline_bases, parities, symmetric_axis
+from metafab.cell.rcwa.basis.coordinates import Formulation, Matrix
+from metafab.cell.rcwa.basis.transverse import TransverseBasis, transverse_basis
+from metafab.cell.rcwa.layers.factorisation import layer_matrices
+from metafab.cell.rcwa.layers.nested import Rectangles, nested_matrices, rectangles
+from metafab.cell.rcwa.layers.staggered import staggered_matrices
+from metafab.cell.rcwa.scattering.half_space import Waves, plane_waves, tensor_waves
+from metafab.core.conventions import ComplexArray
+from metafab.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class SymmetryClass:
+    """Fields of one symmetry.
+
+    Attributes:
+        cell: the cell.
+        bases: for each layer from the substrate upwards, the bases of its rectangles; they differ in their outline.
+        layers: content of each layer, with its sizes.
+        n_in: index of the half space that the light comes from, for the polarisation of this class.
+        n_out: index of the half space behind, likewise.
+    """
+
+    cell: PillarCell
+    bases: tuple[tuple[TransverseBasis, ...], ...]
+    layers: tuple[Slice, ...]
+    n_in: complex
+    n_out: complex
+
+    @property
+    def basis(self) -> TransverseBasis:
+        """Coefficients and wave numbers of all layers (with the overlap of the first outline)."""
+        return self.bases[0][0]
+
+    @property
+    def incident(self) -> ComplexArray:
+        """Incident E_x = 1 and E_y = 1 as columns, shape (n, 2); zero where the class does not hold them."""
+        return self.basis.zero_order()
+
+    def thickness_k0(self, index: int = 0) -> float:
+        """Thickness of a layer times k0."""
+        return self.cell.k0_per_nm * self.layers[index].height_nm
+
+    def matrices(self, index: int = 0) -> tuple[Matrix, Matrix]:
+        """P and Q of a layer in (TM, TE), each of shape (n, n)."""
+        layer, bases, k0_per_nm = self.layers[index], self.bases[index], self.cell.k0_per_nm
+        media = permittivity(layer.n_inside), permittivity(layer.n_around)
+        if self.cell.is_staggered:
+            return staggered_matrices(bases[0], bases[1], k0_per_nm, *media)
+        if len(bases) > 1:
+            return nested_matrices(bases, k0_per_nm, *media)
+        return layer_matrices(bases[0], k0_per_nm, *media)
+
+    def outer_waves(self) -> tuple[Waves, Waves]:
+        """Plane waves of the half space that the light comes from, and of the half space behind."""
+        cell = self.cell
+        incoming, outgoing = (
+            plane_waves(self.basis, cell.k0_per_nm, permittivity(n))
+            if tensor is None
+            else tensor_waves(self.basis, cell.k0_per_nm, tensor)
+            for tensor, n in ((cell.tensor(cell.side), self.n_in), (cell.tensor(cell.far_side), self.n_out))
+        )
+        return incoming, outgoing
+
+
+def permittivity(n: complex) -> complex:
+    """Square of the index; a real number for a real index, so that real arithmetic follows."""
+    return n * n if complex(n).imag else complex(n).real ** 2
+
+
+def layers_of(cell: PillarCell, steps: int = 1) -> tuple[Slice, ...]:
+    """The cell's layers from the substrate upwards, each with its sizes; a sloped pillar in ``steps``."""
+    count = steps if cell.is_sloped else 1
+    pillar = [
+        Slice(cell.height_nm / count, cell.n_pillar, cell.n_ambient, *cell.sizes_nm((i + 0.5) / count))
+        for i in range(count)
+    ]
+    under = [_sized(layer, cell.sizes_nm(0.0)) for layer in cell.under]
+    over = [_sized(layer, cell.sizes_nm(1.0)) for layer in cell.over]
+    return (*under, *pillar, *over)
+
+
+def _sized(layer: Slice, size_nm: tuple[float, float]) -> Slice:
+    width_nm = size_nm[0] if layer.width_nm is None else layer.width_nm
+    return replace(layer, width_nm=width_nm, length_nm=size_nm[1] if layer.length_nm is None else layer.length_nm)
+
+
+def polarisations_swap(cell: PillarCell) -> bool:
+    """Whether exchanging x and y exchanges the two polarisations and changes nothing else."""
+    same_sizes = cell.shape == "cross" or all(each.width_nm == each.length_nm for each in layers_of(cell))
+    same_sizes = same_sizes and cell.period_nm[0] == cell.period_nm[1] and not cell.is_staggered
+    return same_sizes and cell.angle_deg == 0.0 and cell.n_substrate[0] == cell.n_substrate[1]
+
+
+def in_plane_per_nm(cell: PillarCell) -> tuple[float, float]:
+    """Wave vector (k_x, k_y) of the incident light in the plane of the cell, rad/nm."""
+    k_x, k_y = cell.in_plane
+    return cell.k0_per_nm * k_x, cell.k0_per_nm * k_y
+
+
+def symmetry_classes(
+    cell: PillarCell, orders: int, formulation: Formulation, steps: int = 1
+) -> Iterator[SymmetryClass]:
+    """Yield the symmetry classes that incident light of either polarisation excites.
+
+    Args:
+        cell: the cell.
+        orders: cosines besides the constant along each axis. A short period gets as many as a long one; else the
+            truncation would rise without its error falling.
+        formulation: "adaptive" or "fourier".
+        steps: steps of a sloped pillar.
+
+    Raises:
+        InputError: light at an angle meets a birefringent substrate of unknown index along z, or comes out of a biaxial
+            or an absorbing one.
+    """
+    layers = layers_of(cell, steps)
+    x, y, counts = (
+        _staggered_axes(cell, orders, formulation)
+        if cell.is_staggered
+        else (_layered_axes(cell, layers, orders, formulation))
+    )
+    if cell.angle_deg == 0.0:
+        for i, even_first in enumerate((True, False)):
+            u, v = ([symmetric_axis(each, even_first=even_first) for each in axis] for axis in (x, y))
+            yield SymmetryClass(cell, _over_outlines(u, v, counts), layers, cell.n_in[i], cell.n_out[i])
+        return
+    _check_oblique(cell)
+    k_x, k_y = in_plane_per_nm(cell)
+    # With parity along one axis only, each of its two classes holds one polarisation.
+    for u_class in zip(*(parities(each, k_x) for each in x), strict=True):
+        for v_class in zip(*(parities(each, k_y) for each in y), strict=True):
+            bases = _over_outlines(u_class, v_class, counts)
+            yield SymmetryClass(cell, bases, layers, cell.n_in[0], cell.n_out[0])
+
+
+_Axes = tuple[tuple[AxisBasis, ...], tuple[AxisBasis, ...], tuple[int, ...]]
+
+
+def _layered_axes(cell: PillarCell, layers: tuple[Slice, ...], orders: int, formulation: Formulation) -> _Axes:
+    """Bases along x and y of every rectangle of every layer, and the number of rectangles of each layer."""
+    outlines = [_outline(cell, each, orders) for each in layers]
+    sizes = [size for outline in outlines for size in outline]
+    # A sloped pillar's ends are always included, so that more steps do not change the coordinates.
+    ends = [cell.sizes_nm(0.0), cell.sizes_nm(1.0)] if cell.is_sloped else []
+    x, y = (
+        outline_bases(cell.period_nm[axis], tuple(size[axis] for size in sizes + ends), orders, formulation)
+        for axis in (0, 1)
+    )
+    return x[: len(sizes)], y[: len(sizes)], tuple(map(len, outlines))
+
+
+def _outline(cell: PillarCell, layer: Slice, orders: int) -> Rectangles:
+    """Rectangles of one layer; a closed film counts as one."""
+    width_nm, length_nm = layer.width_nm or 0.0, layer.length_nm or 0.0
+    if layer.n_inside == layer.n_around:
+        return ((width_nm, length_nm),)
+    return rectangles(cell, width_nm, length_nm, orders)
+
+
+def _staggered_axes(cell: PillarCell, orders: int, formulation: Formulation) -> _Axes:
+    """Outlines of the pillar, and of the gap at its ends, in the centred cell of two rows of a hexagonal lattice."""
+    lengths = cell.period_nm[0], 2.0 * cell.period_nm[1]
+    x, y = (
+        outline_bases(length, (size, length - size), count, formulation)
+        for length, size, count in zip(lengths, (cell.width_nm, cell.length_nm), (orders, 2 * orders), strict=True)
+    )
+    return x, y, (2,)
+
+
+def _over_outlines(
+    u: Sequence[AxisParity], v: Sequence[AxisParity], counts: tuple[int, ...]
+) -> tuple[tuple[TransverseBasis, ...], ...]:
+    """A basis for each outline along both axes, ``counts`` of them in each layer."""
+    first = transverse_basis(u[0], v[0])
+    bases = (first, *(replace(first, u=of_x, v=of_y) for of_x, of_y in zip(u[1:], v[1:], strict=True)))
+    each = iter(bases)
+    return tuple(tuple(islice(each, count)) for count in counts)
+
+
+def _check_oblique(cell: PillarCell) -> None:
+    n_x, n_y = cell.n_substrate
+    if n_x != n_y and cell.n_substrate_z is None:
+        expected = "0 where the substrate's index differs between x and y polarisation and that along z is not given"
+        remedy = "give the substrate's `n_z` too (sapphire with its axis in the surface: the ordinary index)"
+    elif cell.side == "substrate" and n_x != n_y and cell.n_substrate_z not in (n_x, n_y):
+        expected = "0 from within a biaxial substrate, where no wave is ordinary"
+        remedy = 'light it from `side = "ambient"`'
+    elif complex(cell.n_of_angle).imag != 0.0:
+        expected = "0 where the light comes out of an absorbing medium"
+        remedy = "no plane wave of one angle has a steady amplitude along the surface there; drop its k"
+    else:
+        return
+    raise InputError.single("cell", "angle_deg", expected, f"{cell.angle_deg:g}", remedy)

@@ -1,0 +1,169 @@
+"""The error that the solver states against the error that it has."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metafab.cell import CellNumerics, PillarCell
+from metafab.cell.rcwa import solve, zero_order
+from metafab.cell.rcwa.certificate import is_measured
+from metafab.cell.rcwa.jones import ZeroOrder
+from tests.paper_cell import SILICON
+
+TITANIA = PillarCell((300.0, 300.0), 110.0, 190.0, 600.0, 2.42, (1.46, 1.46), 1.0, 532.0)
+#: Resonances of the silicon pillar (the first five lie on guided modes, the sixth is the sharpest found by search),
+#: smooth ones, and another material.
+CELLS = [
+    *(
+        replace(SILICON, width_nm=width, length_nm=length)
+        for width, length in (
+            (250.0, 250.0),
+            (150.0, 210.0),
+            (145.0, 245.0),
+            (155.0, 185.0),
+            (220.0, 195.0),
+            (220.8, 244.6),
+            (100.0, 100.0),
+            (188.4, 103.7),
+        )
+    ),
+    TITANIA,
+]
+#: References of 14 orders moved by at most 1e-5 when raised to 20.
+REFERENCE_ORDERS, REFERENCE_ERROR = 14, 1e-5
+
+
+@pytest.fixture(scope="module")
+def references() -> list[ZeroOrder]:
+    return [zero_order(cell, REFERENCE_ORDERS) for cell in CELLS]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("target_error", [1e-2, 1e-3, 1e-4])
+def test_stated_error_bounds_the_true_error(references: list[ZeroOrder], target_error: float) -> None:
+    for cell, reference in zip(CELLS, references, strict=True):
+        response = solve(cell, CellNumerics(target_error))
+        true_error = max(np.abs(response.t - reference.t).max(), np.abs(response.r - reference.r).max())
+        assert response.converged
+        assert true_error <= response.error + REFERENCE_ERROR
+        assert response.error <= target_error
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"n_pillar": 0.15 + 4.9j, "height_nm": 50.0},
+        {"n_pillar": 0.036 + 5.6j, "height_nm": 100.0},
+        {"period_nm": (700.0, 700.0), "width_nm": 300.0, "length_nm": 400.0},
+        {"period_nm": (350.0, 500.0)},
+        {"width_nm": 2.0, "length_nm": 2.0},
+        {"width_nm": 350.0, "length_nm": 200.0},
+        {"width_nm": 349.0, "length_nm": 340.0},
+        {"height_nm": 5_000.0},
+        {"n_pillar": 1.0, "n_ambient": 3.6941},
+        {"n_pillar": 6.0},
+        {"n_pillar": 4.4 + 0.6j, "wavelength_nm": 532.0},
+        {"angle_deg": 10.0},
+    ],
+    ids=[
+        "gold",
+        "silver",
+        "diffracting",
+        "oblong",
+        "2 nm",
+        "ridge",
+        "1 nm slits",
+        "tall",
+        "hole",
+        "n = 6",
+        "lossy",
+        "oblique",
+    ],
+)
+def test_bound_holds_far_from_where_it_was_measured(change: dict[str, object]) -> None:
+    cell = replace(SILICON, **change)  # type: ignore[arg-type]
+    response = solve(cell, CellNumerics(1e-2, max_orders=8))
+    reference = zero_order(cell, 9 if cell.angle_deg else 12)
+    true_error = max(np.abs(response.t - reference.t).max(), np.abs(response.r - reference.r).max())
+    # Differences of 12 orders to more are below a tenth of these bounds, except for gold, which does not converge.
+    assert true_error <= response.error
+
+
+#: Found by search, when the shorter period had fewer cosines and wide cells counted as measured.
+HARD_CELLS = {
+    "1 : 2.6": (
+        PillarCell((495.755, 190.865), 221.242, 143.223, 302.025, 3.7604, (1.7601, 1.7601), 1.0, 800.0),
+        5.9e-3,
+    ),
+    "2.6 : 1": (
+        PillarCell((178.44, 467.24), 148.61, 289.65, 296.97, 2.4175, (1.7601, 1.7601), 1.0, 800.0, side="ambient"),
+        2.4e-3,
+    ),
+    "narrow": (replace(SILICON, period_nm=(140.0, 350.0), width_nm=60.0), 1e-2),
+    "427 nm": (
+        replace(SILICON, period_nm=(427.0, 427.0), width_nm=196.0, length_nm=181.0, height_nm=419.0, side="ambient"),
+        1e-3,
+    ),
+    "399 nm": (
+        replace(SILICON, period_nm=(399.155, 399.155), width_nm=289.14, length_nm=213.63, height_nm=349.856),
+        1e-4,
+    ),
+    "close": (
+        replace(
+            SILICON,
+            period_nm=(340.437, 335.096),
+            width_nm=249.651,
+            length_nm=252.868,
+            height_nm=279.513,
+            side="ambient",
+        ),
+        1e-3,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HARD_CELLS)
+def test_bound_holds_in_oblong_and_in_wide_cells(name: str) -> None:
+    cell, target_error = HARD_CELLS[name]
+    assert not is_measured(cell)
+    response = solve(cell, CellNumerics(target_error))
+    assert response.converged
+    reference = zero_order(cell, 13)
+    true_error = max(np.abs(response.t - reference.t).max(), np.abs(response.r - reference.r).max())
+    assert true_error <= response.error + REFERENCE_ERROR
+
+
+def test_square_cells_of_the_paper_are_measured_and_wider_or_longer_ones_are_not() -> None:
+    assert is_measured(SILICON)
+    assert is_measured(replace(SILICON, period_nm=(350.0, 345.0)))
+    assert not is_measured(replace(SILICON, period_nm=(350.0, 330.0)))
+    assert not is_measured(replace(SILICON, period_nm=(330.0, 350.0)))
+    # 1.65 wavelengths in silicon are 357 nm.
+    assert not is_measured(replace(SILICON, period_nm=(360.0, 360.0)))
+
+
+def test_plain_harmonics_approach_the_same_answer() -> None:
+    # Li's factorisation without stretching is an independent discretisation; its own bound must cover the truth.
+    for size_nm in ((100.0, 250.0), (120.0, 130.0)):
+        cell = replace(SILICON, width_nm=size_nm[0], length_nm=size_nm[1])
+        adaptive = solve(cell, CellNumerics(1e-3))
+        fourier = solve(cell, CellNumerics(1e-3, formulation="fourier", max_orders=12))
+        assert not fourier.converged
+        assert np.abs(adaptive.t - fourier.t).max() <= adaptive.error + fourier.error
+        assert np.abs(adaptive.r - fourier.r).max() <= adaptive.error + fourier.error
+
+
+def test_unreachable_target_is_confessed() -> None:
+    response = solve(SILICON, CellNumerics(1e-6, max_orders=6))
+    assert not response.converged
+    assert response.error > 1e-6
+
+
+def test_no_bound_from_a_single_truncation() -> None:
+    response = solve(SILICON, CellNumerics(1e-2, max_orders=3))
+    assert not response.converged
+    assert response.error == np.inf
