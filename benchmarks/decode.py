@@ -28,7 +28,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.parallel.measure import measured
 from metafab.decode.matching.cost_volume import Volume
 from metafab.decode.segmentation.planes import Cells
-from metafab.information.psf_fisher import Texture
+from metafab.information import Texture
 from metafab.layout import Lattice, sampling_lattice
 from metafab.spec import Design, Scene, SceneObject, load_design
 from metafab.spec.terms import SpiralZones

@@ -15,23 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from metafab.phase import (
-    BlindInformation,
-    PhaseProfile,
-    Pupil,
-    SplitLensPhase,
-    Texture,
-    limit_side_lobes,
-    most_likely_defocus,
-    optimise_blind,
-    optimise_peak,
-    propose,
-    pupil_field,
-    rim_defocus_per_dioptre_rad,
-    rim_defocus_rad,
-    spiral_field,
-    twin_images,
-)
+from benchmarks.twin_images import most_likely_defocus, twin_images
+from metafab.information.texture import Texture
+from metafab.phase import PhaseProfile, Pupil, SplitLensPhase, limit_side_lobes, optimise_blind, optimise_peak, propose
+from metafab.phase.optimise.blind import BlindInformation
+from metafab.phase.pupil import pupil_field, rim_defocus_per_dioptre_rad, rim_defocus_rad
+from metafab.phase.terms.helices import spiral_field
 
 TILE_SITES, PERIOD_UM, SITES = 286, 0.35, 25.6e6
 

@@ -1,4 +1,4 @@
-"""What a design is compared with: the same aperture, split lens and sensor with other phases."""
+"""Cameras of a comparison: one aperture, split lens and sensor with different phases."""
 
 from __future__ import annotations
 
@@ -18,38 +18,36 @@ from metafab.spec.terms import DoubleHelix, Grating, Lens, PhaseTerm, SplitLens
 
 #: Terms that bring the light to the sensor; all others shape the PSF.
 _CARRIERS = (SplitLens, Lens, Grating)
-#: How far before the nearest depth the lens for depth from defocus is focused, as a share of the range of vergence:
-#: about the focus itself its PSF does not change with depth, and on both sides of it is the same.
+#: Distance of the focus before the nearest depth for the lens of depth from defocus, as a share of the range of
+#: vergence. Near focus the PSF of a lens does not change with depth, and it is alike on both sides of focus.
 _BEFORE = 0.25
-#: The calibration reaches beyond the depths that are tried by this share of their range of vergence.
+#: Margin of the calibration beyond the compared depths, as a share of their range of vergence.
 _MARGIN = 0.15
 
 
 @dataclass(frozen=True)
 class Rival:
-    """One camera.
+    """One camera of a comparison.
 
     Attributes:
-        name: for people.
-        twins: whether the relation of its two images tells the depth of any texture; else they are one image twice.
-        truth: PSFs as they are at the depths to be tried, among others.
-        calibration: the PSFs that its estimates know: of other depths, between which they interpolate.
+        name: label in figures and files.
+        truth: PSFs at the compared depths (and at the nodes of the calibration).
+        calibration: PSFs that the depth estimates use, at other depths; between them they interpolate.
     """
 
     name: str
-    twins: bool
     truth: PairKernels
     calibration: PairKernels
 
 
 def rivals(design: Design, depth_m: FloatArray, *, progress: Progress = silent) -> tuple[Rival, ...]:
-    """The design's target phases, a standard lens, one that is focused for depth from defocus, and a double helix.
+    """Return the design's target phases, a lens in focus, a lens focused nearer (depth from defocus), a double helix.
 
-    All split polarisation in the same way, so that sensor, aperture and light are the same.
+    All split the polarisations alike, so that sensor, aperture and light are equal.
 
     Args:
-        design: with a split lens, and a term that shapes the PSF.
-        depth_m: shape (n,), depths to be tried, ascending.
+        design: has a split lens and a term that shapes the PSF.
+        depth_m: shape (n,), compared depths, ascending.
         progress: called camera by camera.
 
     Raises:
@@ -57,30 +55,28 @@ def rivals(design: Design, depth_m: FloatArray, *, progress: Progress = silent) 
     """
     carriers = tuple(term for term in design.phase if isinstance(term, _CARRIERS))
     if design.split_angle_deg == 0.0 or len(carriers) == len(design.phase):
-        raise InputError.single(
-            design.name, "phase", "a `split_lens` and a term that turns the pair with depth",
-            ", ".join(term.term for term in design.phase),
-        )  # fmt: skip
+        expected = "a `split_lens` and a term that turns the pair with depth"
+        raise InputError.single(design.name, "phase", expected, ", ".join(term.term for term in design.phase))
     vergence = 1.0 / depth_m
     span = float(vergence[0] - vergence[-1])
-    before = replace(design.sensor, focus_depth_m=1.0 / (float(vergence[0]) + _BEFORE * span))
-    others: tuple[tuple[str, tuple[PhaseTerm, ...], Design], ...] = (
+    nearer = replace(design.sensor, focus_depth_m=1.0 / (float(vergence[0]) + _BEFORE * span))
+    cameras: tuple[tuple[str, tuple[PhaseTerm, ...], Design], ...] = (
         ("this design", design.phase, design),
         ("standard lens", carriers, design),
-        ("lens, focused nearer", carriers, replace(design, sensor=before)),
+        ("lens, focused nearer", carriers, replace(design, sensor=nearer)),
         ("double helix", (DoubleHelix(), *carriers), design),
     )
-    found = []
-    for done, (name, phase, base) in enumerate(others, start=1):
+    result = []
+    for done, (name, phase, base) in enumerate(cameras, start=1):
         stack, nodes = _stack(replace(base, phase=phase), depth_m)
-        known = PairKernels(without_depths(stack, ~np.isin(stack.depth_m, nodes)))
-        found.append(Rival(name, phase == design.phase, PairKernels(stack), known))
-        progress("PSFs", done, len(others))
-    return tuple(found)
+        calibration = without_depths(stack, ~np.isin(stack.depth_m, nodes))
+        result.append(Rival(name, PairKernels(stack), PairKernels(calibration)))
+        progress("PSFs", done, len(cameras))
+    return tuple(result)
 
 
 def _stack(design: Design, depth_m: FloatArray) -> tuple[Psf, FloatArray]:
-    """The pair at the depths to be tried and at the nodes of a calibration, and these nodes."""
+    """The PSF pair at the compared depths and at the nodes of a calibration, and these nodes."""
     imaging = Imaging.of(design)
     near, far = 1.0 / float(depth_m[0]), 1.0 / float(depth_m[-1])
     margin = _MARGIN * (near - far)

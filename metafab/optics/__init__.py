@@ -38,7 +38,7 @@ In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.libra
 :class:`~metafab.phase.terms.profile.PhaseProfile`; an :class:`Imaging`. Out: a :class:`Psf`.
 """
 
-from metafab.information.psf_fisher import PointSource, depth_crlb_m, point_information, twin_depth_information
+from metafab.information import PointSource, depth_crlb_m, point_information, twin_depth_information
 from metafab.optics.geometry.imaging import Imaging, depth_nodes, field_tangents
 from metafab.optics.geometry.plate import Plate
 from metafab.optics.interpolation.basis import PsfBasis

@@ -1,10 +1,9 @@
-"""The pupil in normalised coordinates, and what a phase in it does to the focal plane.
+"""The pupil in normalised coordinates, and the images of a pupil field near focus (paraxial).
 
-Positions are divided by the aperture's radius R, so that the rim is at u = 1. An object nearer than the focus
-adds the phase W u^2 with the rim defocus ``W = (k R^2 / 2) (1/depth - 1/focus_depth)``; the focal plane is in
-optical units ``v = k R x' / s'`` (the Airy disc's first dark ring is at v = 3.83). A PSF value is a Strehl
-ratio: 1 is the peak of the same aperture without aberration. Paraxial: for the design of a helix, whose PSF
-the optics room then computes exactly.
+Positions are divided by the aperture's radius R, so the rim is at u = 1. An object nearer than the focus adds the phase
+W u^2 with the rim defocus ``W = (k R^2 / 2) (1/depth - 1/focus_depth)``. The focal plane is in optical units
+``v = k R x' / s'`` (the first dark ring of Airy's disc is at v = 3.83). PSF values are Strehl ratios: 1 is the peak of
+the same aperture without aberration. Helices are designed here; the optics room then computes their PSFs exactly.
 """
 
 from __future__ import annotations
@@ -16,8 +15,10 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import fft
 
-from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
+from metafab.phase.terms.profile import Term
 
 Outline: TypeAlias = Literal["circle", "square", "ring", "polygon"]
 
@@ -25,10 +26,18 @@ Outline: TypeAlias = Literal["circle", "square", "ring", "polygon"]
 def rim_defocus_rad(
     depth_m: ArrayLike, focus_depth_m: float, aperture_radius_um: float, wavelength_um: float
 ) -> FloatArray:
-    """Rim defocus W of an object at ``depth_m`` (any shape, m; ``inf`` allowed), radians; 0 at the focus.
+    """Rim defocus W of an object; 0 at the focus, positive for nearer objects.
 
-    Positive for objects nearer than the focus: a nearer point's wave arrives more strongly curved, and a longer
-    path has the larger phase.
+    The wave of a nearer point arrives more strongly curved, and a longer path has the larger phase.
+
+    Args:
+        depth_m: any shape, object distance; infinity allowed.
+        focus_depth_m: object distance in focus.
+        aperture_radius_um: R.
+        wavelength_um: vacuum wavelength.
+
+    Returns:
+        The same shape, radians.
     """
     vergence_per_m = 1.0 / np.asarray(depth_m, dtype=np.float64) - 1.0 / focus_depth_m
     return np.asarray(rim_defocus_per_dioptre_rad(aperture_radius_um, wavelength_um) * vergence_per_m)
@@ -40,18 +49,25 @@ def rim_defocus_per_dioptre_rad(aperture_radius_um: float, wavelength_um: float)
 
 
 def phasor(phase_rad: FloatArray) -> ComplexArray:
-    """exp(i phase), any shape."""
+    """Return exp(i phase).
+
+    Args:
+        phase_rad: any shape.
+
+    Returns:
+        The same shape.
+    """
     return np.asarray(np.exp(1j * phase_rad), dtype=np.complex128)
 
 
 @dataclass(frozen=True)
 class Pupil:
-    """A square grid of samples over the aperture, point-symmetric about the axis.
+    """A square grid of samples over the aperture, point-symmetric about the axis; n samples lie inside.
 
     Attributes:
         samples: samples a side; centres at (2 i + 1) / samples - 1.
-        shape: outline of the aperture; a square's half side counts as its radius. Of rings and polygons the whole
-            circle of that diameter is taken.
+        shape: outline of the aperture; the half side of a square counts as its radius. Rings and polygons are replaced
+            by the whole circle of their diameter.
     """
 
     samples: int = 128
@@ -64,7 +80,7 @@ class Pupil:
 
     @cached_property
     def inside(self) -> NDArray[np.bool_]:
-        """Which samples lie in the aperture, shape (samples, samples)."""
+        """True for samples in the aperture, shape (samples, samples)."""
         if self.shape == "square":
             return np.ones((self.samples, self.samples), dtype=np.bool_)
         return self.radius_squared_grid <= 1.0
@@ -91,8 +107,38 @@ class Pupil:
 
     @property
     def count(self) -> int:
-        """Samples inside the aperture."""
+        """Number n of samples inside the aperture."""
         return self.x.size
+
+    def on_grid(self, field: ComplexArray, outside: float = 0.0) -> ComplexArray:
+        """Place values of the samples inside on the whole grid.
+
+        Args:
+            field: shape (..., n).
+            outside: value of the samples outside the aperture.
+
+        Returns:
+            Shape (..., samples, samples).
+        """
+        grid = np.full((*field.shape[:-1], self.samples, self.samples), outside, dtype=np.complex128)
+        grid[..., self.inside] = field
+        return grid
+
+
+def pupil_field(term: Term, pupil: Pupil, radius_um: float, polarisation: Polarisation = "x") -> ComplexArray:
+    """Return exp(i psi) of a term at the samples of a pupil.
+
+    Args:
+        term: the phase psi.
+        pupil: the samples.
+        radius_um: radius of the aperture.
+        polarisation: "x" or "y".
+
+    Returns:
+        Shape (n,).
+    """
+    positions_um: FloatArray = radius_um * pupil.axis
+    return phasor(term(positions_um, positions_um, polarisation)[pupil.inside])
 
 
 @dataclass(frozen=True)
@@ -100,9 +146,9 @@ class FocalPlane:
     """Images of a pupil field on a square window of the focal plane, by a matrix Fourier transform.
 
     Attributes:
-        pupil: where the field is sampled.
-        half_width: the window reaches from -half_width to +half_width in optical units.
-        step: distance of the samples in optical units (an intensity is band-limited: pi / 2 is Nyquist).
+        pupil: samples of the field.
+        half_width: the window reaches from -half_width to +half_width, optical units.
+        step: distance of the samples, optical units (the Nyquist step of an intensity is pi / 2).
     """
 
     pupil: Pupil
@@ -111,21 +157,66 @@ class FocalPlane:
 
     @cached_property
     def axis(self) -> FloatArray:
-        """Positions v along either axis, shape (n_v,); the middle one is 0."""
+        """Positions v along either axis, shape (n_v,), optical units; the middle one is 0."""
         half = math.ceil(self.half_width / self.step)
         return np.arange(-half, half + 1, dtype=np.float64) * self.step
 
     @cached_property
-    def _kernel(self) -> ComplexArray:
+    def kernel(self) -> ComplexArray:
+        """Matrix exp(-i v u) of the Fourier transform along one axis, shape (n_v, samples)."""
         return phasor(-np.outer(self.axis, self.pupil.axis))
 
-    def amplitude(self, field: ComplexArray, defocus_rad: float) -> ComplexArray:
-        """Amplitude on the window, shape (n_v, n_v), of a pupil field, shape (n,), at a rim defocus."""
-        grid = np.zeros(self.pupil.inside.shape, dtype=np.complex128)
-        grid[self.pupil.inside] = field * phasor(defocus_rad * self.pupil.radius_squared) / self.pupil.count
-        return np.asarray(self._kernel @ grid @ self._kernel.T)
-
     def psf(self, field: ComplexArray, defocus_rad: ArrayLike) -> FloatArray:
-        """Strehl ratios, shape (n_depth, n_v, n_v), at rim defocuses of shape (n_depth,)."""
+        """Return the PSFs of a pupil field.
+
+        Args:
+            field: shape (n,).
+            defocus_rad: shape (n_depth,), rim defocuses.
+
+        Returns:
+            Shape (n_depth, n_v, n_v), Strehl ratios.
+        """
         defocus = np.atleast_1d(np.asarray(defocus_rad, dtype=np.float64))
-        return np.stack([np.abs(self.amplitude(field, value)) ** 2 for value in defocus])
+        images = [self._amplitude(field * phasor(value * self.pupil.radius_squared)) for value in defocus]
+        return np.stack([np.abs(image) ** 2 for image in images])
+
+    def _amplitude(self, field: ComplexArray) -> ComplexArray:
+        return np.asarray(self.kernel @ self.pupil.on_grid(field / self.pupil.count) @ self.kernel.T)
+
+
+@dataclass(frozen=True)
+class NyquistImages:
+    """Images of pupil fields on a periodic grid at the Nyquist step, and their derivatives over the rim defocus.
+
+    The grid has m = 2 samples points a side, zero first, and PSFs of sum 1.
+
+    Attributes:
+        amplitude: shape (..., m, m), not normalised.
+        amplitude_slope: shape (..., m, m), its derivative over the rim defocus, 1/rad.
+        psf: shape (..., m, m).
+        psf_slope: shape (..., m, m), its derivative over the rim defocus, 1/rad.
+    """
+
+    amplitude: ComplexArray
+    amplitude_slope: ComplexArray
+    psf: FloatArray
+    psf_slope: FloatArray
+
+    @classmethod
+    def of(cls, pupil: Pupil, field_grid: ComplexArray) -> NyquistImages:
+        """Transform pupil fields.
+
+        Args:
+            pupil: the samples.
+            field_grid: shape (..., samples, samples), defocused fields, 0 outside the aperture.
+        """
+        side = (2 * pupil.samples, 2 * pupil.samples)
+        amplitude = fft.fft2(field_grid, side)
+        slope = fft.fft2(1j * pupil.radius_squared_grid * field_grid, side)
+        scale = nyquist_scale(pupil)
+        return cls(amplitude, slope, scale * np.abs(amplitude) ** 2, scale * 2.0 * (amplitude.conj() * slope).real)
+
+
+def nyquist_scale(pupil: Pupil) -> float:
+    """Factor that normalises the squared amplitudes of :class:`NyquistImages` to a sum of 1 (Parseval)."""
+    return 1.0 / (4.0 * pupil.samples**2 * pupil.count)

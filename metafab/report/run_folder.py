@@ -21,7 +21,7 @@ from metafab.fullwave.patch import Patch
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
 from metafab.optics.point_spread import Psf
-from metafab.phase import PhaseStudy
+from metafab.phase.studies.study import PhaseStudy
 from metafab.spec import Design
 
 Loaded = TypeVar("Loaded")
@@ -113,7 +113,8 @@ class RunFolder:
 
 def open_run(path: Path) -> RunFolder:
     """Open the files of a run folder; one that is missing or damaged leaves a note in place of a result."""
-    from metafab import camera, comparison, decode, fullwave, library, mask, optics, phase
+    from metafab import camera, comparison, decode, fullwave, library, mask, optics
+    from metafab.phase.studies.study_store import load_study
     from metafab.spec import load_design
 
     notes: dict[str, str] = {}
@@ -137,7 +138,7 @@ def open_run(path: Path) -> RunFolder:
         design_table=_attempt(notes, "design_table", path / "design.toml", _read_toml) or {},
         library=_attempt(notes, "library", path / library_file, library.load) if library_file else None,
         phases=_attempt(notes, "phases", path / "phase.h5", _read_phases),
-        study=_attempt(notes, "study", path / "phase_study.h5", phase.load_study),
+        study=_attempt(notes, "study", path / "phase_study.h5", load_study),
         pillars=pillars,
         mask_file=masks[0].name,
         psf=_attempt(notes, "psf", path / "psf.h5", optics.load),

@@ -14,7 +14,7 @@ def _phase(job: Job) -> dict[str, Any]:
     from metafab import phase
 
     phase.save(job.profile, job.design, job.folder / "phase.h5")
-    return dict(job.profile.figures)
+    return dict(job.profile.figures.applicable())
 
 
 def _study_inputs(design: Design) -> tuple[Any, ...]:
@@ -23,13 +23,14 @@ def _study_inputs(design: Design) -> tuple[Any, ...]:
 
 
 def _study(job: Job) -> dict[str, Any]:
-    from metafab import phase
+    from metafab.phase.studies.bandwidth import bandwidth_figures
+    from metafab.phase.studies.study import study
+    from metafab.phase.studies.study_store import save_study
 
-    found = phase.study(job.design, job.profile)
-    phase.save_study(
-        found, job.folder / "phase_study.h5", inputs_sha256=fingerprint(*_study_inputs(job.design), job.design.numerics)
-    )
-    return {} if found.bandwidth is None else {"bandwidth": phase.bandwidth_figures(found.bandwidth)}
+    found = study(job.design, job.profile)
+    inputs = fingerprint(*_study_inputs(job.design), job.design.numerics)
+    save_study(found, job.folder / "phase_study.h5", inputs_sha256=inputs)
+    return {} if found.bandwidth is None else {"bandwidth": bandwidth_figures(found.bandwidth)}
 
 
 PHASE = Step(

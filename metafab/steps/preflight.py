@@ -15,12 +15,13 @@ def preflight(design: Design) -> None:
     Raises:
         InputError: all that was found.
     """
-    from metafab import layout, mask, phase
+    from metafab import layout, mask
     from metafab.optics import Imaging
+    from metafab.phase.build import require_paintable
 
     faults: list[Fault] = []
     of_mask = (layout.Aperture.of, layout.field_sites, mask.lens_copies) if design.has_mask else (layout.lattice_of,)
-    for look in (Imaging.of, *of_mask, phase.require_paintable):
+    for look in (Imaging.of, *of_mask, require_paintable):
         try:
             look(design)
         except InputError as error:

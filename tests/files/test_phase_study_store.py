@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.phase import PhaseStudy, load_study, profile_of, save_study, study
+from metafab.phase import profile_of, study
+from metafab.phase.studies.study import PhaseStudy
+from metafab.phase.studies.study_store import load_study, save_study
 from metafab.spec import Design
 from metafab.spec.design import Optics
 

@@ -10,24 +10,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.twin_images import most_likely_defocus, twin_images
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.information.psf_fisher import PointSource, Texture, point_information, twin_depth_information
-from metafab.phase import (
-    BlindInformation,
-    DoubleHelixPhase,
-    FocalPlane,
-    Pupil,
-    compare_masks,
-    most_likely_defocus,
-    optimise_peak,
-    propose,
-    pupil_field,
-    reference_masks,
-    rim_defocus_per_dioptre_rad,
-    rim_defocus_rad,
-    spiral_field,
-    twin_images,
-)
+from metafab.information.psf_stacks import point_information, twin_depth_information
+from metafab.information.texture import PointSource, Texture
+from metafab.phase import DoubleHelixPhase, Pupil, compare_masks, optimise_peak, propose
+from metafab.phase.optimise.blind import BlindInformation
+from metafab.phase.pupil import FocalPlane, pupil_field, rim_defocus_per_dioptre_rad, rim_defocus_rad
+from metafab.phase.studies.compare import reference_masks
+from metafab.phase.terms.helices import spiral_field
 
 FOCUS_M, RADIUS_UM, WAVELENGTH_UM, IMAGE_UM = 0.30, 1000.0, 0.8, 21429.0
 PUPIL = Pupil(64)

@@ -7,20 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from metafab.phase import (
-    PeakDesign,
-    Pupil,
-    SpiralZonesPhase,
-    SplitLensPhase,
-    main_lobe,
-    optimise_peak,
-    pupil_field,
-    rim_defocus_rad,
-    rotation_deg_per_dioptre,
-    spiral_field,
-    zone_charges,
-    zone_radii,
-)
+from metafab.phase import Pupil, SpiralZonesPhase, SplitLensPhase, main_lobe, optimise_peak
+from metafab.phase.optimise.peak import PeakDesign
+from metafab.phase.optimise.rotation import rotation_deg_per_dioptre
+from metafab.phase.pupil import pupil_field, rim_defocus_rad
+from metafab.phase.terms.helices import spiral_field, zone_charges, zone_radii
 
 WAVELENGTH_UM, RADIUS_UM, FOCAL_UM, ANGLE_DEG, FOCUS_M = 0.8, 1000.0, 20000.0, 8.0, 0.30
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from metafab.comparison.estimate import PlaneEstimator, frequencies_in_one
 
 from metafab import comparison
 from metafab.camera.kernels import PairKernels
-from metafab.comparison.estimate import PlaneEstimator, frequencies_in_one
 from metafab.comparison.study import photographed
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError

@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 import scipy.fft
+from metafab.information.sharpness import texture_power
 
 from metafab.core.conventions import FloatArray
-from metafab.information.sharpness import restored_error, texture_power
+from metafab.information.restoration import restored_error
 
 SIDE = 64
 

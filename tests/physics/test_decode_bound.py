@@ -11,8 +11,8 @@ from benchmarks.decode import window_errors
 from metafab.camera import capture
 from metafab.core.conventions import FloatArray
 from metafab.decode import Decoder, DepthBound
+from metafab.information.texture import Texture
 from metafab.optics.point_spread import Psf
-from metafab.phase import Texture
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import PIXEL_UM, helix_psf
 

@@ -15,8 +15,8 @@ from metafab.decode import Decoder, DepthBound
 from metafab.decode.matching import filters
 from metafab.decode.matching.drift import field_gradient, made_up, slope_weights
 from metafab.decode.registration.calibration import Calibration
+from metafab.information.texture import Texture
 from metafab.optics.point_spread import Psf
-from metafab.phase import Texture
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import PIXEL_UM, helix_psf
 

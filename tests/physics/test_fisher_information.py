@@ -6,15 +6,9 @@ import numpy as np
 import pytest
 
 from metafab.core.conventions import FloatArray
-from metafab.information.psf_fisher import (
-    PointSource,
-    Texture,
-    depth_crlb_m,
-    depth_slope,
-    point_information,
-    twin_depth_information,
-)
-from metafab.phase import twin_information
+from metafab.information.psf_stacks import depth_crlb_m, depth_slope, point_information, twin_depth_information
+from metafab.information.texture import PointSource, Texture
+from metafab.information.twin_images import twin_information
 
 DEPTH_M = 1.0 / np.linspace(4.0, 2.0, 9)
 X_UM = (np.arange(48) - 24.0) * 2.0

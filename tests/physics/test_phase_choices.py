@@ -7,17 +7,12 @@ import pytest
 
 from metafab.core.conventions import sensor_distance_um
 from metafab.core.errors import InputError
-from metafab.phase import (
-    BlindInformation,
-    Pupil,
-    SplitImaging,
-    Texture,
-    bandwidth_tradeoff,
-    propose,
-    rim_defocus_rad,
-    smear_um_per_nm,
-    spiral_field,
-)
+from metafab.information.texture import Texture
+from metafab.phase import Pupil, propose
+from metafab.phase.optimise.blind import BlindInformation
+from metafab.phase.pupil import rim_defocus_rad
+from metafab.phase.studies.bandwidth import SplitImaging, bandwidth_tradeoff, smear_um_per_nm
+from metafab.phase.terms.helices import spiral_field
 
 PUPIL = Pupil(32)
 DEFOCUS_RAD = rim_defocus_rad(1.0 / np.linspace(4.0, 1.0 / 0.6, 4), 0.30, 1000.0, 0.8)

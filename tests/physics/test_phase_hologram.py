@@ -10,7 +10,8 @@ import pytest
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.phase import GratingPhase, Hologram, Pupil, design_hologram
+from metafab.phase import GratingPhase, Pupil, design_hologram
+from metafab.phase.terms.hologram import Hologram
 from metafab.spec import load_design, write_new
 from metafab.spec.new import sample_picture
 from metafab.steps import preflight

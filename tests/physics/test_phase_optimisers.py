@@ -9,23 +9,13 @@ import numpy as np
 import pytest
 
 from metafab.core.conventions import FloatArray
-from metafab.phase import (
-    BlindInformation,
-    DoubleHelixPhase,
-    FocalPlane,
-    PeakDesign,
-    Pupil,
-    Texture,
-    main_lobe,
-    optimise_blind,
-    optimise_peak,
-    profile_of,
-    pupil_field,
-    rim_defocus_per_dioptre_rad,
-    rim_defocus_rad,
-    spiral_field,
-)
+from metafab.information.texture import Texture
+from metafab.phase import DoubleHelixPhase, Pupil, main_lobe, optimise_blind, optimise_peak, profile_of
+from metafab.phase.optimise.blind import BlindInformation
 from metafab.phase.optimise.bound import peak_bound
+from metafab.phase.optimise.peak import PeakDesign
+from metafab.phase.pupil import FocalPlane, pupil_field, rim_defocus_per_dioptre_rad, rim_defocus_rad
+from metafab.phase.terms.helices import spiral_field
 from metafab.spec import Design
 
 COARSE = Pupil(64)

@@ -8,17 +8,16 @@ import numpy as np
 import pytest
 from scipy.special import jv
 
-from metafab.phase import (
-    FocalPlane,
-    Pupil,
+from metafab.phase import Pupil, main_lobe
+from metafab.phase.optimise.rotation import (
+    _refined_peak,
+    full_turn_defocus_rad,
     full_turn_dioptre,
-    main_lobe,
-    rim_defocus_rad,
     ring_rotation,
     rotation_deg_per_dioptre,
-    spiral_field,
 )
-from metafab.phase.optimise.rotation import _refined_peak, full_turn_defocus_rad
+from metafab.phase.pupil import FocalPlane, rim_defocus_rad
+from metafab.phase.terms.helices import spiral_field
 
 PUPIL = Pupil(128)
 

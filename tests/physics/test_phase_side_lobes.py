@@ -8,18 +8,10 @@ import numpy as np
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.phase import (
-    FocalPlane,
-    PeakDesign,
-    Pupil,
-    limit_side_lobes,
-    main_lobe,
-    measured_side_lobes,
-    optimise_peak,
-    profile_of,
-    pupil_field,
-)
-from metafab.phase.optimise.side_lobes import AIRY_RADIUS, SideLobes
+from metafab.phase import Pupil, limit_side_lobes, main_lobe, optimise_peak, profile_of
+from metafab.phase.optimise.peak import PeakDesign
+from metafab.phase.optimise.side_lobes import AIRY_RADIUS, SideLobes, measured_side_lobes
+from metafab.phase.pupil import FocalPlane, pupil_field
 from metafab.spec import Design
 from metafab.spec.terms import SpiralZones
 

@@ -8,22 +8,14 @@ import numpy as np
 import pytest
 
 from metafab.core.conventions import sensor_distance_um
-from metafab.information.psf_fisher import depth_crlb_m, point_information, twin_depth_information
-from metafab.phase import (
-    FocalPlane,
-    PointSource,
-    Pupil,
-    SplitImaging,
-    Texture,
-    bandwidth_budget,
-    compare_masks,
-    profile_of,
-    reference_masks,
-    rim_defocus_rad,
-    spiral_field,
-    study,
-)
+from metafab.information.psf_stacks import depth_crlb_m, point_information, twin_depth_information
+from metafab.information.texture import PointSource, Texture
+from metafab.phase import Pupil, bandwidth_budget, compare_masks, profile_of, study
+from metafab.phase.pupil import FocalPlane, rim_defocus_rad
+from metafab.phase.studies.bandwidth import SplitImaging
+from metafab.phase.studies.compare import reference_masks
 from metafab.phase.studies.study import mask_field
+from metafab.phase.terms.helices import spiral_field
 from metafab.spec import Design
 from metafab.spec.design import Optics
 from metafab.spec.terms import SpiralZones

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import metafab.phase.terms.helices as module
 from metafab.core.conventions import wrap_phase
 from metafab.phase import WaveSumPhase
-from metafab.phase.terms.panels import INTERPOLATION_ERROR
+from metafab.phase.terms.angles import INTERPOLATION_ERROR
 
 RADIUS_UM = 1000.0
 SITES_UM = 0.35 * (np.arange(90) - 44.5)

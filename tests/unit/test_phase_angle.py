@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import metafab.phase.terms.angle as module
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import metafab.phase.terms.angle as module
-from metafab.phase.terms.angle import angle
+from metafab.phase.terms.angles import angle
 
 PARTS = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e150, max_value=1e150)
 

@@ -23,13 +23,13 @@ from metafab.phase import (
     SampledPhase,
     SpiralZonesPhase,
     SplitLensPhase,
-    Term,
     VortexPhase,
     WaveSumPhase,
     ZernikePhase,
     load_array,
 )
 from metafab.phase.terms import carriers
+from metafab.phase.terms.profile import Term
 
 X_UM = np.linspace(-90.0, 80.0, 23)
 Y_UM = np.linspace(-70.0, 95.0, 17)

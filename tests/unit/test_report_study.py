@@ -8,16 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metafab.phase import (
-    BandwidthBudget,
-    BandwidthTradeoff,
-    DepthBounds,
-    LobeOverDepth,
-    MainLobe,
-    PhaseStudy,
-    Proposal,
-    Remedy,
-)
+from metafab.phase.optimise.rotation import MainLobe
+from metafab.phase.studies.bandwidth import BandwidthBudget, BandwidthTradeoff, Remedy
+from metafab.phase.studies.compare import DepthBounds
+from metafab.phase.studies.propose import Proposal
+from metafab.phase.studies.study import LobeOverDepth, PhaseStudy
 from metafab.report import figures, proposal_figure, sections
 from metafab.report.draw import draw
 from metafab.report.run_folder import RunFolder

@@ -31,4 +31,4 @@ def compare_command(
         job.folder.mkdir(parents=True, exist_ok=True)
         comparison.save_comparison(found, job.folder / "comparison.json")
         file = report.comparison_figure(found, job.folder / "comparison.png")
-    show({**comparison.comparison_figures(found), "seconds": cost.seconds, "file": file}, json_)
+    show({**vars(comparison.comparison_figures(found)), "seconds": cost.seconds, "file": file}, json_)

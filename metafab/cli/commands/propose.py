@@ -25,6 +25,7 @@ def propose_command(
 ) -> None:
     """Zones and exponent of a rotating lobe for a range of depths and its noise."""
     from metafab import phase
+    from metafab.information import Texture
 
     require_positive("--range-m", *depths_m)
     require_positive("--aperture-um", aperture_um)
@@ -39,7 +40,7 @@ def propose_command(
         *depths_m,
         aperture_um=aperture_um,
         wavelength_um=1e-3 * wavelength_nm,
-        texture=phase.Texture(electrons, contrast, background_e=background_e, read_noise_e=read_noise_e),
+        texture=Texture(electrons, contrast, background_e=background_e, read_noise_e=read_noise_e),
     )
     if output is not None:
         from metafab import report

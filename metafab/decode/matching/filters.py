@@ -29,7 +29,8 @@ from metafab.decode.matching.levels import LOWEST_FREQUENCY, Levels
 from metafab.decode.matching.mixing import agreement
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.reduce import Reduction
-from metafab.information.twin_images import Texture, twin_information
+from metafab.information.texture import Texture
+from metafab.information.twin_images import twin_information
 
 #: What the mixtures of the basis may leave out of the filters (relative L2, weighted as the likelihood is).
 BASIS_ERROR = 0.02

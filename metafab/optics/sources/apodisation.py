@@ -10,8 +10,9 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.numeric.bilinear import bilinear_on_grid
 from metafab.optics.sources.source import ApodisedField, Source
-from metafab.phase.terms.sampled import neighbours, read_array
+from metafab.phase.terms.sampled import read_array
 from metafab.spec import Design
 
 #: Amplitude let through, 0 to 1, shape (n_y, n_x), at x (n_x,) and y (n_y,) in um.
@@ -37,10 +38,7 @@ class Apodisation:
         open_ = np.hypot(x_um[None, :], y_um[:, None]) <= 0.5 * self.stop_um
         if self.samples is None:
             return open_.astype(np.float64)
-        row, share_y = neighbours(y_um / self.pitch_um, self.samples.shape[0])
-        column, share_x = neighbours(x_um / self.pitch_um, self.samples.shape[1])
-        rows = self.samples[row] * (1.0 - share_y)[:, None] + self.samples[row + 1] * share_y[:, None]
-        return np.asarray(open_ * (rows[:, column] * (1.0 - share_x) + rows[:, column + 1] * share_x))
+        return np.asarray(open_ * bilinear_on_grid(self.samples, x_um / self.pitch_um, y_um / self.pitch_um))
 
     @classmethod
     def of(cls, design: Design) -> Apodisation | None:

@@ -1,12 +1,12 @@
-"""How bright the lobes of any mask can be: a bound that is proven, and so close that it certifies the optimum.
+"""Upper bounds of the lobe peaks of any mask, tight enough to certify the optimum.
 
-The weighted sum of peaks is p^H G p with G = sum_d w_d f_d f_d^H over the target waves f_d, for a mask p with |p|
-<= 1 at each of n samples. Two bounds:
+The weighted sum of peaks is p^H G p with G = sum_d w_d f_d f_d^H over the target waves f_d, for a mask p with |p| <= 1
+at each of n samples. Two bounds:
 
-- spectral: the largest eigenvalue of G times n;
-- dual: for any positive d, p^H G p <= sum(d) * largest eigenvalue of D^-1/2 G D^-1/2. The best d belongs to the
-  relaxation in which each sample of the mask is a unit vector of a few components instead of one phase, and that
-  is found by the same iteration as the mask itself (Burer and Monteiro, Mathematical Programming 95, 329, 2003).
+- spectral: n times the largest eigenvalue of G;
+- dual: for any positive d, p^H G p <= sum(d) times the largest eigenvalue of D^-1/2 G D^-1/2. The best d belongs to the
+  relaxation in which each sample of the mask is a unit vector of a few components instead of one phase. The iteration
+  of the mask solves the relaxation, too (Burer and Monteiro, Mathematical Programming 95, 329, 2003).
 
 G has few target waves, so both eigenvalues are those of small matrices.
 """
@@ -20,7 +20,7 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
 
-#: Components of a sample in the relaxation. One more than the rank that optimal solutions were found to have.
+#: Components of a sample in the relaxation: one more than the rank of the optimal solutions met so far.
 _COMPONENTS = 4
 
 
@@ -29,9 +29,9 @@ class PeakBound:
     """Upper bounds of the weighted mean of the target peaks, Strehl ratios.
 
     Attributes:
-        spectral: from the largest eigenvalue of G, passive masks of the same mean square included.
-        dual: the tighter one; holds for every mask with |p| <= 1 everywhere.
-        start: shape (n_waves,), wave amplitudes of the relaxed solution's main component.
+        spectral: from the largest eigenvalue of G; holds for any mask of the same mean square.
+        dual: the tighter bound; holds for every mask with |p| <= 1 everywhere.
+        start: shape (n_waves,), wave amplitudes of the main component of the relaxed solution.
     """
 
     spectral: float
@@ -40,13 +40,13 @@ class PeakBound:
 
 
 def peak_bound(waves: ComplexArray, weights: FloatArray, iterations: int, seed: int) -> PeakBound:
-    """Bounds of sum_d weights_d |<f_d, p>|^2 over all masks p.
+    """Bound the sum over d of weights_d |<f_d, p>|^2 for all masks p.
 
     Args:
-        waves: shape (n_waves, n), target waves f_d at the pupil's samples, modulus 1.
+        waves: shape (n_waves, n), target waves f_d at the samples of the pupil, modulus 1.
         weights: shape (n_waves,), positive, sum 1.
-        iterations: of the relaxation, at most; the bounds hold however few they are.
-        seed: of the relaxation's start.
+        iterations: largest number of steps of the relaxation; the bounds hold after any number.
+        seed: of the random start of the relaxation.
     """
     count = waves.shape[1]
     root = np.sqrt(weights)[:, None] * waves
@@ -72,14 +72,14 @@ def peak_bound(waves: ComplexArray, weights: FloatArray, iterations: int, seed: 
 
 
 def worst_peak_bound(waves: ComplexArray, start: ComplexArray, iterations: int) -> PeakBound:
-    """Bounds of the smallest of the peaks |<f_d, p>|^2: of their weighted mean, at the weights that make it smallest.
+    """Bound the smallest of the peaks |<f_d, p>|^2 for all masks p, by their weighted mean at the least weights.
 
-    The weights come from the relaxation with its peaks levelled: a depth gains weight while it stays behind the mean.
+    The weights come from the relaxation with levelled peaks: a depth gains weight while its peak is below the mean.
 
     Args:
-        waves: shape (n_waves, n), target waves f_d at the pupil's samples, modulus 1.
-        start: shape (n_waves,), wave amplitudes of a mask whose peaks are about level.
-        iterations: of the levelling; the bounds hold however few they are.
+        waves: shape (n_waves, n), target waves f_d at the samples of the pupil, modulus 1.
+        start: shape (n_waves,), wave amplitudes of a mask with about equal peaks.
+        iterations: steps of the levelling; the bounds hold after any number.
     """
     count = waves.shape[1]
     adjoint = waves.conj().T / count
@@ -97,7 +97,7 @@ def worst_peak_bound(waves: ComplexArray, start: ComplexArray, iterations: int) 
 
 
 def _norm(drive: ComplexArray) -> FloatArray:
-    """Length of each sample's vector, kept off zero."""
+    """Length of each sample's vector, kept away from zero; shape (n,)."""
     length = np.sqrt((np.abs(drive) ** 2).sum(axis=0))
     return np.asarray(np.maximum(length, 1e-6 * math.sqrt(float(np.mean(length**2)))), dtype=np.float64)
 

@@ -1,13 +1,13 @@
-"""Rotation of a helix: the theory of Eq. 2, and the main lobe as it is measured in a PSF.
+"""Rotation of a helix: the theory of Eq. 2, and the main lobe measured in a PSF.
 
-In Eq. 2 with exponent 1/2 the mean u^2 of the zone of charge l is (l - 1/2) / L, so a rim defocus W adds W l / L to
-it, but for a constant: exp(i l (phi + W / L)) is the mask turned by -W / L, and the PSF turns with it. W falls with
-growing depth, so the main lobe turns counter-clockwise as the object recedes.
+In Eq. 2 with exponent 1/2 the mean u^2 of the zone of charge l is (l - 1/2) / L, so a rim defocus W adds W l / L to its
+phase, up to a constant: exp(i l (phi + W / L)) is the mask turned by -W / L, and the PSF turns with it. W falls with
+growing depth, so the main lobe turns counter-clockwise as the object recedes. This is the law of many narrow zones.
 
-That is the law of many narrow zones. Light of the zone l arrives at the radius v of the lobe with the amplitude A_l =
-2 integral J_l(v u) u du, so that the mean u^2 that counts is the one weighted with J_l(v u) u. In focus all A_l are
-positive and meet in phase on one ray; where they stay so, the lobe's orientation follows the weighted regression of
-those means on l (:func:`ring_rotation`): 3.4 % slower than the law for two zones, 0.5 % for four.
+A zone has a width. Light of the zone l arrives at the radius v of the lobe with the amplitude A_l = 2 integral J_l(v u)
+u du, so the mean u^2 is weighted with J_l(v u) u. In focus all A_l are positive and meet in phase on one ray. Where
+they stay so, the orientation of the lobe follows the weighted regression of those means on l (:func:`ring_rotation`):
+3.4 % slower than the law for two zones, 0.5 % for four.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from metafab.phase.terms.helices import zone_radii
 def rotation_deg_per_dioptre(zones: int, aperture_radius_um: float, wavelength_um: float) -> float:
     """Turn of the main lobe per dioptre of the object's vergence (-225 / L for R = 1 mm at 800 nm).
 
-    The law of many zones at exponent 1/2, which optimised helices are made to keep; the plain spiral turns by
-    :func:`ring_rotation`, and one zone (a plain vortex) not at all.
+    The law of many zones at exponent 1/2, which optimised helices are steered to. The plain spiral turns by
+    :func:`ring_rotation`; one zone (a plain vortex) does not turn.
     """
     if zones == 1:
         return 0.0
@@ -37,14 +37,14 @@ def rotation_deg_per_dioptre(zones: int, aperture_radius_um: float, wavelength_u
 
 
 def ring_rotation(zones: int, exponent: float) -> tuple[float, float]:
-    """The main lobe of Eq. 2 in focus, from one integral a zone, without any sampling of pupil or PSF.
+    """Radius and rotation rate of the main lobe of Eq. 2 in focus, from one integral a zone.
 
     Args:
         zones: L, at least 2.
         exponent: epsilon.
 
     Returns:
-        Its radius in optical units, and its turn in rad per rad of rim defocus (-1 / L for many zones at 1/2).
+        Radius in optical units, and turn in rad per rad of rim defocus (-1 / L for many zones at exponent 1/2).
     """
     charge = np.arange(1, zones + 1)
     edges = np.concatenate([[0.0], zone_radii(zones, exponent)]) ** 2
@@ -57,11 +57,11 @@ def ring_rotation(zones: int, exponent: float) -> tuple[float, float]:
         return np.asarray(weight * jv(charge[:, None], v * np.sqrt(square)))
 
     # Before the first zero of the outermost zone's Bessel function nothing cancels.
-    found = minimize_scalar(lambda v: -amplitude(v).sum(), bounds=(0.0, 2.0 * zones + 2.0), method="bounded")
-    light = amplitude(found.x)
+    brightest = minimize_scalar(lambda v: -amplitude(v).sum(), bounds=(0.0, 2.0 * zones + 2.0), method="bounded")
+    light = amplitude(brightest.x)
     strength, mean_square = light.sum(axis=1), (light * square).sum(axis=1) / light.sum(axis=1)
     centred = charge - (strength @ charge) / strength.sum()
-    return float(found.x), -float((strength * centred) @ mean_square / (strength @ centred**2))
+    return float(brightest.x), -float((strength * centred) @ mean_square / (strength @ centred**2))
 
 
 def full_turn_dioptre(zones: int, aperture_radius_um: float, wavelength_um: float) -> float:
@@ -71,13 +71,22 @@ def full_turn_dioptre(zones: int, aperture_radius_um: float, wavelength_um: floa
 
 
 def full_turn_defocus_rad(zones: int, depths: int) -> FloatArray:
-    """Rim defocuses that cover one full turn evenly, shape (depths,): middles of equal parts of (-pi L, pi L)."""
+    """Rim defocuses that cover one full turn evenly.
+
+    Returns:
+        Shape (depths,), middles of equal parts of (-pi L, pi L), ascending.
+    """
     return ((2.0 * np.arange(depths) + 1.0) / depths - 1.0) * math.pi * zones
+
+
+def helix_half_width(zones: int) -> float:
+    """Half width of a window that holds the main lobe of every helix of L zones, optical units."""
+    return 2.0 * zones + 6.0
 
 
 @dataclass(frozen=True)
 class MainLobe:
-    """The brightest point of the PSF of x polarisation at each depth, found to a fraction of a sample.
+    """The brightest point of the PSF of x polarisation at each depth, to a fraction of a sample.
 
     Attributes:
         defocus_rad: shape (n_depth,), rim defocus.
@@ -91,6 +100,14 @@ class MainLobe:
     radius: FloatArray
     phi_deg: FloatArray
 
+    def peak_gain(self, plain: MainLobe) -> float:
+        """Mean peak over that of another lobe."""
+        return float(self.peak.mean() / plain.peak.mean())
+
+    def worst_gain(self, plain: MainLobe) -> float:
+        """Smallest peak over the smallest peak of another lobe."""
+        return float(self.peak.min() / plain.peak.min())
+
 
 def main_lobe(pupil: Pupil, field: ComplexArray, defocus_rad: ArrayLike, half_width: float) -> MainLobe:
     """Measure the main lobe of a pupil field.
@@ -99,19 +116,26 @@ def main_lobe(pupil: Pupil, field: ComplexArray, defocus_rad: ArrayLike, half_wi
         pupil: the samples.
         field: shape (n,), complex transmission of the samples.
         defocus_rad: shape (n_depth,), rim defocuses in an order in which phi changes by less than 180 degrees.
-        half_width: of the window that is searched, optical units; twice the zones plus 6 holds every helix.
+        half_width: of the search window, optical units; see :func:`helix_half_width`.
     """
     plane = FocalPlane(pupil, half_width)
     defocus = np.atleast_1d(np.asarray(defocus_rad, dtype=np.float64))
-    lobes = np.array([_refined_peak(psf, plane) for psf in plane.psf(field, defocus)])
+    lobes = np.array([refined_peak(psf, plane) for psf in plane.psf(field, defocus)])
     phi_deg = np.degrees(np.unwrap(np.arctan2(lobes[:, 2], lobes[:, 1])))
     return MainLobe(defocus, lobes[:, 0], np.hypot(lobes[:, 1], lobes[:, 2]), phi_deg)
 
 
-def _refined_peak(psf: FloatArray, plane: FocalPlane) -> tuple[float, float, float]:
-    """(value, v_x, v_y) at the top of the quadratic surface through the largest sample and its eight neighbours.
+def refined_peak(psf: FloatArray, plane: FocalPlane) -> tuple[float, float, float]:
+    """Top of the quadratic surface through the largest sample and its eight neighbours.
 
-    The mixed derivative counts: lobes are crescents, longer along the turn than across it.
+    The surface has a mixed derivative, because lobes are crescents: longer along the turn than across it.
+
+    Args:
+        psf: shape (n_v, n_v), Strehl ratios on ``plane``.
+        plane: positions of the samples.
+
+    Returns:
+        Value, v_x and v_y, optical units.
     """
     row, column = np.unravel_index(int(psf[1:-1, 1:-1].argmax()), (psf.shape[0] - 2, psf.shape[1] - 2))
     patch = psf[row : row + 3, column : column + 3]

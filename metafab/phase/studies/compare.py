@@ -1,8 +1,8 @@
-"""What masks tell about depth at equal aperture and equal light: Cramer-Rao bounds at the level of the pupil.
+"""Cramer-Rao bounds of depth for several masks at equal aperture and equal light, at the level of the pupil.
 
-Two questions, as in the optics room, which answers them for a written mask: a point source whose place and
-brightness are known, and a piece of unknown texture. A lens and a double helix answer the first; they say nothing
-about the second, because the two images of the pair are the same, or turn into each other by nothing.
+Two sources: a point of known position and brightness, and a patch of unknown texture. A lens and a double helix locate
+the point, but give no information about the texture: the two images of their pair are equal, or equal up to a constant
+mirror. The optics room computes the same bounds for a written mask (:mod:`metafab.information.psf_stacks`).
 """
 
 from __future__ import annotations
@@ -15,25 +15,33 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
-from metafab.information.twin_images import PointSource, Texture, twin_information
-from metafab.phase.pupil import Pupil, phasor, rim_defocus_per_dioptre_rad, rim_defocus_rad
+from metafab.information.texture import PointSource, Texture
+from metafab.information.twin_images import twin_information
+from metafab.phase.pupil import (
+    NyquistImages,
+    Pupil,
+    phasor,
+    pupil_field,
+    rim_defocus_per_dioptre_rad,
+    rim_defocus_rad,
+)
 from metafab.phase.terms.helices import DoubleHelixPhase, SpiralZonesPhase
 from metafab.phase.terms.profile import Term
 
-#: Below this share of the largest information of any mask, nothing but rounding is left.
+#: Information below this share of the largest of any mask is rounding.
 _ROUNDING = 1e-10
 
 
 @dataclass(frozen=True)
 class DepthBounds:
-    """Smallest standard deviations of depth that any estimate can reach, for several masks.
+    """Cramer-Rao bounds of depth for several masks.
 
     Attributes:
         depth_m: shape (n_depth,).
         masks: names.
-        point_m: shape (n_mask, n_depth), for a point source of known place and brightness.
-        texture_m: shape (n_mask, n_depth), for a piece of unknown texture as large as the window of twice the
-            pupil's samples in Nyquist pixels; infinite where a mask says nothing.
+        point_m: shape (n_mask, n_depth), standard deviation for a point source of known position and brightness.
+        texture_m: shape (n_mask, n_depth), standard deviation for a patch of unknown texture of m x m Nyquist pixels,
+            m = 2 samples of the pupil; infinite without information.
     """
 
     depth_m: FloatArray
@@ -43,18 +51,21 @@ class DepthBounds:
 
 
 def reference_masks(pupil: Pupil, zones: int, exponent: float) -> dict[str, ComplexArray]:
-    """The masks that a helix is compared with, as fields of shape (2, n) for x and y polarisation.
+    """Masks for comparison: a standard lens, the plain spiral of Eq. 2, the double helix of Pavani and Piestun (2008).
 
-    A standard lens, the plain spiral of Eq. 2, and the double helix of Pavani and Piestun (2008).
+    Args:
+        pupil: the samples.
+        zones: L of the spiral.
+        exponent: epsilon of the spiral.
+
+    Returns:
+        Name -> pupil fields of shape (2, n), for x and y polarisation.
     """
     terms: dict[str, Term] = {
         "plain spiral": SpiralZonesPhase(zones, exponent, 1.0),
         "double helix": DoubleHelixPhase(1.0, 0.35, 5),
     }
-    fields = {
-        name: np.stack([phasor(term(pupil.axis, pupil.axis, p)[pupil.inside]) for p in POLARISATIONS])
-        for name, term in terms.items()
-    }
+    fields = {name: np.stack([pupil_field(term, pupil, 1.0, p) for p in POLARISATIONS]) for name, term in terms.items()}
     return {"standard lens": np.ones((2, pupil.count), dtype=np.complex128), **fields}
 
 
@@ -69,13 +80,13 @@ def compare_masks(
     source: PointSource,
     texture: Texture,
 ) -> DepthBounds:
-    """Bounds of several masks over depth.
+    """Compute the bounds of several masks over depth.
 
     Args:
         masks: name -> pupil fields of x and y polarisation, shape (2, n).
-        pupil: where they are sampled.
+        pupil: the samples.
         depth_m: shape (n_depth,), depths.
-        focus_depth_m: depth that is in focus.
+        focus_depth_m: depth in focus.
         aperture_um: diameter.
         wavelength_um: vacuum wavelength.
         source: the point, with its noise per Nyquist pixel of lambda s' / (4 R).
@@ -85,26 +96,16 @@ def compare_masks(
     radius_um = 0.5 * aperture_um
     defocus = rim_defocus_rad(depth, focus_depth_m, radius_um, wavelength_um)
     snr = texture.signal_to_noise((2 * pupil.samples, 2 * pupil.samples))
-    told = np.empty((2, len(masks), depth.size))
+    information = np.empty((2, len(masks), depth.size))
     for row, field in enumerate(masks.values()):
         for column, value in enumerate(defocus):
-            psf, slope = _pair(pupil, field, float(value))
-            variance = source.electrons * psf + source.background_e + source.read_noise_e**2
-            # Where there is neither light nor noise, nothing changes either: 0 / 0 tells nothing.
-            told[0, row, column] = ((source.electrons * slope)[variance > 0.0] ** 2 / variance[variance > 0.0]).sum()
-            told[1, row, column] = twin_information(fft.fft2(psf), fft.fft2(slope), snr)
-    told[told < _ROUNDING * told.max(axis=(1, 2), keepdims=True)] = 0.0
+            images = NyquistImages.of(pupil, pupil.on_grid(field * phasor(value * pupil.radius_squared)))
+            variance = source.electrons * images.psf + source.background_e + source.read_noise_e**2
+            # Pixels without light and noise would be 0 / 0.
+            lit = variance > 0.0
+            information[0, row, column] = ((source.electrons * images.psf_slope)[lit] ** 2 / variance[lit]).sum()
+            information[1, row, column] = twin_information(fft.fft2(images.psf), fft.fft2(images.psf_slope), snr)
+    information[information < _ROUNDING * information.max(axis=(1, 2), keepdims=True)] = 0.0
     with np.errstate(divide="ignore"):
-        point_m, texture_m = depth**2 / rim_defocus_per_dioptre_rad(radius_um, wavelength_um) / np.sqrt(told)
+        point_m, texture_m = depth**2 / rim_defocus_per_dioptre_rad(radius_um, wavelength_um) / np.sqrt(information)
     return DepthBounds(depth, tuple(masks), point_m, texture_m)
-
-
-def _pair(pupil: Pupil, field: ComplexArray, defocus_rad: float) -> tuple[FloatArray, FloatArray]:
-    """PSFs of sum 1 on Nyquist pixels, and their derivatives over the rim defocus, shape (2, 2 samples, 2 samples)."""
-    side = (2 * pupil.samples, 2 * pupil.samples)
-    grid = np.zeros((2, *pupil.inside.shape), dtype=np.complex128)
-    grid[:, pupil.inside] = field * phasor(defocus_rad * pupil.radius_squared)
-    amplitude = fft.fft2(grid, side)
-    amplitude_slope = fft.fft2(1j * pupil.radius_squared_grid * grid, side)
-    scale = 1.0 / (4.0 * pupil.samples**2 * pupil.count)
-    return scale * np.abs(amplitude) ** 2, scale * 2.0 * (amplitude.conj() * amplitude_slope).real

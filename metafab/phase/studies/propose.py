@@ -1,4 +1,4 @@
-"""Which [L, epsilon] suits a depth range and its noise: few zones turn fast, many turn slowly and reach far."""
+"""Choice of [L, epsilon] for a range of depths and its noise: few zones turn fast, many turn slowly and reach far."""
 
 from __future__ import annotations
 
@@ -10,33 +10,37 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.information.twin_images import Texture
+from metafab.information.texture import Texture
 from metafab.phase.optimise.blind import BlindInformation
-from metafab.phase.optimise.peak import spiral_field
-from metafab.phase.optimise.rotation import full_turn_dioptre, main_lobe, rotation_deg_per_dioptre
+from metafab.phase.optimise.rotation import full_turn_dioptre, helix_half_width, main_lobe, rotation_deg_per_dioptre
 from metafab.phase.pupil import Pupil, rim_defocus_per_dioptre_rad, rim_defocus_rad
+from metafab.phase.terms.helices import spiral_field
 
-#: Pupil samples a side; the information is that of a piece of texture of twice as many Nyquist pixels a side.
+#: Pupil samples a side; the texture has twice as many Nyquist pixels a side.
 _SAMPLES = 48
-#: Pupil samples a side for the lobe, whose orientation suffers from squared-off zones first.
+#: Pupil samples a side for the lobe, whose orientation is sensitive to square samples at the zones' boundaries.
 _LOBE_SAMPLES = 128
+#: Depths at which the bound is evaluated.
+_DEPTHS = 12
+#: Largest turn over the range, degrees: larger ones come close to ambiguity.
+_LARGEST_TURN_DEG = 330.0
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """One choice of [L, epsilon] over a depth range.
+    """One choice of [L, epsilon] over a range of depths.
 
     Attributes:
         zones: L of Eq. 2.
         exponent: epsilon of Eq. 2.
-        focus_depth_m: where the sensor is to stand: the middle of the range in vergence.
-        rotation_deg: turn of the main lobe from the nearest to the farthest depth, measured at the pupil level.
-        rotation_deg_per_dioptre: by theory (epsilon = 1/2).
+        focus_depth_m: depth in focus on the sensor, the middle of the range in vergence.
+        rotation_deg: turn of the main lobe from the nearest to the farthest depth, measured at the level of the pupil.
+        rotation_deg_per_dioptre: law of rotation (epsilon = 1/2).
         full_turn_dioptre: range of vergence after which the orientation repeats.
         depth_m: shape (n_depth,), depths, evenly spaced in vergence, ascending.
-        phi_deg: shape (n_depth,), orientation of the main lobe, measured at the pupil level, unwrapped.
-        crlb_m: shape (n_depth,), smallest standard deviation of depth from the twin image of a piece of unknown
-            texture of 96 x 96 Nyquist pixels of lambda s' / (4 R); goes with one over the root of the area.
+        phi_deg: shape (n_depth,), orientation of the main lobe, measured at the level of the pupil, unwrapped.
+        crlb_m: shape (n_depth,), Cramer-Rao bound of depth from twin images of a patch of unknown texture of 96 x 96
+            Nyquist pixels of lambda s' / (4 R); in inverse proportion to the root of the area.
     """
 
     zones: int
@@ -64,10 +68,8 @@ def propose(
     texture: Texture | None = None,
     zones: Iterable[int] = range(2, 13),
     exponents: Iterable[float] = (0.4, 0.5, 0.6),
-    largest_turn_deg: float = 330.0,
-    depths: int = 12,
 ) -> tuple[Proposal, ...]:
-    """Plain spirals whose lobe turns monotonically and less than once over a depth range, the most telling first.
+    """Return the plain spirals whose lobe turns monotonically and less than once, smallest relative error first.
 
     Args:
         nearest_m: nearest depth.
@@ -77,48 +79,41 @@ def propose(
         texture: unknown texture and noise, per Nyquist pixel.
         zones: candidates for L.
         exponents: candidates for epsilon.
-        largest_turn_deg: larger turns come too close to ambiguity.
-        depths: at which the bound is evaluated, at least 4.
 
     Raises:
         InputError: the range is empty, or no candidate keeps a single turn over it.
     """
     if not 0.0 < nearest_m < farthest_m < math.inf:
-        raise InputError.single(
-            "propose", "depths", "0 < nearest < farthest, both finite", f"{nearest_m}, {farthest_m}"
-        )
+        expected = "0 < nearest < farthest, both finite"
+        raise InputError.single("propose", "depths", expected, f"{nearest_m}, {farthest_m}")
     radius_um = 0.5 * aperture_um
-    vergence = np.linspace(1.0 / nearest_m, 1.0 / farthest_m, depths)
+    vergence = np.linspace(1.0 / nearest_m, 1.0 / farthest_m, _DEPTHS)
+    span = float(vergence[0] - vergence[-1])
     depth_m, focus_m = 1.0 / vergence, 2.0 / float(vergence[0] + vergence[-1])
     defocus = rim_defocus_rad(depth_m, focus_m, radius_um, wavelength_um)
     per_dioptre = rim_defocus_per_dioptre_rad(radius_um, wavelength_um)
     pupil, fine = Pupil(_SAMPLES), Pupil(_LOBE_SAMPLES)
     problem = BlindInformation(pupil, defocus, texture or Texture())
-    found = []
+    proposals = []
     for count in zones:
         rate = rotation_deg_per_dioptre(count, radius_um, wavelength_um)
-        if abs(rate) * float(vergence[0] - vergence[-1]) > largest_turn_deg or count < 2:
+        if abs(rate) * span > _LARGEST_TURN_DEG or count < 2:
             continue
+        track = np.linspace(defocus[0], defocus[-1], max(_DEPTHS, 4 * math.ceil(abs(defocus[0]) / count) + 2))
         for exponent in exponents:
-            field = spiral_field(pupil, count, exponent)
-            track = np.linspace(defocus[0], defocus[-1], max(depths, 4 * math.ceil(abs(defocus[0]) / count) + 2))
-            phi_deg = main_lobe(fine, spiral_field(fine, count, exponent), track, 2.0 * count + 6.0).phi_deg
+            phi_deg = main_lobe(fine, spiral_field(fine, count, exponent), track, helix_half_width(count)).phi_deg
             turn_deg = float(phi_deg[-1] - phi_deg[0])
-            if np.any(np.diff(phi_deg) <= 0.0) or turn_deg > largest_turn_deg:
+            if np.any(np.diff(phi_deg) <= 0.0) or turn_deg > _LARGEST_TURN_DEG:
                 continue
-            crlb_m = depth_m**2 / per_dioptre / np.sqrt(problem.of_field(field))
+            information = problem.of_field(spiral_field(pupil, count, exponent))
+            crlb_m = depth_m**2 / per_dioptre / np.sqrt(information)
             repeat = full_turn_dioptre(count, radius_um, wavelength_um)
-            # Defocus falls with depth, and so does the track; np.interp wants it rising.
+            # Defocus falls with depth, and so does the track; np.interp needs ascending positions.
             at_depth = np.interp(-defocus, -track, phi_deg)
-            found.append(Proposal(count, exponent, focus_m, turn_deg, rate, repeat, depth_m, at_depth, crlb_m))
-    if not found:
-        span = float(vergence[0] - vergence[-1])
-        needed = math.degrees(per_dioptre) * span / largest_turn_deg
-        raise InputError.single(
-            "propose",
-            "zones",
-            f"candidates that turn at most {largest_turn_deg:g} degrees over {span:.3g} dioptres",
-            "none",
-            f"allow L >= {math.ceil(needed)}, shorten the range, or make the aperture smaller",
-        )
-    return tuple(sorted(found, key=lambda proposal: proposal.relative_error))
+            proposals.append(Proposal(count, exponent, focus_m, turn_deg, rate, repeat, depth_m, at_depth, crlb_m))
+    if not proposals:
+        needed = math.ceil(math.degrees(per_dioptre) * span / _LARGEST_TURN_DEG)
+        expected = f"candidates that turn at most {_LARGEST_TURN_DEG:g} degrees over {span:.3g} dioptres"
+        remedy = f"allow L >= {needed}, shorten the range, or make the aperture smaller"
+        raise InputError.single("propose", "zones", expected, "none", remedy)
+    return tuple(sorted(proposals, key=lambda proposal: proposal.relative_error))

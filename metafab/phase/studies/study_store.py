@@ -1,4 +1,4 @@
-"""``phase_study.h5``: what the phases are worth, for the report and for other tools."""
+"""``phase_study.h5``: the study of a design's phases, for the report and for other tools."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from numpy.typing import ArrayLike
 
 from metafab.core.conventions import FloatArray
 from metafab.core.storage import hdf5
@@ -19,7 +20,7 @@ FORMAT = 1
 
 
 def save_study(result: PhaseStudy, path: Path, *, inputs_sha256: str) -> None:
-    """Write a study to ``path``, whole or not at all; a part that it lacks has no group."""
+    """Write a study to ``path``, whole or not at all; a missing part has no group."""
     with hdf5.create(path, kind=KIND, format_version=FORMAT, inputs_sha256=inputs_sha256) as file:
         if result.lobe is not None:
             _put_lobe(file.create_group("lobe"), result.lobe)
@@ -30,10 +31,10 @@ def save_study(result: PhaseStudy, path: Path, *, inputs_sha256: str) -> None:
 
 
 def load_study(path: Path) -> PhaseStudy:
-    """Read a file that :func:`save_study` wrote.
+    """Read a file of :func:`save_study`.
 
     Raises:
-        InputError: missing, truncated, foreign, or of a newer format.
+        InputError: the file is missing, truncated, foreign, or of a newer format.
     """
     remedy = "run `metafab run DESIGN.toml` again"
     with hdf5.open_kind(path, kind=KIND, format_version=FORMAT, remedy=remedy) as file:
@@ -48,6 +49,9 @@ def _array(group: h5py.Group, name: str) -> FloatArray:
     return np.asarray(group[name][()], dtype=np.float64)
 
 
+#: Numbers of a BandwidthBudget.
+_BUDGET = ("fwhm_nm", "angle_deg", "dispersion_um_per_nm", "smear_um", "kept")
+#: Fields of a MainLobe: name, unit, description.
 _LOBE = (
     ("defocus_rad", "rad", "rim defocus"),
     ("peak", "1", "Strehl ratio of the main lobe"),
@@ -58,13 +62,16 @@ _LOBE = (
 
 def _put_lobe(group: h5py.Group, lobe: LobeOverDepth) -> None:
     scale = "vergence_per_m"
-    description = "vergence of the object from the focus"
-    hdf5.put(group, scale, lobe.vergence_per_m, units="1/m", description=description, dims=(scale,))
+    _put_scale(group, scale, lobe.vergence_per_m, "1/m", "vergence of the object from the focus")
     hdf5.put(group, "range_per_m", lobe.range_per_m, units="1/m", description="of the verified depths")
     hdf5.put(group, "law_deg", lobe.law_deg, units="degree", description="orientation by the law", dims=(scale,))
     for name, part in (("design", lobe.design), ("plain", lobe.plain)):
         for field, units, text in _LOBE:
             hdf5.put(group, f"{name}_{field}", getattr(part, field), units=units, description=text, dims=(scale,))
+
+
+def _put_scale(group: h5py.Group, name: str, values: ArrayLike, units: str, description: str) -> None:
+    hdf5.put(group, name, values, units=units, description=description, dims=(name,))
 
 
 def _lobe(group: h5py.Group) -> LobeOverDepth:
@@ -76,13 +83,13 @@ def _lobe(group: h5py.Group) -> LobeOverDepth:
 
 
 def _put_bounds(group: h5py.Group, bounds: DepthBounds) -> None:
-    hdf5.put(group, "depth_m", bounds.depth_m, units="m", description="object distance", dims=("depth_m",))
-    hdf5.put(group, "mask", list(bounds.masks), units="1", description="name of the mask", dims=("mask",))
-    for name, values, what in (
+    _put_scale(group, "depth_m", bounds.depth_m, "m", "object distance")
+    _put_scale(group, "mask", list(bounds.masks), "1", "name of the mask")
+    for name, values, source in (
         ("point_m", bounds.point_m, "a known point source"),
         ("texture_m", bounds.texture_m, "a piece of unknown texture"),
     ):
-        description = f"smallest standard deviation of depth from {what}"
+        description = f"smallest standard deviation of depth from {source}"
         hdf5.put(group, name, values, units="m", description=description, dims=("mask", "depth_m"))
 
 
@@ -92,11 +99,11 @@ def _bounds(group: h5py.Group) -> DepthBounds:
 
 
 def _put_bandwidth(group: h5py.Group, budget: BandwidthBudget) -> None:
-    for name in ("fwhm_nm", "angle_deg", "dispersion_um_per_nm", "smear_um", "kept"):
+    for name in _BUDGET:
         group.attrs[name] = getattr(budget, name)
     curves = budget.tradeoff
-    hdf5.put(group, "fwhm_nm", curves.fwhm_nm, units="nm", description="width of the filter", dims=("fwhm_nm",))
-    hdf5.put(group, "angle_deg", curves.angle_deg, units="degree", description="of the split", dims=("angle_deg",))
+    _put_scale(group, "fwhm_nm", curves.fwhm_nm, "nm", "width of the filter")
+    _put_scale(group, "angle_deg", curves.angle_deg, "degree", "of the split")
     for name, units, description in (
         ("smear_um", "um", "spread of a point along the split"),
         ("kept", "1", "information over that of one wavelength with the same electrons"),
@@ -104,33 +111,26 @@ def _put_bandwidth(group: h5py.Group, budget: BandwidthBudget) -> None:
     ):
         values = getattr(curves, name)
         hdf5.put(group, name, values, units=units, description=description, dims=("angle_deg", "fwhm_nm"))
-    azimuth = "azimuth_deg"
-    text = "direction of the split against the mask"
-    hdf5.put(group, azimuth, budget.azimuth_deg, units="degree", description=text, dims=(azimuth,))
+    azimuth, kept = budget.azimuth_deg, budget.kept_by_azimuth
+    _put_scale(group, "azimuth_deg", azimuth, "degree", "direction of the split against the mask")
     text = "information kept at that direction"
-    hdf5.put(group, "kept_by_azimuth", budget.kept_by_azimuth, units="1", description=text, dims=(azimuth,))
-    changes = [remedy.change for remedy in budget.remedies]
-    hdf5.put(group, "remedy", np.array(changes, dtype="U"), units="1", description="what helps", dims=("remedy",))
-    for name, values, text in (
-        ("remedy_kept", [r.kept for r in budget.remedies], "information kept with it"),
-        ("remedy_error", [r.relative_error for r in budget.remedies], "deviation of depth with it over without"),
+    hdf5.put(group, "kept_by_azimuth", kept, units="1", description=text, dims=("azimuth_deg",))
+    _put_scale(group, "remedy", np.array([r.change for r in budget.remedies], dtype="U"), "1", "what helps")
+    for name, field, text in (
+        ("remedy_kept", "information_kept", "information kept with it"),
+        ("remedy_error", "depth_error_factor", "deviation of depth with it over without"),
     ):
+        values = [getattr(remedy, field) for remedy in budget.remedies]
         hdf5.put(group, name, values, units="1", description=text, dims=("remedy",))
 
 
 def _bandwidth(group: h5py.Group) -> BandwidthBudget:
-    curves = BandwidthTradeoff(
-        *(_array(group, name) for name in ("fwhm_nm", "angle_deg", "smear_um", "kept", "relative_error"))
-    )
+    names = ("fwhm_nm", "angle_deg", "smear_um", "kept", "relative_error")
     remedies = zip(group["remedy"][()], _array(group, "remedy_kept"), _array(group, "remedy_error"), strict=True)
     return BandwidthBudget(
-        float(group.attrs["fwhm_nm"]),
-        float(group.attrs["angle_deg"]),
-        float(group.attrs["dispersion_um_per_nm"]),
-        float(group.attrs["smear_um"]),
-        float(group.attrs["kept"]),
-        tuple(Remedy(change.decode(), float(kept), float(error)) for change, kept, error in remedies),
-        curves,
-        _array(group, "azimuth_deg"),
-        _array(group, "kept_by_azimuth"),
+        **{name: float(group.attrs[name]) for name in _BUDGET},
+        remedies=tuple(Remedy(change.decode(), float(kept), float(error)) for change, kept, error in remedies),
+        tradeoff=BandwidthTradeoff(**{name: _array(group, name) for name in names}),
+        azimuth_deg=_array(group, "azimuth_deg"),
+        kept_by_azimuth=_array(group, "kept_by_azimuth"),
     )

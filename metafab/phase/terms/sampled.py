@@ -1,8 +1,7 @@
 """Terms given by samples: a user's own phase, or a pupil that was optimised sample by sample.
 
-Between samples the complex field exp(i psi) is interpolated bilinearly and its angle taken, so a jump of 2 pi
-between neighbours is no jump at all. Steps of pi or more between neighbours cannot be told from their complement:
-sample finely enough.
+Between samples the complex field exp(i psi) is interpolated bilinearly and its angle taken, so a jump of 2 pi between
+neighbours has no effect. Steps of pi or more between neighbours are ambiguous: sample finely enough.
 """
 
 from __future__ import annotations
@@ -16,70 +15,66 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
+from metafab.core.numeric.bilinear import bilinear_on_grid
 from metafab.phase.pupil import Pupil, phasor
-from metafab.phase.terms.angle import angle
+from metafab.phase.terms.angles import angle
+from metafab.phase.terms.profile import PolarisedTerm
 
 
 @dataclass(frozen=True)
-class SampledPhase:
-    """The phase of a sampled complex field.
+class SampledPhase(PolarisedTerm):
+    """The phase of a sampled complex field; beyond the outermost samples their values are held.
 
     Attributes:
         field: shape (2, n_y, n_x) for x and y polarisation, or (1, n_y, n_x): then y is the point mirror of x.
-        pitch_um: distance of samples; the grid is centred on the axis, lowest y first.
-        polarisation: the one that it acts on; None for both.
+        pitch_um: distance of the samples; the grid is centred on the axis, lowest y first.
     """
 
     field: ComplexArray
     pitch_um: float
-    polarisation: Polarisation | None = None
 
-    @classmethod
-    def of_pupil(
-        cls, pupil: Pupil, phase_rad: FloatArray, radius_um: float, polarisation: Polarisation | None
-    ) -> SampledPhase:
-        """Phases of x polarisation at a pupil's samples, shape (n,), over an aperture of ``radius_um``; y mirrors x."""
-        grid = np.ones(pupil.inside.shape, dtype=np.complex128)
-        grid[pupil.inside] = phasor(phase_rad)
-        return cls(grid[None], 2.0 * radius_um / pupil.samples, polarisation)
-
-    def __call__(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
-        """Phase on the grid of ``x_um`` (n_x,) and ``y_um`` (n_y,): shape (n_y, n_x), rad in [-pi, pi].
-
-        Beyond the outermost samples their values are held; :func:`load_array` sees that this is at most half a
-        pitch inside the aperture.
-        """
-        if self.polarisation not in {None, polarisation}:
-            return np.zeros((y_um.size, x_um.size))
+    def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         mirrored = len(self.field) == 1 and polarisation == "y"
         sign = -1.0 if mirrored else 1.0
         samples = self.field[0 if polarisation == "x" or mirrored else 1]
-        row, share_y = neighbours(sign * y_um / self.pitch_um, samples.shape[0])
-        column, share_x = neighbours(sign * x_um / self.pitch_um, samples.shape[1])
-        rows = samples[row] * (1.0 - share_y)[:, None] + samples[row + 1] * share_y[:, None]
-        field = rows[:, column] * (1.0 - share_x) + rows[:, column + 1] * share_x
-        return angle(field)
+        return angle(bilinear_on_grid(samples, sign * x_um / self.pitch_um, sign * y_um / self.pitch_um))
 
 
-def neighbours(position: FloatArray, count: int) -> tuple[NDArray[np.int64], FloatArray]:
-    """Lower neighbour and share of the upper one for positions in pitches from the centre of ``count`` samples."""
-    index = np.clip(position + 0.5 * (count - 1), 0.0, count - 1.0)
-    lower = np.minimum(index.astype(np.int64), count - 2)
-    return lower, index - lower
+@dataclass(frozen=True)
+class SampledMask:
+    """A mask of free phases, one for each sample of a pupil: the result of a gradient search.
+
+    Attributes:
+        pupil: the samples.
+        phase_rad: shape (n,), phases of x polarisation at the samples; y is the point mirror.
+    """
+
+    pupil: Pupil
+    phase_rad: FloatArray
+
+    def term(self, radius_um: float, polarisation: Polarisation | None = None) -> SampledPhase:
+        """Return the mask as a phase term.
+
+        Args:
+            radius_um: radius of the aperture.
+            polarisation: the polarisation that the term acts on; None for both.
+        """
+        field = self.pupil.on_grid(phasor(self.phase_rad), outside=1.0)
+        return SampledPhase(field[None], 2.0 * radius_um / self.pupil.samples, polarisation=polarisation)
 
 
 def load_array(
     file: Path, pitch_um: float, dataset: str, radius_um: float, polarisation: Polarisation | None = None
 ) -> SampledPhase:
-    """A user's phase from a file.
+    """Read a user's phase from a file.
 
     Args:
         file: .npy, .csv (comma-separated rows, one polarisation) or .h5; radians, real, shape (n_y, n_x) for both
             polarisations alike or (2, n_y, n_x) for x and y.
         pitch_um: distance of the samples.
         dataset: name inside an .h5 file.
-        radius_um: aperture's radius, which the samples must cover.
-        polarisation: the one that the term acts on; None for both.
+        radius_um: radius of the aperture, which the samples must cover to half a pitch.
+        polarisation: the polarisation that the term acts on; None for both.
 
     Raises:
         InputError: the file cannot be read, or is not a finite array of that form that covers the aperture.
@@ -100,14 +95,22 @@ def load_array(
             f"a grid that reaches {reach_um:g} um",
             "give more samples or the right pitch; nothing is extrapolated",
         )
-    return SampledPhase(np.exp(1j * np.broadcast_to(phase, (2, *phase.shape[-2:]))), pitch_um, polarisation)
+    field = np.exp(1j * np.broadcast_to(phase, (2, *phase.shape[-2:])))
+    return SampledPhase(field, pitch_um, polarisation=polarisation)
 
 
 def read_array(file: Path, dataset: str) -> NDArray[np.generic]:
-    """The array of a .npy, .csv or .h5 file (there, the one named ``dataset``), whatever it holds.
+    """Read the array of a .npy, .csv or .h5 file.
+
+    Args:
+        file: path, with one of these endings.
+        dataset: name inside an .h5 file.
+
+    Returns:
+        Any shape and type.
 
     Raises:
-        InputError: the file cannot be read as one.
+        InputError: the file cannot be read.
     """
     expected = "a .npy, .csv or .h5 file with an array"
     if file.suffix not in {".npy", ".csv", ".h5"}:
@@ -119,5 +122,5 @@ def read_array(file: Path, dataset: str) -> NDArray[np.generic]:
             return np.loadtxt(file, delimiter=",", ndmin=2)
         with h5py.File(file, "r") as source:
             return np.asarray(source[dataset])
-    except Exception as error:  # the readers raise whatever they meet in a broken file
+    except Exception as error:  # the readers raise many types for a broken file
         raise InputError.single(str(file), "file", expected, f"an unreadable one ({error})") from error

@@ -9,7 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from metafab.core.conventions import FloatArray
-from metafab.phase import BandwidthBudget, DepthBounds, LobeOverDepth, Proposal
+from metafab.phase.studies.bandwidth import BandwidthBudget
+from metafab.phase.studies.compare import DepthBounds
+from metafab.phase.studies.propose import Proposal
+from metafab.phase.studies.study import LobeOverDepth
 from metafab.report.style import (
     GOOD,
     HAIRLINE,

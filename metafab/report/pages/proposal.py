@@ -7,7 +7,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from metafab.phase import Proposal
+from metafab.phase.studies.propose import Proposal
 from metafab.report import figures
 from metafab.report.render import save_png
 

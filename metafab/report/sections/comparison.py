@@ -17,7 +17,7 @@ def comparison(run: RunFolder, drawn: Drawn) -> str:
         return ""
     total = comparison_figures(found)
     rows = [
-        [escape(name), html.number(100.0 * total["depth_error"][name]), html.number(100.0 * total["depth_bound"][name])]
+        [escape(name), html.number(100.0 * total.depth_error[name]), html.number(100.0 * total.depth_bound[name])]
         for name in found.methods
     ]
     caption = (

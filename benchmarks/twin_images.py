@@ -1,8 +1,8 @@
-"""Depth read from simulated twin images at the level of the pupil: what the bound promises, put to the test.
+"""Simulated twin images at the level of the pupil, and their depth by maximum likelihood: a test of the bound.
 
-A random texture is imaged by both polarisations' PSFs, with photon and read noise, and the rim defocus is estimated
-by maximum likelihood for the model behind ``information``: per frequency, y = b s + noise with unknown s of unit power,
-whose log-likelihood is |b^H y|^2 / (1 + |b|^2) - ln(1 + |b|^2). The patch is periodic, so no border is lost.
+Both polarisations' PSFs image a random texture, with photon and read noise. The rim defocus is estimated under the
+model of :mod:`metafab.information.twin_images`: per frequency y = b s + noise with unknown s of unit power, whose log
+likelihood is |b^H y|^2 / (1 + |b|^2) - ln(1 + |b|^2). The patch is periodic, so no border is lost.
 """
 
 from __future__ import annotations
@@ -22,23 +22,26 @@ _COARSE, _FINE = 65, 17
 def twin_images(
     problem: BlindInformation, mask: ComplexArray, defocus_rad: float, random: np.random.Generator
 ) -> FloatArray:
-    """Noisy images of one random texture in both polarisations, electrons, shape (2, 2 samples, 2 samples).
+    """Simulate noisy images of one random texture in both polarisations.
 
     Args:
-        problem: pupil, texture and noise; its defocuses play no part.
+        problem: pupil, texture and noise; its defocuses are not used.
         mask: shape (n,), pupil field of x polarisation; y is its point mirror.
         defocus_rad: rim defocus of the texture.
-        random: where texture and noise come from.
+        random: source of texture and noise.
+
+    Returns:
+        Shape (2, m, m) with m = 2 samples of the pupil, electrons.
     """
     texture, side = problem.texture, 2 * problem.pupil.samples
     power = texture.signal_to_noise((side, side))
     white = fft.fft2(random.normal(size=(side, side)))
     relief = fft.ifft2(white * np.sqrt(power / power.mean())).real
-    # Brightness is not negative: of a strong texture the darkest places are cut.
+    # Brightness is not negative: the darkest places of a strong texture are cut.
     scene = texture.electrons * np.maximum(1.0 + texture.contrast * relief, 0.0)
     transfer = replace(problem, defocus_rad=np.array([defocus_rad])).transfer(mask)[0][0]
     spectrum = fft.fft2(scene)
-    # Rounding may leave dark pixels a hair below zero.
+    # Rounding may leave dark pixels slightly below zero.
     mean = np.maximum(fft.ifft2(np.stack([transfer, transfer.conj()]) * spectrum).real, 0.0) + texture.background_e
     return np.asarray(random.poisson(mean) + texture.read_noise_e * random.normal(size=mean.shape))
 
@@ -46,18 +49,20 @@ def twin_images(
 def most_likely_defocus(
     images: FloatArray, problem: BlindInformation, mask: ComplexArray, nearest_rad: float, farthest_rad: float
 ) -> float:
-    """Rim defocus of twin images by maximum likelihood.
+    """Estimate the rim defocus of twin images by maximum likelihood.
 
     Args:
-        images: shape (2, 2 samples, 2 samples), electrons.
-        problem: pupil, texture and noise; its defocuses play no part.
+        images: shape (2, m, m) with m = 2 samples of the pupil, electrons.
+        problem: pupil, texture and noise; its defocuses are not used.
         mask: shape (n,), pupil field of x polarisation; y is its point mirror.
-        nearest_rad: one end of the range that is searched.
+        nearest_rad: one end of the search range.
         farthest_rad: the other end.
+
+    Returns:
+        Rim defocus, rad.
     """
     texture = problem.texture
-    variance = texture.electrons + texture.background_e + texture.read_noise_e**2
-    data = fft.fft2(images) / np.sqrt(variance * images[0].size)
+    data = fft.fft2(images) / np.sqrt(texture.noise_variance_e2 * images[0].size)
     amplitude = np.sqrt(texture.signal_to_noise((images.shape[1], images.shape[2])))
 
     def likelihood(candidates: FloatArray) -> FloatArray:

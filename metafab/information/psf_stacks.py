@@ -1,14 +1,9 @@
-"""Fisher information about depth in PSF stacks, and the smallest error that it allows (Cramer-Rao bound).
+"""Fisher information about depth in PSFs sampled over depth, and the error that it allows (Cramer-Rao bound).
 
-Two questions, both answered from a stack alone, shape (2, n_depth, n_y, n_x) as :attr:`Psf.psf`, whose windows are
-centred on the geometric image points:
-
-- a point source (known position and brightness, or not): how does the image of a point change with depth?
-- a twin image of unknown texture: how does the *relation* of the two images change with depth?
-  (:mod:`metafab.information.twin_images`)
-
-The noise is Poisson noise of the signal and the background and Gaussian read noise, whose variances add: sum (d
-mean)^2 / variance, exact for a large background or many electrons, a lower bound of the information otherwise.
+The PSFs are a stack of shape (2, n_depth, n_y, n_x), as :attr:`metafab.optics.Psf.psf`, in windows about the geometric
+image points. The source is a point (position and brightness known or not) or a texture (:mod:`twin images
+<metafab.information.twin_images>`). With the mean image mu of a point and its variance, the information is
+sum mu'^2 / variance: exact for many electrons, else a lower bound.
 """
 
 from __future__ import annotations
@@ -18,17 +13,19 @@ from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from metafab.core.conventions import FloatArray
-from metafab.information.twin_images import PointSource, Texture, twin_information
-
-__all__ = ["PointSource", "Texture", "depth_crlb_m", "depth_slope", "point_information", "twin_depth_information"]
+from metafab.information.texture import PointSource, Texture
+from metafab.information.twin_images import twin_information
 
 
 def depth_slope(stack: FloatArray, depth_m: ArrayLike) -> FloatArray:
-    """Derivative of a stack with respect to depth, 1/m, by a cubic spline over the vergence 1/depth.
+    """Return the derivative of a stack with respect to depth, by a cubic spline over the vergence 1/depth.
 
     Args:
         stack: shape (..., n_depth, n_y, n_x), real.
         depth_m: shape (n_depth,), ascending, at least 4.
+
+    Returns:
+        Shape (..., n_depth, n_y, n_x), per metre.
 
     Raises:
         ValueError: fewer than 4 depths, or not ascending.
@@ -46,13 +43,12 @@ def point_information(
     """Information about depth in the image of a point, both polarisations together.
 
     Args:
-        psf: shape (2, n_depth, n_y, n_x), irradiance at pixel centres, 1/um^2 per unit power; with zeros for one
-            polarisation, the information of the other alone.
+        psf: shape (2, n_depth, n_y, n_x), irradiance at pixel centres, 1/um^2 per unit power; zeros for one
+            polarisation give the information of the other alone.
         depth_m: shape (n_depth,), ascending.
-        pixel_um: pixel pitch; the irradiance at the centre stands for the pixel.
+        pixel_um: pixel pitch; a pixel collects the irradiance at its centre times its area.
         source: electrons and noise.
-        known: whether position (x and y) and brightness are known; else they are estimated, too, and take their
-            share.
+        known: whether position (x and y) and brightness are known; otherwise they are nuisance parameters.
 
     Returns:
         Shape (n_depth,), 1/m^2.
@@ -64,14 +60,14 @@ def point_information(
         return np.asarray((by_depth**2 / variance).sum(axis=(0, 2, 3)), dtype=np.float64)
     by_y, by_x = np.gradient(mean, axis=(2, 3))
     parameters = np.stack([by_depth, by_x, by_y, mean])
-    # (parameter, parameter, depth): depth keeps what the others cannot explain (Schur complement).
+    # Shape (depth, parameter, parameter); the Schur complement projects the nuisance parameters out.
     fisher = np.einsum("apdyx,bpdyx->dab", parameters / variance, parameters)
-    kept = np.array([1.0 / np.linalg.pinv(matrix, hermitian=True)[0, 0] for matrix in _scaled(fisher)])
+    kept = np.array([1.0 / np.linalg.pinv(matrix, hermitian=True)[0, 0] for matrix in _normalised(fisher)])
     return np.asarray(kept * fisher[:, 0, 0], dtype=np.float64)
 
 
-def _scaled(fisher: FloatArray) -> FloatArray:
-    """Information matrices with ones on the diagonal, so that units do not spoil their inverses."""
+def _normalised(fisher: FloatArray) -> FloatArray:
+    """Information matrices scaled to ones on the diagonal, so that units do not spoil their inverses."""
     size = np.sqrt(np.einsum("daa->da", fisher))
     return np.asarray(fisher / size[:, :, None] / size[:, None, :])
 
@@ -79,7 +75,7 @@ def _scaled(fisher: FloatArray) -> FloatArray:
 def twin_depth_information(
     psf: FloatArray, depth_m: ArrayLike, pixel_um: float, texture: Texture, *, contrast_known: bool = False
 ) -> FloatArray:
-    """Information about the depth of a piece of unknown texture, as large as the PSFs' windows, in its twin image.
+    """Information about depth in twin images of a patch of unknown texture, as large as the windows of the PSFs.
 
     Args:
         psf: shape (2, n_depth, n_y, n_x), irradiance at pixel centres, 1/um^2 per unit power.
@@ -89,7 +85,7 @@ def twin_depth_information(
         contrast_known: whether the brightness ratio of the two images is known.
 
     Returns:
-        Shape (n_depth,), 1/m^2; multiply by the number of such pieces for a larger area.
+        Shape (n_depth,), 1/m^2; proportional to the area of the patch.
     """
     transfer = np.fft.fft2(np.fft.ifftshift(psf, axes=(2, 3))) * pixel_um**2
     slope = np.fft.fft2(np.fft.ifftshift(depth_slope(psf, depth_m), axes=(2, 3))) * pixel_um**2
@@ -103,6 +99,13 @@ def twin_depth_information(
 
 
 def depth_crlb_m(information: ArrayLike) -> FloatArray:
-    """Smallest standard deviation of any unbiased depth estimate, 1/sqrt(information), m; ``inf`` where it is 0."""
+    """Cramer-Rao bound: the smallest standard deviation of an unbiased depth estimate, 1 / sqrt(information).
+
+    Args:
+        information: any shape, 1/m^2.
+
+    Returns:
+        The same shape, m; infinite where the information is 0.
+    """
     with np.errstate(divide="ignore"):
         return np.asarray(1.0 / np.sqrt(np.asarray(information, dtype=np.float64)))
