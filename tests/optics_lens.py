@@ -57,7 +57,7 @@ def lattice(optics: Imaging, period_nm: float = 350.0) -> Lattice:
 def ideal(optics: Imaging, *terms: object) -> IdealField:
     """Target phases at full transmission."""
     device = Device(optics.aperture_um, optics.focal_length_mm, optics.aperture_shape)
-    return ideal_field(PhaseProfile(terms, {}), lattice(optics), device)
+    return ideal_field(PhaseProfile(terms), lattice(optics), device)
 
 
 def written(optics: Imaging, *terms: object, levels: int = 12, tile_sites: int = 37) -> WrittenField:

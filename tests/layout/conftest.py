@@ -32,7 +32,7 @@ class OffAxisLens:
 
 @pytest.fixture(scope="session")
 def profile() -> PhaseProfile:
-    return PhaseProfile((OffAxisLens(1000.0, 0.8, 140.0),), {})
+    return PhaseProfile((OffAxisLens(1000.0, 0.8, 140.0),))
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,7 @@ WINDOW_PX = 20
 def hexagonal() -> IdealField:
     """Period 350 nm, rows 303 nm apart."""
     device = Device(OPTICS.aperture_um, OPTICS.focal_length_mm, OPTICS.aperture_shape)
-    profile = PhaseProfile((lens.eq_3_and_4(OPTICS),), {})  # type: ignore[arg-type]
+    profile = PhaseProfile((lens.eq_3_and_4(OPTICS),))  # type: ignore[arg-type]
     return ideal_field(profile, Lattice((350, 606), (133, 229), 0.5, hexagonal=True), device)
 
 

@@ -50,7 +50,7 @@ def _area_um2(design: Design) -> float:
 def test_from_phases_to_a_psf(shape: str, smooth_library: Library, tiny_design: Design, tmp_path: Path) -> None:
     design = _design(tiny_design, shape)
     lens = LensPhase(design.wavelength_um, 200.0)
-    assignment = layout.assign(PhaseProfile((lens,), {}), smooth_library, design)
+    assignment = layout.assign(PhaseProfile((lens,)), smooth_library, design)
     assert assignment.figures.pillars == Aperture.of(design).count
     mask.write(assignment.pillars, tmp_path, design)
     for suffix in ("gds", "oas"):
@@ -76,7 +76,7 @@ def test_a_pillar_outside_and_one_missing_are_found(
     shape: str, smooth_library: Library, tiny_design: Design, tmp_path: Path
 ) -> None:
     design = _design(tiny_design, shape)
-    assignment = layout.assign(PhaseProfile((LensPhase(0.8, 200.0),), {}), smooth_library, design)
+    assignment = layout.assign(PhaseProfile((LensPhase(0.8, 200.0),)), smooth_library, design)
     index = assignment.pillars.to_array().copy()
     filled, empty = np.argwhere(index > 0), np.argwhere(index == 0)
     index[tuple(filled[7])] = 0

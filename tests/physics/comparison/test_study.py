@@ -1,0 +1,48 @@
+"""A design compared with other cameras, from its phases to ``comparison.json``."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import comparison
+from metafab.core.errors import InputError
+from metafab.spec import Design
+from metafab.spec.terms import Lens
+
+
+@pytest.fixture(scope="module")
+def design(small_design: Design) -> Design:
+    """Half the small lens, its helix not optimised: quick."""
+    device = dataclasses.replace(small_design.device, aperture_um=100.0)
+    terms = tuple(dataclasses.replace(t, optimise="none") if hasattr(t, "optimise") else t for t in small_design.phase)
+    verify = dataclasses.replace(small_design.verify, depths_m=(0.0014, 0.0048), window_px=48)
+    return dataclasses.replace(small_design, device=device, phase=terms, verify=verify)
+
+
+def test_a_helix_pair_tells_depth_where_a_lens_in_focus_does_not(design: Design, tmp_path: Path) -> None:
+    found = comparison.compare(design, planes=2)
+    assert found.error.shape == found.bound.shape == (5, found.depth_m.size)
+    own, lens = found.error[0], found.error[found.methods.index("standard lens")]
+    # On both sides of its focus a lens looks the same: some depth is taken for its twin.
+    assert lens.max() > 3.0 * own.max()
+    assert own.max() < 0.1
+    by_name = dict(zip(found.cameras, found.restored, strict=True))
+    # A helix stays as sharp over the range; a lens that is focused at its end does not.
+    assert np.ptp(by_name["this design"]) < 0.5 * np.ptp(by_name["lens, focused nearer"])
+    assert by_name["standard lens"].min() < by_name["this design"].min()
+    comparison.save_comparison(found, tmp_path / "comparison.json")
+    back = comparison.load_comparison(tmp_path / "comparison.json")
+    assert back is not None
+    assert back.methods == found.methods
+    np.testing.assert_allclose(back.error, found.error, rtol=1e-12)
+    (tmp_path / "comparison.json").write_text("{}")
+    assert comparison.load_comparison(tmp_path / "comparison.json") is None
+
+
+def test_a_plain_lens_has_nothing_to_compare(design: Design) -> None:
+    with pytest.raises(InputError, match="split_lens"):
+        comparison.compare(dataclasses.replace(design, phase=(Lens(),)))

@@ -1,0 +1,71 @@
+"""A design's phase terms, optimised as its file says."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.phase import Pupil, main_lobe, optimise_peak, profile_of
+from metafab.phase.pupil import pupil_field
+from metafab.spec import Design, load_design, write_new
+from metafab.spec.terms import SpiralZones
+from metafab.steps import preflight
+
+
+def test_profiles_of_a_design_optimise_as_asked(small_design: Design) -> None:
+    figures = profile_of(small_design).figures
+    assert figures.peak_gain >= 1.36
+    assert figures.bound_fraction > 0.95
+    # The small lens turns as the paper's does between 25 and 34 cm: 1.06 dioptre of 56 degrees at R = 1 mm.
+    assert figures.rotation_deg == pytest.approx(56.25 * (4.0 - 1.0 / 0.34), rel=0.1)
+    assert figures.rotation_deg_per_dioptre == pytest.approx(figures.rotation_deg_per_dioptre_theory, rel=0.1)
+    spiral = small_design.phase[0]
+    gains = {}
+    for wish in ("none", "worst_peak", "blind_information"):
+        terms = (dataclasses.replace(spiral, optimise=wish), *small_design.phase[1:])  # type: ignore[arg-type]
+        gains[wish] = profile_of(dataclasses.replace(small_design, phase=terms)).figures
+    assert gains["none"].peak_gain == 1.0
+    assert gains["worst_peak"].worst_gain >= 1.5
+    assert gains["blind_information"].blind_information_gain >= 1.4
+
+
+PUPIL = Pupil(48)
+
+
+def test_a_design_may_ask_for_it(small_design: Design) -> None:
+    plain = small_design.phase[0]
+    assert isinstance(plain, SpiralZones)
+    spiral = dataclasses.replace(plain, optimise="peak", side_lobe_limit=0.35)
+    design = dataclasses.replace(small_design, phase=(spiral, *small_design.phase[1:]))
+    profile = profile_of(design)
+    assert profile.figures.side_lobe <= 0.35 < profile.figures.side_lobe_without_limit
+    fine = Pupil(128)
+    field = pupil_field(profile.terms[0], fine, 0.5 * design.device.aperture_um)
+    lobe = main_lobe(fine, field, optimise_peak(4, pupil=PUPIL).defocus_rad, 14.0)
+    # Between the samples the field is interpolated: some light is lost, none of the turning.
+    assert lobe.peak.mean() == pytest.approx(profile.figures.peak_mean, rel=0.03)
+    impossible = dataclasses.replace(spiral, side_lobe_limit=0.01)
+    with pytest.raises(InputError, match="side_lobe_limit"):
+        profile_of(dataclasses.replace(design, phase=(impossible, *small_design.phase[1:])))
+
+
+def test_the_limit_goes_with_the_peak() -> None:
+    with pytest.raises(ValueError, match="side_lobe_limit"):
+        SpiralZones(optimise="blind_information", side_lobe_limit=0.3)
+
+
+def test_a_picture_that_is_too_wide_is_refused_before_any_work(tmp_path: Path) -> None:
+    file, picture = write_new("mine", "hologram", tmp_path)
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text.replace("width_um = 100.0", "width_um = 1e6"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"`phase\[1\]\.width_um`: expected at most \d+.* um") as told:
+        preflight(load_design(file))
+    most_um = told.value.faults[0].expected.split()[2]
+    file.write_text(text.replace("width_um = 100.0", f"width_um = {0.9999 * float(most_um):f}"), encoding="utf-8")
+    preflight(load_design(file))
+    picture.unlink()
+    with pytest.raises(InputError, match=r"`phase\[1\]\.file`: .*no file at that path"):
+        preflight(load_design(file))

@@ -1,0 +1,43 @@
+"""A user's table of refractive indices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.materials import refractive_index
+from metafab.spec import Material
+
+
+def _index(record: str, wavelength_nm: float) -> complex:
+    return refractive_index(Material(record=record), wavelength_nm)[0]
+
+
+def test_a_users_table(tmp_path: Path) -> None:
+    path = tmp_path / "film.csv"
+    path.write_text("# our ellipsometer\nwavelength_nm,n,k\n700,3.8,0.02\n900,3.6,0.0\n")
+    assert _index(str(path), 750.0) == pytest.approx(3.75 + 0.015j, abs=1e-12)
+    with pytest.raises(InputError, match="our ellipsometer"):
+        _index(str(path), 901.0)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "nm,n,k\n700,3.8,0\n",
+        "wavelength_nm,n,k\n",
+        "wavelength_nm,n,k\n900,3.6,0\n700,3.8,0\n",
+        "wavelength_nm,n,k\n700,3.8,-0.1\n",
+        "wavelength_nm,n,k\n700,nan,0\n",
+        "wavelength_nm,n,k\n700,3.8\n",
+        "wavelength_nm,n,k\n700,3.8,zero\n",
+    ],
+)
+def test_a_bad_table_is_refused(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "film.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"film\.csv"):
+        _index(str(path), 800.0)

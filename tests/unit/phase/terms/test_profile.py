@@ -1,0 +1,106 @@
+"""Properties of all phase terms, and their sum."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from metafab.core.conventions import POLARISATIONS, wrap_phase
+from metafab.phase import (
+    AxiconPhase,
+    DoubleHelixPhase,
+    GratingPhase,
+    LensPhase,
+    PhaseProfile,
+    SampledPhase,
+    SpiralZonesPhase,
+    SplitLensPhase,
+    VortexPhase,
+    WaveSumPhase,
+    ZernikePhase,
+)
+from metafab.phase.terms.profile import Term
+
+X_UM = np.linspace(-90.0, 80.0, 23)
+Y_UM = np.linspace(-70.0, 95.0, 17)
+RADIUS_UM = 100.0
+ANGLE_RAD = 1e-11  # stated error of the compiled arctangent
+WAVES = WaveSumPhase(
+    RADIUS_UM,
+    np.array([1.0 + 0.5j, -0.3j, 0.7]),
+    np.array([-2.0, 1.0, 4.0]),
+    np.array([[1.0, 2.0], [-3.0, 0.5], [0.2, -1.5]]),
+)
+TERMS: list[Term] = [
+    LensPhase(0.8, 1000.0),
+    LensPhase(0.8, 1000.0, 3000.0),
+    SplitLensPhase(0.8, 1000.0, 8.0),
+    SplitLensPhase(0.8, 1000.0, 8.0, 3000.0),
+    GratingPhase(0.8, 5.0, 30.0),
+    AxiconPhase(0.8, 3.0),
+    SpiralZonesPhase(4, 0.5, RADIUS_UM),
+    WAVES,
+    VortexPhase(-3),
+    DoubleHelixPhase(RADIUS_UM, 0.35, 5),
+    ZernikePhase(4, -2, 1.5, RADIUS_UM),
+    SampledPhase(np.exp(1j * np.arange(50.0).reshape(2, 5, 5)), 40.0),
+]
+
+
+@pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)
+def test_terms_are_finite_everywhere_frozen_and_travel_between_processes(term: Term) -> None:
+    x_um, y_um = np.linspace(-300.0, 300.0, 9), np.linspace(-200.0, 200.0, 7)  # beyond the aperture, and the axis
+    copy = pickle.loads(pickle.dumps(term))
+    for polarisation in POLARISATIONS:
+        phase = term(x_um, y_um, polarisation)
+        assert phase.shape == (7, 9)
+        assert phase.dtype == np.float64
+        assert np.isfinite(phase).all()
+        np.testing.assert_array_equal(copy(x_um, y_um, polarisation), phase)
+    with pytest.raises(AttributeError):
+        term.polarisation = "x"  # type: ignore[attr-defined, misc]
+
+
+@pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)
+def test_a_tile_is_a_cut_of_the_whole(term: Term) -> None:
+    whole = term(X_UM, Y_UM, "y")
+    tile = term(X_UM[5:14], Y_UM[2:9], "y")
+    # Sums of waves go through a matrix product, whose rounding may depend on the shape; compare on the circle.
+    np.testing.assert_allclose(wrap_phase(tile - whole[2:9, 5:14]), 0.0, atol=2 * ANGLE_RAD)
+
+
+def test_a_term_is_zero_for_the_polarisation_that_it_does_not_act_on() -> None:
+    for term in (
+        LensPhase(0.8, 1000.0, polarisation="x"),
+        SplitLensPhase(0.8, 1000.0, 8.0, polarisation="x"),
+        GratingPhase(0.8, 5.0, polarisation="x"),
+        AxiconPhase(0.8, 3.0, polarisation="x"),
+        SpiralZonesPhase(4, 0.5, RADIUS_UM, polarisation="x"),
+        WaveSumPhase(RADIUS_UM, WAVES.amplitude, WAVES.defocus_rad, WAVES.tilt_rad, polarisation="x"),
+        VortexPhase(2, polarisation="x"),
+        DoubleHelixPhase(RADIUS_UM, 0.35, 5, polarisation="x"),
+        ZernikePhase(3, 1, 1.0, RADIUS_UM, polarisation="x"),
+        SampledPhase(np.exp(1j * np.arange(50.0).reshape(2, 5, 5)), 40.0, polarisation="x"),
+    ):
+        assert not term(X_UM, Y_UM, "y").any()
+        assert np.abs(term(X_UM, Y_UM, "x")).max() > 0.1
+
+
+@given(st.floats(-99.0, 99.0), st.floats(-99.0, 99.0))
+def test_helices_of_the_two_polarisations_are_point_mirrors(x_um: float, y_um: float) -> None:
+    x, y = np.array([x_um]), np.array([y_um])
+    mirrored = SampledPhase(np.exp(1j * np.arange(49.0).reshape(1, 7, 7)), 30.0)
+    for term in (SpiralZonesPhase(5, 0.5, RADIUS_UM), WAVES, mirrored):
+        assert term(x, y, "y") == term(-x, -y, "x")
+
+
+def test_a_profile_adds_its_terms() -> None:
+    profile = PhaseProfile((VortexPhase(2), GratingPhase(0.8, 3.0, polarisation="y")))
+    phase = profile(X_UM, Y_UM)
+    spiral = 2.0 * np.arctan2(Y_UM[:, None], X_UM[None, :])
+    np.testing.assert_array_equal(phase[0], spiral)
+    np.testing.assert_allclose(phase[1] - spiral, GratingPhase(0.8, 3.0)(X_UM, Y_UM, "y"), atol=1e-12)
