@@ -16,7 +16,7 @@ import numpy as np
 from metafab.core.conventions import ComplexArray, FloatArray, sensor_distance_um
 from metafab.core.polarisation import JONES
 from metafab.phase.build import profile_of
-from metafab.phase.terms.carriers import CARRIERS
+from metafab.phase.terms.carriers import without_carriers
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 
@@ -51,7 +51,7 @@ class JonesTarget:
             row_angle_deg: angle between neighbouring rows, seen from the lens.
         """
         profile, depth_m = profile_of(design), design.sensor.focus_depth_m
-        helix = PhaseProfile(tuple(term for term in profile.terms if not isinstance(term, CARRIERS)), profile.figures)
+        helix = without_carriers(profile)
         distance_um = sensor_distance_um(design.device.focal_length_mm, design.split_angle_deg, depth_m)
         sine_x = math.sin(math.radians(design.split_angle_deg))
         places = []
