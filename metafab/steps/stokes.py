@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -76,7 +77,7 @@ def full_stokes(
         "extinction_ratio": psf.extinction_ratio,
         "ideal_efficiency": ideal.efficiency,
         "condition_number": float(np.linalg.cond(psf.instrument)),
-        **stokes_errors(image, frame),
+        **asdict(stokes_errors(image, frame)),
         "files": [{"name": path.name, "bytes": path.stat().st_size} for path in files.values()],
         "mask": mask_figures,
     }

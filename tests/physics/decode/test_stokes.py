@@ -57,8 +57,8 @@ def test_objects_side_by_side_keep_their_depths_and_outlines() -> None:
     assert np.mean(np.abs(image.depth_m[known & true] / frame.depth_m[known & true] - 1.0) > 0.1) < 0.14
     errors = stokes_errors(image, frame)
     # Where no neighbour's blur reaches, cross-talk is undone; along outlines it is that of the wrong depth.
-    assert errors["stokes_interior_error"] < 0.01
-    assert errors["stokes_object_error"] < 0.03
+    assert errors.stokes_interior_error < 0.01
+    assert errors.stokes_object_error < 0.03
 
 
 def test_without_light_no_depth_is_claimed(psf: StokesPsf) -> None:
