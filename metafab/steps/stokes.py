@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.polarisation import STATES
 from metafab.core.storage.files import write_json
 from metafab.spec.turned import require_turnable
 from metafab.steps.job import Job
@@ -19,12 +21,52 @@ from metafab.steps.preflight import preflight
 
 if TYPE_CHECKING:
     from metafab.camera.stokes import StokesFrame
-    from metafab.decode.stokes import StokesImage
+    from metafab.decode.stokes import StokesErrors, StokesImage
 
 
-def full_stokes(
-    job: Job, *, row_angle_deg: float, angles: int, size_step_nm: float
-) -> tuple[dict[str, Any], StokesFrame, StokesImage]:
+@dataclass(frozen=True)
+class StokesRun:
+    """Result of a full-Stokes run.
+
+    Attributes:
+        frame: six images of the design's scene.
+        image: depth and Stokes vectors decoded from them.
+        errors: errors of the image against the scene.
+        pillars: number of pillars.
+        distinct: number of distinct sizes and angles.
+        angles: angles in half a turn that pillars may have.
+        overlap: overlap of the pillars' Jones matrices with the target, 0 to 1.
+        states: names of the six states.
+        efficiency: shape (6,), share of each state's power in its window, of the written pillars.
+        extinction_ratio: shape (6,), efficiency over the share of the orthogonal state.
+        ideal_efficiency: shape (6,), efficiency of perfect pillars.
+        condition_number: of the instrument matrix.
+        files: name and bytes of each mask file.
+        mask: provenance, counts and areas of the mask, as in ``layout.json``.
+    """
+
+    frame: StokesFrame
+    image: StokesImage
+    errors: StokesErrors
+    pillars: int
+    distinct: int
+    angles: int
+    overlap: float
+    states: tuple[str, ...]
+    efficiency: FloatArray
+    extinction_ratio: FloatArray
+    ideal_efficiency: FloatArray
+    condition_number: float
+    files: list[dict[str, Any]]
+    mask: dict[str, Any]
+
+    def to_json(self) -> dict[str, Any]:
+        """Contents of ``stokes.json``: all attributes but frame and image, the errors among them."""
+        figures = {name: value for name, value in vars(self).items() if name not in {"frame", "image", "errors"}}
+        return {**figures, **asdict(self.errors)}
+
+
+def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: float) -> StokesRun:
     """Write ``stokes.oas`` (or .gds) and ``stokes.json``, and photograph and decode the design's scene.
 
     Args:
@@ -33,15 +75,11 @@ def full_stokes(
         angles: angles of pillars in half a turn.
         size_step_nm: step of widths and lengths.
 
-    Returns:
-        The contents of ``stokes.json``, the frame and the decoded image.
-
     Raises:
         InputError: the design has no mask or scene, keys that turned pillars do not support, or no room for them.
     """
     from metafab import optics
     from metafab.camera.stokes import photograph
-    from metafab.core.polarisation import STATES
     from metafab.decode.stokes import decode_stokes, stokes_errors
     from metafab.layout.turned import assign_turned
     from metafab.mask.write import write_drawings
@@ -67,19 +105,21 @@ def full_stokes(
     psf = psf_of(lit_source(job, written), depths_m=depths_m)
     frame = photograph(design.scene, psf)
     image = decode_stokes(frame, psf)
-    figures = {
-        "pillars": mask_figures["pillars"],
-        "distinct": mask_figures["distinct_sizes"],
-        "angles": angles,
-        "overlap": assignment.overlap,
-        "states": STATES,
-        "efficiency": psf.efficiency,
-        "extinction_ratio": psf.extinction_ratio,
-        "ideal_efficiency": ideal.efficiency,
-        "condition_number": float(np.linalg.cond(psf.instrument)),
-        **asdict(stokes_errors(image, frame)),
-        "files": [{"name": path.name, "bytes": path.stat().st_size} for path in files.values()],
-        "mask": mask_figures,
-    }
-    write_json(job.folder / "stokes.json", figures)
-    return figures, frame, image
+    run = StokesRun(
+        frame=frame,
+        image=image,
+        errors=stokes_errors(image, frame),
+        pillars=mask_figures["pillars"],
+        distinct=mask_figures["distinct_sizes"],
+        angles=angles,
+        overlap=assignment.overlap,
+        states=STATES,
+        efficiency=psf.efficiency,
+        extinction_ratio=psf.extinction_ratio,
+        ideal_efficiency=ideal.efficiency,
+        condition_number=float(np.linalg.cond(psf.instrument)),
+        files=[{"name": path.name, "bytes": path.stat().st_size} for path in files.values()],
+        mask=mask_figures,
+    )
+    write_json(job.folder / "stokes.json", run.to_json())
+    return run

@@ -15,24 +15,23 @@ def stokes_command(
     design: DesignFile,
     output: Output = None,
     row_angle_deg: Annotated[
-        float | None, typer.Option(min=0.5, max=40.0, help="Between rows of images [default: the split's].")
+        float | None,
+        typer.Option(min=0.5, max=40.0, help="Angle between rows of images, degrees [default: the split angle]."),
     ] = None,
-    angles: Annotated[int, typer.Option(min=4, max=64, help="Angles of pillars in half a turn, a multiple of 4.")] = 16,
-    size_step_nm: Annotated[float, typer.Option(min=1.0, help="Step of the sizes that are tried.")] = 10.0,
+    angles: Annotated[int, typer.Option(min=4, max=64, help="Pillar angles in half a turn, a multiple of 4.")] = 16,
+    size_step_nm: Annotated[float, typer.Option(min=1.0, help="Step of pillar widths and lengths, nm.")] = 10.0,
     json_: Json = False,
 ) -> None:
-    """Full-Stokes sibling of a camera design: turned pillars, six images, Stokes vectors and depth."""
+    """Full-Stokes imaging with a camera design: turned pillars, six images, Stokes vectors and depth."""
     from metafab import report, steps
     from metafab.core.errors import InputError
     from metafab.core.parallel.measure import measured
 
     if angles % 4:
-        raise InputError.single(
-            "stokes", "angles", "a multiple of 4, so that the diagonals are among them", str(angles)
-        )
+        raise InputError.single("stokes", "--angles", "a multiple of 4, which holds both diagonals", str(angles))
     with progress_bars() as progress, measured() as cost:
         job = open_job(design, output, None, None, progress)
         row_deg = row_angle_deg or job.design.split_angle_deg
-        figures, frame, image = steps.full_stokes(job, row_angle_deg=row_deg, angles=angles, size_step_nm=size_step_nm)
-        file = report.stokes_figure(frame, image, job.folder / "stokes.png")
-    show({**figures, "seconds": cost.seconds, "file": file}, json_)
+        run = steps.full_stokes(job, row_angle_deg=row_deg, angles=angles, size_step_nm=size_step_nm)
+        file = report.stokes_figure(run.frame, run.image, job.folder / "stokes.png")
+    show({**run.to_json(), "seconds": cost.seconds, "file": file}, json_)
