@@ -1,11 +1,12 @@
-"""What this machine offers metafab: interpreters, libraries, Meep, KLayout, and a short self-test."""
+"""Examination of the machine: Python, libraries, Meep, MPI, KLayout, and a short self-test."""
 
 from __future__ import annotations
 
 import platform
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -13,17 +14,75 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from metafab import __version__
-from metafab.core.numeric.compiled import HAS_NUMBA
 from metafab.core.parallel.executor import default_workers
 from metafab.core.parallel.progress import Progress, silent
 from metafab.run import versions
 
 
-def examine(*, rehearse: bool = False, progress: Progress = silent) -> dict[str, Any]:
-    """Everything that ``metafab doctor`` shows; ``self_test`` holds one flag a check.
+@dataclass(frozen=True)
+class MeepFindings:
+    """Interpreters that were tried for Meep.
+
+    Attributes:
+        found: whether one of them imports Meep.
+        version: version of Meep.
+        python: path of the interpreter.
+        tried: all candidates.
+        finished_runs: folder in which finished simulations are kept.
+    """
+
+    found: bool
+    version: str | None
+    python: str | None
+    tried: Sequence[Any]
+    finished_runs: Path | None
+
+
+@dataclass(frozen=True)
+class KLayoutFindings:
+    """Forms in which KLayout is installed.
+
+    Attributes:
+        python: whether the Python package is installed.
+        program: path of the program; None without one.
+    """
+
+    python: bool
+    program: str | None
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Tools of the machine, as ``metafab doctor --json`` prints them.
+
+    Attributes:
+        metafab: version of metafab.
+        python: version of Python.
+        platform: operating system.
+        cores: cores that this process may use.
+        libraries: versions of the libraries.
+        meep: Meep.
+        mpi: first line of ``mpirun --version``; None without MPI.
+        klayout: KLayout.
+        self_test: whether each check passes, by name.
+    """
+
+    metafab: str
+    python: str
+    platform: str
+    cores: int
+    libraries: dict[str, str]
+    meep: MeepFindings
+    mpi: str | None
+    klayout: KLayoutFindings
+    self_test: dict[str, bool]
+
+
+def examine(*, rehearse: bool = False, progress: Progress = silent) -> Diagnosis:
+    """Examine the machine.
 
     Args:
-        rehearse: take a small lens through all steps as well, which compiles the kernels that a first run would.
+        rehearse: also run all steps on a small lens, which compiles the kernels that a first run would compile.
         progress: callback of the rehearsal.
     """
     from metafab.cell import meep
@@ -32,28 +91,27 @@ def examine(*, rehearse: bool = False, progress: Progress = silent) -> dict[str,
     tests = SELF_TESTS | ({"rehearsal": partial(_rehearsal_passes, progress)} if rehearse else {})
     candidates = meep.find()
     best = next((candidate for candidate in candidates if candidate.found), None)
-    return {
-        "metafab": __version__,
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "cores": default_workers(),
-        "libraries": versions(),
-        "meep": {
-            "found": best is not None,
-            "version": best.version if best else None,
-            "python": str(best.interpreter) if best else None,
-            "tried": candidates,
-            "finished_runs": own_folder(),
-        },
-        "mpi": _first_line("mpirun", "--version"),
-        "klayout": {"python": find_spec("klayout") is not None, "program": shutil.which("klayout")},
-        "compiled_kernels": HAS_NUMBA,
-        "self_test": {name: _passes(test) for name, test in tests.items()},
-    }
+    return Diagnosis(
+        metafab=__version__,
+        python=platform.python_version(),
+        platform=platform.platform(),
+        cores=default_workers(),
+        libraries=versions(),
+        meep=MeepFindings(
+            found=best is not None,
+            version=best.version if best else None,
+            python=str(best.interpreter) if best else None,
+            tried=candidates,
+            finished_runs=own_folder(),
+        ),
+        mpi=_first_line("mpirun", "--version"),
+        klayout=KLayoutFindings(find_spec("klayout") is not None, shutil.which("klayout")),
+        self_test={name: _passes(test) for name, test in tests.items()},
+    )
 
 
 def _film_matches_closed_form() -> bool:
-    """A closed film by RCWA against the Airy formula."""
+    """Compare a homogeneous film by RCWA with the Airy formula."""
     from metafab import cell
     from metafab.cell import fresnel
 
@@ -63,7 +121,7 @@ def _film_matches_closed_form() -> bool:
 
 
 def _hdf5_writes() -> bool:
-    """A small HDF5 file written and read."""
+    """Write and read a small HDF5 file."""
     from metafab.core.storage import hdf5
 
     with TemporaryDirectory() as folder:
@@ -75,7 +133,6 @@ def _hdf5_writes() -> bool:
 
 
 def _rehearsal_passes(progress: Progress) -> bool:
-    """A small lens from unit cell to depth map."""
     from metafab.rehearsal import rehearse
 
     return rehearse(progress).passed
@@ -90,7 +147,7 @@ SELF_TESTS: dict[str, Callable[[], bool]] = {
 def _passes(test: Callable[[], bool]) -> bool:
     try:
         return test()
-    except Exception:  # a broken installation can raise anything; the doctor reports it and goes on
+    except Exception:  # A broken installation can raise anything; the examination reports it and continues.
         return False
 
 

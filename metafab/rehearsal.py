@@ -1,14 +1,16 @@
-"""A small lens from unit cell to depth map: shows that a machine can do it, and compiles every kernel on the way."""
+"""Rehearsal: a run of a small lens from unit cell to depth map, which also compiles every kernel."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from metafab.core.parallel.progress import Progress, silent
+from metafab.core.parallel.work import Work
 
-#: The paper's cell, sampled as coarsely as a lens can be mapped from.
+#: The unit cell of the paper, sampled as coarsely as a lens allows.
 _UNIT_CELL = """
 [cell]
 period_nm = 350.0
@@ -27,17 +29,17 @@ length_nm = [100.0, 250.0]
 size_grid_nm = 10.0
 target_error = 0.05
 """
-#: Depths of the sample scene are off by less than this, as a mean over its objects: a tenth of their range.
-_PASSES = 0.03
+#: Largest mean relative depth error of a rehearsal that passes: a tenth of the scene's range of depths.
+_LARGEST_ERROR = 0.03
 
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """What came of it.
+    """Result of a rehearsal.
 
     Attributes:
-        nmae: mean |dz| / z of the decoded objects.
-        violations: of the written mask, all rules together.
+        nmae: mean |dz| / z over the decoded pixels.
+        violations: number of violations of all design rules.
     """
 
     nmae: float
@@ -45,12 +47,12 @@ class Rehearsal:
 
     @property
     def passed(self) -> bool:
-        """Whether the mask keeps its rules and the depths are those of the scene."""
-        return self.violations == 0 and self.nmae < _PASSES
+        """Whether the mask keeps the rules and the depths agree with the scene."""
+        return self.violations == 0 and self.nmae < _LARGEST_ERROR
 
 
 def rehearse(progress: Progress = silent) -> Rehearsal:
-    """Take the sample camera of ``metafab new`` through all steps, in a folder that is gone afterwards."""
+    """Run all steps for the sample camera of ``metafab new``, in a temporary folder."""
     from metafab.run import run
     from metafab.spec import load_design
     from metafab.spec.new import write_new
@@ -60,5 +62,6 @@ def rehearse(progress: Progress = silent) -> Rehearsal:
         unit_cell = folder / "cell.toml"
         unit_cell.write_text(_UNIT_CELL, encoding="utf-8")
         design, *_ = write_new("rehearsal", "camera", folder, library=unit_cell)
-        summary = run(load_design(design), folder / "run", progress=progress).summary
-    return Rehearsal(float(summary["decode"]["nmae"]), sum(summary["drc"]["violations"].values()))
+        summary = run(load_design(design), folder / "run", work=Work(progress=progress))
+    nmae = math.nan if summary.decode is None or summary.decode.nmae is None else summary.decode.nmae
+    return Rehearsal(nmae, summary.violations)

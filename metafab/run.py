@@ -1,8 +1,8 @@
-"""The pipeline: which steps are stale, run those, collect the summary.
+"""The pipeline: runs the steps that are not up to date, and collects their figures.
 
-A step is up to date when the fingerprint of everything that it depends on (its part of the design and the files
-named there, the files of the steps before it, the code of the rooms that it uses) is the one under which its own
-files were made, and those files are still as it left them. ``steps.json`` in the run folder keeps that record.
+A step is up to date when the fingerprint of all that it depends on is unchanged and its files are as it left them. The
+fingerprint covers its part of the design, the files named there, the files of earlier steps, and the code of the rooms
+that it uses. ``steps.json`` in the run folder holds these records.
 """
 
 from __future__ import annotations
@@ -10,203 +10,258 @@ from __future__ import annotations
 import json
 import platform
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from metafab import __version__
 from metafab.core.parallel.measure import measured
-from metafab.core.parallel.progress import Progress, silent
-from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, plain, whole_file, write_json
+from metafab.core.parallel.work import Work
+from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, whole_file, write_json
 from metafab.core.storage.provenance import code_sha256, contents_sha256
+from metafab.core.storage.tables import typed
 from metafab.spec import Design, canonical_toml
+from metafab.steps import RESULT_STEPS
 from metafab.steps.job import Job, Step
+from metafab.steps.merit import recorded_coupling
+from metafab.steps.preflight import PREFLIGHT
+from metafab.steps.summary import RunSummary, SkippedStep, error_budget
+from metafab.steps.tolerance import recorded_tolerance
 
 STEPS_FILE = "steps.json"
 _LIBRARIES = ("numpy", "scipy", "gdstk", "h5py", "shapely", "matplotlib", "pydantic", "numba", "klayout")
 
 
-@dataclass
+@dataclass(frozen=True)
+class ReportFigures:
+    """Outcome of the report step.
+
+    Attributes:
+        file: name of the page.
+    """
+
+    file: str
+
+
+def _report(job: Job) -> ReportFigures:
+    from metafab import report  # Imports matplotlib, so only when a page is drawn.
+
+    return ReportFigures(report.write(job.folder, progress=job.work.progress, workers=job.work.workers).name)
+
+
+REPORT = Step(
+    name="report",
+    rooms=("report",),
+    after=tuple(step.name for step in RESULT_STEPS),
+    inputs=lambda design: design.name,
+    outputs=lambda job: (job.folder / "report.html", *sorted((job.folder / "figures").glob("*.png"))),
+    work=_report,
+    figures=ReportFigures,
+    reads=("coupling.json", "patch.h5", "tolerance.json"),
+    shows_summary=True,
+)
+
+#: All steps of a run, in their order.
+STEPS = (*RESULT_STEPS, REPORT)
+
+
+@dataclass(frozen=True)
+class FileMark:
+    """State of a file when its step had written it.
+
+    Attributes:
+        bytes: size.
+        mtime_ns: time of the last change.
+        sha256: hash of the content.
+    """
+
+    bytes: int
+    mtime_ns: int
+    sha256: str
+
+    @classmethod
+    def of(cls, path: Path) -> FileMark:
+        """State of a file now."""
+        status = path.stat()
+        return cls(status.st_size, status.st_mtime_ns, file_sha256(path))
+
+    def holds(self, path: Path) -> bool:
+        """Whether the file is unchanged: equal size, and equal time or content."""
+        if not path.is_file() or path.stat().st_size != self.bytes:
+            return False
+        return path.stat().st_mtime_ns == self.mtime_ns or file_sha256(path) == self.sha256
+
+
+@dataclass(frozen=True)
 class Record:
-    """What ``steps.json`` remembers of a step; file names are relative to the run folder where they lie in it."""
+    """One step's entry in ``steps.json``.
+
+    Attributes:
+        inputs_sha256: fingerprint of all that the step depends on.
+        outputs: state of each file, by its path relative to the run folder, or absolute outside of it.
+        summary: figures of the step; None where an older version wrote them in another form.
+        seconds: time of the step.
+        peak_rss_mb: peak memory of the step.
+    """
 
     inputs_sha256: str
-    outputs: dict[str, dict[str, Any]]
-    summary: dict[str, Any]
+    outputs: dict[str, FileMark]
+    summary: Any
     seconds: float
     peak_rss_mb: float
 
-    def stands(self, folder: Path) -> bool:
-        """Whether every file is as the step left it: same size and time, or else the same bytes."""
-        for name, mark in self.outputs.items():
-            path = folder / name
-            if not path.is_file() or path.stat().st_size != mark["bytes"]:
-                return False
-            if path.stat().st_mtime_ns != mark["mtime_ns"] and file_sha256(path) != mark["sha256"]:
-                return False
-        return True
-
-
-@dataclass
-class Outcome:
-    """What a run did.
-
-    Attributes:
-        summary: content of ``summary.json``.
-        violations: design rules broken, over all rules.
-    """
-
-    summary: dict[str, Any] = field(default_factory=dict)
-    violations: int = 0
+    def files_unchanged(self, folder: Path) -> bool:
+        """Whether every file is as the step left it."""
+        return all(mark.holds(folder / name) for name, mark in self.outputs.items())
 
 
 def run(
     design: Design,
     folder: Path,
     *,
-    workers: int | None = None,
-    cluster: str | None = None,
-    progress: Progress = silent,
+    steps: Sequence[Step] = STEPS,
+    check: Step = PREFLIGHT,
+    work: Work = Work(),
     say: Callable[[Sequence[str]], None] = lambda sentences: None,
-) -> Outcome:
-    """Run every step of the main job that is not up to date.
+) -> RunSummary:
+    """Run every step that is not up to date.
 
     Args:
         design: a validated design.
-        folder: run folder; files of earlier runs in it are used again where they still hold.
-        workers: processes; None for all cores.
-        cluster: address of a Dask scheduler.
-        progress: callback of long work.
-        say: told what is worth knowing before the work begins.
+        folder: run folder; files of earlier runs in it are used again as long as they are up to date.
+        steps: the steps, in their order.
+        check: step that checks the design before the folder is made.
+        work: workers, cluster and progress.
+        say: called with announcements before the work begins.
 
     Returns:
-        The summary; it is also written to ``folder/summary.json`` and shown by ``folder/report.html``.
+        The summary, as in ``folder/summary.json``.
     """
-    from metafab.steps import PREFLIGHT, REPORT, STEPS, error_budget, recorded_coupling, recorded_tolerance
-
-    job = Job(design, folder, workers, cluster, progress)
-    state = _State(job, _read_records(folder))
-    if not state.stands(PREFLIGHT):
-        say(PREFLIGHT.work(job)["announcements"])
+    job = Job(design, folder, work)
+    state = _State(job, _read_records(folder, (check, *steps)))
+    if not state.is_current(check):
+        figures = check.work(job)
+        say(figures.announcements)
+        state.records[check.name] = Record(state.fingerprint(check), {}, figures, 0.0, 0.0)
     folder.mkdir(parents=True, exist_ok=True)
     for place in (folder, folder / "figures"):
         clear_parts(place)
     with whole_file(folder / "design.toml") as part:
         part.write_text(canonical_toml(design), encoding="utf-8")
 
-    state.remember_passed(PREFLIGHT)
-    for step in STEPS:
+    for step in steps:
+        # The page shows the summary, which is written before the page and again with the cost of the page.
+        if step.shows_summary and not state.is_current(step):
+            state.summary().save(folder / "summary.json")
         state.bring_up_to_date(step)
     summary = state.summary()
-    if coupling := recorded_coupling(job):
-        summary["coupling"] = coupling
-    if tolerance := recorded_tolerance(job):
-        summary["tolerance"] = tolerance
-    summary["error_budget"] = plain(error_budget(summary))
-    # The page shows the summary, so it is written before the page is made and again with what the page cost.
-    if not state.stands(REPORT):
-        write_json(folder / "summary.json", summary)
-    state.bring_up_to_date(REPORT)
-    summary |= state.costs()
-    write_json(folder / "summary.json", summary)
-    return Outcome(summary, sum(summary["drc"].get("violations", {}).values()))
+    summary.save(folder / "summary.json")
+    return summary
 
 
 @dataclass
 class _State:
-    """The records of a folder, and what this run has done so far."""
+    """Records of earlier runs, and the progress of this one."""
 
     job: Job
     records: dict[str, Record]
     used: dict[str, Record] = field(default_factory=dict)
-    skipped: list[dict[str, str]] = field(default_factory=list)
+    skipped: list[SkippedStep] = field(default_factory=list)
 
     def bring_up_to_date(self, step: Step) -> None:
-        """Do a step unless it stands or has no point; its record is on disk before the next one begins."""
-        if why := step.pointless(self.job.design):
+        """Run a step unless it is up to date or not needed; save its record before the next step begins."""
+        if why := step.not_needed(self.job.design):
             self.forget(step)
-            self.skipped.append({"step": step.name, "why": why})
+            self.skipped.append(SkippedStep(step.name, why))
             return
-        if self.stands(step):
-            self.skipped.append({"step": step.name, "why": "its inputs and its files are unchanged"})
+        if self.is_current(step):
+            self.skipped.append(SkippedStep(step.name, "its inputs and its files are unchanged"))
         else:
             with measured() as cost:
-                result = step.work(self.job)
-            marks = _marks(step.outputs(self.job), self.job.folder)
-            self.records[step.name] = Record(
-                self.fingerprint(step), marks, plain(result), cost.seconds, cost.peak_rss_mb
-            )
-            write_json(self.job.folder / STEPS_FILE, self.records)
+                figures = step.work(self.job)
+            folder = self.job.folder
+            marks = {
+                str(path.relative_to(folder) if path.is_relative_to(folder) else path.resolve()): FileMark.of(path)
+                for path in step.outputs(self.job)
+            }
+            self.records[step.name] = Record(self.fingerprint(step), marks, figures, cost.seconds, cost.peak_rss_mb)
+            self.save_records()
         self.used[step.name] = self.records[step.name]
 
-    def remember_passed(self, step: Step) -> None:
-        """Note that a step without files has been done, so that it need not be done again for the same inputs."""
-        self.records[step.name] = Record(self.fingerprint(step), {}, {}, 0.0, 0.0)
-
     def forget(self, step: Step) -> None:
-        """Remove what an earlier variant of the design left of a step: the page would show it."""
+        """Remove the files and the record of a step that the design no longer needs."""
         record = self.records.pop(step.name, None)
         if record is not None:
             for name in record.outputs:
                 (self.job.folder / name).unlink(missing_ok=True)
-            write_json(self.job.folder / STEPS_FILE, self.records)
+            self.save_records()
 
-    def stands(self, step: Step) -> bool:
-        """Whether an earlier run's record of the step still holds."""
+    def save_records(self) -> None:
+        """Write ``steps.json``."""
+        write_json(self.job.folder / STEPS_FILE, self.records)
+
+    def is_current(self, step: Step) -> bool:
+        """Whether the record of a step is up to date."""
         record = self.records.get(step.name)
-        return record is not None and record.inputs_sha256 == self.fingerprint(step) and record.stands(self.job.folder)
+        if record is None or record.summary is None or record.inputs_sha256 != self.fingerprint(step):
+            return False
+        return record.files_unchanged(self.job.folder)
 
     def fingerprint(self, step: Step) -> str:
-        """Of all that the step depends on; the files of earlier steps count by content."""
+        """Hash of all that a step depends on; the files of earlier steps count by content."""
         inputs = step.inputs(self.job.design)
         earlier = [self.used[name] for name in step.after if name in self.used]
-        before = [[mark["sha256"] for mark in record.outputs.values()] for record in earlier]
+        before = [[mark.sha256 for mark in record.outputs.values()] for record in earlier]
         left = [file_sha256(path) for name in step.reads if (path := self.job.folder / name).is_file()]
         return fingerprint(inputs, contents_sha256(inputs), before, left, code_sha256(step.rooms))
 
-    def costs(self) -> dict[str, Any]:
-        """What each step cost when it was done, and which this run skipped."""
-        return {
-            "seconds": {name: record.seconds for name, record in self.used.items()},
-            "peak_rss_mb": {name: record.peak_rss_mb for name, record in self.used.items()},
-            "skipped": self.skipped,
-        }
-
-    def summary(self) -> dict[str, Any]:
-        """Every step's part, {} for those without a point."""
-        from metafab.steps import STEPS
-
-        parts = {step.name: self.used[step.name].summary if step.name in self.used else {} for step in STEPS}
-        return {"name": self.job.design.name, **parts, **self.costs(), "versions": versions()}
+    def summary(self) -> RunSummary:
+        """Summary of the steps so far."""
+        names = {item.name for item in fields(RunSummary)}
+        summary = RunSummary(
+            name=self.job.design.name,
+            **{name: record.summary for name, record in self.used.items() if name in names},
+            seconds={name: record.seconds for name, record in self.used.items()},
+            peak_rss_mb={name: record.peak_rss_mb for name, record in self.used.items()},
+            skipped=tuple(self.skipped),
+            versions=versions(),
+            coupling=recorded_coupling(self.job),
+        )
+        tolerance = recorded_tolerance(self.job) or summary.tolerance
+        return replace(summary, tolerance=tolerance, error_budget=error_budget(summary))
 
 
 def versions() -> dict[str, str]:
-    """Versions of metafab, Python and the libraries that results depend on."""
-    found = {"metafab": __version__, "python": platform.python_version()}
+    """Versions of metafab, Python and the libraries that affect results."""
+    installed = {"metafab": __version__, "python": platform.python_version()}
     for name in _LIBRARIES:
         try:
-            found[name] = version(name)
+            installed[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return installed
 
 
-def _marks(paths: tuple[Path, ...], folder: Path) -> dict[str, dict[str, Any]]:
-    return {
-        str(path.relative_to(folder) if path.is_relative_to(folder) else path.resolve()): {
-            "bytes": path.stat().st_size,
-            "mtime_ns": path.stat().st_mtime_ns,
-            "sha256": file_sha256(path),
-        }
-        for path in paths
-    }
-
-
-def _read_records(folder: Path) -> dict[str, Record]:
-    """The record of earlier runs; none where it is missing or not ours."""
+def _read_records(folder: Path, steps: Sequence[Step]) -> dict[str, Record]:
+    """Read the records of earlier runs; a record that is missing or damaged is left out."""
     try:
-        table = json.loads((folder / STEPS_FILE).read_text(encoding="utf-8"))
-        return {name: Record(**entry) for name, entry in table.items()}
-    except (OSError, ValueError, TypeError, AttributeError):
+        tables = json.loads((folder / STEPS_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
         return {}
+    records = {}
+    for step in steps:
+        try:
+            record = typed(Record, tables[step.name])
+        except (KeyError, ValueError, TypeError, AttributeError):
+            continue
+        records[step.name] = replace(record, summary=_figures(step, record.summary))
+    return records
+
+
+def _figures(step: Step, table: Any) -> Any:
+    """Figures of a step, None if the table has another form."""
+    try:
+        return typed(step.figures, table)
+    except (ValueError, TypeError, AttributeError):
+        return None

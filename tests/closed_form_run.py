@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +13,12 @@ from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.library import Library
 from metafab.optics.point_spread import Psf, PsfField
 from metafab.report.run_folder import AperturePhases, RunFolder
+from metafab.steps.images import DecodeFigures
+from metafab.steps.layout import DrcFigures, FileFigures, LayoutFigures
+from metafab.steps.library import LibraryFigures
+from metafab.steps.optics import PsfFigures
+from metafab.steps.phase import PhaseFigures
+from metafab.steps.summary import RunSummary, SkippedStep, error_budget
 
 DEPTHS_M = np.linspace(0.25, 0.35, 9)
 SHAPE = (48, 64)
@@ -87,29 +93,57 @@ def pillar_map() -> PillarMap:
     return PillarMap.from_array(lattice, sizes, index, 40)
 
 
-SUMMARY: dict[str, Any] = {
-    "name": "closed_form",
-    "library": {"file": "lib.h5", "points_solved": 120, "points_total": 5776, "max_error": 1.7e-3, "coverage_rad": 6.2},
-    "phase": {"peak_gain": 1.36, "rotation_deg": -160.0},
-    "layout": {
-        "pillars": 7213,
-        "distinct_sizes": 2,
-        "min_gap_nm": 100.0,
-        "phase_rms_error_rad": 0.08,
-        "files": [{"name": "layout.gds", "bytes": 461632}, {"name": "layout.oas", "bytes": 9001}],
-    },
-    "drc": {"pillars": 7213, "violations": {"min_gap": 0, "min_feature": 3}, "engine": "lattice"},
-    "decode": {"nmae": 2.1e-3, "seconds": 0.12},
-    "error_budget": [
-        {"source": "solver and library", "value": 1.7e-3, "unit": "complex t", "how": "held-out sizes"},
-        {"source": "local-period approximation", "value": None, "unit": "complex t", "how": "not by this run"},
-        {"source": "decoder", "value": 2.1e-3, "unit": "mean |dz|/z", "how": "decoded against <true> depth"},
-    ],
-    "seconds": {"library": 3.1, "layout": 0.5, "psf": 0.8},
-    "peak_rss_mb": {"library": 210.0, "layout": 180.0, "psf": 260.0},
-    "skipped": [{"step": "library", "why": "its inputs and its files are unchanged"}],
-    "versions": {"metafab": "0.1.0", "numpy": "2.3"},
-}
+def run_summary() -> RunSummary:
+    """Summary of the run, with one broken rule and one error that was not measured."""
+    psf, ideal = turning_psf(0.6), turning_psf(0.9)
+    layout = LayoutFigures(
+        pillars=7213,
+        distinct_sizes=2,
+        min_gap_nm=100.0,
+        phase_rms_error_rad=0.08,
+        mean_transmittance=0.9,
+        mean_transmittance_x=0.9,
+        mean_transmittance_y=0.9,
+        field_overlap=0.99,
+        field_overlap_x=0.99,
+        field_overlap_y=0.99,
+        efficiency=0.89,
+        efficiency_x=0.89,
+        efficiency_y=0.89,
+        offsets_rad=(0.0, 0.0),
+        files=(FileFigures("layout.gds", 461632), FileFigures("layout.oas", 9001)),
+    )
+    library = LibraryFigures(
+        file="lib.h5",
+        coverage_rad=6.2,
+        torus_coverage=0.95,
+        worst_hole_rad=0.33,
+        worst_hole_phase_x_rad=-0.1,
+        worst_hole_phase_y_rad=-1.1,
+        phase_rms_error_rad=0.1,
+        phase_max_error_rad=0.6,
+        mean_transmittance=0.9,
+        mean_overlap=0.94,
+        cd_phase_rms_rad=0.49,
+        index_phase_error_rad=0.03,
+        points_solved=120,
+        points_total=5776,
+        max_error=1.7e-3,
+    )
+    summary = RunSummary(
+        name="closed_form",
+        library=library,
+        phase=PhaseFigures(peak_gain=1.36, rotation_deg=-160.0),
+        layout=layout,
+        drc=DrcFigures(7213, {"min_gap": 0, "min_feature": 3}, 100.0, "lattice", ("layout.gds", "layout.oas")),
+        psf=PsfFigures.compared(psf, ideal, verified=np.ones(psf.depth_m.size, dtype=bool)),
+        decode=replace(DecodeFigures.of(decoded_image()), seconds=0.12),
+        seconds={"library": 3.1, "layout": 0.5, "psf": 0.8},
+        peak_rss_mb={"library": 210.0, "layout": 180.0, "psf": 260.0},
+        skipped=(SkippedStep("library", "its <inputs> and its files are unchanged"),),
+        versions={"metafab": "0.1.0", "numpy": "2.3"},
+    )
+    return replace(summary, error_budget=error_budget(summary))
 
 
 def closed_form_run(folder: Path, library: Library) -> RunFolder:
@@ -118,7 +152,7 @@ def closed_form_run(folder: Path, library: Library) -> RunFolder:
     phase = np.stack([angle[:, None] + angle[None, :], angle[:, None] - angle[None, :]])
     return RunFolder(
         path=folder,
-        summary=SUMMARY,
+        summary=run_summary().table(),
         design_table={
             "name": "closed_form",
             "device": {"aperture_um": 35.0, "aperture_shape": "circle", "focal_length_mm": 20.0},

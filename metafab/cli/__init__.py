@@ -1,23 +1,22 @@
-"""The command line: one thin function a step, and the only place that draws bars and exits.
+"""The command line: one thin function for each command.
 
-Exit codes: 0 done; 1 failed; 2 bad input or rules violated. With ``--json``, stdout holds one JSON object and
-nothing else; progress goes to stderr, and only on a terminal.
+Exit codes: 0 done; 1 failed; 2 bad input or violated rules. With ``--json``, stdout holds one JSON object and nothing
+else. Progress bars go to stderr, and only on a terminal.
 
-- ``entry``      the entry point: errors and interrupts become a message and an exit code
-- ``app``        the program, and the options that several commands take
-- ``arguments``  what the shell hands over, made into what the options take
+- ``entry``      entry point: errors and interrupts become a message and an exit code
+- ``app``        the program, and the options shared by several commands
 - ``console``    bars, tables, JSON
-- ``headlines``  a run in a dozen lines
+- ``commands``   the commands:
 
-and the commands, by what they make:
-
-- ``whole``      ``new``, ``run``
-- ``cell``       ``cell``, ``library build``, ``library check``, ``library show``
-- ``mask``       ``layout``, ``drc``
-- ``fullwave``   ``coupling``, ``patch``
-- ``light``      ``psf``, ``tolerance``, ``capture``, ``film``, ``decode``, ``calibrate``
-- ``stokes``     ``stokes``
-- ``showing``    ``report``, ``benchmark``, ``doctor``
+  - ``run``       ``new``, ``run``
+  - ``cell``      ``cell``, ``library build``, ``library check``, ``library show``
+  - ``mask``      ``layout``, ``drc``
+  - ``fullwave``  ``coupling``, ``patch``
+  - ``light``     ``psf``, ``tolerance``
+  - ``images``    ``capture``, ``film``, ``decode``, ``calibrate``
+  - ``stokes``    ``stokes``
+  - ``study``     ``propose``, ``compare``
+  - ``service``   ``report``, ``benchmark``, ``doctor``
 """
 
 from metafab.cli.app import app

@@ -1,4 +1,4 @@
-"""The program itself, and the options that several commands take."""
+"""The program, and the options shared by several commands."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ from typer.models import CommandFunctionType
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
-    from metafab.core.parallel.progress import Progress
-    from metafab.spec import Design
+    from metafab.core.parallel.work import Work
     from metafab.steps.job import Job
 
 HELP = {"help_option_names": ["-h", "--help"]}
 
 
 class _Command(TyperCommand):
-    """A command that never writes its result over a file that it reads."""
+    """A command that refuses to write its result over one of its input files."""
 
     def invoke(self, ctx: Any) -> Any:
         output = ctx.params.get("output")
@@ -57,27 +56,28 @@ DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN.toml", h
 UnitCellFile = Annotated[Path, typer.Argument(metavar="UNITCELL.toml", help="Unit-cell file.")]
 LayoutFile = Annotated[Path, typer.Argument(metavar="LAYOUT", help="Written mask, .gds or .oas.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
-Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="PATH", help="Where the result goes.")]
+Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="PATH", help="Path of the result.")]
 Workers = Annotated[
-    int | None, typer.Option("--workers", min=1, max=4096, metavar="N", help="Processes [default: the cores].")
+    int | None,
+    typer.Option("--workers", min=1, max=4096, metavar="N", help="Processes [default: the cores]."),
 ]
-Cluster = Annotated[str | None, typer.Option("--cluster", metavar="ADDRESS", help="Dask scheduler to use instead.")]
+Cluster = Annotated[str | None, typer.Option("--cluster", metavar="ADDRESS", help="Dask scheduler to use.")]
 Copy = Annotated[
-    int, typer.Option("--copy", min=1, max=1_000_000, metavar="N", help="Which lens of mask.copies, from 1.")
+    int, typer.Option("--copy", min=1, max=1_000_000, metavar="N", help="Lens of mask.copies, counted from 1.")
 ]
 TargetError = Annotated[
     float | None,
-    typer.Option("--target-error", metavar="E", help="Largest error wanted.", min=1e-12, max=0.999),
+    typer.Option("--target-error", metavar="E", help="Target error.", min=1e-12, max=0.999),
 ]
 
 
-def open_job(design: Path, folder: Path | None, workers: int | None, cluster: str | None, progress: Progress) -> Job:
-    """The job of a design file, in ``folder`` or in ``runs/NAME``."""
+def open_job(design: Path, folder: Path | None, work: Work) -> Job:
+    """Open the job of a design file, in ``folder`` or in ``runs/NAME``."""
     from metafab.spec import load_design
     from metafab.steps.job import Job
 
-    spec: Design = load_design(design)
-    return Job(spec, folder or Path("runs") / spec.name, workers, cluster, progress)
+    spec = load_design(design)
+    return Job(spec, folder or Path("runs") / spec.name, work)
 
 
 def require_positive(option: str, *values: float) -> None:

@@ -1,4 +1,4 @@
-"""What a command shows: bars and messages on stderr, its result on stdout."""
+"""Output of the commands: bars and messages on stderr, the result on stdout."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ import typer
 
 if TYPE_CHECKING:
     from metafab.core.parallel.progress import Progress
+    from metafab.core.parallel.work import Work
 
 
 @contextmanager
 def progress_bars() -> Iterator[Progress]:
-    """Bars with a time estimate on a terminal's stderr; silence elsewhere."""
+    """Show progress bars with a time estimate on stderr if it is a terminal."""
     from metafab.core.parallel.progress import silent
 
     if not sys.stderr.isatty():
@@ -38,11 +39,26 @@ def progress_bars() -> Iterator[Progress]:
         yield advance
 
 
-def show(result: Any, as_json: bool) -> None:
-    """Print a result as text, or as one JSON object."""
+@contextmanager
+def open_work(workers: int | None = None, cluster: str | None = None) -> Iterator[Work]:
+    """Open the resources of a command, with progress bars."""
+    from metafab.core.parallel.work import Work
+
+    with progress_bars() as progress:
+        yield Work(workers, cluster, progress)
+
+
+def show(result: Any, as_json: bool, **further: Any) -> None:
+    """Print a result as text or as one JSON object.
+
+    Args:
+        result: a dataclass, or a table by name.
+        as_json: whether to print JSON.
+        further: figures of the command itself, such as its time and its output file.
+    """
     from metafab.core.storage.files import plain
 
-    table = plain(result)
+    table = plain(result) | plain(further)
     if as_json:
         print(json.dumps(table, ensure_ascii=False))
         return
@@ -51,13 +67,13 @@ def show(result: Any, as_json: bool) -> None:
 
 
 def announce(sentences: Iterable[str]) -> None:
-    """Say on stderr what is worth knowing before the work begins."""
+    """Print announcements on stderr."""
     for sentence in sentences:
         print(f"metafab: {sentence}", file=sys.stderr)
 
 
-def short_of_a_turn(coverage_rad: float) -> list[str]:
-    """What to say of a library whose sizes reach much less than a turn of phase: nothing if they do not."""
+def coverage_warning(coverage_rad: float) -> list[str]:
+    """Return a warning if the sizes of a library cover much less than one turn of phase."""
     if coverage_rad >= 0.6 * 2.0 * math.pi:
         return []
     text = f"the library reaches {coverage_rad:.3g} rad of phase, far less than a turn (6.28 rad)"
@@ -65,14 +81,14 @@ def short_of_a_turn(coverage_rad: float) -> list[str]:
 
 
 def exit_on_violations(count: int) -> None:
-    """Exit with 2 if there are any."""
+    """Exit with code 2 if design rules are violated."""
     if count:
         print(f"metafab: design rules violated at {count} places", file=sys.stderr)
         raise typer.Exit(2)
 
 
 def _lines(value: Any, indent: int = 0) -> Iterator[str]:
-    """A nested table as readable text."""
+    """Lines of text of a nested table."""
     pad = "  " * indent
     for key, item in value.items():
         if isinstance(item, dict) and item:

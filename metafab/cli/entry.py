@@ -1,39 +1,40 @@
-"""The entry point: errors and interrupts become one clear message and an exit code."""
+"""Entry point of the command line: errors and interrupts become one clear message and an exit code."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections import deque
 
 from metafab.cli.app import app
-from metafab.cli.arguments import spread_depths
-from metafab.core.errors import MetafabError
+from metafab.core.errors import InputError, MetafabError
 from metafab.core.parallel.interrupts import InterruptedRunError, raised_interrupts
 
-# Each adds its commands, in the order that --help shows.
+# Each import registers its commands, in the order of --help.
 # isort: off
-from metafab.cli.commands import whole  # noqa: F401
-from metafab.cli.commands import propose  # noqa: F401
+from metafab.cli.commands import run  # noqa: F401
+from metafab.cli.commands import study  # noqa: F401
 from metafab.cli.commands import cell  # noqa: F401
 from metafab.cli.commands import mask  # noqa: F401
 from metafab.cli.commands import fullwave  # noqa: F401
 from metafab.cli.commands import light  # noqa: F401
+from metafab.cli.commands import images  # noqa: F401
 from metafab.cli.commands import stokes  # noqa: F401
-from metafab.cli.commands import compare  # noqa: F401
-from metafab.cli.commands import showing  # noqa: F401
+from metafab.cli.commands import service  # noqa: F401
 
 # isort: on
 
-#: How many threads a library of linear algebra starts.
+#: Variables that set the number of threads of the linear-algebra libraries.
 _ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_DEPTHS = "--depths-m"
 
 
 def main() -> None:
-    """Run the command line and translate errors into one clear message and an exit code."""
+    """Run the command line; turn errors into one clear message and an exit code."""
     for name in _ALGEBRA_THREADS:
-        # Our matrices are small and our processes many: a second thread waits in a loop for more than it computes.
+        # The matrices are small and the processes many: further threads would only wait for each other.
         os.environ.setdefault(name, "1")
-    # Threads of compiled loops that wait in a loop of their own take the cores from the work beside them.
+    # Threads that wait actively would take the cores from other processes.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         with raised_interrupts():
@@ -47,3 +48,36 @@ def main() -> None:
     except (OSError, MemoryError) as error:
         print(f"metafab: {type(error).__name__}: {error}", file=sys.stderr)
         sys.exit(1)
+
+
+def spread_depths(arguments: list[str]) -> list[str]:
+    """Turn ``--depths-m 0.25 0.3`` and ``--depths-m 0.25,0.3`` into one option for each depth.
+
+    Raises:
+        InputError: no number follows ``--depths-m``.
+    """
+    spread: list[str] = []
+    rest = deque(arguments)
+    while rest:
+        argument = rest.popleft()
+        name, equals, value = argument.partition("=")
+        if name != _DEPTHS:
+            spread.append(argument)
+            continue
+        if equals:
+            rest.appendleft(value)
+        if not (rest and _are_numbers(rest[0])):
+            raise InputError.single(_DEPTHS, "depths.m", "one or more depths", repr(rest[0]) if rest else "nothing")
+        while rest and _are_numbers(rest[0]):
+            # With "=", a minus sign does not begin an option.
+            spread += [f"{_DEPTHS}={number}" for number in rest.popleft().split(",")]
+    return spread
+
+
+def _are_numbers(text: str) -> bool:
+    try:
+        for number in text.split(","):
+            float(number)
+    except ValueError:
+        return False
+    return True

@@ -1,84 +1,44 @@
-"""The steps of the main job, each a few lines: files in, files out, and its part of the summary.
+"""Steps of the pipeline, in their order: each reads and writes files of the run folder and returns its figures.
 
-- ``library``    phase library: built or opened
-- ``phase``      target phases, and their study
-- ``layout``     pillars and mask files
-- ``drc``        design rules of the written files
-- ``optics``     PSF pairs of the written file and of the target phases
-- ``merit``      figures of merit, loss chain, space variance
-- ``tolerance``  corners of fabrication, where the design asks for them
-- ``camera``     raw frame of the scene
-- ``film``       a moving scene, frame by frame
-- ``stokes``     a design's full-Stokes sibling
-- ``decode``     4D image, and the calibration of a camera
-- ``report``     figures and page
-- ``outputs``    what several steps say of their files
-- ``preflight``  faults that the design alone shows
-- ``budget``     the error budget
+- ``job``        Job and Step
+- ``preflight``  checks of the design alone
+- ``library``    phase library: built or loaded
+- ``phase``      target phases and their study
+- ``layout``     pillars, mask files and their design-rule check
+- ``optics``     PSF pairs of the written mask and of the target phases
+- ``merit``      figures of merit, loss chain, aberrations over the field
+- ``tolerance``  effect of fabrication errors
+- ``images``     raw frames, 4D images, films, camera calibration
+- ``stokes``     full-Stokes camera of a design
+- ``summary``    figures of all steps, error budget, ``summary.json``
 
-The verification steps (``drc``, ``psf``) open the written mask; they never see the arrays of the design step.
-A step imports its room when it works: a run that has nothing to do starts none of them.
+The steps ``drc``, ``psf`` and ``merit`` read the written mask, never the arrays of the layout step. A step imports the
+rooms it uses when it runs, so that a run without stale steps imports none of them.
 """
 
-from metafab.steps.budget import error_budget, recorded_coupling
-from metafab.steps.camera import CAPTURE, expose, expose_film
-from metafab.steps.decode import DECODE, calibrate, restore
-from metafab.steps.drc import DRC
-from metafab.steps.film import decoded_film, film_figures
-from metafab.steps.layout import LAYOUT, mask_paths, write_layout
-from metafab.steps.library import LIBRARY, library_path, library_stands, open_library
+from metafab.steps.images import CAPTURE, DECODE
+from metafab.steps.job import Job, Step
+from metafab.steps.layout import DRC, LAYOUT, write_layout
+from metafab.steps.library import LIBRARY, open_library
 from metafab.steps.merit import MERIT
-from metafab.steps.optics import (
-    PSF,
-    calibration,
-    calibration_depths,
-    exact_pair,
-    ideal_source,
-    mask_source,
-    point_spread,
-    power_figures,
-    psf_figures,
-    save_psf,
-)
+from metafab.steps.optics import PSF, calibration, mask_source, point_spread
 from metafab.steps.phase import PHASE, STUDY
-from metafab.steps.preflight import PREFLIGHT, preflight
-from metafab.steps.report import report_step
-from metafab.steps.stokes import full_stokes
-from metafab.steps.tolerance import TOLERANCE, recorded_tolerance, tolerances
+from metafab.steps.preflight import preflight
+from metafab.steps.summary import RunSummary
+from metafab.steps.tolerance import TOLERANCE
 
-#: In the order in which they run.
-STEPS = (LIBRARY, PHASE, STUDY, LAYOUT, DRC, PSF, MERIT, TOLERANCE, CAPTURE, DECODE)
-#: Shows the files of all other steps.
-REPORT = report_step(tuple(step.name for step in STEPS))
+#: All steps that make results, in the order in which they run.
+RESULT_STEPS = (LIBRARY, PHASE, STUDY, LAYOUT, DRC, PSF, MERIT, TOLERANCE, CAPTURE, DECODE)
 
 __all__ = [
-    "PREFLIGHT",
-    "REPORT",
-    "STEPS",
-    "calibrate",
+    "RESULT_STEPS",
+    "Job",
+    "RunSummary",
+    "Step",
     "calibration",
-    "calibration_depths",
-    "decoded_film",
-    "error_budget",
-    "exact_pair",
-    "expose",
-    "expose_film",
-    "film_figures",
-    "full_stokes",
-    "ideal_source",
-    "library_path",
-    "library_stands",
-    "mask_paths",
     "mask_source",
     "open_library",
     "point_spread",
-    "power_figures",
     "preflight",
-    "psf_figures",
-    "recorded_coupling",
-    "recorded_tolerance",
-    "restore",
-    "save_psf",
-    "tolerances",
     "write_layout",
 ]

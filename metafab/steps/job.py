@@ -1,4 +1,4 @@
-"""The pipeline's two types: the job of a run, and one step of it."""
+"""The two types of the pipeline: the job of a run, and one step of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from metafab.core.parallel.progress import Progress, silent
+from metafab.core.parallel.work import Work
 from metafab.spec import Design
 
 if TYPE_CHECKING:
@@ -17,28 +17,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """What a run works on: the design, its folder, and how the work is spread.
+    """Design and folder of a run, with the resources for its work.
 
     Attributes:
         design: the validated design.
         folder: run folder, created when needed.
-        workers: processes; None for all cores.
-        cluster: address of a Dask scheduler, or None.
-        progress: callback of long work.
+        work: workers, cluster and progress.
     """
 
     design: Design
     folder: Path
-    workers: int | None = None
-    cluster: str | None = None
-    progress: Progress = silent
+    work: Work = Work()
 
     @cached_property
     def profile(self) -> PhaseProfile:
-        """The design's target phases, optimised once for all steps that need them."""
+        """Target phases of the design, optimised once for all steps that need them."""
         from metafab.phase import profile_of
 
-        return profile_of(self.design, progress=self.progress)
+        return profile_of(self.design, progress=self.work.progress)
 
 
 @dataclass(frozen=True)
@@ -46,14 +42,16 @@ class Step:
     """One step of the pipeline.
 
     Attributes:
-        name: key in the summary.
-        rooms: packages whose code decides the result.
-        after: steps whose results it uses.
-        inputs: the parts of the design that it depends on.
-        outputs: the files that it writes, or has written.
-        work: does it, and returns the step's part of the summary.
-        pointless: why a design has no use for the step; None if it has.
-        reads: files that other commands may have left in the run folder, and that it uses.
+        name: name of the step, and of its figures in :class:`metafab.steps.summary.RunSummary`.
+        rooms: packages whose code determines the result.
+        after: names of the earlier steps whose files it uses.
+        inputs: returns the parts of the design that it depends on.
+        outputs: returns the files that it writes.
+        work: runs the step and returns its figures.
+        figures: dataclass of these figures.
+        not_needed: returns why a design does not need the step, or None if it does.
+        reads: files of the run folder that other commands may have written and that the step uses.
+        shows_summary: whether the step reads ``summary.json``, which is then written before it.
     """
 
     name: str
@@ -61,6 +59,27 @@ class Step:
     after: tuple[str, ...]
     inputs: Callable[[Design], Any]
     outputs: Callable[[Job], tuple[Path, ...]]
-    work: Callable[[Job], dict[str, Any]]
-    pointless: Callable[[Design], str | None] = lambda design: None
+    work: Callable[[Job], Any]
+    figures: type
+    not_needed: Callable[[Design], str | None] = lambda design: None
     reads: tuple[str, ...] = ()
+    shows_summary: bool = False
+
+
+def in_folder(*names: str) -> Callable[[Job], tuple[Path, ...]]:
+    """Return a function that gives the paths of these files in the run folder of a job."""
+    return lambda job: tuple(job.folder / name for name in names)
+
+
+def no_images(design: Design) -> str | None:
+    """Return why a design gives no images to decode; None if it does."""
+    if design.scene is None:
+        return "the design has no scene to photograph"
+    if design.split_angle_deg == 0.0:
+        return "the design does not split polarisations, so there is no pair of images to decode"
+    return None
+
+
+def no_mask(design: Design) -> str | None:
+    """Return why a design has no pillars; None if it has."""
+    return None if design.has_mask else "the design writes no mask (`mask.formats` is empty): target phases alone"

@@ -1,18 +1,90 @@
-"""Phases and library -> pillars -> mask files."""
+"""Mask files of the design: written from phases and library, then read back and checked against the design rules."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from metafab.core.errors import InputError
-from metafab.core.parallel.executor import open_threads
-from metafab.steps.job import Job, Step
+from metafab.core.storage.tables import optional, typed
+from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.library import open_library
-from metafab.steps.outputs import in_folder, no_mask
 
 
-def write_layout(job: Job) -> dict[str, Any]:
+@dataclass(frozen=True)
+class PillarFigures:
+    """Fields of :class:`metafab.layout.figures.MappingFigures`, whose room a current run does not import."""
+
+    pillars: int
+    distinct_sizes: int
+    min_gap_nm: float | None
+    phase_rms_error_rad: float
+    mean_transmittance: float
+    mean_transmittance_x: float
+    mean_transmittance_y: float
+    field_overlap: float
+    field_overlap_x: float
+    field_overlap_y: float
+    efficiency: float
+    efficiency_x: float
+    efficiency_y: float
+
+
+@dataclass(frozen=True)
+class FileFigures:
+    """Name and size of a written file.
+
+    Attributes:
+        name: file name.
+        bytes: size.
+    """
+
+    name: str
+    bytes: int
+
+
+@dataclass(frozen=True)
+class LayoutFigures(PillarFigures):
+    """Figures of the mapping and of the written mask files.
+
+    Attributes:
+        offsets_rad: constant phases of x and y polarisation, which suit the library best.
+        files: the mask files.
+        gap_rule_each: figures of the mapping if every pillar kept the gap rule within its own cell; None unless the
+            design asks for ``gap_rule = "pairs"``.
+    """
+
+    offsets_rad: tuple[float, ...]
+    files: tuple[FileFigures, ...]
+    gap_rule_each: PillarFigures | None = optional()
+
+
+@dataclass(frozen=True)
+class DrcFigures:
+    """Outcome of the design-rule check of all written files.
+
+    Attributes:
+        pillars: pillars that were found.
+        violations: number of violations of each rule, the worst file; ``formats_differ`` counts the files whose
+            pillars differ from those of the first.
+        min_gap_nm: smallest gap between neighbours; None where the engine does not measure it.
+        engine: engine that checked.
+        files: names of the checked files.
+    """
+
+    pillars: int
+    violations: dict[str, int]
+    min_gap_nm: float | None
+    engine: str
+    files: tuple[str, ...]
+
+
+def mask_paths(job: Job) -> tuple[Path, ...]:
+    """Paths of the mask files that the design asks for."""
+    return tuple(job.folder / f"layout.{suffix}" for suffix in job.design.mask.formats)
+
+
+def write_layout(job: Job) -> LayoutFigures:
     """Map the target phases to pillars and write the mask files.
 
     Raises:
@@ -23,27 +95,56 @@ def write_layout(job: Job) -> dict[str, Any]:
     if not job.design.has_mask:
         remedy = 'set it to ["oas"]; `metafab run` does without a mask'
         raise InputError.single(job.design.name, "mask.formats", "'gds', 'oas' or both", "none", remedy)
-    with open_threads(job.workers, job.cluster) as executor:
-        assignment = layout.assign(job.profile, open_library(job), job.design, executor=executor, progress=job.progress)
-        files = mask.write(
+    progress = job.work.progress
+    with job.work.threads() as executor:
+        assignment = layout.assign(job.profile, open_library(job), job.design, executor=executor, progress=progress)
+        written = mask.write(
             assignment.pillars,
             job.folder,
             job.design,
             executor=executor,
-            progress=job.progress,
+            progress=progress,
             mapping=assignment.to_json(),
         )
-    return {**assignment.to_json(), "files": [{"name": file.path.name, "bytes": file.bytes} for file in files]}
+    files = [FileFigures(file.path.name, file.bytes) for file in written]
+    return typed(LayoutFigures, {**assignment.to_json(), "files": files})
 
 
-def mask_paths(job: Job) -> tuple[Path, ...]:
-    """The mask files that the design asks for."""
-    return tuple(job.folder / f"layout.{suffix}" for suffix in job.design.mask.formats)
+def _check_rules(job: Job) -> DrcFigures:
+    from metafab import drc, mask
+
+    work = job.work
+    reports = [
+        drc.check(path, job.design, workers=work.workers, cluster=work.cluster, progress=work.progress)
+        for path in mask_paths(job)
+    ]
+    drc.save(reports, job.folder, mask.top_name(job.design.name))
+    first = reports[0]
+    worst = {rule: max(report.violations[rule] for report in reports) for rule in first.violations}
+    # Both files may keep all rules and still hold different pillars.
+    worst["formats_differ"] = len({report.pillars_sha256 for report in reports}) - 1
+    names = tuple(report.file for report in reports)
+    return DrcFigures(first.pillars, worst, first.min_gap_nm, first.engine, names)
 
 
 LAYOUT = Step(
-    "layout", ("layout", "mask"), ("library", "phase"),
-    lambda d: (d.name, d.rules, d.mask, d.device, d.numerics),
-    lambda job: (*mask_paths(job), *in_folder("layout.lyp", "layout.json")(job)), write_layout,
-    no_mask,
-)  # fmt: skip
+    name="layout",
+    rooms=("layout", "mask"),
+    after=("library", "phase"),
+    inputs=lambda d: (d.name, d.rules, d.mask, d.device, d.numerics),
+    outputs=lambda job: (*mask_paths(job), *in_folder("layout.lyp", "layout.json")(job)),
+    work=write_layout,
+    figures=LayoutFigures,
+    not_needed=no_mask,
+)
+
+DRC = Step(
+    name="drc",
+    rooms=("mask", "drc"),
+    after=("layout",),
+    inputs=lambda d: (d.rules, d.mask, d.device),
+    outputs=in_folder("drc.json", "drc.lyrdb"),
+    work=_check_rules,
+    figures=DrcFigures,
+    not_needed=no_mask,
+)

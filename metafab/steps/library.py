@@ -1,25 +1,93 @@
-"""The phase library: built when it is missing, opened when it stands."""
+"""The phase library: built when it is missing, loaded otherwise."""
 
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from metafab.core.storage.files import plain
 from metafab.core.storage.latest import Latest, file_mark
-from metafab.steps.job import Job, Step
-from metafab.steps.outputs import no_mask
+from metafab.core.storage.tables import optional, typed
+from metafab.steps.job import Job, Step, no_mask
 
 if TYPE_CHECKING:
     from metafab.library import Library
 
 
-#: Steps share it, and with it the continuous functions of size that it grows.
+#: The library that was opened last, shared by the steps of a run.
 _OPENED: Latest[Library] = Latest()
 
 
+@dataclass(frozen=True)
+class LibraryFigures:
+    """Quality of a library, and figures of its build as far as its file holds them.
+
+    Attributes:
+        file: path of the library.
+        coverage_rad: covered part of the phase circle, worse polarisation; this and the figures down to
+            ``cd_phase_rms_rad`` are those of :func:`metafab.library.quality`.
+        index_phase_error_rad: rms phase change for an index that is larger by its standard uncertainty; None where the
+            material has no stated uncertainty.
+        points_solved: sizes that were solved; ``points_between``: solved between the sizes of the grid.
+        points_total: sizes of the library; ``sizes_beyond_target``: those whose error exceeds the target.
+        max_error: largest error of complex t over all sizes.
+        max_solver_error: largest truncation error of a solved size; ``max_model_error``: largest error of the fitted
+            model at a size that was not solved; ``max_between_error``: the same between the sizes.
+        held_out_error: largest error of the model at ``held_out`` sizes kept for validation.
+        rounds: rounds of adaptive sampling; ``numerator_degree``, ``denominator_degree``: of the rational model.
+        corner_points_solved: figures whose names begin with ``corner_`` are those of the model over fabrication
+            corners.
+    """
+
+    file: str
+    coverage_rad: float
+    torus_coverage: float
+    worst_hole_rad: float
+    worst_hole_phase_x_rad: float
+    worst_hole_phase_y_rad: float
+    phase_rms_error_rad: float
+    phase_max_error_rad: float
+    mean_transmittance: float
+    mean_overlap: float
+    cd_phase_rms_rad: float
+    index_phase_error_rad: float | None
+    points_solved: int | None = optional()
+    points_between: int | None = optional()
+    points_total: int | None = optional()
+    max_error: float | None = optional()
+    sizes_beyond_target: int | None = optional()
+    max_solver_error: float | None = optional()
+    max_model_error: float | None = optional()
+    max_between_error: float | None = optional()
+    held_out_error: float | None = optional()
+    held_out: int | None = optional()
+    rounds: int | None = optional()
+    numerator_degree: int | None = optional()
+    denominator_degree: int | None = optional()
+    corner_points_solved: int | None = optional()
+    corner_rounds: int | None = optional()
+    corner_held_out: int | None = optional()
+    corner_held_out_error: float | None = optional()
+    corner_held_out_rms: float | None = optional()
+    corner_open_share: float | None = optional()
+    corner_target: str | None = optional()
+    corner_axis_weight: float | None = optional()
+    corner_numerator_degree: int | None = optional()
+    corner_denominator_degree: int | None = optional()
+
+    @classmethod
+    def of(cls, library: Library, path: Path) -> LibraryFigures:
+        """Compute the figures of a library that is stored at ``path``."""
+        from metafab.library import index_phase_error_rad, quality
+
+        index_error = {"index_phase_error_rad": index_phase_error_rad(library)}
+        return typed(cls, {"file": str(path), **plain(quality(library)), **index_error, **plain(library.details)})
+
+
 def library_path(job: Job) -> Path:
-    """Where the built library lives: beside its unit-cell file, or in the run folder if that is read-only."""
+    """Path of the built library: beside its unit-cell file, or in the run folder if that place is read-only."""
     source = job.design.library
     if source.suffix == ".h5":
         return source
@@ -27,39 +95,31 @@ def library_path(job: Job) -> Path:
     return built if os.access(source.parent, os.W_OK) else job.folder / built.name
 
 
-def library_stands(job: Job) -> bool:
-    """Whether the design's library is there; if not, it is built before anything that needs it."""
+def library_is_current(job: Job) -> bool:
+    """Whether the library of the design exists and was built from its unit cell."""
     from metafab import library
 
     return job.design.library.suffix == ".h5" or library.is_current(library_path(job), job.design.unit_cell)
 
 
 def open_library(job: Job) -> Library:
-    """The design's library, built first when it is missing or was built from another unit cell."""
+    """Load the library of the design; build it first if it is missing or was built from another unit cell."""
     from metafab import library
-    from metafab.core.parallel.executor import open_executor
 
     path = library_path(job)
-    if not library_stands(job):
-        with open_executor(job.workers, job.cluster) as executor:
-            return library.build_file(job.design.unit_cell, path, executor=executor, progress=job.progress)
+    if not library_is_current(job):
+        with job.work.processes() as executor:
+            return library.build_file(job.design.unit_cell, path, executor=executor, progress=job.work.progress)
     return _OPENED.of(file_mark(path), lambda: library.load(path))
 
 
-def _library(job: Job) -> dict[str, Any]:
-    from metafab import library
-
-    opened = open_library(job)
-    return {
-        "file": str(library_path(job)),
-        **library.quality(opened),
-        "index_phase_error_rad": library.index_phase_error_rad(opened),
-        **opened.details,
-    }
-
-
 LIBRARY = Step(
-    "library", ("spec", "materials", "cell", "library"), (),
-    lambda d: (d.unit_cell, d.library if d.library.suffix == ".h5" else None),
-    lambda job: (library_path(job),), _library, no_mask,
-)  # fmt: skip
+    name="library",
+    rooms=("spec", "materials", "cell", "library"),
+    after=(),
+    inputs=lambda design: (design.unit_cell, design.library if design.library.suffix == ".h5" else None),
+    outputs=lambda job: (library_path(job),),
+    work=lambda job: LibraryFigures.of(open_library(job), library_path(job)),
+    figures=LibraryFigures,
+    not_needed=no_mask,
+)

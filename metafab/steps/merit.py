@@ -1,42 +1,203 @@
-"""Figures of merit of the written mask, beside the target phases, a standard lens, and what was measured."""
+"""Figures of merit of the written mask, compared with the target phases, a standard lens and measured values."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from metafab.steps.budget import recorded_coupling
-from metafab.steps.job import Job, Step
+from metafab.core.conventions import FloatArray
+from metafab.core.storage.files import file_sha256, plain, write_json
+from metafab.core.storage.tables import typed
+from metafab.spec.design import Measured
+from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
 from metafab.steps.optics import mask_source
-from metafab.steps.outputs import in_folder, no_mask
 
 if TYPE_CHECKING:
     from metafab.optics import Imaging, Psf
 
-#: Frequencies at which modulation transfer is listed, as shares of the lens' cut-off.
+#: Number of frequencies of the modulation transfer, evenly spaced up to the cut-off of the lens.
 _FREQUENCIES = 33
 
 
-def _merit(job: Job) -> dict[str, Any]:
+@dataclass(frozen=True)
+class ModulationFigures:
+    """Modulation transfer of the pair and of a standard lens, mean over directions.
+
+    Attributes:
+        frequency_per_mm: shape (n,), spatial frequency on the sensor.
+        pair_x: shape (n_depth, n), modulation transfer of PSF_x at each depth.
+        pair_y: shape (n_depth, n), modulation transfer of PSF_y.
+        lens: shape (n_depth, n), modulation transfer of a lens of equal aperture, focused at the focus depth.
+    """
+
+    frequency_per_mm: FloatArray
+    pair_x: FloatArray
+    pair_y: FloatArray
+    lens: FloatArray
+
+
+@dataclass(frozen=True)
+class WavefrontFigures:
+    """Overlap of the written field with the target wave, x and y polarisation.
+
+    Attributes:
+        overlap: share of the transmitted power in the target wave; ``error``: its standard error.
+        best_overlap: the same for sizes off the size grid.
+        filled: share of the sites in the aperture that carry a pillar.
+        sites: sites with a pillar that were sampled.
+    """
+
+    overlap: tuple[float, ...]
+    error: tuple[float, ...]
+    best_overlap: tuple[float, ...]
+    filled: float
+    sites: int
+
+
+@dataclass(frozen=True)
+class LossFigures:
+    """One factor of the loss chain.
+
+    Attributes:
+        stage: place or cause of the loss.
+        factor: remaining share, x and y polarisation; None where it was not measured.
+    """
+
+    stage: str
+    factor: tuple[float, ...] | None
+
+
+@dataclass(frozen=True)
+class LossChainFigures:
+    """Factors between the light at the aperture and the light through the pinhole.
+
+    Attributes:
+        depth_m: verified depth nearest to the focus depth, in vergence.
+        wavefront: overlap of the written field with the target wave.
+        losses: the factors, in order.
+        efficiency: share of the light through the pinhole, x and y polarisation.
+    """
+
+    depth_m: float
+    wavefront: WavefrontFigures
+    losses: tuple[LossFigures, ...]
+    efficiency: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class SpaceVarianceFigures:
+    """Image points and aberrations over the field, x and y polarisation.
+
+    Attributes:
+        depth_m: object depth.
+        tangent_x: shape (n_x,), object directions x/z.
+        tangent_y: shape (n_y,), object directions y/z.
+        defocus_dioptre: shape (2, n_y, n_x), defocus.
+        astigmatism_dioptre: shape (2, n_y, n_x), astigmatism.
+        seen_bias_dioptre: shape (2, n_y, n_x), apparent increase of the object's vergence in the PSFs.
+        distortion_um: shape (2, n_y, n_x, 2), shift (x, y) of the image points from those of a pinhole.
+    """
+
+    depth_m: float
+    tangent_x: FloatArray
+    tangent_y: FloatArray
+    defocus_dioptre: FloatArray
+    astigmatism_dioptre: FloatArray
+    seen_bias_dioptre: FloatArray
+    distortion_um: FloatArray
+
+
+@dataclass(frozen=True)
+class MeritFigures:
+    """Figures of merit at the verified depths.
+
+    Attributes:
+        depth_m: object depths.
+        pinhole_um: diameter of the pinhole about the image point.
+        pinhole_efficiency_x: share of the light at the aperture through the pinhole, for each depth; likewise y.
+        ideal_pinhole_efficiency_x: the same for the target phases; likewise y.
+        strehl_x: peak relative to that of the target phases, for each depth; likewise y.
+        main_lobe_x_um: (x, y) full width at half maximum of the main lobe, for each depth; likewise y.
+        rotation_deg: rotation of the pair from the nearest to the farthest depth; ``ideal_rotation_deg``: that of the
+            target phases.
+        depth_of_field_dioptre: range of vergence in which the peak stays above half its largest value, x and y.
+        extinction_ratio: wanted over unwanted power, for each depth.
+        modulation: modulation transfer.
+        loss_chain: losses from the aperture to the pinhole.
+        space_variance: aberrations over the field; None without a field.
+        measured: values measured on the fabricated device; None if the design states none.
+    """
+
+    depth_m: tuple[float, ...]
+    pinhole_um: float
+    pinhole_efficiency_x: tuple[float, ...]
+    pinhole_efficiency_y: tuple[float, ...]
+    ideal_pinhole_efficiency_x: tuple[float, ...]
+    ideal_pinhole_efficiency_y: tuple[float, ...]
+    strehl_x: tuple[float, ...]
+    strehl_y: tuple[float, ...]
+    main_lobe_x_um: tuple[tuple[float, ...], ...]
+    main_lobe_y_um: tuple[tuple[float, ...], ...]
+    rotation_deg: float
+    ideal_rotation_deg: float
+    depth_of_field_dioptre: tuple[float, ...]
+    extinction_ratio: tuple[float, ...]
+    modulation: ModulationFigures
+    loss_chain: LossChainFigures
+    space_variance: SpaceVarianceFigures | None
+    measured: Measured | None
+
+
+@dataclass(frozen=True)
+class CouplingFigures:
+    """Error of the local-period approximation, from full-wave simulations of rows of the mask.
+
+    Attributes:
+        coupling_error: relative L2 error of the field.
+        efficiency_ratio: power in the focusing order relative to that of the stitched library.
+        rows: simulated rows.
+        solvers: names of the solvers.
+    """
+
+    coupling_error: float
+    efficiency_ratio: float
+    rows: int
+    solvers: tuple[str, ...]
+
+
+def recorded_coupling(job: Job) -> CouplingFigures | None:
+    """Figures that ``metafab coupling`` stored for a mask of this run; None if there are none."""
+    if not (job.folder / "coupling.json").is_file():
+        return None
+    from metafab import fullwave
+
+    coupling = fullwave.load_coupling(job.folder / "coupling.json")
+    if coupling is None or coupling.mask_sha256 not in {file_sha256(path) for path in mask_paths(job)}:
+        return None
+    solvers = tuple(sorted({row.solver for row in coupling.rows}))
+    return CouplingFigures(coupling.coupling_error, coupling.efficiency_ratio, len(coupling.rows), solvers)
+
+
+def _merit(job: Job) -> MeritFigures:
     from metafab import optics
-    from metafab.core.storage.files import write_json
 
     whole, ideal = (optics.load(job.folder / name) for name in ("psf.h5", "ideal_psf.h5"))
     written = optics.without_depths(whole, ~np.isin(whole.depth_m, ideal.depth_m))
     imaging, metrics = optics.Imaging.of(job.design), optics.metrics
-    # The paper's pinhole, or the largest that can be scanned over the window.
+    # The pinhole of the paper, or the largest that fits in the window.
     wanted_um = metrics.PINHOLE_UM if job.design.measured is None else job.design.measured.pinhole_um
     pinhole_um = metrics.largest_pinhole_um(written, wanted_um)
-    passed, ideally = (metrics.pinhole_efficiency(psf, pinhole_um) for psf in (written, ideal))
+    passed, ideal_passed = (metrics.pinhole_efficiency(psf, pinhole_um) for psf in (written, ideal))
     strehl, lobes = metrics.relative_peak(written, ideal), metrics.main_lobe_um(written)
-    found = {
+    table = {
         "depth_m": written.depth_m,
         "pinhole_um": pinhole_um,
         **{f"pinhole_efficiency_{p}": passed[i] for i, p in enumerate("xy")},
-        **{f"ideal_pinhole_efficiency_{p}": ideally[i] for i, p in enumerate("xy")},
+        **{f"ideal_pinhole_efficiency_{p}": ideal_passed[i] for i, p in enumerate("xy")},
         **{f"strehl_{p}": strehl[i] for i, p in enumerate("xy")},
         **{f"main_lobe_{p}_um": lobes[i] for i, p in enumerate("xy")},
         "rotation_deg": metrics.rotation_deg(written),
@@ -44,16 +205,16 @@ def _merit(job: Job) -> dict[str, Any]:
         "depth_of_field_dioptre": metrics.depth_of_field_dioptre(whole),
         "extinction_ratio": written.extinction_ratio,
         "modulation": _modulation(job, imaging, written),
-        "loss_chain": _loss_chain(job, written, ideal, passed, ideally),
+        "loss_chain": _loss_chain(job, written, ideal, passed, ideal_passed),
         "space_variance": _space_variance(imaging, whole),
         "measured": job.design.measured,
     }
-    write_json(job.folder / "merit.json", found)
-    return found
+    figures = typed(MeritFigures, table)
+    write_json(job.folder / "merit.json", figures)
+    return figures
 
 
-def _modulation(job: Job, imaging: Imaging, written: Psf) -> dict[str, Any]:
-    """MTF of the pair and of a standard lens, each depth, per mm on the sensor."""
+def _modulation(job: Job, imaging: Imaging, written: Psf) -> ModulationFigures:
     from metafab import optics
 
     device, focus_m = job.design.device, job.design.sensor.focus_depth_m
@@ -61,55 +222,63 @@ def _modulation(job: Job, imaging: Imaging, written: Psf) -> dict[str, Any]:
     frequency = np.linspace(0.0, cut_off, _FREQUENCIES)
     rings, pair = optics.modulation_transfer(written)
     frequency = frequency[frequency <= rings[-1]]
-    shown = np.array([[np.interp(frequency, rings, curve) for curve in curves] for curves in pair])
+    pair_x, pair_y = (np.array([np.interp(frequency, rings, curve) for curve in curves]) for curves in pair)
     lens = [optics.lens_modulation(imaging, device, float(z), frequency, focus_m) for z in written.depth_m]
-    return {"frequency_per_mm": 1e3 * frequency, "pair_x": shown[0], "pair_y": shown[1], "lens": np.array(lens)}
+    return ModulationFigures(1e3 * frequency, pair_x, pair_y, np.array(lens))
 
 
-def _transmitted(psf: Psf) -> np.ndarray:
+def _transmitted(psf: Psf) -> FloatArray:
     return np.array([float(psf.details[f"transmitted_{p}"]) for p in "xy"])
 
 
-def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: np.ndarray, ideally: np.ndarray) -> dict[str, Any]:
-    """Where the light goes that is to pass the pinhole, at the depth nearest to the sharp one."""
+def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_passed: FloatArray) -> LossChainFigures:
+    """Losses at the verified depth nearest to the focus depth; ``passed`` has shape (2, n_depth)."""
     from metafab import optics
 
     depth = int(np.argmin(np.abs(1.0 / written.depth_m - 1.0 / job.design.sensor.focus_depth_m)))
     source = mask_source(job, mask_paths(job)[-1])
     front = optics.wavefront(source, job.profile, job.design.device, open_library(job))
-    coupling = recorded_coupling(job).get("efficiency_ratio")
+    coupling = recorded_coupling(job)
+    kept = None if coupling is None else coupling.efficiency_ratio
     transmitted = _transmitted(written)
     stopped = None if optics.Apodisation.of(job.design) is None else _transmitted(ideal)
-    losses = optics.loss_chain(front, transmitted, passed[:, depth], ideally[:, depth], coupling, stopped)
-    return {
+    losses = optics.loss_chain(front, transmitted, passed[:, depth], ideal_passed[:, depth], kept, stopped)
+    table = {
         "depth_m": written.depth_m[depth],
-        "wavefront": front,
-        "losses": losses,
-        "efficiency": passed[:, depth] * (1.0 if coupling is None else coupling),
+        "wavefront": plain(front),
+        "losses": plain(losses),
+        "efficiency": passed[:, depth] * (1.0 if kept is None else kept),
     }
+    return typed(LossChainFigures, table)
 
 
-def _space_variance(imaging: Imaging, written: Psf) -> dict[str, Any] | None:
-    """Image points, aberrations and the depth bias that the PSFs show, over the field; None without one."""
+def _space_variance(imaging: Imaging, written: Psf) -> SpaceVarianceFigures | None:
+    """Aberrations and depth bias over the field at the middle depth; None without a field."""
     from metafab import optics
 
     if written.field is None:
         return None
-    middle = float(written.depth_m[written.depth_m.size // 2])
-    field = optics.space_variance(imaging, written.field.tangent_x, written.field.tangent_y, middle)
-    return {
-        "depth_m": middle,
-        "tangent_x": field.tangent_x,
-        "tangent_y": field.tangent_y,
-        "defocus_dioptre": field.defocus_dioptre,
-        "astigmatism_dioptre": field.astigmatism_dioptre,
-        "seen_bias_dioptre": optics.seen_bias_dioptre(written),
-        "distortion_um": field.distortion_um,
-    }
+    middle_m = float(written.depth_m[written.depth_m.size // 2])
+    field = optics.space_variance(imaging, written.field.tangent_x, written.field.tangent_y, middle_m)
+    return SpaceVarianceFigures(
+        middle_m,
+        field.tangent_x,
+        field.tangent_y,
+        field.defocus_dioptre,
+        field.astigmatism_dioptre,
+        optics.seen_bias_dioptre(written),
+        field.distortion_um,
+    )
 
 
 MERIT = Step(
-    "merit", ("mask", "library", "optics", "phase"), ("library", "phase", "layout", "psf"),
-    lambda d: (d.measured, d.sensor, d.device), in_folder("merit.json"), _merit, no_mask,
+    name="merit",
+    rooms=("mask", "library", "optics", "phase"),
+    after=("library", "phase", "layout", "psf"),
+    inputs=lambda d: (d.measured, d.sensor, d.device),
+    outputs=in_folder("merit.json"),
+    work=_merit,
+    figures=MeritFigures,
+    not_needed=no_mask,
     reads=("coupling.json",),
-)  # fmt: skip
+)

@@ -1,42 +1,152 @@
-"""PSF pairs of the written file and of the target phases."""
+"""PSF pairs of the written mask and of the target phases."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.storage.files import file_sha256, fingerprint
+from metafab.core.storage.files import file_sha256, fingerprint, plain
 from metafab.core.storage.latest import Latest, file_mark
 from metafab.core.storage.provenance import contents_sha256
+from metafab.core.storage.tables import optional, typed
 from metafab.spec import Design, Scene
-from metafab.steps.job import Job, Step
+from metafab.steps.job import Job, Step, in_folder
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import library_path, open_library
-from metafab.steps.outputs import in_folder
 
 if TYPE_CHECKING:
     from metafab.layout import PillarMap
     from metafab.optics import Imaging, Psf, Source, WrittenField
 
-
+#: The pillars that were read last, shared by the steps of a run.
 _READ: Latest[PillarMap] = Latest()
 
-#: The decoder's calibration reaches beyond the scene by this share of its range of vergence.
+#: Margin of the decoder's calibration beyond the scene, as a share of the scene's range of vergence.
 DEPTH_MARGIN = 0.08
-#: The same for a scene at one depth, as a share of its vergence.
+#: Smallest margin, as a share of the nearest object's vergence; it serves scenes at one depth.
 SMALLEST_MARGIN = 0.02
 
 
+@dataclass(frozen=True, kw_only=True)
+class PairFigures:
+    """Figures of a PSF pair over depth, and the power budget at its middle depth.
+
+    Attributes:
+        depth_m: object depths; the next five hold one value for each of them.
+        phi_deg: orientation of the main lobe of PSF_x, degrees counter-clockwise from +x.
+        efficiency_x: share of the power at the aperture in the window of PSF_x; likewise ``efficiency_y``.
+        extinction_ratio: wanted over unwanted power in the window of PSF_x.
+        error: relative L2 error of the PSFs.
+        transmitted_x: share of the power at the aperture that the mask transmits; ``stray_x``: transmitted share
+            outside the window; ``lost_x``: share not transmitted. Likewise for y; None for a pair without a budget.
+    """
+
+    depth_m: tuple[float, ...]
+    phi_deg: tuple[float, ...]
+    efficiency_x: tuple[float, ...]
+    efficiency_y: tuple[float, ...]
+    extinction_ratio: tuple[float, ...]
+    error: tuple[float, ...]
+    transmitted_x: float | None = optional()
+    stray_x: float | None = optional()
+    lost_x: float | None = optional()
+    transmitted_y: float | None = optional()
+    stray_y: float | None = optional()
+    lost_y: float | None = optional()
+
+    @classmethod
+    def of(cls, psf: Psf) -> PairFigures:
+        """Figures of all depths of a pair."""
+        return typed(cls, {**_over_depth(psf, np.ones(psf.depth_m.size, dtype=bool)), **plain(psf.details)})
+
+
+@dataclass(frozen=True, kw_only=True)
+class PsfFigures(PairFigures):
+    """Figures of the pair of a run at the verified depths, compared with the target phases.
+
+    Attributes:
+        ideal_phi_deg: this and the other names that begin with ``ideal_`` are the figures of the target phases, one
+            value for each depth; None without a mask, where the pair itself is that of the target phases.
+        depth_interpolation_error: relative L2 error of PSFs interpolated over depth; None where no verified depth lies
+            between other depths.
+        field_interpolation_error: relative L2 error of PSFs interpolated over the field; None without a field.
+        depths: depths of the stored pair.
+        block_sites: lattice sites along the side of a block of the pupil; ``blocks``: number of blocks. These and the
+            following are None for a pair that was not computed by :func:`metafab.optics.psf`.
+        field_error: relative L2 error of the PSFs over the field; NaN without a field.
+        filter_fwhm_nm: width of the colour filter; None for one wavelength.
+        seconds: time of the computation.
+    """
+
+    depth_interpolation_error: float | None
+    field_interpolation_error: float | None
+    depths: int
+    block_sites: float | None = optional()
+    blocks: float | None = optional()
+    field_error: float | None = optional()
+    seconds: float | None = optional()
+    ideal_phi_deg: tuple[float, ...] | None = optional()
+    ideal_efficiency_x: tuple[float, ...] | None = optional()
+    ideal_efficiency_y: tuple[float, ...] | None = optional()
+    ideal_extinction_ratio: tuple[float, ...] | None = optional()
+    ideal_error: tuple[float, ...] | None = optional()
+    filter_fwhm_nm: float | None = optional()
+
+    @classmethod
+    def compared(
+        cls,
+        psf: Psf,
+        ideal: Psf | None,
+        *,
+        verified: NDArray[np.bool_],
+        depth_interpolation_error: float | None = None,
+        field_interpolation_error: float | None = None,
+    ) -> PsfFigures:
+        """Figures of a pair and of the target phases.
+
+        Args:
+            psf: the pair.
+            ideal: the pair of the target phases at the verified depths; None without a mask.
+            verified: shape (n_depth,), the verified depths of ``psf``.
+            depth_interpolation_error: see the attribute.
+            field_interpolation_error: see the attribute.
+        """
+        of_target = {} if ideal is None else _over_depth(ideal, np.ones(ideal.depth_m.size, dtype=bool), "ideal_")
+        table = {
+            **_over_depth(psf, verified),
+            **of_target,
+            "depth_interpolation_error": depth_interpolation_error,
+            "field_interpolation_error": field_interpolation_error,
+            "depths": psf.depth_m.size,
+            **plain(psf.details),
+        }
+        return typed(cls, table)
+
+
+def _over_depth(psf: Psf, chosen: NDArray[np.bool_], prefix: str = "") -> dict[str, list[float]]:
+    """Table of the figures over depth, at the chosen depths."""
+    columns: dict[str, FloatArray] = {
+        "depth_m": psf.depth_m,
+        "phi_deg": psf.phi_deg,
+        "efficiency_x": psf.efficiency[0],
+        "efficiency_y": psf.efficiency[1],
+        "extinction_ratio": psf.extinction_ratio,
+        "error": psf.error,
+    }
+    return {prefix + name: values[chosen].tolist() for name, values in columns.items()}
+
+
 def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
-    """Depths of the PSF stack: the verified ones, and nodes that carry a scene's range by interpolation."""
+    """Depths of the PSF stack: the verified depths, and interpolation nodes over the range of the scene."""
     from metafab import optics
 
     if design.scene is None:
@@ -49,33 +159,39 @@ def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
 
 
 def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) -> WrittenField:
-    """What light the pillars of a written file let through; of several lenses, those of one, counted from 1.
+    """Transmitted field of the pillars of a written file.
 
-    Steps that follow each other share the pillars as long as file and design are the same. ``angles`` is the number of
-    angles in half a turn that turned pillars may have; None for upright pillars.
+    Consecutive steps share the pillars as long as file and design are unchanged.
+
+    Args:
+        job: the design.
+        path: the mask file.
+        copy: number of the lens in a file that holds several, from 1.
+        angles: number of angles of turned pillars in half a turn; None for upright pillars.
 
     Raises:
-        InputError: the file cannot be read, or holds shapes that are no pillars of the lattice: nothing is dropped.
+        InputError: the file cannot be read, or holds shapes that are no pillars of the lattice.
     """
     from metafab import optics
 
     if path.is_file():
         key = (file_mark(path), fingerprint(job.design), copy, angles)
-        standing = _READ.of(key, lambda: _standing_pillars(job, path, copy, angles))
+        pillars = _READ.of(key, lambda: _read_pillars(job, path, copy, angles))
     else:
-        standing = _standing_pillars(job, path, copy, angles)
-    return optics.written_field(standing, open_library(job))
+        pillars = _read_pillars(job, path, copy, angles)
+    return optics.written_field(pillars, open_library(job))
 
 
-def _standing_pillars(job: Job, path: Path, copy: int, angles: int | None) -> PillarMap:
-    """The pillars of a file, without the bias that they are drawn with."""
+def _read_pillars(job: Job, path: Path, copy: int, angles: int | None) -> PillarMap:
+    """Pillars of a file, without the bias with which they are drawn."""
     from metafab import mask
     from metafab.mask.turned import read_turned
 
+    progress = job.work.progress
     if angles is None:
-        back = mask.read(path, job.design, progress=job.progress, copy=copy)
+        back = mask.read(path, job.design, progress=progress, copy=copy)
     else:
-        back = read_turned(path, job.design, angles, progress=job.progress, copy=copy)
+        back = read_turned(path, job.design, angles, progress=progress, copy=copy)
     unplaced = {
         "off the lattice": back.off_site.count,
         "off the grid": back.off_grid.count,
@@ -87,14 +203,14 @@ def _standing_pillars(job: Job, path: Path, copy: int, angles: int | None) -> Pi
             str(path),
             "pillars",
             "rectangles at lattice sites and nothing else on the pillar layer",
-            ", ".join(f"{count} {what}" for what, count in unplaced.items() if count),
-            "their light cannot be simulated; `metafab drc` says where they are",
+            ", ".join(f"{count} {where}" for where, count in unplaced.items() if count),
+            "their light cannot be simulated; `metafab drc` lists their places",
         )
     return mask.biased(back.pillars, -job.design.mask.bias_nm)
 
 
 def ideal_source(job: Job) -> Source:
-    """What light the target phases would let through, without a mask."""
+    """Transmitted field of the target phases, without a mask."""
     from metafab import layout, optics
 
     design = job.design
@@ -103,14 +219,14 @@ def ideal_source(job: Job) -> Source:
 
 
 def lit_source(job: Job, source: Source) -> Source:
-    """The source behind the stop and the amplitude that the design puts before it."""
+    """Apply the stop and the apodisation of the design to a source."""
     from metafab import optics
 
     return optics.apodised(source, optics.Apodisation.of(job.design))
 
 
 def filter_fwhm_nm(design: Design) -> float | None:
-    """Width of the filter before the sensor; None for one wavelength."""
+    """Width of the colour filter in front of the sensor; None for one wavelength."""
     return None if design.optics is None else design.optics.filter_fwhm_nm
 
 
@@ -125,92 +241,107 @@ def point_spread(
     target_error: float,
     copy: int = 1,
 ) -> Psf:
-    """PSF pair of a written file's lens ``copy``, or of the target phases where ``path`` is None."""
+    """PSF pair of a written file, or of the target phases.
+
+    Args:
+        job: the design.
+        path: the mask file; None for the target phases.
+        depths_m: object depths, m.
+        object_mm: object position (x, y), mm from the axis.
+        pixel_um: sampling step; None for the pixel of the sensor.
+        window_px: side of the window, pixels.
+        target_error: largest relative L2 error.
+        copy: number of the lens in a file that holds several, from 1.
+
+    Raises:
+        InputError: the file cannot be used, or an object at infinity has a position.
+    """
     from metafab import optics
 
     imaging = optics.Imaging.of(job.design)
     if pixel_um is not None:
         imaging = replace(imaging, pixel_um=pixel_um)
-    source = _source_of(job, path, copy)
-    # On the axis, all depths lie in one direction and share one pass over the pillars.
     x_mm, y_mm = object_mm
     if (x_mm, y_mm) != (0.0, 0.0) and math.inf in depths_m:
         raise InputError.single(
-            "psf", "--object-mm", "an object at a finite depth", f"{x_mm:g} {y_mm:g} mm at infinity",
-            "leave inf out of --depths-m: a place beside the axis in mm is no direction there",
-        )  # fmt: skip
-    together = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
+            "psf",
+            "--object-mm",
+            "an object at a finite depth",
+            f"{x_mm:g} {y_mm:g} mm at infinity",
+            "leave inf out of --depths-m: a position in mm is no direction there",
+        )
+    source = _source_of(job, path, copy)
+    # On the axis, all depths lie in one direction and share one pass over the pillars.
+    passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
     stacks = [
         optics.psf(
-            source, imaging, depths, tangent=(1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]),
-            window_px=window_px, target_error=target_error, filter_fwhm_nm=filter_fwhm_nm(job.design),
-            workers=job.workers, cluster=job.cluster, progress=job.progress,
+            source,
+            imaging,
+            depths,
+            tangent=(1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]),
+            window_px=window_px,
+            target_error=target_error,
+            filter_fwhm_nm=filter_fwhm_nm(job.design),
+            workers=job.work.workers,
+            cluster=job.work.cluster,
+            progress=job.work.progress,
         )
-        for depths in together
-    ]  # fmt: skip
+        for depths in passes
+    ]
     return optics.concatenate(stacks)
 
 
+def calibration(job: Job, path: Path | None, *, copy: int = 1) -> Psf:
+    """PSF pair over the depths and the field of the design's scene, as a run computes it for the decoder.
+
+    Args:
+        job: the design.
+        path: the mask file; None for the target phases.
+        copy: number of the lens in a file that holds several, from 1.
+
+    Raises:
+        InputError: the design has no scene.
+    """
+    if job.design.scene is None:
+        raise InputError.single(job.design.name, "scene", "one, whose depths and field are covered", "none", "add it")
+    return _calibration(job, _source_of(job, path, copy))
+
+
+def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1) -> Psf:
+    """PSF pair at the exact depths and directions of a scene, without interpolation over depth.
+
+    Args:
+        job: the design; its own scene is not used.
+        path: the mask file; None for the target phases.
+        scene: the scene, in all of its frames.
+        copy: number of the lens in a file that holds several, from 1.
+    """
+    from metafab import camera, optics
+
+    source, imaging = _source_of(job, path, copy), optics.Imaging.of(job.design)
+    return camera.exact_psf(
+        scene, source, imaging, filter_fwhm_nm=filter_fwhm_nm(job.design), progress=job.work.progress
+    )
+
+
 def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int = 1) -> None:
-    """Keep a PSF pair with the fingerprint of the mask's lens (None for target phases) and the design behind it."""
+    """Write a PSF pair with the fingerprint of its mask (None for target phases) and of the design."""
     from metafab import optics
 
     design = job.design
     source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job)), copy]
-    asked: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
+    sampling: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
     if design.optics is not None:
-        asked += [design.optics, contents_sha256(design.optics)]
-    optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, asked))
+        sampling += [design.optics, contents_sha256(design.optics)]
+    optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, sampling))
 
 
-def _depth_interpolation_error(written: Psf, shown: np.ndarray) -> float | None:
-    """PSFs at the shown depths that lie between the others, interpolated from these, against the computed ones."""
-    from metafab import optics
-
-    others = written.depth_m[~shown]
-    between = shown & (written.depth_m > others.min(initial=math.inf)) & (written.depth_m < others.max(initial=0.0))
-    if not between.any():
-        return None
-    interpolated = optics.at_depths(optics.without_depths(written, shown), written.depth_m[between])
-    return optics.relative_l2(interpolated, written.psf[:, between])
+def _source_of(job: Job, path: Path | None, copy: int) -> Source:
+    return lit_source(job, ideal_source(job) if path is None else mask_source(job, path, copy))
 
 
-def _field_interpolation_error(written: Psf, point_spread_of: Callable[..., Psf], source: Source) -> float | None:
-    """Interpolated PSFs in the middle of an outermost cell of field points against computed ones."""
-    from metafab import optics
-
-    if written.field is None or min(written.field.tangent_x.size, written.field.tangent_y.size) == 1:
-        return None
-    middle = written.depth_m.size // 2
-    t_x, t_y = (float(nodes[-2:].mean()) for nodes in (written.field.tangent_x, written.field.tangent_y))
-    computed = point_spread_of(source, depths_m=written.depth_m[middle : middle + 1], tangent=(t_x, t_y))
-    return optics.relative_l2(optics.at_tangent(written, (t_x, t_y))[:, middle : middle + 1], computed.psf)
-
-
-def psf_figures(psf: Psf) -> dict[str, FloatArray]:
-    """The PSF pair's figures of merit, one array over depth each."""
-    return {
-        "depth_m": psf.depth_m,
-        "phi_deg": psf.phi_deg,
-        "efficiency_x": psf.efficiency[0],
-        "efficiency_y": psf.efficiency[1],
-        "extinction_ratio": psf.extinction_ratio,
-        "error": psf.error,
-    }
-
-
-def power_figures(psf: Psf) -> dict[str, float | str]:
-    """Shares of the power at the aperture, of the stack's middle depth: transmitted, thereof stray, and lost."""
-    return {name: value for name, value in psf.details.items() if name.startswith(("transmitted_", "stray_", "lost_"))}
-
-
-def _psf_files(job: Job) -> tuple[Path, ...]:
-    """Without a mask, the pair of the target phases is the pair."""
-    return in_folder("psf.h5", *(("ideal_psf.h5",) if job.design.has_mask else ()))(job)
-
-
-def _as_verified(job: Job) -> Callable[..., Psf]:
-    """PSFs of a source by the design's window and target error."""
+def _verified_psf(job: Job) -> Callable[..., Psf]:
+    """PSF computation with the window and the target error of the design's ``[verify]``."""
     from metafab import optics
 
     verify = job.design.verify
@@ -220,85 +351,79 @@ def _as_verified(job: Job) -> Callable[..., Psf]:
         window_px=verify.window_px,
         target_error=verify.target_error,
         filter_fwhm_nm=filter_fwhm_nm(job.design),
-        workers=job.workers,
-        cluster=job.cluster,
-        progress=job.progress,
+        workers=job.work.workers,
+        cluster=job.work.cluster,
+        progress=job.work.progress,
     )
 
 
 def _calibration(job: Job, source: Source) -> Psf:
-    """The pair over all depths and directions of the design's scene."""
     from metafab import optics
 
     imaging = optics.Imaging.of(job.design)
-    return _as_verified(job)(
+    return _verified_psf(job)(
         source,
         depths_m=calibration_depths(job.design, imaging),
         field_tangents=optics.field_tangents(job.design, imaging),
     )
 
 
-def calibration(job: Job, path: Path | None, *, copy: int = 1) -> Psf:
-    """The pair of a written file (None: of the target phases) over depth and field, as a run hands it to the decoder.
+def _depth_interpolation_error(written: Psf, verified: NDArray[np.bool_]) -> float | None:
+    """Relative L2 error at the verified depths of PSFs interpolated from the other depths."""
+    from metafab import optics
 
-    Raises:
-        InputError: the design has no scene, whose depths and field these are.
-    """
-    if job.design.scene is None:
-        raise InputError.single(job.design.name, "scene", "one, whose depths and field are covered", "none", "add it")
-    return _calibration(job, _source_of(job, path, copy))
-
-
-def exact_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1) -> Psf:
-    """The pair at one scene's very depths, over as many directions as it takes.
-
-    Frames made with it share no approximation with a calibration.
-
-    Args:
-        job: the design, without its scene.
-        path: of a written file; None for the target phases.
-        scene: what is to be photographed, in all of its frames.
-        copy: which lens of the file.
-    """
-    from metafab import camera, optics
-
-    return camera.exact_psf(
-        scene, _source_of(job, path, copy), optics.Imaging.of(job.design),
-        filter_fwhm_nm=filter_fwhm_nm(job.design), progress=job.progress,
-    )  # fmt: skip
+    others = written.depth_m[~verified]
+    between = verified & (written.depth_m > others.min(initial=math.inf)) & (written.depth_m < others.max(initial=0.0))
+    if not between.any():
+        return None
+    interpolated = optics.at_depths(optics.without_depths(written, verified), written.depth_m[between])
+    return optics.relative_l2(interpolated, written.psf[:, between])
 
 
-def _source_of(job: Job, path: Path | None, copy: int) -> Source:
-    return lit_source(job, ideal_source(job) if path is None else mask_source(job, path, copy))
+def _field_interpolation_error(written: Psf, psf_of: Callable[..., Psf], source: Source) -> float | None:
+    """Relative L2 error of interpolated PSFs in the middle of an outermost cell of the field grid."""
+    from metafab import optics
+
+    if written.field is None or min(written.field.tangent_x.size, written.field.tangent_y.size) == 1:
+        return None
+    middle = written.depth_m.size // 2
+    t_x, t_y = (float(nodes[-2:].mean()) for nodes in (written.field.tangent_x, written.field.tangent_y))
+    computed = psf_of(source, depths_m=written.depth_m[middle : middle + 1], tangent=(t_x, t_y))
+    return optics.relative_l2(optics.at_tangent(written, (t_x, t_y))[:, middle : middle + 1], computed.psf)
 
 
-def _psf(job: Job) -> dict[str, Any]:
+def _psf_files(job: Job) -> tuple[Path, ...]:
+    """Files of the step; without a mask, the pair of the target phases is the only one."""
+    return in_folder("psf.h5", *(("ideal_psf.h5",) if job.design.has_mask else ()))(job)
 
-    design = job.design
-    point_spread_of = _as_verified(job)
+
+def _psf(job: Job) -> PsfFigures:
+    design, psf_of = job.design, _verified_psf(job)
     ideal_light = lit_source(job, ideal_source(job))
     mask_path = mask_paths(job)[-1] if design.has_mask else None
     source = ideal_light if mask_path is None else lit_source(job, mask_source(job, mask_path))
     written = _calibration(job, source)
     save_psf(job, written, mask_path, job.folder / "psf.h5")
-    figures = {}
+    ideal = None
     if design.has_mask:
-        ideal = point_spread_of(ideal_light, depths_m=design.verify.depths_m)
+        ideal = psf_of(ideal_light, depths_m=design.verify.depths_m)
         save_psf(job, ideal, None, job.folder / "ideal_psf.h5")
-        figures = {f"ideal_{name}": value for name, value in psf_figures(ideal).items() if name != "depth_m"}
-    shown = np.isin(written.depth_m, design.verify.depths_m)
-    return {
-        **{name: value[shown] for name, value in psf_figures(written).items()},
-        **figures,
-        "depth_interpolation_error": _depth_interpolation_error(written, shown),
-        "field_interpolation_error": _field_interpolation_error(written, point_spread_of, source),
-        "depths": written.depth_m.size,
-        **written.details,
-    }
+    verified = np.isin(written.depth_m, design.verify.depths_m)
+    return PsfFigures.compared(
+        written,
+        ideal,
+        verified=verified,
+        depth_interpolation_error=_depth_interpolation_error(written, verified),
+        field_interpolation_error=_field_interpolation_error(written, psf_of, source),
+    )
 
 
 PSF = Step(
-    "psf", ("mask", "optics"), ("library", "phase", "layout"),
-    lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m, d.optics, d.has_mask),
-    _psf_files, _psf,
-)  # fmt: skip
+    name="psf",
+    rooms=("mask", "optics"),
+    after=("library", "phase", "layout"),
+    inputs=lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m, d.optics, d.has_mask),
+    outputs=_psf_files,
+    work=_psf,
+    figures=PsfFigures,
+)

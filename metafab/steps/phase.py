@@ -1,20 +1,73 @@
-"""Target phases, and what they are worth."""
+"""Target phases of the design, and the study of their lobe, depth bounds and bandwidth."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
-from metafab.core.storage.files import fingerprint
+from metafab.core.storage.files import fingerprint, plain
+from metafab.core.storage.tables import optional, typed
 from metafab.spec import Design
-from metafab.steps.job import Job, Step
-from metafab.steps.outputs import in_folder
+from metafab.steps.job import Job, Step, in_folder
 
 
-def _phase(job: Job) -> dict[str, Any]:
+@dataclass(frozen=True)
+class PhaseFigures:
+    """Fields of :class:`metafab.phase.terms.profile.PhaseFigures`, whose room a current run does not import."""
+
+    peak_gain: float | None = optional()
+    worst_gain: float | None = optional()
+    peak_mean: float | None = optional()
+    target_reached: float | None = optional()
+    target_bound: float | None = optional()
+    bound_fraction: float | None = optional()
+    side_lobe: float | None = optional()
+    side_lobe_without_limit: float | None = optional()
+    blind_information_gain: float | None = optional()
+    rotation_deg: float | None = optional()
+    rotation_deg_per_dioptre: float | None = optional()
+    rotation_deg_per_dioptre_theory: float | None = optional()
+    hologram_efficiency: float | None = optional()
+    hologram_correlation: float | None = optional()
+
+
+@dataclass(frozen=True)
+class RemedyFigures:
+    """Fields of :class:`metafab.phase.studies.bandwidth.Remedy`, whose room a current run does not import."""
+
+    change: str
+    information_kept: float
+    depth_error_factor: float
+
+
+@dataclass(frozen=True)
+class FilterFigures:
+    """Fields of :class:`metafab.phase.studies.bandwidth.BandwidthFigures`."""
+
+    filter_fwhm_nm: float
+    dispersion_um_per_nm: float
+    smear_um: float
+    information_kept: float
+    depth_error_factor: float
+    remedies: tuple[RemedyFigures, ...]
+
+
+@dataclass(frozen=True)
+class StudyFigures:
+    """Figures of the phase study.
+
+    Attributes:
+        bandwidth: cost of the colour filter; None without a filter.
+    """
+
+    bandwidth: FilterFigures | None = optional()
+
+
+def _phase(job: Job) -> PhaseFigures:
     from metafab import phase
 
     phase.save(job.profile, job.design, job.folder / "phase.h5")
-    return dict(job.profile.figures.applicable())
+    return typed(PhaseFigures, job.profile.figures.applicable())
 
 
 def _study_inputs(design: Design) -> tuple[Any, ...]:
@@ -22,24 +75,35 @@ def _study_inputs(design: Design) -> tuple[Any, ...]:
     return (design.phase, design.device, design.sensor, illumination, design.depths_m, design.scene, design.optics)
 
 
-def _study(job: Job) -> dict[str, Any]:
+def _study(job: Job) -> StudyFigures:
     from metafab.phase.studies.bandwidth import bandwidth_figures
     from metafab.phase.studies.study import study
     from metafab.phase.studies.study_store import save_study
 
-    found = study(job.design, job.profile)
-    inputs = fingerprint(*_study_inputs(job.design), job.design.numerics)
-    save_study(found, job.folder / "phase_study.h5", inputs_sha256=inputs)
-    return {} if found.bandwidth is None else {"bandwidth": bandwidth_figures(found.bandwidth)}
+    results = study(job.design, job.profile)
+    inputs_sha256 = fingerprint(*_study_inputs(job.design), job.design.numerics)
+    save_study(results, job.folder / "phase_study.h5", inputs_sha256=inputs_sha256)
+    if results.bandwidth is None:
+        return StudyFigures()
+    return StudyFigures(typed(FilterFigures, plain(bandwidth_figures(results.bandwidth))))
 
 
 PHASE = Step(
-    "phase", ("spec", "information", "phase"), (),
-    lambda d: (d.phase, d.device, d.sensor, d.unit_cell.illumination, d.verify, d.numerics),
-    in_folder("phase.h5"), _phase,
-)  # fmt: skip
+    name="phase",
+    rooms=("spec", "information", "phase"),
+    after=(),
+    inputs=lambda d: (d.phase, d.device, d.sensor, d.unit_cell.illumination, d.verify, d.numerics),
+    outputs=in_folder("phase.h5"),
+    work=_phase,
+    figures=PhaseFigures,
+)
 
 STUDY = Step(
-    "study", ("spec", "information", "phase"), ("phase",),
-    lambda d: (*_study_inputs(d), d.numerics), in_folder("phase_study.h5"), _study,
-)  # fmt: skip
+    name="study",
+    rooms=("spec", "information", "phase"),
+    after=("phase",),
+    inputs=lambda d: (*_study_inputs(d), d.numerics),
+    outputs=in_folder("phase_study.h5"),
+    work=_study,
+    figures=StudyFigures,
+)

@@ -1,62 +1,77 @@
-"""What a design alone tells about whether its steps will work, and what they will make."""
+"""Checks of the design alone, before any step runs."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
 
 from metafab.core.errors import Fault, InputError
 from metafab.spec import Design, Scene
 from metafab.steps.job import Job, Step
 
 
+@dataclass(frozen=True)
+class PreflightFigures:
+    """Outcome of the checks.
+
+    Attributes:
+        announcements: sentences for the user about long work and large files.
+    """
+
+    announcements: tuple[str, ...]
+
+
 def preflight(design: Design) -> None:
-    """Everything that the design alone can tell about whether its steps will work, before the first of them.
+    """Check whether the steps of a design can work, from the design alone.
 
     Raises:
-        InputError: all that was found.
+        InputError: all faults that were found.
     """
     from metafab import layout, mask
     from metafab.optics import Imaging
     from metafab.phase.build import require_paintable
 
     faults: list[Fault] = []
-    of_mask = (layout.Aperture.of, layout.field_sites, mask.lens_copies) if design.has_mask else (layout.lattice_of,)
-    for look in (Imaging.of, *of_mask, require_paintable):
+    of_lattice = (layout.Aperture.of, layout.field_sites, mask.lens_copies) if design.has_mask else (layout.lattice_of,)
+    for check in (Imaging.of, *of_lattice, require_paintable):
         try:
-            look(design)
+            check(design)
         except InputError as error:
             faults += error.faults
-    focal_m = 1e-3 * design.device.focal_length_mm
-    depths = {f"verify.depths_m[{i}]": z for i, z in enumerate(design.verify.depths_m)}
-    if design.scene is not None:
-        depths |= {f"scene.objects[{i}].depth_m": item.depth_m for i, item in enumerate(design.scene.objects)}
-    faults += [
-        Fault(name, f"a depth beyond the focal length, {focal_m:g} m", f"{depth:g} m", "nearer objects have no image")
-        for name, depth in depths.items()
-        if depth <= focal_m
-    ]
+    faults += _depths_without_image(design)
     if design.has_mask:
-        faults += _rules_that_no_size_keeps(design)
+        faults += _unreachable_rules(design)
     if not faults and design.scene is not None:
-        faults += _objects_out_of_sight(design, design.scene)
-    if not faults and design.scene is not None and design.split_angle_deg > 0.0:
-        imaging = Imaging.of(design)
-        apart_px = 2.0 * abs(imaging.image_point_um(0, (0.0, 0.0))[0]) / imaging.pixel_um
-        if design.scene.field_px[1] >= apart_px:
-            faults.append(
-                Fault(
-                    "scene.field_px",
-                    f"fewer columns than the images are apart, {apart_px:.3g} pixels of {imaging.pixel_um:g} um",
-                    f"{design.scene.field_px[1]} columns",
-                    "narrow the field, make `sensor.pixel_um` smaller, or split by a larger angle",
-                )
-            )
+        faults += _objects_outside_view(design, design.scene)
+        faults += _overlapping_images(design, design.scene)
     if faults:
         raise InputError(design.name, faults)
 
 
-def _rules_that_no_size_keeps(design: Design) -> list[Fault]:
-    """Rules that leave the library nothing, found before the library is built."""
+def _depths_without_image(design: Design) -> list[Fault]:
+    """Depths within the focal length."""
+    focal_m = 1e-3 * design.device.focal_length_mm
+    depths = {f"verify.depths_m[{i}]": z for i, z in enumerate(design.verify.depths_m)}
+    if design.scene is not None:
+        depths |= {f"scene.objects[{i}].depth_m": item.depth_m for i, item in enumerate(design.scene.objects)}
+    expected, remedy = f"a depth beyond the focal length, {focal_m:g} m", "nearer objects have no image"
+    return [Fault(name, expected, f"{depth:g} m", remedy) for name, depth in depths.items() if depth <= focal_m]
+
+
+def _overlapping_images(design: Design, scene: Scene) -> list[Fault]:
+    """A field so wide that the images of both polarisations overlap."""
+    from metafab.optics import Imaging
+
+    imaging = Imaging.of(design)
+    apart_px = 2.0 * abs(imaging.image_point_um(0, (0.0, 0.0))[0]) / imaging.pixel_um
+    if design.split_angle_deg == 0.0 or scene.field_px[1] < apart_px:
+        return []
+    expected = f"fewer columns than the images are apart, {apart_px:.3g} pixels of {imaging.pixel_um:g} um"
+    remedy = "narrow the field, make `sensor.pixel_um` smaller, or split by a larger angle"
+    return [Fault("scene.field_px", expected, f"{scene.field_px[1]} columns", remedy)]
+
+
+def _unreachable_rules(design: Design) -> list[Fault]:
+    """Rules that no size of the library keeps."""
     sweep, period_nm = design.unit_cell.sweep, design.unit_cell.cell.period_nm
     faults = []
     for axis, (name, (low, high)) in enumerate((("width", sweep.width_nm), ("length", sweep.length_nm))):
@@ -73,8 +88,8 @@ def _rules_that_no_size_keeps(design: Design) -> list[Fault]:
     return faults
 
 
-def _objects_out_of_sight(design: Design, scene: Scene) -> list[Fault]:
-    """Objects that stand still and no pixel sees; their directions are tangents."""
+def _objects_outside_view(design: Design, scene: Scene) -> list[Fault]:
+    """Objects at rest outside the field of view; directions are tangents."""
     from metafab.optics import Imaging
 
     imaging = Imaging.of(design)
@@ -95,14 +110,20 @@ def _objects_out_of_sight(design: Design, scene: Scene) -> list[Fault]:
     ]
 
 
-def _preflight(job: Job) -> dict[str, Any]:
+def _preflight(job: Job) -> PreflightFigures:
     from metafab import mask
 
     preflight(job.design)
-    return {"announcements": mask.announcement(job.design)}
+    return PreflightFigures(tuple(mask.announcement(job.design)))
 
 
-#: Comes before all others and writes nothing; done again when the design or the code of the rooms that look changed.
+#: Runs before all other steps and writes no file.
 PREFLIGHT = Step(
-    "preflight", ("spec", "phase", "layout", "mask", "optics"), (), lambda d: d, lambda job: (), _preflight
+    name="preflight",
+    rooms=("spec", "phase", "layout", "mask", "optics"),
+    after=(),
+    inputs=lambda design: design,
+    outputs=lambda job: (),
+    work=_preflight,
+    figures=PreflightFigures,
 )

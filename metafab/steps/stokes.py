@@ -94,13 +94,14 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
     require_turnable(design)
     preflight(design)
     imaging, library, target = optics.Imaging.of(design), open_library(job), JonesTarget.of(design, row_angle_deg)
-    assignment = assign_turned(target, library, design, angles=angles, size_step_nm=size_step_nm, progress=job.progress)
+    progress = job.work.progress
+    assignment = assign_turned(target, library, design, angles=angles, size_step_nm=size_step_nm, progress=progress)
     files: dict[str, Path] = {suffix: job.folder / f"stokes.{suffix}" for suffix in design.mask.formats}
-    mask_figures = write_drawings(assignment.pillars, files, design, job.progress)
+    mask_figures = write_drawings(assignment.pillars, files, design, progress)
     written = mask_source(job, files[design.mask.formats[-1]], angles=angles)
     perfect = optics.ideal_field(target, written.lattice, design.device)
     depths_m, window_px = calibration_depths(design, imaging), design.verify.window_px
-    psf_of = partial(stokes_psf, target=target, imaging=imaging, window_px=window_px, progress=job.progress)
+    psf_of = partial(stokes_psf, target=target, imaging=imaging, window_px=window_px, progress=progress)
     ideal = psf_of(lit_source(job, perfect), depths_m=depths_m[:1])
     psf = psf_of(lit_source(job, written), depths_m=depths_m)
     frame = photograph(design.scene, psf)

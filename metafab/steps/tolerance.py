@@ -1,18 +1,19 @@
-"""Corners of fabrication: what they do to the PSFs of the written file."""
+"""Effect of fabrication errors on the PSFs of the written mask."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from metafab.core.storage.files import file_sha256
+from metafab.core.storage.files import file_sha256, plain
+from metafab.core.storage.tables import typed
 from metafab.spec import Design
 from metafab.spec.design import Tolerances
-from metafab.steps.job import Job, Step
+from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
 from metafab.steps.optics import filter_fwhm_nm, mask_source
-from metafab.steps.outputs import in_folder, no_mask
 
 if TYPE_CHECKING:
     from metafab.tolerance import ToleranceTable
@@ -20,14 +21,55 @@ if TYPE_CHECKING:
 FILE = "tolerance.json"
 
 
+@dataclass(frozen=True)
+class CornerFigures:
+    """Fields of :class:`metafab.tolerance.ToleranceRow`, whose room a current run does not import."""
+
+    corner: str
+    change: float
+    peak_ratio: float
+    efficiency: float
+    efficiency_change: float
+    extinction_ratio: float
+    turn_deg: float
+    depth_error_m: float
+    relative_error: float
+    draws: int
+    solved: int
+    below_error: bool
+
+
+@dataclass(frozen=True)
+class ToleranceFigures:
+    """All fabrication corners of a mask.
+
+    Attributes:
+        depth_m: object depths.
+        error: relative L2 error of the PSFs; smaller changes are not significant.
+        block_sites: lattice sites along the side of a block of the pupil.
+        nominal: the nominal mask.
+        rows: the corners.
+    """
+
+    depth_m: tuple[float, ...]
+    error: float
+    block_sites: int
+    nominal: CornerFigures
+    rows: tuple[CornerFigures, ...]
+
+    @classmethod
+    def of(cls, table: ToleranceTable) -> ToleranceFigures:
+        """Figures of a table of corners."""
+        return typed(cls, plain(table))
+
+
 def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
-    """The table of corners of a written file, by the design's ``[tolerance]`` or the usual values."""
+    """Compute the corners of a written file, for the design's ``[tolerance]`` or default faults."""
     from metafab import layout, optics, tolerance
-    from metafab.core.parallel.executor import open_executor
 
     design = job.design
     written, library = mask_source(job, path, copy), open_library(job)
-    with open_executor(job.workers, job.cluster) as executor:
+    with job.work.processes() as executor:
         return tolerance.tolerance_table(
             written,
             library,
@@ -40,40 +82,45 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
             transmission=optics.Apodisation.of(design),
             filter_fwhm_nm=filter_fwhm_nm(design),
             executor=executor,
-            progress=job.progress,
+            progress=job.work.progress,
         )
 
 
-def recorded_tolerance(job: Job) -> dict[str, Any]:
-    """What ``metafab tolerance`` found on a mask of this run, {} if nothing."""
+def recorded_tolerance(job: Job) -> ToleranceFigures | None:
+    """Figures that ``metafab tolerance`` stored for a mask of this run; None if there are none."""
     if not (job.folder / FILE).is_file():
-        return {}
+        return None
 
     from metafab import tolerance
 
-    found = tolerance.load_tolerance(job.folder / FILE)
-    if found is None or all(file_sha256(path) != found[1] for path in reversed(mask_paths(job))):
-        return {}
-    return tolerance.tolerance_figures(found[0])
+    stored = tolerance.load_tolerance(job.folder / FILE)
+    if stored is None or all(file_sha256(path) != stored[1] for path in reversed(mask_paths(job))):
+        return None
+    return ToleranceFigures.of(stored[0])
 
 
-def _tolerance(job: Job) -> dict[str, Any]:
+def _tolerance(job: Job) -> ToleranceFigures:
     from metafab import tolerance
 
     path = mask_paths(job)[-1]
     table = tolerances(job, path)
     tolerance.save_tolerance(table, job.folder / FILE, mask_sha256=file_sha256(path))
-    return tolerance.tolerance_figures(table)
+    return ToleranceFigures.of(table)
 
 
-def _not_asked(design: Design) -> str | None:
+def _not_requested(design: Design) -> str | None:
     return no_mask(design) or (
         None if design.tolerance is not None else "the design has no [tolerance]; `metafab tolerance` makes the table"
     )
 
 
 TOLERANCE = Step(
-    "tolerance", ("mask", "cell", "library", "optics", "tolerance"), ("library", "layout"),
-    lambda d: (d.tolerance, d.sensor, d.verify, d.optics, d.mask.write_field_um), in_folder(FILE), _tolerance,
-    _not_asked,
-)  # fmt: skip
+    name="tolerance",
+    rooms=("mask", "cell", "library", "optics", "tolerance"),
+    after=("library", "layout"),
+    inputs=lambda d: (d.tolerance, d.sensor, d.verify, d.optics, d.mask.write_field_um),
+    outputs=in_folder(FILE),
+    work=_tolerance,
+    figures=ToleranceFigures,
+    not_needed=_not_requested,
+)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from metafab.cli.console import short_of_a_turn
+from metafab.cli.console import coverage_warning
 from tests.main_job import UNIT_CELL, metafab
 
 WIDE = """
@@ -118,6 +118,6 @@ def test_a_circle_has_one_size() -> None:
 
 
 def test_a_library_far_from_a_turn_is_said_to_be() -> None:
-    assert short_of_a_turn(4.2) == []
-    (said,) = short_of_a_turn(0.4)
+    assert coverage_warning(4.2) == []
+    (said,) = coverage_warning(0.4)
     assert "0.4 rad" in said

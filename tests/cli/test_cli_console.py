@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +18,11 @@ import pytest
 import typer
 
 from metafab.cli import console, entry
-from metafab.cli.headlines import headlines
+from metafab.cli.commands.run import headlines
 from metafab.core.errors import InputError, MetafabError, MissingToolError, RulesViolatedError, SolverError
 from metafab.core.parallel.progress import silent
+from metafab.steps import RunSummary
+from tests.closed_form_run import run_summary
 from tests.conftest import MainJob
 from tests.main_job import SMALL, metafab
 
@@ -163,27 +166,24 @@ def test_help_imports_no_room() -> None:
 
 
 def test_a_run_is_told_in_a_dozen_lines_and_names_its_report(tmp_path: Path) -> None:
-    summary = {
-        "library": {"max_error": 1.7e-3, "coverage_rad": 6.2832, "file": "lib.h5"},
-        "phase": {"peak_gain": 1.44},
-        "layout": {"pillars": 255337, "phase_rms_error_rad": 0.101},
-        "drc": {"violations": {"min_gap": 0, "min_feature": 3}, "min_gap_nm": 100.0},
-        "psf": {"error": [1e-4, 3e-4], "efficiency_x": [0.5, 0.7]},
-        "merit": {"rotation_deg": 59.09},
-        "decode": {},
-        "seconds": {"library": 19.0, "layout": 1.5},
-    }
-    found = headlines(summary, tmp_path)
-    assert found["pillars"] == "255 337"
-    assert found["rules broken"] == "3"
-    assert found["PSF error"].startswith("0.0003 ")
-    assert found["efficiency"].startswith("60.0 %")
-    assert found["rotation"].startswith("59.1 degrees")
-    assert found["time"].startswith("20.5 s")
-    assert found["report"] == str(tmp_path / "report.html")
-    assert "depth error" not in found  # nothing was decoded
-    assert len(found) <= 16 and all("[" not in text and "{" not in text for text in found.values())
-    assert "rotation" not in headlines(summary | {"phase": {}}, tmp_path)
+    summary = replace(run_summary(), decode=None)
+    lines = headlines(summary, tmp_path)
+    assert lines["pillars"] == "7 213"
+    assert lines["rules broken"] == "3"
+    assert lines["PSF error"].startswith("0.001 ")
+    assert lines["efficiency"].startswith("60.0 %")
+    assert lines["time"].startswith("4.4 s")
+    assert lines["report"] == str(tmp_path / "report.html")
+    assert "depth error" not in lines  # nothing was decoded
+    assert len(lines) <= 16 and all("[" not in text and "{" not in text for text in lines.values())
+    assert headlines(run_summary(), tmp_path)["depth error"].startswith("0.21 %")
+
+
+@pytest.mark.xdist_group("main_job")
+def test_only_a_lobe_that_turns_has_a_rotation(main_job: MainJob, tmp_path: Path) -> None:
+    summary = RunSummary.load(main_job.folder / "summary.json")
+    assert headlines(summary, tmp_path)["rotation"].startswith("59.1 degrees")
+    assert "rotation" not in headlines(replace(summary, phase=None), tmp_path)
 
 
 @pytest.mark.xdist_group("main_job")

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
-from metafab.cli.arguments import spread_depths
+from metafab.cli.entry import spread_depths
 from metafab.core.errors import InputError
 from metafab.optics import load as load_psf
 from tests.conftest import MainJob

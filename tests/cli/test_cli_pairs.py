@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metafab import camera, decode, steps
+from metafab import camera, decode
 from metafab.core.errors import InputError
 from metafab.optics import Psf
 from metafab.spec import Design
 from metafab.spec.terms import SpiralZones
+from metafab.steps import optics
 from metafab.steps.job import Job
 from tests.main_job import SMALL, metafab
 
@@ -32,13 +33,13 @@ def job(small_design: Design, tmp_path_factory: pytest.TempPathFactory) -> Job:
 
 @pytest.fixture(scope="module")
 def calibration(job: Job) -> Psf:
-    return steps.calibration(job, None)
+    return optics.calibration(job, None)
 
 
 @pytest.fixture(scope="module")
 def exact(job: Job) -> Psf:
     assert job.design.scene is not None
-    return steps.exact_pair(job, None, job.design.scene)
+    return optics.scene_pair(job, None, job.design.scene)
 
 
 def test_a_calibration_covers_the_scene(job: Job, calibration: Psf) -> None:
@@ -67,7 +68,7 @@ def test_frames_of_the_one_are_decoded_by_the_other(job: Job, calibration: Psf, 
 
 def test_a_design_without_a_scene_has_no_calibration(job: Job) -> None:
     with pytest.raises(InputError, match="`scene`"):
-        steps.calibration(Job(replace(job.design, scene=None), job.folder), None)
+        optics.calibration(Job(replace(job.design, scene=None), job.folder), None)
 
 
 @pytest.mark.parametrize(

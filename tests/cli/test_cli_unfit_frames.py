@@ -13,7 +13,7 @@ from metafab import camera, decode, optics
 from metafab.cli import entry
 from metafab.core.errors import InputError
 from metafab.spec import Scene, SceneObject
-from metafab.steps import restore
+from metafab.steps.images import decode_file
 from tests.conjugate_pair import helix_psf
 from tests.main_job import metafab
 
@@ -42,10 +42,10 @@ def test_an_unfit_frame_replaces_nothing(tmp_path: Path, psf: Path, values: np.n
     np.save(raw, values)
     output.write_bytes(b"an older result")
     with pytest.raises(InputError, match=f"`frame`: .*{message}"):
-        restore(raw, psf, output)
+        decode_file(raw, psf, output)
     assert output.read_bytes() == b"an older result"
     # A run goes on: its report says why there is no image.
-    assert "reason" in restore(raw, psf, output, unfit="empty").details
+    assert "reason" in decode_file(raw, psf, output, unfit="empty").details
     assert not np.isfinite(decode.load(output).depth_m).any()
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metafab import camera, decode, optics, steps
+from metafab import camera, decode, optics
 from metafab.optics import Psf
 from metafab.spec import Scene, load_design, load_scene
 from metafab.steps.job import Job
+from metafab.steps.optics import calibration, calibration_depths, mask_source
 from tests.conftest import MainJob
 from tests.main_job import ROOT, SMALL
 
@@ -33,7 +34,7 @@ def displaced(main_job: MainJob, tmp_path_factory: pytest.TempPathFactory) -> Ps
     """The pair of the same written mask on a sensor elsewhere."""
     design = load_design(SMALL)
     moved = replace(design, sensor=replace(design.sensor, focus_depth_m=FOCUS_M))
-    return steps.calibration(Job(moved, tmp_path_factory.mktemp("displaced")), main_job.folder / "layout.oas")
+    return calibration(Job(moved, tmp_path_factory.mktemp("displaced")), main_job.folder / "layout.oas")
 
 
 def calibrated(predicted: Psf, camera_pair: Psf, folder: Path) -> tuple[Psf, decode.CameraFit]:
@@ -98,9 +99,9 @@ def test_another_wavelength_is_calibrated_as_the_sensor_that_it_looks_like(
     job, share = Job(design, tmp_path), 0.005
     imaging = optics.Imaging.of(design)
     redder = optics.psf(
-        steps.mask_source(job, main_job.folder / "layout.oas"),
+        mask_source(job, main_job.folder / "layout.oas"),
         replace(imaging, wavelength_um=(1.0 + share) * imaging.wavelength_um),
-        steps.calibration_depths(design, imaging),
+        calibration_depths(design, imaging),
         field_tangents=optics.field_tangents(design, imaging),
         window_px=design.verify.window_px,
     )

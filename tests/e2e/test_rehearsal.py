@@ -25,5 +25,5 @@ def test_wrong_depths_and_broken_rules_do_not_pass() -> None:
 @pytest.mark.parametrize("violations", [0, 1])
 def test_the_doctor_tells_how_the_rehearsal_went(violations: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rehearsal, "rehearse", lambda progress: Rehearsal(0.01, violations))
-    assert examine(rehearse=True)["self_test"]["rehearsal"] is (violations == 0)
-    assert "rehearsal" not in examine()["self_test"]
+    assert examine(rehearse=True).self_test["rehearsal"] is (violations == 0)
+    assert "rehearsal" not in examine().self_test

@@ -7,10 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from metafab import run, steps
 from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
+from metafab.core.storage.files import write_json
 from metafab.optics import load
+from metafab.run import STEPS_FILE, FileMark, Record, run
 from metafab.spec import Design, canonical_toml, load_design
+from metafab.steps import Job, RunSummary, point_spread, write_layout
+from metafab.steps.stokes import full_stokes
 from tests.main_job import SMALL
 
 OF_PILLARS = ("library", "layout", "drc", "merit")
@@ -23,30 +27,30 @@ def design() -> Design:
 
 
 @pytest.fixture(scope="module")
-def done(design: Design, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, run.Outcome]:
+def done(design: Design, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunSummary]:
     folder = tmp_path_factory.mktemp("phases_alone")
     # What an earlier variant of the design left of its mask goes.
     (folder / "layout.oas").write_bytes(b"pillars")
-    record = run.Record("", {"layout.oas": {"bytes": 7, "mtime_ns": 0, "sha256": ""}}, {}, 0.0, 0.0)
-    run.write_json(folder / run.STEPS_FILE, {"layout": record})
-    return folder, run.run(design, folder)
+    record = Record("", {"layout.oas": FileMark(7, 0, "")}, {}, 0.0, 0.0)
+    write_json(folder / STEPS_FILE, {"layout": record})
+    return folder, run(design, folder)
 
 
-def test_depths_are_those_of_the_scene(done: tuple[Path, run.Outcome]) -> None:
-    summary = done[1].summary
-    assert summary["decode"]["worst_object_error"] < 0.01
-    assert summary["decode"]["share_decoded"] > 0.98
+def test_depths_are_those_of_the_scene(done: tuple[Path, RunSummary]) -> None:
+    decode, psf = done[1].decode, done[1].psf
+    assert decode is not None and decode.worst_object_error is not None and decode.worst_object_error < 0.01
+    assert decode.share_decoded is not None and decode.share_decoded > 0.98
     # Nothing is absorbed: all that came through the aperture is in the window or beside it.
-    assert summary["psf"]["transmitted_x"] == pytest.approx(1.0, abs=1e-3)
+    assert psf is not None and psf.transmitted_x == pytest.approx(1.0, abs=1e-3)
 
 
-def test_nothing_is_said_of_pillars(done: tuple[Path, run.Outcome]) -> None:
-    folder, outcome = done
-    skipped = {entry["step"]: entry["why"] for entry in outcome.summary["skipped"]}
+def test_nothing_is_said_of_pillars(done: tuple[Path, RunSummary]) -> None:
+    folder, summary = done
+    skipped = {entry.step: entry.why for entry in summary.skipped}
     assert all("no mask" in skipped[step] for step in (*OF_PILLARS, "tolerance"))
-    assert all(outcome.summary[step] == {} for step in OF_PILLARS)
-    assert outcome.violations == 0
-    sources = [row["source"] for row in outcome.summary["error_budget"]]
+    assert all(summary.table()[step] == {} for step in OF_PILLARS)
+    assert summary.violations == 0
+    sources = [line.source for line in summary.error_budget]
     assert sources == ["pupil reduction and sampling", "depth interpolation", "field interpolation", "decoder"]
     files = {path.name for path in folder.iterdir()}
     assert not files & {"layout.oas", "layout.gds", "drc.json", "merit.json", "ideal_psf.h5"}
@@ -59,17 +63,17 @@ def test_nothing_is_said_of_pillars(done: tuple[Path, run.Outcome]) -> None:
     assert "not in the run folder" not in page
 
 
-def test_a_second_run_does_nothing(design: Design, done: tuple[Path, run.Outcome]) -> None:
-    again = run.run(design, done[0]).summary
-    assert {entry["step"] for entry in again["skipped"]} >= {"phase", "study", "psf", "capture", "decode", "report"}
+def test_a_second_run_does_nothing(design: Design, done: tuple[Path, RunSummary]) -> None:
+    again = run(design, done[0])
+    assert {entry.step for entry in again.skipped} >= {"phase", "study", "psf", "capture", "decode", "report"}
 
 
-def test_the_pair_is_that_of_psf_ideal(design: Design, done: tuple[Path, run.Outcome]) -> None:
+def test_the_pair_is_that_of_psf_ideal(design: Design, done: tuple[Path, RunSummary]) -> None:
     """``metafab psf --ideal`` of the same design, which has one way to its target phases."""
     stored = load(done[0] / "psf.h5")
-    job = run.Job(design, done[0], workers=1)
+    job = Job(design, done[0], Work(workers=1))
     depth_m = float(stored.depth_m[2])
-    alone = steps.point_spread(
+    alone = point_spread(
         job, None, depths_m=(depth_m,), object_mm=(0.0, 0.0), pixel_um=None, window_px=64, target_error=1e-3
     )
     assert alone.psf[0, 0] == pytest.approx(stored.psf[0, 2], abs=2e-3 * stored.psf.max())
@@ -78,6 +82,6 @@ def test_the_pair_is_that_of_psf_ideal(design: Design, done: tuple[Path, run.Out
 def test_no_mask_is_written_where_none_is_asked_for(design: Design, tmp_path: Path) -> None:
     assert "formats = []" in canonical_toml(design)
     with pytest.raises(InputError, match=r"mask\.formats"):
-        steps.write_layout(run.Job(design, tmp_path))
+        write_layout(Job(design, tmp_path))
     with pytest.raises(InputError, match=r"mask\.formats"):
-        steps.full_stokes(run.Job(design, tmp_path), row_angle_deg=8.0, angles=8, size_step_nm=20.0)
+        full_stokes(Job(design, tmp_path), row_angle_deg=8.0, angles=8, size_step_nm=20.0)

@@ -12,7 +12,9 @@ from metafab.core.errors import InputError
 from metafab.optics import Imaging, depth_nodes, field_tangents
 from metafab.spec import Design, canonical_toml, load_design
 from metafab.spec.terms import Lens
-from metafab.steps import calibration_depths, open_library
+from metafab.steps import open_library
+from metafab.steps.job import Job
+from metafab.steps.optics import calibration_depths
 from tests.main_job import SMALL
 
 
@@ -49,15 +51,15 @@ def test_what_needs_photons_asks_for_a_scene(tmp_path: Path) -> None:
 @pytest.mark.xdist_group("main_job")
 def test_a_lens_without_a_scene_runs_to_its_report(tmp_path: Path, plain_lens: Design) -> None:
     assert "[scene]" not in canonical_toml(plain_lens)
-    summary = run.run(plain_lens, tmp_path).summary
-    skipped = {entry["step"]: entry["why"] for entry in summary["skipped"]}
+    summary = run.run(plain_lens, tmp_path)
+    skipped = {entry.step: entry.why for entry in summary.skipped}
     assert "[tolerance]" in skipped.pop("tolerance")
     assert skipped == dict.fromkeys(("capture", "decode"), "the design has no scene to photograph")
-    assert summary["capture"] == summary["decode"] == {}
+    assert summary.psf is not None and summary.capture is None and summary.decode is None
     # Stigmatic for parallel light, used at a finite depth: most of what the pillars let through is in the window.
-    transmitted = library.quality(open_library(run.Job(plain_lens, tmp_path)))["mean_transmittance"]
-    assert 0.5 * transmitted < summary["psf"]["efficiency_x"][0] <= 1.0
-    sources = {row["source"] for row in summary["error_budget"]}
+    transmitted = library.quality(open_library(Job(plain_lens, tmp_path)))["mean_transmittance"]
+    assert 0.5 * transmitted < summary.psf.efficiency_x[0] <= 1.0
+    sources = {line.source for line in summary.error_budget}
     assert "pupil reduction and sampling" in sources
     assert not sources & {"decoder", "depth interpolation", "field interpolation"}, "there is no image to be wrong in"
     assert (tmp_path / "report.html").is_file()

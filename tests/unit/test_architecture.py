@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[2] / "metafab"
 #: The rooms in the order in which data flows; a room may import only rooms before it.
 ORDER = [
     "core", "spec", "materials", "information", "cell", "library", "phase", "layout", "mask", "drc",
-    "optics", "fullwave", "camera", "decode", "comparison", "tolerance", "report", "benchmark", "steps",
+    "optics", "fullwave", "camera", "decode", "comparison", "tolerance", "steps", "benchmark", "report",
     "run", "rehearsal", "doctor", "cli",
 ]  # fmt: skip
 

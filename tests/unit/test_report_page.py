@@ -80,13 +80,13 @@ def test_identifiers_are_unique_and_references_resolve(page: str) -> None:
 
 
 def test_text_of_a_run_cannot_become_markup(page: str) -> None:
-    assert "&lt;true&gt;" in page
-    assert "<true>" not in page
+    assert "&lt;inputs&gt;" in page
+    assert "<inputs>" not in page
 
 
 def test_every_figure_is_a_png_and_a_drawing(page: str, full_run: RunFolder) -> None:
     pictures = sorted((full_run.path / "figures").glob("*.png"))
-    assert len(pictures) == 28
+    assert len(pictures) == 30
     for picture in pictures:
         assert picture.read_bytes().startswith(b"\x89PNG")
     assert page.count('class="plot"') == len(pictures)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from metafab import camera, decode, library, mask, optics
-from metafab.core.storage.files import write_json
 from metafab.layout import PillarMap, lattice_of
 from metafab.library import Library
 from metafab.report.run_folder import open_run
 from metafab.report.write import write
 from metafab.spec import Design, canonical_toml
-from tests.closed_form_run import SUMMARY, decoded_image, raw_frame, turning_psf
+from tests.closed_form_run import decoded_image, raw_frame, run_summary, turning_psf
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory, smooth_library: Library, sm
     optics.save(turning_psf(0.9), path / "ideal_psf.h5")
     camera.save(raw_frame(), path / "raw.h5")
     decode.save(decoded_image(), path / "decoded.h5")
-    write_json(path / "summary.json", {**SUMMARY, "library": {"file": str(path / "lib.h5")}})
+    summary = run_summary()
+    assert summary.library is not None
+    replace(summary, library=replace(summary.library, file=str(path / "lib.h5"))).save(path / "summary.json")
     return path
 
 

@@ -1,1 +1,1 @@
-"""The commands, one thin function each."""
+"""The commands; the list is in :mod:`metafab.cli`."""

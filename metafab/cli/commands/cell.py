@@ -1,18 +1,55 @@
-"""Unit cell and library."""
+"""Commands ``cell``, ``library build``, ``library check`` and ``library show``."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from metafab.cli.app import Cluster, Json, Output, TargetError, UnitCellFile, Workers, app, library_app
-from metafab.cli.console import announce, progress_bars, short_of_a_turn, show
+from metafab.cli.console import announce, coverage_warning, open_work, show
 from metafab.core.errors import Fault, InputError
+from metafab.core.storage.tables import optional
 
 if TYPE_CHECKING:
     from metafab.spec import UnitCell
+
+
+@dataclass(frozen=True)
+class CellFigures:
+    """Response of one unit cell, as ``metafab cell --json`` prints it.
+
+    Attributes:
+        t_xx: zero-order transmission from x to x polarisation; ``t_xy``: from y to x; likewise the others.
+        r_xx: zero-order reflection from x to x polarisation; likewise ``r_yy``.
+        transmittance_x: zero-order power transmittance of x polarisation; likewise y.
+        error: error of t; ``target_error``: largest error requested; ``converged``: whether it was reached.
+        orders: diffraction orders of RCWA; ``resolution``: pixels per period of Meep. One of them is None.
+        seconds: time of the solver.
+        solver: name of the solver.
+        details: further figures of the solver.
+        diffraction: power of each propagating order; None for a cell with one order.
+    """
+
+    t_xx: complex
+    t_yy: complex
+    t_xy: complex
+    t_yx: complex
+    r_xx: complex
+    r_yy: complex
+    transmittance_x: float
+    transmittance_y: float
+    error: float
+    target_error: float
+    converged: bool
+    seconds: float
+    solver: str
+    details: Any
+    orders: Any = optional()
+    resolution: Any = optional()
+    diffraction: Any = optional()
 
 
 @app.command("cell")
@@ -27,7 +64,7 @@ def cell_command(
     target_error: TargetError = None,
     json_: Json = False,
 ) -> None:
-    """Solve one unit cell."""
+    """Solve one unit cell and print its transmission and reflection."""
     from metafab import cell
     from metafab.cell import rcwa
     from metafab.spec import load_unit_cell
@@ -42,32 +79,30 @@ def cell_command(
     answer = cell.solve(problem, numerics)
     diffracts = name == "rcwa" and rcwa.diffracts(problem)
     (t_xx, t_xy), (t_yx, t_yy) = answer.t
-    transmittance_x, transmittance_y = answer.transmittance
-    show(
-        {
-            "t_xx": complex(t_xx),
-            "t_yy": complex(t_yy),
-            "t_xy": complex(t_xy),
-            "t_yx": complex(t_yx),
-            "r_xx": complex(answer.r[0, 0]),
-            "r_yy": complex(answer.r[1, 1]),
-            "transmittance_x": transmittance_x,
-            "transmittance_y": transmittance_y,
-            "error": answer.error,
-            "target_error": numerics.target_error,
-            "converged": answer.converged,
-            "orders" if name == "rcwa" else "resolution": answer.resolution,
-            "seconds": answer.seconds,
-            "solver": name,
-            "details": answer.details,
-            **({"diffraction": rcwa.diffraction(problem, numerics)} if diffracts else {}),
-        },
-        json_,
+    figures = CellFigures(
+        t_xx=complex(t_xx),
+        t_yy=complex(t_yy),
+        t_xy=complex(t_xy),
+        t_yx=complex(t_yx),
+        r_xx=complex(answer.r[0, 0]),
+        r_yy=complex(answer.r[1, 1]),
+        transmittance_x=answer.transmittance[0],
+        transmittance_y=answer.transmittance[1],
+        error=answer.error,
+        target_error=numerics.target_error,
+        converged=answer.converged,
+        seconds=answer.seconds,
+        solver=name,
+        details=answer.details,
+        orders=answer.resolution if name == "rcwa" else None,
+        resolution=None if name == "rcwa" else answer.resolution,
+        diffraction=rcwa.diffraction(problem, numerics) if diffracts else None,
     )
+    show(figures, json_)
 
 
 def _require_size(spec: UnitCell, width_nm: float, length_nm: float) -> None:
-    """Refuse what no pillar of this unit cell can be; 0 is none, and anything up to the period may be asked."""
+    """Check the size of a pillar; 0 stands for no pillar."""
     faults = []
     least_nm = 1e-3 * spec.illumination.wavelength_nm
     for name, size_nm in (("--width-nm", width_nm), ("--length-nm", length_nm)):
@@ -90,51 +125,53 @@ def library_build(
     cluster: Cluster = None,
     json_: Json = False,
 ) -> None:
-    """Sweep width and length until every size is known to the asked error."""
+    """Build a library: sweep width and length until every size is within the target error."""
     from metafab import library
-    from metafab.core.parallel.executor import default_workers, open_executor
+    from metafab.core.parallel.executor import default_workers
     from metafab.core.parallel.measure import measured
+    from metafab.core.storage.files import plain
     from metafab.spec import load_unit_cell
 
     spec = load_unit_cell(unit_cell)
     path = output or unit_cell.with_suffix(".h5")
-    if (ahead := library.foresee(spec, library.SOLVER_SHARE * (target_error or spec.sweep.target_error))) is not None:
-        least, most = (seconds / (workers or default_workers()) for seconds in ahead.seconds)
-        cells = "{} to {} cells".format(*ahead.cells)
+    estimate = library.foresee(spec, library.SOLVER_SHARE * (target_error or spec.sweep.target_error))
+    if estimate is not None:
+        least, most = (seconds / (workers or default_workers()) for seconds in estimate.seconds)
+        cells = "{} to {} cells".format(*estimate.cells)
         announce([f"{cells} are expected, {least:.2g} to {most:.2g} s" + (" a core" if cluster else "")])
-    with progress_bars() as progress, measured() as cost, open_executor(workers, cluster) as executor:
-        built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=progress)
-    announce(short_of_a_turn(library.coverage_rad(built)))
-    show({"file": path, **library.quality(built), **built.details, **built.spent, "seconds": cost.seconds}, json_)
+    with open_work(workers, cluster) as work, measured() as cost, work.processes() as executor:
+        built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=work.progress)
+    announce(coverage_warning(library.coverage_rad(built)))
+    figures = plain(library.quality(built)) | plain(built.details) | plain(built.spent)
+    show(figures | {"file": path, "seconds": cost.seconds}, json_)
 
 
 @library_app.command("check")
 def library_check(
-    file: Annotated[Path, typer.Argument(metavar="LIB.h5")],
-    against: Annotated[Literal["rcwa", "meep"], typer.Option(help="meep, or rcwa at a finer error.")] = "rcwa",
-    samples: Annotated[int, typer.Option(min=1, max=1_000_000, help="Held-out sizes.")] = 10,
-    seed: Annotated[int, typer.Option(min=0)] = 1,
+    file: Annotated[Path, typer.Argument(metavar="LIB.h5", help="Library.")],
+    against: Annotated[Literal["rcwa", "meep"], typer.Option(help="Solver: meep, or a finer rcwa.")] = "rcwa",
+    samples: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of held-out sizes.")] = 10,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random sizes.")] = 1,
     workers: Workers = None,
     cluster: Cluster = None,
     json_: Json = False,
 ) -> None:
-    """Solve held-out sizes again with the other or a finer solver."""
+    """Validate a library: solve held-out sizes again with the other solver or a finer one."""
     from metafab import library
-    from metafab.core.parallel.executor import open_executor
 
     opened = library.load(file)
-    with progress_bars() as progress, open_executor(workers, cluster) as executor:
+    with open_work(workers, cluster) as work, work.processes() as executor:
         result = library.check(
-            opened, against=against, samples=samples, seed=seed, executor=executor, progress=progress
+            opened, against=against, samples=samples, seed=seed, executor=executor, progress=work.progress
         )
     show(result, json_)
 
 
 @library_app.command("show")
 def library_show(
-    file: Annotated[Path, typer.Argument(metavar="LIB.h5")], output: Output = None, json_: Json = False
+    file: Annotated[Path, typer.Argument(metavar="LIB.h5", help="Library.")], output: Output = None, json_: Json = False
 ) -> None:
-    """Draw phase and transmittance against width and length."""
+    """Draw phase and transmittance over width and length."""
     from metafab import library, report
 
     path = output or file.with_suffix(".png")

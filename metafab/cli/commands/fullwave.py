@@ -1,94 +1,167 @@
-"""Full-wave checks of a written mask: rows of one local period, and patches."""
+"""Commands ``coupling`` and ``patch``: full-wave simulations of parts of a written mask."""
 
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from metafab.cli.app import DesignOption, Json, LayoutFile, Output, app, open_job, require_positive
-from metafab.cli.console import progress_bars, show
+from metafab.cli.console import open_work, show
 from metafab.core.errors import InputError
 
-#: A simulation that takes so many times as long as was foreseen is ended.
+if TYPE_CHECKING:
+    from metafab.fullwave.coupling import CouplingRow
+
+#: A simulation is stopped when it takes this many times the estimated time.
 _PATIENCE = 20.0
 
-Polarisations = Annotated[Literal["x", "y", "both"], typer.Option(help="Of the incident light.")]
+
+@dataclass(frozen=True)
+class CouplingAnswer:
+    """Error of the local-period approximation, as ``metafab coupling --json`` prints it.
+
+    Attributes:
+        coupling_error: relative L2 error of the field.
+        efficiency_ratio: power in the focusing order relative to that of the stitched library.
+        rows: the simulated rows.
+    """
+
+    coupling_error: float
+    efficiency_ratio: float
+    rows: tuple[CouplingRow, ...]
+
+
+@dataclass(frozen=True)
+class PatchEstimate:
+    """Estimated size of a simulation.
+
+    Attributes:
+        pixels: pixels of the grid.
+        seconds: time.
+        memory_mb: memory.
+    """
+
+    pixels: float
+    seconds: float
+    memory_mb: float
+
+
+@dataclass(frozen=True)
+class PatchNumerics:
+    """Grid of a simulation.
+
+    Attributes:
+        pixels_per_period: pixels of Meep per period.
+        padding_sites: neighbours on each side of the patch.
+    """
+
+    pixels_per_period: int
+    padding_sites: int
+
+
+@dataclass(frozen=True)
+class PatchAnswer:
+    """Simulation of a patch, as ``metafab patch --json`` prints it, with the figures of the comparison.
+
+    Attributes:
+        pillars: pillars of the patch.
+        polarisation: polarisation of the incident light.
+        decay: remaining field at which the simulation stopped.
+        seconds: time.
+        estimate: estimated size of the simulation.
+        numerics: its grid.
+        file: path of the fields.
+    """
+
+    pillars: int
+    polarisation: str
+    decay: float
+    seconds: float
+    estimate: PatchEstimate
+    numerics: PatchNumerics
+    file: Path
+
+
+Polarisations = Annotated[Literal["x", "y", "both"], typer.Option(help="Polarisation of the incident light.")]
 
 
 @app.command("coupling")
 def coupling_command(
     layout: LayoutFile,
     design: DesignOption,
-    at_um: Annotated[list[str], typer.Option(metavar="X,Y", help="Middle of a row; again for more.")],
-    axis: Annotated[Literal["x", "y"], typer.Option(help="Along which the rows lie.")] = "x",
+    at_um: Annotated[list[str], typer.Option(metavar="X,Y", help="Centre of a row; repeat for more rows.")],
+    axis: Annotated[Literal["x", "y"], typer.Option(help="Direction of the rows.")] = "x",
     solver: Annotated[Literal["rcwa", "meep", "both"], typer.Option(help="Full-wave solver.")] = "rcwa",
     polarisation: Polarisations = "both",
-    pixels_per_period: Annotated[int, typer.Option(min=8, help="Grid of Meep.")] = 16,
+    pixels_per_period: Annotated[int, typer.Option(min=8, help="Pixels of Meep per period.")] = 16,
     output: Output = None,
     json_: Json = False,
 ) -> None:
-    """Rows of one local period, taken from a written mask: what the local-period approximation misses.
+    """Measure the error of the local-period approximation on rows of a written mask.
 
-    In a run folder, ``-o DIR/coupling.json`` puts the result into the error budget of its next run.
+    With ``-o DIR/coupling.json`` in a run folder, the next run adds the result to its error budget.
     """
-    from metafab import fullwave, mask, steps
+    from metafab import fullwave, mask
     from metafab.cell.meep import SupercellSettings
     from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import file_sha256
+    from metafab.steps import open_library
 
-    with progress_bars() as progress, measured() as cost:
-        job = open_job(design, None, None, None, progress)
-        found = fullwave.measure_coupling(
-            mask.read(layout, job.design, progress=progress).pillars,
-            steps.open_library(job),
+    with open_work() as work, measured() as cost:
+        job = open_job(design, None, work)
+        coupling = fullwave.measure_coupling(
+            mask.read(layout, job.design, progress=work.progress).pillars,
+            open_library(job),
             [_place(text) for text in at_um],
             file_sha256(layout),
             axis=axis,
             solvers=("rcwa", "meep") if solver == "both" else (solver,),
             polarisations=("x", "y") if polarisation == "both" else (polarisation,),
             meep=SupercellSettings(pixels_per_period),
-            progress=progress,
+            progress=work.progress,
         )
     if output is not None:
-        fullwave.save_coupling(found, output)
-    figures = {"coupling_error": found.coupling_error, "efficiency_ratio": found.efficiency_ratio}
-    show({**figures, "rows": found.rows, "seconds": cost.seconds, "file": output}, json_)
+        fullwave.save_coupling(coupling, output)
+    figures = CouplingAnswer(coupling.coupling_error, coupling.efficiency_ratio, coupling.rows)
+    show(figures, json_, seconds=cost.seconds, file=output)
 
 
 @app.command("patch")
 def patch_command(
     layout: LayoutFile,
     design: DesignOption,
-    at_um: Annotated[tuple[float, float], typer.Option(metavar="X Y", help="Middle of the patch.")],
+    at_um: Annotated[tuple[float, float], typer.Option(metavar="X Y", help="Centre of the patch.")],
     size_um: Annotated[float, typer.Option(metavar="S", help="Side of the patch.")],
-    polarisation: Annotated[Literal["x", "y"], typer.Option(help="Of the incident light.")] = "x",
-    pixels_per_period: Annotated[int, typer.Option(min=8, help="Grid of Meep.")] = 12,
-    padding_sites: Annotated[int, typer.Option(min=0, help="Neighbours simulated on each side.")] = 3,
-    limit_min: Annotated[float, typer.Option(min=0.0, help="Longer simulations are refused.")] = 30.0,
-    limit_mb: Annotated[float, typer.Option(min=0.0, help="Larger simulations are refused.")] = 8000.0,
-    force: Annotated[bool, typer.Option("--force", help="Simulate whatever it takes.")] = False,
+    polarisation: Annotated[Literal["x", "y"], typer.Option(help="Polarisation of the incident light.")] = "x",
+    pixels_per_period: Annotated[int, typer.Option(min=8, help="Pixels of Meep per period.")] = 12,
+    padding_sites: Annotated[int, typer.Option(min=0, help="Neighbours simulated on each side of the patch.")] = 3,
+    limit_min: Annotated[float, typer.Option(min=0.0, help="Longest simulation, minutes.")] = 30.0,
+    limit_mb: Annotated[float, typer.Option(min=0.0, help="Largest memory, MB.")] = 8000.0,
+    force: Annotated[bool, typer.Option("--force", help="Ignore these limits.")] = False,
     output: Output = None,
     json_: Json = False,
 ) -> None:
-    """Simulate a square patch of a written mask by Meep, and compare its field with the library's.
+    """Simulate a square patch of a written mask with Meep and compare its field with that of the library.
 
-    In a run folder, ``-o DIR/patch.h5`` puts the fields into its report.
+    With ``-o DIR/patch.h5`` in a run folder, the next report shows the fields.
     """
-    from metafab import fullwave, mask, steps
+    from metafab import fullwave, mask
     from metafab.cell.meep import Pool, SupercellSettings
     from metafab.cell.meep.pool import own_folder
-    from metafab.core.storage.files import file_sha256, fingerprint
+    from metafab.core.storage.files import file_sha256, fingerprint, plain
+    from metafab.steps import open_library
 
     require_positive("--size-um", size_um)
     path = output or Path("patch.h5")
-    with progress_bars() as progress:
-        job = open_job(design, None, None, None, progress)
-        opened = steps.open_library(job)
+    with open_work() as work:
+        job = open_job(design, None, work)
+        opened = open_library(job)
         plan = fullwave.plan_patch(
-            mask.read(layout, job.design, progress=progress).pillars,
+            mask.read(layout, job.design, progress=work.progress).pillars,
             opened,
             at_um,
             size_um,
@@ -104,21 +177,12 @@ def patch_command(
                 "make it smaller or its grid coarser, raise the limits, or give --force",
             )  # fmt: skip
         with Pool(1, limit_s=max(3600.0, _PATIENCE * plan.seconds), keep=own_folder()) as pool:
-            patch = fullwave.solve_patch(plan, opened, polarisation, pool, progress)
+            patch = fullwave.solve_patch(plan, opened, polarisation, pool, work.progress)
     fullwave.save_patch(patch, path, inputs_sha256=fingerprint(file_sha256(layout), at_um, size_um, polarisation))
-    show(
-        {
-            "pillars": patch.full_wave.size,
-            **patch.figures(),
-            "polarisation": polarisation,
-            "decay": patch.decay,
-            "seconds": patch.seconds,
-            "estimate": {"pixels": plan.pixels, "seconds": plan.seconds, "memory_mb": plan.memory_mb},
-            "numerics": {"pixels_per_period": pixels_per_period, "padding_sites": padding_sites},
-            "file": path,
-        },
-        json_,
-    )
+    estimate = PatchEstimate(plan.pixels, plan.seconds, plan.memory_mb)
+    numerics = PatchNumerics(pixels_per_period, padding_sites)
+    answer = PatchAnswer(patch.full_wave.size, polarisation, patch.decay, patch.seconds, estimate, numerics, path)
+    show(plain(patch.figures()) | plain(answer), json_)
 
 
 def _place(text: str) -> tuple[float, float]:

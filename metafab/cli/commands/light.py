@@ -1,10 +1,10 @@
-"""Light: point-spread functions, raw frame, decoded image."""
+"""Commands ``psf`` and ``tolerance``: point-spread functions of a written mask."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -22,55 +22,15 @@ from metafab.cli.app import (
     require_finite,
     require_positive,
 )
-from metafab.cli.console import announce, progress_bars, show
+from metafab.cli.console import open_work, show
 from metafab.core.errors import InputError
-
-if TYPE_CHECKING:
-    from metafab.camera import Counts, RawFrame
-
-Black = Annotated[
-    float, typer.Option("--black", metavar="COUNTS", help="Of a camera's pixel without light [of its own files].")
-]
-Gain = Annotated[float, typer.Option("--electrons-per-count", metavar="E", help="A camera's gain [of its own files].")]
-ReadNoise = Annotated[
-    float,
-    typer.Option("--read-noise-e", min=0.0, metavar="E", help="A camera's noise without light [of its own files]."),
-]
-White = Annotated[
-    float | None,
-    typer.Option("--white", metavar="COUNTS", help="Of a camera's full pixel [default: its files' largest value]."),
-]
-
-
-def _counts(black: float, gain: float, read_noise_e: float, white: float | None) -> Counts:
-    """What a camera's counts mean."""
-    from metafab.camera import Counts
-
-    require_finite("--black", black)
-    require_positive("--electrons-per-count", gain)
-    require_finite("--read-noise-e", read_noise_e)
-    require_finite("--white", *([] if white is None else [white]))
-    if white is not None and white <= black:
-        raise InputError.single("--white", "value", f"more than the black level, {black:g} counts", f"{white:g}")
-    return Counts(black, gain, read_noise_e, white)
-
-
-def _as_counted(raw: RawFrame, path: Path, black: int) -> dict[str, float | None]:
-    """What ``decode`` has to be told of a frame that was written in counts; nothing of a .h5."""
-    from metafab.camera import counts_of
-    from metafab.core.storage.files import HDF5_SUFFIXES
-
-    if path.suffix.lower() in HDF5_SUFFIXES:
-        return {}
-    meant = counts_of(raw, black=black)
-    return {name: getattr(meant, name) for name in ("black", "electrons_per_count", "read_noise_e", "white")}
 
 
 @app.command("psf")
 def psf_command(
     design: DesignOption,
     layout: Annotated[Path | None, typer.Argument(metavar="LAYOUT", help="Written mask, .gds or .oas.")] = None,
-    ideal: Annotated[bool, typer.Option("--ideal", help="The target phases, without a mask.")] = False,
+    ideal: Annotated[bool, typer.Option("--ideal", help="Use the target phases, without a mask.")] = False,
     depths_m: Annotated[
         list[float] | None,
         typer.Option(metavar="Z ...", help="Object depths, `inf` for far away [default: the design's]."),
@@ -80,16 +40,14 @@ def psf_command(
     ] = False,
     scene: Annotated[
         Path | None,
-        typer.Option(
-            "--scene", metavar="SCENE.toml", help="This scene's very depths and directions, to photograph it."
-        ),
+        typer.Option("--scene", metavar="SCENE.toml", help="Exact depths and directions of this scene, for capture."),
     ] = None,
     object_mm: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="X Y", help="Object's place beside the axis.")
+        tuple[float, float] | None, typer.Option(metavar="X Y", help="Object position from the axis.")
     ] = None,
     pixel_um: Annotated[float | None, typer.Option(metavar="P", help="Sampling step [default: the sensor's].")] = None,
     window_px: Annotated[
-        int | None, typer.Option(min=4, max=2048, metavar="N", help="Window [default: the design's].")
+        int | None, typer.Option(min=4, max=2048, metavar="N", help="Side of the window [default: the design's].")
     ] = None,
     target_error: TargetError = None,
     copy: Copy = 1,
@@ -98,36 +56,41 @@ def psf_command(
     output: Output = None,
     json_: Json = False,
 ) -> None:
-    """PSF pair of a written mask over depth."""
-    from metafab import steps
+    """Compute the PSF pair of a written mask over depth."""
     from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import require_hdf5_name
     from metafab.spec import load_scene
+    from metafab.steps import optics
 
     if output is not None:
         require_hdf5_name(output)
     if ideal == (layout is not None):
         raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
-    asked = {
-        "--depths-m": depths_m, "--object-mm": object_mm, "--pixel-um": pixel_um, "--window-px": window_px,
-        "--target-error": target_error, "--calibration": calibration or None, "--scene": scene,
-    }  # fmt: skip
-    given = [name for name, value in asked.items() if value is not None]
-    if len(given) > 1 and (calibration or scene is not None):
+    options = {
+        "--depths-m": depths_m,
+        "--object-mm": object_mm,
+        "--pixel-um": pixel_um,
+        "--window-px": window_px,
+        "--target-error": target_error,
+        "--calibration": calibration or None,
+        "--scene": scene,
+    }
+    present = [name for name, value in options.items() if value is not None]
+    if len(present) > 1 and (calibration or scene is not None):
         whole = "--scene" if scene is not None else "--calibration"
-        raise InputError.single("psf", whole, "no option that it answers itself", ", ".join(given))
+        raise InputError.single("psf", whole, "no option that it answers itself", ", ".join(present))
     require_positive("--depths-m", *(depth for depth in depths_m or () if depth != math.inf))
     require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
     require_finite("--object-mm", *(object_mm or ()))
-    with progress_bars() as progress, measured() as cost:
-        job = open_job(design, None, workers, cluster, progress)
+    with open_work(workers, cluster) as work, measured() as cost:
+        job = open_job(design, None, work)
         verify = job.design.verify
         if calibration:
-            result = steps.calibration(job, layout, copy=copy)
+            pair = optics.calibration(job, layout, copy=copy)
         elif scene is not None:
-            result = steps.exact_pair(job, layout, load_scene(scene), copy=copy)
+            pair = optics.scene_pair(job, layout, load_scene(scene), copy=copy)
         else:
-            result = steps.point_spread(
+            pair = optics.point_spread(
                 job,
                 layout,
                 depths_m=tuple(sorted(set(depths_m))) if depths_m else verify.depths_m,
@@ -138,8 +101,8 @@ def psf_command(
                 copy=copy,
             )
     if output is not None:
-        steps.save_psf(job, result, layout, output, copy)
-    show({**steps.psf_figures(result), **steps.power_figures(result), "seconds": cost.seconds, "file": output}, json_)
+        optics.save_psf(job, pair, layout, output, copy)
+    show(optics.PairFigures.of(pair), json_, seconds=cost.seconds, file=output)
 
 
 @app.command("tolerance")
@@ -152,137 +115,18 @@ def tolerance_command(
     cluster: Cluster = None,
     json_: Json = False,
 ) -> None:
-    """Corners of fabrication: what they do to a written mask's PSFs, efficiency and depth.
+    """Compute the effect of fabrication errors on a written mask's PSFs, efficiency and depth.
 
-    How far they go is the design's [tolerance], or usual values. In a run folder, ``-o DIR/tolerance.json`` puts the
-    table into the report of its next run.
+    The design's [tolerance] sets the errors; defaults apply without it. With ``-o DIR/tolerance.json`` in a run
+    folder, the next report shows the table.
     """
-    from metafab import steps, tolerance
+    from metafab import tolerance
     from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import file_sha256
+    from metafab.steps.tolerance import ToleranceFigures, tolerances
 
-    with progress_bars() as progress, measured() as cost:
-        table = steps.tolerances(open_job(design, None, workers, cluster, progress), layout, copy=copy)
+    with open_work(workers, cluster) as work, measured() as cost:
+        table = tolerances(open_job(design, None, work), layout, copy=copy)
     if output is not None:
         tolerance.save_tolerance(table, output, mask_sha256=file_sha256(layout))
-    show({**tolerance.tolerance_figures(table), "seconds": cost.seconds, "file": output}, json_)
-
-
-@app.command("capture")
-def capture_command(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file, or a design with a scene.")],
-    psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="PSF pair over depth.")],
-    output: Output = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of the noise [default: the scene's].")] = None,
-    frames: Annotated[int, typer.Option(min=1, metavar="N", help="A film: as many files, numbered from 1.")] = 1,
-    black: Annotated[
-        int, typer.Option(min=0, max=32767, metavar="COUNTS", help="Of a pixel without light [.tif, .png and .npy].")
-    ] = 0,
-    json_: Json = False,
-) -> None:
-    """Raw frame of a scene, or the frames of a film: a .h5 with the truth, or counts in a .tif, .png or .npy."""
-    from metafab import steps
-    from metafab.core.parallel.measure import measured
-    from metafab.core.storage.files import HDF5_SUFFIXES
-    from metafab.spec import load_scene
-
-    path = output or Path("raw.h5")
-    if black and path.suffix.lower() in HDF5_SUFFIXES:
-        expected = "a .tif, .png or .npy file, whose counts have a black level"
-        raise InputError.single("capture", "--black", expected, f"{path.name}, in electrons", "leave it out")
-    counted: dict[str, float | None] = {}
-    shape: tuple[int, ...] = ()
-    photons: list[float] = []
-    files: list[Path] = []
-    with progress_bars() as progress, measured() as cost:
-        for frame, file in steps.expose_film(
-            load_scene(scene), psf, path, frames, seed=seed, black=black, progress=progress
-        ):
-            counted = _as_counted(frame, file, black)
-            shape = frame.frame.shape
-            photons.append(float(frame.frame.sum()))
-            files.append(file)
-    figures = {"photons": photons[0], "file": files[0]} if frames == 1 else {"photons": photons, "files": files}
-    show({"shape": shape, **figures, **counted, "seconds": cost.seconds}, json_)
-
-
-@app.command("film")
-def film_command(
-    scene: Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file, or a design with a scene.")],
-    psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="PSF pair over depth.")],
-    output: Output = None,
-    frames: Annotated[int | None, typer.Option(min=1, metavar="N", help="How many [default: the scene's].")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of the noise [default: the scene's].")] = None,
-    json_: Json = False,
-) -> None:
-    """Film of a moving scene, photographed, decoded frame by frame and drawn: a .gif, or .mp4 with ffmpeg."""
-    from metafab import report, steps
-    from metafab.core.parallel.measure import measured
-    from metafab.spec import load_scene
-
-    path = output or Path("film.gif")
-    report.require_film_name(path)
-    shown = load_scene(scene)
-    seen = []
-    with progress_bars() as progress, measured() as cost:
-        for pair in steps.decoded_film(shown, psf, frames, seed=seed, progress=progress):
-            seen.append(pair)
-        report.write_film(seen, path, frame_interval_s=shown.frame_interval_s)
-    show({**steps.film_figures(seen), "seconds": cost.seconds, "file": path}, json_)
-
-
-@app.command("decode")
-def decode_command(
-    raw: Annotated[Path, typer.Argument(metavar="RAW", help="Raw frame: .h5, .tif, .png or .npy.")],
-    psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="Calibration.")],
-    output: Output = None,
-    black: Black = 0.0,
-    electrons_per_count: Gain = 1.0,
-    read_noise_e: ReadNoise = 0.0,
-    white: White = None,
-    json_: Json = False,
-) -> None:
-    """4D image of a raw frame: both intensities, contrast and depth."""
-    from metafab import steps
-    from metafab.core.storage.files import require_hdf5_name
-
-    path = output or Path("decoded.h5")
-    require_hdf5_name(path)
-    with progress_bars() as progress:
-        counts = _counts(black, electrons_per_count, read_noise_e, white)
-        image = steps.restore(raw, psf, path, counts=counts, progress=progress)
-    if "reason" in image.details:
-        announce([f"{raw}: {image.details['reason']}; the image is empty"])
-    if "warning" in image.details:
-        announce([f"{raw}: {image.details['warning']}"])
-    figures = {**image.details, "segments": image.segments, "file": path}
-    if image.nmae is not None:
-        figures["nmae"] = image.nmae
-    show(figures, json_)
-
-
-@app.command("calibrate")
-def calibrate_command(
-    frames: Annotated[
-        list[Path], typer.Argument(metavar="FRAMES...", help="A point on the axis: .h5, .tif, .png, .npy.")
-    ],
-    psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="Prediction from the mask.")],
-    depths: Annotated[Path, typer.Option("--depths", metavar="DEPTHS.csv", help="Lines `frame, depth in m`.")],
-    output: Output = None,
-    black: Black = 0.0,
-    electrons_per_count: Gain = 1.0,
-    read_noise_e: ReadNoise = 0.0,
-    white: White = None,
-    json_: Json = False,
-) -> None:
-    """Calibration of a camera from photographs of a point at known depths."""
-    from dataclasses import asdict
-
-    from metafab import decode, steps
-    from metafab.core.storage.files import require_hdf5_name
-
-    path = output or Path("calibrated.h5")
-    require_hdf5_name(path)
-    fit = steps.calibrate(frames, depths, psf, path, counts=_counts(black, electrons_per_count, read_noise_e, white))
-    announce([f"not told apart: {decode.NOT_SEPARATED}"])
-    show({**asdict(fit), "not_separated": decode.NOT_SEPARATED, "frames": len(frames), "file": path}, json_)
+    show(ToleranceFigures.of(table), json_, seconds=cost.seconds, file=output)

@@ -1,4 +1,4 @@
-"""Mask: write it, check it."""
+"""Commands ``layout`` and ``drc``: write a mask, and check it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from metafab.cli.app import Cluster, Copy, DesignFile, DesignOption, Json, LayoutFile, Output, Workers, app, open_job
-from metafab.cli.console import announce, exit_on_violations, progress_bars, show
+from metafab.cli.console import announce, exit_on_violations, open_work, show
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -25,37 +25,39 @@ def layout_command(
     cluster: Cluster = None,
     json_: Json = False,
 ) -> None:
-    """Target phases to pillars to mask files."""
-    from metafab import mask, steps
+    """Map the target phases to pillars and write the mask files."""
+    from metafab import mask
     from metafab.core.parallel.measure import measured
+    from metafab.steps import preflight, write_layout
 
-    with progress_bars() as progress:
-        job = open_job(design, output, workers, cluster, progress)
-        steps.preflight(job.design)
+    with open_work(workers, cluster) as work:
+        job = open_job(design, output, work)
+        preflight(job.design)
         if plan:
             if cluster is not None:
                 expected, remedy = "`--workers` with the cluster's cores", "a plan is made on one machine"
                 raise InputError.single("--cluster", "plan", expected, repr(cluster), remedy)
-            show(mask.plan(job.profile, _library_for_a_plan(job), job.design, workers), json_)
+            show(mask.plan(job.profile, _library_for_plan(job), job.design, workers), json_)
             return
         announce(mask.announcement(job.design))
         with measured() as cost:
-            result = steps.write_layout(job)
-    show({**result, "seconds": cost.seconds, "peak_rss_mb": cost.peak_rss_mb}, json_)
+            figures = write_layout(job)
+    show(figures, json_, seconds=cost.seconds, peak_rss_mb=cost.peak_rss_mb)
 
 
-def _library_for_a_plan(job: Job) -> Library:
-    """The design's library; one of an earlier version will do, for sizes and bytes are nearly the same."""
-    from metafab import library, steps
+def _library_for_plan(job: Job) -> Library:
+    """Library of the design; an outdated one serves as well, as sizes and bytes are nearly equal."""
+    from metafab import library
+    from metafab.steps.library import library_is_current, library_path, open_library
 
-    if not steps.library_stands(job):
-        path = steps.library_path(job)
+    if not library_is_current(job):
+        path = library_path(job)
         with suppress(InputError):
-            found = library.load(path)
+            outdated = library.load(path)
             announce([f"{path} is not current: the plan is made with it as it is"])
-            return found
+            return outdated
         announce([f"no library at {path}: it is built first, which is no part of the plan"])
-    return steps.open_library(job)
+    return open_library(job)
 
 
 @app.command("drc")
@@ -64,7 +66,7 @@ def drc_command(
     design: DesignOption,
     engine: Annotated[
         Literal["lattice", "rectangles", "polygons"],
-        typer.Option(help="On the lattice, on the file's rectangles, or by KLayout's polygon engine."),
+        typer.Option(help="Check on the lattice, on the file's rectangles, or with KLayout's polygon engine."),
     ] = "lattice",
     copy: Copy = 1,
     output: Output = None,
@@ -72,14 +74,16 @@ def drc_command(
     cluster: Cluster = None,
     json_: Json = False,
 ) -> None:
-    """Check the design rules on a written file; exits with 2 if any is violated."""
+    """Check the design rules on a written file; exit with 2 if any is violated."""
     from metafab import drc, mask
     from metafab.spec import load_design
 
     spec = load_design(design)
-    with progress_bars() as progress:
-        result = drc.check(layout, spec, engine=engine, workers=workers, cluster=cluster, progress=progress, copy=copy)
+    with open_work(workers, cluster) as work:
+        report = drc.check(
+            layout, spec, engine=engine, workers=workers, cluster=cluster, progress=work.progress, copy=copy
+        )
     if output is not None:
-        drc.save([result], output, mask.top_name(spec.name))
-    show(result, json_)
-    exit_on_violations(sum(result.violations.values()))
+        drc.save([report], output, mask.top_name(spec.name))
+    show(report, json_)
+    exit_on_violations(sum(report.violations.values()))

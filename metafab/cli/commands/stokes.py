@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from metafab.cli.app import DesignFile, Json, Output, app, open_job
-from metafab.cli.console import progress_bars, show
+from metafab.cli.console import open_work, show
 
 
 @app.command("stokes")
@@ -23,15 +23,16 @@ def stokes_command(
     json_: Json = False,
 ) -> None:
     """Full-Stokes imaging with a camera design: turned pillars, six images, Stokes vectors and depth."""
-    from metafab import report, steps
+    from metafab import report
     from metafab.core.errors import InputError
     from metafab.core.parallel.measure import measured
+    from metafab.steps.stokes import full_stokes
 
     if angles % 4:
         raise InputError.single("stokes", "--angles", "a multiple of 4, which holds both diagonals", str(angles))
-    with progress_bars() as progress, measured() as cost:
-        job = open_job(design, output, None, None, progress)
+    with open_work() as work, measured() as cost:
+        job = open_job(design, output, work)
         row_deg = row_angle_deg or job.design.split_angle_deg
-        run = steps.full_stokes(job, row_angle_deg=row_deg, angles=angles, size_step_nm=size_step_nm)
+        run = full_stokes(job, row_angle_deg=row_deg, angles=angles, size_step_nm=size_step_nm)
         file = report.stokes_figure(run.frame, run.image, job.folder / "stokes.png")
-    show({**run.to_json(), "seconds": cost.seconds, "file": file}, json_)
+    show(run.to_json(), json_, seconds=cost.seconds, file=file)

@@ -1,6 +1,7 @@
 """Files.
 
 - ``files``         atomic writing, JSON, fingerprints
+- ``tables``        conversion of JSON tables to dataclasses
 - ``hdf5``          HDF5 with units, descriptions, provenance and a checksum
 - ``pictures``      reader of grey pictures
 - ``latest``        cache of one entry

@@ -9,7 +9,7 @@ import re
 import secrets
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, is_dataclass
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -76,9 +76,13 @@ def untimed(details: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Convert ``value`` to JSON types: dataclasses to dicts, arrays to lists, complex numbers to [re, im] pairs."""
+    """Convert ``value`` to JSON types: dataclasses to dicts, arrays to lists, complex numbers to [re, im] pairs.
+
+    A field made by :func:`metafab.core.storage.tables.optional` is left out where it is None.
+    """
     if is_dataclass(value) and not isinstance(value, type):
-        return plain(asdict(value))
+        items = [(item, getattr(value, item.name)) for item in fields(value)]
+        return {k.name: plain(v) for k, v in items if not (v is None and "optional" in k.metadata)}
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):

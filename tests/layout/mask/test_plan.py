@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from metafab import layout, mask
-from metafab.cli.commands.whole import run_command
+from metafab.cli.commands.run import run_command
 from metafab.layout import Assignment
 from metafab.layout.mapping import TileMapping
 from metafab.library import Library

@@ -9,8 +9,8 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.spec import Design
-from metafab.steps import full_stokes
 from metafab.steps.job import Job
+from metafab.steps.stokes import full_stokes
 
 
 def test_motion_is_refused(small_design: Design, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Showing: the report, the benchmarks, what is installed."""
+"""Commands ``report``, ``benchmark`` and ``doctor``."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def report_command(
 def benchmark_command(
     room: Annotated[str, typer.Argument(help="A room, end_to_end, or all.")] = "all",
     output: Output = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Fewer and smaller cases.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Run fewer and smaller cases.")] = False,
     json_: Json = False,
 ) -> None:
-    """Error against time and memory: table, plot and JSON."""
+    """Measure error against time and memory; write a table, plots and JSON."""
     from metafab import report
     from metafab.benchmark import rows_of
 
@@ -43,15 +43,15 @@ def benchmark_command(
 @app.command("doctor")
 def doctor_command(
     rehearse: Annotated[
-        bool, typer.Option("--rehearse", help="Also take a small lens from unit cell to depth map: half a minute.")
+        bool, typer.Option("--rehearse", help="Also run a small lens from unit cell to depth map: half a minute.")
     ] = False,
     json_: Json = False,
 ) -> None:
-    """What is installed, which Meep was found where, and a short self-test."""
+    """Show the installed tools and run a short self-test."""
     from metafab.doctor import examine
 
     with progress_bars() as progress:
-        findings = examine(rehearse=rehearse, progress=progress)
-    show(findings, json_)
-    if not all(findings["self_test"].values()):
+        diagnosis = examine(rehearse=rehearse, progress=progress)
+    show(diagnosis, json_)
+    if not all(diagnosis.self_test.values()):
         raise typer.Exit(1)

@@ -1,0 +1,202 @@
+"""Commands ``capture``, ``film``, ``decode`` and ``calibrate``: raw frames and the images decoded from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from metafab.cli.app import Json, Output, app, require_finite, require_positive
+from metafab.cli.console import announce, open_work, show
+from metafab.core.errors import InputError
+from metafab.core.storage.tables import optional
+
+if TYPE_CHECKING:
+    from metafab.camera import Counts
+
+SceneFile = Annotated[Path, typer.Argument(metavar="SCENE.toml", help="Scene file, or a design with a scene.")]
+PsfOption = Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="PSF pair over depth.")]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed of the noise [default: the scene's].")]
+Black = Annotated[
+    float, typer.Option("--black", metavar="COUNTS", help="Black level of the camera [for its own files].")
+]
+Gain = Annotated[
+    float, typer.Option("--electrons-per-count", metavar="E", help="Gain of the camera [for its own files].")
+]
+ReadNoise = Annotated[
+    float,
+    typer.Option("--read-noise-e", min=0.0, metavar="E", help="Read noise of the camera [for its own files]."),
+]
+White = Annotated[
+    float | None,
+    typer.Option("--white", metavar="COUNTS", help="White level of the camera [default: the largest value]."),
+]
+
+
+@dataclass(frozen=True)
+class CaptureAnswer:
+    """Written frames, as ``metafab capture --json`` prints them.
+
+    Attributes:
+        shape: rows and columns of a frame.
+        photons: sum of all pixels, electrons; one value for each frame of a film.
+        seconds: time of the command.
+        file: path of a single frame; ``files``: paths of the frames of a film. One of them is None.
+        black: black level of a file in counts; this and the following are the options that ``decode`` needs to read
+            it, and None for an ``.h5``.
+        electrons_per_count: gain.
+        read_noise_e: standard deviation of the read noise, electrons.
+        white: white level, counts.
+    """
+
+    shape: tuple[int, ...]
+    photons: float | list[float]
+    seconds: float
+    file: Path | None = optional()
+    files: list[Path] | None = optional()
+    black: float | None = optional()
+    electrons_per_count: float | None = optional()
+    read_noise_e: float | None = optional()
+    white: float | None = optional()
+
+
+def _counts(black: float, gain: float, read_noise_e: float, white: float | None) -> Counts:
+    """Check the options of a camera that counts."""
+    from metafab.camera import Counts
+
+    require_finite("--black", black)
+    require_positive("--electrons-per-count", gain)
+    require_finite("--read-noise-e", read_noise_e)
+    require_finite("--white", *([] if white is None else [white]))
+    if white is not None and white <= black:
+        raise InputError.single("--white", "value", f"more than the black level, {black:g} counts", f"{white:g}")
+    return Counts(black, gain, read_noise_e, white)
+
+
+@app.command("capture")
+def capture_command(
+    scene: SceneFile,
+    psf: PsfOption,
+    output: Output = None,
+    seed: Seed = None,
+    frames: Annotated[int, typer.Option(min=1, metavar="N", help="Frames of a film, in files numbered from 1.")] = 1,
+    black: Annotated[
+        int, typer.Option(min=0, max=32767, metavar="COUNTS", help="Black level [for .tif, .png and .npy].")
+    ] = 0,
+    json_: Json = False,
+) -> None:
+    """Simulate the raw frame of a scene, or the frames of a film: .h5 with the truth, or counts in .tif, .png, .npy."""
+    from metafab.camera import counts_of
+    from metafab.core.parallel.measure import measured
+    from metafab.core.storage.files import HDF5_SUFFIXES
+    from metafab.spec import load_scene
+    from metafab.steps.images import capture
+
+    path = output or Path("raw.h5")
+    in_counts = path.suffix.lower() not in HDF5_SUFFIXES
+    if black and not in_counts:
+        expected = "a .tif, .png or .npy file, whose counts have a black level"
+        raise InputError.single("capture", "--black", expected, f"{path.name}, in electrons", "leave it out")
+    photons: list[float] = []
+    files: list[Path] = []
+    shape: tuple[int, ...] = ()
+    counts: Counts | None = None
+    with open_work() as work, measured() as cost:
+        filmed = capture(load_scene(scene), psf, path, frames, seed=seed, black=black, progress=work.progress)
+        for frame, file in filmed:
+            counts = counts_of(frame, black=black) if in_counts else None
+            shape = frame.frame.shape
+            photons.append(float(frame.frame.sum()))
+            files.append(file)
+    answer = CaptureAnswer(
+        shape=shape,
+        photons=photons[0] if frames == 1 else photons,
+        seconds=cost.seconds,
+        file=files[0] if frames == 1 else None,
+        files=None if frames == 1 else files,
+        black=None if counts is None else counts.black,
+        electrons_per_count=None if counts is None else counts.electrons_per_count,
+        read_noise_e=None if counts is None else counts.read_noise_e,
+        white=None if counts is None else counts.white,
+    )
+    show(answer, json_)
+
+
+@app.command("film")
+def film_command(
+    scene: SceneFile,
+    psf: PsfOption,
+    output: Output = None,
+    frames: Annotated[int | None, typer.Option(min=1, metavar="N", help="Frames [default: the scene's].")] = None,
+    seed: Seed = None,
+    json_: Json = False,
+) -> None:
+    """Simulate, decode and draw a film of a moving scene: .gif, or .mp4 with ffmpeg."""
+    from metafab import report
+    from metafab.core.parallel.measure import measured
+    from metafab.spec import load_scene
+    from metafab.steps.images import FilmFigures, decoded_film
+
+    path = output or Path("film.gif")
+    report.require_film_name(path)
+    moving = load_scene(scene)
+    with open_work() as work, measured() as cost:
+        film = list(decoded_film(moving, psf, frames, seed=seed, progress=work.progress))
+        report.write_film(film, path, frame_interval_s=moving.frame_interval_s)
+    show(FilmFigures.of(film), json_, seconds=cost.seconds, file=path)
+
+
+@app.command("decode")
+def decode_command(
+    raw: Annotated[Path, typer.Argument(metavar="RAW", help="Raw frame: .h5, .tif, .png or .npy.")],
+    psf: PsfOption,
+    output: Output = None,
+    black: Black = 0.0,
+    electrons_per_count: Gain = 1.0,
+    read_noise_e: ReadNoise = 0.0,
+    white: White = None,
+    json_: Json = False,
+) -> None:
+    """Decode a raw frame to a 4D image: both intensities, contrast and depth."""
+    from metafab.core.storage.files import require_hdf5_name
+    from metafab.steps.images import DecodeFigures, decode_file
+
+    path = output or Path("decoded.h5")
+    require_hdf5_name(path)
+    with open_work() as work:
+        counts = _counts(black, electrons_per_count, read_noise_e, white)
+        figures = DecodeFigures.of(decode_file(raw, psf, path, counts=counts, progress=work.progress))
+    if figures.reason is not None:
+        announce([f"{raw}: {figures.reason}; the image is empty"])
+    if figures.warning is not None:
+        announce([f"{raw}: {figures.warning}"])
+    show(figures, json_, file=path)
+
+
+@app.command("calibrate")
+def calibrate_command(
+    frames: Annotated[
+        list[Path], typer.Argument(metavar="FRAMES...", help="Frames of a point on the axis: .h5, .tif, .png, .npy.")
+    ],
+    psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="PSF pair predicted from the mask.")],
+    depths: Annotated[Path, typer.Option("--depths", metavar="DEPTHS.csv", help="Lines `frame, depth in m`.")],
+    output: Output = None,
+    black: Black = 0.0,
+    electrons_per_count: Gain = 1.0,
+    read_noise_e: ReadNoise = 0.0,
+    white: White = None,
+    json_: Json = False,
+) -> None:
+    """Calibrate a camera from photographs of a point source at known depths."""
+    from metafab import decode
+    from metafab.core.storage.files import require_hdf5_name
+    from metafab.steps.images import calibrate
+
+    path = output or Path("calibrated.h5")
+    require_hdf5_name(path)
+    counts = _counts(black, electrons_per_count, read_noise_e, white)
+    fit = calibrate(frames, depths, psf, path, counts=counts)
+    announce([f"not told apart: {decode.NOT_SEPARATED}"])
+    show(fit, json_, not_separated=decode.NOT_SEPARATED, frames=len(frames), file=path)

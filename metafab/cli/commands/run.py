@@ -1,0 +1,96 @@
+"""Commands ``new`` and ``run``: the design file, and the whole pipeline."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from metafab.cli.app import Cluster, DesignFile, Json, Output, Workers, app
+from metafab.cli.console import announce, coverage_warning, exit_on_violations, open_work, show
+
+if TYPE_CHECKING:
+    from metafab.steps import RunSummary
+
+
+@app.command("new")
+def new_command(
+    name: Annotated[
+        str | None, typer.Argument(metavar="NAME", help="Name of the design; the file is NAME.toml.")
+    ] = None,
+    kind: Annotated[str | None, typer.Option(metavar="KIND", help="Kind of device.")] = None,
+    library: Annotated[
+        Path | None, typer.Option(metavar="UNITCELL.toml", help="Unit cell or built library [default: the paper's].")
+    ] = None,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the files.")] = Path(),
+    json_: Json = False,
+) -> None:
+    """Write a commented design file to start from; without a kind, list the kinds."""
+    from metafab.spec import kinds, write_new
+
+    if name is None or kind is None:
+        show(kinds(), json_)
+        return
+    show({"files": write_new(name, kind, output, library)}, json_)
+
+
+@app.command("run")
+def run_command(
+    design: DesignFile, output: Output = None, workers: Workers = None, cluster: Cluster = None, json_: Json = False
+) -> None:
+    """Run the whole pipeline, from unit cell to report; steps that are up to date are skipped."""
+    from metafab.run import run
+    from metafab.spec import load_design
+
+    spec = load_design(design)
+    folder = output or Path("runs") / spec.name
+    with open_work(workers, cluster) as work:
+        summary = run(spec, folder, work=work, say=announce)
+    if summary.library is not None:
+        announce(coverage_warning(summary.library.coverage_rad))
+    show(summary.table() if json_ else headlines(summary, folder), json_)
+    exit_on_violations(summary.violations)
+
+
+def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
+    """Return the most important figures of a run and the path of its report, as text by label.
+
+    Args:
+        summary: summary of the run; figures of steps that were not needed are left out.
+        folder: the run folder.
+    """
+    lines: dict[str, str] = {}
+    if (library := summary.library) is not None:
+        if library.max_error is not None:
+            lines["library error"] = f"{library.max_error:.2g} of complex t at most"
+        lines["phase reach"] = f"{library.coverage_rad:.3g} rad"
+    if (phase := summary.phase) is not None:
+        if phase.peak_gain is not None:
+            lines["peak gain"] = f"{phase.peak_gain:.3g}"
+        if phase.hologram_efficiency is not None:
+            lines["hologram"] = f"{100.0 * phase.hologram_efficiency:.1f} % of the light in the picture"
+        if phase.hologram_correlation is not None:
+            lines["likeness"] = f"{phase.hologram_correlation:.3f} (correlation with the picture)"
+    if (layout := summary.layout) is not None:
+        lines["pillars"] = f"{layout.pillars:,}".replace(",", " ")
+        lines["phase error"] = f"{layout.phase_rms_error_rad:.3g} rad rms"
+        lines["transmittance"] = f"{100.0 * layout.mean_transmittance:.1f} %"
+    if (drc := summary.drc) is not None:
+        if drc.min_gap_nm is not None:
+            lines["smallest gap"] = f"{drc.min_gap_nm:g} nm"
+        lines["rules broken"] = str(summary.violations)
+    if (psf := summary.psf) is not None:
+        efficiency = sum(psf.efficiency_x) / len(psf.efficiency_x)
+        lines["PSF error"] = f"{max(psf.error):.2g} at most (relative L2)"
+        lines["efficiency"] = f"{100.0 * efficiency:.1f} % in the window (x)"
+    has_zones = phase is not None and phase.peak_gain is not None
+    has_bandwidth = summary.study is not None and summary.study.bandwidth is not None
+    if summary.merit is not None and (has_zones or has_bandwidth):
+        lines["rotation"] = f"{summary.merit.rotation_deg:.1f} degrees over the depths"
+    if summary.decode is not None and summary.decode.nmae is not None:
+        lines["depth error"] = f"{100.0 * summary.decode.nmae:.2g} % mean"
+    lines["time"] = f"{sum(summary.seconds.values()):.3g} s in all steps"
+    lines["all figures"] = str(folder / "summary.json")
+    lines["report"] = str(folder / "report.html")
+    return lines

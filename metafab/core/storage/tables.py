@@ -1,0 +1,59 @@
+"""Dataclasses as JSON tables: optional fields, and the way back from a table to the dataclass."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import field, fields, is_dataclass
+from types import NoneType, UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+Figures = TypeVar("Figures")
+
+
+def optional() -> Any:
+    """Return a dataclass field with default None, which :func:`metafab.core.storage.files.plain` omits when None."""
+    return field(default=None, metadata={"optional": True})
+
+
+def typed(kind: type[Figures], table: Mapping[str, Any]) -> Figures:
+    """Make a dataclass from a table written by :func:`metafab.core.storage.files.plain`; unknown keys are ignored.
+
+    Args:
+        kind: a dataclass of numbers, text, arrays, dataclasses, and tuples or dicts of these.
+        table: its fields by name; null stands for NaN, "inf" for infinity.
+
+    Raises:
+        ValueError, TypeError: a field is missing or does not fit its type.
+    """
+    if not isinstance(table, Mapping):
+        raise TypeError(f"expected a table of {kind.__name__}, got {type(table).__name__}")
+    hints = get_type_hints(kind)
+    values = {
+        item.name: _value(hints[item.name], table[item.name])
+        for item in fields(kind)  # type: ignore[arg-type]
+        if item.name in table
+    }
+    return kind(**values)
+
+
+def _value(hint: Any, value: Any) -> Any:
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        if value is None and NoneType in arguments:
+            return None
+        return _value(next(kind for kind in arguments if kind is not NoneType), value)
+    if origin is tuple:
+        kinds = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
+        return tuple(_value(kind, item) for kind, item in zip(kinds, value, strict=True))
+    if origin is dict:
+        return {key: _value(arguments[1], item) for key, item in value.items()}
+    if origin is np.ndarray:
+        return np.array(value, dtype=np.float64)
+    if is_dataclass(hint) and isinstance(hint, type):
+        return value if isinstance(value, hint) else typed(hint, value)
+    if hint is float:
+        return math.nan if value is None else float(value)
+    return value

@@ -1,0 +1,341 @@
+"""Raw frames of a scene, the 4D images decoded from them, films, and the calibration of a camera."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import Fault, InputError
+from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.files import HDF5_SUFFIXES, file_sha256, fingerprint, plain
+from metafab.core.storage.tables import optional, typed
+from metafab.spec import Scene
+from metafab.spec.fields import LARGEST
+from metafab.steps.job import Job, Step, in_folder, no_images
+
+if TYPE_CHECKING:
+    from metafab.camera import Counts, RawFrame
+    from metafab.decode import CameraFit, Image4D
+
+
+@dataclass(frozen=True)
+class CaptureFigures:
+    """Figures of a raw frame.
+
+    Attributes:
+        shape: rows and columns.
+        photons: sum of all pixels, electrons.
+    """
+
+    shape: tuple[int, ...]
+    photons: float
+
+
+@dataclass(frozen=True)
+class SegmentRow:
+    """Fields of :class:`metafab.decode.image.SegmentFigures`, whose room a current run does not import."""
+
+    number: int
+    pixels: int
+    depth_m: float
+    slope_x_per_m: float
+    slope_y_per_m: float
+    error_m: float
+    contrast: float
+    contrast_error: float
+    correlation: float
+
+
+@dataclass(frozen=True)
+class DecodeFigures:
+    """Figures of a decoded image; those below ``reason`` are None where the decoder does not give them.
+
+    Attributes:
+        nmae: mean |depth error| / depth over pixels, with the depths of their segments; None without truth.
+        segments: depth and contrast of each segment.
+        reason: reason why the image is empty; None for a decoded image.
+        warning: doubt about the frame or the calibration.
+        layers: depth layers; ``basis_images``: images that the deconvolution combines.
+        step_px: frame pixels per compared pixel.
+        pixels: pixels of the image; ``pixels_without_signal``, ``pixels_without_texture`` and ``pixels_broken`` have
+            no depth.
+        contrast_standard_error: median relative standard error of a pixel's contrast.
+        twin_mismatch: share of the twin images' power that neither noise nor depth explains.
+        seconds: time of decoding.
+        share_decoded: share of the objects' pixels with a depth; this and the following compare with the truth.
+        nmae_pixel: mean |depth error| / depth over pixels, each with its own depth.
+        psnr_x_db: peak signal-to-noise ratio of I_x; ``ssim_x``: structural similarity. Likewise for y.
+        object_error: mean over objects of |depth error| / depth; ``worst_object_error``: the largest.
+        contrast_error: mean relative error of the objects' contrast.
+        changed_share: share of the pixels that were decoded again in this frame of a film.
+    """
+
+    nmae: float | None
+    segments: tuple[SegmentRow, ...]
+    reason: str | None = optional()
+    warning: str | None = optional()
+    layers: float | None = optional()
+    basis_images: float | None = optional()
+    step_px: float | None = optional()
+    pixels: float | None = optional()
+    pixels_without_signal: float | None = optional()
+    pixels_without_texture: float | None = optional()
+    pixels_broken: float | None = optional()
+    contrast_standard_error: float | None = optional()
+    twin_mismatch: float | None = optional()
+    seconds: float | None = optional()
+    share_decoded: float | None = optional()
+    nmae_pixel: float | None = optional()
+    psnr_x_db: float | None = optional()
+    ssim_x: float | None = optional()
+    psnr_y_db: float | None = optional()
+    ssim_y: float | None = optional()
+    object_error: float | None = optional()
+    worst_object_error: float | None = optional()
+    contrast_error: float | None = optional()
+    changed_share: float | None = optional()
+
+    @classmethod
+    def of(cls, image: Image4D) -> DecodeFigures:
+        """Figures of a decoded image."""
+        return typed(cls, {"nmae": image.nmae, "segments": plain(image.segments), **plain(image.details)})
+
+
+@dataclass(frozen=True)
+class FilmFigures:
+    """Errors and times of a decoded film, one entry for each frame; None where a frame has no truth.
+
+    Attributes:
+        frames: number of frames.
+        nmae: mean |depth error| / depth; this and the following are those of :class:`DecodeFigures`.
+        objects: relative depth error of each object, by its number.
+        decode_seconds: time of decoding.
+    """
+
+    frames: int
+    nmae: tuple[float | None, ...]
+    nmae_pixel: tuple[float | None, ...]
+    object_error: tuple[float | None, ...]
+    worst_object_error: tuple[float | None, ...]
+    contrast_error: tuple[float | None, ...]
+    share_decoded: tuple[float | None, ...]
+    changed_share: tuple[float | None, ...]
+    objects: tuple[dict[int, float], ...]
+    decode_seconds: tuple[float | None, ...]
+
+    @classmethod
+    def of(cls, film: Sequence[tuple[RawFrame, Image4D]]) -> FilmFigures:
+        """Figures of a film of raw and decoded frames."""
+        from metafab.decode import object_errors
+
+        frames = [DecodeFigures.of(image) for _, image in film]
+        return cls(
+            frames=len(frames),
+            nmae=tuple(frame.nmae for frame in frames),
+            nmae_pixel=tuple(frame.nmae_pixel for frame in frames),
+            object_error=tuple(frame.object_error for frame in frames),
+            worst_object_error=tuple(frame.worst_object_error for frame in frames),
+            contrast_error=tuple(frame.contrast_error for frame in frames),
+            share_decoded=tuple(frame.share_decoded for frame in frames),
+            changed_share=tuple(frame.changed_share for frame in frames),
+            objects=tuple(object_errors(image, raw) for raw, image in film),
+            decode_seconds=tuple(frame.seconds for frame in frames),
+        )
+
+
+def capture(
+    scene: Scene,
+    psf_path: Path,
+    path: Path,
+    frames: int = 1,
+    *,
+    seed: int | None = None,
+    black: int = 0,
+    progress: Progress = silent,
+) -> Iterator[tuple[RawFrame, Path]]:
+    """Simulate the frames of a scene through a stored PSF pair, write each and yield it with its path.
+
+    Args:
+        scene: the scene.
+        psf_path: file of the PSF pair.
+        path: file of a single frame; several get numbers from 1. An ``.h5`` holds electrons and the truth; a TIFF, PNG
+            or NumPy file holds whole counts, as a camera writes them.
+        frames: number of frames.
+        seed: seed of the noise; that of the scene by default.
+        black: black level of files in counts.
+        progress: called during an exposure.
+    """
+    from metafab import camera, optics
+
+    camera.require_frame_name(path)
+    psf, filmed = optics.load(psf_path), replace(scene, frames=frames)
+    inputs = fingerprint(scene, frames, seed, file_sha256(psf_path))
+    for number, frame in enumerate(camera.film(filmed, psf, seed=seed, progress=progress), start=1):
+        file = path if frames == 1 else path.with_name(f"{path.stem}_{number:04d}{path.suffix}")
+        if path.suffix.lower() in HDF5_SUFFIXES:
+            camera.save(frame, file, inputs_sha256=inputs)
+        else:
+            camera.save_counts(frame, file, black=black)
+        yield frame, file
+
+
+def decode_file(
+    raw_path: Path,
+    psf_path: Path,
+    path: Path,
+    *,
+    unfit: Literal["refuse", "empty"] = "refuse",
+    counts: Counts | None = None,
+    progress: Progress = silent,
+) -> Image4D:
+    """Decode a stored raw frame, simulated or from a camera, with a stored PSF pair, and write the 4D image.
+
+    Args:
+        raw_path: the frame.
+        psf_path: the pair.
+        path: file of the image.
+        unfit: treatment of a frame that cannot be decoded: "refuse" raises an error, "empty" writes an empty image
+            with the reason. A dark frame gives an empty image in both cases.
+        counts: meaning of the counts in a camera's own file; electrons by default.
+        progress: called after each candidate depth.
+
+    Raises:
+        InputError: a file cannot be read, or the frame is refused; nothing is written or replaced.
+    """
+    from metafab import camera, decode, optics
+
+    calibration = optics.load(psf_path)
+    frame = camera.load_frame(raw_path, calibration, counts=counts or camera.Counts())
+    if unfit == "refuse" and (fault := _unfit(frame.frame)) is not None:
+        raise InputError(str(raw_path), [fault])
+    image = decode.decode(frame, calibration, progress=progress)
+    reason = str(image.details.get("reason", decode.NO_LIGHT))
+    if unfit == "refuse" and reason != decode.NO_LIGHT:
+        raise InputError.single(str(raw_path), "frame", "one that can be decoded", reason, "is it this camera's?")
+    if frame.saturation_assumed:
+        image = _with_warning(image, _assumed_saturation(frame))
+    decode.save(image, path, inputs_sha256=fingerprint(file_sha256(raw_path), file_sha256(psf_path)))
+    return image
+
+
+def _assumed_saturation(frame: RawFrame) -> str:
+    """Warning for a frame whose white level was inferred from its own pixels."""
+    full = int((frame.frame == frame.saturation_e).sum())
+    return (
+        f"{full} pixels share exactly the largest value: taken as saturated; give the camera's white level "
+        "(`--white COUNTS`)"
+    )
+
+
+def _with_warning(image: Image4D, sentence: str) -> Image4D:
+    earlier = [str(image.details["warning"])] if "warning" in image.details else []
+    return replace(image, details={**image.details, "warning": "; ".join([*earlier, sentence])})
+
+
+def _unfit(values: FloatArray) -> Fault | None:
+    """Fault of pixel values that no exposure produces."""
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return Fault("frame", "electrons or counts", "no finite number", "was the file written whole?")
+    if finite.max() < 0.0:
+        return Fault("frame", "electrons or counts, some of them not below zero", f"at most {finite.max():g}")
+    if finite.max() > LARGEST:
+        return Fault("frame", f"electrons or counts up to {LARGEST:g}", f"{finite.max():g}")
+    return None
+
+
+def decoded_film(
+    scene: Scene, psf_path: Path, frames: int | None, *, seed: int | None = None, progress: Progress = silent
+) -> Iterator[tuple[RawFrame, Image4D]]:
+    """Simulate and decode the frames of a moving scene one by one; unchanged regions are decoded once.
+
+    Args:
+        scene: the scene.
+        psf_path: file of the PSF pair, for exposure and decoding.
+        frames: number of frames; that of the scene by default.
+        seed: seed of textures and noise; that of the scene by default.
+        progress: called during an exposure.
+
+    Raises:
+        InputError: the pair does not suit the scene, or its frames do not hold both images.
+    """
+    from metafab import camera, decode, optics
+
+    pair = optics.load(psf_path)
+    filmed = scene if frames is None else replace(scene, frames=frames)
+    decoder = None
+    for raw in camera.film(filmed, pair, seed=seed, progress=progress):
+        if decoder is None:
+            still = decode.Decoder.of(pair, raw.frame.shape, raw.origin_um, raw.x_window)
+            if still is None:
+                expected, got = "a calibration of a camera that shows both images", "one that does not"
+                remedy = "calibrate the pair over the field"
+                raise InputError.single(str(psf_path), "psf", expected, got, remedy)
+            decoder = decode.VideoDecoder(still)
+        yield raw, decoder(raw)
+
+
+def calibrate(
+    frames: Sequence[Path], depths_path: Path, psf_path: Path, path: Path, *, counts: Counts | None = None
+) -> CameraFit:
+    """Calibrate a camera from photographs of a point source at known depths, and write its PSF pair.
+
+    Args:
+        frames: the photographs.
+        depths_path: CSV table with the depth of each photograph.
+        psf_path: PSF pair predicted from the mask.
+        path: file of the calibrated pair.
+        counts: meaning of the counts in the camera's own files; electrons by default.
+
+    Returns:
+        The fitted parameters of the camera.
+    """
+    from metafab import camera, decode, optics
+
+    predicted = optics.load(psf_path)
+    depths_m = decode.read_depths(depths_path, frames)
+    meaning = counts or camera.Counts()
+    pictures = [camera.load_frame(file, predicted, counts=meaning) for file in frames]
+    calibrated, fit = decode.calibrate(pictures, depths_m, predicted)
+    optics.save(calibrated, path, inputs_sha256=fingerprint(file_sha256(psf_path), *map(file_sha256, frames)))
+    return fit
+
+
+def _capture(job: Job) -> CaptureFigures:
+    assert job.design.scene is not None  # The step is not needed without one.
+    folder, progress = job.folder, job.work.progress
+    ((frame, _),) = capture(job.design.scene, folder / "psf.h5", folder / "raw.h5", progress=progress)
+    return CaptureFigures(frame.frame.shape, float(frame.frame.sum()))
+
+
+def _decode(job: Job) -> DecodeFigures:
+    raw, psf, decoded = (job.folder / name for name in ("raw.h5", "psf.h5", "decoded.h5"))
+    return DecodeFigures.of(decode_file(raw, psf, decoded, unfit="empty", progress=job.work.progress))
+
+
+CAPTURE = Step(
+    name="capture",
+    rooms=("optics", "camera"),
+    after=("psf",),
+    inputs=lambda design: design.scene,
+    outputs=in_folder("raw.h5"),
+    work=_capture,
+    figures=CaptureFigures,
+    not_needed=no_images,
+)
+
+DECODE = Step(
+    name="decode",
+    rooms=("information", "optics", "camera", "decode"),
+    after=("psf", "capture"),
+    inputs=lambda design: None,
+    outputs=in_folder("decoded.h5"),
+    work=_decode,
+    figures=DecodeFigures,
+    not_needed=no_images,
+)

@@ -1,0 +1,188 @@
+"""Summary of a run: the figures of all steps, the error budget, and their file ``summary.json``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from metafab.core.storage.files import plain, write_json
+from metafab.core.storage.tables import typed
+from metafab.steps.images import CaptureFigures, DecodeFigures
+from metafab.steps.layout import DrcFigures, LayoutFigures
+from metafab.steps.library import LibraryFigures
+from metafab.steps.merit import CouplingFigures, MeritFigures
+from metafab.steps.optics import PsfFigures
+from metafab.steps.phase import PhaseFigures, StudyFigures
+from metafab.steps.tolerance import ToleranceFigures
+
+
+@dataclass(frozen=True)
+class BudgetLine:
+    """One source of error.
+
+    Attributes:
+        source: name of the source.
+        value: the error; None where this run did not measure it.
+        unit: unit of the error.
+        how: method of the measurement.
+    """
+
+    source: str
+    value: float | None
+    unit: str
+    how: str
+
+
+@dataclass(frozen=True)
+class SkippedStep:
+    """A step that was not run.
+
+    Attributes:
+        step: its name.
+        why: the reason.
+    """
+
+    step: str
+    why: str
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """Figures of all steps of a run, as in ``summary.json``.
+
+    Attributes:
+        name: name of the design.
+        library: figures of the step of that name, None where the design does not need it; likewise to ``decode``.
+        seconds: time of each step when it ran.
+        peak_rss_mb: peak memory of each step when it ran.
+        skipped: steps that this run skipped.
+        versions: versions of metafab, Python and the libraries.
+        coupling: figures of ``metafab coupling``; None where it was not run on this mask.
+        error_budget: sources of error, in the order of the pipeline.
+    """
+
+    name: str = ""
+    library: LibraryFigures | None = None
+    phase: PhaseFigures | None = None
+    study: StudyFigures | None = None
+    layout: LayoutFigures | None = None
+    drc: DrcFigures | None = None
+    psf: PsfFigures | None = None
+    merit: MeritFigures | None = None
+    tolerance: ToleranceFigures | None = None
+    capture: CaptureFigures | None = None
+    decode: DecodeFigures | None = None
+    seconds: dict[str, float] = field(default_factory=dict)
+    peak_rss_mb: dict[str, float] = field(default_factory=dict)
+    skipped: tuple[SkippedStep, ...] = ()
+    versions: dict[str, str] = field(default_factory=dict)
+    coupling: CouplingFigures | None = None
+    error_budget: tuple[BudgetLine, ...] = ()
+
+    @property
+    def violations(self) -> int:
+        """Number of violations of all design rules."""
+        return 0 if self.drc is None else sum(self.drc.violations.values())
+
+    def table(self) -> dict[str, Any]:
+        """Content of ``summary.json``; a step that was not needed has an empty table."""
+        table = {name: {} if figures is None else figures for name, figures in vars(self).items()}
+        if self.coupling is None:
+            del table["coupling"]
+        return dict(plain(table))
+
+    def save(self, path: Path) -> None:
+        """Write ``summary.json``."""
+        write_json(path, self.table())
+
+    @classmethod
+    def load(cls, path: Path) -> RunSummary:
+        """Read ``summary.json``; figures that an older version wrote in another form are left out.
+
+        Raises:
+            ValueError: the file does not hold one JSON object.
+        """
+        table = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(table, dict):
+            raise ValueError("expected one JSON object")
+        known: dict[str, Any] = {}
+        for name in (item.name for item in fields(cls) if table.get(item.name)):
+            try:
+                known[name] = getattr(typed(cls, {name: table[name]}), name)
+            except (ValueError, TypeError, AttributeError):
+                continue
+        return cls(**known)
+
+
+#: Sources of error that only images have.
+_OF_IMAGES = {"depth interpolation", "field interpolation", "decoder"}
+#: Sources of error that only pillars have.
+_OF_PILLARS = {
+    "solver and library",
+    "size snapping and finite library",
+    "index of the pillar",
+    "local-period approximation",
+}
+
+
+def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
+    """Collect the measured contributions to the error of the whole, in the order of the pipeline.
+
+    Errors of images are left out for a design without a scene, errors of pillars for a design without a mask.
+    """
+    library, layout, psf, decode = summary.library, summary.layout, summary.psf, summary.decode
+    coupling = summary.coupling
+    lines = [
+        BudgetLine(
+            "solver and library",
+            None if library is None else library.max_error,
+            "complex t",
+            "largest error of any size: certificate of the truncation plus interpolation, checked at held-out sizes",
+        ),
+        BudgetLine(
+            "size snapping and finite library",
+            None if layout is None else layout.phase_rms_error_rad,
+            "rad rms",
+            "phase of the chosen size against the target, over all pillars",
+        ),
+        BudgetLine(
+            "index of the pillar",
+            None if library is None else library.index_phase_error_rad,
+            "rad rms",
+            "phases solved again with the index raised by its standard uncertainty, common phase taken out",
+        ),
+        BudgetLine(
+            "local-period approximation",
+            None if coupling is None else coupling.coupling_error,
+            "relative L2",
+            "field behind rows of one local period, full-wave, against the stitched library; `metafab coupling`",
+        ),
+        BudgetLine(
+            "pupil reduction and sampling",
+            None if psf is None else max(psf.error),
+            "relative L2",
+            "PSF with blocks of half the size",
+        ),
+        BudgetLine(
+            "depth interpolation",
+            None if psf is None else psf.depth_interpolation_error,
+            "relative L2",
+            "PSFs computed at the verified depths against those interpolated from the other nodes",
+        ),
+        BudgetLine(
+            "field interpolation",
+            None if psf is None else psf.field_interpolation_error,
+            "relative L2",
+            "PSF computed in the middle of an outermost cell of field points against the interpolated one",
+        ),
+        BudgetLine(
+            "decoder",
+            None if decode is None else decode.nmae,
+            "mean |dz|/z",
+            "decoded against true depth of the simulated scene",
+        ),
+    ]
+    absent = (set() if decode else _OF_IMAGES) | (set() if layout else _OF_PILLARS)
+    return tuple(line for line in lines if line.value is not None or line.source not in absent)

@@ -1,0 +1,61 @@
+"""Steps that read the same mask share its pillars; another file, design or lens is read anew."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import library, mask
+from metafab.core.errors import InputError
+from metafab.layout import lattice_of
+from metafab.layout.pillars import PillarMap
+from metafab.library.library import Library
+from metafab.spec import Design
+from metafab.steps.job import Job
+from metafab.steps.library import library_path
+from metafab.steps.optics import mask_source
+
+
+@pytest.fixture
+def design(small_design: Design, smooth_library: Library, tmp_path: Path) -> Design:
+    """The small design with a library in closed form."""
+    library.save(smooth_library, tmp_path / "lib.h5")
+    return replace(small_design, library=tmp_path / "lib.h5")
+
+
+def _write_mask(design: Design, folder: Path, width_dbu: int) -> Path:
+    """A mask of one pillar size."""
+    lattice = lattice_of(design)
+    sizes = np.array([[0, 0], [width_dbu, 400]], dtype=np.int32)
+    whole = np.ones(lattice.shape, dtype=np.uint16)
+    pillars = PillarMap.from_array(lattice, sizes, whole, design.numerics.tile_sites)
+    mask.write(pillars, folder, design)
+    return folder / "layout.oas"
+
+
+def test_a_mask_is_read_once_until_something_changes(design: Design, tmp_path: Path) -> None:
+    path = _write_mask(design, tmp_path / "run", 300)
+    first = mask_source(Job(design, tmp_path), path).pillars
+    # Another job of the same design, as the next command of a notebook makes one.
+    assert mask_source(Job(design, tmp_path), path).pillars is first
+    assert mask_source(Job(replace(design, name="other"), tmp_path), path).pillars is not first
+    again = mask_source(Job(design, tmp_path), path).pillars
+    _write_mask(design, tmp_path / "run", 320)
+    os.utime(path, ns=(1, 1))
+    changed = mask_source(Job(design, tmp_path), path).pillars
+    assert changed is not again
+    assert changed.size_nm().max() == again.size_nm().max() == 200.0
+    assert changed.size_nm()[:, 0].max() == 160.0
+
+
+def test_a_missing_mask_says_so_before_any_library_is_built(small_design: Design, tmp_path: Path) -> None:
+    unit_cell = tmp_path / "cell.toml"
+    unit_cell.write_text("", encoding="utf-8")
+    job = Job(replace(small_design, library=unit_cell), tmp_path)
+    with pytest.raises(InputError, match=r"gone\.oas"):
+        mask_source(job, tmp_path / "gone.oas")
+    assert not library_path(job).exists()

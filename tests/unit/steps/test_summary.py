@@ -1,0 +1,85 @@
+"""What full-wave rows found enters the error budget of the mask that they were cut from, and of no other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from metafab import fullwave
+from metafab.core.storage.files import file_sha256
+from metafab.fullwave.coupling import CouplingRow
+from metafab.spec import Design
+from metafab.steps.images import DecodeFigures
+from metafab.steps.job import Job
+from metafab.steps.layout import LayoutFigures, mask_paths
+from metafab.steps.merit import CouplingFigures, recorded_coupling
+from metafab.steps.optics import PsfFigures
+from metafab.steps.summary import BudgetLine, RunSummary, error_budget
+
+ROW = CouplingRow(600.0, 0.0, "x", "y", "rcwa", 21, 1, 6.2, 0.8, 0.9, 0.03, 0.12, 0.01, 2.0)
+LAYOUT = LayoutFigures(1, 1, None, 0.1, 0.9, 0.9, 0.9, 1.0, 1.0, 1.0, 0.9, 0.9, 0.9, (0.0, 0.0), ())
+PSF = PsfFigures(
+    depth_m=(0.3,),
+    phi_deg=(0.0,),
+    efficiency_x=(0.9,),
+    efficiency_y=(0.9,),
+    extinction_ratio=(100.0,),
+    error=(1e-3,),
+    depth_interpolation_error=None,
+    field_interpolation_error=None,
+    depths=1,
+    block_sites=6.0,
+    blocks=64.0,
+    field_error=1e-3,
+    seconds=1.0,
+)
+
+
+@pytest.fixture
+def job(tmp_path: Path, small_design: Design) -> Job:
+    """A run folder with files in place of masks."""
+    job = Job(small_design, tmp_path)
+    for number, path in enumerate(mask_paths(job)):
+        path.write_text(f"mask {number}")
+    return job
+
+
+def _line(coupling: CouplingFigures | None) -> BudgetLine:
+    lines = error_budget(RunSummary(layout=LAYOUT, psf=PSF, coupling=coupling))
+    return next(line for line in lines if line.source == "local-period approximation")
+
+
+@pytest.mark.parametrize("which", [0, -1])
+def test_rows_of_any_of_the_masks_count(job: Job, which: int) -> None:
+    sha = file_sha256(mask_paths(job)[which])
+    fullwave.save_coupling(fullwave.Coupling(sha, (ROW,)), job.folder / "coupling.json")
+    recorded = recorded_coupling(job)
+    assert recorded is not None
+    assert recorded.coupling_error == pytest.approx(0.12)
+    assert (recorded.rows, recorded.solvers) == (1, ("rcwa",))
+    assert _line(recorded).value == pytest.approx(0.12)
+
+
+def test_rows_of_another_mask_do_not(job: Job) -> None:
+    fullwave.save_coupling(fullwave.Coupling("another", (ROW,)), job.folder / "coupling.json")
+    assert recorded_coupling(job) is None
+    assert _line(None).value is None
+
+
+def test_without_rows_nothing_is_measured_and_nothing_hashed(tmp_path: Path, small_design: Design) -> None:
+    assert recorded_coupling(Job(small_design, tmp_path / "no masks here")) is None
+
+
+@pytest.mark.parametrize("photographed", [True, False])
+def test_what_only_a_photograph_meets_is_left_out_without_one(photographed: bool) -> None:
+    decode = DecodeFigures(nmae=None, segments=()) if photographed else None
+    sources = [line.source for line in error_budget(RunSummary(layout=LAYOUT, psf=PSF, decode=decode))]
+    assert len(sources) == (8 if photographed else 5)
+    assert ("decoder" in sources) == photographed
+    assert "local-period approximation" in sources, "what was not measured but applies stays, as not measured"
+
+
+def test_what_only_pillars_have_is_left_out_without_a_mask() -> None:
+    sources = [line.source for line in error_budget(RunSummary(psf=PSF))]
+    assert sources == ["pupil reduction and sampling"]

@@ -1,0 +1,259 @@
+"""Which steps are stale: only those whose inputs, code or files changed, and what follows from them."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.core.storage.provenance import contents_sha256
+from metafab.run import REPORT, STEPS, Record, ReportFigures, run
+from metafab.spec import Design
+from metafab.steps import RESULT_STEPS
+from metafab.steps.images import CaptureFigures
+from metafab.steps.job import Job, Step
+from metafab.steps.layout import DrcFigures
+from metafab.steps.phase import PhaseFigures
+from metafab.steps.preflight import PREFLIGHT, PreflightFigures
+from metafab.steps.summary import RunSummary, SkippedStep
+
+
+class Chain:
+    """Three small steps and a page, which record when they work; the real ones are tested end to end."""
+
+    def __init__(self) -> None:
+        self.done: list[str] = []
+        self.steps: tuple[Step, ...] = (
+            self.step("phase", (), lambda d: d.device, PhaseFigures(peak_gain=1.4)),
+            self.step("drc", ("phase",), lambda d: d.rules, DrcFigures(3, {"min_gap": 0}, 100.0, "lattice", ())),
+            self.step("capture", ("phase",), lambda d: d.sensor, CaptureFigures((4, 5), 1e3)),
+            replace(
+                self.step("report", ("phase", "drc", "capture"), lambda d: d.name, ReportFigures("report.html")),
+                reads=("left.json",),
+                shows_summary=True,
+            ),
+        )
+
+    def step(self, name: str, after: tuple[str, ...], inputs: Any, figures: Any) -> Step:
+        """A step that writes its inputs to a file."""
+
+        def work(job: Job) -> Any:
+            self.done.append(name)
+            (job.folder / f"{name}.txt").write_text(name + repr(inputs(job.design)))
+            return figures
+
+        return Step(name, (), after, inputs, lambda job: (job.folder / f"{name}.txt",), work, type(figures))
+
+    def changed(self, name: str, **fields: Any) -> tuple[Step, ...]:
+        """The steps with other fields in one of them."""
+        return tuple(replace(step, **fields) if step.name == name else step for step in self.steps)
+
+
+@pytest.fixture
+def chain() -> Chain:
+    return Chain()
+
+
+def _changed(design: Design, **tables: Any) -> Design:
+    return replace(design, **{name: replace(getattr(design, name), **keys) for name, keys in tables.items()})
+
+
+def test_nothing_changed_nothing_done(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    assert chain.done == ["phase", "drc", "capture", "report"]
+    chain.done.clear()
+    summary = run(small_design, tmp_path, steps=chain.steps)
+    assert chain.done == []
+    assert [entry.step for entry in summary.skipped] == ["phase", "drc", "capture", "report"]
+
+
+def test_a_file_that_another_command_left_reaches_the_step_that_reads_it(
+    tmp_path: Path, small_design: Design, chain: Chain
+) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    for text in ("first", "second"):
+        (tmp_path / "left.json").write_text(text)
+        chain.done.clear()
+        run(small_design, tmp_path, steps=chain.steps)
+        assert chain.done == ["report"]
+        run(small_design, tmp_path, steps=chain.steps)
+        assert chain.done == ["report"], "and only once"
+
+
+def test_a_changed_input_reaches_its_step_and_no_other(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    chain.done.clear()
+    run(_changed(small_design, sensor={"pixel_um": 3.0}), tmp_path, steps=chain.steps)
+    assert chain.done == ["capture", "report"]
+
+
+def test_a_step_redone_with_the_same_result_disturbs_nobody(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    chain.done.clear()
+    (tmp_path / "phase.txt").unlink()
+    run(small_design, tmp_path, steps=chain.steps)
+    assert chain.done == ["phase"]
+
+
+def test_a_named_file_counts_by_its_content(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    file = tmp_path / "phase.npy"
+    file.write_bytes(b"first")
+    assert contents_sha256({"phase": [file]}) != contents_sha256({"phase": []})
+    before = contents_sha256({"phase": [file]})
+    file.write_bytes(b"other")
+    assert contents_sha256({"phase": [file]}) != before
+    assert contents_sha256([str(tmp_path / "n.csv")]) == ["missing"]
+
+
+def test_a_step_that_is_not_needed_is_skipped_with_its_reason(
+    tmp_path: Path, small_design: Design, chain: Chain
+) -> None:
+    steps = chain.changed("capture", not_needed=lambda design: "nothing to see")
+    summary = run(small_design, tmp_path, steps=steps)
+    assert SkippedStep("capture", "nothing to see") in summary.skipped
+    assert summary.capture is None
+    assert json.loads((tmp_path / "summary.json").read_text())["capture"] == {}
+
+
+def test_files_of_a_step_that_is_no_longer_needed_are_removed(
+    tmp_path: Path, small_design: Design, chain: Chain
+) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    assert (tmp_path / "capture.txt").is_file()
+    chain.done.clear()
+    run(small_design, tmp_path, steps=chain.changed("capture", not_needed=lambda design: "nothing to see"))
+    assert not (tmp_path / "capture.txt").exists()
+    assert (tmp_path / "drc.txt").is_file()
+    assert chain.done == ["report"]
+
+
+def test_a_report_that_was_not_finished_is_made_again(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    def killed(job: Job) -> Any:
+        raise KeyboardInterrupt
+
+    run(small_design, tmp_path, steps=chain.steps)
+    changed = _changed(small_design, sensor={"pixel_um": 3.0})
+    with pytest.raises(KeyboardInterrupt):
+        run(changed, tmp_path, steps=chain.changed("report", work=killed))
+    chain.done.clear()
+    run(changed, tmp_path, steps=chain.steps)
+    assert chain.done == ["report"]
+
+
+def test_a_changed_input_reaches_all_that_follows(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    chain.done.clear()
+    run(_changed(small_design, device={"aperture_um": 100.0}), tmp_path, steps=chain.steps)
+    assert chain.done == ["phase", "drc", "capture", "report"]
+
+
+@pytest.mark.parametrize("damage", ["missing", "edited", "same length"])
+def test_a_file_that_is_not_as_it_was_left_is_made_again(
+    tmp_path: Path, small_design: Design, chain: Chain, damage: str
+) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    chain.done.clear()
+    victim = tmp_path / "drc.txt"
+    if damage == "missing":
+        victim.unlink()
+    else:
+        victim.write_text(victim.read_text().swapcase() if damage == "same length" else "other")
+        os.utime(victim, ns=(1, 1))
+    run(small_design, tmp_path, steps=chain.steps)
+    assert chain.done == ["drc"]  # the same file again: the page shows nothing new
+
+
+def test_a_touched_file_with_the_same_bytes_still_stands(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    chain.done.clear()
+    os.utime(tmp_path / "capture.txt", ns=(1, 1))
+    run(small_design, tmp_path, steps=chain.steps)
+    assert chain.done == []
+
+
+def test_changed_code_makes_its_steps_stale(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    chain.done.clear()
+    # Other rooms have other code, as the same rooms have after a change.
+    run(small_design, tmp_path, steps=chain.changed("capture", rooms=("materials",)))
+    assert chain.done == ["capture"]
+
+
+@pytest.mark.parametrize("content", ["", "{", "[]", '{"phase": {"wrong": 1}}'])
+def test_a_damaged_record_means_doing_it_again(
+    tmp_path: Path, small_design: Design, chain: Chain, content: str
+) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    chain.done.clear()
+    (tmp_path / "steps.json").write_text(content)
+    run(small_design, tmp_path, steps=chain.steps)
+    assert chain.done == ["phase", "drc", "capture", "report"]
+
+
+def test_a_copied_folder_is_judged_by_its_own_files(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    first, copy = tmp_path / "first", tmp_path / "copy"
+    run(small_design, first, steps=chain.steps)
+    shutil.copytree(first, copy)
+    (copy / "capture.txt").unlink()
+    chain.done.clear()
+    run(small_design, copy, steps=chain.steps)
+    assert chain.done == ["capture"]
+
+
+def test_figures_of_another_version_mean_doing_it_again(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    chain.done.clear()
+    records = json.loads((tmp_path / "steps.json").read_text())
+    del records["drc"]["summary"]["pillars"]
+    (tmp_path / "steps.json").write_text(json.dumps(records))
+    run(small_design, tmp_path, steps=chain.steps)
+    assert chain.done == ["drc"]
+
+
+def test_figures_are_read_back_as_they_were_written(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    first = run(small_design, tmp_path, steps=chain.steps)
+    second = run(small_design, tmp_path, steps=chain.steps)
+    for summary in (second, RunSummary.load(tmp_path / "summary.json")):
+        assert (summary.phase, summary.drc, summary.capture) == (first.phase, first.drc, first.capture)
+    assert second.drc == DrcFigures(3, {"min_gap": 0}, 100.0, "lattice", ())
+
+
+def test_a_record_without_files_is_unchanged(tmp_path: Path) -> None:
+    assert Record("", {}, {}, 0.0, 0.0).files_unchanged(tmp_path)
+
+
+def test_the_design_is_checked_once(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    checked: list[str] = []
+
+    def work(job: Job) -> PreflightFigures:
+        checked.append(job.design.name)
+        return PreflightFigures(("a large file",))
+
+    check = replace(PREFLIGHT, work=work)
+    said: list[str] = []
+    for _ in range(2):
+        run(small_design, tmp_path, steps=chain.steps, check=check, say=said.extend)
+    assert (len(checked), said) == (1, ["a large file"])
+    other = _changed(small_design, sensor={"pixel_um": 3.0})
+    run(other, tmp_path, steps=chain.steps, check=check, say=said.extend)
+    assert len(checked) == 2
+
+
+def test_a_design_that_cannot_work_leaves_no_folder(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    near = _changed(small_design, verify={"depths_m": (1e-5,)})
+    with pytest.raises(InputError, match="focal length"):
+        run(near, tmp_path / "run", steps=chain.steps)
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_page_comes_last_and_after_every_step() -> None:
+    assert (*RESULT_STEPS, REPORT) == STEPS
+    assert REPORT.after == tuple(step.name for step in RESULT_STEPS)
+    assert REPORT.reads == ("coupling.json", "patch.h5", "tolerance.json")
+    assert {step.name for step in RESULT_STEPS} <= set(RunSummary.__dataclass_fields__)
