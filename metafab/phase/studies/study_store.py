@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import h5py
@@ -45,11 +46,9 @@ def load_study(path: Path) -> PhaseStudy:
         )
 
 
-def _array(group: h5py.Group, name: str) -> FloatArray:
-    return np.asarray(group[name][()], dtype=np.float64)
-
-
-#: Numbers of a BandwidthBudget.
+#: A dataset: name, values, unit, description, names of its dimensions.
+_Row = tuple[str, ArrayLike, str, str, tuple[str, ...]]
+#: Numbers of a BandwidthBudget, stored as attributes.
 _BUDGET = ("fwhm_nm", "angle_deg", "dispersion_um_per_nm", "smear_um", "kept")
 #: Fields of a MainLobe: name, unit, description.
 _LOBE = (
@@ -60,37 +59,45 @@ _LOBE = (
 )
 
 
+def _put(group: h5py.Group, rows: Iterable[_Row]) -> None:
+    for name, values, units, description, dims in rows:
+        hdf5.put(group, name, values, units=units, description=description, dims=dims)
+
+
+def _array(group: h5py.Group, name: str) -> FloatArray:
+    return np.asarray(group[name][()], dtype=np.float64)
+
+
 def _put_lobe(group: h5py.Group, lobe: LobeOverDepth) -> None:
-    scale = "vergence_per_m"
-    _put_scale(group, scale, lobe.vergence_per_m, "1/m", "vergence of the object from the focus")
-    hdf5.put(group, "range_per_m", lobe.range_per_m, units="1/m", description="of the verified depths")
-    hdf5.put(group, "law_deg", lobe.law_deg, units="degree", description="orientation by the law", dims=(scale,))
+    axis = ("vergence_per_m",)
+    rows: list[_Row] = [
+        ("vergence_per_m", lobe.vergence_per_m, "1/m", "vergence of the object from the focus", axis),
+        ("range_per_m", lobe.range_per_m, "1/m", "of the verified depths", ()),
+        ("law_deg", lobe.law_deg, "degree", "orientation by the law", axis),
+    ]
     for name, part in (("design", lobe.design), ("plain", lobe.plain)):
-        for field, units, text in _LOBE:
-            hdf5.put(group, f"{name}_{field}", getattr(part, field), units=units, description=text, dims=(scale,))
-
-
-def _put_scale(group: h5py.Group, name: str, values: ArrayLike, units: str, description: str) -> None:
-    hdf5.put(group, name, values, units=units, description=description, dims=(name,))
+        rows += [(f"{name}_{field}", getattr(part, field), units, text, axis) for field, units, text in _LOBE]
+    _put(group, rows)
 
 
 def _lobe(group: h5py.Group) -> LobeOverDepth:
-    design, plain = (
-        MainLobe(*(_array(group, f"{name}_{field}") for field, _, _ in _LOBE)) for name in ("design", "plain")
-    )
-    farthest, nearest = (float(value) for value in _array(group, "range_per_m"))
-    return LobeOverDepth(_array(group, "vergence_per_m"), design, plain, _array(group, "law_deg"), (farthest, nearest))
+    lobes = [MainLobe(*[_array(group, f"{name}_{field}") for field, _, _ in _LOBE]) for name in ("design", "plain")]
+    farthest, nearest = _array(group, "range_per_m").tolist()
+    vergence, law = _array(group, "vergence_per_m"), _array(group, "law_deg")
+    return LobeOverDepth(vergence, lobes[0], lobes[1], law, (farthest, nearest))
 
 
 def _put_bounds(group: h5py.Group, bounds: DepthBounds) -> None:
-    _put_scale(group, "depth_m", bounds.depth_m, "m", "object distance")
-    _put_scale(group, "mask", list(bounds.masks), "1", "name of the mask")
-    for name, values, source in (
-        ("point_m", bounds.point_m, "a known point source"),
-        ("texture_m", bounds.texture_m, "a piece of unknown texture"),
-    ):
-        description = f"smallest standard deviation of depth from {source}"
-        hdf5.put(group, name, values, units="m", description=description, dims=("mask", "depth_m"))
+    deviation, axes = "smallest standard deviation of depth from", ("mask", "depth_m")
+    _put(
+        group,
+        [
+            ("depth_m", bounds.depth_m, "m", "object distance", ("depth_m",)),
+            ("mask", list(bounds.masks), "1", "name of the mask", ("mask",)),
+            ("point_m", bounds.point_m, "m", f"{deviation} a known point source", axes),
+            ("texture_m", bounds.texture_m, "m", f"{deviation} a piece of unknown texture", axes),
+        ],
+    )
 
 
 def _bounds(group: h5py.Group) -> DepthBounds:
@@ -101,36 +108,36 @@ def _bounds(group: h5py.Group) -> DepthBounds:
 def _put_bandwidth(group: h5py.Group, budget: BandwidthBudget) -> None:
     for name in _BUDGET:
         group.attrs[name] = getattr(budget, name)
-    curves = budget.tradeoff
-    _put_scale(group, "fwhm_nm", curves.fwhm_nm, "nm", "width of the filter")
-    _put_scale(group, "angle_deg", curves.angle_deg, "degree", "of the split")
-    for name, units, description in (
-        ("smear_um", "um", "spread of a point along the split"),
-        ("kept", "1", "information over that of one wavelength with the same electrons"),
-        ("relative_error", "1", "deviation of depth over that of one wavelength with the chosen filter's electrons"),
-    ):
-        values = getattr(curves, name)
-        hdf5.put(group, name, values, units=units, description=description, dims=("angle_deg", "fwhm_nm"))
-    azimuth, kept = budget.azimuth_deg, budget.kept_by_azimuth
-    _put_scale(group, "azimuth_deg", azimuth, "degree", "direction of the split against the mask")
-    text = "information kept at that direction"
-    hdf5.put(group, "kept_by_azimuth", kept, units="1", description=text, dims=("azimuth_deg",))
-    _put_scale(group, "remedy", np.array([r.change for r in budget.remedies], dtype="U"), "1", "what helps")
-    for name, field, text in (
-        ("remedy_kept", "information_kept", "information kept with it"),
-        ("remedy_error", "depth_error_factor", "deviation of depth with it over without"),
-    ):
-        values = [getattr(remedy, field) for remedy in budget.remedies]
-        hdf5.put(group, name, values, units="1", description=text, dims=("remedy",))
+    curves, axes, azimuth = budget.tradeoff, ("angle_deg", "fwhm_nm"), ("azimuth_deg",)
+    kept = "information over that of one wavelength with the same electrons"
+    error = "deviation of depth over that of one wavelength with the chosen filter's electrons"
+    changes = np.array([remedy.change for remedy in budget.remedies], dtype="U")
+    remedy_kept = [remedy.information_kept for remedy in budget.remedies]
+    remedy_error = [remedy.depth_error_factor for remedy in budget.remedies]
+    _put(
+        group,
+        [
+            ("fwhm_nm", curves.fwhm_nm, "nm", "width of the filter", ("fwhm_nm",)),
+            ("angle_deg", curves.angle_deg, "degree", "of the split", ("angle_deg",)),
+            ("smear_um", curves.smear_um, "um", "spread of a point along the split", axes),
+            ("kept", curves.kept, "1", kept, axes),
+            ("relative_error", curves.relative_error, "1", error, axes),
+            ("azimuth_deg", budget.azimuth_deg, "degree", "direction of the split against the mask", azimuth),
+            ("kept_by_azimuth", budget.kept_by_azimuth, "1", "information kept at that direction", azimuth),
+            ("remedy", changes, "1", "what helps", ("remedy",)),
+            ("remedy_kept", remedy_kept, "1", "information kept with it", ("remedy",)),
+            ("remedy_error", remedy_error, "1", "deviation of depth with it over without", ("remedy",)),
+        ],
+    )
 
 
 def _bandwidth(group: h5py.Group) -> BandwidthBudget:
-    names = ("fwhm_nm", "angle_deg", "smear_um", "kept", "relative_error")
+    curves = ("fwhm_nm", "angle_deg", "smear_um", "kept", "relative_error")
     remedies = zip(group["remedy"][()], _array(group, "remedy_kept"), _array(group, "remedy_error"), strict=True)
     return BandwidthBudget(
         **{name: float(group.attrs[name]) for name in _BUDGET},
         remedies=tuple(Remedy(change.decode(), float(kept), float(error)) for change, kept, error in remedies),
-        tradeoff=BandwidthTradeoff(**{name: _array(group, name) for name in names}),
+        tradeoff=BandwidthTradeoff(*[_array(group, name) for name in curves]),
         azimuth_deg=_array(group, "azimuth_deg"),
         kept_by_azimuth=_array(group, "kept_by_azimuth"),
     )

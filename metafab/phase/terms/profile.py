@@ -38,23 +38,14 @@ class PolarisedTerm(ABC):
     polarisation: Polarisation | None = field(default=None, kw_only=True)
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
-        """Evaluate the phase on a rectangular grid; arguments and result as in :class:`Term`.
-
-        Args:
-            x_um: shape (n_x,), positions from the optical axis.
-            y_um: shape (n_y,), positions from the optical axis.
-            polarisation: "x" or "y".
-
-        Returns:
-            Shape (n_y, n_x), radians, not wrapped.
-        """
+        """Evaluate the phase on a rectangular grid; shapes and units as in :class:`Term`."""
         if self.polarisation not in {None, polarisation}:
             return np.zeros((y_um.size, x_um.size))
         return self._phase(x_um, y_um, polarisation)
 
     @abstractmethod
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
-        """Phase where the term acts; arguments and result as in :meth:`__call__`."""
+        """Phase where the term acts; shapes and units as in :class:`Term`."""
 
 
 @dataclass(frozen=True)
