@@ -43,35 +43,36 @@ class Family:
 
 @dataclass(frozen=True)
 class Plan:
-    """A job, with the distances and indices that de-embedding needs.
+    """A job, with the distances and wave numbers that de-embedding needs.
 
     Attributes:
         job: FDTD run; its monitors are the near plane (incident and reflected light) and the far one.
-        near_um: z of the near monitor, from the plane where the light comes in (negative).
-        far_um: z of the far monitor, from the pillar's other plane.
-        n_in: index of the polarisation on the near side.
-        n_out: index of the polarisation on the far side.
+        near_um: z of the near monitor, from the plane where the pillar begins (negative).
+        far_um: z of the far monitor, from the plane where the pillar ends.
+        k_in: wave number along z of the incident wave on the grid, rad/um.
+        k_out: wave number along z of each recorded order on the grid, rad/um.
     """
 
     job: Job
     near_um: float
     far_um: float
-    n_in: float
-    n_out: float
+    k_in: complex
+    k_out: tuple[complex, ...]
+
+    def arriving(self, incident: NDArray[Any]) -> complex:
+        """Incident wave where the pillar begins; ``incident`` of shape (2,), zero order of the empty run."""
+        return complex(incident[0]) * cmath.exp(-1j * self.k_in * self.near_um)
 
     def amplitudes(self, limit: NDArray[Any], incident: NDArray[Any]) -> tuple[complex, complex]:
-        """(t, r) of the polarisation, in the planes of the conventions.
+        """(t, r) of the zero order, in the planes of the conventions.
 
         Args:
             limit: shape (2,), zero order of the near and the far monitor.
             incident: shape (2,), zero order of the empty run.
         """
-        job = self.job
-        k_in = grid_wavenumber(self.n_in, job.wavelength_um, job.pixel_um, job.courant)
-        k_out = grid_wavenumber(self.n_out, job.wavelength_um, job.pixel_um, job.courant)
-        arriving = complex(incident[0]) * cmath.exp(-1j * k_in * self.near_um)
-        t = complex(limit[1]) * cmath.exp(-1j * k_out * self.far_um) / arriving
-        r = (complex(limit[0]) - complex(incident[0])) * cmath.exp(1j * k_in * self.near_um) / arriving
+        arriving = self.arriving(incident)
+        t = complex(limit[1]) * cmath.exp(-1j * self.k_out[0] * self.far_um) / arriving
+        r = (complex(limit[0]) - complex(incident[0])) * cmath.exp(1j * self.k_in * self.near_um) / arriving
         return t, r
 
 
@@ -172,7 +173,7 @@ def plan(
         for inside, size, period, count in sizes
     )
     z = Axis((0, begin, end, n_z), (1.0, height / ((end - begin) * pixel), 1.0), (0, 1, 2))
-    axis = POLARISATIONS.index(polarisation)
+    axis, courant = POLARISATIONS.index(polarisation), _courant(cell, (x, y, z))
     job = Job(
         pixel_um=pixel,
         n_x=n_x,
@@ -193,9 +194,10 @@ def plan(
         mirrors=("x", "y"),
         decay=decay,
         longest_time=longest_time,
-        courant=_courant(cell, (x, y, z)),
+        courant=courant,
     )
-    return Plan(job, (near - begin) * pixel, (far - end) * pixel, cell.n_in[axis].real, cell.n_out[axis].real)
+    k_in, k_out = (grid_wavenumber(n[axis].real, wavelength, pixel, courant) for n in (cell.n_in, cell.n_out))
+    return Plan(job, (near - begin) * pixel, (far - end) * pixel, k_in, (k_out,))
 
 
 def _courant(cell: PillarCell, axes: tuple[Axis, Axis, Axis]) -> float:

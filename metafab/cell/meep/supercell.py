@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metafab.cell.meep.grid import ABSORBER, CLEARANCE, PLANE_NODES, grid_wavenumber, permittivity
+from metafab.cell.meep.grid import ABSORBER, CLEARANCE, PLANE_NODES, Plan, grid_wavenumber, permittivity
 from metafab.cell.meep.pool import Pool, own_pool
 from metafab.cell.meep.protocol import Block, Job
 from metafab.cell.meep.solver import refuse_untreated
@@ -127,38 +127,18 @@ def _lone(cell: PillarCell) -> Supercell:
     return Supercell(cell, np.array([[[cell.width_nm, cell.length_nm]]]))
 
 
-@dataclass(frozen=True)
-class SupercellPlan:
-    """A job, with the distances and wave numbers that de-embedding needs.
-
-    Attributes:
-        job: FDTD run.
-        near_um: z of the near monitor, from the plane where the pillars begin.
-        far_um: z of the far monitor, from the plane where the pillars end.
-        k_in: wave number along z of the incident wave on the grid, rad/um.
-        k_out: wave number along z of each order on the grid, rad/um.
-    """
-
-    job: Job
-    near_um: float
-    far_um: float
-    k_in: complex
-    k_out: tuple[complex, ...]
-
-
-def _run(pool: Pool, run: SupercellPlan, progress: Progress = silent) -> tuple[ComplexArray, float]:
+def _run(pool: Pool, run: Plan, progress: Progress = silent) -> tuple[ComplexArray, float]:
     """Amplitudes of the transmitted orders in the planes of the conventions, shape (n_orders, 2), and the tail."""
     job = run.job
     longest = job.longest_time / job.wavelength_um
     reply = pool.run_to_decay(job, lambda done: progress("supercell by FDTD", done / job.wavelength_um, longest))
-    arriving = complex(reply["incident"][0]) * cmath.exp(-1j * run.k_in * run.near_um)
     back = np.array([cmath.exp(-1j * k * run.far_um) for k in run.k_out])
-    return np.asarray(reply["limit"][1].T * back[:, None] / arriving), float(reply["tail"])
+    return np.asarray(reply["limit"][1].T * back[:, None] / run.arriving(reply["incident"])), float(reply["tail"])
 
 
 def plan(
     supercell: Supercell, polarisation: Polarisation, settings: SupercellSettings, order: IntArray | None = None
-) -> SupercellPlan:
+) -> Plan:
     """The FDTD run of one polarisation.
 
     Args:
@@ -214,7 +194,7 @@ def plan(
         grid_wavenumber(n_out, wavelength, pixel, _COURANT, (float(x), float(y)))
         for x, y in supercell.across_per_um(order)
     )
-    return SupercellPlan(job, (near - begin) * pixel, (far - begin) * pixel - height, k_in, k_out)
+    return Plan(job, (near - begin) * pixel, (far - begin) * pixel - height, k_in, k_out)
 
 
 def _mirrors(supercell: Supercell) -> tuple[Polarisation, ...]:

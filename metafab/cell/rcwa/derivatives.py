@@ -38,31 +38,21 @@ _SMALLEST = 1e-9
 
 @dataclass(frozen=True)
 class PillarDerivatives:
-    """Jones matrices at one truncation and their derivatives.
+    """Jones matrices at one truncation and their derivatives by width, length, height (1/nm) and n_pillar.
+
+    The derivative by the index is analytic: i times it is the derivative by the extinction.
 
     Attributes:
         t: shape (2, 2), transmission as in :class:`metafab.cell.rcwa.jones.ZeroOrder`.
         r: shape (2, 2), reflection.
-        t_per_width: shape (2, 2), d t / d width, 1/nm.
-        t_per_length: shape (2, 2), d t / d length, 1/nm.
-        t_per_height: shape (2, 2), d t / d height, 1/nm.
-        t_per_index: shape (2, 2), d t / d n_pillar; analytic: i times it is the derivative by the extinction.
-        r_per_width: shape (2, 2), d r / d width, 1/nm.
-        r_per_length: shape (2, 2), d r / d length, 1/nm.
-        r_per_height: shape (2, 2), d r / d height, 1/nm.
-        r_per_index: shape (2, 2), d r / d n_pillar.
+        d_t: shape (4, 2, 2), derivatives of t.
+        d_r: shape (4, 2, 2), derivatives of r.
     """
 
     t: ComplexArray
     r: ComplexArray
-    t_per_width: ComplexArray
-    t_per_length: ComplexArray
-    t_per_height: ComplexArray
-    t_per_index: ComplexArray
-    r_per_width: ComplexArray
-    r_per_length: ComplexArray
-    r_per_height: ComplexArray
-    r_per_index: ComplexArray
+    d_t: ComplexArray
+    d_r: ComplexArray
 
 
 def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adaptive") -> PillarDerivatives:
@@ -99,7 +89,7 @@ def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adapt
             t += case.incident.T @ field.transmitted
             r += case.incident.T @ field.reflected
             d_t, d_r = d_t + of_t, d_r + of_r
-    return PillarDerivatives(t, r, *d_t, *d_r)
+    return PillarDerivatives(t, r, d_t, d_r)
 
 
 class _Change(NamedTuple):

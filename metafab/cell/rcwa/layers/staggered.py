@@ -14,7 +14,7 @@ direct rule.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,7 @@ from metafab.cell.rcwa.layers.factorisation import assembled, inverse_rule, kron
 from metafab.core.conventions import FloatArray
 
 
-@dataclass(frozen=True)
-class Strips:
+class Strips(NamedTuple):
     """Indicators of one family along one axis.
 
     Attributes:

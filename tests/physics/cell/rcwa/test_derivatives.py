@@ -51,11 +51,11 @@ def _check(cell: PillarCell, orders: int, formulation: Formulation) -> None:
     value = zero_order(cell, orders, formulation)
     np.testing.assert_allclose(found.t, value.t, rtol=0.0, atol=1e-11)
     np.testing.assert_allclose(found.r, value.r, rtol=0.0, atol=1e-11)
-    for name, which in (("width_nm", "width"), ("length_nm", "length"), ("height_nm", "height"), ("n_pillar", "index")):
+    for i, name in enumerate(STEPS):
         t, r = _difference(cell, name, orders, formulation)
         scale = max(np.abs(t).max(), np.abs(r).max())
-        np.testing.assert_allclose(getattr(found, f"t_per_{which}"), t, rtol=0.0, atol=1e-6 * scale, err_msg=name)
-        np.testing.assert_allclose(getattr(found, f"r_per_{which}"), r, rtol=0.0, atol=1e-6 * scale, err_msg=name)
+        np.testing.assert_allclose(found.d_t[i], t, rtol=0.0, atol=1e-6 * scale, err_msg=name)
+        np.testing.assert_allclose(found.d_r[i], r, rtol=0.0, atol=1e-6 * scale, err_msg=name)
 
 
 @pytest.mark.parametrize("formulation", ["adaptive", "fourier"])
@@ -73,7 +73,7 @@ def test_derivatives_at_an_angle_equal_differences(cell: PillarCell, formulation
 def test_derivative_by_index_is_analytic() -> None:
     # d t / d k = i d t / d n for n + i k, by the Cauchy-Riemann equations.
     step = 2e-4
-    slope = derivatives(SILICON, 3).t_per_index
+    slope = derivatives(SILICON, 3).d_t[3]
     up, down = (zero_order(replace(SILICON, n_pillar=SILICON.n_pillar + sign * 1j * step), 3).t for sign in (1, -1))
     np.testing.assert_allclose((up - down) / (2.0 * step), 1j * slope, rtol=0.0, atol=1e-4 * np.abs(slope).max())
 
@@ -83,10 +83,10 @@ def test_a_film_grows_as_its_closed_form() -> None:
     empty = replace(SILICON, n_pillar=1.0, angle_deg=30.0, azimuth_deg=33.0, side="ambient")
     found = derivatives(empty, 3)
     turn = 2j * np.pi / 800.0 * np.cos(np.radians(30.0))
-    np.testing.assert_allclose(found.t_per_height, turn * found.t, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(found.d_t[2], turn * found.t, rtol=0.0, atol=1e-12)
     # From the ambient r is seen through the film, twice.
-    np.testing.assert_allclose(found.r_per_height, 2.0 * turn * found.r, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(found.t_per_width, 0.0, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(found.d_r[2], 2.0 * turn * found.r, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(found.d_t[0], 0.0, rtol=0.0, atol=1e-12)
 
 
 def test_derivatives_need_upright_walls() -> None:
