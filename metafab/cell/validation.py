@@ -27,16 +27,12 @@ def check(cell: PillarCell) -> None:
     Raises:
         InputError: with every fault of the cell.
     """
-    faults = [
-        *_faults_of_choices(
-            ("side", cell.side, get_args(Side)),
-            ("sizes_at", cell.sizes_at, get_args(SizesAt)),
-            ("shape", cell.shape, get_args(Shape)),
-        ),
-        *_faults_of_lengths(cell),
-        *_faults_of_corners(cell),
-        *_faults_of_indices(cell),
-    ]
+    faults = _faults_of_choices(
+        ("side", cell.side, get_args(Side)),
+        ("sizes_at", cell.sizes_at, get_args(SizesAt)),
+        ("shape", cell.shape, get_args(Shape)),
+    )
+    faults += [*_faults_of_lengths(cell), *_faults_of_corners(cell)]
     steepest = 180.0 - _FLATTEST_WALL_DEG
     if not _FLATTEST_WALL_DEG <= cell.sidewall_angle_deg <= steepest:
         got = f"{cell.sidewall_angle_deg:g}"
@@ -45,8 +41,10 @@ def check(cell: PillarCell) -> None:
         faults.append(Fault("angle_deg", "0 to below 90", f"{cell.angle_deg:g}"))
     if not math.isfinite(cell.azimuth_deg):
         faults.append(Fault("azimuth_deg", "a finite angle", f"{cell.azimuth_deg:g}"))
-    # These need a cell that is otherwise sound.
-    faults = faults or [*_faults_of_ends(cell), *_faults_of_ratio(cell), *_faults_of_area(cell)]
+    for name, n in _indices(cell):
+        if not (0.0 <= n.imag < math.inf and 0.0 < n.real < math.inf):
+            faults.append(Fault(name, "a finite index with real part > 0 and imaginary part >= 0", f"{n}"))
+    faults = faults or list(_faults_of_a_whole(cell))
     if faults:
         raise InputError("cell", faults)
 
@@ -119,14 +117,8 @@ def _indices(cell: PillarCell) -> list[tuple[str, complex]]:
     return [(name, complex(n)) for name, n in named]
 
 
-def _faults_of_indices(cell: PillarCell) -> Iterator[Fault]:
-    for name, n in _indices(cell):
-        if not (0.0 <= n.imag < math.inf and 0.0 < n.real < math.inf):
-            yield Fault(name, "a finite index with real part > 0 and imaginary part >= 0", f"{n}")
-
-
-def _faults_of_ends(cell: PillarCell) -> Iterator[Fault]:
-    """Sloped pillars whose ends vanish or touch their neighbours."""
+def _faults_of_a_whole(cell: PillarCell) -> Iterator[Fault]:
+    """Sloped pillars without an end, indices whose ratio leaves no digits, and cells with too many orders to list."""
     ends = (("bottom", 0.0), ("top", 1.0)) if cell.is_sloped else ()
     for end, share in ends:
         for name, size, period in zip(("width_nm", "length_nm"), cell.sizes_nm(share), cell.period_nm, strict=True):
@@ -137,18 +129,10 @@ def _faults_of_ends(cell: PillarCell) -> Iterator[Fault]:
                     f"{size:g} nm at the {end} with a sidewall_angle_deg of {cell.sidewall_angle_deg:g}",
                     "sweep sizes further from 0 and from the period, or steepen the wall",
                 )
-
-
-def _faults_of_ratio(cell: PillarCell) -> Iterator[Fault]:
-    """Indices whose ratio leaves no digits."""
     sizes = [abs(n) for _, n in _indices(cell)]
     if max(sizes) > _WIDEST_RANGE * min(sizes):
         expected = "indices whose ratio is at most a million to one"
         yield Fault("n_pillar, n_substrate, n_ambient", expected, f"{min(sizes):g} to {max(sizes):g}")
-
-
-def _faults_of_area(cell: PillarCell) -> Iterator[Fault]:
-    """Cells with more diffraction orders than can be listed."""
     x_nm, y_nm = cell.period_nm
     if x_nm * y_nm > (_WIDEST_CELL * cell.wavelength_nm) ** 2:
         expected = f"a cell of at most {_WIDEST_CELL:g} by {_WIDEST_CELL:g} wavelengths"

@@ -11,11 +11,10 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,9 @@ from metafab.core.storage.files import plain
 #: Arrays of one run by name, as :func:`metafab.cell.meep_worker.run` documents them.
 Reply = dict[str, NDArray[Any]]
 
+#: Lines of the worker's stderr that an error quotes.
 _STDERR_LINES = 12
+#: Time that a worker has to end by itself.
 _GRACE_SECONDS = 2.0
 
 
@@ -110,29 +111,24 @@ class Worker:
 
     def __init__(self, command: Sequence[str] | None = None) -> None:
         self.jobs_done = 0
+        self._idle = True
         self._folder = tempfile.TemporaryDirectory(prefix="metafab-meep-")
         self._lines: queue.Queue[str | None] = queue.Queue()
-        self._stderr: deque[str] = deque(maxlen=_STDERR_LINES)
-        self._process = subprocess.Popen(
-            list(command) if command is not None else finding.command(finding.best().interpreter),
-            env=finding.clean_environment(),
-            cwd=self._folder.name,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            # A group of its own: Ctrl-C does not reach it, and ending the group ends all that it started.
-            start_new_session=True,
-        )
-        self._readers = [
-            threading.Thread(target=read, args=(stream,), daemon=True)
-            for read, stream in (
-                (self._read_stdout, self._process.stdout),
-                (self._read_stderr, self._process.stderr),
+        self._log = Path(self._folder.name) / "stderr"
+        with self._log.open("wb") as stderr:
+            self._process = subprocess.Popen(
+                list(command) if command is not None else finding.command(finding.best().interpreter),
+                env=finding.clean_environment(),
+                cwd=self._folder.name,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=stderr,
+                text=True,
+                # A group of its own: Ctrl-C does not reach it, and ending the group ends all that it started.
+                start_new_session=True,
             )
-        ]
-        for reader in self._readers:
-            reader.start()
+        self._reader = threading.Thread(target=self._read_stdout, daemon=True)
+        self._reader.start()
 
     @property
     def alive(self) -> bool:
@@ -162,8 +158,9 @@ class Worker:
             with np.load(arrays, allow_pickle=False) as content:
                 reply = {key: np.array(content[key]) for key in content.files}
         except (OSError, ValueError) as error:
+            failure = self._failure(f"its arrays cannot be read ({error})")
             self.close()
-            raise self._failure(f"its arrays cannot be read ({error})") from error
+            raise failure from error
         except BaseException:
             # Ctrl-C included: an abandoned run must not go on. After an error that it reported the worker is idle.
             if not self._idle:
@@ -185,9 +182,8 @@ class Worker:
                 with contextlib.suppress(ProcessLookupError, PermissionError):
                     os.killpg(self._process.pid, signal.SIGKILL)
                 self._process.wait()
-        for reader in self._readers:
-            reader.join(_GRACE_SECONDS)
-        for stream in (self._process.stdin, self._process.stdout, self._process.stderr):
+        self._reader.join(_GRACE_SECONDS)
+        for stream in (self._process.stdin, self._process.stdout):
             if stream is not None:
                 with contextlib.suppress(OSError):
                     stream.close()
@@ -199,8 +195,6 @@ class Worker:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    _idle = True
-
     def _send(self, message: dict[str, Any]) -> None:
         self._idle = False
         assert self._process.stdin is not None
@@ -208,8 +202,9 @@ class Worker:
             self._process.stdin.write(json.dumps(message) + "\n")
             self._process.stdin.flush()
         except OSError as error:
+            failure = self._failure("it was gone before it got its job")
             self.close()
-            raise self._failure("it was gone before it got its job") from error
+            raise failure from error
 
     def _await(self, name: str, deadline: float, limit_s: float, report: Callable[[float], None] | None) -> None:
         while True:
@@ -221,7 +216,7 @@ class Worker:
                 self._process.wait()
                 raise self._failure(f"it died in the middle of a job (exit status {self._process.returncode})")
             message = _parse(line)
-            if message is None or message.get("id") != name:
+            if message.get("id") != name:
                 raise self._failure(f"it answered with {line.strip()[:80]!r}")
             if "error" in message:
                 self._idle = True
@@ -233,27 +228,24 @@ class Worker:
                 report(float(message["progress"]))
 
     def _failure(self, reason: str) -> SolverError:
-        if not self._idle:
-            # Its last lines may still be on their way.
-            self._readers[1].join(0.2)
-        stderr = "".join(f"\n  | {line}" for line in self._stderr)
+        stderr = ""
+        with contextlib.suppress(OSError):
+            last = self._log.read_text(errors="replace").splitlines()[-_STDERR_LINES:]
+            stderr = "".join(f"\n  | {line}" for line in last)
         return SolverError(f"Meep worker: {reason}{stderr}")
 
-    def _read_stdout(self, stream: IO[str]) -> None:
+    def _read_stdout(self) -> None:
+        assert self._process.stdout is not None
         with contextlib.suppress(ValueError, OSError):
-            for line in stream:
+            for line in self._process.stdout:
                 self._lines.put(line)
         self._lines.put(None)
 
-    def _read_stderr(self, stream: IO[str]) -> None:
-        with contextlib.suppress(ValueError, OSError):
-            for line in stream:
-                self._stderr.append(line.rstrip())
 
-
-def _parse(line: str) -> dict[str, Any] | None:
+def _parse(line: str) -> dict[str, Any]:
+    """The JSON object of a line; empty where there is none."""
     try:
         message = json.loads(line)
     except ValueError:
-        return None
-    return message if isinstance(message, dict) else None
+        return {}
+    return message if isinstance(message, dict) else {}

@@ -8,14 +8,12 @@
 - ``slicing``      a sloped pillar as the limit of thin steps
 - ``certificate``  adaptive truncation, and the bound on the error
 - ``diffraction``  efficiencies of single orders
-- ``derivatives``  derivatives of t and r by sizes, height and index, by reciprocity
 - ``row``          a row of unlike pillars
 - ``cost``         processor time of a solution, by a measured curve
 """
 
 from metafab.cell.rcwa.certificate import RcwaDetails, solve
 from metafab.cell.rcwa.cost import seconds_estimate
-from metafab.cell.rcwa.derivatives import derivatives
 from metafab.cell.rcwa.diffraction import diffraction, diffracts, efficiencies, propagating_orders
 from metafab.cell.rcwa.jones import zero_order
 
@@ -26,7 +24,6 @@ __all__ = [
     "diffracts",
     "efficiencies",
     "propagating_orders",
-    "derivatives",
     "seconds_estimate",
     "RcwaDetails",
 ]

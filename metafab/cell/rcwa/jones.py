@@ -15,10 +15,9 @@ from metafab.cell.pillar import PillarCell, Slice
 from metafab.cell.rcwa.basis.coordinates import Formulation
 from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
 from metafab.cell.rcwa.scattering import stack
-from metafab.cell.rcwa.scattering.doubling import Faces, through_by_doubling
+from metafab.cell.rcwa.scattering.doubling import through_by_doubling
 from metafab.cell.rcwa.scattering.half_space import PlaneWaves, Waves, magnetic
-from metafab.cell.rcwa.scattering.mode_matching import LayerField, through_layer
-from metafab.cell.rcwa.scattering.modes import NO_MODES, Conditioning, LayerModes, conditioning, layer_modes
+from metafab.cell.rcwa.scattering.modes import NO_MODES, Conditioning, Faces, layer_modes, match_modes
 from metafab.cell.rcwa.symmetry import SymmetryClass, permittivity, polarisations_swap, symmetry_classes
 from metafab.core.conventions import ComplexArray, FloatArray
 
@@ -144,14 +143,7 @@ def _solve(case: SymmetryClass, incoming: Waves, outgoing: Waves, *, by_modes: b
         faces = through_by_doubling(p, q, case.thickness_k0(), incoming, outgoing, case.incident, largest_a)
         if faces is not None:
             return faces
-    modes, field = solve_by_modes(case, incoming, outgoing)
-    return Faces(field.transmitted, field.reflected, 0.0, conditioning(modes))
-
-
-def solve_by_modes(case: SymmetryClass, incoming: PlaneWaves, outgoing: PlaneWaves) -> tuple[LayerModes, LayerField]:
-    """Modes and field of a class with one layer between isotropic half spaces."""
-    modes = layer_modes(*case.matrices())
-    return modes, through_layer(modes, case.thickness_k0(), incoming, outgoing, case.incident)
+    return match_modes(layer_modes(*case.matrices()), case.thickness_k0(), incoming, outgoing, case.incident)
 
 
 def _largest_eigenvalue(layer: Slice) -> float:

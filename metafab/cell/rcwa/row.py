@@ -23,8 +23,7 @@ from metafab.cell.rcwa.basis.transverse import TransverseBasis, transverse_basis
 from metafab.cell.rcwa.certificate import solve
 from metafab.cell.rcwa.jones import one_thread
 from metafab.cell.rcwa.scattering.half_space import plane_waves
-from metafab.cell.rcwa.scattering.mode_matching import through_layer
-from metafab.cell.rcwa.scattering.modes import layer_modes
+from metafab.cell.rcwa.scattering.modes import layer_modes, match_modes
 from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.response import CellNumerics
 from metafab.cell.supercell import Supercell, SupercellResponse
@@ -156,7 +155,7 @@ def row_orders(
         incoming, outgoing = (
             plane_waves(basis, cell.k0_per_nm, permittivity(n[axis])) for n in (cell.n_in, cell.n_out)
         )
-        field = through_layer(layer_modes(p, q), cell.k0_per_nm * cell.height_nm, incoming, outgoing, incident)
+        field = match_modes(layer_modes(p, q), cell.k0_per_nm * cell.height_nm, incoming, outgoing, incident)
     # Orders (m, 0) lie in the xz plane, so that (TM, TE) are E_x and E_y.
     n_v = basis.v.label_a.size if polarisation == "x" else basis.v.label_b.size
     first = 0 if polarisation == "x" else along_x.wavenumber.size * basis.v.label_a.size

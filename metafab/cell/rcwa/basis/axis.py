@@ -15,7 +15,6 @@ metric disappears from the equations (Weiss et al., Opt. Express 17, 8051, 2009)
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -24,9 +23,8 @@ import numpy as np
 from metafab.cell.rcwa.basis.coordinates import (
     Formulation,
     IntArray,
-    axis_map,
     cosine_integrals_upto,
-    shared_intervals,
+    map_intervals,
 )
 from metafab.core.conventions import FloatArray
 
@@ -69,14 +67,6 @@ class AxisParity:
     wavenumber: FloatArray
 
 
-@lru_cache(maxsize=1024)
-def axis_basis(period_nm: float, size_nm: float, orders: int, formulation: Formulation) -> AxisBasis:
-    """The basis of one axis with ``orders`` = M cosines besides the constant."""
-    to_u = axis_map(period_nm, size_nm, orders, formulation)
-    pillar, whole = to_u.cosine_integrals(2 * orders + 1)
-    return _bases_over(period_nm, whole, [pillar], orders)[0]
-
-
 def outline_bases(
     period_nm: float, sizes_nm: tuple[float, ...], orders: int, formulation: Formulation
 ) -> tuple[AxisBasis, ...]:
@@ -89,66 +79,40 @@ def outline_bases(
         formulation: whether x(u) gathers resolution at the walls.
     """
     distinct = tuple(sorted(set(sizes_nm)))
-    if len(distinct) == 1:
-        return (axis_basis(period_nm, distinct[0], orders, formulation),) * len(sizes_nm)
-    shared = _shared_bases(period_nm, distinct, orders, formulation)
-    return tuple(shared[distinct.index(size)] for size in sizes_nm)
+    bases = _bases(period_nm, distinct, orders, formulation)
+    return tuple(bases[distinct.index(size)] for size in sizes_nm)
 
 
-@lru_cache(maxsize=256)
-def _shared_bases(
+@lru_cache(maxsize=1024)
+def _bases(
     period_nm: float, sizes_nm: tuple[float, ...], orders: int, formulation: Formulation
 ) -> tuple[AxisBasis, ...]:
-    fills = [size / period_nm for size in sizes_nm]
-    intervals = shared_intervals(period_nm, fills, orders, formulation)
+    """Bases of outlines of distinct ascending sizes."""
+    intervals = map_intervals(period_nm, sizes_nm, orders, formulation)
     k = np.arange(2 * orders + 1)
-    whole = cosine_integrals_upto(intervals, k, 1.0)
-    outlines = [cosine_integrals_upto(intervals, k, fill) for fill in fills]
-    return tuple(_bases_over(period_nm, whole, outlines, orders))
+    wavenumber, even, odd = plane_waves_of_axis(period_nm, cosine_integrals_upto(intervals, k, 1.0), orders)
+    bases = []
+    for size in sizes_nm:
+        outline = cosine_integrals_upto(intervals, k, size / period_nm)
+        in_even, in_odd = even.T @ even_matrix(outline, orders) @ even, odd.T @ odd_matrix(outline, orders) @ odd
+        bases.append(AxisBasis(wavenumber, 0.5 * (in_even + in_even.T), 0.5 * (in_odd + in_odd.T)))
+    return tuple(bases)
 
 
-def _bases_over(period_nm: float, whole: FloatArray, outlines: Iterable[FloatArray], orders: int) -> list[AxisBasis]:
-    """Bases of several outlines over one map, from cosine integrals (2 M + 1,) of the period and of each outline."""
-    wavenumber, even, odd = _plane_waves(period_nm, whole, orders)
-    return [
-        AxisBasis(wavenumber, _symmetric(even.T @ _even(o, orders) @ even), _symmetric(odd.T @ _odd(o, orders) @ odd))
-        for o in outlines
-    ]
+def plane_waves_of_axis(period_nm: float, whole: FloatArray, orders: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Plane waves of the empty cell in the truncated basis.
 
+    Args:
+        period_nm: period along the axis.
+        whole: shape (2 M + 1,), cosine integrals of dx/du over the period.
+        orders: M.
 
-def axis_tangent(period_nm: float, size_nm: float, orders: int, formulation: Formulation) -> AxisBasis:
-    """Derivative of :func:`axis_basis` with respect to ``size_nm``, field by field, 1/nm.
-
-    The basis functions rotate among each other as the map follows the pillar: perturbation theory of the definite pair
-    (D F_odd^-1 D^T, F_even) and of its odd partner, whose eigenvalues are equal to its own and all distinct.
+    Returns:
+        Wave numbers, shape (M,), rad/nm; even functions, shape (M + 1, M + 1), and odd functions, shape (M, M), as
+        columns over the harmonics.
     """
-    to_u = axis_map(period_nm, size_nm, orders, formulation)
-    count = 2 * orders + 1
-    (pillar, whole), (d_pillar, d_whole) = to_u.cosine_integrals(count), to_u.cosine_integral_tangents(count)
-    wavenumber, even, odd = _plane_waves(period_nm, whole, orders)
-    metric_even, metric_odd = even.T @ _even(d_whole, orders) @ even, odd.T @ _odd(d_whole, orders) @ odd
-    k = np.concatenate([[0.0], wavenumber])
-    lifted = np.zeros_like(metric_even)
-    lifted[1:, 1:] = metric_odd
-    tangents = []
-    for vectors, weight, metric, partner, waves in (
-        (even, _even, metric_even, lifted, k),
-        (odd, _odd, metric_odd, metric_even[1:, 1:], wavenumber),
-    ):
-        gap = waves**2 - waves[:, None] ** 2
-        np.fill_diagonal(gap, 1.0)
-        turn = -(waves[:, None] * partner * waves + metric * waves**2) / gap
-        np.fill_diagonal(turn, -0.5 * np.diag(metric))
-        carried = vectors.T @ weight(pillar, orders) @ vectors @ turn
-        tangents.append(vectors.T @ weight(d_pillar, orders) @ vectors + carried + carried.T)
-    d_wavenumber = -0.5 * wavenumber * (np.diag(metric_odd) + np.diag(metric_even)[1:])
-    return AxisBasis(d_wavenumber, tangents[0], tangents[1])
-
-
-def _plane_waves(period_nm: float, whole: FloatArray, orders: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Wave numbers of the empty cell, and its even and odd functions as columns over the harmonics."""
     # The inverse instead of SciPy's triangular solver: on matrices this small each call is the cost.
-    to_even, to_odd = (np.linalg.inv(np.linalg.cholesky(weight(whole, orders))) for weight in (_even, _odd))
+    to_even, to_odd = (np.linalg.inv(np.linalg.cholesky(weight(whole, orders))) for weight in (even_matrix, odd_matrix))
     # L_even^-1 D L_odd^-T has the wave numbers as singular values and the constant as its left null vector.
     harmonics = 2.0 * np.pi / period_nm * np.arange(1, orders + 1)
     left, wavenumber, right_t = np.linalg.svd((to_even[:, 1:] * harmonics) @ to_odd.T)
@@ -193,8 +157,8 @@ def parities(basis: AxisBasis, incident_per_nm: float) -> list[AxisParity]:
     return [travelling_axis(basis, incident_per_nm)]
 
 
-def _even(integral: FloatArray, orders: int) -> FloatArray:
-    """Matrix of a weight between 1 and sqrt(2) cos(m u), from its cosine integrals of order 0 .. 2 M."""
+def even_matrix(integral: FloatArray, orders: int) -> FloatArray:
+    """Matrix of a weight between 1 and sqrt(2) cos(m u), shape (M + 1, M + 1), from its integrals, shape (2 M + 1,)."""
     apart, together = _harmonics(orders)
     matrix = integral[apart] + integral[together]
     matrix[0] /= np.sqrt(2.0)
@@ -202,8 +166,8 @@ def _even(integral: FloatArray, orders: int) -> FloatArray:
     return np.asarray(matrix)
 
 
-def _odd(integral: FloatArray, orders: int) -> FloatArray:
-    """Matrix of a weight between sqrt(2) sin(m u), m = 1 .. M, from its cosine integrals of order 0 .. 2 M."""
+def odd_matrix(integral: FloatArray, orders: int) -> FloatArray:
+    """Matrix of a weight between sqrt(2) sin(m u), shape (M, M), from its cosine integrals, shape (2 M + 1,)."""
     apart, together = _harmonics(orders)
     return np.asarray(integral[apart[1:, 1:]] - integral[together[1:, 1:]])
 
@@ -213,7 +177,3 @@ def _harmonics(orders: int) -> tuple[IntArray, IntArray]:
     """Difference and sum of the numbers of two cosines, 0 .. ``orders``."""
     m = np.arange(orders + 1)
     return np.abs(m[:, None] - m), m[:, None] + m
-
-
-def _symmetric(matrix: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * (matrix + matrix.T))

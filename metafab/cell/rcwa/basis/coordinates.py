@@ -54,22 +54,49 @@ _TUNED = {
 
 
 @dataclass(frozen=True)
+class WallMap:
+    """Coordinate map of one axis with a single outline.
+
+    Attributes:
+        wall_fraction: u at the wall over half the period; 0 < wall_fraction < 1 where the wall exists.
+        slope_inside: dx/du at the wall on the pillar's side, over the mean slope inside; 0 < slope <= 1.
+        slope_outside: dx/du at the wall on the other side, over the mean slope outside.
+    """
+
+    wall_fraction: float
+    slope_inside: float
+    slope_outside: float
+
+
+def stretched(period_nm: float, size_nm: float, orders: int) -> WallMap:
+    """The map tuned for ``orders`` cosines besides the constant.
+
+    Sizes of zero and of the period have no wall; those axes are left unstretched.
+    """
+    fill = size_nm / period_nm
+    if fill <= 0.0 or fill >= 1.0:
+        return WallMap(fill, 1.0, 1.0)
+    base, tilt, inside, outside = _TUNED[max(tuned for tuned in _TUNED if tuned <= max(orders, 2))]
+    return WallMap(base + tilt / 0.214 * (fill - 0.5), inside, outside)
+
+
+@dataclass(frozen=True)
 class Interval:
     """Part of half a period, in units of it: dx/du = m [1 + amplitude cos(pi (u - start) / l)], with m = rise / l.
 
     Attributes:
-        start: u where the interval begins; complex for a complex-step derivative, like ``end`` and ``rise``.
+        start: u where the interval begins.
         end: u where it ends; l = end - start.
         rise: change of x over the interval.
         amplitude: relative modulation of the slope, -1 to 1.
     """
 
-    start: complex
-    end: complex
-    rise: complex
+    start: float
+    end: float
+    rise: float
     amplitude: float
 
-    def cosine_integral(self, k: IntArray, upto: float | None = None) -> Any:
+    def cosine_integral(self, k: IntArray, upto: float | None = None) -> FloatArray:
         """Integral of dx/du cos(pi k u) from ``start`` to ``end``, or to ``upto``; ``k`` and result of shape (n,)."""
         length = self.end - self.start
         passed = length if upto is None else upto - self.start
@@ -79,99 +106,30 @@ class Interval:
         half = 0.5 * passed * np.stack([k, k + 1.0 / length, k - 1.0 / length])
         plain, up, down = np.sinc(half) * np.cos(math.pi * half + phase)
         rise = self.rise if upto is None else self.rise * (passed / length)
-        return rise * (plain + 0.5 * self.amplitude * (up + down))
+        return np.asarray(rise * (plain + 0.5 * self.amplitude * (up + down)))
 
     def u_at(self, x: float) -> float:
-        """The u at which x has risen by ``x``, 0 < x < ``rise``, in a real interval."""
+        """The u at which x has risen by ``x``, 0 < x < ``rise``."""
         from scipy.optimize import brentq  # 0.2 s of import that upright pillars do without
 
-        start, end, rise = self.start.real, self.end.real, self.rise.real
-
         def excess(u: float) -> float:
-            passed = (u - start) / (end - start)
-            return rise * (passed + self.amplitude * float(np.sin(np.pi * passed)) / np.pi) - x
+            passed = (u - self.start) / (self.end - self.start)
+            return self.rise * (passed + self.amplitude * float(np.sin(np.pi * passed)) / np.pi) - x
 
-        return float(brentq(excess, start, end, xtol=1e-15, rtol=1e-15))
-
-
-@dataclass(frozen=True)
-class AxisMap:
-    """Coordinate map of one axis with a single outline.
-
-    Attributes:
-        period_nm: period along the axis.
-        size_nm: pillar size along the axis, 0 to the period.
-        wall_fraction: u at the wall over half the period; 0 < wall_fraction < 1 where the wall exists.
-        slope_inside: dx/du at the wall on the pillar's side, over the mean slope inside; 0 < slope <= 1.
-        slope_outside: dx/du at the wall on the other side, over the mean slope outside.
-        wall_per_fill: d wall_fraction / d (size / period), as the pillar grows and the map follows.
-    """
-
-    period_nm: float
-    size_nm: float
-    wall_fraction: float
-    slope_inside: float
-    slope_outside: float
-    wall_per_fill: float
-
-    def cosine_integrals(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Integrals of dx/du cos(2 pi k u / period) over the pillar and over the whole period.
-
-        Args:
-            count: number of harmonics, k = 0 .. count - 1.
-
-        Returns:
-            Two arrays of shape (count,), each divided by the period: filling fraction and 1 at k = 0.
-        """
-        return self._integrals(count, self.size_nm / self.period_nm, self.wall_fraction)
-
-    def cosine_integral_tangents(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of :meth:`cosine_integrals` with respect to the pillar's size, each of shape (count,), 1/nm.
-
-        By a complex step: the closed forms are analytic in the fill and the wall, so that nothing cancels.
-        """
-        step = 1e-30
-        fill = self.size_nm / self.period_nm + 1j * step
-        wall = self.wall_fraction + 1j * step * self.wall_per_fill
-        pillar, whole = self._integrals(count, fill, wall)
-        return pillar.imag / (step * self.period_nm), whole.imag / (step * self.period_nm)
-
-    def _integrals(self, count: int, fill: complex, wall: complex) -> tuple[Any, Any]:
-        k = np.arange(count)
-        inside = np.zeros(count)
-        if wall != 0.0:
-            inside = Interval(0.0, wall, fill, 1.0 - self.slope_inside).cosine_integral(k)
-        if wall == 1.0:
-            return inside, inside
-        return inside, inside + Interval(wall, 1.0, 1.0 - fill, self.slope_outside - 1.0).cosine_integral(k)
+        return float(brentq(excess, self.start, self.end, xtol=1e-15, rtol=1e-15))
 
 
-def unstretched(period_nm: float, size_nm: float) -> AxisMap:
-    """The identity map: plain Fourier harmonics."""
-    return AxisMap(period_nm, size_nm, size_nm / period_nm, 1.0, 1.0, 1.0)
-
-
-def stretched(period_nm: float, size_nm: float, orders: int) -> AxisMap:
-    """The map tuned for ``orders`` cosines besides the constant.
-
-    Sizes of zero and of the period have no wall; those axes are left unstretched.
-    """
-    fill = size_nm / period_nm
-    if fill <= 0.0 or fill >= 1.0:
-        return unstretched(period_nm, size_nm)
-    base, tilt, inside, outside = _TUNED[max(tuned for tuned in _TUNED if tuned <= max(orders, 2))]
-    per_fill = tilt / 0.214
-    return AxisMap(period_nm, size_nm, base + per_fill * (fill - 0.5), inside, outside, per_fill)
-
-
-def axis_map(period_nm: float, size_nm: float, orders: int, formulation: Formulation) -> AxisMap:
-    """The map of one outline in either formulation."""
-    return stretched(period_nm, size_nm, orders) if formulation == "adaptive" else unstretched(period_nm, size_nm)
-
-
-def shared_intervals(period_nm: float, fills: list[float], orders: int, formulation: Formulation) -> list[Interval]:
-    """Intervals of the map that outlines of several ``fills`` (size over period, ascending) share."""
+def map_intervals(
+    period_nm: float, sizes_nm: tuple[float, ...], orders: int, formulation: Formulation
+) -> list[Interval]:
+    """Intervals of the map that outlines of distinct ascending sizes share, in units of half the period."""
+    fills = [size / period_nm for size in sizes_nm]
     walls = [fill for fill in fills if 0.0 < fill < 1.0]
+    if len(fills) == 1 and walls:
+        fill = fills[0]
+        single = stretched(period_nm, sizes_nm[0], orders) if formulation == "adaptive" else WallMap(fill, 1.0, 1.0)
+        inside = Interval(0.0, single.wall_fraction, fill, 1.0 - single.slope_inside)
+        return [inside, Interval(single.wall_fraction, 1.0, 1.0 - fill, single.slope_outside - 1.0)]
     if not walls or formulation == "fourier":
         return [Interval(0.0, 1.0, 1.0, 0.0)]
     smallest, largest = walls[0], walls[-1]
@@ -200,10 +158,9 @@ def cosine_integrals_upto(intervals: list[Interval], k: IntArray, fill: float) -
     """
     total, left = np.zeros(k.size), fill
     for part in intervals:
-        rise = part.rise.real
-        if left >= rise * (1.0 - 1e-14):
+        if left >= part.rise * (1.0 - 1e-14):
             total = total + part.cosine_integral(k)
-            left -= rise
+            left -= part.rise
         elif left > 1e-14:
             total = total + part.cosine_integral(k, part.u_at(left))
             left = 0.0

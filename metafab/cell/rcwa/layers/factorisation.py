@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from metafab.cell.rcwa.basis.axis import AxisParity
 from metafab.cell.rcwa.basis.coordinates import Matrix
 from metafab.cell.rcwa.basis.transverse import TransverseBasis
 from metafab.core.conventions import FloatArray
@@ -37,7 +36,7 @@ def layer_matrices(
     """
     u, v = basis.u, basis.v
     contrast_u, contrast_v = (contrast(x, eps_pillar, eps_around) for x in (u.a, v.b))
-    eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
+    eta_z = inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
     return assembled(basis, k0_per_nm, kron(contrast_u, v.a), kron(u.b, contrast_v), eta_z, eps_around)
 
 
@@ -85,73 +84,6 @@ def largest_eigenvalue(eps_pillar: complex, eps_around: complex) -> float:
     return max(map(abs, eps)) if dielectric else float("inf")
 
 
-def layer_tangents(
-    basis: TransverseBasis,
-    d_u: AxisParity | None,
-    d_v: AxisParity | None,
-    k0_per_nm: float,
-    eps_pillar: complex,
-    eps_around: complex,
-    d_eps_pillar: complex = 0.0,
-) -> tuple[Matrix, Matrix]:
-    """Derivatives dP and dQ of :func:`layer_matrices`.
-
-    Args:
-        basis: symmetry class, n coefficients.
-        d_u: derivative of the axis along x; None where it does not change.
-        d_v: derivative of the axis along y; None where it does not change.
-        k0_per_nm: vacuum wave number.
-        eps_pillar: permittivity of the pillar; that of a uniform medium leaves the change of its wave numbers alone.
-        eps_around: permittivity around the pillar.
-        d_eps_pillar: derivative of the pillar's permittivity.
-
-    Returns:
-        dP and dQ in the (TM, TE) basis, each of shape (n, n).
-    """
-    u, v = basis.u, basis.v
-    d_u, d_v = d_u or _unchanged(u), d_v or _unchanged(v)
-    n_u = u.label_a.size * v.label_a.size
-    step = eps_pillar - eps_around
-    rule_u, rule_v = (inverse_rule(x, eps_pillar, eps_around) for x in (u.a, v.b))
-    # eps_u = rule(u) (x) v + eps_around (1 (x) (1 - v)), and the same with u and v exchanged for eps_v.
-    d_inverse = -d_eps_pillar / eps_pillar**2
-    d_eps_u = kron(_inverse_rule_tangent(rule_u, d_u.a, eps_pillar, eps_around, d_inverse * u.a), v.a)
-    d_eps_u = d_eps_u + kron(rule_u - eps_around * np.eye(len(u.a)), d_v.a)
-    d_eps_v = kron(u.b, _inverse_rule_tangent(rule_v, d_v.b, eps_pillar, eps_around, d_inverse * v.b))
-    d_eps_v = d_eps_v + kron(d_u.b, rule_v - eps_around * np.eye(len(v.b)))
-    eta_z = _inverse_of_direct_rule(u.b, v.a, eps_pillar, eps_around)
-    d_eps_z = step * (kron(d_u.b, v.a) + kron(u.b, d_v.a)) + d_eps_pillar * kron(u.b, v.a)
-    d_eta_z = -eta_z @ d_eps_z @ eta_z
-
-    from_e_z, from_h_z = _longitudinal(u, v, k0_per_nm)
-    d_from_e_z, d_from_h_z = _longitudinal(d_u, d_v, k0_per_nm)
-    half_p = d_from_e_z @ eta_z @ from_e_z.T
-    half_q = d_from_h_z @ from_h_z.T
-    p = -(half_p + half_p.T + from_e_z @ d_eta_z @ from_e_z.T)
-    q = -(half_q + half_q.T).astype(d_eps_u.dtype)
-    q[:n_u, :n_u] += d_eps_u
-    q[n_u:, n_u:] += d_eps_v
-    return basis.turn(p), basis.turn(q)
-
-
-def _longitudinal(u: AxisParity, v: AxisParity, k0_per_nm: float) -> tuple[FloatArray, FloatArray]:
-    """B and C: the contributions of E_z and H_z to the transverse equations."""
-    k_u, k_v = _wavenumber(u) / k0_per_nm, _wavenumber(v) / k0_per_nm
-    from_e_z = np.concatenate([kron(k_u, np.eye(len(v.a))), kron(np.eye(len(u.b)), k_v.T)])
-    from_h_z = np.concatenate([kron(np.eye(len(u.a)), k_v), -kron(k_u.T, np.eye(len(v.b)))])
-    return from_e_z, from_h_z
-
-
-def _unchanged(axis: AxisParity) -> AxisParity:
-    return AxisParity(0.0 * axis.a, 0.0 * axis.b, axis.label_a, axis.label_b, 0.0 * axis.wavenumber)
-
-
-def _inverse_rule_tangent(
-    rule: Matrix, d_overlap: FloatArray, eps_pillar: complex, eps_around: complex, also: Matrix
-) -> Matrix:
-    return np.asarray(-rule @ (d_overlap * (1.0 / eps_pillar - 1.0 / eps_around) + also) @ rule)
-
-
 def inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
     """Permittivity for a field normal to the walls, by Li's inverse rule.
 
@@ -175,8 +107,18 @@ def contrast(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> M
     return rule
 
 
-def _inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
-    """Inverse of eps_around + (eps_pillar - eps_around) u (x) v from the eigenvectors of the two small factors."""
+def inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+    """Inverse of eps_around + (eps_pillar - eps_around) u (x) v from the eigenvectors of the two small factors.
+
+    Args:
+        u: shape (n, n), symmetric.
+        v: shape (m, m), symmetric.
+        eps_pillar: permittivity of the pillar.
+        eps_around: permittivity around the pillar.
+
+    Returns:
+        Shape (n m, n m).
+    """
     value_u, vector_u = np.linalg.eigh(u)
     value_v, vector_v = np.linalg.eigh(v)
     weight = 1.0 / (eps_around + (eps_pillar - eps_around) * value_u[:, None] * value_v)
@@ -188,11 +130,6 @@ def _inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, e
 def _diagonal(matrix: Matrix) -> Matrix:
     """Writable view of the diagonal of a square matrix."""
     return np.asarray(np.einsum("ii->i", matrix))
-
-
-def _wavenumber(axis: AxisParity) -> FloatArray:
-    same = axis.label_a[:, None] == axis.label_b
-    return np.asarray(np.where(same, axis.wavenumber[axis.label_b], 0.0))
 
 
 def kron(u: Matrix, v: Matrix) -> Matrix:

@@ -1,8 +1,7 @@
 """Scattering of one incident wave by layers: matrices P, Q and half spaces in, transmitted and reflected field out.
 
-- ``half_space``     outgoing plane waves, isotropic and birefringent
-- ``modes``          modes of one layer, and how ill-conditioned they are
-- ``doubling``       one layer without modes, by doubling its thickness: the fast way, with a test of its rounding
-- ``mode_matching``  one layer by its modes, stable at any height
-- ``stack``          several layers, by slabs or by modes
+- ``half_space``  outgoing plane waves, isotropic and birefringent
+- ``modes``       one layer by its modes, stable at any height, and their conditioning
+- ``doubling``    one layer without modes, by doubling its thickness: the fast way, with a test of its rounding
+- ``stack``       several layers, by slabs or by modes
 """

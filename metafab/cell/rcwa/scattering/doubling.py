@@ -6,28 +6,21 @@ d obey
     P h(0) = i (F e(0) - G e(d)),      P h(d) = i (G e(0) - F e(d)),      F = W cot(W d),    G = W / sin(W d),
 
 and both matrices are functions of A, without a branch of the root. A thin slab has F from Lambert's continued fraction
-of x cot x, whose convergent of degree four in x^2 is good for travelling and evanescent modes alike. One step of
-cot x = (cot(x/2) - tan(x/2)) / 2, 1 / sin x = (cot(x/2) + tan(x/2)) / 2 gives F and G of twice the thickness. From
-then on each doubling takes one linear system:
-
-    F(2 d) = F - G F^-1 G / 2,         G(2 d) = G F^-1 G / 2.
-
-Evanescent modes leave G as they die out, and nothing grows with the thickness.
+of x cot x, and G of twice the thickness from cot x = (cot(x/2) - tan(x/2)) / 2. Each further doubling is one linear
+system, F(2 d) = F - G F^-1 G / 2 and G(2 d) = G F^-1 G / 2. Evanescent modes leave G as they die out, and nothing grows
+with the thickness.
 
 Half the layer is enough. Sum and difference of the fields at the two faces are those of a slab with a magnetic and with
-an electric mirror in the middle, F - G = -A F_half^-1 and F + G = F_half. As P and Q are symmetric,
-Q F_half^-1 = F_half^-T Q, so that no further inverse is needed:
+an electric mirror in the middle, and as P and Q are symmetric no further inverse is needed:
 
     F_half^T (h(0) - h(d)) = -i Q (e(0) + e(d)),       P (h(0) + h(d)) = i F_half (e(0) - e(d)).
 
 With outgoing waves on either side these are two equations for two sets of amplitudes. Light from the far side is solved
-along with the incident light. Rounding breaks the reciprocity of the two; where it does, there is no answer, and mode
-matching takes over. (:mod:`metafab.cell.rcwa.scattering.stack` uses the matrices of the whole slab instead.)
+along with the incident light. Rounding breaks the reciprocity of the two; where it does, mode matching takes over.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -35,7 +28,7 @@ from scipy.linalg import lapack
 
 from metafab.cell.rcwa.basis.coordinates import Matrix
 from metafab.cell.rcwa.scattering.half_space import PlaneWaves
-from metafab.cell.rcwa.scattering.modes import NO_MODES, Conditioning
+from metafab.cell.rcwa.scattering.modes import Faces
 from metafab.core.conventions import ComplexArray
 
 #: x cot x as a ratio of two polynomials in x^2, a row each: Lambert's continued fraction cut after nine partial
@@ -51,23 +44,6 @@ _LAMBERT = np.array(
 _THIN = 1.5
 #: Largest accepted violation of reciprocity, as an amplitude. Amplitudes by modes differ up to a hundredfold.
 CONSISTENT = 1e-10
-
-
-@dataclass(frozen=True)
-class Faces:
-    """Field of p incident waves at the two faces of a layer.
-
-    Attributes:
-        transmitted: shape (n, p), transverse E where the layer ends.
-        reflected: shape (n, p), transverse E of the reflected waves where the layer begins.
-        inconsistency: violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
-        conditioning: conditioning of the worst layer's modes; 0 where none were used.
-    """
-
-    transmitted: ComplexArray
-    reflected: ComplexArray
-    inconsistency: float
-    conditioning: Conditioning = NO_MODES
 
 
 def through_by_doubling(

@@ -1,4 +1,7 @@
-"""Modes of a layer that is uniform along z, their conditioning, and the effect of rounding on answers by modes.
+"""Modes of a layer, their conditioning, and mode matching of one layer between two half spaces.
+
+In mode matching c+ is taken at the side of the light and c- at the far side, so that exponentials only decay: a pillar
+may be tall, and a mode strongly evanescent. Modes that die before they reach the other side leave the coupled problem.
 
 Eigenvectors E of A = P Q exist for every layer met in practice, but two of them may come close to each other (at an
 exceptional point they meet, and A has no full set). By the theorem of Bauer and Fike (Golub and Van Loan, Matrix
@@ -15,8 +18,11 @@ import numpy as np
 from scipy.linalg import lapack
 
 from metafab.cell.rcwa.basis.coordinates import Matrix
-from metafab.cell.rcwa.scattering.half_space import distinct_root
+from metafab.cell.rcwa.scattering.half_space import PlaneWaves, distinct_root
 from metafab.core.conventions import ComplexArray
+
+#: Smallest share of a mode at the other side that still couples the two faces.
+_NEGLIGIBLE = 1e-18
 
 
 @dataclass(frozen=True)
@@ -55,6 +61,23 @@ class Conditioning:
 NO_MODES = Conditioning()
 
 
+@dataclass(frozen=True)
+class Faces:
+    """Field of p incident waves at the two faces of a layer.
+
+    Attributes:
+        transmitted: shape (n, p), transverse E where the layer ends.
+        reflected: shape (n, p), transverse E of the reflected waves where the layer begins.
+        inconsistency: violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
+        conditioning: conditioning of the worst layer's modes; 0 where none were used.
+    """
+
+    transmitted: ComplexArray
+    reflected: ComplexArray
+    inconsistency: float
+    conditioning: Conditioning = NO_MODES
+
+
 def layer_modes(p: Matrix, q: Matrix) -> LayerModes:
     """Solve de/dz = i P h, dh/dz = i Q e for eigenvectors of P Q; beta is the root that decays along +z.
 
@@ -85,3 +108,39 @@ def condition(matrix: Matrix) -> float:
         return np.inf
     reciprocal, _ = estimate(lu, largest, norm="1")
     return 1.0 / float(reciprocal) if reciprocal > 0.0 else np.inf
+
+
+def match_modes(
+    modes: LayerModes, thickness_k0: float, incoming: PlaneWaves, outgoing: PlaneWaves, incident: ComplexArray
+) -> Faces:
+    """Solve one layer for the field of the waves ``incident``.
+
+    Args:
+        modes: n modes of the layer.
+        thickness_k0: thickness times k0.
+        incoming: plane waves of the half space that the light comes from.
+        outgoing: plane waves of the half space behind.
+        incident: shape (n, p), transverse E of p incident waves where the layer begins.
+    """
+    decay = np.exp(1j * modes.beta * thickness_k0)
+    carried = np.flatnonzero(np.abs(decay) > _NEGLIGIBLE)
+    decay = decay[carried, None]
+    near_e, near_h = incoming.h[:, None] * modes.e, incoming.e[:, None] * modes.h
+    far_e, far_h = outgoing.h[:, None] * modes.e, outgoing.e[:, None] * modes.h
+    # Where it begins:  (near_e + near_h) c+ + (near_e - near_h) X c- = 2 h_in e_inc, with X the decay;
+    # where it ends:    (far_e + far_h) c- + (far_e - far_h) X c+ = 0.
+    source = 2.0 * incoming.h[:, None] * incident
+    started = np.linalg.solve(
+        near_e + near_h, np.concatenate([source, (near_e - near_h)[:, carried] * decay.T], axis=1)
+    )
+    count = incident.shape[1]
+    started, returned = started[:, :count], started[:, count:]
+    turned = np.linalg.solve(far_e + far_h, (far_e - far_h)[:, carried] * decay.T)
+    echo = np.eye(carried.size) - returned[carried] @ turned[carried]
+    arriving = np.linalg.solve(echo, started[carried])
+    backward = -turned @ arriving
+    forward = started - returned @ backward[carried]
+    at_end, at_begin = backward.copy(), forward.copy()
+    at_end[carried] += decay * arriving
+    at_begin[carried] += decay * backward[carried]
+    return Faces(modes.e @ at_end, modes.e @ at_begin - incident, 0.0, conditioning(modes))

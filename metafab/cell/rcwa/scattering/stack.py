@@ -17,16 +17,12 @@ where e has a node: digits are lost in proportion to their size. Light from the 
 incident light. Where rounding breaks the reciprocity of the two, or an admittance is too large, modes are used.
 
 **Modes.** In a layer with modes E, H that decay by X from face to face, c+ taken where the layer begins and c- where it
-ends, continuity at the far face is
-
-    X c+ + c- = E^-1 U w,    X c+ - c- = H^-1 V w,
-
-so that with S and D half the sum and half the difference of E^-1 U and H^-1 V
+ends, with S and D half the sum and half the difference of E^-1 U and H^-1 V,
 
     w = S^-1 X c+,    c- = D w,    and where it begins    e = E (1 + X D S^-1 X) c+,    h = H (1 - X D S^-1 X) c+.
 
-This is the pair of the next layer, with c+ in place of w. Exponentials only decay, at any thickness. It is the R-matrix
-recursion of multilayer gratings (Li, J. Opt. Soc. Am. A 13, 1024, 1996) for outgoing light alone.
+This is the pair of the next layer, with c+ in place of w. Exponentials only decay. It is the R-matrix recursion of
+multilayer gratings (Li, J. Opt. Soc. Am. A 13, 1024, 1996) for outgoing light alone.
 """
 
 from __future__ import annotations
@@ -37,9 +33,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.cell.rcwa.basis.coordinates import Matrix
-from metafab.cell.rcwa.scattering.doubling import CONSISTENT, Faces, slab
+from metafab.cell.rcwa.scattering.doubling import CONSISTENT, slab
 from metafab.cell.rcwa.scattering.half_space import Waves, as_matrices, magnetic
-from metafab.cell.rcwa.scattering.modes import NO_MODES, conditioning, layer_modes
+from metafab.cell.rcwa.scattering.modes import NO_MODES, Faces, conditioning, layer_modes
 from metafab.core.conventions import ComplexArray
 
 #: Largest admittance for which slabs are used: beyond it fewer than 11 digits are certain.

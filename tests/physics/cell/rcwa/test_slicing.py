@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from metafab.cell import CellNumerics, PillarCell, Slice, solve
 from metafab.cell.rcwa import zero_order
-from metafab.cell.rcwa.basis.axis import AxisBasis, axis_basis, outline_bases
+from metafab.cell.rcwa.basis.axis import AxisBasis, outline_bases
 from metafab.cell.rcwa.basis.coordinates import Formulation
 from metafab.cell.rcwa.jones import distance
 from metafab.cell.rcwa.slicing import slicing, smooth
@@ -64,7 +64,7 @@ def test_plain_harmonics_hold_the_textbook_integrals() -> None:
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_one_outline_is_the_ordinary_basis(formulation: Formulation) -> None:
     several = outline_bases(350.0, (150.0, 150.0), 5, formulation)
-    alone: AxisBasis = axis_basis(350.0, 150.0, 5, formulation)
+    alone: AxisBasis = outline_bases(350.0, (150.0,), 5, formulation)[0]
     assert all(basis is alone for basis in several)
 
 

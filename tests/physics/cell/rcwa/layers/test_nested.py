@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from scipy.special import j1
 
 from benchmarks.fourier_limit import fourier_limit
-from metafab.cell import CellNumerics, PillarCell, rcwa, solve
+from benchmarks.rcwa_derivatives import derivatives
+from metafab.cell import CellNumerics, PillarCell, solve
 from metafab.cell.rcwa.jones import distance, zero_order
 from metafab.cell.rcwa.layers.nested import rectangles
 from metafab.core.errors import InputError
@@ -159,6 +160,6 @@ def test_what_cannot_be_solved_is_refused(change: dict[str, object], field: str)
 
 
 def test_derivatives_and_the_fourier_limit_are_of_rectangles() -> None:
-    for call in (rcwa.derivatives, fourier_limit):
+    for call in (derivatives, fourier_limit):
         with pytest.raises(InputError, match="corner_radius_nm"):
-            call(replace(TITANIA, corner_radius_nm=5.0), 3 if call is rcwa.derivatives else (3, 4, 5))  # type: ignore[operator]
+            call(replace(TITANIA, corner_radius_nm=5.0), 3 if call is derivatives else (3, 4, 5))  # type: ignore[operator]

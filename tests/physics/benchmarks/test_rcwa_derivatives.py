@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.rcwa_derivatives import derivatives
 from metafab.cell import PillarCell
-from metafab.cell.rcwa import derivatives, zero_order
+from metafab.cell.rcwa import zero_order
 from metafab.cell.rcwa.basis.coordinates import Formulation
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
