@@ -31,8 +31,8 @@ class LensPhase(PolarisedTerm):
     object_distance_um: float = math.inf
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
-        path_um = _path_um(self.image_distance_um, self.object_distance_um, 0.0, x_um, y_um)
-        return np.asarray(-2.0 * math.pi / self.wavelength_um * path_um)
+        path = path_um(self.image_distance_um, self.object_distance_um, 0.0, 0.0, x_um, y_um)
+        return np.asarray(-2.0 * math.pi / self.wavelength_um * path)
 
 
 @dataclass(frozen=True)
@@ -57,19 +57,34 @@ class SplitLensPhase(PolarisedTerm):
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         sine = math.sin(math.radians(self.angle_deg)) * (1.0 if polarisation == "x" else -1.0)
-        path_um = _path_um(self.image_distance_um, self.object_distance_um, sine, x_um, y_um)
-        return np.asarray(-2.0 * math.pi / self.wavelength_um * path_um)
+        path = path_um(self.image_distance_um, self.object_distance_um, sine, 0.0, x_um, y_um)
+        return np.asarray(-2.0 * math.pi / self.wavelength_um * path)
 
 
 @compiled
-def _path_um(image_um: float, object_um: float, sine: float, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
-    """Path from the object over the surface to the image, less that through the centre; shape (n_y, n_x)."""
+def path_um(
+    image_um: float, object_um: float, sine_x: float, sine_y: float, x_um: FloatArray, y_um: FloatArray
+) -> FloatArray:
+    """Return the path from an object on the axis over each lens point to its image, less that through the centre.
+
+    Args:
+        image_um: distance of the image from the lens' centre.
+        object_um: distance of the object; infinite for parallel light.
+        sine_x: minus the direction cosine of the image along x.
+        sine_y: minus the direction cosine of the image along y.
+        x_um: shape (n_x,), lens points.
+        y_um: shape (n_y,).
+
+    Returns:
+        Shape (n_y, n_x), um.
+    """
     path = np.empty((y_um.size, x_um.size))
-    shift = 2.0 * image_um * sine
+    shift_x, shift_y = 2.0 * image_um * sine_x, 2.0 * image_um * sine_y
     for row in range(y_um.size):
         y_squared = y_um[row] * y_um[row]
+        tilted = y_squared + shift_y * y_um[row]
         for column in range(x_um.size):
-            excess = y_squared + x_um[column] * x_um[column] + shift * x_um[column]
+            excess = tilted + x_um[column] * x_um[column] + shift_x * x_um[column]
             path[row, column] = excess / (np.sqrt(excess + image_um * image_um) + image_um)
         if math.isfinite(object_um):
             for column in range(x_um.size):

@@ -16,7 +16,7 @@ import numpy as np
 from metafab.core.conventions import ComplexArray, FloatArray, sensor_distance_um
 from metafab.core.polarisation import JONES
 from metafab.phase.build import profile_of
-from metafab.phase.terms.carriers import without_carriers
+from metafab.phase.terms.carriers import path_um, without_carriers
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 
@@ -50,8 +50,7 @@ class JonesTarget:
             design: a camera design with a split lens.
             row_angle_deg: angle between neighbouring rows, seen from the lens.
         """
-        profile, depth_m = profile_of(design), design.sensor.focus_depth_m
-        helix = without_carriers(profile)
+        helix, depth_m = without_carriers(profile_of(design)), design.sensor.focus_depth_m
         distance_um = sensor_distance_um(design.device.focal_length_mm, design.split_angle_deg, depth_m)
         sine_x = math.sin(math.radians(design.split_angle_deg))
         places = []
@@ -73,8 +72,10 @@ class JonesTarget:
         """
         helix_rad = self.helix(x_um, y_um)
         total = np.zeros((3, y_um.size, x_um.size), dtype=np.complex128)
-        for index, (state, place_um) in enumerate(zip(JONES.conj(), self.places_um.tolist(), strict=True)):
-            wave = np.exp(1j * (helix_rad[index % 2] - self.wavenumber * self._path_um(x_um, y_um, *place_um)))
+        for index, (state, (place_x, place_y)) in enumerate(zip(JONES.conj(), self.places_um.tolist(), strict=True)):
+            image_um = math.hypot(place_x, place_y, self.sensor_distance_um)
+            lens_um = path_um(image_um, 1e6 * self.focus_depth_m, -place_x / image_um, -place_y / image_um, x_um, y_um)
+            wave = np.exp(1j * (helix_rad[index % 2] - self.wavenumber * lens_um))
             for entry, (row, column) in enumerate(((0, 0), (0, 1), (1, 1))):
                 total[entry] += state[row] * state[column] * wave
         return total
@@ -82,15 +83,6 @@ class JonesTarget:
     def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
         """Return the nearest lossless matrices to the target, shape (3, n_y, n_x): the light behind perfect pillars."""
         return nearest_unitary(self(x_um, y_um))
-
-    def _path_um(self, x_um: FloatArray, y_um: FloatArray, place_x_um: float, place_y_um: float) -> FloatArray:
-        """Path from the focused object over each lens point to a place, minus the path over the lens' centre."""
-        radius_squared, vergence = x_um**2 + y_um[:, None] ** 2, 1e-6 / self.focus_depth_m
-        bend = vergence * radius_squared
-        image_squared = place_x_um**2 + place_y_um**2 + self.sensor_distance_um**2
-        fall = radius_squared - 2.0 * (x_um * place_x_um + y_um[:, None] * place_y_um)
-        source_um = bend / (np.sqrt(vergence * bend + 1.0) + 1.0)
-        return np.asarray(source_um + fall / (np.sqrt(fall + image_squared) + math.sqrt(image_squared)))
 
 
 def nearest_unitary(target: ComplexArray) -> ComplexArray:

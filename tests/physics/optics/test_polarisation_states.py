@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from metafab.core.polarisation import JONES, ORTHOGONAL, stokes_of, stokes_response
+from metafab.layout import lattice_of
 from metafab.layout.turned import assign_turned
 from metafab.library.library import Library
 from metafab.library.use.amplitudes import turned_jones
-from metafab.optics import Imaging, written_field
+from metafab.optics import Apodisation, Imaging, apodised, ideal_field, written_field
 from metafab.optics.polarisation_states import StokesPsf, stokes_psf
 from metafab.phase.terms.jones_target import JonesTarget, nearest_unitary
 from metafab.spec import Design
@@ -81,6 +82,17 @@ def test_a_hexagonal_lattice_sends_the_same_shares(psf: StokesPsf) -> None:
     """Perfect pillars send the same light from any lattice that samples the phases: cells cover the plane once."""
     hexagonal = perfect_psf(hexagonal_lens(), [0.003], window_px=64)
     assert hexagonal.efficiency == pytest.approx(psf.efficiency, rel=0.02)
+
+
+def test_a_stop_takes_its_share_of_the_light() -> None:
+    """A stop of 0.8 of the diameter passes 0.64 of the power; all of the remaining light still goes to the places."""
+    design = quarter_lens()
+    target, imaging = JonesTarget.of(design, ROW_ANGLE_DEG), Imaging.of(design)
+    whole = ideal_field(target, lattice_of(design), design.device)
+    stopped = apodised(whole, Apodisation(stop_um=0.8 * design.device.aperture_um))
+    wide, narrow = (stokes_psf(source, target, imaging, [0.003], window_px=128) for source in (whole, stopped))
+    # The smaller aperture spreads its images wider than the window by some per cent.
+    assert narrow.efficiency.sum() == pytest.approx(0.64 * wide.efficiency.sum(), rel=0.05)
 
 
 @pytest.mark.parametrize("lens", [quarter_lens, hexagonal_lens])
