@@ -9,7 +9,7 @@ from pathlib import Path
 from metafab.layout import lattice_of
 from metafab.optics import Imaging, ideal_field
 from metafab.optics.polarisation_states import StokesPsf, stokes_psf
-from metafab.phase.terms.jones_target import JonesTarget
+from metafab.phase.jones_target import JonesTarget
 from metafab.spec import Design, load_design
 
 #: Angle between rows of images: that of the small lens' split.

@@ -16,7 +16,7 @@ from metafab.layout.outlines import IntArray, Outline, polygon_area
 from metafab.layout.pillars import PillarMap
 from metafab.library import Library
 from metafab.library.use.amplitudes import power_amplitudes, turned_jones
-from metafab.phase.terms.jones_target import JonesTarget
+from metafab.phase.jones_target import JonesTarget
 from metafab.spec import Design
 from metafab.spec.outline import encloses
 

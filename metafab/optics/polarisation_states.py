@@ -17,7 +17,7 @@ from metafab.optics.propagation.pupil import Carrier, reduce_field
 from metafab.optics.propagation.refocus import refocus
 from metafab.optics.propagation.window import WindowTransform
 from metafab.optics.sources.source import Source
-from metafab.phase.terms.jones_target import JonesTarget
+from metafab.phase.jones_target import JonesTarget
 
 #: Relative error of the propagation kernel's low-rank part.
 _KERNEL_TOLERANCE = 1e-4

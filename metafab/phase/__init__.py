@@ -5,6 +5,7 @@
 - ``studies/``   lobe, bounds of depth, cost of a colour filter, choice of [L, epsilon]
 - ``build``      a design's terms -> PhaseProfile
 - ``pupil``      the pupil in normalised coordinates, rim defocus, paraxial images
+- ``jones_target``  target Jones matrices of a full-Stokes lens: six states of polarisation, six places
 - ``store``      ``phase.h5``: phases sampled over the aperture
 
 In: a Design, or plain numbers. Out: a PhaseProfile for the layout room; radians, not wrapped.

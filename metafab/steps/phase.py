@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from metafab.core.storage.files import fingerprint, plain
+from metafab.core.storage.files import fingerprint
 from metafab.core.storage.tables import optional, typed
 from metafab.spec import Design
 from metafab.steps.job import Job, Step, in_folder
@@ -42,7 +42,16 @@ class RemedyFigures:
 
 @dataclass(frozen=True)
 class FilterFigures:
-    """Fields of :class:`metafab.phase.studies.bandwidth.BandwidthFigures`."""
+    """Key figures of a :class:`metafab.phase.studies.bandwidth.BandwidthBudget`.
+
+    Attributes:
+        filter_fwhm_nm: full width of the filter.
+        dispersion_um_per_nm: shift of an image along the split per nanometre.
+        smear_um: spread of a point along the split.
+        information_kept: information over that of one wavelength with the same electrons.
+        depth_error_factor: Cramer-Rao bound of depth over that of one wavelength.
+        remedies: effective changes, the most effective first.
+    """
 
     filter_fwhm_nm: float
     dispersion_um_per_nm: float
@@ -76,16 +85,24 @@ def _study_inputs(design: Design) -> tuple[Any, ...]:
 
 
 def _study(job: Job) -> StudyFigures:
-    from metafab.phase.studies.bandwidth import bandwidth_figures
     from metafab.phase.studies.study import study
     from metafab.phase.studies.study_store import save_study
 
     results = study(job.design, job.profile)
     inputs_sha256 = fingerprint(*_study_inputs(job.design), job.design.numerics)
     save_study(results, job.folder / "phase_study.h5", inputs_sha256=inputs_sha256)
-    if results.bandwidth is None:
+    if (budget := results.bandwidth) is None:
         return StudyFigures()
-    return StudyFigures(typed(FilterFigures, plain(bandwidth_figures(results.bandwidth))))
+    return StudyFigures(
+        FilterFigures(
+            filter_fwhm_nm=budget.fwhm_nm,
+            dispersion_um_per_nm=budget.dispersion_um_per_nm,
+            smear_um=budget.smear_um,
+            information_kept=budget.kept,
+            depth_error_factor=budget.depth_error_factor,
+            remedies=tuple(RemedyFigures(**vars(remedy)) for remedy in budget.remedies),
+        )
+    )
 
 
 PHASE = Step(

@@ -84,7 +84,7 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
     from metafab.layout.turned import assign_turned
     from metafab.mask.write import write_drawings
     from metafab.optics.polarisation_states import stokes_psf
-    from metafab.phase.terms.jones_target import JonesTarget
+    from metafab.phase.jones_target import JonesTarget
 
     design = job.design
     if not design.has_mask:

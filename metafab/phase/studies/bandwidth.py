@@ -201,34 +201,10 @@ class BandwidthBudget:
     azimuth_deg: FloatArray
     kept_by_azimuth: FloatArray
 
-
-@dataclass(frozen=True)
-class BandwidthFigures:
-    """Key figures of a :class:`BandwidthBudget`, under the names of the summary.
-
-    Attributes:
-        filter_fwhm_nm: full width of the filter.
-        dispersion_um_per_nm: shift of an image along the split per nanometre.
-        smear_um: spread of a point along the split.
-        information_kept: information over that of one wavelength with the same electrons.
-        depth_error_factor: Cramer-Rao bound of depth over that of one wavelength; infinite without information.
-        remedies: effective changes, the most effective first.
-    """
-
-    filter_fwhm_nm: float
-    dispersion_um_per_nm: float
-    smear_um: float
-    information_kept: float
-    depth_error_factor: float
-    remedies: tuple[Remedy, ...]
-
-
-def bandwidth_figures(budget: BandwidthBudget) -> BandwidthFigures:
-    """Return the key figures of a budget."""
-    error_factor = math.inf if budget.kept == 0.0 else budget.kept**-0.5
-    return BandwidthFigures(
-        budget.fwhm_nm, budget.dispersion_um_per_nm, budget.smear_um, budget.kept, error_factor, budget.remedies
-    )
+    @property
+    def depth_error_factor(self) -> float:
+        """Cramer-Rao bound of depth over that of one wavelength; infinite without information."""
+        return math.inf if self.kept == 0.0 else self.kept**-0.5
 
 
 def bandwidth_budget(imaging: SplitImaging, angle_deg: float) -> BandwidthBudget:

@@ -6,6 +6,5 @@
 - ``zernike``   Zernike polynomials
 - ``sampled``   phases given by samples, for instance a user's file
 - ``hologram``  Gerchberg-Saxton design of a phase that projects a picture
-- ``jones_target``  target Jones matrices of a full-Stokes lens: six states of polarisation, six places
 - ``angles``    compiled arctangents of complex numbers, and of sums of waves
 """

@@ -12,7 +12,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.layout.turned import TurnedAssignment, TurnedRectangles, assign_turned, turned_rectangle
 from metafab.library.library import Library
-from metafab.phase.terms.jones_target import JonesTarget
+from metafab.phase.jones_target import JonesTarget
 from metafab.spec import Design
 from tests.stokes_lens import ROW_ANGLE_DEG, hexagonal_lens, quarter_lens
 

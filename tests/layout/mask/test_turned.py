@@ -15,7 +15,7 @@ from metafab.layout.turned import TurnedAssignment, assign_turned
 from metafab.library.library import Library
 from metafab.mask.turned import read_turned
 from metafab.mask.write import biased, write_drawings
-from metafab.phase.terms.jones_target import JonesTarget
+from metafab.phase.jones_target import JonesTarget
 from metafab.spec import Copy, Design, Dose, Mask
 from tests.stokes_lens import ROW_ANGLE_DEG, hexagonal_lens, quarter_lens
 

@@ -15,7 +15,7 @@ from metafab.library.library import Library
 from metafab.library.use.amplitudes import turned_jones
 from metafab.optics import Apodisation, Imaging, apodised, ideal_field, written_field
 from metafab.optics.polarisation_states import StokesPsf, stokes_psf
-from metafab.phase.terms.jones_target import JonesTarget, nearest_unitary
+from metafab.phase.jones_target import JonesTarget, nearest_unitary
 from metafab.spec import Design
 from tests.stokes_lens import ROW_ANGLE_DEG, hexagonal_lens, perfect_psf, quarter_lens
 

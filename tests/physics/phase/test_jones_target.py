@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from metafab.library.use.amplitudes import turned_jones
-from metafab.phase.terms.jones_target import nearest_unitary
+from metafab.phase.jones_target import nearest_unitary
 
 
 @given(st.lists(st.complex_numbers(max_magnitude=3.0, allow_nan=False, allow_infinity=False), min_size=3, max_size=3))
