@@ -1,1 +1,12 @@
-"""What is drawn: pillars by cell and dose class, copies, the field around them, marks and labels."""
+"""What both formats draw: PillarMap and Design -> cells, stamps and rectangles in database units.
+
+- ``scan``: pillars of a tile sorted by size
+- ``cells``: cells of tiles, and the shapes that are stamped on their sites
+- ``copies``: several lenses on a chip
+- ``dose``: dose classes by size or density
+- ``inverse``: the field around the pillars, as rectangles
+- ``stamps``: all shapes on the sites of a lens
+- ``font``: letters as rectangles
+- ``surroundings``: write field, marks, frame, label, dicing street
+- ``cell_writer``: streaming of tiles into a file, for both formats
+"""

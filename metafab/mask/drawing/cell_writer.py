@@ -1,4 +1,4 @@
-"""What both formats share: tiles become cells as they come, and the top cell places them, once or several times."""
+"""Streaming of a mask, for both formats: tiles become cells as they come, and the top cell places them."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from metafab.mask.shapes.hierarchy import IntArray
 
 @dataclass(frozen=True)
 class Drawing:
-    """What a writer knows of a mask before the first tile comes.
+    """Properties of a mask that a writer needs before the first tile.
 
     Attributes:
         lattice: lattice of the tiles.
         top: name of the top cell.
-        copies: lenses to place where there are several; without any, the top cell is the lens.
-        flat: whether the top cell is the only one and holds every rectangle, those of each copy at its place.
+        copies: lenses to place if there are several; empty if the top cell is the lens.
+        flat: whether the top cell is the only cell and holds every shape, those of each copy at their places.
     """
 
     lattice: Lattice
@@ -35,13 +35,13 @@ class Drawing:
 
 @dataclass(frozen=True)
 class EncodedTile:
-    """What is stamped on the sites of a tile, in a format's bytes.
+    """The shapes of one stamp on the sites of a tile, in the bytes of a format.
 
     Attributes:
-        bias_dbu: of the copy of the lens that it belongs to.
-        cell: their cell.
-        content: its elements, shape (n,); where the mask is flat, a piece for each copy of the lens.
-        cells: what the elements refer to, by name, as the format writes it.
+        bias_dbu: bias of the copies of the lens that the shapes belong to.
+        cell: cell of the shapes.
+        content: bytes of the elements, shape (n,) each; a flat mask has one array for each copy of the lens.
+        cells: encoded cells to which the elements refer, by name.
     """
 
     bias_dbu: int
@@ -52,16 +52,16 @@ class EncodedTile:
 
 @dataclass(frozen=True)
 class TileEncoder(ABC):
-    """Tiles -> bytes of a format; knows nothing of the file and may travel to another process.
+    """Encodes tiles in a format; independent of the file, so that it may travel to another process.
 
     Attributes:
-        drawing: what is drawn.
+        drawing: the mask.
     """
 
     drawing: Drawing
 
     def __call__(self, tile: PillarTile, stamp: Stamp) -> EncodedTile:
-        """``stamp`` on the sites of ``tile`` as :meth:`MaskWriter.add` takes it. Safe to call from several threads."""
+        """Encode ``stamp`` on the sites of ``tile``. Safe to call from several threads."""
         cell = tile_cell(self.drawing.lattice, tile, stamp)
         if not self.drawing.flat:
             return EncodedTile(stamp.bias_dbu, cell, (self._content(tile, cell, stamp),), self._cells(tile, stamp))
@@ -70,26 +70,26 @@ class TileEncoder(ABC):
         return EncodedTile(stamp.bias_dbu, cell, tuple(pieces))
 
     def _cells(self, tile: PillarTile, stamp: Stamp) -> dict[str, bytes]:
-        """Cells that the elements of a tile refer to, unless the mask is flat; none here."""
+        """Encoded cells to which the elements of a tile refer; by default none."""
         return {}
 
     @abstractmethod
     def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
-        """The elements of the cell of a tile."""
+        """Bytes of the elements of a tile."""
 
 
 class MaskWriter(ABC):
-    """Writes a mask by streaming; memory stays that of the tiles in flight.
+    """Writes a mask tile by tile, in the memory of the tiles in flight.
 
     Args:
         stream: binary stream at its start.
-        drawing: what is drawn.
+        drawing: the mask.
 
     Attributes:
-        encoder: makes of tiles what :meth:`add` takes.
+        encoder: makes the encoded tiles that :meth:`add` takes.
 
     Raises:
-        InputError: the format cannot hold it.
+        InputError: the format cannot hold the mask.
     """
 
     encoder: TileEncoder
@@ -104,34 +104,36 @@ class MaskWriter(ABC):
             self._begin_cell(drawing.top)
 
     def add(self, tile: EncodedTile) -> None:
-        """Append the cell of a tile. Its memory may be used again: it must not be read afterwards."""
+        """Append the cell of a tile. The caller must not read the tile afterwards: its memory may be used again."""
         self._cells.update(tile.cells)
         if not self._drawing.flat:
             self._placed[tile.bias_dbu].append(tile.cell)
             self._begin_cell(tile.cell.name)
         for piece in tile.content:
-            self._write(piece.data)  # not copied: a tile may have tens of megabytes
+            self._write(piece.data)  # Not copied: a tile may have tens of megabytes.
         if not self._drawing.flat:
             self._end_cell()
 
-    def close(self, beside: Iterable[tuple[int, IntArray]] = ()) -> None:
-        """Write the top cell, with (layer, rectangles) ``beside`` the pillars in it, and the end of the file.
+    def close(self, surroundings: Iterable[tuple[int, IntArray]] = ()) -> None:
+        """Write the top cell and the end of the file.
+
+        Args:
+            surroundings: (layer, rectangles of shape (n, 4)) to draw in the top cell.
 
         Raises:
             InputError: the format cannot hold a rectangle.
         """
-        drawing = self._drawing
         for _, cell in sorted(self._cells.items()):
             self._write(cell)
-        if not drawing.flat:
+        if not self._drawing.flat:
             self._begin_top()
-        for layer, rectangles in beside:
+        for layer, rectangles in surroundings:
             self._draw(layer, rectangles)
         self._end_cell()
         self._end_file()
 
     def _begin_top(self) -> None:
-        """The cells of the copies, and the top cell that places them or, without any, the tiles."""
+        """Write the cells of the lenses, and the top cell that places them; without copies it places the tiles."""
         drawing = self._drawing
         if drawing.copies:
             for bias_dbu in self._placed:
@@ -162,7 +164,7 @@ class MaskWriter(ABC):
 
     @abstractmethod
     def _draw(self, layer: int, rectangles: IntArray) -> None:
-        """Rectangles, shape (n, 4), on datatype 0."""
+        """Write rectangles, shape (n, 4), on datatype 0."""
 
     @abstractmethod
     def _end_cell(self) -> None: ...

@@ -1,4 +1,4 @@
-"""Several lenses on one chip: where each copy stands, what bias it is drawn with, and telling them apart in a file."""
+"""Several lenses on one chip: the place and the bias of each copy, and which copy a rectangle of a file belongs to."""
 
 from __future__ import annotations
 
@@ -20,9 +20,10 @@ class LensCopy:
     """One lens of the chip.
 
     Attributes:
-        x_dbu: where its optical axis stands; likewise ``y_dbu``.
-        bias_dbu: added to the width and length that the lens is drawn with anyway.
-        label: drawn above it; None for nothing.
+        x_dbu: x of its optical axis.
+        y_dbu: y of its optical axis.
+        bias_dbu: added to the drawn width and length, on top of ``mask.bias_nm``.
+        label: text drawn above it; None for nothing.
     """
 
     x_dbu: int
@@ -31,31 +32,28 @@ class LensCopy:
     label: str | None = None
 
 
-_ALONE = LensCopy(0, 0)
-
-
 def lens_copies(design: Design) -> tuple[LensCopy, ...]:
-    """The lenses of the chip in the order of ``mask.copies``; the single one in the middle where none are listed.
+    """Return the lenses in the order of ``mask.copies``; a single one in the middle if none are listed.
 
     Raises:
-        InputError: a place is no whole, or a bias no even, number of database units, or two lenses overlap.
+        InputError: a place is not a whole, or a bias not an even, number of database units, or two lenses overlap.
     """
     unit_nm = design.mask.database_unit_nm
-    found: list[LensCopy] = []
+    copies: list[LensCopy] = []
     for number, copy in enumerate(design.mask.copies, start=1):
         key = f"mask.copies[{number}]"
         x_dbu, y_dbu = (whole_dbu(at_um * 1e3, unit_nm, f"{key}.at_um") for at_um in copy.at_um)
         bias_dbu = whole_dbu(copy.bias_nm, unit_nm, f"{key}.bias_nm", even=True)
-        for other, before in enumerate(found, start=1):
+        for other, before in enumerate(copies, start=1):
             if max(abs(x_dbu - before.x_dbu), abs(y_dbu - before.y_dbu)) < aperture_dbu(design):
                 expected = f"at least {design.device.aperture_um:g} um from copy {other}, along x or along y"
                 raise InputError.single(design.name, f"{key}.at_um", expected, f"{copy.at_um}", "move it")
-        found.append(LensCopy(x_dbu, y_dbu, bias_dbu, copy.label))
-    return tuple(found) or (_ALONE,)
+        copies.append(LensCopy(x_dbu, y_dbu, bias_dbu, copy.label))
+    return tuple(copies) or (LensCopy(0, 0),)
 
 
 def lens_copy(design: Design, number: int) -> LensCopy:
-    """Copy ``number``, counted from 1.
+    """Return copy ``number``, counted from 1.
 
     Raises:
         InputError: there is no such copy.
@@ -67,26 +65,25 @@ def lens_copy(design: Design, number: int) -> LensCopy:
 
 
 def biases_dbu(copies: Sequence[LensCopy]) -> tuple[int, ...]:
-    """The distinct biases, each of which becomes cells of its own."""
+    """Distinct biases in rising order; each has its own cells."""
     return tuple(sorted({copy.bias_dbu for copy in copies}))
 
 
 class OtherCopies:
-    """Sets the rectangles of all copies but one apart, and counts them.
+    """Removes and counts the rectangles of all copies but one.
 
     Args:
         design: the chip.
         number: the copy whose rectangles are wanted, counted from 1.
-        unit_ratio: file units in database units of the design.
+        unit_ratio: file unit in database units of the design.
 
     Attributes:
-        counts: rectangles seen in the lattice square of every other copy, by its number.
+        counts: rectangles in the lattice square of every other copy, by its number.
     """
 
     def __init__(self, design: Design, number: int, unit_ratio: Fraction) -> None:
         lattice, ratio = lattice_of(design), float(unit_ratio)
-        sides = np.array(lattice.shape[::-1]) * lattice.period_dbu
-        self._half = sides / 2.0 / ratio
+        self._half = np.array(lattice.shape[::-1]) * lattice.period_dbu / 2.0 / ratio
         self._centres = {
             other: np.array([copy.x_dbu, copy.y_dbu]) / ratio
             for other, copy in enumerate(lens_copies(design), start=1)
@@ -95,7 +92,15 @@ class OtherCopies:
         self.counts = dict.fromkeys(self._centres, 0)
 
     def without(self, rectangles: IntArray, shift: IntArray) -> IntArray:
-        """Those of ``rectangles``, shape (n, 4), moved by ``shift``, whose centres lie in no other copy."""
+        """Return the rectangles whose centres lie in no other copy.
+
+        Args:
+            rectangles: shape (n, 4), x, y, width, height in file units.
+            shift: shape (2,), to be added to x and y.
+
+        Returns:
+            Shape (m, 4), not shifted.
+        """
         if not self._centres or not len(rectangles):
             return rectangles
         centre = rectangles[:, :2] + rectangles[:, 2:] / 2.0 + shift

@@ -1,4 +1,4 @@
-"""Capital letters, figures and a few signs as rectangles: five by seven squares a character."""
+"""Capital letters, digits and a few signs as rectangles: five by seven squares per character."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.mask.shapes.hierarchy import IntArray
 
-#: Rows and columns of a character; another empty column follows.
+#: Rows and columns of a character; an empty column follows.
 ROWS, COLUMNS = 7, 5
 
 # Seven rows from the top, two hexadecimal digits each; the leftmost square is the highest of five bits.
@@ -27,33 +27,33 @@ _GLYPHS = {
 
 
 def width_squares(text: str) -> int:
-    """Squares along x that ``text`` takes."""
+    """Width of ``text`` in squares."""
     return max(0, len(text) * (COLUMNS + 1) - 1)
 
 
 def text_rectangles(text: str, square: int) -> IntArray:
-    """``text`` in one line from (0, 0) to the right, small letters as capitals.
+    """Draw ``text`` in one line from (0, 0) to the right, in capitals.
 
     Args:
-        text: what is written.
+        text: the text.
         square: side of a square, in any unit.
 
     Returns:
-        Shape (n, 4), x, y, width, height; runs of squares along x are one rectangle, none overlap.
+        Shape (n, 4), x, y, width, height; a run of squares along x is one rectangle, and no two rectangles overlap.
 
     Raises:
-        InputError: a character that the font lacks.
+        InputError: the font lacks a character.
     """
     unknown = sorted(set(text.upper()) - set(_GLYPHS))
     if unknown:
         raise InputError.single(
             "mask.chip", "label", "letters, figures, spaces and - _ . + /", f"{unknown[0]!r}", "leave it out"
         )
-    found = []
+    rectangles = []
     for place, character in enumerate(text.upper()):
         for row, bits in enumerate(bytes.fromhex(_GLYPHS[character])):
             inked = np.array([0, *(bits >> column & 1 for column in reversed(range(COLUMNS))), 0])
             edges = np.flatnonzero(np.diff(inked))
             for start, end in edges.reshape(-1, 2):
-                found.append((place * (COLUMNS + 1) + start, ROWS - 1 - row, end - start, 1))
-    return np.array(found, dtype=np.int64).reshape(-1, 4) * square
+                rectangles.append((place * (COLUMNS + 1) + start, ROWS - 1 - row, end - start, 1))
+    return np.array(rectangles, dtype=np.int64).reshape(-1, 4) * square

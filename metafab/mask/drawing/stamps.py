@@ -1,4 +1,4 @@
-"""What is drawn on the sites of a lens: pillars by dose class, and the field around them, with every bias."""
+"""All shapes on the sites of a lens: pillars by dose class, and the field around them, for every bias."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from metafab.layout.turned import outline_of
 from metafab.mask.drawing.cells import Stamp, pillar_stamp
 from metafab.mask.drawing.copies import biases_dbu, lens_copies
 from metafab.mask.drawing.dose import DoseClasses
-from metafab.mask.drawing.inverse import RECTANGLES, InvertedField
+from metafab.mask.drawing.inverse import FIELD_RECTANGLES, InvertedField
 from metafab.mask.shapes.hierarchy import IntArray
 from metafab.spec import Design
 
 
 class Stamps:
-    """What is drawn, tile by tile.
+    """The shapes on the sites of a lens, tile by tile.
 
     Args:
-        drawn: the pillars with ``mask.bias_nm``.
+        drawn: the pillars, ``mask.bias_nm`` included.
         design: layers, dose classes, tone and copies.
 
     Raises:
-        InputError: the field cannot be inverted around these pillars.
+        InputError: the field around these pillars cannot be inverted.
     """
 
     def __init__(self, drawn: PillarMap, design: Design) -> None:
@@ -39,14 +39,12 @@ class Stamps:
         self._pillars: dict[tuple[int, int], Stamp] = {}
         inverted = design.mask.tone == "inverted"
         if inverted and not self._outline.is_rectangle:
-            expected = "rectangular pillars, around which the field is rectangles"
-            raise InputError.single(
-                "mask", "tone", expected, f"pillars of shape {self._outline.shape!r}", "use 'positive'"
-            )
+            expected, got = "rectangular pillars, around which the field is rectangles", repr(self._outline.shape)
+            raise InputError.single("mask", "tone", expected, f"pillars of shape {got}", "use 'positive'")
         self._field = InvertedField(drawn, design.mask.field_layer, self._biases) if inverted else None
 
     def of(self, tile: PillarTile) -> Iterator[tuple[PillarTile, Stamp]]:
-        """Indices, and the rectangles that they stand for. Safe to call from several threads."""
+        """Yield size indices, and the stamp to which they refer. Safe to call from several threads."""
         for number, part in self._classes.split(tile):
             for bias in self._biases:
                 yield part, self._pillar_stamp(number, bias)
@@ -54,33 +52,33 @@ class Stamps:
             yield from self._field.of(tile)
 
     def _pillar_stamp(self, dose_class: int, bias_dbu: int) -> Stamp:
-        """Made once; by two threads at the same time, twice the same."""
+        """Stamp of a dose class and a bias; two threads may compute the same one twice."""
         key = dose_class, bias_dbu
         if key not in self._pillars:
             mask = self._mask
             self._pillars[key] = pillar_stamp(self._size_dbu, mask.layer, mask.datatype, *key, self._outline)
         return self._pillars[key]
 
-    def exposed(self, used: NDArray[np.int64], seen: set[tuple[int, int]]) -> int:
-        """Shapes that are exposed in all copies: the field's where that is drawn, and else the pillars.
+    def exposed(self, used: NDArray[np.int64], filled: set[tuple[int, int]]) -> int:
+        """Count the exposed shapes of all copies: those of the field if it is drawn, else the pillars.
 
         Args:
-            used: sites of each size in the tiles ``seen``, shape (n_sizes + 1,); index 0 counts those without a pillar.
-            seen: (row, column) of the tiles that hold pillars.
+            used: shape (n_sizes + 1,), number of sites of each size in the ``filled`` tiles.
+            filled: (row, column) of the tiles that hold pillars.
         """
         if self._field is None:
             return len(self._copies) * int(used[1:].sum())
-        return self._field.count(used, seen, self._copies)
+        return self._field.count(used, filled, self._copies)
 
-    def beside(self, seen: set[tuple[int, int]]) -> list[tuple[int, IntArray]]:
-        """(layer, rectangles) of the field in the tiles, of every copy, that are not among ``seen`` (row, column)."""
+    def without_pillars(self, filled: set[tuple[int, int]]) -> list[tuple[int, IntArray]]:
+        """(layer, rectangles of shape (n, 4)) of the field in tiles that are not among ``filled``, of every copy."""
         if self._field is None:
             return []
-        return [(self._mask.field_layer, self._field.without_pillars(seen, self._copies))]
+        return [(self._mask.field_layer, self._field.without_pillars(filled, self._copies))]
 
 
 def shapes_per_pillar(design: Design) -> int:
-    """Rectangles that one pillar of the lens becomes in the file, at most."""
+    """Largest number of shapes that one pillar of the lens becomes in the file."""
     copies = lens_copies(design)
     drawings = len(copies) if design.mask.flat else len(biases_dbu(copies))
-    return drawings * (1 + (RECTANGLES if design.mask.tone == "inverted" else 0))
+    return drawings * (1 + (FIELD_RECTANGLES if design.mask.tone == "inverted" else 0))

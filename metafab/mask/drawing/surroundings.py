@@ -1,4 +1,4 @@
-"""What is drawn beside the pillars of one lens or several: write fields, marks, frame, labels, scale bar and street."""
+"""Shapes around the lenses of a chip: write fields, marks, frame, labels, scale bar and dicing street."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from metafab.spec import Chip, Design
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Rectangles of one kind.
+    """Rectangles of one layer around the lenses.
 
     Attributes:
-        name: what they are, for layer lists.
-        layer: layer; the datatype is 0.
+        name: description in lists of layers.
+        layer: GDSII or OASIS layer; the datatype is 0.
         rectangles: shape (n, 4), x, y of the lower left corner, width, height in database units.
     """
 
@@ -32,26 +32,26 @@ class Surroundings:
 
 
 def surroundings(design: Design) -> tuple[Surroundings, ...]:
-    """All that the design draws beside its pillars; empty unless asked for.
+    """Return the layers that the design draws around its lenses; empty without ``mask.chip`` and a positive tone.
 
     Raises:
-        InputError: marks, label or scale bar do not fit where they belong.
+        InputError: marks, label or scale bar do not fit in their place.
     """
-    found, copies = [], lens_copies(design)
+    layers, copies = [], lens_copies(design)
     if design.mask.tone == "positive":
         lattice = lattice_of(design)
         width, height = (n * p for n, p in zip(lattice.shape[::-1], lattice.period_dbu, strict=True))
         corners = [(copy.x_dbu - width // 2, copy.y_dbu - height // 2) for copy in copies]
         field = np.array([[x, y, width, height] for x, y in corners], dtype=np.int64)
-        found.append(Surroundings("write field: expose field NOT pillars", design.mask.field_layer, field))
+        layers.append(Surroundings("write field: expose field NOT pillars", design.mask.field_layer, field))
     if design.mask.chip is not None:
-        found += _chip(design, design.mask.chip, copies)
-    return tuple(kind for kind in found if len(kind.rectangles))
+        layers += _chip(design, design.mask.chip, copies)
+    return tuple(layer for layer in layers if len(layer.rectangles))
 
 
 @dataclass(frozen=True)
 class _Box:
-    """A rectangle by its sides, database units."""
+    """A rectangle by its sides, in database units."""
 
     left: int
     bottom: int
@@ -59,7 +59,7 @@ class _Box:
     top: int
 
     def grown(self, by: int) -> _Box:
-        """The same, each side further out."""
+        """Return the rectangle with each side moved outwards."""
         return _Box(self.left - by, self.bottom - by, self.right + by, self.top + by)
 
 
@@ -79,7 +79,7 @@ def _chip(design: Design, chip: Chip, copies: Sequence[LensCopy]) -> list[Surrou
 
 
 def _marks(design: Design, chip: Chip, centres: _Box) -> IntArray:
-    """Crosses centred at the corners of ``centres``, three rectangles each, so that none overlap."""
+    """Crosses centred at the corners of ``centres``; each is three rectangles that do not overlap."""
     if chip.mark_um > chip.margin_um:
         raise _no_room(design, "mark_um", f"at most the margin of {chip.margin_um:g} um", f"{chip.mark_um:g} um")
     arm, line = _dbu(design, chip.mark_um), _dbu(design, chip.mark_line_um)
@@ -94,7 +94,7 @@ def _marks(design: Design, chip: Chip, centres: _Box) -> IntArray:
 
 
 def _ring(inner: _Box, outer: _Box) -> IntArray:
-    """The ring between two boxes, as four rectangles that do not overlap."""
+    """Ring between two boxes, as four rectangles that do not overlap."""
     line = outer.right - inner.right
     if line == 0:
         return np.empty((0, 4), dtype=np.int64)
@@ -105,10 +105,10 @@ def _ring(inner: _Box, outer: _Box) -> IntArray:
 
 
 def _copy_labels(design: Design, chip: Chip, copies: Sequence[LensCopy], lens: int) -> Iterator[IntArray]:
-    """The label of each copy that has one, close above the square of its lens and no wider.
+    """Label of each copy, just above the square of its lens.
 
     Raises:
-        InputError: it is wider than its lens, or lies on another one.
+        InputError: a label is wider than its lens, or lies on another lens.
     """
     square = _dbu(design, chip.text_um) // ROWS
     for number, copy in enumerate(copies, start=1):
@@ -129,32 +129,28 @@ def _copy_labels(design: Design, chip: Chip, copies: Sequence[LensCopy], lens: i
 
 
 def _text(design: Design, chip: Chip, lenses: _Box, margin: int) -> IntArray:
-    """The label at the left and the scale bar, its length written above it, at the right; both below all lenses."""
+    """Label at the left, and scale bar with its length at the right; both below all lenses."""
     label = design.name if chip.label is None else chip.label
     square = _dbu(design, chip.text_um) // ROWS
     if square < 1 or (ROWS + 2 * bool(design.mask.copies)) * square > margin:
         raise _no_room(design, "text_um", f"at most the margin of {chip.margin_um:g} um", f"{chip.text_um:g} um")
-    # Marks reach inwards to the box around the lenses at most; text keeps half a margin from them.
+    # Marks reach inwards as far as the box around the lenses; the text keeps half a margin from them.
     left, right = lenses.left + margin // 2, lenses.right - margin // 2
     bottom = lenses.bottom - margin // 2 - ROWS * square // 2
-    found = [_moved(text_rectangles(label, square), left, bottom)]
+    rectangles = [_moved(text_rectangles(label, square), left, bottom)]
     used = width_squares(label) * square
     if chip.scale_bar_um:
         bar = _dbu(design, chip.scale_bar_um)
         caption = f"{chip.scale_bar_um:g} UM"
         small = max(1, square // 2)
-        found.append(np.array([[right - bar, bottom, bar, square]], dtype=np.int64))
-        found.append(_moved(text_rectangles(caption, small), right - bar, bottom + 2 * square))
+        rectangles.append(np.array([[right - bar, bottom, bar, square]], dtype=np.int64))
+        rectangles.append(_moved(text_rectangles(caption, small), right - bar, bottom + 2 * square))
         used += max(bar, width_squares(caption) * small) + ROWS * square
     if used > right - left:
-        room_um = (right - left) * design.mask.database_unit_nm * 1e-3
-        raise _no_room(
-            design,
-            "label",
-            f"label and scale bar within {room_um:g} um",
-            f"{used * design.mask.database_unit_nm * 1e-3:g} um",
-        )
-    return np.concatenate(found)
+        um = design.mask.database_unit_nm * 1e-3
+        expected = f"label and scale bar within {(right - left) * um:g} um"
+        raise _no_room(design, "label", expected, f"{used * um:g} um")
+    return np.concatenate(rectangles)
 
 
 def _moved(rectangles: IntArray, x: int, y: int) -> IntArray:
@@ -162,7 +158,7 @@ def _moved(rectangles: IntArray, x: int, y: int) -> IntArray:
 
 
 def _dbu(design: Design, length_um: float) -> int:
-    """An even number of database units, so that centred rectangles are exact."""
+    """Convert to an even number of database units, so that centred rectangles are exact."""
     return 2 * round(length_um * 5e2 / design.mask.database_unit_nm)
 
 

@@ -1,1 +1,7 @@
-"""GDSII (Stream format 6): reader and writer."""
+"""GDSII Stream format 6.
+
+- ``records``: kinds of records, and their bytes
+- ``writer``: tiles -> file
+- ``runs``: records of a file, runs of like elements, and rings of five points as rectangles
+- ``reader``: file -> cells
+"""

@@ -1,23 +1,46 @@
-"""What the geometry records of OASIS draw, and what they may leave out because an earlier one said it."""
+"""Geometry records of OASIS -> corners; modal variables, which a record may leave out."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from metafab.mask.oasis.records import RECTANGLE
-from metafab.mask.oasis.stream import DamagedError, Stream
+from metafab.mask.oasis.elements import ByteArray, DamagedError, Stream
+from metafab.mask.oasis.records import POLYGON, RECTANGLE
 from metafab.mask.shapes.hierarchy import IntArray
 
-#: Geometry records: rectangle, polygon, path, three trapezoids, compact trapezoid, circle, extension.
-SHAPES = {RECTANGLE, 21, 22, 23, 24, 25, 26, 27, 33}
+_PATH, _TRAPEZOID, _TRAPEZOID_A, _TRAPEZOID_B, _COMPACT_TRAPEZOID, _CIRCLE, _EXTENSION = 22, 23, 24, 25, 26, 27, 33
+#: Kinds of geometry records.
+SHAPES = {RECTANGLE, POLYGON, *range(_PATH, _CIRCLE + 1), _EXTENSION}
+
+_ONE_PLACE = np.zeros((1, 2), dtype=np.int64)
 
 
 @dataclass
 class Modal:
-    """What records may leave out because an earlier one of the cell said it."""
+    """Modal variables of a cell: each keeps its last value for records that leave it out.
+
+    Attributes:
+        relative: whether positions are relative to the record before.
+        placement: position of the last placement; ``geometry`` and ``text`` likewise.
+        geometry: position of the last shape.
+        text: position of the last text.
+        cell: name of the last placed cell.
+        layer: layer of shapes.
+        datatype: datatype of shapes.
+        text_layer: layer and type of texts.
+        width: width of rectangles and trapezoids.
+        height: their height.
+        half_width: half the width of paths.
+        extension: extensions of both ends of paths.
+        path: vertices of paths, shape (n, 2).
+        polygon: vertices of polygons, shape (n, 2).
+        radius: radius of circles.
+        trapezoid: type of compact trapezoids.
+        repetition: offsets of the last repetition, shape (n, 2).
+        unread: data, shape (n,), and position of a later repetition that a compiled run has skipped.
+    """
 
     relative: bool = False
     placement: tuple[int, int] = (0, 0)
@@ -36,37 +59,54 @@ class Modal:
     radius: int = 0
     trapezoid: int = 0
     repetition: IntArray | None = None
-    #: Where a compiled run has left a repetition that nobody has asked for yet.
-    unread: tuple[NDArray[np.uint8], int] | None = None
+    unread: tuple[ByteArray, int] | None = None
+
+    def read_position(self, stream: Stream, last: tuple[int, int], has_x: bool, has_y: bool) -> tuple[int, int]:
+        """Read x and y, as far as the record has them; the others are those of ``last``."""
+        x, y = last
+        if has_x:
+            x = stream.signed() + (x if self.relative else 0)
+        if has_y:
+            y = stream.signed() + (y if self.relative else 0)
+        return x, y
+
+    def read_repetition(self, stream: Stream, has_repetition: bool) -> IntArray:
+        """Read offsets of all copies of a record, shape (n, 2); a single (0, 0) if it has no repetition."""
+        if not has_repetition:
+            return _ONE_PLACE
+        if self.unread is not None:
+            self.repetition, self.unread = Stream(*self.unread).repetition(None), None
+        self.repetition = stream.repetition(self.repetition)
+        return self.repetition
 
 
 def read_shape(kind: int, info: int, stream: Stream, modal: Modal) -> tuple[IntArray, str]:
-    """The part of a geometry record that says what it draws, and the modal variables that it sets or uses.
+    """Read the part of a geometry record between datatype and position.
 
     Args:
         kind: type of the record, one of :data:`SHAPES`.
         info: its info byte.
         stream: stands behind layer and datatype; afterwards before x and y.
-        modal: what the record may leave out.
+        modal: values of the fields that the record leaves out; updated.
 
     Returns:
-        Corners about the shape's own origin, shape (n, 2), and what it is called. Of slanted trapezoids and bent
-        paths only the bounding box is told; a fifth corner marks them as no rectangle.
+        Corners relative to the position of the shape, shape (n, 2), and the name of the shape. Slanted trapezoids and
+        bent paths are reduced to their bounding box; a fifth corner marks that they are not rectangles.
     """
-    if kind == 33:
+    if kind == _EXTENSION:
         stream.string()
         return np.zeros((1, 2), dtype=np.int64), "extension geometry"
-    if kind == 27:
+    if kind == _CIRCLE:
         modal.radius = stream.unsigned() if info & 0b10_0000 else modal.radius
         return np.array([[-modal.radius] * 2, [modal.radius] * 2], dtype=np.int64), "circle"
-    if kind == 21:
+    if kind == POLYGON:
         modal.polygon = stream.points(closed=True) if info & 0b10_0000 else modal.polygon
         if modal.polygon is None:
             raise DamagedError("a polygon without points")
         return modal.polygon, "polygon"
-    if kind == 22:
+    if kind == _PATH:
         return _path(info, stream, modal), "path"
-    if kind == 26:
+    if kind == _COMPACT_TRAPEZOID:
         modal.trapezoid = stream.unsigned() if info & 0b1000_0000 else modal.trapezoid
     modal.width = stream.unsigned() if info & 0b100_0000 else modal.width
     if kind == RECTANGLE and info & 0b1000_0000:
@@ -74,27 +114,27 @@ def read_shape(kind: int, info: int, stream: Stream, modal: Modal) -> tuple[IntA
     else:
         modal.height = stream.unsigned() if info & 0b10_0000 else modal.height
     width, height = modal.width, modal.height
-    if kind == 26 and modal.trapezoid == 25:
+    if kind == _COMPACT_TRAPEZOID and modal.trapezoid == 25:
         height = width
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.int64)
-    if kind == RECTANGLE or (kind == 26 and modal.trapezoid in {24, 25}):
+    if kind == RECTANGLE or (kind == _COMPACT_TRAPEZOID and modal.trapezoid in {24, 25}):
         return corners, "rectangle"
-    slanted = kind == 26
-    if kind in {23, 24}:
+    slanted = kind == _COMPACT_TRAPEZOID
+    if kind in {_TRAPEZOID, _TRAPEZOID_A}:
         slanted |= stream.signed() != 0
-    if kind in {23, 25}:
+    if kind in {_TRAPEZOID, _TRAPEZOID_B}:
         slanted |= stream.signed() != 0
     return np.concatenate([corners, [[width // 2, height // 2]]]) if slanted else corners, "trapezoid"
 
 
 def _path(info: int, stream: Stream, modal: Modal) -> IntArray:
-    """Outline of a path: exact where it is one straight piece, else its bounding box and a fifth corner."""
+    """Outline of a path: exact if it is one straight piece, else its bounding box and a fifth corner."""
     modal.half_width = stream.unsigned() if info & 0b100_0000 else modal.half_width
     if info & 0b1000_0000:
         scheme = stream.unsigned()
         for end, choice in enumerate((scheme >> 2 & 3, scheme & 3)):
             if choice:
-                modal.extension[end] = [0, modal.half_width, 0][choice - 1] if choice < 3 else stream.signed()
+                modal.extension[end] = (0, modal.half_width)[choice - 1] if choice < 3 else stream.signed()
     modal.path = stream.points(closed=False) if info & 0b10_0000 else modal.path
     if modal.path is None:
         raise DamagedError("a path without points")
