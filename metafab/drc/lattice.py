@@ -17,7 +17,7 @@ from metafab.drc.report import MARKERS, RULES, DrcReport, Marker, refuse_several
 from metafab.layout import Aperture, Outline, smallest_gap
 from metafab.layout.pillars import SizeIndexArray
 from metafab.mask import ReadBack
-from metafab.mask.drawing.cells import count_sizes
+from metafab.mask.drawing.scan import count_sizes
 from metafab.spec import Design
 
 _BAND_ROWS = 256

@@ -1,11 +1,11 @@
-"""What a layout will cost, from a sample of its tiles: seconds, bytes, core-hours."""
+"""Cost of a layout, from a sample of its tiles: seconds, bytes, core-hours."""
 
 from __future__ import annotations
 
 import io
 import math
 import time
-from typing import Any
+from dataclasses import dataclass
 
 from metafab.core.parallel.executor import default_workers
 from metafab.layout import Aperture, Outline, PillarMap, PillarTile, lattice_of
@@ -24,36 +24,65 @@ GDSII_COMFORT_BYTES = 2**31
 _SAMPLED_TILES = 16
 
 
-def plan(profile: PhaseProfile, library: Library, design: Design, workers: int | None = None) -> dict[str, Any]:
-    """Map and encode a sample of tiles and extrapolate to the whole lens, of any size.
+@dataclass(frozen=True)
+class LayoutPlan:
+    """Expected cost of a layout.
+
+    Attributes:
+        pillars: number of pillars.
+        tiles: number of tiles.
+        sampled_tiles: number of tiles that were mapped and encoded for the estimate.
+        mappings: number of times that every tile is mapped.
+        seconds: time on ``workers`` cores, by step: "preparing", "mapping" and each format.
+        core_hours: sum over the steps that the cores share.
+        bytes: size of each file, by format.
+        workers: number of cores.
+        advice: sentences for the user.
+    """
+
+    pillars: int
+    tiles: int
+    sampled_tiles: int
+    mappings: int
+    seconds: dict[str, float]
+    core_hours: float
+    bytes: dict[str, int]
+    workers: int
+    advice: list[str]
+
+
+def plan(
+    profile: PhaseProfile,
+    library: Library,
+    design: Design,
+    workers: int | None = None,
+    *,
+    kept_sites: int = KEPT_SITES,
+) -> LayoutPlan:
+    """Map and encode a sample of tiles, and extrapolate to the whole lens, of any size.
 
     Args:
         profile: target phases.
         library: response of every size.
         design: the lens.
-        workers: cores that share the work, each as fast as one of this machine; its own unless given.
-
-    Returns:
-        ``pillars``, ``tiles``, ``sampled_tiles``, ``mappings`` (how often every tile is mapped), ``seconds`` (on
-        ``workers`` cores, by step), ``core_hours``, ``bytes`` by format, ``workers``, and ``advice``, a list of
-        sentences.
+        workers: cores that share the work, each as fast as one of this machine; None for the cores of this machine.
+        kept_sites: largest lattice that :func:`metafab.layout.assign` keeps in memory.
     """
-    workers, mappings = workers or default_workers(), _mappings(design)
+    workers, mappings = workers or default_workers(), _mappings(design, kept_sites)
     start = time.perf_counter()
     mapping = mapping_of(profile, library, design)
     table, aperture = mapping.table, mapping.aperture
-    places = mapping.corners()
+    corners = mapping.corners()
     # Evenly through the list: rim and centre, all rows of tiles alike. The first is mapped twice, to warm up.
-    count = min(_SAMPLED_TILES, len(places))
-    chosen = [places[(2 * k + 1) * len(places) // (2 * count)] for k in range(count)]
-    mapping(chosen[0])
+    count = min(_SAMPLED_TILES, len(corners))
+    sampled = [corners[(2 * k + 1) * len(corners) // (2 * count)] for k in range(count)]
+    mapping(sampled[0])
     prepared = time.perf_counter() - start
 
-    tiles, mapping_seconds = [], -time.perf_counter()
-    for place in chosen:
-        tiles.append(mapping(place))
-    mapping_seconds += time.perf_counter()
-    share = sum(figures.pillars for _, figures in tiles) / aperture.count
+    mapping_start = time.perf_counter()
+    tiles = [mapping(corner) for corner in sampled]
+    mapping_seconds = time.perf_counter() - mapping_start
+    share = sum(sums.pillars for _, sums in tiles) / aperture.count
     seconds = {"preparing": prepared, "mapping": mappings * mapping_seconds / share / workers}
     sizes: dict[str, int] = {}
     sample = PillarMap(aperture.lattice, table.size_dbu, lambda: (tile for tile, _ in tiles), mapping.tile_sites)
@@ -61,51 +90,57 @@ def plan(profile: PhaseProfile, library: Library, design: Design, workers: int |
     for suffix in design.mask.formats:
         writer = WRITERS[suffix](io.BytesIO(), drawing_of(aperture.lattice, design))
         _encoded_bytes(writer, stamps, tiles[0][0])
-        encoding = time.perf_counter()
+        encoding_start = time.perf_counter()
         encoded = sum(_encoded_bytes(writer, stamps, tile) for tile, _ in tiles)
-        seconds[suffix] = (time.perf_counter() - encoding) / share / workers
+        seconds[suffix] = (time.perf_counter() - encoding_start) / share / workers
         sizes[suffix] = round(encoded / share)
-    return {
-        "pillars": aperture.count,
-        "tiles": len(places),
-        "sampled_tiles": count,
-        "mappings": mappings,
-        "seconds": seconds,
-        "core_hours": (sum(seconds.values()) - prepared) * workers / 3600.0,
-        "bytes": sizes,
-        "workers": workers,
-        "advice": _advice(sizes),
-    }
+    return LayoutPlan(
+        pillars=aperture.count,
+        tiles=len(corners),
+        sampled_tiles=count,
+        mappings=mappings,
+        seconds=seconds,
+        core_hours=(sum(seconds.values()) - prepared) * workers / 3600.0,
+        bytes=sizes,
+        workers=workers,
+        advice=_advice(sizes, GDSII_COMFORT_BYTES),
+    )
 
 
-def _mappings(design: Design) -> int:
-    """How often a tile is mapped: a lens too large to be kept is mapped for its figures and again for each reading."""
-    if math.prod(lattice_of(design).shape) <= KEPT_SITES:
+def _mappings(design: Design, kept_sites: int) -> int:
+    """Number of mappings of a tile: a lens that is not kept is mapped for its figures and again for each reading."""
+    if math.prod(lattice_of(design).shape) <= kept_sites:
         return 1
     dose = design.mask.dose
     return 3 if dose is not None and dose.by == "density" else 2
 
 
 def _encoded_bytes(writer: MaskWriter, stamps: Stamps, tile: PillarTile) -> int:
-    """Bytes of all that is drawn on the sites of a tile."""
+    """Bytes of all shapes on the sites of a tile."""
     return sum(piece.size for part in stamps.of(tile) for piece in writer.encoder(*part).content)
 
 
-def announcement(design: Design) -> list[str]:
-    """What is to be said before a mask is written: that its GDSII would be larger than many readers take.
+def announcement(design: Design, comfort_bytes: int = GDSII_COMFORT_BYTES) -> list[str]:
+    """Warn before a mask is written whose GDSII file would be too large for many readers.
 
-    Every pillar is a BOUNDARY of 64 bytes (other than rectangles, a reference of 40), once for each bias of
-    ``mask.copies`` (for each copy, if ``mask.flat``), beside four in the field around it where that is inverted, so
-    that nothing needs to be mapped to know it.
+    Nothing is mapped for it: every pillar is a BOUNDARY of 64 bytes (shapes other than rectangles: a reference of 40),
+    once for each bias of ``mask.copies`` (in a flat mask for each copy), and an inverted field adds four per pillar.
+
+    Args:
+        design: the lens.
+        comfort_bytes: size that most readers take.
+
+    Returns:
+        Sentences for the user; none if the file is small enough.
     """
     if "gds" not in design.mask.formats:
         return []
     words = BOUNDARY_WORDS if Outline.of(design).is_rectangle else REFERENCE_WORDS
-    return _advice({"gds": Aperture.of(design).count * shapes_per_pillar(design) * words * 4})
+    return _advice({"gds": Aperture.of(design).count * shapes_per_pillar(design) * words * 4}, comfort_bytes)
 
 
-def _advice(sizes: dict[str, int]) -> list[str]:
-    if sizes.get("gds", 0) <= GDSII_COMFORT_BYTES:
+def _advice(sizes: dict[str, int], comfort_bytes: int) -> list[str]:
+    if sizes.get("gds", 0) <= comfort_bytes:
         return []
     text = f"layout.gds would have {sizes['gds'] / 1e9:.1f} GB, more than many GDSII readers take (2.1 GB)"
     return [f"{text}; write 'oas' (set mask.formats = [\"oas\"])"]

@@ -82,6 +82,7 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
     from metafab.camera.stokes import photograph
     from metafab.decode.stokes import decode_stokes, stokes_errors
     from metafab.layout.turned import assign_turned
+    from metafab.mask.sidecar import sidecar
     from metafab.mask.write import write_drawings
     from metafab.optics.polarisation_states import stokes_psf
     from metafab.phase.jones_target import JonesTarget
@@ -110,8 +111,8 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
         frame=frame,
         image=image,
         errors=stokes_errors(image, frame),
-        pillars=mask_figures["pillars"],
-        distinct=mask_figures["distinct_sizes"],
+        pillars=mask_figures.pillars,
+        distinct=mask_figures.distinct_sizes,
         angles=angles,
         overlap=assignment.overlap,
         states=STATES,
@@ -120,7 +121,7 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
         ideal_efficiency=ideal.efficiency,
         condition_number=float(np.linalg.cond(psf.instrument)),
         files=[{"name": path.name, "bytes": path.stat().st_size} for path in files.values()],
-        mask=mask_figures,
+        mask=sidecar(design, mask_figures, files),
     )
     write_json(job.folder / "stokes.json", run.to_json())
     return run

@@ -18,7 +18,9 @@ WINDOW = 1 << 22
 
 def damaged(source: str, expected: str, got: str) -> InputError:
     """Return the error for a file that is not whole GDSII."""
-    return InputError.single(source, "file", expected, got, "the file is damaged or not GDSII: write or export it again")
+    return InputError.single(
+        source, "file", expected, got, "the file is damaged or not GDSII: write or export it again"
+    )
 
 
 class Window:
@@ -116,9 +118,7 @@ def rectangles_of(elements: NDArray[np.uint8], first: int) -> tuple[IntArray, ND
 
 
 @compiled
-def _rectangles(
-    words: NDArray[np.uint32], first: int, rectangles: IntArray, is_rectangle: NDArray[np.bool_]
-) -> None:
+def _rectangles(words: NDArray[np.uint32], first: int, rectangles: IntArray, is_rectangle: NDArray[np.bool_]) -> None:
     p = np.empty(10, dtype=np.int64)
     for i in range(len(words)):
         for k in range(10):

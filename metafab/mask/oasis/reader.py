@@ -29,7 +29,8 @@ from metafab.mask.shapes.known import RECTANGLES, KnownShapes
 
 _CELL_BY_NUMBER, _XYABSOLUTE, _PLACEMENT_TURNED, _TEXT, _EXTENSION_GEOMETRY = 13, 15, 18, 19, 33
 _PROPERTIES = {28, 29, 32}
-_NAME_TABLES = {*range(3, 13), 30, 31}
+_TABLES = {START, *range(3, 13), 30, 31}
+_ENDS_OF_A_CELL = {_CELL_BY_NUMBER, CELL, *_TABLES}
 
 _REMEDY = "the file is damaged or not OASIS: write or export it again"
 _LARGEST_BLOCK = 1 << 31
@@ -178,9 +179,9 @@ class _Pass:
         stream = self._stream
         if self._pillars_only and kind not in SHAPES:
             raise MixedBlockError
+        if kind in _ENDS_OF_A_CELL and not self._indexing:
+            return False
         if kind in {_CELL_BY_NUMBER, CELL}:
-            if not self._indexing:
-                return False
             self._begin_cell(stream.string() if kind == CELL else f"#{stream.unsigned()}")
         elif kind in {_XYABSOLUTE, XYRELATIVE}:
             self._modal.relative = kind == XYRELATIVE
@@ -194,14 +195,9 @@ class _Pass:
             self._enter_block()
         elif kind in _PROPERTIES:
             stream.skip_property(kind)
-        elif kind == START or kind in _NAME_TABLES:
-            if not self._indexing:
-                return False
+        elif kind in _TABLES:
             self._cell = None
-            if kind == START:
-                self._start()
-            else:
-                self._name(kind)
+            self._start() if kind == START else self._name(kind)
         elif kind != 0:
             raise DamagedError(f"a record of type {kind}")
         return True

@@ -1,1 +1,6 @@
-"""Cells, references and shapes of a mask file, whatever its format."""
+"""Shapes of a mask file, independent of its format.
+
+- ``hierarchy``: cells and references -> a stream of rectangles and other shapes
+- ``known``: pillars among the shapes
+- ``recover``: rectangles -> sizes at lattice sites, and leftovers
+"""

@@ -1,4 +1,4 @@
-"""Cells and references of a mask file, format left aside -> a stream of rectangles in the top cell's coordinates."""
+"""Cells and references of a mask file, in either format -> a stream of shapes in the coordinates of the top cell."""
 
 from __future__ import annotations
 
@@ -18,17 +18,16 @@ IntArray = NDArray[np.int64]
 _CHUNK = 1 << 16
 
 _ORIGIN = np.zeros(2, dtype=np.int64)
-_NOTHING = np.empty((0, 4), dtype=np.int64)
 
 
 @dataclass(frozen=True)
 class Other:
-    """A shape on the pillar layer that is no axis-parallel rectangle.
+    """A shape on the pillar layer that is not a pillar.
 
     Attributes:
-        kind: what the file calls it, such as "polygon".
+        kind: name of the shape in the file, such as "polygon".
         box: shape (4,), x, y, width, height of its bounding box in file units, or None if unknown.
-        count: how many such shapes stand for this one.
+        count: number of shapes that this one represents.
     """
 
     kind: str
@@ -44,7 +43,7 @@ class Orientation:
     quarters: int = 0
 
     def __call__(self, rectangles: IntArray) -> IntArray:
-        """Turn rectangles of shape (n, 4)."""
+        """Mirror and turn rectangles, x, y, width, height; shape (n, 4) in and out."""
         if not self.mirrored and not self.quarters:
             return rectangles
         x, y, width, height = rectangles.T
@@ -60,10 +59,10 @@ class Chunk:
     """Some shapes of a cell.
 
     Attributes:
-        rectangles: shape (n, 4), x and y of the lower left corner, width, height, in file units.
-        others: everything else on the pillar layer; placed already, whatever ``shift``.
-        shift: shape (2,), still to be added to x and y of the rectangles: adding it costs nothing where they
-            are put at their sites.
+        rectangles: pillars, shape (n, 4), x and y of the lower left corner, width, height, in file units.
+        others: all other shapes on the pillar layer, already moved by ``shift``.
+        shift: shape (2,), still to be added to x and y of the rectangles: this costs nothing where they are put at
+            their sites.
     """
 
     rectangles: IntArray
@@ -71,7 +70,7 @@ class Chunk:
     shift: IntArray = field(default_factory=lambda: _ORIGIN)
 
     def shift_under(self, turn: Orientation) -> IntArray:
-        """The shift after the rectangles have been turned."""
+        """The shift after the rectangles have been turned, shape (2,)."""
         return turn(np.concatenate([self.shift, self.shift * 0])[None])[0, :2]
 
 
@@ -80,7 +79,7 @@ class Part:
     """A piece of a file that can be read on its own, on any thread.
 
     Attributes:
-        count: shapes in it.
+        count: number of shapes.
         chunks: opens their stream.
     """
 
@@ -94,8 +93,8 @@ class Reference:
 
     Attributes:
         cell: its name.
-        orientation: None where the cell is magnified or turned by no multiple of 90 degrees.
-        count: how many placements.
+        orientation: None if the cell is magnified or turned by another angle than a multiple of 90 degrees.
+        count: number of placements.
         offsets: opens the stream of their origins, shape (m, 2) each.
     """
 
@@ -112,8 +111,8 @@ class Cell:
     Attributes:
         references: cells placed in it.
         shapes: opens the stream of its own shapes on the pillar layer.
-        shape_count: how many they are.
-        other_layers: shapes on other layers, by "layer/datatype".
+        shape_count: number of these shapes.
+        other_layers: number of shapes on other layers, by "layer/datatype".
     """
 
     references: list[Reference] = field(default_factory=list)
@@ -123,14 +122,17 @@ class Cell:
 
 
 class Hierarchy:
-    """The cells of a file and how they hang together.
+    """The cells of a file and their references.
 
     Args:
-        cells: by name.
-        source: file, for messages.
+        cells: cells by name.
+        source: the file, for messages.
+
+    Attributes:
+        tops: names of the cells that no other cell places.
 
     Raises:
-        InputError: a cell is referenced but missing, cells contain one another, or there is no cell at all.
+        InputError: a referenced cell is missing, cells contain one another, or there is no cell.
     """
 
     def __init__(self, cells: Mapping[str, Cell], source: str) -> None:
@@ -140,10 +142,9 @@ class Hierarchy:
             for reference in cell.references:
                 placed.add(reference.cell)
                 if reference.cell not in cells:
-                    raise InputError.single(
-                        source, f"cell {name}", "references to cells of the file", f"one to {reference.cell!r}",
-                        "the file is incomplete: write it again",
-                    )  # fmt: skip
+                    expected, got = "references to cells of the file", f"one to {reference.cell!r}"
+                    remedy = "the file is incomplete: write it again"
+                    raise InputError.single(source, f"cell {name}", expected, got, remedy)
         self.tops = tuple(name for name in cells if name not in placed)
         if not self.tops:
             got = "cells that contain one another" if cells else "no cell"
@@ -151,11 +152,11 @@ class Hierarchy:
         self._totals = self._count(source)
 
     def count(self) -> int:
-        """Shapes on the pillar layer, all references expanded; nothing is read for it."""
+        """Number of shapes on the pillar layer with all references expanded; reads no shape."""
         return sum(self._totals[top][0] for top in self.tops)
 
     def other_layers(self) -> dict[str, int]:
-        """Shapes on other layers, all references expanded, by "layer/datatype"."""
+        """Number of shapes on other layers with all references expanded, by "layer/datatype"."""
         total: Counter[str] = Counter()
         for top in self.tops:
             total.update(self._totals[top][1])
@@ -176,7 +177,8 @@ class Hierarchy:
             return
         if reference.orientation is None:
             lost = Other("magnified or obliquely turned reference", None, count * reference.count)
-            yield Part(lost.count, lambda: iter((Chunk(_NOTHING, (lost,)),)))
+            chunk = Chunk(np.empty((0, 4), dtype=np.int64), (lost,))
+            yield Part(lost.count, lambda: iter((chunk,)))
             return
         block = max(1, _CHUNK // count)
         for offsets in reference.offsets():
@@ -185,20 +187,20 @@ class Hierarchy:
                 yield Part(count * len(shift), partial(self._placed, reference, shift))
 
     def _placed(self, reference: Reference, offsets: IntArray) -> Iterator[Chunk]:
-        """Shapes of a placed cell at each of some origins."""
+        """Shapes of a placed cell at each of some origins, shape (m, 2)."""
         turn = reference.orientation or Orientation()
         for chunk in self._expanded(reference.cell):
-            turned = turn(chunk.rectangles)
+            turned, shift = turn(chunk.rectangles), chunk.shift_under(turn)
             if len(offsets) == 1 and not chunk.others:
-                yield Chunk(turned, (), chunk.shift_under(turn) + offsets[0])
+                yield Chunk(turned, (), shift + offsets[0])
                 continue
-            own = chunk.shift_under(turn)
             moved = np.repeat(turned[None], len(offsets), axis=0)
-            moved[:, :, :2] += (offsets + own)[:, None, :]
+            moved[:, :, :2] += (offsets + shift)[:, None, :]
             others = tuple(_moved(other, turn, by) for other in chunk.others for by in offsets)
             yield Chunk(moved.reshape(-1, 4), others)
 
     def _expanded(self, name: str) -> Iterator[Chunk]:
+        """Shapes of a cell and of all cells placed in it."""
         cell = self._cells[name]
         yield from cell.shapes()
         for reference in cell.references:
@@ -229,10 +231,8 @@ class Hierarchy:
                 stack.append((name, True))
                 for reference in cell.references:
                     if reference.cell in open_cells:
-                        raise InputError.single(
-                            source, f"cell {name}", "cells without circles", f"one that contains {reference.cell!r}",
-                            "write the mask again",
-                        )  # fmt: skip
+                        expected, got = "cells without circles", f"one that contains {reference.cell!r}"
+                        raise InputError.single(source, f"cell {name}", expected, got, "write the mask again")
                     stack.append((reference.cell, False))
         return totals
 
@@ -244,22 +244,7 @@ def _moved(other: Other, turn: Orientation, shift: IntArray) -> Other:
     return Other(other.kind, np.concatenate([box[:2] + shift, box[2:]]), other.count)
 
 
-def rectangle_of(points: IntArray) -> IntArray | None:
-    """x, y, width, height of a closed or open ring of corners (n, 2) if it is an axis-parallel rectangle."""
-    if len(points) == 5 and np.array_equal(points[0], points[4]):
-        points = points[:4]
-    if len(points) != 4:
-        return None
-    step = np.roll(points, -1, axis=0) - points
-    alternating = np.all(step[::2, 0] == 0) and np.all(step[1::2, 1] == 0)
-    alternating |= bool(np.all(step[::2, 1] == 0) and np.all(step[1::2, 0] == 0))
-    low, high = points.min(axis=0), points.max(axis=0)
-    if not alternating or np.any(high == low):
-        return None
-    return np.concatenate([low, high - low])
-
-
 def box_of(points: IntArray) -> IntArray:
-    """x, y, width, height of the bounding box of points (n, 2)."""
+    """Bounding box of some points, shape (n, 2): x, y, width, height, shape (4,)."""
     low, high = points.min(axis=0), points.max(axis=0)
     return np.concatenate([low, high - low])

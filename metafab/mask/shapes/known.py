@@ -1,4 +1,4 @@
-"""Which shapes of a file are pillars: rectangles, or the polygons that a design's pillars are drawn as."""
+"""Pillars among the shapes of a file: rectangles, or the polygons that a design's pillars are drawn as."""
 
 from __future__ import annotations
 
@@ -8,54 +8,77 @@ from fractions import Fraction
 import numpy as np
 
 from metafab.layout.outlines import RECTANGLE, Outline
-from metafab.mask.shapes.hierarchy import IntArray, rectangle_of
+from metafab.mask.shapes.hierarchy import IntArray
 
 
 @dataclass(frozen=True)
 class KnownShapes:
-    """Tells pillars from other shapes.
+    """Distinguishes pillars from other shapes.
 
     Attributes:
-        outline: of the pillars; sizes and unit of the design.
+        outline: outline of the pillars, in the unit of the design.
     """
 
     outline: Outline = RECTANGLE
-    _seen: dict[tuple[bytes, float], IntArray | None] = field(default_factory=dict)
+    # Rectangle of each ring, relative to its first corner, by the bytes of the ring and the unit.
+    _rectangles: dict[tuple[bytes, float], IntArray | None] = field(default_factory=dict)
 
     @property
     def are_rectangles(self) -> bool:
-        """Whether any axis-parallel rectangle is a pillar, whatever the unit."""
+        """Whether any axis-parallel rectangle is a pillar, in any unit."""
         return self.outline.is_rectangle
 
     def __call__(self, ring: IntArray, unit_nm: float) -> IntArray | None:
-        """The rectangle about the same centre, as wide and long as the pillar with this outline; None if none has it.
+        """Return the rectangle of a pillar: its centre, width and length.
 
         Args:
             ring: corners, shape (n, 2), closed or not, in units of the file.
-            unit_nm: that unit.
+            unit_nm: unit of the file.
 
         Returns:
-            x, y, width, length in units of the file.
+            x, y, width, length in units of the file, shape (4,); None if the ring is not a pillar.
         """
         if self.are_rectangles:
             return rectangle_of(ring)
         key = (ring - ring[0]).tobytes(), unit_nm
-        if key not in self._seen:
-            self._seen[key] = self._about(ring - ring[0], unit_nm)
-        found = self._seen[key]
-        return None if found is None else found + np.append(ring[0], [0, 0])
+        if key not in self._rectangles:
+            self._rectangles[key] = self._rectangle(ring - ring[0], unit_nm)
+        rectangle = self._rectangles[key]
+        return None if rectangle is None else rectangle + np.append(ring[0], [0, 0])
 
-    def _about(self, ring: IntArray, unit_nm: float) -> IntArray | None:
+    def _rectangle(self, ring: IntArray, unit_nm: float) -> IntArray | None:
         ratio = Fraction(unit_nm / self.outline.database_unit_nm).limit_denominator(1_000_000)
         scaled, rest = np.divmod(ring * ratio.numerator, ratio.denominator)
         size_dbu = None if rest.any() else self.outline.size_of(scaled)
         if size_dbu is None:
             return None
-        # Corners lie at half the sizes, so these, and their differences, are whole numbers of the file's units, too.
+        # Corners lie at half the sizes, so that sizes and their differences are whole numbers of file units as well.
         size = np.array(size_dbu) * ratio.denominator // ratio.numerator
         low, high = ring.min(axis=0), ring.max(axis=0)
         return np.concatenate([low + (high - low - size) // 2, size])
 
 
-#: Of designs with rectangular pillars.
+#: Known shapes of designs with rectangular pillars.
 RECTANGLES = KnownShapes()
+
+
+def rectangle_of(points: IntArray) -> IntArray | None:
+    """Return the axis-parallel rectangle that a ring of corners is.
+
+    Args:
+        points: shape (n, 2), closed or open.
+
+    Returns:
+        x, y, width, height, shape (4,); None for any other ring.
+    """
+    if len(points) == 5 and np.array_equal(points[0], points[4]):
+        points = points[:4]
+    if len(points) != 4:
+        return None
+    step = np.roll(points, -1, axis=0) - points
+    alternating = np.all(step[::2, 0] == 0) and np.all(step[1::2, 1] == 0)
+    alternating |= bool(np.all(step[::2, 1] == 0) and np.all(step[1::2, 0] == 0))
+    low, high = points.min(axis=0), points.max(axis=0)
+    if not alternating or np.any(high == low):
+        return None
+    return np.concatenate([low, high - low])

@@ -1,4 +1,4 @@
-"""Rectangles of a file -> sizes at lattice sites; whatever does not fit is kept apart, never dropped."""
+"""Rectangles of a file -> sizes at lattice sites; rectangles that do not fit are kept apart, never dropped."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.errors import InputError
-from metafab.core.numeric.compiled import HAS_NUMBA, compiled
+from metafab.core.numeric.compiled import compiled
 from metafab.layout import Lattice
 from metafab.layout.pillars import SizeIndexArray
 from metafab.mask.shapes.hierarchy import IntArray
@@ -20,12 +20,12 @@ PLACED, OFF_SITE, DUPLICATE, OFF_GRID, TOO_MANY_SIZES = range(5)
 KEPT = 200_000
 
 
-@dataclass
+@dataclass(frozen=True)
 class Strays:
-    """Rectangles of one kind that found no site of their own.
+    """Rectangles of one kind that have no site.
 
     Attributes:
-        count: how many.
+        count: number of rectangles.
         rectangles: up to :data:`KEPT` of them, shape (m, 4), x, y, width, height in file units.
     """
 
@@ -37,13 +37,13 @@ class Recovery:
     """Collects rectangles into an array of size indices over a lattice.
 
     Args:
-        lattice: where pillars are expected.
-        unit_ratio: file units in database units of the lattice.
-        source: file, for messages.
-        at_dbu: where the centre of the lattice stands in the file, (x, y).
+        lattice: expected sites of the pillars.
+        unit_ratio: file unit in database units of the lattice.
+        source: the file, for messages.
+        at_dbu: (x, y) of the centre of the lattice in the file.
 
     Attributes:
-        size_index: shape ``lattice.shape``; indices into :meth:`size_dbu` once :meth:`finish` has sorted them.
+        size_index: shape ``lattice.shape``; indices into the sizes that :meth:`finish` returns.
     """
 
     def __init__(self, lattice: Lattice, unit_ratio: Fraction, source: str, at_dbu: tuple[int, int]) -> None:
@@ -61,13 +61,26 @@ class Recovery:
         self.size_index: SizeIndexArray = np.zeros(lattice.shape, dtype=np.uint16)
 
     def add(self, rectangles: IntArray, shift: IntArray) -> None:
-        """Put rectangles, shape (n, 4), moved by ``shift``, shape (2,), all in file units, at their sites."""
+        """Put rectangles at their sites.
+
+        Args:
+            rectangles: shape (n, 4), x, y, width, height in file units.
+            shift: shape (2,), to be added to x and y.
+
+        Raises:
+            InputError: more sizes than indices.
+        """
         verdict = np.empty(len(rectangles), dtype=np.uint8)
-        arguments = (
-            np.ascontiguousarray(rectangles), shift, self._ratio, self._origin, self._period, self._every,
-            self._index_of, self._sizes, self._size_count, self.size_index, verdict,
-        )  # fmt: skip
-        failures = _place(*arguments) if HAS_NUMBA else place_vectorised(*arguments)
+        failures = _place(
+            np.ascontiguousarray(rectangles),
+            shift,
+            self._ratio,
+            (self._origin, self._period),
+            self._every,
+            (self._index_of, self._sizes, self._size_count),
+            self.size_index,
+            verdict,
+        )
         if not failures:
             return
         if np.any(verdict == TOO_MANY_SIZES):
@@ -75,74 +88,27 @@ class Recovery:
                 self._source, "pillars", "up to 65535 sizes", "more", "is this the mask of a metafab design?"
             )
         for kind, kept in self._kept.items():
-            found = rectangles[verdict == kind]
+            strays = rectangles[verdict == kind]
             room = KEPT - min(self._counts[kind], KEPT)
-            if len(found) and room:
-                kept.append(found[:room] + np.concatenate([shift, [0, 0]]))
-            self._counts[kind] += len(found)
+            if len(strays) and room:
+                kept.append(strays[:room] + np.concatenate([shift, [0, 0]]))
+            self._counts[kind] += len(strays)
 
     def strays(self, kind: int) -> Strays:
-        """What was kept apart as ``kind``."""
+        """Return the rectangles that were kept apart: ``OFF_SITE``, ``DUPLICATE`` or ``OFF_GRID``."""
         return Strays(self._counts[kind], np.concatenate([np.empty((0, 4), dtype=np.int64), *self._kept[kind]]))
 
     def finish(self) -> NDArray[np.int32]:
         """Sort the sizes by width and length, renumber the sites, and return the sizes, shape (n_sizes + 1, 2)."""
         count = int(self._size_count[0])
-        found = self._sizes[:count]
-        order = np.lexsort((found[:, 1], found[:, 0]))
+        sizes = self._sizes[:count]
+        order = np.lexsort((sizes[:, 1], sizes[:, 0]))
         rank = np.empty(count, dtype=np.uint16)
         rank[order] = np.arange(count)
         for start in range(0, len(self.size_index), 256):
             rows = self.size_index[start : start + 256]
             rows[...] = rank[rows]
-        return np.ascontiguousarray(found[order])
-
-
-def place_vectorised(
-    rectangles: IntArray,
-    shift: IntArray,
-    ratio: IntArray,
-    origin: IntArray,
-    period: IntArray,
-    every: int,
-    index_of: SizeIndexArray,
-    sizes: NDArray[np.int32],
-    size_count: IntArray,
-    size_index: SizeIndexArray,
-    verdict: NDArray[np.uint8],
-) -> int:
-    """As the compiled loop, in NumPy alone; returns how many rectangles are not placed.
-
-    Only where row and column add up to a multiple of ``every`` is a site.
-    """
-    scaled, rest = np.divmod((rectangles + np.concatenate([shift, [0, 0]])) * ratio[0], ratio[1])
-    verdict[:] = np.where(np.any(rest != 0, axis=1), OFF_GRID, PLACED)
-    twice = 2 * (scaled[:, :2] - origin) + scaled[:, 2:]
-    site, off = np.divmod(twice, 2 * period)
-    largest = np.array(index_of.shape) - 1
-    lost = np.any((off != 0) | (site < 0) | (site >= size_index.shape[::-1]) | (scaled[:, 2:] > largest), axis=1)
-    lost |= site.sum(axis=1) % every != 0
-    verdict[(verdict == PLACED) & lost] = OFF_SITE
-    good = np.flatnonzero(verdict == PLACED)
-    column, row = site[good].T
-    # Of several at one site the first is placed.
-    _, first = np.unique(row * size_index.shape[1] + column, return_index=True)
-    fresh = np.zeros(good.size, dtype=bool)
-    fresh[first] = True
-    fresh &= size_index[row, column] == 0
-    verdict[good[~fresh]] = DUPLICATE
-    good, row, column = good[fresh], row[fresh], column[fresh]
-    width, length = scaled[good, 2:].T
-    unknown = index_of[width, length] == 0
-    for size in np.unique(scaled[good[unknown], 2:], axis=0):
-        if size_count[0] == len(sizes):
-            verdict[good] = TOO_MANY_SIZES
-            return len(good)
-        sizes[size_count[0]] = size
-        index_of[tuple(size)] = size_count[0]
-        size_count[0] += 1
-    size_index[row, column] = index_of[width, length]
-    return int(np.count_nonzero(verdict))
+        return np.ascontiguousarray(sizes[order])
 
 
 @compiled
@@ -150,15 +116,18 @@ def _place(
     rectangles: IntArray,
     shift: IntArray,
     ratio: IntArray,
-    origin: IntArray,
-    period: IntArray,
+    sites: tuple[IntArray, IntArray],
     every: int,
-    index_of: SizeIndexArray,
-    sizes: NDArray[np.int32],
-    size_count: IntArray,
+    table: tuple[SizeIndexArray, NDArray[np.int32], IntArray],
     size_index: SizeIndexArray,
     verdict: NDArray[np.uint8],
 ) -> int:
+    """Place rectangles; return the number of those that are not placed.
+
+    A site is a place of the grid whose row and column add up to a multiple of ``every``.
+    """
+    origin, period = sites
+    index_of, sizes, size_count = table
     failures = 0
     n_y, n_x = size_index.shape
     widest, longest = index_of.shape[0] - 1, index_of.shape[1] - 1
@@ -175,7 +144,7 @@ def _place(
                 continue
             x, y, width, length = x // ratio[1], y // ratio[1], width // ratio[1], length // ratio[1]
         twice_x, twice_y = 2 * (x - origin[0]) + width, 2 * (y - origin[1]) + length
-        # A rounded product is an exact quotient wherever there is one, which the next line makes sure of.
+        # The rounded product is the quotient if that is whole, which the next line verifies.
         column, row = np.int64(np.rint(twice_x * inverse_x)), np.int64(np.rint(twice_y * inverse_y))
         on_site = twice_x == column * 2 * period[0] and twice_y == row * 2 * period[1]
         inside = 0 <= column < n_x and 0 <= row < n_y and width <= widest and length <= longest

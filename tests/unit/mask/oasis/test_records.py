@@ -1,9 +1,8 @@
-"""Compiled and vectorised encoders write the same bytes."""
+"""OASIS records of a tile: the compiled encoder writes the bytes that the standard asks for, pillar by pillar."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
+import math
 
 import numpy as np
 import pytest
@@ -12,23 +11,53 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from metafab.layout import Lattice, PillarTile
-from metafab.mask.drawing.cells import Stamp, count_sizes, tile_cell
-from metafab.mask.gdsii.rectangles import rectangles_of, rectangles_vectorised
-from metafab.mask.gdsii.writer import boundary_template, fill_boundaries, fill_boundaries_vectorised
-from metafab.mask.oasis.records import (
-    SCANS,
-    Scan,
-    best_scan,
-    deflate,
-    rectangle_records,
-    rectangle_records_vectorised,
-    sorted_by_size_vectorised,
-)
+from metafab.mask.drawing.cells import Stamp, tile_cell
+from metafab.mask.drawing.scan import Scan
+from metafab.mask.oasis.elements import signed, unsigned
+from metafab.mask.oasis.records import SCANS, best_scan, deflate, pillar_records
 
 SIZES = np.array([[0, 0], [20, 30], [50, 20], [20, 50], [52, 50], [700, 64]], dtype=np.int64)
-# Not centred: what is drawn may be any rectangle about a site.
+# Not centred: any rectangle near a site may be drawn.
 CORNERS = np.array([[0, 0], [-10, -15], [-25, -10], [-10, 40], [-26, -25], [-350, -32]], dtype=np.int64)
 TILES = arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.integers(0, 5))
+
+
+def _records(tile: PillarTile, lattice: Lattice, stamp: Stamp, scan: Scan, absolute: bool) -> bytes:
+    """RECTANGLE records (20) with explicit fields SWHXYRDL where they differ from the record before."""
+    cell, grid = tile_cell(lattice, tile, stamp), math.gcd(*lattice.period_dbu)
+    step = np.array(lattice.period_dbu) // grid
+    out, before = b"", None
+    for size in range(1, len(stamp.size_dbu)):
+        rows, columns = np.nonzero(tile.size_index == size)
+        if not rows.size:
+            continue
+        along, across = (rows, columns) if scan.along_y else (columns, rows)
+        order = np.lexsort((along, across, along // scan.strip_sites))
+        sites = np.stack([columns, rows], axis=1)[order]
+        corner = sites[0] * lattice.period_dbu + [cell.first_x_dbu, cell.first_y_dbu] + stamp.corner_dbu[size]
+        now = [*stamp.size_dbu[size].tolist(), *corner.tolist()]
+        changed = [before is None or value != last for value, last in zip(now, before or now, strict=True)]
+        origin = (0, 0) if absolute or before is None else before[2:]
+        head = [0b100_0000, 0b10_0000, 0b1_0000, 0b1000]
+        info = sum(bit for bit, given in zip(head, changed, strict=True) if given)
+        info |= (0b100 if len(sites) > 1 else 0) | (0b11 if before is None else 0)
+        out += unsigned(20) + unsigned(info)
+        out += unsigned(stamp.layer) + unsigned(stamp.datatype) if before is None else b""
+        fields = [unsigned(now[0]), unsigned(now[1]), signed(now[2] - origin[0]), signed(now[3] - origin[1])]
+        out += b"".join(value for value, given in zip(fields, changed, strict=True) if given)
+        if len(sites) > 1:
+            out += unsigned(11) + unsigned(len(sites) - 2) + unsigned(grid)
+            out += b"".join(_displacement(*move) for move in (np.diff(sites, axis=0) * step).tolist())
+        before = now
+    return out
+
+
+def _displacement(x: int, y: int) -> bytes:
+    """A g-delta: form 1 along an axis (east 0, north 1, west 2, south 3), else form 2."""
+    if x == 0 or y == 0:
+        direction = (0 if x >= 0 else 2) if y == 0 else (1 if y > 0 else 3)
+        return unsigned(abs(x + y) << 4 | direction << 1)
+    return unsigned(abs(x) << 2 | (x < 0) << 1 | 1) + signed(y)
 
 
 @given(
@@ -38,30 +67,21 @@ TILES = arrays(np.uint16, array_shapes(min_dims=2, max_dims=2, max_side=40), ele
     scan=st.builds(Scan, along_y=st.booleans(), strip_sites=st.integers(1, 50)),
     absolute=st.booleans(),
 )
-def test_oasis_records(index: np.ndarray, row: int, periods: tuple[int, int], scan: Scan, absolute: bool) -> None:
+def test_records_are_those_of_the_standard(
+    index: np.ndarray, row: int, periods: tuple[int, int], scan: Scan, absolute: bool
+) -> None:
     lattice, tile, stamp = Lattice(periods, (400, 400), 0.5), PillarTile(row, 17, index), Stamp(SIZES, CORNERS, 1, 300)
-    arguments = (tile, lattice, stamp, tile_cell(lattice, tile, stamp), scan)
-    compiled = rectangle_records(*arguments, absolute=absolute)
-    assert compiled == rectangle_records_vectorised(*arguments, absolute=absolute)
-
-
-@given(index=TILES)
-def test_sizes_are_counted(index: np.ndarray) -> None:
-    assert count_sizes(index, 7).tolist() == [np.count_nonzero(index == size) for size in range(7)]
+    compiled = pillar_records(tile, lattice, stamp, tile_cell(lattice, tile, stamp), scan, absolute=absolute)
+    assert compiled == _records(tile, lattice, stamp, scan, absolute)
 
 
 @pytest.mark.parametrize("scan", SCANS)
 @pytest.mark.parametrize("shape", [(476, 300), (239, 714), (40, 238)])
-def test_oasis_records_of_tiles_wider_than_a_strip(shape: tuple[int, int], scan: Scan) -> None:
-    """Every pillar must be listed once, the last strip being narrower."""
+def test_records_of_tiles_wider_than_a_strip(shape: tuple[int, int], scan: Scan) -> None:
     index = np.random.default_rng(7).integers(0, 6, shape).astype(np.uint16)
     lattice, tile, stamp = Lattice((700, 600), (800, 800), 0.5), PillarTile(3, 17, index), Stamp(SIZES, CORNERS, 1, 0)
-    arguments = (tile, lattice, stamp, tile_cell(lattice, tile, stamp), scan)
-    assert rectangle_records(*arguments) == rectangle_records_vectorised(*arguments)
-    row, column, end_of = sorted_by_size_vectorised(index, len(SIZES), scan)
-    assert np.array_equal(np.diff(end_of), np.bincount(index.ravel())[1:])
-    assert np.array_equal(np.sort(row * shape[1] + column), np.flatnonzero(index))
-    assert np.array_equal(index[row, column], np.repeat(np.arange(1, 6), np.diff(end_of)))
+    compiled = pillar_records(tile, lattice, stamp, tile_cell(lattice, tile, stamp), scan)
+    assert compiled == _records(tile, lattice, stamp, scan, absolute=False)
 
 
 @pytest.mark.parametrize("centre", [(0, 0), (0, 1900), (1900, 0), (1300, 1300), (2400, 600), (600, 2400)])
@@ -74,37 +94,5 @@ def test_the_better_scan_is_found_from_few_sizes(centre: tuple[int, int]) -> Non
     lattice, stamp = Lattice((700, 700), (5714, 5714), 0.5), Stamp(sizes, -(sizes // 2), 1, 0)
     tile = PillarTile(0, 0, (1 + 40 * width + length).astype(np.uint16))
     arguments = (tile, lattice, stamp, tile_cell(lattice, tile, stamp))
-    lengths = {scan: len(deflate(rectangle_records(*arguments, scan))) for scan in SCANS}
+    lengths = {scan: len(deflate(pillar_records(*arguments, scan))) for scan in SCANS}
     assert lengths[best_scan(*arguments)] < 1.06 * min(lengths.values())
-
-
-@given(index=TILES, layer=st.integers(0, 255))
-def test_gdsii_boundaries(index: np.ndarray, layer: int) -> None:
-    arguments = (index, SIZES, CORNERS, (700, 600), (-350, 90_000_000), boundary_template(layer, 0))
-    compiled, vectorised = (np.empty((np.count_nonzero(index), 16), dtype=np.int32) for _ in range(2))
-    fill_boundaries(*arguments, compiled)
-    fill_boundaries_vectorised(*arguments, vectorised)
-    assert np.array_equal(compiled, vectorised)
-    elements = compiled.view(np.uint8).reshape(-1, 64)
-    rectangles, is_rectangle = rectangles_of(elements, 20)
-    assert is_rectangle.all()
-    rows, columns = np.nonzero(index)
-    size = index[rows, columns]
-    centre = np.stack([-350 + 700 * columns, 90_000_000 + 600 * rows], axis=1)
-    assert np.array_equal(rectangles, np.concatenate([centre + CORNERS[size], SIZES[size]], axis=1))
-
-
-@pytest.mark.parametrize("read", [rectangles_of, rectangles_vectorised])
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize("start", range(4))
-def test_rings_from_any_corner_in_either_sense(read: Callable[..., Any], start: int, turned: bool) -> None:
-    ring = np.roll(np.array([[-5, 3], [7, 3], [7, 9], [-5, 9]]), start, axis=0)[:: -1 if turned else 1]
-    whole = np.concatenate([ring, ring[:1]])
-    slanted, is_open, flat = whole.copy(), whole.copy(), whole.copy()
-    slanted[1] += 1
-    is_open[4] += 1
-    flat[:, 0] = 2
-    rings = np.stack([whole, slanted, is_open, flat])
-    rectangles, is_rectangle = read(rings.astype(">i4").view(np.uint8).reshape(4, 40), 0)
-    assert is_rectangle.tolist() == [True, False, False, False]
-    assert rectangles[0].tolist() == [-5, 3, 12, 6]

@@ -1,67 +1,93 @@
-"""Every repetition of OASIS: the compiled loop over rectangles against the reader of single records."""
+"""Every repetition of OASIS: the compiled loop over rectangles and the reader of single records, by the standard."""
 
 from __future__ import annotations
 
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
-import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from metafab.mask.oasis import reader as oasis_reader
-from metafab.mask.oasis import varints
+from metafab.mask.oasis.elements import signed, string, unsigned
 from metafab.mask.oasis.reader import OasisReader
-from metafab.mask.oasis.writer import CELL, END, MAGIC, RECTANGLE, START
+from metafab.mask.oasis.records import RECTANGLE
+from metafab.mask.oasis.writer import CELL, END, MAGIC, START
+from metafab.mask.shapes.hierarchy import IntArray
+from metafab.mask.shapes.known import KnownShapes, rectangle_of
+
+Step = tuple[int, int]
 
 COUNTS = st.integers(0, 5)
 SPACE = st.integers(0, 5000)
 STEP = st.tuples(st.integers(-900, 900), st.integers(-900, 900))
 
 
-def _delta(step: tuple[int, int]) -> bytes:
+class _OneByOne(KnownShapes):
+    """Rectangles, but not so that the reader takes its compiled loop."""
+
+    @property
+    def are_rectangles(self) -> bool:
+        return False
+
+    def __call__(self, ring: IntArray, unit_nm: float) -> IntArray | None:
+        return rectangle_of(ring)
+
+
+def _delta(step: Step) -> bytes:
     x, y = step
-    return varints.unsigned(abs(x) << 2 | (x < 0) << 1 | 1) + varints.signed(y)
+    return unsigned(abs(x) << 2 | (x < 0) << 1 | 1) + signed(y)
+
+
+def _grid(columns: int, rows: int, fast: Step, slow: Step) -> list[Step]:
+    return [(c * fast[0] + r * slow[0], c * fast[1] + r * slow[1]) for r in range(rows) for c in range(columns)]
+
+
+def _list(steps: list[Step], grid: int) -> list[Step]:
+    return [(0, 0), *accumulate(((grid * x, grid * y) for x, y in steps), lambda a, b: (a[0] + b[0], a[1] + b[1]))]
 
 
 @st.composite
-def repetitions(draw: st.DrawFn) -> bytes:
-    """A repetition of any type from 1 to 11, written out by the standard."""
+def repetitions(draw: st.DrawFn) -> tuple[bytes, list[Step]]:
+    """A repetition of any type from 1 to 11, and the offsets of its copies, written out by the standard."""
     kind, count, rows = draw(st.integers(1, 11)), draw(COUNTS), draw(COUNTS)
-    head = varints.unsigned(kind) + varints.unsigned(count)
-    space = [varints.unsigned(draw(SPACE)) for _ in range(count + 1)]
-    steps = [_delta(draw(STEP)) for _ in range(count + 1)]
-    grid = varints.unsigned(draw(st.integers(1, 700)))
-    return head + {
-        1: lambda: varints.unsigned(rows) + space[0] + varints.unsigned(draw(SPACE)),
-        2: lambda: space[0], 3: lambda: space[0],
-        4: lambda: b"".join(space), 5: lambda: grid + b"".join(space),
-        6: lambda: b"".join(space), 7: lambda: grid + b"".join(space),
-        8: lambda: varints.unsigned(rows) + steps[0] + _delta(draw(STEP)),
-        9: lambda: steps[0],
-        10: lambda: b"".join(steps), 11: lambda: grid + b"".join(steps),
-    }[kind]()  # fmt: skip
+    spaces, steps = [draw(SPACE) for _ in range(count + 1)], [draw(STEP) for _ in range(count + 1)]
+    other_space, other_step, grid = draw(SPACE), draw(STEP), draw(st.integers(1, 700))
+    head = unsigned(kind) + unsigned(count)
+    if kind in {1, 8}:
+        fast, slow = ((spaces[0], 0), (0, other_space)) if kind == 1 else (steps[0], other_step)
+        tail = unsigned(spaces[0]) + unsigned(other_space) if kind == 1 else _delta(fast) + _delta(slow)
+        return head + unsigned(rows) + tail, _grid(count + 2, rows + 2, fast, slow)
+    if kind in {2, 3, 9}:
+        fast = {2: (spaces[0], 0), 3: (0, spaces[0]), 9: steps[0]}[kind]
+        return head + (_delta(fast) if kind == 9 else unsigned(spaces[0])), _grid(count + 2, 1, fast, (0, 0))
+    on_grid = kind in {5, 7, 11}
+    head += unsigned(grid) if on_grid else b""
+    if kind < 10:
+        steps = [(space, 0) if kind < 6 else (0, space) for space in spaces]
+        tail = b"".join(unsigned(space) for space in spaces)
+    else:
+        tail = b"".join(_delta(step) for step in steps)
+    return head + tail, _list(steps, grid if on_grid else 1)
 
 
-@pytest.mark.skipif(not oasis_reader.HAS_NUMBA, reason="compares with compiled code")
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(lists=st.lists(repetitions(), min_size=1, max_size=4), again=st.booleans())
-def test_compiled_and_single_records_agree(lists: list[bytes], again: bool, tmp_path: Path) -> None:
+def test_compiled_and_single_records_follow_the_standard(
+    lists: list[tuple[bytes, list[Step]]], again: bool, tmp_path: Path
+) -> None:
     """With ``again``, the last rectangle repeats the repetition before it (type 0), which the loop leaves alone."""
-    records = b""
-    for place, repetition in enumerate([*lists, *([b"\0"] if again else [])]):
-        records += bytes([RECTANGLE, 0b0111_1111, 1, 0]) + varints.unsigned(7 + place) + varints.unsigned(9)
-        records += varints.signed(-40 * place) + varints.signed(3 - place) + repetition
-    head = MAGIC + bytes([START]) + varints.string("1.0") + b"\x00" + varints.unsigned(2000) + bytes(13)
+    records, expected = b"", []
+    for place, (repetition, offsets) in enumerate([*lists, *([(b"\0", lists[-1][1])] if again else [])]):
+        records += bytes([RECTANGLE, 0b0111_1111, 1, 0]) + unsigned(7 + place) + unsigned(9)
+        records += signed(-40 * place) + signed(3 - place) + repetition
+        expected += [(x - 40 * place, y + 3 - place, 7 + place, 9) for x, y in offsets]
+    head = MAGIC + bytes([START]) + string("1.0") + b"\x00" + unsigned(2000) + bytes(13)
     path = tmp_path / "repetitions.oas"
-    end = bytes([END]) + varints.unsigned(252) + bytes(253)
-    path.write_bytes(head + bytes([CELL]) + varints.string("T") + records + end)
-    found = []
-    with pytest.MonkeyPatch.context() as patch:
-        for compiled in (True, False):
-            patch.setattr(oasis_reader, "HAS_NUMBA", compiled)
-            cell = OasisReader(path, (1, 0, 0)).cells["T"]
-            boxes = [chunk.rectangles for chunk in cell.shapes()]
-            found.append((cell.shape_count, np.concatenate(boxes)))
-    assert found[0][0] == found[1][0] == len(found[1][1])
-    assert np.array_equal(found[0][1], found[1][1])
+    end = bytes([END]) + unsigned(252) + bytes(253)
+    path.write_bytes(head + bytes([CELL]) + string("T") + records + end)
+    for known in (KnownShapes(), _OneByOne()):
+        cell = OasisReader(path, (1, 0, 0), known=known).cells["T"]
+        boxes = np.concatenate([chunk.rectangles for chunk in cell.shapes()])
+        assert cell.shape_count == len(boxes)
+        assert boxes.tolist() == [list(box) for box in expected]
