@@ -1,8 +1,8 @@
-"""Rows of one local period of the lens: the error of the local-period approximation, measured.
+"""Error of the local-period approximation, measured on rows of one local period of the lens.
 
-Where a lens bends light by an angle, its pillars repeat (nearly) after one turn of the phase. Such a row, taken from
-the written mask and continued periodically, is a grating that full-wave solvers can treat: its wanted order carries
-the light that focuses, all others are lost or stray.
+Where a lens bends light by an angle, its pillars repeat (nearly) after one turn of the phase. Such a row, cut from the
+written mask and continued periodically, is a grating that full-wave solvers can treat. Its wanted order carries the
+light that reaches the focus; all other orders are lost or stray light.
 """
 
 from __future__ import annotations
@@ -31,23 +31,38 @@ FORMAT = 1
 
 
 @dataclass(frozen=True)
+class CouplingNumerics:
+    """Full-wave solvers of the rows.
+
+    Attributes:
+        solvers: one or both solvers.
+        rcwa: truncations of RCWA.
+        meep: grid and decay of Meep.
+    """
+
+    solvers: tuple[Solver, ...] = ("rcwa",)
+    rcwa: RowNumerics = RowNumerics()
+    meep: SupercellSettings = SupercellSettings()
+
+
+@dataclass(frozen=True)
 class CouplingRow:
     """One local period by one solver and polarisation.
 
     Attributes:
-        x_um: of its middle; likewise ``y_um``.
-        y_um: see ``x_um``.
-        axis: along which the row lies.
-        polarisation: of the light.
-        solver: full-wave solver; its lone pillars give the approximation, too.
+        x_um: middle of the row.
+        y_um: middle of the row.
+        axis: direction of the row.
+        polarisation: polarisation of the light.
+        solver: full-wave solver; it also solves the lone pillars of the approximation.
         sites: pillars in the row.
         order: wanted order, +1 or -1.
-        angle_deg: at which that order leaves.
-        efficiency: into the wanted order, of the incident power.
-        local_period_efficiency: the same by the local-period approximation.
-        wanted_error: |difference| of the wanted order's amplitude.
-        coupling_error: root of the summed squared differences of all orders, over the same of the approximation.
-        solver_error: estimate of the largest error of an amplitude by the solver itself.
+        angle_deg: angle of the wanted order behind the mask.
+        efficiency: power in the wanted order over incident power.
+        local_period_efficiency: this efficiency by the local-period approximation.
+        wanted_error: |difference| of the wanted order's amplitude from the approximation.
+        coupling_error: l2 norm of the differences of all orders, over the norm of the approximation.
+        solver_error: error estimate of the solver, largest over the amplitudes.
         seconds: time in the solver.
     """
 
@@ -72,8 +87,8 @@ class Coupling:
     """Rows of one mask.
 
     Attributes:
-        mask_sha256: of the written file.
-        rows: one a place, polarisation and solver.
+        mask_sha256: hash of the written file.
+        rows: one for each place, polarisation and solver.
     """
 
     mask_sha256: str
@@ -81,12 +96,12 @@ class Coupling:
 
     @property
     def coupling_error(self) -> float:
-        """Rms over the rows: the part of the field that the local-period approximation misses."""
+        """Rms coupling error of the rows: the relative error of the field by the local-period approximation."""
         return math.sqrt(sum(row.coupling_error**2 for row in self.rows) / len(self.rows))
 
     @property
     def efficiency_ratio(self) -> float:
-        """Mean efficiency into the wanted order over what the approximation promises."""
+        """Mean efficiency into the wanted order over its mean by the local-period approximation."""
         return sum(row.efficiency for row in self.rows) / sum(row.local_period_efficiency for row in self.rows)
 
 
@@ -97,63 +112,60 @@ def measure_coupling(
     mask_sha256: str,
     *,
     axis: Axis = "x",
-    solvers: Sequence[Solver] = ("rcwa",),
     polarisations: Sequence[Polarisation] = POLARISATIONS,
-    rcwa: RowNumerics = RowNumerics(),  # noqa: B008 (frozen)
-    meep: SupercellSettings = SupercellSettings(),  # noqa: B008 (frozen)
+    numerics: CouplingNumerics = CouplingNumerics(),  # noqa: B008 (frozen)
     pool: Pool | None = None,
     progress: Progress = silent,
 ) -> Coupling:
     """Solve one local period at each place.
 
     Args:
-        pillars: read from the mask.
-        library: what the mask was made with; its responses tell the local period.
-        places_um: (x, y) of the middles of the rows.
-        mask_sha256: of the written file, kept in the result.
-        axis: along which the rows lie.
-        solvers: full-wave solvers.
-        polarisations: of the light; each has a local period of its own.
-        rcwa: truncations.
-        meep: grid and decay.
-        pool: Meep's workers; by default one that lives as long as this process.
+        pillars: pillars read from the mask.
+        library: library of the mask; its phases determine the local period.
+        places_um: (x, y) of the middle of each row.
+        mask_sha256: hash of the written file, kept in the result.
+        axis: direction of the rows.
+        polarisations: polarisations of the light; each has a local period of its own.
+        numerics: full-wave solvers.
+        pool: workers of Meep; by default one that lives as long as this process.
         progress: called after each row.
 
     Raises:
         InputError: a place is off the lens, or its local period is too long.
-        MissingToolError: Meep is asked for and not installed.
+        MissingToolError: Meep is requested but not installed.
         SolverError: Meep failed.
     """
-    todo = [(place, solver, light) for place in places_um for light in polarisations for solver in solvers]
+    todo = [(place, solver, light) for place in places_um for light in polarisations for solver in numerics.solvers]
     rows = []
     for done, ((x, y), solver, light) in enumerate(todo, start=1):
         line = line_at(pillars, library, x, y, axis)[POLARISATIONS.index(light)]
         sites, order = local_period_sites(line)
         shape = (1, sites) if axis == "x" else (sites, 1)
         supercell = supercell_at(pillars, library, x, y, shape)[0]
-        answer = _along(axis, supercell, light, solver, rcwa, meep, pool, progress)
-        rows.append(_row((x, y), axis, light, solver, order, answer))
+        if solver == "meep":
+            answer = solve_supercell(supercell, light, numerics.meep, pool, progress)
+        else:
+            answer = _solve_row(supercell, light, axis, numerics.rcwa)
+        rows.append(_row((x, y), axis, solver, order, answer))
         progress("local periods", done, len(todo))
     return Coupling(mask_sha256, tuple(rows))
 
 
 def save_coupling(coupling: Coupling, path: Path) -> None:
-    """Write ``coupling.json``: the rows and what they come to."""
-    write_json(
-        path,
-        {
-            "kind": KIND,
-            "format_version": FORMAT,
-            "mask_sha256": coupling.mask_sha256,
-            "coupling_error": coupling.coupling_error,
-            "efficiency_ratio": coupling.efficiency_ratio,
-            "rows": coupling.rows,
-        },
-    )
+    """Write ``coupling.json``: the rows and their means."""
+    content = {
+        "kind": KIND,
+        "format_version": FORMAT,
+        "mask_sha256": coupling.mask_sha256,
+        "coupling_error": coupling.coupling_error,
+        "efficiency_ratio": coupling.efficiency_ratio,
+        "rows": coupling.rows,
+    }
+    write_json(path, content)
 
 
 def load_coupling(path: Path) -> Coupling | None:
-    """Read ``coupling.json``; None where there is none, or one that is not ours."""
+    """Read ``coupling.json``; None where it is missing or of another kind."""
     return read_json(path, KIND, FORMAT, _coupling)
 
 
@@ -162,23 +174,12 @@ def _coupling(table: dict[str, Any]) -> Coupling | None:
     return Coupling(table["mask_sha256"], rows) if rows else None
 
 
-def _along(
-    axis: Axis,
-    supercell: Supercell,
-    light: Polarisation,
-    solver: Solver,
-    rcwa: RowNumerics,
-    meep: SupercellSettings,
-    pool: Pool | None,
-    progress: Progress,
-) -> SupercellResponse:
-    """The response of a row; RCWA takes rows along y with x and y exchanged."""
-    if solver == "meep":
-        return solve_supercell(supercell, light, meep, pool, progress)
+def _solve_row(supercell: Supercell, light: Polarisation, axis: Axis, numerics: RowNumerics) -> SupercellResponse:
+    """Solve a row by RCWA; a row along y is solved with x and y exchanged."""
     if axis == "x":
-        return solve_row(supercell, light, rcwa)
+        return solve_row(supercell, light, numerics)
     other: Polarisation = "y" if light == "x" else "x"
-    turned = solve_row(supercell.exchanged(), other, rcwa)
+    turned = solve_row(supercell.exchanged(), other, numerics)
     return replace(
         turned,
         supercell=supercell,
@@ -190,23 +191,17 @@ def _along(
 
 
 def _row(
-    place: tuple[float, float],
-    axis: Axis,
-    light: Polarisation,
-    solver: Solver,
-    order: int,
-    answer: SupercellResponse,
+    place_um: tuple[float, float], axis: Axis, solver: Solver, order: int, answer: SupercellResponse
 ) -> CouplingRow:
     wanted = (order, 0) if axis == "x" else (0, order)
     index = int(np.flatnonzero(np.all(answer.order == wanted, axis=1))[0])
-    sine = np.linalg.norm(answer.supercell.across_per_um(answer.order[index])) / (
-        2.0 * math.pi / (answer.supercell.cell.wavelength_nm * 1e-3)
-    )
+    per_um = 2.0 * math.pi / (answer.supercell.cell.wavelength_nm * 1e-3)
+    sine = np.linalg.norm(answer.supercell.across_per_um(answer.order[index])) / per_um
     return CouplingRow(
-        x_um=place[0],
-        y_um=place[1],
+        x_um=place_um[0],
+        y_um=place_um[1],
         axis=axis,
-        polarisation=light,
+        polarisation=answer.polarisation,
         solver=solver,
         sites=max(answer.supercell.shape),
         order=order,

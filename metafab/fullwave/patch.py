@@ -1,9 +1,9 @@
-"""A square patch of the written mask by Meep: the field behind its pillars beside the library's.
+"""A square patch of the written mask by Meep, compared with the field stitched from the library.
 
-The patch stands in one period together with a frame of its real neighbours, so that what the periodic images do to it
-dies out before its rim. Compared is the field that travels (all propagating orders of the period, no evanescent ones),
-traced back to the plane where the pillars end and taken at the sites: of Meep, of the library, and of each pillar
-alone on Meep's own grid. The last tells coupling from the error of the grid.
+The patch is simulated with a frame of its real neighbours, so that the effect of the periodic images decays before it
+reaches the patch. Compared are the propagating fields (all propagating orders of the period, no evanescent ones), traced
+back to the plane where the pillars end and sampled at the sites: of Meep, of the library, and of each pillar alone on
+Meep's grid. The last field separates coupling from the error of the grid.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ KIND = "metafab patch"
 FORMAT = 1
 #: Sites of neighbours on each side of the patch.
 PADDING_SITES = 3
-#: Of the extrapolated orders at the end: the grid's own error is far larger.
+#: Decay at which a simulation ends, relative to the extrapolated orders; the error of the grid is far larger.
 PATCH_DECAY = 1e-2
-#: A grid on which 3 um take minutes on one core.
+#: Settings with which a patch of 3 um takes minutes on one core.
 QUICK = SupercellSettings(pixels_per_period=12, decay=PATCH_DECAY)
 
 
 @dataclass(frozen=True)
 class PatchPlan:
-    """What is simulated, and what it is expected to take.
+    """A patch to simulate, and its expected cost.
 
     Attributes:
         supercell: the patch and its frame.
-        x_um: shape (n_x,), sites of the supercell; likewise ``y_um``.
-        y_um: see ``x_um``.
+        x_um: shape (n_x,), x of the sites of the supercell.
+        y_um: shape (n_y,), y of the sites of the supercell.
         padding_sites: width of the frame.
         settings: grid and decay.
-        pixels: of the simulated part.
-        seconds: expected on one core, a polarisation.
-        memory_mb: expected.
+        pixels: pixels of the simulated part.
+        seconds: expected time on one core, for one polarisation.
+        memory_mb: expected memory.
     """
 
     supercell: Supercell
@@ -60,20 +60,37 @@ class PatchPlan:
 
 
 @dataclass(frozen=True)
-class Patch:
-    """Fields at the sites of a patch, in the plane where the pillars end, over incident E.
+class FieldDifference:
+    """Difference of two fields.
 
     Attributes:
-        x_um: shape (n_x,), sites; likewise ``y_um``.
-        y_um: see ``x_um``.
-        polarisation: of the incident light and of the fields.
-        full_wave: shape (n_y, n_x), by Meep.
-        library: the same, stitched from the library, without evanescent waves.
-        alone: the same, stitched from each pillar alone on Meep's grid.
-        decay: what is left of the decaying field, relative to the incident wave.
+        amplitude_rms: rms difference of the amplitudes, over the rms of the reference.
+        phase_rms_rad: rms phase difference about its mean, weighted by both amplitudes.
+        phase_offset_rad: mean phase difference.
+        relative_l2: rms of the complex difference, over the rms of the reference.
+    """
+
+    amplitude_rms: float
+    phase_rms_rad: float
+    phase_offset_rad: float
+    relative_l2: float
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Fields at the sites of a patch, in the plane where the pillars end, over the incident field.
+
+    Attributes:
+        x_um: shape (n_x,), x of the sites.
+        y_um: shape (n_y,), y of the sites.
+        polarisation: polarisation of the incident light and of the fields.
+        full_wave: shape (n_y, n_x), field by Meep.
+        library: shape (n_y, n_x), field stitched from the library, without evanescent waves.
+        alone: shape (n_y, n_x), field stitched from each pillar alone on Meep's grid.
+        decay: remaining share of the decaying field, relative to the incident wave.
         seconds: time of the simulation.
-        pixels_per_period: of the grid.
-        padding_sites: neighbours simulated around the patch.
+        pixels_per_period: resolution of the grid.
+        padding_sites: neighbours simulated on each side of the patch.
     """
 
     x_um: FloatArray
@@ -87,38 +104,39 @@ class Patch:
     pixels_per_period: int
     padding_sites: int
 
-    def figures(self) -> dict[str, float]:
-        """Rms differences of amplitude and phase, against the library and against the pillars alone on the grid."""
-        found: dict[str, float] = {}
-        pairs = {"": (self.full_wave, self.library), "coupling_": (self.full_wave, self.alone)}
-        pairs["grid_"] = (self.alone, self.library)
-        for name, (ours, theirs) in pairs.items():
-            amplitude, phase, offset, relative = differences(ours, theirs)
-            found |= {
-                f"{name}amplitude_rms": amplitude,
-                f"{name}phase_rms_rad": phase,
-                f"{name}phase_offset_rad": offset,
-                f"{name}relative_l2": relative,
-            }
-        return found
+    @property
+    def against_library(self) -> FieldDifference:
+        """Full-wave field against the library's: coupling and grid together."""
+        return field_difference(self.full_wave, self.library)
+
+    @property
+    def coupling(self) -> FieldDifference:
+        """Full-wave field against the pillars alone on the same grid."""
+        return field_difference(self.full_wave, self.alone)
+
+    @property
+    def grid(self) -> FieldDifference:
+        """Pillars alone on Meep's grid against the library."""
+        return field_difference(self.alone, self.library)
 
 
-def differences(ours: ComplexArray, theirs: ComplexArray) -> tuple[float, float, float, float]:
-    """Amplitude rms, phase rms, mean phase, and relative rms difference of a field to another.
+def field_difference(field: ComplexArray, reference: ComplexArray) -> FieldDifference:
+    """Compare a field with a reference.
 
-    Amplitudes are in units of the other's rms. Phases are weighted with both amplitudes, as dark places have none, and
-    the rms is about their mean.
+    Args:
+        field: any shape.
+        reference: shape of ``field``.
     """
-    scale = float(np.sqrt(np.mean(np.abs(theirs) ** 2)))
-    product = ours * theirs.conj()
+    scale = float(np.sqrt(np.mean(np.abs(reference) ** 2)))
+    product = field * reference.conj()
     weight = np.abs(product)
     offset = float(np.angle(product.sum()))
     around = np.angle(product * np.exp(-1j * offset))
-    return (
-        float(np.sqrt(np.mean((np.abs(ours) - np.abs(theirs)) ** 2))) / scale,
-        float(np.sqrt(np.sum(weight * around**2) / weight.sum())),
-        offset,
-        float(np.sqrt(np.mean(np.abs(ours - theirs) ** 2))) / scale,
+    return FieldDifference(
+        amplitude_rms=float(np.sqrt(np.mean((np.abs(field) - np.abs(reference)) ** 2))) / scale,
+        phase_rms_rad=float(np.sqrt(np.sum(weight * around**2) / weight.sum())),
+        phase_offset_rad=offset,
+        relative_l2=float(np.sqrt(np.mean(np.abs(field - reference) ** 2))) / scale,
     )
 
 
@@ -131,14 +149,14 @@ def plan_patch(
     padding_sites: int = PADDING_SITES,
     settings: SupercellSettings = QUICK,
 ) -> PatchPlan:
-    """What to simulate for a square patch, and what it will take.
+    """Cut a square patch from a mask and estimate the cost of its simulation.
 
     Args:
-        pillars: read from a mask.
-        library: what the mask was made with.
+        pillars: pillars read from a mask.
+        library: library of the mask.
         at_um: (x, y) of the patch's middle.
         size_um: side, rounded to whole sites.
-        padding_sites: neighbours on each side that are simulated and not compared.
+        padding_sites: neighbours on each side that are simulated but not compared.
         settings: grid and decay.
 
     Raises:
@@ -164,6 +182,13 @@ def solve_patch(
     progress: Progress = silent,
 ) -> Patch:
     """Simulate a planned patch.
+
+    Args:
+        plan: patch and settings.
+        library: library of the mask.
+        polarisation: polarisation of the incident light.
+        pool: workers of Meep; by default one that lives as long as this process.
+        progress: called during the simulation.
 
     Raises:
         MissingToolError: no interpreter has Meep.

@@ -1,8 +1,8 @@
-"""Corners: what a library covers beyond sizes (wavelength, height, walls, bias, index, angle), and the cells there.
+"""Corners: values of wavelength, height, walls, bias, index or angle beyond sizes, and the cells there.
 
-A corner is a value for each asked axis. Two axes are special. A bias of the critical dimension only moves every
-size, so it is no variable of the model but a margin of its sizes. The response is even in the angle of incidence, in
-the x-z and y-z planes, so the model's variable is sin^2 of it.
+A corner is a value for each axis of the sweep. Two axes are special. A bias of the critical dimension changes width and
+length alike, so it is no variable of the model but widens the model's range of sizes. The response is even in the angle
+of incidence, in the x-z and y-z planes, so the model's variable is sin^2 of the angle.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ from metafab.core.errors import Fault, InputError
 from metafab.library.fit.rational import Range, scaled
 from metafab.spec import UnitCell
 
+#: Values by name of the axis, such as ``{"wavelength_nm": 803.0}``.
 Corner = Mapping[str, float]
 
-_ANGLES = {"angle_x_deg": 0.0, "angle_y_deg": 90.0}
+_AZIMUTH_DEG = {"angle_x_deg": 0.0, "angle_y_deg": 90.0}
 
 
 @dataclass(frozen=True)
 class CornerBox:
-    """The axes of a library, and the box of sizes and axes that its corner model is fitted over.
+    """The axes of a library, and the box of sizes and axes over which its corner model is fitted.
 
     Attributes:
-        spans: name -> (lowest, highest), of the axes that were asked for.
-        nominal: name -> the unit cell's own value.
-        width_nm: smallest and largest width that is met, bias included; likewise ``length_nm``.
-        length_nm: see ``width_nm``.
+        spans: (lowest, highest) by name of the axis.
+        nominal: the unit cell's own values.
+        width_nm: smallest and largest width, bias included.
+        length_nm: smallest and largest length, bias included.
     """
 
     spans: Mapping[str, Range]
@@ -42,7 +43,7 @@ class CornerBox:
 
     @classmethod
     def of(cls, unit_cell: UnitCell) -> CornerBox | None:
-        """The box that a unit cell asks for; None if its sweep has no axes."""
+        """Return the box of a unit cell's sweep; None if the sweep has no axes."""
         spans = {} if unit_cell.sweep.axes is None else unit_cell.sweep.axes.asked
         if not spans:
             return None
@@ -53,59 +54,74 @@ class CornerBox:
 
     @property
     def variables(self) -> tuple[str, ...]:
-        """The axes that the model depends on: all but the bias."""
+        """The axes that are variables of the model: all but the bias."""
         return tuple(name for name in self.spans if name != "cd_bias_nm")
 
     @property
     def exchanges(self) -> bool:
-        """Whether no axis tells x from y."""
-        return not _ANGLES.keys() & self.spans.keys()
+        """Whether all axes keep the exchange of x and y."""
+        return not _AZIMUTH_DEG.keys() & self.spans.keys()
 
-    def whole(self, asked: Corner) -> dict[str, float]:
-        """``asked`` with the nominal value of every axis that it does not name.
+    def completed(self, corner: Corner) -> dict[str, float]:
+        """Return ``corner`` with the nominal value of every axis that it does not name.
 
         Raises:
             InputError: an axis is none of the library's, or a value lies outside its span (nothing is extrapolated).
         """
-        faults, corner = [], dict(self.nominal)
-        for name, value in asked.items():
+        faults, whole = [], dict(self.nominal)
+        for name, value in corner.items():
             if name not in self.spans:
-                has = ", ".join(self.spans)
-                faults.append(Fault(name, f"an axis of the library ({has})", "none of them", "add it to `sweep.axes`"))
+                expected = f"an axis of the library ({', '.join(self.spans)})"
+                faults.append(Fault(name, expected, "none of them", "add it to `sweep.axes`"))
                 continue
             low, high = self.spans[name]
-            corner[name] = abs(float(value)) if name in _ANGLES else float(value)
-            if not low <= corner[name] <= high:
+            whole[name] = abs(float(value)) if name in _AZIMUTH_DEG else float(value)
+            if not low <= whole[name] <= high:
                 faults.append(Fault(name, f"{low:g} to {high:g}", f"{value:g}", "widen the span in `sweep.axes`"))
         if faults:
             raise InputError("library", faults)
-        return corner
+        return whole
 
-    def variables_of(self, corner: Corner) -> FloatArray:
-        """The model's variables of a whole corner, each in -1..1: shape (n_variables,)."""
-        places = []
+    def to_variables(self, corner: Corner) -> FloatArray:
+        """Return the model's variables of a completed corner, each in -1..1: shape (n_variables,)."""
+        variables = []
         for name in self.variables:
-            value, low, high = (_straight(name, at) for at in (corner[name], *self.spans[name]))
-            places.append((2.0 * value - (low + high)) / (high - low))
-        return np.array(places)
+            value, low, high = (_smooth(name, at) for at in (corner[name], *self.spans[name]))
+            variables.append((2.0 * value - (low + high)) / (high - low))
+        return np.array(variables)
 
-    def corner(self, scaled: FloatArray) -> dict[str, float]:
-        """The inverse of :meth:`variables_of`; the bias, which is in the sizes, is left out."""
+    def from_variables(self, variables: FloatArray) -> dict[str, float]:
+        """Return the corner of some variables, the inverse of :meth:`to_variables`, without the bias.
+
+        Args:
+            variables: shape (n_variables,), each in -1..1.
+        """
         corner = {}
-        for name, place in zip(self.variables, scaled.tolist(), strict=True):
-            low, high = (_straight(name, at) for at in self.spans[name])
-            value = low + 0.5 * (place + 1.0) * (high - low)
-            corner[name] = _bent(name, value)
+        for name, variable in zip(self.variables, variables.tolist(), strict=True):
+            low, high = (_smooth(name, at) for at in self.spans[name])
+            corner[name] = _from_smooth(name, low + 0.5 * (variable + 1.0) * (high - low))
         return corner
 
-    def places(self, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray) -> FloatArray:
-        """Cells as points of a cube: shape (n,) sizes as made and (n, n_variables) axes -> (n, 2 + n_variables)."""
+    def points(self, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray) -> FloatArray:
+        """Return cells as points of a cube of side 2.
+
+        Args:
+            width_nm: shape (n,), as made.
+            length_nm: shape (n,), as made.
+            axes: shape (n, n_variables), each in -1..1.
+
+        Returns:
+            Shape (n, 2 + n_variables), each in -1..1.
+        """
         sizes = scaled(width_nm, self.width_nm), scaled(length_nm, self.length_nm)
         return np.concatenate([np.stack(sizes, axis=-1), axes], axis=1)
 
 
 def corner_unit_cell(unit_cell: UnitCell, corner: Corner) -> UnitCell:
-    """The unit cell at a corner, as far as its spec can say it: wavelength and geometry; without axes of its own."""
+    """Return the unit cell with the wavelength and geometry of a corner, and without axes.
+
+    Bias, index shift and angle have no key in a unit cell; :func:`corner_cell` applies them.
+    """
     wavelength_nm = corner.get("wavelength_nm", unit_cell.illumination.wavelength_nm)
     light = replace(unit_cell.illumination, wavelength_nm=wavelength_nm)
     geometry = replace(
@@ -118,13 +134,13 @@ def corner_unit_cell(unit_cell: UnitCell, corner: Corner) -> UnitCell:
 
 
 def corner_cell(unit_cell: UnitCell, width_nm: float, length_nm: float, corner: Corner) -> PillarCell:
-    """The cell of one pillar at a corner; axes that the corner does not name are the unit cell's own.
+    """Return the cell of one pillar at a corner; axes that the corner does not name keep the unit cell's values.
 
     Raises:
         InputError: as :func:`metafab.cell.pillar_cell`.
     """
     bias = corner.get("cd_bias_nm", 0.0)
-    angles = {azimuth: corner[name] for name, azimuth in _ANGLES.items() if name in corner}
+    angles = {azimuth: corner[name] for name, azimuth in _AZIMUTH_DEG.items() if name in corner}
     azimuth_deg, angle_deg = next(iter(angles.items()), (0.0, 0.0))
     cell = pillar_cell(
         corner_unit_cell(unit_cell, corner),
@@ -136,15 +152,15 @@ def corner_cell(unit_cell: UnitCell, width_nm: float, length_nm: float, corner: 
     return replace(cell, n_pillar=cell.n_pillar + corner.get("pillar_n_shift", 0.0))
 
 
-def _straight(name: str, value: float) -> float:
-    """The value in which the response is smooth: sin^2 of an angle, the area that rounding takes, any other itself."""
+def _smooth(name: str, value: float) -> float:
+    """Variable in which the response is smooth: sin^2 of an angle, the square of a radius, else the value itself."""
     if name == "corner_radius_nm":
         return value**2
-    return math.sin(math.radians(value)) ** 2 if name in _ANGLES else value
+    return math.sin(math.radians(value)) ** 2 if name in _AZIMUTH_DEG else value
 
 
-def _bent(name: str, straight: float) -> float:
-    """The inverse of :func:`_straight`."""
+def _from_smooth(name: str, smooth: float) -> float:
+    """Inverse of :func:`_smooth`."""
     if name == "corner_radius_nm":
-        return math.sqrt(max(straight, 0.0))
-    return math.degrees(math.asin(math.sqrt(max(straight, 0.0)))) if name in _ANGLES else straight
+        return math.sqrt(max(smooth, 0.0))
+    return math.degrees(math.asin(math.sqrt(max(smooth, 0.0)))) if name in _AZIMUTH_DEG else smooth

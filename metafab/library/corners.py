@@ -1,99 +1,120 @@
-"""The library away from its nominal cell: a corner is an ordinary Library, with the error that it has there."""
+"""Models of a library over its axes, and the amplitudes and errors of one corner."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from metafab.cell import is_square
-from metafab.core.conventions import FloatArray
-from metafab.core.errors import InputError
-from metafab.core.storage.files import fingerprint
-from metafab.library.axes import Corner, CornerBox, corner_unit_cell
-from metafab.library.fit.certificate import NEIGHBOURS, spread, steepness
-from metafab.library.fit.corner_model import CornerModel
-from metafab.library.fit.models import ModelPair
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.library.axes import Corner, CornerBox
+from metafab.library.fit.certificate import NEIGHBOURS, disagreement_estimate, steepness
+from metafab.library.fit.models import RankedModels
+from metafab.library.fit.rational import RationalModel
 
-if TYPE_CHECKING:
-    from metafab.library.library import Library
+
+@dataclass(frozen=True)
+class CornerStatistics:
+    """Statistics of the adaptive sampling over sizes and axes, equal on every machine.
+
+    Attributes:
+        points_solved: cells solved.
+        rounds: rounds of solving.
+        held_out: cells of the last round that were predicted before they were solved, the worst ones aside.
+        held_out_error: largest error of these predictions.
+        held_out_rms: rms error of these predictions.
+        open_share: share of the box whose error estimate is above the tolerance.
+        target: "reached", or "not reached ..." with the reason.
+        axis_weight: factor of an axis' power in the model's total degree.
+        numerator_degree: total degree of the model's numerators.
+        denominator_degree: total degree of the model's denominator.
+    """
+
+    points_solved: int = 0
+    rounds: int = 0
+    held_out: int = 0
+    held_out_error: float = math.nan
+    held_out_rms: float = math.nan
+    open_share: float = math.nan
+    target: str = ""
+    axis_weight: int = 0
+    numerator_degree: int = 0
+    denominator_degree: int = 0
+
+
+@dataclass(frozen=True)
+class CornerResponse:
+    """Amplitudes and errors of all sizes at one corner.
+
+    Attributes:
+        model: amplitudes as functions of the drawn sizes.
+        amplitudes: shape (4, n_length, n_width), t_xx, t_yy, r_xx, r_yy.
+        error: shape (n_length, n_width), error at each size.
+        model_error: shape (n_length, n_width), error around each size.
+    """
+
+    model: RationalModel
+    amplitudes: ComplexArray
+    error: FloatArray
+    model_error: FloatArray
 
 
 @dataclass(frozen=True)
 class Corners:
-    """What a library knows at all values of its axes.
+    """Models over sizes and axes with what is needed to bound their error.
 
     Attributes:
-        models: the one to use, and its rivals; where all agree, none hangs on its own degrees.
-        factor: how far their disagreement fell short at cells that neither knew, at least 1.
-        floor: least estimate of the model's error anywhere: the rms miss of cells that it could not know.
+        models: the model that is used, and its rivals of other degrees.
+        safety_factor: ratio of held-out errors to the models' disagreement, at least 1.
+        floor: least estimate of the model's error: the rms held-out error.
         place: shape (n, 2 + n_variables), the solved cells in the box of sizes and axes, each in -1..1.
         certificate: shape (n,), the solver's error at each.
-        details: figures of the sampling.
+        statistics: figures of the sampling.
     """
 
-    models: tuple[CornerModel, ...]
-    factor: float
+    models: RankedModels
+    safety_factor: float
     floor: float
     place: FloatArray
     certificate: FloatArray
-    details: dict[str, float | str] = field(default_factory=dict)
+    statistics: CornerStatistics = CornerStatistics()
 
+    def at(
+        self, box: CornerBox, corner: Corner, width_nm: FloatArray, length_nm: FloatArray, exchange: bool
+    ) -> CornerResponse:
+        """Evaluate a corner on a grid of sizes.
 
-def library_at(library: Library, asked: Corner) -> Library:
-    """The library at one corner: the same sizes, with the amplitudes and errors that they have there.
+        Args:
+            box: axes of the library.
+            corner: a value for every axis, as :meth:`CornerBox.completed` returns.
+            width_nm: shape (n_width,).
+            length_nm: shape (n_length,).
+            exchange: whether t_xx(W, L) = t_yy(L, W) at this corner.
+        """
+        bias_nm, axes = corner.get("cd_bias_nm", 0.0), box.to_variables(corner)
+        models = self.models.at(axes, bias_nm)
+        best = models.best
 
-    Raises:
-        InputError: an axis is none of the library's, or a value lies outside its span.
-    """
-    box, corners = CornerBox.of(library.unit_cell), library.corners
-    if box is None or corners is None:
-        if not asked:
-            return library
-        got, remedy = "a library of sizes alone", "name the axes in `[sweep.axes]` of the unit cell and build again"
-        raise InputError.single("library", ", ".join(asked), "axes of the library", got, remedy)
-    corner = box.whole(asked)
-    if corner == box.nominal:
-        return library
-    bias_nm, axes = corner.get("cd_bias_nm", 0.0), box.variables_of(corner)
-    best, *rivals = (model.at(axes, bias_nm) for model in corners.models)
-    pairs = [ModelPair(best, rival) for rival in rivals]
-    sizes = library.width_nm, library.length_nm
-    exchange = box.exchanges and is_square(library.unit_cell) and np.array_equal(*sizes)
-    values = best.on_grid(*sizes)
-    certificate = _certificate(corners, box, library, bias_nm, axes)
-    on_grid, around = (
-        np.maximum(corners.factor * spread(np.max(apart, axis=0), exchange), corners.floor)
-        for apart in (
-            [pair.disagreement(*sizes) for pair in pairs],
-            [pair.disagreement_around(*sizes) for pair in pairs],
+        def model_error(disagreement: FloatArray) -> FloatArray:
+            estimate = disagreement_estimate(disagreement, exchange)
+            return np.asarray(np.maximum(self.safety_factor * estimate, self.floor), dtype=np.float64)
+
+        on_grid = model_error(models.disagreement(width_nm, length_nm))
+        around = model_error(models.disagreement_around(width_nm, length_nm))
+        certificate = self._certificate(box, width_nm + bias_nm, length_nm + bias_nm, axes)
+        return CornerResponse(
+            model=best,
+            amplitudes=best.on_grid(width_nm, length_nm),
+            error=certificate + on_grid,
+            model_error=certificate * steepness(best, width_nm, length_nm) + around,
         )
-    )
-    unit_cell = corner_unit_cell(library.unit_cell, corner)
-    return replace(
-        library,
-        unit_cell=unit_cell,
-        wavelength_nm=np.array([unit_cell.illumination.wavelength_nm]),
-        t_xx=values[0][None],
-        t_yy=values[1][None],
-        r_xx=values[2][None],
-        r_yy=values[3][None],
-        error=(certificate + on_grid)[None],
-        inputs_sha256=fingerprint(library.inputs_sha256, sorted(corner.items())),
-        details={**corner, "max_error": float((certificate + on_grid).max())},
-        model=best,
-        model_error=certificate * steepness(best, *sizes) + around,
-        corners=None,
-        corner=corner,
-    )
 
-
-def _certificate(corners: Corners, box: CornerBox, library: Library, bias_nm: float, axes: FloatArray) -> FloatArray:
-    """The solver's error at each size: the largest of the nearest solved cells, shape (n_length, n_width)."""
-    width_nm, length_nm = np.meshgrid(library.width_nm + bias_nm, library.length_nm + bias_nm)
-    grid = box.places(width_nm.ravel(), length_nm.ravel(), np.tile(axes, (width_nm.size, 1)))
-    count = min(NEIGHBOURS, corners.certificate.size)
-    near = cKDTree(corners.place).query(grid, k=count)[1].reshape(*width_nm.shape, count)
-    return np.asarray(corners.certificate[near].max(axis=-1), dtype=np.float64)
+    def _certificate(self, box: CornerBox, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray) -> FloatArray:
+        """The solver's error at each size: the largest of the nearest solved cells, shape (n_length, n_width)."""
+        width, length = np.meshgrid(width_nm, length_nm)
+        points = box.points(width.ravel(), length.ravel(), np.tile(axes, (width.size, 1)))
+        count = min(NEIGHBOURS, self.certificate.size)
+        near = cKDTree(self.place).query(points, k=count)[1].reshape(*width.shape, count)
+        return np.asarray(self.certificate[near].max(axis=-1), dtype=np.float64)

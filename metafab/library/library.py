@@ -1,49 +1,81 @@
-"""The phase library: complex t and r of every manufacturable size, each with its error."""
+"""The library: complex t and r of every manufacturable size, each with an error bound."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from metafab.cell import PillarCell
+from metafab.cell import PillarCell, is_square
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import contents_sha256, sources_sha256
-from metafab.library.axes import Corner, corner_cell
-from metafab.library.fit.models import SizeModel
+from metafab.library.axes import Corner, CornerBox, corner_cell, corner_unit_cell
+from metafab.library.corners import Corners
+from metafab.library.fit.rational import RationalModel
+from metafab.library.surface import SMALLEST_SURFACE, SizeResponse, Surface
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.embedded import LIBRARY_FORMAT
 
-if TYPE_CHECKING:
-    from metafab.library.corners import Corners
-    from metafab.library.surface import Surface
-
-#: Fewest widths and lengths that a surface goes through.
-SMALLEST_SURFACE = 4
-#: What a library's numbers come from, with all that it imports; the FDTD program is started, not imported.
+#: Modules whose source, with that of all their imports, decides a library's numbers; the FDTD program is started, not
+#: imported.
 BUILT_BY = ("metafab.library.sweep.build", "metafab.cell.meep_worker")
-#: Index tables, which are read, not imported.
+#: Rooms whose data files count: index tables are read, not imported.
 TABLES = ("materials",)
 
 
 @dataclass(frozen=True)
-class SizeResponse:
-    """Library values at some sizes.
+class BuildStatistics:
+    """Statistics of a build, equal on every machine; NaN or 0 where a library has none.
 
     Attributes:
-        t_xx: shape of the sizes, zero-order transmission of x polarised light.
-        t_yy: the same for y.
-        error: bound on the absolute error of either.
+        points_solved: sizes solved, those off the grid included.
+        points_between: sizes solved off the grid.
+        points_total: sizes of the library.
+        max_error: largest error bound of a size.
+        sizes_beyond_target: sizes whose error bound is above the target error.
+        max_solver_error: largest part of the solver in the error bounds.
+        max_model_error: largest part of the model in the error bounds of unsolved sizes.
+        max_between_error: largest error bound between the sizes; NaN if the library is not continuous.
+        held_out_error: largest error of the model at sizes that it was not fitted to.
+        held_out: number of these sizes.
+        rounds: rounds of solving.
+        numerator_degree: total degree of the model's numerators.
+        denominator_degree: total degree of the model's denominator.
+        coverage_rad: phases that are reached (:func:`metafab.library.use.quality.coverage_rad`).
     """
 
-    t_xx: ComplexArray
-    t_yy: ComplexArray
-    error: FloatArray
+    points_solved: int = 0
+    points_between: int = 0
+    points_total: int = 0
+    max_error: float = math.nan
+    sizes_beyond_target: int = 0
+    max_solver_error: float = math.nan
+    max_model_error: float = math.nan
+    max_between_error: float = math.nan
+    held_out_error: float = math.nan
+    held_out: int = 0
+    rounds: int = 0
+    numerator_degree: int = 0
+    denominator_degree: int = 0
+    coverage_rad: float = math.nan
+
+
+@dataclass(frozen=True)
+class BuildTime:
+    """Time of a build.
+
+    Attributes:
+        seconds: wall-clock time.
+        solver_ms_per_point: mean time of the solver for one size.
+    """
+
+    seconds: float
+    solver_ms_per_point: float
 
 
 @dataclass(frozen=True)
@@ -51,21 +83,24 @@ class Library:
     """Zero-order response against pillar size, on the grid of manufacturable sizes.
 
     Attributes:
-        unit_cell: the spec that it was built from.
+        unit_cell: spec that the library was built from.
         wavelength_nm: shape (n_wavelength,).
         width_nm: shape (n_width,), ascending.
         length_nm: shape (n_length,), ascending.
-        t_xx: shape (n_wavelength, n_length, n_width); likewise ``t_yy``, ``r_xx``, ``r_yy``.
-        error: shape (n_length, n_width) or with a leading wavelength axis; solver and interpolation together. NaN, like
-            the amplitudes, at sizes that are not made (:attr:`known`).
-        inputs_sha256: fingerprint of what it was built from.
-        details: figures of the build (points solved, held-out error, ...), the same wherever it ran.
-        spent: what the build took (seconds, solver_ms_per_point); empty for a library that was loaded.
-        model: the same amplitudes as continuous functions; None for a library that was not built by a model.
-        model_error: shape (n_length, n_width), error of the model around each size, solver's included; ``error``
-            is smaller where a size was solved and its neighbourhood is not as well known.
-        corners: what is known away from the unit cell's own wavelength, height, ...; None without ``sweep.axes``.
-        corner: the values of the axes that this library is for; empty for the unit cell's own.
+        t_xx: shape (n_wavelength, n_length, n_width), transmission of x polarised light.
+        t_yy: shape of ``t_xx``, transmission of y polarised light.
+        r_xx: shape of ``t_xx``, reflection of x polarised light.
+        r_yy: shape of ``t_xx``, reflection of y polarised light.
+        error: shape (n_length, n_width) or shape of ``t_xx``, error bound of each amplitude: solver and interpolation.
+            NaN, like the amplitudes, at sizes that are not made (:attr:`known`).
+        inputs_sha256: fingerprint of the build's inputs.
+        statistics: statistics of the build.
+        model: amplitudes as continuous functions of size; None if the library was not built by a model.
+        model_error: shape (n_length, n_width), error bound of the model around each size, solver included. ``error`` is
+            smaller at a solved size whose neighbourhood is not known as well.
+        corners: models over the axes of the sweep; None without ``sweep.axes``.
+        corner: values of the axes for which this library holds; empty for the unit cell's own.
+        time: time of the build; None for a library that was loaded.
     """
 
     unit_cell: UnitCell
@@ -78,16 +113,16 @@ class Library:
     r_yy: ComplexArray
     error: FloatArray
     inputs_sha256: str = ""
-    details: dict[str, float | str] = field(default_factory=dict)
-    model: SizeModel | None = None
+    statistics: BuildStatistics = BuildStatistics()
+    model: RationalModel | None = None
     model_error: FloatArray | None = None
     corners: Corners | None = None
     corner: Corner = field(default_factory=dict)
-    spent: dict[str, float] = field(default_factory=dict)
+    time: BuildTime | None = None
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Which sizes are made, shape (n_length, n_width): all, or of circles those as wide as long."""
+        """Mask of the sizes that are made, shape (n_length, n_width): all, or of circles the diagonal."""
         return np.asarray(np.isfinite(self.error_of_sizes))
 
     @property
@@ -96,41 +131,86 @@ class Library:
         return np.asarray(np.broadcast_to(self.error, self.t_xx.shape)[0])
 
     @property
+    def t(self) -> ComplexArray:
+        """Both transmissions at the design wavelength, shape (n_length, n_width, 2): t_xx, t_yy."""
+        return np.stack([self.t_xx[0], self.t_yy[0]], axis=-1)
+
+    @property
     def is_continuous(self) -> bool:
-        """Whether it can be evaluated between its sizes (:attr:`surface`)."""
+        """Whether the library can be evaluated between its sizes (:attr:`surface`)."""
         return bool(self.known.all()) and min(self.width_nm.size, self.length_nm.size) >= SMALLEST_SURFACE
 
     def at(self, **axes: float) -> Library:
-        """The same sizes at other values of the library's axes: ``library.at(wavelength_nm=803.0, cd_bias_nm=2.0)``.
+        """Return the library at other values of its axes: ``library.at(wavelength_nm=803.0, cd_bias_nm=2.0)``.
 
         Returns:
-            A library of that corner, with the errors that it has there; the library itself if all values are the
-            unit cell's own.
+            A library of the same sizes with the amplitudes and errors of that corner; the library itself if all values
+            are the unit cell's own.
 
         Raises:
             InputError: an axis is not in ``unit_cell.sweep.axes``, or a value lies outside its span.
         """
-        from metafab.library.corners import library_at
-
-        return library_at(self, axes)
+        box = CornerBox.of(self.unit_cell)
+        if box is None or self.corners is None:
+            if not axes:
+                return self
+            got, remedy = "a library of sizes alone", "name the axes in `[sweep.axes]` of the unit cell and build again"
+            raise InputError.single("library", ", ".join(axes), "axes of the library", got, remedy)
+        corner = box.completed(axes)
+        if corner == box.nominal:
+            return self
+        exchange = box.exchanges and is_square(self.unit_cell) and np.array_equal(self.width_nm, self.length_nm)
+        response = self.corners.at(box, corner, self.width_nm, self.length_nm, exchange)
+        t_xx, t_yy, r_xx, r_yy = response.amplitudes[:, None]
+        unit_cell = corner_unit_cell(self.unit_cell, corner)
+        return replace(
+            self,
+            unit_cell=unit_cell,
+            wavelength_nm=np.array([unit_cell.illumination.wavelength_nm]),
+            t_xx=t_xx,
+            t_yy=t_yy,
+            r_xx=r_xx,
+            r_yy=r_yy,
+            error=response.error[None],
+            inputs_sha256=fingerprint(self.inputs_sha256, sorted(corner.items())),
+            statistics=BuildStatistics(max_error=float(response.error.max())),
+            model=response.model,
+            model_error=response.model_error,
+            corners=None,
+            corner=corner,
+        )
 
     def pillar(self, width_nm: float, length_nm: float) -> PillarCell:
-        """The cell that the library's values for a size are the response of."""
+        """Return the unit cell of a drawn size at this library's corner."""
         return corner_cell(self.unit_cell, width_nm, length_nm, self.corner)
 
     @cached_property
     def surface(self) -> Surface:
-        """The library as continuous functions of size, built at the first use."""
-        from metafab.library.surface import Surface
+        """The library as continuous functions of size, built at the first use.
 
-        return Surface.of(self)
+        Raises:
+            InputError: the library has fewer than four widths or lengths, or holds circles.
+        """
+        if not self.known.all():
+            expected = "a library of widths and lengths, which is continuous in both"
+            raise InputError.single("library", "cell.shape", expected, "circles", "use sizes of the grid")
+        if not self.is_continuous:
+            got = f"{self.width_nm.size} widths and {self.length_nm.size} lengths"
+            raise InputError.single("library", "sweep", "at least 4 sizes a side", got, "sweep a range of sizes")
+        error = self.error_of_sizes
+        if self.model_error is not None:
+            error = np.maximum(error, self.model_error)
+        if self.model is None:
+            return Surface.of_grid(self.width_nm, self.length_nm, self.t, error)
+        target_error = self.unit_cell.sweep.target_error
+        return Surface.of_model(self.width_nm, self.length_nm, self.model, error, target_error)
 
     def at_sizes(self, width_nm: ArrayLike, length_nm: ArrayLike) -> SizeResponse:
-        """Stored values at sizes of the grid, exactly; design wavelength.
+        """Return the stored values at sizes of the grid, at the design wavelength.
 
         Args:
             width_nm: any shape; each must be a size of the library to within 1e-3 nm.
-            length_nm: the same shape.
+            length_nm: shape of ``width_nm``.
 
         Raises:
             InputError: a size is not in the library (nothing is extrapolated or rounded).
@@ -143,13 +223,31 @@ class Library:
         return SizeResponse(self.t_xx[0, row, column], self.t_yy[0, row, column], self.error_of_sizes[row, column])
 
 
+def evaluate(library: Library, width_nm: ArrayLike, length_nm: ArrayLike, **axes: float) -> SizeResponse:
+    """Evaluate a library between its sizes.
+
+    The surface behind is built at the first call and kept with the library. To evaluate a corner often, keep
+    ``library.at(...)``.
+
+    Args:
+        library: library to evaluate.
+        width_nm: any shape.
+        length_nm: a shape that broadcasts with it.
+        axes: values of the library's axes, such as ``wavelength_nm=803.0``.
+
+    Raises:
+        InputError: a size lies outside the sweep, or a corner outside the library's axes.
+    """
+    return library.at(**axes).surface(width_nm, length_nm)
+
+
 def inputs_of(unit_cell: UnitCell) -> str:
-    """Fingerprint of all that a library depends on: the unit cell, its index tables, the format, and the code."""
+    """Return the fingerprint of a library's inputs: the unit cell, its index tables, the file format, and the code."""
     code = sources_sha256(BUILT_BY, TABLES)
     return fingerprint(canonical_toml(unit_cell), contents_sha256(unit_cell), LIBRARY_FORMAT, code)
 
 
-def _index(grid_nm: FloatArray, size_nm: FloatArray, name: str) -> np.ndarray:
+def _index(grid_nm: FloatArray, size_nm: FloatArray, name: str) -> NDArray[np.intp]:
     nearest = np.clip(np.searchsorted(grid_nm, size_nm - 1e-3), 0, grid_nm.size - 1)
     wrong = np.abs(grid_nm[nearest] - size_nm) > 1e-3
     if np.any(wrong):
@@ -160,4 +258,4 @@ def _index(grid_nm: FloatArray, size_nm: FloatArray, name: str) -> np.ndarray:
             f"{np.asarray(size_nm)[wrong].flat[0]:g} nm ({int(np.count_nonzero(wrong))} such)",
             "use the library that the layout was made with, or build one that holds these sizes",
         )
-    return nearest
+    return np.asarray(nearest)

@@ -1,13 +1,12 @@
-"""Continuous evaluation: millions of sizes a second, each with its error.
+"""Continuous evaluation of a library at millions of sizes per second, each with its error bound.
 
-The model (or, without one, the grid itself) is sampled once and looked up by bicubic B-splines. Where a resonance is
-sharp, a tile of the plane gets a finer grid of its own, until the spline's own error, measured between its nodes, is
-small against the library's. Neighbouring tiles agree where they meet to within that error.
+A model (or, without one, the grid of sizes) is sampled once and then interpolated by bicubic B-splines. Near a sharp
+resonance a tile of the plane gets a finer grid, until the spline's own error, measured between its nodes, is small
+against the library's. Neighbouring tiles agree at their border to within that error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
@@ -18,22 +17,38 @@ from numpy.typing import ArrayLike
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
-from metafab.core.numeric.compiled import HAS_NUMBA
+from metafab.core.numeric.bicubic_spline import SplineTiles, bicubic_coefficients, left_out_error, midpoint_error
 from metafab.core.parallel.executor import default_workers
-from metafab.library.fit.models import SizeModel
-from metafab.library.library import SMALLEST_SURFACE, Library, SizeResponse
-from metafab.library.spline import Tiles, coefficients_of, grid_spline_error, spline_error
+from metafab.library.fit.rational import RationalModel
+from metafab.library.fit.size_grid import refined_axis
 
-#: The spline may add this part of the library's target error, unless the finest tiles are reached first.
+#: Smallest number of widths and of lengths of a surface.
+SMALLEST_SURFACE = 4
+#: Share of the library's target error that the spline may add, unless the finest tiles are reached first.
 SPLINE_SHARE = 0.1
-#: Sizes that one thread evaluates at a time.
+#: Number of sizes that one thread evaluates at a time.
 BLOCK = 1 << 16
-#: Steps of the uniform grid for each of the library's own, where there is a model to sample.
+#: Steps of the uniform grid for each of the library's steps, where a model is sampled.
 STEPS = 2
 #: Cells of the uniform grid along each side of a tile, and steps of the finest tile's grid for each of them.
 TILE, FINEST = 8, 16
-#: Nodes beyond a tile that its spline goes through: what the end of a spline does fades by 3.7 from node to node.
+#: Nodes beyond a tile that its spline passes through: the effect of a spline's end decays by 3.7 per node.
 MARGIN = 10
+
+
+@dataclass(frozen=True)
+class SizeResponse:
+    """Transmission at some sizes.
+
+    Attributes:
+        t_xx: any shape, zero-order transmission of x polarised light.
+        t_yy: shape of ``t_xx``, zero-order transmission of y polarised light.
+        error: shape of ``t_xx``, bound on the absolute error of either.
+    """
+
+    t_xx: ComplexArray
+    t_yy: ComplexArray
+    error: FloatArray
 
 
 @dataclass(frozen=True)
@@ -48,34 +63,38 @@ class Surface:
 
     low_nm: tuple[float, float]
     step_nm: tuple[float, float]
-    tiles: Tiles
+    tiles: SplineTiles
 
     @classmethod
-    def of(cls, library: Library) -> Surface:
-        """Sample a library's model finely enough; without a model, its grid as it is.
+    def of_grid(cls, width_nm: FloatArray, length_nm: FloatArray, t: ComplexArray, error: FloatArray) -> Surface:
+        """Interpolate amplitudes on a grid of sizes.
 
-        Raises:
-            InputError: the library has fewer than four widths or lengths, or none but circles.
+        Args:
+            width_nm: shape (n_width,), uniform.
+            length_nm: shape (n_length,), uniform.
+            t: shape (n_length, n_width, 2), t_xx and t_yy.
+            error: shape (n_length, n_width), error at each size.
         """
-        if not library.known.all():
-            expected = "a library of widths and lengths, which is continuous in both"
-            raise InputError.single("library", "cell.shape", expected, "circles", "ask for sizes of the grid")
-        if min(library.width_nm.size, library.length_nm.size) < SMALLEST_SURFACE:
-            got = f"{library.width_nm.size} widths and {library.length_nm.size} lengths"
-            raise InputError.single("library", "sweep", "at least 4 sizes a side", got, "sweep a range of sizes")
-        if library.model is None:
-            width_nm, length_nm = library.width_nm, library.length_nm
-            t = np.stack([library.t_xx[0], library.t_yy[0]], axis=-1)
-            coefficients, missed = coefficients_of(t), grid_spline_error(t)
-        else:
-            width_nm, length_nm = (_refined(axis, STEPS) for axis in (library.width_nm, library.length_nm))
-            coefficients, missed = _spline(library.model, width_nm, length_nm)
-        tiles = _tiles(library, width_nm, length_nm, coefficients, _cells(missed, 1))
-        return cls(
-            low_nm=(float(width_nm[0]), float(length_nm[0])),
-            step_nm=(float(width_nm[1] - width_nm[0]), float(length_nm[1] - length_nm[0])),
-            tiles=tiles,
-        )
+        return _tiled(width_nm, length_nm, bicubic_coefficients(t), _cells(left_out_error(t), 1), _cells(error, 1))
+
+    @classmethod
+    def of_model(
+        cls, width_nm: FloatArray, length_nm: FloatArray, model: RationalModel, error: FloatArray, target_error: float
+    ) -> Surface:
+        """Sample a model, finely enough that the spline adds little to the target error.
+
+        Args:
+            width_nm: shape (n_width,), uniform.
+            length_nm: shape (n_length,), uniform.
+            model: amplitudes.
+            error: shape (n_length, n_width), error of the model around each size.
+            target_error: largest error of the library in complex t.
+        """
+        fine_width, fine_length = refined_axis(width_nm, STEPS), refined_axis(length_nm, STEPS)
+        coefficients, node_error = _spline(model, fine_width, fine_length)
+        cell_error = np.repeat(np.repeat(_cells(error, 1), STEPS, axis=0), STEPS, axis=1)
+        spline_error, allowed = _cells(node_error, 1), SPLINE_SHARE * target_error
+        return _tiled(fine_width, fine_length, coefficients, spline_error, cell_error, model, allowed)
 
     @property
     def nbytes(self) -> int:
@@ -83,7 +102,7 @@ class Surface:
         return self.tiles.nbytes
 
     def __call__(self, width_nm: ArrayLike, length_nm: ArrayLike) -> SizeResponse:
-        """Values at any sizes within the sweep.
+        """Evaluate at any sizes within the sweep.
 
         Args:
             width_nm: any shape.
@@ -95,151 +114,121 @@ class Surface:
         width, length = np.broadcast_arrays(
             np.asarray(width_nm, dtype=np.float64), np.asarray(length_nm, dtype=np.float64)
         )
-        flat = width.ravel(), length.ravel()
-        self._check(*flat)
+        sizes_nm = width.ravel(), length.ravel()
+        self._check(*sizes_nm)
         t, error = np.empty((width.size, 2), dtype=np.complex128), np.empty(width.size)
 
-        def fill(start: int) -> None:
+        def evaluate_block(start: int) -> None:
             block = slice(start, start + BLOCK)
-            column, row = ((size[block] - low) / step for size, low, step in zip(flat, *self._grid, strict=True))
-            self.tiles.fill(column, row, t[block], error[block])
+            x, y = (
+                (size[block] - low) / step for size, low, step in zip(sizes_nm, self.low_nm, self.step_nm, strict=True)
+            )
+            self.tiles.evaluate(x, y, t[block], error[block])
 
         starts = range(0, width.size, BLOCK)
-        if len(starts) > 1 and HAS_NUMBA:  # compiled loops run side by side, without the interpreter's lock
+        if len(starts) > 1:
             with ThreadPoolExecutor(default_workers()) as threads:
-                list(threads.map(fill, starts))
+                list(threads.map(evaluate_block, starts))
         else:
-            for start in starts:
-                fill(start)
+            evaluate_block(0)
         return SizeResponse(t[:, 0].reshape(width.shape), t[:, 1].reshape(width.shape), error.reshape(width.shape))
-
-    @property
-    def _grid(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        return self.low_nm, self.step_nm
 
     def _check(self, width_nm: FloatArray, length_nm: FloatArray) -> None:
         """Refuse sizes outside the sweep, NaN included."""
         n_length, n_width = self.tiles.error.shape
+        sides = (("width_nm", width_nm, n_width), ("length_nm", length_nm, n_length))
         faults = []
-        for name, size, low, step, cells in zip(
-            ("width_nm", "length_nm"), (width_nm, length_nm), *self._grid, (n_width, n_length), strict=True
-        ):
+        for (name, size, cells), low, step in zip(sides, self.low_nm, self.step_nm, strict=True):
             high, slack = low + cells * step, 1e-9 * step
             if size.size and not (size.min() >= low - slack and size.max() <= high + slack):
-                faults.append(
-                    Fault(
-                        name,
-                        f"{low:g} to {high:g} nm, the library's sweep",
-                        f"{size.min():g} to {size.max():g} nm",
-                        "build a library of a wider sweep",
-                    )
-                )
+                expected = f"{low:g} to {high:g} nm, the library's sweep"
+                got = f"{size.min():g} to {size.max():g} nm"
+                faults.append(Fault(name, expected, got, "build a library of a wider sweep"))
         if faults:
             raise InputError("library", faults)
 
 
-def evaluate(library: Library, width_nm: ArrayLike, length_nm: ArrayLike, **axes: float) -> SizeResponse:
-    """Continuous values of a library; the :class:`Surface` behind is built at the first call and kept with it.
-
-    ``axes`` name a corner (``wavelength_nm=803.0``); to evaluate one often, keep ``library.at(...)``.
-
-    Raises:
-        InputError: a size lies outside the sweep, or a corner outside the library's axes.
-    """
-    return library.at(**axes).surface(width_nm, length_nm)
-
-
-def _tiles(
-    library: Library, width_nm: FloatArray, length_nm: FloatArray, coefficients: ComplexArray, missed: FloatArray
-) -> Tiles:
-    """Cut a spline of the uniform grid into tiles, those anew where it misses too much.
+def _tiled(
+    width_nm: FloatArray,
+    length_nm: FloatArray,
+    coefficients: ComplexArray,
+    spline_error: FloatArray,
+    library_error: FloatArray,
+    model: RationalModel | None = None,
+    allowed: float = 0.0,
+) -> Surface:
+    """Cut a spline over a uniform grid into tiles and refine those whose error is too large.
 
     Args:
-        library: with a model, if tiles are to be refined.
-        width_nm: nodes of the uniform grid; likewise ``length_nm``.
-        length_nm: see ``width_nm``.
+        width_nm: shape (n_width,), nodes of the uniform grid.
+        length_nm: shape (n_length,), nodes of the uniform grid.
         coefficients: shape (n_length + 2, n_width + 2, 2).
-        missed: shape (n_length - 1, n_width - 1), what the spline misses in each cell.
+        spline_error: shape (n_length - 1, n_width - 1), error of the spline in each cell.
+        library_error: shape (n_length - 1, n_width - 1), error of the interpolated amplitudes in each cell.
+        model: amplitudes for finer tiles; None if there are none.
+        allowed: largest error of a spline before its tile is refined.
     """
-    allowed = SPLINE_SHARE * library.unit_cell.sweep.target_error
-    cells = min(TILE, missed.shape[0]), min(TILE, missed.shape[1])
-    firsts = [np.minimum(np.arange(0, n, k), n - k) for n, k in zip(missed.shape, cells, strict=True)]
-    parts, start = (np.zeros((firsts[0].size, firsts[1].size), dtype=np.int64) for _ in range(2))
-    own_missed = np.zeros(missed.shape)
+    shape = spline_error.shape
+    cells = min(TILE, shape[0]), min(TILE, shape[1])
+    first_row, first_column = (np.minimum(np.arange(0, n, k), n - k) for n, k in zip(shape, cells, strict=True))
+    parts, start = (np.zeros((first_row.size, first_column.size), dtype=np.int64) for _ in range(2))
+    tile_error = np.zeros(shape)
     tables, end = [], 0
-    for (a, i), (b, j) in product(enumerate(firsts[0].tolist()), enumerate(firsts[1].tolist())):
+    for (a, i), (b, j) in product(enumerate(first_row.tolist()), enumerate(first_column.tolist())):
         inside = slice(i, i + cells[0]), slice(j, j + cells[1])
-        table, miss, part = coefficients[i : i + cells[0] + 3, j : j + cells[1] + 3], missed[inside], 1
-        if library.model is not None:
-            finer = _finer(library.model, width_nm[j : j + cells[1] + 1], length_nm[i : i + cells[0] + 1])
-            while miss.max() > allowed and part < FINEST:
-                part, table, miss = next(finer)
+        table, miss, part = coefficients[i : i + cells[0] + 3, j : j + cells[1] + 3], spline_error[inside], 1
+        while model is not None and miss.max() > allowed and part < FINEST:
+            part *= 2
+            tile_width, tile_length = width_nm[j : j + cells[1] + 1], length_nm[i : i + cells[0] + 1]
+            table, miss = _finer_tile(model, tile_width, tile_length, part)
         parts[a, b], start[a, b] = part, end
         tables.append(table.reshape(-1, 2))
         end += tables[-1].shape[0]
-        own_missed[inside] = np.maximum(own_missed[inside], miss)
-    row, column = (
-        np.minimum(np.arange(n) // k, first.size - 1) for n, k, first in zip(missed.shape, cells, firsts, strict=True)
-    )
-    error = _stated(library, width_nm, length_nm) + own_missed
+        tile_error[inside] = np.maximum(tile_error[inside], miss)
+    row = np.minimum(np.arange(shape[0]) // cells[0], first_row.size - 1)
+    column = np.minimum(np.arange(shape[1]) // cells[1], first_column.size - 1)
+    error = library_error + tile_error
     table = np.concatenate(tables)
-    return Tiles(cells, row, column, firsts[0], firsts[1], parts, start, table, error)
+    tiles = SplineTiles(cells, row, column, first_row, first_column, parts, start, table, error)
+    low_nm = float(width_nm[0]), float(length_nm[0])
+    return Surface(low_nm, (float(width_nm[1] - width_nm[0]), float(length_nm[1] - length_nm[0])), tiles)
 
 
-def _finer(
-    model: SizeModel, width_nm: FloatArray, length_nm: FloatArray
-) -> Iterator[tuple[int, ComplexArray, FloatArray]]:
-    """Ever finer splines over one tile: steps for each cell, coefficients, and what is missed in each cell.
+def _finer_tile(
+    model: RationalModel, width_nm: FloatArray, length_nm: FloatArray, parts: int
+) -> tuple[ComplexArray, FloatArray]:
+    """Coefficients of a finer spline over one tile, and its error in each cell.
 
     Args:
-        model: what they go through; it holds over its own ranges only, where the margin ends.
-        width_nm: nodes of the uniform grid from edge to edge of the tile; likewise ``length_nm``.
-        length_nm: see ``width_nm``.
+        model: amplitudes; the spline's margin ends where its ranges end.
+        width_nm: shape (n_width,), nodes of the uniform grid from edge to edge of the tile.
+        length_nm: shape (n_length,), likewise.
+        parts: steps of the tile's grid for each cell.
     """
-    part = 1
-    while True:
-        part *= 2
-        (columns, left), (rows, low) = (
-            _with_margin(_refined(axis, part), span)
-            for axis, span in ((width_nm, model.x.width_nm), (length_nm, model.x.length_nm))
-        )
-        coefficients, missed = _spline(model, columns, rows)
-        n_row, n_column = (part * (axis.size - 1) for axis in (length_nm, width_nm))
-        table = coefficients[low : low + n_row + 3, left : left + n_column + 3]
-        yield part, table, _cells(missed[low : low + n_row + 1, left : left + n_column + 1], part)
+    columns, left = _with_margin(refined_axis(width_nm, parts), model.width_nm)
+    rows, bottom = _with_margin(refined_axis(length_nm, parts), model.length_nm)
+    coefficients, node_error = _spline(model, columns, rows)
+    n_row, n_column = parts * (length_nm.size - 1), parts * (width_nm.size - 1)
+    table = coefficients[bottom : bottom + n_row + 3, left : left + n_column + 3]
+    return table, _cells(node_error[bottom : bottom + n_row + 1, left : left + n_column + 1], parts)
 
 
 def _with_margin(axis_nm: FloatArray, span_nm: tuple[float, float]) -> tuple[FloatArray, int]:
-    """An axis with up to ``MARGIN`` more nodes at both ends, within a span; and how many came before its own."""
+    """An axis with up to ``MARGIN`` more nodes at both ends, within a span; and the number of nodes added in front."""
     step = (axis_nm[-1] - axis_nm[0]) / (axis_nm.size - 1)
     before = min(MARGIN, int((axis_nm[0] - span_nm[0]) / step + 1e-6))
     after = min(MARGIN, int((span_nm[1] - axis_nm[-1]) / step + 1e-6))
     return axis_nm[0] + step * np.arange(-before, axis_nm.size + after), before
 
 
-def _spline(model: SizeModel, width_nm: FloatArray, length_nm: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """Coefficients of the spline through the model at the nodes, and what it misses around each of them."""
-    fine = np.moveaxis(model.on_grid(_refined(width_nm, 2), _refined(length_nm, 2))[:2], 0, -1)
-    coefficients = coefficients_of(fine[::2, ::2])
-    return coefficients, spline_error(coefficients, fine)
-
-
-def _stated(library: Library, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
-    """The library's error in each cell of the uniform grid: the largest of the sizes around it."""
-    stated = library.error_of_sizes
-    if library.model_error is not None:
-        stated = np.maximum(stated, library.model_error)
-    cells = _cells(stated, 1)
-    for axis, (fine, coarse) in enumerate(((length_nm, library.length_nm), (width_nm, library.width_nm))):
-        cells = np.repeat(cells, (fine.size - 1) // (coarse.size - 1), axis=axis)
-    return cells
+def _spline(model: RationalModel, width_nm: FloatArray, length_nm: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """Coefficients of the spline through the model at the nodes, and its error around each of them."""
+    fine = np.moveaxis(model.on_grid(refined_axis(width_nm, 2), refined_axis(length_nm, 2))[:2], 0, -1)
+    coefficients = bicubic_coefficients(fine[::2, ::2])
+    return coefficients, midpoint_error(coefficients, fine)
 
 
 def _cells(nodes: FloatArray, parts: int) -> FloatArray:
-    """Largest value among the nodes of each cell, its edges included: shape (n p + 1, ...) -> (n, ...)."""
+    """Largest value among the nodes of each cell, its edges included: shape (n parts + 1, ...) -> (n, ...)."""
     windows = sliding_window_view(nodes, (parts + 1, parts + 1))[::parts, ::parts]
     return np.asarray(windows.max(axis=(-2, -1)), dtype=np.float64)
-
-
-def _refined(axis_nm: FloatArray, steps: int) -> FloatArray:
-    return np.linspace(axis_nm[0], axis_nm[-1], (axis_nm.size - 1) * steps + 1)

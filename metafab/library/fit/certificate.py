@@ -1,4 +1,4 @@
-"""From what models and solver know to the error that is stated at every size, solved or not."""
+"""Error bounds of all sizes, solved or not, from model disagreement and the solver's errors."""
 
 from __future__ import annotations
 
@@ -7,30 +7,34 @@ from scipy.ndimage import maximum_filter, median_filter
 from scipy.spatial import cKDTree
 
 from metafab.core.conventions import FloatArray
-from metafab.library.fit.models import SizeModel
-from metafab.library.fit.sampling import SizeGrid
+from metafab.library.fit.rational import RationalModel
+from metafab.library.fit.size_grid import SizeGrid, refined_axis
 
-#: The solver's error at a size that was not solved is the largest among this many solved neighbours.
+#: The solver's error at an unsolved size is the largest among this number of nearest solved sizes.
 NEIGHBOURS = 4
-#: Sizes nearer than this are the same.
+#: Sizes closer than this are equal (nm).
 _SAME_NM = 1e-6
-#: Steps of the grid across the neighbourhood with whose slope a size's own is compared.
+#: Side of the window (grid steps) with whose median slope a size's own slope is compared.
 STEEPNESS_WINDOW = 9
-#: Parts of a step over which slopes are taken: a ridge may be narrower than a step.
+#: Parts of a grid step over which slopes are taken: a ridge may be narrower than a step.
 SUBSTEPS = 4
-#: Sizes whose amplitudes are e times as steep are as unlike as sizes so far apart.
-LIKENESS_NM = 40.0
+#: Distance (nm) that counts as much as a factor e between slopes, in the search for the most similar solved sizes.
+SLOPE_SCALE_NM = 40.0
 
 
-def spread(disagreement: FloatArray, exchange: bool) -> FloatArray:
-    """Disagreement as an error estimate: two surfaces may cross by chance, so each size takes its worst neighbour.
+def disagreement_estimate(disagreement: FloatArray, exchange: bool) -> FloatArray:
+    """Turn the disagreement of two models into an error estimate.
 
-    Nowhere is it below the median: smooth regions owe their agreement to all samples alike. With exchange, both
-    images of a size get the larger value.
+    Two surfaces may cross by chance, so each size takes the largest disagreement of its neighbours. The median is the
+    least estimate, because smooth regions depend on all samples. With exchange, both images of a size get the larger
+    value.
 
     Args:
         disagreement: shape (n_length, n_width).
         exchange: whether width and length can be swapped.
+
+    Returns:
+        Shape (n_length, n_width).
     """
     worst = maximum_filter(disagreement, size=3, mode="nearest")
     worst = np.maximum(worst, np.median(worst))
@@ -38,67 +42,64 @@ def spread(disagreement: FloatArray, exchange: bool) -> FloatArray:
 
 
 def solver_errors(
-    grid: SizeGrid, sizes_nm: FloatArray, error: FloatArray, model: SizeModel | None
+    grid: SizeGrid, sizes_nm: FloatArray, error: FloatArray, model: RationalModel | None
 ) -> tuple[FloatArray, FloatArray]:
-    """The solver's error at every size, and around it, from the certificates of the sizes that were solved.
+    """Bound the solver's error at and around every size by the certificates of the solved sizes.
 
-    A truncation shifts resonances by a little, so that its error is large where the amplitudes are steep. A size that
-    was not solved therefore takes its certificate from the solved sizes that are most like it, near and as steep, and
-    where it is steeper than one of those, so much more of it.
+    A truncation of the solver shifts resonances slightly, so its error is large where the amplitudes are steep. An
+    unsolved size takes the largest certificate of the solved sizes nearest in position and slope, multiplied by the
+    ratio of slopes where it is steeper than they are.
 
     Args:
-        grid: the sizes.
-        sizes_nm: shape (2, n), widths and lengths that were solved, mirror images too where the grid has them.
-        error: shape (n,), their certificates.
-        model: the amplitudes; None where every size was solved.
+        grid: sizes.
+        sizes_nm: shape (2, n), solved widths and lengths, their mirror images included where the grid has exchange.
+        error: shape (n,), certificates of the solved sizes.
+        model: amplitudes; None if every size was solved.
 
     Returns:
-        Shape (n_length, n_width) each: at the sizes themselves, and the largest up to half a step away from them.
+        Error at the sizes, and largest error up to half a step around them: shape (n_length, n_width) each.
     """
-    shape = (grid.length_nm.size, grid.width_nm.size)
     places = np.stack(grid.sizes_nm(np.arange(grid.size)), axis=-1)
     distance, nearest = cKDTree(sizes_nm.T).query(places)
-    own = np.where(distance < _SAME_NM, error[nearest], np.nan)
+    certified = np.where(distance < _SAME_NM, error[nearest], np.nan)
     if model is None:
-        return own.reshape(shape), own.reshape(shape)
-    slope = slopes(model, grid.width_nm, grid.length_nm)
+        return certified.reshape(grid.shape), certified.reshape(grid.shape)
+    slope = amplitude_slopes(model, grid.width_nm, grid.length_nm)
     slope = np.maximum(slope, np.median(slope))
     column, row = (
         np.rint((size - axis[0]) / max(axis[-1] - axis[0], _SAME_NM) * (count - 1)).astype(np.intp)
         for size, axis, count in zip(sizes_nm, (grid.width_nm, grid.length_nm), slope.shape[::-1], strict=True)
     )
-    known = slope[row, column]
-    tree = cKDTree(_likeness(sizes_nm.T, known))
-    at, around = (
-        _alike(tree, places, each[::SUBSTEPS, ::SUBSTEPS].ravel(), known, error)
-        for each in (slope, maximum_filter(slope, size=SUBSTEPS + 1))
-    )
-    return np.where(np.isnan(own), at, own).reshape(shape), around.reshape(shape)
+    solved_slope = slope[row, column]
+    tree = cKDTree(_features(sizes_nm.T, solved_slope))
+
+    def bound(slopes: FloatArray) -> FloatArray:
+        """Largest certificate of the most similar solved sizes, scaled by the ratio of slopes."""
+        at = slopes[::SUBSTEPS, ::SUBSTEPS].ravel()
+        count = min(NEIGHBOURS, error.size)
+        similar = tree.query(_features(places, at), k=count)[1].reshape(-1, count)
+        scaled = error[similar] * np.maximum(1.0, at[:, None] / solved_slope[similar])
+        return np.asarray(scaled.max(axis=-1), dtype=np.float64)
+
+    around = bound(maximum_filter(slope, size=SUBSTEPS + 1))
+    return np.where(np.isnan(certified), bound(slope), certified).reshape(grid.shape), around.reshape(grid.shape)
 
 
-def _alike(tree: cKDTree, places: FloatArray, slope: FloatArray, known: FloatArray, error: FloatArray) -> FloatArray:
-    """The largest of what the solved sizes most alike say about ``places`` with these slopes."""
-    count = min(NEIGHBOURS, error.size)
-    alike = tree.query(_likeness(places, slope), k=count)[1].reshape(-1, count)
-    said = error[alike] * np.maximum(1.0, slope[:, None] / known[alike])
-    return np.asarray(said.max(axis=-1), dtype=np.float64)
+def steepness(model: RationalModel, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
+    """Return the slope of the amplitudes around each size over the median slope of its neighbourhood, at least 1.
 
+    It scales certificates of neighbouring solved sizes: a shifted resonance shows most on its flank. The steepest place
+    up to one step away counts, on the grid or off it.
 
-def _likeness(sizes_nm: FloatArray, slope: FloatArray) -> FloatArray:
-    """Points whose distance says how unlike sizes are: shape (n, 2) and (n,) -> (n, 3)."""
-    return np.concatenate([sizes_nm, LIKENESS_NM * np.log(slope)[:, None]], axis=1)
-
-
-def steepness(model: SizeModel, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
-    """How much steeper the amplitudes are around a size than in its wider neighbourhood, at least 1.
-
-    A solver's error shifts a resonance by a little; on its flank that shows more than at the sizes beside it, whose
-    certificates stand for the sizes between. The steepest place up to a step away counts, on the grid or off it.
+    Args:
+        model: amplitudes.
+        width_nm: shape (n_width,).
+        length_nm: shape (n_length,).
 
     Returns:
         Shape (n_length, n_width).
     """
-    slope = slopes(model, width_nm, length_nm)
+    slope = amplitude_slopes(model, width_nm, length_nm)
     coarse = slope[::SUBSTEPS, ::SUBSTEPS]
     typical = np.maximum(median_filter(coarse, size=STEEPNESS_WINDOW), np.median(coarse))
     steepest = maximum_filter(slope, size=2 * SUBSTEPS + 1)[::SUBSTEPS, ::SUBSTEPS]
@@ -106,9 +107,18 @@ def steepness(model: SizeModel, width_nm: FloatArray, length_nm: FloatArray) -> 
     return np.asarray(np.maximum(ratio, 1.0), dtype=np.float64)
 
 
-def slopes(model: SizeModel, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
-    """How fast the amplitude that changes fastest does, on a grid of ``SUBSTEPS`` parts of each step."""
-    values = model.on_grid(_finer(width_nm), _finer(length_nm))
+def amplitude_slopes(model: RationalModel, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
+    """Return the slope of the steepest amplitude on a grid with ``SUBSTEPS`` parts for each step.
+
+    Args:
+        model: amplitudes.
+        width_nm: shape (n_width,).
+        length_nm: shape (n_length,).
+
+    Returns:
+        Change per part of a step, shape ((n_length - 1) SUBSTEPS + 1, (n_width - 1) SUBSTEPS + 1).
+    """
+    values = model.on_grid(refined_axis(width_nm, SUBSTEPS), refined_axis(length_nm, SUBSTEPS))
     slope = np.zeros(values.shape[1:])
     for axis in (1, 2):
         if values.shape[axis] > 1:
@@ -116,5 +126,6 @@ def slopes(model: SizeModel, width_nm: FloatArray, length_nm: FloatArray) -> Flo
     return slope
 
 
-def _finer(axis_nm: FloatArray) -> FloatArray:
-    return np.linspace(axis_nm[0], axis_nm[-1], (axis_nm.size - 1) * SUBSTEPS + 1)
+def _features(sizes_nm: FloatArray, slope: FloatArray) -> FloatArray:
+    """Points whose distance measures how different sizes are: sizes (n, 2) and slopes (n,) -> shape (n, 3)."""
+    return np.concatenate([sizes_nm, SLOPE_SCALE_NM * np.log(slope)[:, None]], axis=1)

@@ -1,162 +1,178 @@
-"""Models of all four amplitudes over the plane of sizes, fitted in pairs: where two disagree, neither is right."""
+"""Rational models of different degrees, ranked by held-out samples: their disagreement estimates their error."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
+from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 
-from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.library.fit.rational import Degrees, RationalModel, fit, terms
+from metafab.core.conventions import FloatArray
+from metafab.library.fit.rational import Range, RationalModel, Samples, Shape, fit_model
+from metafab.library.fit.size_grid import refined_axis
 
-#: Degrees of the denominator that are tried, and the largest degree of the numerators.
+#: Degrees of the denominator that are tried.
 DENOMINATOR_DEGREES = (7, 10, 12)
-LARGEST_DEGREE = 16
-#: Unknowns that a fit may have for each equation; below 1 keeps noise and false poles away.
+#: Largest degree of the numerators, for sizes alone and with axes.
+LARGEST_DEGREE, LARGEST_CORNER_DEGREE = 16, 18
+#: Largest number of unknowns per equation; below 1 it suppresses noise and false poles.
 FILLING = 0.7
-#: Sweeps with many guided modes (TiO2 in the visible) need more; these are tried once samples abound.
+#: Degrees and unknowns per equation for sweeps with many guided modes (TiO2 in the visible), tried once there are
+#: enough samples.
 MANY_MODES_DENOMINATOR, MANY_MODES_DEGREE, MANY_MODES_FILLING = 14, 22, 0.35
+#: Weights of an axis that are tried.
+WEIGHTS = (2, 3)
+#: Largest number of models with axes: two may agree by chance where samples are sparse, as in the box's corners.
+CORNER_MODELS = 3
+#: Smallest number of unknowns per equation of a model with axes; smaller models waste samples.
+LEAST_FILLING = 0.25
 
 
 @dataclass(frozen=True)
-class Samples:
-    """Solved sizes.
+class RankedModels:
+    """The models with the smallest held-out errors.
 
     Attributes:
-        width_nm: shape (n,).
-        length_nm: shape (n,).
-        amplitudes: shape (n, 4), t_xx, t_yy, r_xx, r_yy.
+        best: the model that is used.
+        rivals: the runners-up, of other degrees; where all agree, the result does not depend on the degrees.
     """
 
-    width_nm: FloatArray
-    length_nm: FloatArray
-    amplitudes: ComplexArray
-
-    def __getitem__(self, which: np.ndarray) -> Samples:
-        return Samples(self.width_nm[which], self.length_nm[which], self.amplitudes[which])
-
-    def joined(self, more: Samples) -> Samples:
-        """These samples, then ``more``."""
-        return Samples(
-            np.concatenate([self.width_nm, more.width_nm]),
-            np.concatenate([self.length_nm, more.length_nm]),
-            np.concatenate([self.amplitudes, more.amplitudes]),
-        )
-
-
-@dataclass(frozen=True)
-class SizeModel:
-    """All four amplitudes as continuous functions of width and length.
-
-    Attributes:
-        x: channels t_xx and r_xx, which share the poles of x polarisation.
-        y: channels t_yy and r_yy.
-    """
-
-    x: RationalModel
-    y: RationalModel
-
-    def __call__(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
-        """Shape (n,) sizes -> shape (n, 4): t_xx, t_yy, r_xx, r_yy."""
-        x, y = self.x(width_nm, length_nm), self.y(width_nm, length_nm)
-        return np.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], axis=1)
-
-    def on_grid(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
-        """Values on a grid: shape (4, n_length, n_width)."""
-        x, y = self.x.on_grid(width_nm, length_nm), self.y.on_grid(width_nm, length_nm)
-        return np.stack([x[0], y[0], x[1], y[1]])
-
-
-@dataclass(frozen=True)
-class ModelPair:
-    """The two models that predict held-out sizes best.
-
-    Attributes:
-        best: the one to use.
-        rival: the runner-up; where both agree, neither hangs on its own degrees.
-    """
-
-    best: SizeModel
-    rival: SizeModel
+    best: RationalModel
+    rivals: tuple[RationalModel, ...]
 
     def disagreement(self, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
-        """Largest difference of any amplitude on a grid: shape (n_length, n_width)."""
-        difference = self.best.on_grid(width_nm, length_nm) - self.rival.on_grid(width_nm, length_nm)
-        return np.asarray(np.abs(difference).max(axis=0), dtype=np.float64)
+        """Return the largest difference of any amplitude between the best model and a rival on a grid of sizes.
+
+        Args:
+            width_nm: shape (n_width,).
+            length_nm: shape (n_length,).
+
+        Returns:
+            Shape (n_length, n_width).
+        """
+        best = self.best.on_grid(width_nm, length_nm)
+        differences = [np.abs(best - rival.on_grid(width_nm, length_nm)).max(axis=0) for rival in self.rivals]
+        return np.asarray(np.max(differences, axis=0), dtype=np.float64)
 
     def disagreement_around(self, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
-        """The same, but the largest up to half a step away, where a false pole can hide between the sizes."""
-        fine = self.disagreement(_with_middles(width_nm), _with_middles(length_nm))
+        """Return the largest difference of any amplitude up to half a step around each point of a grid.
+
+        A false pole may hide between the sizes.
+
+        Args:
+            width_nm: shape (n_width,).
+            length_nm: shape (n_length,).
+
+        Returns:
+            Shape (n_length, n_width).
+        """
+        fine = self.disagreement(refined_axis(width_nm, 2), refined_axis(length_nm, 2))
         return np.asarray(maximum_filter(fine, size=3, mode="nearest")[::2, ::2], dtype=np.float64)
 
+    def at(self, axes: FloatArray, bias_nm: float) -> RankedModels:
+        """Return the models of one corner.
 
-def _with_middles(axis_nm: FloatArray) -> FloatArray:
-    return np.linspace(axis_nm[0], axis_nm[-1], 2 * axis_nm.size - 1)
+        Args:
+            axes: shape (n_variables,), each in -1..1.
+            bias_nm: bias of width and length.
+        """
+        return RankedModels(self.best.at(axes, bias_nm), tuple(rival.at(axes, bias_nm) for rival in self.rivals))
 
 
-def fit_models(
-    samples: Samples, held_out: np.ndarray, span_nm: tuple[FloatArray, FloatArray], exchange: bool
-) -> ModelPair:
-    """Try several degrees without the held-out samples, then fit the two best to all samples.
+def fit_size_models(
+    samples: Samples, held_out: NDArray[np.bool_], spans_nm: tuple[Range, Range], exchange: bool
+) -> RankedModels:
+    """Rank degrees of models over sizes alone by their error at held-out samples, then fit the two best to all samples.
 
     Args:
         samples: solved sizes.
-        held_out: shape (n,), which of them judge the degrees.
-        span_nm: smallest and largest width, smallest and largest length.
+        held_out: shape (n,), True for samples that rank the degrees.
+        spans_nm: ranges of width and length.
         exchange: whether t_yy(W, L) = t_xx(L, W).
     """
-    known, unseen = samples[~held_out], samples[held_out]
 
-    def miss(degrees: Degrees) -> float:
-        predicted = _fit(known, degrees, span_nm, exchange)(unseen.width_nm, unseen.length_nm)
-        return float(np.sqrt(np.mean(np.abs(predicted - unseen.amplitudes) ** 2)))
+    def fit(some: Samples, shape: Shape) -> RationalModel:
+        # With many guided modes every degree of the denominator is needed, and the samples suffice to determine it.
+        penalised = shape.degrees[0] < MANY_MODES_DEGREE
+        mirrored = some.width_nm != some.length_nm if exchange else None
+        return fit_model(some, shape, spans_nm, mirrored, penalised)
 
-    ranked = sorted(_candidates(_equations(known, exchange)), key=miss)
-    best, rival = (_fit(samples, degrees, span_nm, exchange) for degrees in ranked[:2])
-    return ModelPair(best, rival)
-
-
-def _equations(samples: Samples, exchange: bool) -> int:
-    """Samples of one polarisation."""
-    return samples.width_nm.size * (2 if exchange else 1)
+    equations = int(np.count_nonzero(~held_out)) * (2 if exchange else 1)
+    return _fit_ranked(samples, held_out, _size_shapes(equations), fit, 2)
 
 
-def _candidates(count: int) -> list[Degrees]:
-    """Degrees (numerator, denominator) that ``count`` samples of two channels can determine."""
-    found: list[Degrees] = []
+def fit_corner_models(
+    samples: Samples, held_out: NDArray[np.bool_], spans_nm: tuple[Range, Range], exchange: bool
+) -> RankedModels:
+    """Rank shapes of models over sizes and axes by their error at held-out samples, then fit the best to all samples.
+
+    Args:
+        samples: solved cells.
+        held_out: shape (n,), True for samples that rank the shapes.
+        spans_nm: ranges of width and length.
+        exchange: whether t_yy(W, L) = t_xx(L, W) at every corner.
+    """
+
+    def fit(some: Samples, shape: Shape) -> RationalModel:
+        return fit_model(some, shape, spans_nm, np.ones(some.width_nm.size, dtype=bool) if exchange else None)
+
+    equations = int(np.count_nonzero(~held_out)) * (2 if exchange else 1)
+    shapes = corner_shapes(equations, samples.axes.shape[1])
+    # The worst candidate is no useful rival.
+    return _fit_ranked(samples, held_out, shapes, fit, max(2, min(CORNER_MODELS, len(shapes) - 1)))
+
+
+def _fit_ranked(
+    samples: Samples,
+    held_out: NDArray[np.bool_],
+    shapes: list[Shape],
+    fit: Callable[[Samples, Shape], RationalModel],
+    count: int,
+) -> RankedModels:
+    known, unknown = samples[~held_out], samples[held_out]
+
+    def held_out_error(shape: Shape) -> float:
+        predicted = fit(known, shape)(unknown.width_nm, unknown.length_nm, unknown.axes)
+        return float(np.sqrt(np.mean(np.abs(predicted - unknown.amplitudes) ** 2)))
+
+    best, *rivals = (fit(samples, shape) for shape in sorted(shapes, key=held_out_error)[:count])
+    return RankedModels(best, tuple(rivals))
+
+
+def corner_shapes(equations: int, variables: int) -> list[Shape]:
+    """Return the shapes that a number of samples can determine: the largest numerator for each denominator.
+
+    Args:
+        equations: samples of one polarisation.
+        variables: number of axes.
+    """
+    largest = []
+    for weight, below in product(WEIGHTS if variables else WEIGHTS[:1], DENOMINATOR_DEGREES):
+        fitting = [Shape((above, below), weight, variables) for above in range(1, LARGEST_CORNER_DEGREE + 1)]
+        largest += [shape for shape in fitting if shape.unknowns <= FILLING * 2 * equations][-1:]
+    rich = [shape for shape in largest if shape.unknowns >= LEAST_FILLING * 2 * equations]
+    # Without variables (a bias alone) there are many samples, and even the largest shapes fall below LEAST_FILLING.
+    shapes = rich if len(rich) > 1 else largest
+    return shapes if len(shapes) > 1 else [Shape((2, 0), 2, variables), Shape((1, 0), 2, variables)]
+
+
+def _size_shapes(equations: int) -> list[Shape]:
+    """Shapes over sizes alone that a number of samples of one polarisation can determine."""
+    shapes: list[Shape] = []
     for below in (*DENOMINATOR_DEGREES, MANY_MODES_DENOMINATOR):
         filling = FILLING if below <= DENOMINATOR_DEGREES[-1] else MANY_MODES_FILLING
-        top = _largest_numerator(below, LARGEST_DEGREE, filling * 2 * count)
-        if _largest_numerator(below, MANY_MODES_DEGREE, MANY_MODES_FILLING * 2 * count) == MANY_MODES_DEGREE:
-            found.append((MANY_MODES_DEGREE, below))
+        top = _largest_numerator(below, LARGEST_DEGREE, filling * 2 * equations)
+        if _largest_numerator(below, MANY_MODES_DEGREE, MANY_MODES_FILLING * 2 * equations) == MANY_MODES_DEGREE:
+            shapes.append(Shape((MANY_MODES_DEGREE, below)))
         if top:
-            found += [(above, below) for above in sorted({top, max(3 * top // 4, 1)})]
-    return found if len(found) > 1 else [(2, 0), (1, 0)]
+            shapes += [Shape((above, below)) for above in sorted({top, max(3 * top // 4, 1)})]
+    return shapes if len(shapes) > 1 else [Shape((2, 0)), Shape((1, 0))]
 
 
 def _largest_numerator(below: int, largest: int, unknowns: float) -> int:
-    """Largest degree whose unknowns, with those of the denominator, are no more than these; 0 if none."""
-    fitting = [above for above in range(1, largest + 1) if 2 * terms(above) + terms(below) <= unknowns]
+    """Largest numerator degree with at most this many unknowns, the denominator's included; 0 if there is none."""
+    fitting = [above for above in range(1, largest + 1) if Shape((above, below)).unknowns <= unknowns]
     return fitting[-1] if fitting else 0
-
-
-def _fit(samples: Samples, degrees: Degrees, span_nm: tuple[FloatArray, FloatArray], exchange: bool) -> SizeModel:
-    """Fit both polarisations; with exchange, one fit to the samples and their mirror images serves both."""
-    x_range, y_range = ((float(span[0]), float(span[-1])) for span in span_nm)
-    x_values, y_values = samples.amplitudes[:, [0, 2]], samples.amplitudes[:, [1, 3]]
-    width, length = samples.width_nm, samples.length_nm
-    # With so many guided modes every degree of the denominator is needed, and there are the samples to decide it.
-    simple = degrees[0] < MANY_MODES_DEGREE
-    fit_to = partial(fit, width_range_nm=x_range, length_range_nm=y_range, degrees=degrees, simple=simple)
-    if not exchange:
-        x, y = (fit_to(width, length, values) for values in (x_values, y_values))
-        return SizeModel(x, y)
-    off_diagonal = width != length
-    x = fit_to(
-        np.concatenate([width, length[off_diagonal]]),
-        np.concatenate([length, width[off_diagonal]]),
-        np.concatenate([x_values, y_values[off_diagonal]]),
-    )
-    return SizeModel(x, x.exchanged())

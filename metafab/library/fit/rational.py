@@ -1,22 +1,25 @@
-"""Zero-order amplitudes as rational functions of width and length, fitted to scattered samples.
+"""Zero-order amplitudes as rational functions of sizes and axes, fitted to scattered samples.
 
-Guided modes are poles of the scattering matrix, and their positions move smoothly with the pillar's size. All
-amplitudes of one polarisation share these poles, so each is N(W, L) / D(W, L) with one common denominator, and
-both N and D are smooth: polynomials of moderate degree, here in products of Chebyshev polynomials of limited
-total degree. A ridge of any sharpness is a place where |D| is small; it costs no extra degrees.
+Guided modes are poles of the scattering matrix. Their positions move smoothly with the pillar's size, and likewise with
+wavelength, height or index. All amplitudes of one polarisation share these poles: each is N / D with one common
+denominator. N and D are sums of products of Chebyshev polynomials up to a total degree. A resonance is a ridge along
+which |D| is small; a sharper ridge needs no higher degree. The response varies less along an axis than over the sizes,
+so a power of an axis counts ``weight`` times in the total degree.
 
-The fit is linear least squares of D f - N, weighted by 1/|D| of the round before so that in the end the error
-of f itself is minimised (Sanathanan and Koerner, IEEE Trans. Autom. Control 8, 56, 1963). N is eliminated by
-a projection, which leaves D as the last singular vector of a narrow matrix.
+The fit is the iteration of Sanathanan and Koerner (IEEE Trans. Autom. Control 8, 56, 1963): linear least squares of
+D f - N, weighted by 1/|D| of the round before, so that finally the error of f itself is minimised. N is eliminated by
+a projection (variable projection). D is then the last singular vector of a narrow matrix.
 
-Where samples leave D undecided, noise would choose: a pole with a zero beside it costs nothing at the samples. A
-penalty that doubles from degree to degree, far below the solver's errors at the low ones, makes D as simple as the
-samples allow. It took the error of 200 samples at sizes that were left out from 4e-4 to 2e-4 (rms).
+Samples alone do not exclude a pole with a zero next to it (a Froissart doublet), which noise would produce. A penalty
+on D that grows by a constant factor with each degree suppresses it. At the low degrees the penalty is far below the
+solver's errors. With 200 samples it lowers the held-out error from 4e-4 to 2e-4 (rms).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from itertools import product
 
 import numpy as np
 from numpy.polynomial import chebyshev
@@ -27,101 +30,209 @@ from metafab.core.conventions import ComplexArray, FloatArray
 Range = tuple[float, float]
 Degrees = tuple[int, int]
 
+# Iterations of the weighted fit.
 _ROUNDS = 3
-#: Weights grow no further than this times the median, so that no single sample rules the fit.
+# Largest weight over the median weight, so that no single sample dominates the fit.
 _LARGEST_WEIGHT = 1e3
-#: Penalty on the denominator's constant, against the norm of all samples, and its growth with each degree.
+# Penalty on the denominator's constant, relative to the norm of all samples, and its growth per degree.
 _PENALTY, _PENALTY_GROWTH = 1e-7, 1.8
 
 
 @dataclass(frozen=True)
+class Shape:
+    """The products of Chebyshev polynomials in a model.
+
+    Attributes:
+        degrees: total degrees of the numerators and of the denominator.
+        weight: factor of an axis' power in the total degree.
+        variables: number of axes; 0 for sizes alone.
+    """
+
+    degrees: Degrees
+    weight: int = 1
+    variables: int = 0
+
+    @property
+    def powers(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Degrees of each factor in the numerators and in the denominator: shape (n_terms, 2 + variables) each."""
+        above, below = self.degrees
+        return _powers(above, self.weight, self.variables), _powers(below, self.weight, self.variables)
+
+    @property
+    def terms(self) -> tuple[int, int]:
+        """Numbers of products in the numerators and in the denominator."""
+        above, below = self.powers
+        return len(above), len(below)
+
+    @property
+    def unknowns(self) -> int:
+        """Number of coefficients of two channels and their denominator."""
+        above, below = self.terms
+        return 2 * above + below
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Solved cells.
+
+    Attributes:
+        width_nm: shape (n,), width as made.
+        length_nm: shape (n,), length as made.
+        amplitudes: shape (n, 4), t_xx, t_yy, r_xx, r_yy.
+        axes: shape (n, n_variables), the further axes of the sweep, each in -1..1.
+    """
+
+    width_nm: FloatArray
+    length_nm: FloatArray
+    amplitudes: ComplexArray
+    axes: FloatArray
+
+    def __getitem__(self, which: NDArray[np.bool_]) -> Samples:
+        return Samples(self.width_nm[which], self.length_nm[which], self.amplitudes[which], self.axes[which])
+
+    def joined(self, more: Samples) -> Samples:
+        """Return these samples followed by ``more``."""
+        return Samples(
+            np.concatenate([self.width_nm, more.width_nm]),
+            np.concatenate([self.length_nm, more.length_nm]),
+            np.concatenate([self.amplitudes, more.amplitudes]),
+            np.concatenate([self.axes, more.axes]),
+        )
+
+
+@dataclass(frozen=True)
 class RationalModel:
-    """Several channels with common poles over a rectangle of sizes.
+    """All four amplitudes as continuous functions of sizes and axes.
 
     Attributes:
         width_nm: smallest and largest width.
         length_nm: smallest and largest length.
-        degrees: total degrees of the numerators and of the denominator.
-        numerator: shape (terms, n_channels), coefficients in the order of :func:`exponents`.
-        denominator: shape (terms,).
+        shape: products of polynomials.
+        numerator: shape (2, n_numerator_terms, 2): polarisation, term, (t, r).
+        denominator: shape (2, n_denominator_terms): polarisation, term.
     """
 
     width_nm: Range
     length_nm: Range
-    degrees: Degrees
+    shape: Shape
     numerator: ComplexArray
     denominator: ComplexArray
 
-    def __call__(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
-        """Values at scattered sizes: two arrays of shape (n,) -> shape (n, n_channels)."""
+    def __call__(self, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray | None = None) -> ComplexArray:
+        """Evaluate at scattered cells.
+
+        Args:
+            width_nm: shape (n,).
+            length_nm: shape (n,).
+            axes: shape (n, n_variables), each in -1..1; None for a model of sizes alone.
+
+        Returns:
+            t_xx, t_yy, r_xx, r_yy, shape (n, 4).
+        """
         u, v = scaled(width_nm, self.width_nm), scaled(length_nm, self.length_nm)
-        below = _basis(u, v, self.degrees[1]) @ self.denominator
-        above = _basis(u, v, self.degrees[0]) @ self.numerator
-        return np.asarray(above / below[:, None], dtype=np.complex128)
+        above, below = _bases(self.shape, u, v, np.zeros((u.size, 0)) if axes is None else axes)
+        x, y = (above @ n / (below @ d)[:, None] for n, d in zip(self.numerator, self.denominator, strict=True))
+        return np.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], axis=1)
 
     def on_grid(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
-        """Values on the grid of two axes: shape (n_channels, n_length, n_width)."""
+        """Evaluate a model of sizes alone on the grid of two axes.
+
+        Args:
+            width_nm: shape (n_width,).
+            length_nm: shape (n_length,).
+
+        Returns:
+            t_xx, t_yy, r_xx, r_yy, shape (4, n_length, n_width).
+        """
         u, v = scaled(width_nm, self.width_nm), scaled(length_nm, self.length_nm)
-        below = _tensor(u, v, self.degrees[1], self.denominator[:, None])
-        return np.asarray(_tensor(u, v, self.degrees[0], self.numerator) / below, dtype=np.complex128)
-
-    def exchanged(self) -> RationalModel:
-        """The model of the same channels with width and length swapped."""
-        order = [_transposed(degree) for degree in self.degrees]
-        return RationalModel(
-            self.length_nm, self.width_nm, self.degrees, self.numerator[order[0]], self.denominator[order[1]]
+        above, below = self.shape.degrees
+        x, y = (
+            _tensor(u, v, above, n) / _tensor(u, v, below, d[:, None])
+            for n, d in zip(self.numerator, self.denominator, strict=True)
         )
+        return np.stack([x[0], y[0], x[1], y[1]])
+
+    def at(self, axes: FloatArray, bias_nm: float = 0.0) -> RationalModel:
+        """Return the model of one corner: a function of the drawn sizes alone.
+
+        Args:
+            axes: shape (n_variables,), each in -1..1.
+            bias_nm: bias of width and length; sizes as made are the drawn ones plus the bias.
+        """
+        width_nm, length_nm = ((low - bias_nm, high - bias_nm) for low, high in (self.width_nm, self.length_nm))
+        sizes_alone = Shape(self.shape.degrees)
+        (above, below), (plain_above, plain_below) = self.shape.powers, sizes_alone.powers
+        numerator = np.stack([_contracted(above, plain_above, n, axes) for n in self.numerator])
+        denominator = np.stack([_contracted(below, plain_below, d, axes) for d in self.denominator])
+        return RationalModel(width_nm, length_nm, sizes_alone, numerator, denominator)
 
 
-def fit(
-    width_nm: FloatArray,
-    length_nm: FloatArray,
-    values: ComplexArray,
-    *,
-    width_range_nm: Range,
-    length_range_nm: Range,
-    degrees: Degrees,
-    simple: bool = True,
+def fit_model(
+    samples: Samples,
+    shape: Shape,
+    spans_nm: tuple[Range, Range],
+    mirrored: NDArray[np.bool_] | None,
+    penalised: bool = False,
 ) -> RationalModel:
-    """The rational model of least squared error at the samples.
+    """Fit a rational model to both polarisations by least squares.
 
     Args:
-        width_nm: shape (n,).
-        length_nm: shape (n,).
-        values: shape (n, n_channels).
-        width_range_nm: smallest and largest width that the model is for; likewise ``length_range_nm``.
-        length_range_nm: see ``width_range_nm``.
-        degrees: total degrees of the numerators and of the denominator.
-        simple: whether the denominator is to be as simple as the samples allow.
+        samples: n solved cells.
+        shape: products of polynomials.
+        spans_nm: ranges of width and length; equal where x and y can be exchanged.
+        mirrored: shape (n,), True for samples whose mirror image counts as well. One fit then serves both
+            polarisations. None where t_yy(W, L) is not t_xx(L, W).
+        penalised: whether high degrees of the denominator are penalised.
     """
-    u, v = scaled(width_nm, width_range_nm), scaled(length_nm, length_range_nm)
-    order = np.sum(exponents(degrees[1]), axis=0) if simple else None
-    numerator, denominator = fit_coefficients(_basis(u, v, degrees[0]), _basis(u, v, degrees[1]), values, order)
-    return RationalModel(width_range_nm, length_range_nm, degrees, numerator, denominator)
+    u, v = scaled(samples.width_nm, spans_nm[0]), scaled(samples.length_nm, spans_nm[1])
+    x_values, y_values = samples.amplitudes[:, [0, 2]], samples.amplitudes[:, [1, 3]]
+    if mirrored is None:
+        above, below = _bases(shape, u, v, samples.axes)
+        fits = [_fit_coefficients(above, below, values, shape, penalised) for values in (x_values, y_values)]
+    else:
+        mirror_u, mirror_v = np.concatenate([u, v[mirrored]]), np.concatenate([v, u[mirrored]])
+        axes = np.concatenate([samples.axes, samples.axes[mirrored]])
+        above, below = _bases(shape, mirror_u, mirror_v, axes)
+        values = np.concatenate([x_values, y_values[mirrored]])
+        n, d = _fit_coefficients(above, below, values, shape, penalised)
+        swap_above, swap_below = (_exchange_permutation(powers) for powers in shape.powers)
+        fits = [(n, d), (n[swap_above], d[swap_below])]
+    return RationalModel(*spans_nm, shape, np.stack([n for n, _ in fits]), np.stack([d for _, d in fits]))
 
 
-def fit_coefficients(
-    above: FloatArray, below: FloatArray, values: ComplexArray, order: NDArray[np.intp] | None = None
-) -> tuple[ComplexArray, ComplexArray]:
-    """Coefficients of numerators and denominator for any basis.
+def scaled(size_nm: FloatArray, span_nm: Range) -> FloatArray:
+    """Map sizes linearly to -1..1.
 
     Args:
-        above: shape (n, terms), the numerators' basis functions at the samples.
-        below: shape (n, terms), the denominator's.
-        values: shape (n, n_channels).
-        order: shape (terms,), total degree of each of the denominator's functions; no penalty if not given.
+        size_nm: any shape.
+        span_nm: smallest and largest size; if they are equal, all sizes map to 0.
 
     Returns:
-        Shapes (terms, n_channels) and (terms,).
+        Shape of ``size_nm``.
+    """
+    low, high = span_nm
+    if high == low:
+        return np.zeros(size_nm.shape)
+    return np.asarray((2.0 * size_nm - (low + high)) / (high - low), dtype=np.float64)
+
+
+def _fit_coefficients(
+    above: FloatArray, below: FloatArray, values: ComplexArray, shape: Shape, penalised: bool
+) -> tuple[ComplexArray, ComplexArray]:
+    """Numerators (n_terms, n_channels) and denominator (n_terms,) for values (n, n_channels) at the samples.
+
+    ``above`` and ``below``, shape (n, n_terms) each, are the basis functions of numerators and denominator.
     """
     weight = np.ones(above.shape[0])
-    penalty = np.zeros(below.shape[1]) if order is None else _PENALTY * _PENALTY_GROWTH ** order.astype(np.float64)
+    penalty = np.zeros(below.shape[1])
+    if penalised:
+        penalty = _PENALTY * _PENALTY_GROWTH ** shape.powers[1].sum(axis=1).astype(np.float64)
     denominator = np.zeros(below.shape[1], dtype=np.complex128)
     for _ in range(_ROUNDS):
         q = np.linalg.qr(above * weight[:, None])[0]
         columns = (weight[:, None] * values).T[:, :, None] * below
         rest = columns - q @ (q.T @ columns)
-        # The smallest singular vector of a tall matrix is that of its triangular factor.
+        # A tall matrix and its triangular factor have the same right singular vectors.
         triangle = np.linalg.qr(rest.reshape(-1, below.shape[1]), mode="r")
         norm = float(np.linalg.norm(weight[:, None] * values))
         denominator = np.conj(np.linalg.svd(np.concatenate([triangle, np.diag(norm * penalty)]))[2][-1])
@@ -132,41 +243,54 @@ def fit_coefficients(
     return numerator.astype(np.complex128), denominator
 
 
-def terms(degree: int) -> int:
-    """Number of products T_i(u) T_j(v) with i + j <= degree."""
-    return (degree + 1) * (degree + 2) // 2
+@cache
+def _powers(degree: int, weight: int, variables: int) -> NDArray[np.intp]:
+    """Degrees of each factor, i + j + weight * (the others) <= degree: shape (n_terms, 2 + variables)."""
+    powers = []
+    for others in product(range(degree // weight + 1), repeat=variables):
+        left = degree - weight * sum(others)
+        powers += [(i, j, *others) for i in range(left + 1) for j in range(left + 1 - i)]
+    return np.array(powers, dtype=np.intp)
 
 
-def scaled(size_nm: FloatArray, span_nm: Range) -> FloatArray:
-    """Sizes mapped to [-1, 1]; a span of one size maps to 0."""
-    low, high = span_nm
-    if high == low:
-        return np.zeros(size_nm.shape)
-    return np.asarray((2.0 * size_nm - (low + high)) / (high - low), dtype=np.float64)
+def _exchange_permutation(powers: NDArray[np.intp]) -> list[int]:
+    """Permutation of the coefficients that swaps width and length."""
+    rows = [tuple(row) for row in powers.tolist()]
+    place = {row: k for k, row in enumerate(rows)}
+    return [place[(j, i, *others)] for i, j, *others in rows]
 
 
-def exponents(degree: int) -> tuple[list[int], list[int]]:
-    """The i and j of the products T_i(u) T_j(v) with i + j <= degree, in the order of the coefficients."""
-    pairs = [(i, j) for i in range(degree + 1) for j in range(degree + 1 - i)]
-    return [i for i, _ in pairs], [j for _, j in pairs]
+def _contracted(
+    powers: NDArray[np.intp], plain_powers: NDArray[np.intp], coefficients: ComplexArray, axes: FloatArray
+) -> ComplexArray:
+    """Coefficients of T_i(u) T_j(v), in the order of ``plain_powers``, at fixed axes."""
+    value = _product(axes[None, :], powers[:, 2:])[0]
+    place = {(i, j): k for k, (i, j) in enumerate(plain_powers.tolist())}
+    target = [place[i, j] for i, j in powers[:, :2].tolist()]
+    contracted = np.zeros((len(plain_powers), *coefficients.shape[1:]), dtype=np.complex128)
+    np.add.at(contracted, target, (value * coefficients.T).T)
+    return contracted
 
 
-def _transposed(degree: int) -> list[int]:
-    """Where the term T_i(u) T_j(v) finds T_j(u) T_i(v)."""
-    pairs = list(zip(*exponents(degree), strict=True))
-    place = {pair: index for index, pair in enumerate(pairs)}
-    return [place[j, i] for i, j in pairs]
+def _bases(shape: Shape, u: FloatArray, v: FloatArray, axes: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Basis functions of numerators and denominator at scattered points, shape (n, n_terms) each."""
+    points = np.concatenate([u[:, None], v[:, None], axes], axis=1)
+    above, below = (_product(points, powers) for powers in shape.powers)
+    return above, below
 
 
-def _basis(u: FloatArray, v: FloatArray, degree: int) -> FloatArray:
-    """Shape (n, terms): T_i(u) T_j(v)."""
-    i, j = exponents(degree)
-    return np.asarray(chebyshev.chebvander(u, degree)[:, i] * chebyshev.chebvander(v, degree)[:, j], dtype=np.float64)
+def _product(points: FloatArray, powers: NDArray[np.intp]) -> FloatArray:
+    """Products of Chebyshev polynomials: points (n, d) and powers (n_terms, d) -> shape (n, n_terms)."""
+    value: FloatArray | None = None
+    for column, power in zip(points.T, powers.T, strict=True):
+        factor = chebyshev.chebvander(column, int(power.max()))[:, power]
+        value = factor if value is None else value * factor
+    return np.ones((points.shape[0], powers.shape[0])) if value is None else value
 
 
 def _tensor(u: FloatArray, v: FloatArray, degree: int, coefficients: ComplexArray) -> ComplexArray:
     """Sums of T_i(u) T_j(v) on a grid: shape (n_channels, n_v, n_u)."""
-    i, j = exponents(degree)
+    i, j = _powers(degree, 1, 0).T
     table = np.zeros((coefficients.shape[1], degree + 1, degree + 1), dtype=np.complex128)
     table[:, j, i] = coefficients.T
     grid = chebyshev.chebvander(v, degree) @ table @ chebyshev.chebvander(u, degree).T

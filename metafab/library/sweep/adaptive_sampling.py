@@ -1,11 +1,12 @@
-"""Rounds of solving: few sizes, models of the rest, and on until every size is known well enough.
+"""Adaptive sampling over the grid of sizes: solve a few sizes, model the rest, repeat until the error is small.
 
-Each round fits two rational models of unlike degrees to all sizes solved so far while the workers solve the next ones
-of an even sequence, which those models could not know: a held-out test, whose misses scale the disagreement of the two
-up to an error estimate. Where that is above the tolerance, on the ridges of guided modes, the worst sizes are solved
-next, and they test the models as well. It ends when the estimate, at every size that was not solved, and the misses are
-within the tolerance, at the latest when the grid is exhausted; ``between`` then looks between the sizes.
-Decisions are taken between rounds only: any number of workers decides alike.
+Each round fits two rational models of different degrees to all solved sizes. Meanwhile the workers solve the next sizes
+of a space-filling sequence, which the models have not seen: a held-out test. The ratio of held-out errors to the
+models' disagreement scales the disagreement to an error estimate. The sizes with the largest estimate, on the ridges of
+guided modes, are solved next and test the models as well. Sampling ends when the estimate at every unsolved size and
+the held-out errors are within the tolerance, or when every size is solved. ``off_grid`` then samples between the sizes.
+
+Decisions are taken between rounds only, so the result does not depend on the number of workers.
 """
 
 from __future__ import annotations
@@ -24,21 +25,24 @@ from metafab.cell import CellNumerics, CellSolver, PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.executor import SerialExecutor, stream
 from metafab.core.parallel.progress import Progress
-from metafab.library.fit.certificate import spread
-from metafab.library.fit.models import ModelPair, Samples, SizeModel, fit_models
-from metafab.library.fit.sampling import IndexArray, SizeGrid, worst_points
+from metafab.library.fit.certificate import disagreement_estimate
+from metafab.library.fit.models import RankedModels, fit_size_models
+from metafab.library.fit.rational import RationalModel, Samples
+from metafab.library.fit.size_grid import IndexArray, SizeGrid, worst_points
 from metafab.library.sweep.checkpoint import Checkpoint, SolvedPoint
 
 Result = TypeVar("Result")
+#: Fits models to the solved sizes of a grid: grid, answers by number, numbers of the held-out sizes, further samples.
+FitModels = Callable[[SizeGrid, dict[int, SolvedPoint], IndexArray, Samples | None], RankedModels]
 
-#: Sizes of the first round.
+#: Number of sizes of the first round.
 FIRST_ROUND = 112
-#: Even sizes of a later round, at least so many and at least this share of those solved before.
+#: Space-filling sizes of a later round: least number, and least share of the sizes solved before.
 EVEN_ROUND, EVEN_GROWTH = 16, 0.08
-#: The same for the sizes where models disagree most.
+#: Sizes with the largest disagreement in a round: least number, and least share of the sizes solved before.
 WORST_ROUND, WORST_GROWTH = 24, 0.12
-#: The latest so many sizes judge the models' degrees.
-JUDGES = 48
+#: Number of the latest sizes that rank the models' degrees.
+RANKING = 48
 #: Sizes that a worker solves before it reports: more save messages, fewer lose less to a kill.
 CHUNK = 4
 #: Chunks in flight: enough to keep the workers of one machine busy.
@@ -47,14 +51,14 @@ AHEAD = 32
 
 @dataclass(frozen=True)
 class PointSolver:
-    """Solves cells by their numbers, except those that the checkpoint holds.
+    """Solve cells by number; cells in the checkpoint are not solved again.
 
     Attributes:
-        cell_of: number -> cell.
-        numerics: how each cell is solved.
+        cell_of: maps a number to its cell.
+        numerics: target error and solver of each cell.
         solver: solves one cell.
-        executor: where.
-        record: solved sizes, on disk as they arrive.
+        executor: runs the solver.
+        record: checkpoint of the solved cells.
         progress: called after every chunk.
     """
 
@@ -65,30 +69,47 @@ class PointSolver:
     record: Checkpoint
     progress: Progress
 
-    def __call__(self, numbers: IndexArray, foreseen: int) -> dict[int, SolvedPoint]:
-        """Answers by number; ``foreseen`` is how many sizes the build may need in all."""
+    def __call__(self, numbers: IndexArray, expected_total: int) -> dict[int, SolvedPoint]:
+        """Solve cells.
+
+        Args:
+            numbers: shape (n,), numbers of the cells.
+            expected_total: cells that the whole build may need, for the progress.
+
+        Returns:
+            Answers by number.
+        """
         known = {point.number: point for point in self.record.points}
         missing = [int(number) for number in numbers if int(number) not in known]
         cells = [(number, self.cell_of(number)) for number in missing]
         chunks = [tuple(cells[k : k + CHUNK]) for k in range(0, len(cells), CHUNK)]
-        # In this process nothing runs ahead, so that a kill loses one chunk.
+        # A serial executor solves each chunk when it is submitted: one at a time, so that a kill loses one chunk.
         ahead = 1 if isinstance(self.executor, SerialExecutor) else AHEAD
         work = partial(_solve_chunk, self.solver, self.numerics)
         for _, points in stream(self.executor, work, chunks, ahead=ahead):
             self.record.add(points)
             known.update({point.number: point for point in points})
-            self.progress("library", len(self.record.points), max(foreseen, len(self.record.points)))
+            self.progress("library", len(self.record.points), max(expected_total, len(self.record.points)))
         return {int(number): known[int(number)] for number in numbers}
 
-    def beside(
-        self, work: Callable[[], Result], numbers: IndexArray, foreseen: int
+    def while_calling(
+        self, work: Callable[[], Result], numbers: IndexArray, expected_total: int
     ) -> tuple[Result, dict[int, SolvedPoint]]:
-        """What ``work`` returns, and answers that other processes find in the meantime."""
+        """Call ``work`` in this process while other processes solve cells.
+
+        Args:
+            work: function without arguments.
+            numbers: shape (n,), numbers of the cells.
+            expected_total: cells that the whole build may need.
+
+        Returns:
+            Result of ``work``, and the answers by number.
+        """
         if isinstance(self.executor, SerialExecutor):
-            return work(), self(numbers, foreseen)
+            return work(), self(numbers, expected_total)
         with ThreadPoolExecutor(1) as thread:
             result = thread.submit(work)
-            answers = self(numbers, foreseen)
+            answers = self(numbers, expected_total)
             return result.result(), answers
 
 
@@ -104,104 +125,140 @@ def _solve_chunk(
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """What the rounds have found.
+class GridSampling:
+    """Result of the sampling over the grid of sizes.
 
     Attributes:
-        solved: number -> answer, in ascending order of the numbers.
-        models: the continuous model and its rival; None where the grid is so small that every size was solved at once.
-        factor: how far their disagreement fell short of misses at sizes that they could not know, at least 1.
-        held_out: the sizes of the last round, each predicted before it was solved.
-        held_out_error: the largest miss among them.
-        held_out_rms: the rms of these misses: nowhere is the model taken to be better.
+        solved: answers by number, in ascending order.
+        models: continuous models; None if the grid is so small that every size was solved at once.
+        safety_factor: ratio of held-out errors to the models' disagreement, at least 1.
+        held_out: shape (n,), numbers of the last round's sizes, predicted before they were solved.
+        held_out_error: largest error of these predictions.
+        held_out_rms: rms error of these predictions, the least estimate of the model's error anywhere.
         rounds: rounds of solving.
     """
 
     solved: dict[int, SolvedPoint]
-    models: ModelPair | None
-    factor: float
+    models: RankedModels | None
+    safety_factor: float
     held_out: IndexArray
     held_out_error: float
     held_out_rms: float
     rounds: int
 
 
-def sample(grid: SizeGrid, solve_sizes: PointSolver, tolerance: float) -> Outcome:
-    """Solve sizes until the model's error estimate is within the tolerance at every other size."""
+def fit_solved(
+    grid: SizeGrid, solved: dict[int, SolvedPoint], held_out: IndexArray, more: Samples | None = None
+) -> RankedModels:
+    """Fit models to solved sizes.
+
+    Args:
+        grid: sizes.
+        solved: answers by number.
+        held_out: shape (n,), numbers of the sizes that rank the models' degrees.
+        more: samples off the grid, which rank the degrees as well.
+    """
+    numbers = np.array(sorted(solved), dtype=np.intp)
+    samples = samples_at(grid, {int(number): solved[int(number)] for number in numbers})
+    ranking = np.isin(numbers, held_out)
+    if more is not None:
+        samples, ranking = samples.joined(more), np.append(ranking, np.ones(more.width_nm.size, dtype=bool))
+    return fit_size_models(samples, ranking, grid.spans_nm, grid.exchange)
+
+
+def sample_grid(
+    grid: SizeGrid, solve_sizes: PointSolver, tolerance: float, fit: FitModels = fit_solved
+) -> GridSampling:
+    """Solve sizes until the model's error estimate is within the tolerance at every other size.
+
+    Args:
+        grid: sizes.
+        solve_sizes: solves sizes by number.
+        tolerance: largest error of the model.
+        fit: fits the models.
+    """
     batch = grid.even_order if grid.diagonal else grid.even_order[:FIRST_ROUND]
     solved = solve_sizes(batch, batch.size)
-    judges, left, factor, rounds = batch[-(batch.size // 4) :], 0, 1.0, 1
+    ranking, left, factor, rounds = batch[-(batch.size // 4) :], 0, 1.0, 1
     while len(solved) < grid.distinct.size:
         rounds += 1
         even = _next_even(grid, solved)
-        foreseen = _foreseen(grid, len(solved), even.size, left)
-        fit = partial(fit_solved, grid, dict(solved), judges)
-        models, new = solve_sizes.beside(fit, even, foreseen)
-        disagreement = spread(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
-        miss, certificate = misses(models.best, grid, new)
-        # What the worst sizes of the last round have shown of the models before these counts as well.
-        factor = max(factor, shortfall(miss, certificate, disagreement.ravel()[even]))
+        # The build may need this round's sizes, and as many again while some sizes are not known well enough.
+        expected_total = min(len(solved) + even.size + min(left, even.size), grid.distinct.size)
+        fit_now = partial(fit, grid, dict(solved), ranking, None)
+        models, new = solve_sizes.while_calling(fit_now, even, expected_total)
+        disagreement = disagreement_estimate(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
+        miss, certificate = prediction_errors(models.best, grid, new)
+        # The worst sizes of the last round tested the previous models; their factor still counts.
+        factor = max(factor, error_ratio(miss, certificate, disagreement.ravel()[even]))
         solved |= new
-        open_sizes = _left(grid, factor * disagreement, solved, tolerance)
-        held = float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size
-        if held and open_sizes.size == 0:
+        open_sizes = _open_sizes(grid, factor * disagreement, solved, tolerance)
+        holds = float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size
+        if holds and open_sizes.size == 0:
             rms = float(np.sqrt(np.mean(miss**2)))
-            return Outcome(_sorted(solved), models, factor, even, float(miss.max()), rms, rounds)
+            return GridSampling(_sorted(solved), models, factor, even, float(miss.max()), rms, rounds)
         worst = _next_worst(grid, disagreement, open_sizes, solved)
         new = solve_sizes(worst, len(solved) + worst.size)
-        factor = shortfall(*misses(models.best, grid, new), disagreement.ravel()[worst]) if new else 1.0
+        factor = 1.0
+        if new:
+            factor = error_ratio(*prediction_errors(models.best, grid, new), disagreement.ravel()[worst])
         solved |= new
-        judges, left = np.concatenate([judges, even, worst])[-JUDGES:], open_sizes.size
-    last = fit_solved(grid, solved, judges) if rounds > 1 else None
-    return Outcome(_sorted(solved), last, factor, batch[:0], 0.0, 0.0, rounds)
+        ranking, left = np.concatenate([ranking, even, worst])[-RANKING:], open_sizes.size
+    last = fit(grid, solved, ranking, None) if rounds > 1 else None
+    return GridSampling(_sorted(solved), last, factor, batch[:0], 0.0, 0.0, rounds)
 
 
-def fit_solved(
-    grid: SizeGrid, solved: dict[int, SolvedPoint], held_out: IndexArray, more: Samples | None = None
-) -> ModelPair:
-    """Models of solved sizes, and of ``more`` samples off the grid, chosen by those and the sizes ``held_out``."""
-    numbers = np.array(sorted(solved), dtype=np.intp)
-    samples = Samples(*grid.sizes_nm(numbers), amplitudes_of([solved[int(number)] for number in numbers]))
-    judges = np.isin(numbers, held_out)
-    if more is not None:
-        samples, judges = samples.joined(more), np.append(judges, np.ones(more.width_nm.size, dtype=bool))
-    return fit_models(samples, judges, (grid.width_nm, grid.length_nm), grid.exchange)
+def prediction_errors(
+    model: RationalModel, grid: SizeGrid, new: dict[int, SolvedPoint]
+) -> tuple[FloatArray, FloatArray]:
+    """Compare a model's predictions with new answers.
 
+    Args:
+        model: amplitudes, fitted without the new sizes.
+        grid: sizes.
+        new: answers by number.
 
-def misses(model: SizeModel, grid: SizeGrid, new: dict[int, SolvedPoint]) -> tuple[FloatArray, FloatArray]:
-    """Largest error of any amplitude that the model predicted for each new size, and the solver's own."""
+    Returns:
+        Largest error of any amplitude, and the solver's own error, of each new size: shape (n,) each.
+    """
     predicted = model(*grid.sizes_nm(np.array(list(new), dtype=np.intp)))
     miss = np.abs(predicted - amplitudes_of(list(new.values()))).max(axis=-1)
     return np.asarray(miss, dtype=np.float64), np.array([point.error for point in new.values()])
 
 
-def shortfall(miss: FloatArray, certificate: FloatArray, disagreement: FloatArray) -> float:
-    """The factor by which disagreement falls short of misses, at least 1; the solver's error is not the model's.
+def error_ratio(miss: FloatArray, certificate: FloatArray, disagreement: FloatArray) -> float:
+    """Return the largest ratio of prediction errors to the models' disagreement, at least 1.
 
-    The disagreement is the models' own, before any factor of an earlier round: a factor on top of a factor would
-    make the next one look small.
+    The disagreement must be that of the models, without the factor of an earlier round, which would make the next factor
+    too small.
+
+    Args:
+        miss: shape (n,), errors of predictions.
+        certificate: shape (n,), the solver's own errors, for which the model is not to blame.
+        disagreement: shape (n,), disagreement of the models.
     """
     return max(1.0, float(np.max(miss / (disagreement + certificate))))
 
 
 def amplitudes_of(points: Sequence[SolvedPoint]) -> ComplexArray:
-    """Shape (n, 4): t_xx, t_yy, r_xx, r_yy."""
+    """Return t_xx, t_yy, r_xx, r_yy of answers: shape (n, 4)."""
     return np.array([point.amplitudes for point in points], dtype=np.complex128).reshape(-1, 4)
 
 
-def _left(grid: SizeGrid, estimate: FloatArray, solved: dict[int, SolvedPoint], tolerance: float) -> IndexArray:
-    """Distinct sizes that were not solved and are not known well enough."""
+def samples_at(grid: SizeGrid, solved: dict[int, SolvedPoint]) -> Samples:
+    """Return answers by number as samples over sizes alone, in the order of ``solved``."""
+    sizes_nm = grid.sizes_nm(np.array(list(solved), dtype=np.intp))
+    return Samples(*sizes_nm, amplitudes_of(list(solved.values())), np.zeros((len(solved), 0)))
+
+
+def _open_sizes(grid: SizeGrid, estimate: FloatArray, solved: dict[int, SolvedPoint], tolerance: float) -> IndexArray:
+    """Distinct unsolved sizes whose error estimate is above the tolerance."""
     open_error = np.where(_is_solved(grid, solved), 0.0, estimate).ravel()[grid.distinct]
     return grid.distinct[open_error > tolerance]
 
 
-def _foreseen(grid: SizeGrid, solved: int, batch: int, left: int) -> int:
-    """Sizes that the build may need in all: this round's, and as many again while sizes are left over."""
-    return min(solved + batch + min(left, batch), grid.distinct.size)
-
-
 def _next_even(grid: SizeGrid, solved: dict[int, SolvedPoint]) -> IndexArray:
-    """The next sizes of the even sequence."""
+    """Next sizes of the space-filling sequence."""
     is_solved = _is_solved(grid, solved).ravel()
     count = max(EVEN_ROUND, math.ceil(EVEN_GROWTH * len(solved)))
     return grid.even_order[~is_solved[grid.even_order]][:count]
@@ -210,16 +267,15 @@ def _next_even(grid: SizeGrid, solved: dict[int, SolvedPoint]) -> IndexArray:
 def _next_worst(
     grid: SizeGrid, disagreement: FloatArray, open_sizes: IndexArray, solved: dict[int, SolvedPoint]
 ) -> IndexArray:
-    """The worst sizes, a few steps from each other, among those that are not known well enough."""
-    candidates = np.zeros(grid.size, dtype=bool)
-    candidates[open_sizes] = True
-    count = max(WORST_ROUND, math.ceil(WORST_GROWTH * len(solved)))
-    return worst_points(grid, disagreement, ~candidates, count)
+    """Open sizes with the largest disagreement, a few steps from each other."""
+    excluded = np.ones(grid.size, dtype=bool)
+    excluded[open_sizes] = False
+    return worst_points(grid, disagreement, excluded, max(WORST_ROUND, math.ceil(WORST_GROWTH * len(solved))))
 
 
 def _is_solved(grid: SizeGrid, solved: dict[int, SolvedPoint]) -> NDArray[np.bool_]:
-    """Shape (n_length, n_width): whether a size or, with exchange, its image was solved."""
-    mask = np.zeros((grid.length_nm.size, grid.width_nm.size), dtype=bool)
+    """Mask of sizes that are solved, mirror images included: shape (n_length, n_width)."""
+    mask = np.zeros(grid.shape, dtype=bool)
     mask.ravel()[list(solved)] = True
     return mask | mask.T if grid.exchange else mask
 

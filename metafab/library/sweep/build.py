@@ -1,9 +1,10 @@
-"""Unit cell -> Library, to an asked error; in memory, or as a file that a kill does not set back."""
+"""Build a library to a target error, in memory or as a file that survives a kill, and estimate the cost before."""
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -12,29 +13,64 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from metafab.cell import CellNumerics, CellSolver, solve
+from metafab.cell import CellNumerics, CellSolver, pillar_cell, rcwa, solve
 from metafab.core.conventions import ComplexArray
 from metafab.core.parallel.executor import SerialExecutor
 from metafab.core.parallel.progress import Progress, silent
-from metafab.library.axes import CornerBox, corner_unit_cell
+from metafab.library.axes import CornerBox, corner_cell, corner_unit_cell
 from metafab.library.corners import Corners
-from metafab.library.fit.sampling import SizeGrid
-from metafab.library.library import Library, inputs_of
+from metafab.library.fit.size_grid import SizeGrid
+from metafab.library.library import BuildStatistics, BuildTime, Library, inputs_of
 from metafab.library.store import is_current, load, save
-from metafab.library.sweep.adaptive_sampling import Outcome, PointSolver, amplitudes_of, sample
-from metafab.library.sweep.between import Between, FineGrid, sample_between
+from metafab.library.sweep.adaptive_sampling import GridSampling, PointSolver, amplitudes_of, sample_grid
 from metafab.library.sweep.checkpoint import Checkpoint
-from metafab.library.sweep.corner_rounds import CornerSequence, sample_corners
-from metafab.library.sweep.steep import sample_steep, stated
+from metafab.library.sweep.corner_sampling import CornerNumerics, CornerSequence, sample_corners
+from metafab.library.sweep.off_grid import (
+    FineGrid,
+    OffGridSampling,
+    RoundLimits,
+    certified_errors,
+    sample_disagreement,
+    sample_steep_places,
+)
 from metafab.library.use.quality import coverage_rad
 from metafab.spec import UnitCell
 from metafab.spec.cell import Axes
 
-BoolArray = NDArray[np.bool_]
-
-#: Parts of the target error that the solver and the model may use; the rest is that of continuous evaluation.
+#: Shares of the target error for solver and model; the rest is that of continuous evaluation.
 SOLVER_SHARE = 0.5
 MODEL_SHARE = 0.4
+#: Cells of earlier builds: about 200 for silicon at 940 and 800 nm, about 1000 for titanium dioxide at 532 nm with its
+#: many guided modes of little loss.
+FEW_CELLS, MANY_CELLS = 180, 1100
+#: Largest time of a resonant cell over that of an average one.
+RESONANT_COST = 5.0
+
+
+@dataclass(frozen=True)
+class BuildNumerics:
+    """Size of the adaptive sampling beyond the grid of sizes.
+
+    Attributes:
+        off_grid: rounds between the sizes of the grid.
+        corners: sampling over the axes of the sweep.
+    """
+
+    off_grid: RoundLimits = RoundLimits()
+    corners: CornerNumerics = CornerNumerics()
+
+
+@dataclass(frozen=True)
+class BuildCost:
+    """Expected cost of a build.
+
+    Attributes:
+        cells: least and largest number of unit cells to solve.
+        seconds: least and largest processor time without fits; divide by the number of workers.
+    """
+
+    cells: tuple[int, int]
+    seconds: tuple[float, float]
 
 
 def build(
@@ -45,28 +81,30 @@ def build(
     checkpoint: Path | None = None,
     progress: Progress = silent,
     solver: CellSolver = solve,
+    numerics: BuildNumerics = BuildNumerics(),
 ) -> Library:
     """Sweep width and length on the manufacturable grid until every size is known to the target error.
 
     Args:
-        unit_cell: what is swept.
-        target_error: largest error in any complex amplitude; replaces the one of ``unit_cell.sweep``.
-        executor: where sizes are solved; this process when None.
-        checkpoint: file that keeps solved sizes across a kill; the same call continues from it. It stays when
-            the build has ended (:func:`build_file` removes its own once the library is saved).
-        progress: called with the number of solved sizes and how many are foreseen.
+        unit_cell: unit cell with its sweep.
+        target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
+        executor: runs the solver; None for this process.
+        checkpoint: file that keeps solved sizes across a kill; an equal call continues from it. The file stays when
+            the build has ended (:func:`build_file` removes its own).
+        progress: called with the number of solved sizes and the expected number.
         solver: solves one unit cell; must be importable by the workers.
+        numerics: size of the adaptive sampling.
 
     Returns:
-        The library. Its ``error`` is solver certificate plus interpolation estimate at each size; a size that
-        could not be had within the target says so there and in ``details["sizes_beyond_target"]``.
+        The library. Its ``error`` is solver certificate plus interpolation estimate at each size. Sizes above the target
+        are counted in ``statistics.sizes_beyond_target``.
 
     Raises:
         InputError: ``checkpoint`` belongs to another build.
     """
-    unit_cell = _asking(unit_cell, target_error)
+    unit_cell = _with_target(unit_cell, target_error)
     with Checkpoint(checkpoint, inputs_of(unit_cell)) as record:
-        return _build(unit_cell, record, executor or SerialExecutor(), progress, solver)
+        return _build(unit_cell, record, executor or SerialExecutor(), progress, solver, numerics)
 
 
 def build_file(
@@ -78,93 +116,123 @@ def build_file(
     progress: Progress = silent,
     solver: CellSolver = solve,
 ) -> Library:
-    """Build a library and save it; a killed build goes on where it stopped.
+    """Build a library and save it; a killed build continues where it stopped.
 
-    Solved sizes are kept beside the file, under a name that holds the fingerprint of the build's inputs, until the
-    library is saved. Of two processes that build the same library, the later one waits and takes over the
-    other's file.
+    Until the library is saved, solved sizes are kept in a checkpoint beside the file, whose name holds the fingerprint
+    of the build's inputs. Of two processes that build one library, the later waits and loads the other's file.
 
     Args:
-        unit_cell: what is swept.
-        path: the library file; an earlier one is replaced when the new one is whole.
-        target_error: as in :func:`build`; likewise ``executor``, ``progress`` and ``solver``.
-        executor: see ``target_error``.
-        progress: see ``target_error``.
-        solver: see ``target_error``.
+        unit_cell: unit cell with its sweep.
+        path: library file; an earlier one is replaced when the new one is whole.
+        target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
+        executor: runs the solver; None for this process.
+        progress: called with the number of solved sizes and the expected number.
+        solver: solves one unit cell; must be importable by the workers.
 
     Returns:
-        The library, as saved.
+        The library as saved.
 
     Raises:
-        InputError: the checkpoint beside the file is damaged.
+        InputError: the checkpoint is damaged.
     """
-    unit_cell = _asking(unit_cell, target_error)
+    unit_cell = _with_target(unit_cell, target_error)
     inputs = inputs_of(unit_cell)
-    checkpoint = path.with_name(f"{path.stem}.{inputs[:8]}.partial")
-    with Checkpoint(checkpoint, inputs) as record:
+    with Checkpoint(path.with_name(f"{path.stem}.{inputs[:8]}.partial"), inputs) as record:
         if record.waited and is_current(path, unit_cell):
             built = load(path)
         else:
-            built = _build(unit_cell, record, executor or SerialExecutor(), progress, solver)
+            built = _build(unit_cell, record, executor or SerialExecutor(), progress, solver, BuildNumerics())
             save(built, path)
         record.remove()
     return built
 
 
-def _asking(unit_cell: UnitCell, target_error: float | None) -> UnitCell:
+def estimate_cost(unit_cell: UnitCell, *, target_error: float | None = None) -> BuildCost | None:
+    """Estimate the cells and the processor time of a build by RCWA.
+
+    Args:
+        unit_cell: unit cell with its sweep.
+        target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
+
+    Returns:
+        None for Meep, whose time depends far more on the machine and on resonances.
+    """
+    if unit_cell.solver.name != "rcwa":
+        return None
+    solver_error = SOLVER_SHARE * (target_error or unit_cell.sweep.target_error)
+    distinct = SizeGrid.of(unit_cell).distinct.size
+    few, many = min(FEW_CELLS, distinct), min(MANY_CELLS, distinct)
+    width_nm, length_nm = (0.5 * sum(span) for span in (unit_cell.sweep.width_nm, unit_cell.sweep.length_nm))
+    each = rcwa.seconds_estimate(solver_error, pillar_cell(unit_cell, width_nm, length_nm))
+    least, most = few * each, RESONANT_COST * many * each
+    box = CornerBox.of(unit_cell)
+    if box is not None:
+        dimensions = 2 + len(box.variables)
+        few_corners, many_corners = CornerNumerics.first_round * dimensions, CornerNumerics.most_cells * dimensions
+        corner = {name: high for name, (_, high) in box.spans.items()}
+        each = rcwa.seconds_estimate(solver_error, corner_cell(unit_cell, width_nm, length_nm, corner))
+        least, most = least + few_corners * each, most + RESONANT_COST * many_corners * each
+        few, many = few + few_corners, many + many_corners
+    return BuildCost((few, many), (least, most))
+
+
+def _with_target(unit_cell: UnitCell, target_error: float | None) -> UnitCell:
     if target_error is None:
         return unit_cell
     return replace(unit_cell, sweep=replace(unit_cell.sweep, target_error=target_error))
 
 
 def _build(
-    unit_cell: UnitCell, record: Checkpoint, executor: Executor, progress: Progress, solver: CellSolver
+    unit_cell: UnitCell,
+    record: Checkpoint,
+    executor: Executor,
+    progress: Progress,
+    solver: CellSolver,
+    numerics: BuildNumerics,
 ) -> Library:
     started = perf_counter()
     grid = SizeGrid.of(unit_cell)
     for wavelength_nm in dict((unit_cell.sweep.axes or Axes()).asked).get("wavelength_nm", ()):
         grid.cell(corner_unit_cell(unit_cell, {"wavelength_nm": wavelength_nm}), 0)  # refused before any work
-    asked = unit_cell.sweep.target_error
-    numerics = CellNumerics(SOLVER_SHARE * asked, unit_cell.solver.name)
-    # One thread for the fits: their rounding, and with it the choice of sizes, must not depend on the machine's.
-    fine = FineGrid.of(grid)
+    target = unit_cell.sweep.target_error
+    tolerance = MODEL_SHARE * target
+    fine, corners = FineGrid.of(grid), None
+    # One thread for the fits: their rounding decides which sizes are solved and must not depend on the machine.
     with threadpool_limits(1):
-        sizes = PointSolver(partial(grid.cell, unit_cell), numerics, solver, executor, record, progress)
-        outcome = sample(grid, sizes, MODEL_SHARE * asked)
-        solve_points = replace(sizes, cell_of=partial(fine.cell, unit_cell))
-        between = sample_between(grid, fine, outcome, solve_points, MODEL_SHARE * asked)
-        target = (SOLVER_SHARE + MODEL_SHARE) * asked
-        between = sample_steep(grid, fine, outcome, between, solve_points, target)
-        corners = None
+        cell_numerics = CellNumerics(SOLVER_SHARE * target, unit_cell.solver.name)
+        sizes = PointSolver(partial(grid.cell, unit_cell), cell_numerics, solver, executor, record, progress)
+        sampling = sample_grid(grid, sizes, tolerance)
+        points = replace(sizes, cell_of=partial(fine.cell, unit_cell))
+        off_grid = sample_disagreement(grid, fine, sampling, points, tolerance, numerics.off_grid)
+        bound = (SOLVER_SHARE + MODEL_SHARE) * target
+        off_grid = sample_steep_places(grid, fine, sampling, off_grid, points, bound, numerics.off_grid)
         if (box := CornerBox.of(unit_cell)) is not None:
-            sequence = CornerSequence(unit_cell, box, first_number=fine.end_number)
-            solve_points = replace(sizes, cell_of=sequence.cell)
-            corners = sample_corners(grid, box, sequence, outcome.solved, solve_points, MODEL_SHARE * asked)
+            sequence = CornerSequence(unit_cell, box, fine.end_number, numerics.corners.sequence)
+            points = replace(sizes, cell_of=sequence.cell)
+            corners = sample_corners(grid, box, sequence, sampling.solved, points, tolerance, numerics.corners)
     progress("library", len(record.points), len(record.points))
-    return _library(unit_cell, grid, fine, outcome, between, corners, perf_counter() - started)
+    library = _library(unit_cell, grid, fine, sampling, off_grid, corners)
+    solver_seconds = [point.seconds for point in (*sampling.solved.values(), *off_grid.solved.values())]
+    return replace(library, time=BuildTime(perf_counter() - started, float(1e3 * np.mean(solver_seconds))))
 
 
 def _library(
     unit_cell: UnitCell,
     grid: SizeGrid,
     fine: FineGrid,
-    outcome: Outcome,
-    between: Between,
+    sampling: GridSampling,
+    off_grid: OffGridSampling,
     corners: Corners | None,
-    seconds: float,
 ) -> Library:
-    """Values of all sizes: the solver's where it was asked, the model's elsewhere; NaN where there is neither."""
-    model = None if between.models is None else between.models.best
-    values, is_solved = _on_grid(grid, outcome)
-    certificate, around = stated(grid, fine, outcome, between)
+    """Amplitudes of all sizes: the solver's where solved, the model's elsewhere; NaN where there is neither."""
+    model = None if off_grid.models is None else off_grid.models.best
+    amplitudes, is_solved = _on_grid(grid, sampling)
+    certificate, certificate_around = certified_errors(grid, fine, sampling, off_grid)
     if model is not None:
-        values = np.where(is_solved, values, model.on_grid(grid.width_nm, grid.length_nm))
-    values[:, np.isnan(certificate)] = np.nan
-    error = certificate + np.where(is_solved, 0.0, between.model_error)
-    t_xx, t_yy, r_xx, r_yy = values[:, None]
-    around = around + between.between_error
-    points = [*outcome.solved.values(), *between.solved.values()]
-    spent = np.array([point.seconds for point in points])
+        amplitudes = np.where(is_solved, amplitudes, model.on_grid(grid.width_nm, grid.length_nm))
+    amplitudes = np.where(np.isnan(certificate), np.nan, amplitudes)
+    error = certificate + np.where(is_solved, 0.0, off_grid.model_error)
+    t_xx, t_yy, r_xx, r_yy = amplitudes[:, None]
     library = Library(
         unit_cell=unit_cell,
         wavelength_nm=np.array([unit_cell.illumination.wavelength_nm]),
@@ -177,54 +245,51 @@ def _library(
         error=error[None],
         inputs_sha256=inputs_of(unit_cell),
         model=model,
-        model_error=None if model is None else around,
+        model_error=None if model is None else certificate_around + off_grid.between_error,
         corners=corners,
     )
-    library.spent.update(seconds=seconds, solver_ms_per_point=float(1e3 * spent.mean()))
-    degrees = model.x.degrees if model is not None else (0, 0)
-    library.details.update(
-        points_solved=len(points),
-        points_between=len(between.solved),
+    numerator_degree, denominator_degree = model.shape.degrees if model is not None else (0, 0)
+    statistics = BuildStatistics(
+        points_solved=len(sampling.solved) + len(off_grid.solved),
+        points_between=len(off_grid.solved),
         points_total=int(np.count_nonzero(np.isfinite(error))),
         max_error=float(np.nanmax(error)),
         sizes_beyond_target=int(np.count_nonzero(error > unit_cell.sweep.target_error)),
         max_solver_error=float(np.nanmax(certificate)),
-        max_model_error=float(np.max(between.model_error, where=~is_solved, initial=0.0)),
-        **_between_sizes(library),
-        held_out_error=outcome.held_out_error,
-        held_out=outcome.held_out.size,
-        rounds=outcome.rounds,
-        numerator_degree=degrees[0],
-        denominator_degree=degrees[1],
+        max_model_error=float(np.max(off_grid.model_error, where=~is_solved, initial=0.0)),
+        max_between_error=_max_between_error(library),
+        held_out_error=sampling.held_out_error,
+        held_out=sampling.held_out.size,
+        rounds=sampling.rounds,
+        numerator_degree=numerator_degree,
+        denominator_degree=denominator_degree,
         coverage_rad=coverage_rad(library),
-        **({} if corners is None else corners.details),
     )
-    return library
+    return replace(library, statistics=statistics)
 
 
-def _between_sizes(library: Library) -> dict[str, float]:
-    """The largest error stated between the sizes: of the model, or of the spline through sizes that were all solved.
+def _max_between_error(library: Library) -> float:
+    """Largest error bound between the sizes; NaN if the library is not continuous.
 
-    Nothing where a library is not continuous: of circles, or of fewer than four sizes a side.
+    It is that of the model, or of the spline if every size was solved.
     """
     if library.model_error is not None:
-        return {"max_between_error": float(library.model_error.max())}
+        return float(library.model_error.max())
     if not library.is_continuous:
-        return {}
+        return math.nan
     middle = (0.5 * (axis[1:] + axis[:-1]) for axis in (library.width_nm, library.length_nm))
-    return {"max_between_error": float(library.surface(*np.meshgrid(*middle)).error.max())}
+    return float(library.surface(*np.meshgrid(*middle)).error.max())
 
 
-def _on_grid(grid: SizeGrid, outcome: Outcome) -> tuple[ComplexArray, BoolArray]:
-    """Solved amplitudes (4, n_length, n_width), zero elsewhere, and which were solved."""
-    number = np.array(list(outcome.solved), dtype=np.intp)
-    amplitudes = amplitudes_of(list(outcome.solved.values()))
+def _on_grid(grid: SizeGrid, sampling: GridSampling) -> tuple[ComplexArray, NDArray[np.bool_]]:
+    """Solved amplitudes (4, n_length, n_width), zero elsewhere, and the mask of solved sizes (n_length, n_width)."""
+    number = np.array(list(sampling.solved), dtype=np.intp)
+    solved = amplitudes_of(list(sampling.solved.values()))
     if grid.exchange:
         number = np.concatenate([number, grid.exchanged(number)])
-        amplitudes = np.concatenate([amplitudes, amplitudes[:, [1, 0, 3, 2]]])
-    shape = (grid.length_nm.size, grid.width_nm.size)
-    values = np.zeros((4, grid.size), dtype=np.complex128)
-    values[:, number] = amplitudes.T
+        solved = np.concatenate([solved, solved[:, [1, 0, 3, 2]]])
+    amplitudes = np.zeros((4, grid.size), dtype=np.complex128)
+    amplitudes[:, number] = solved.T
     is_solved = np.zeros(grid.size, dtype=bool)
     is_solved[number] = True
-    return values.reshape(4, *shape), is_solved.reshape(shape)
+    return amplitudes.reshape(4, *grid.shape), is_solved.reshape(grid.shape)

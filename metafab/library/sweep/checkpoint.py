@@ -1,8 +1,8 @@
-"""The solved points of a build that is still running: one line a point, written as it arrives.
+"""Solved points of a running build on disk, one line per point as it arrives.
 
-The file is JSON lines: a header with the fingerprint of the build's inputs, then one record a point. Numbers
-are written so that they read back exactly, and a line that a kill cut short is dropped on the next start. Whoever
-has it open holds a lock that dies with the process; a second build of the same library waits for it.
+The file is JSON lines: a header with the fingerprint of the build's inputs, then one record per point. Numbers read
+back exactly. A line that a kill cut short is dropped at the next start. The process that has the file open holds a
+lock, which ends with the process; a second build of one library waits for it.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _KIND = "metafab library checkpoint"
 
 @dataclass(frozen=True)
 class SolvedPoint:
-    """The solver's answer for one size.
+    """The solver's answer for one cell.
 
     Attributes:
-        number: the point's number on the grid of sizes.
+        number: number of the cell.
         amplitudes: t_xx, t_yy, r_xx, r_yy.
-        error: the solver's certificate.
-        seconds: time of the solution.
+        error: the solver's certificate, a bound on the absolute error of each amplitude.
+        seconds: time of the solver.
     """
 
     number: int
@@ -45,15 +45,15 @@ class SolvedPoint:
 
 
 class Checkpoint:
-    """An append-only record of solved points; without a path it remembers nothing.
+    """Append-only record of solved points; without a path they are kept in memory only.
 
     Args:
         path: the file, created when missing and continued when present.
-        inputs_sha256: fingerprint of the build; a file of another build is refused.
+        inputs_sha256: fingerprint of the build.
 
     Attributes:
-        points: solved so far.
-        waited: whether another process had the file when it was opened.
+        points: points solved so far.
+        waited: whether another process held the file when it was opened.
 
     Raises:
         InputError: the file is not a checkpoint, or one of another unit cell or target error.
@@ -98,7 +98,7 @@ class Checkpoint:
             os.fsync(self._stream.fileno())
 
     def remove(self) -> None:
-        """Delete the file: its points are safe elsewhere."""
+        """Delete the file, once its points are part of a library."""
         if self._path is not None:
             self._path.unlink(missing_ok=True)
 
@@ -118,7 +118,7 @@ class Checkpoint:
                 fcntl.flock(stream, fcntl.LOCK_EX)
             except OSError:  # a file system without locks
                 return stream
-            # The one we waited for may have removed this file when it was done.
+            # The process that held the lock may have removed this file when it was done.
             with suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(stream.fileno()), path.stat()):
                     return stream
@@ -129,7 +129,7 @@ class Checkpoint:
             self._stream.write(json.dumps(record) + "\n")
 
     def _read(self, path: Path) -> int:
-        """Take over the points of an earlier start; returns the bytes that hold whole lines."""
+        """Take over the points of an earlier start; return the number of bytes in whole lines."""
         content = path.read_bytes()
         lines = content.split(b"\n")[:-1]
         if not lines:
@@ -137,11 +137,11 @@ class Checkpoint:
         try:
             header = json.loads(lines[0])
             records = [json.loads(line) for line in lines[1:]]
-            found = (header["kind"], header["inputs_sha256"])
+            build = (header["kind"], header["inputs_sha256"])
             self.points = [_point(record) for record in records]
         except (ValueError, TypeError, KeyError, IndexError) as error:
             raise _refused(path, f"a foreign or damaged file ({error})") from error
-        if found != (_KIND, self._inputs):
+        if build != (_KIND, self._inputs):
             raise _refused(path, "one of another unit cell, target error or version")
         return sum(len(line) + 1 for line in lines)
 
@@ -153,15 +153,14 @@ def _point(record: list[float]) -> SolvedPoint:
 
 
 def _unguarded(path: Path) -> InputError:
-    """A worker that runs its parent's script again, which multiprocessing itself tells by the same mark.
+    """Error of a worker that runs its parent's script again and would wait for the parent's lock forever.
 
-    It would wait for its parent, and the parent for it.
+    ``multiprocessing`` detects such a worker by the attribute ``_inheriting`` too.
     """
     got, remedy = "a script that its workers run again", 'put its statements under `if __name__ == "__main__":`'
     return InputError.single(str(path), "checkpoint", "one process at a time", got, remedy)
 
 
 def _refused(path: Path, got: str) -> InputError:
-    return InputError.single(
-        str(path), "checkpoint", "the checkpoint of this very build", got, "delete it to start the build afresh"
-    )
+    remedy = "delete it to start the build afresh"
+    return InputError.single(str(path), "checkpoint", "the checkpoint of this very build", got, remedy)

@@ -1,1 +1,10 @@
-"""Using a library: inverse look-up, quality, checks."""
+"""Using a library: sizes for target phases, figures of merit, and checks of its errors.
+
+- ``lookup``      target phases -> size index, by the largest field overlap
+- ``quality``     phase coverage, transmittance, sensitivity to a bias of sizes
+- ``check``       held-out sizes against a finer or another solver
+- ``index_error`` phase error by the uncertainty of the pillar's index
+
+In: a :class:`~metafab.library.library.Library`. Out: a :class:`~metafab.library.use.lookup.SizeTable` for the layout,
+and figures.
+"""

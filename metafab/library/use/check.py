@@ -1,4 +1,4 @@
-"""Held-out sizes solved again, by the other solver or by the same one with a smaller error."""
+"""Validation of a library against another solver, or the same one with a smaller error, at held-out sizes."""
 
 from __future__ import annotations
 
@@ -9,20 +9,30 @@ from typing import Literal
 
 import numpy as np
 
-from metafab.cell import CellNumerics, CellResponse, CellSolver, PillarCell, solve
-from metafab.core.parallel.executor import SerialExecutor, stream
+from metafab.cell import CellNumerics, CellSolver, solve
+from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.library import Library
 
-#: The finer solver is asked for this part of the library's target error.
+#: Target error of the finer solver over the library's target error.
 FINER = 0.1
-#: Meep is asked for no less than this: finer grids would take it hours a size.
+#: Least target error of Meep: finer grids would take it hours a size.
 MEEP_ERROR = 1e-2
+#: Least amplitude for which a phase error counts.
+LEAST_AMPLITUDE = 0.1
 
 
 @dataclass(frozen=True)
 class CheckedSize:
-    """One size of a check: what was found, beside what both sides state."""
+    """One size of a check.
+
+    Attributes:
+        width_nm: width.
+        length_nm: length.
+        abs_error: largest |t - t_solver| of both polarisations.
+        stated_error: error bound of the library.
+        solver_error: error bound of the solver.
+    """
 
     width_nm: float
     length_nm: float
@@ -33,22 +43,22 @@ class CheckedSize:
 
 @dataclass(frozen=True)
 class LibraryCheck:
-    """What a check found, over t_xx and t_yy of all its samples.
+    """Result of a check over t_xx and t_yy of all its samples.
 
     Attributes:
-        against: the solver that judged.
+        against: reference solver.
         samples: sizes drawn, evenly over the sweep and off its grid where the library is continuous.
         max_abs_error: largest |t - t_solver|.
-        mean_abs_error: mean of it.
-        max_phase_error_rad: largest phase error, where at least a tenth of the light's amplitude passes.
-        mean_phase_error_rad: mean of its magnitude there.
-        max_stated_error: largest error that the library states for these sizes.
-        max_solver_error: largest error that the judging solver states.
-        beyond_stated: samples whose error exceeds what library and solver state together.
-        worst_width_nm: the size of the largest error; with ``worst_length_nm``.
-        worst_length_nm: see ``worst_width_nm``.
+        mean_abs_error: mean over the sizes of the larger |t - t_solver| of both polarisations.
+        max_phase_error_rad: largest phase error, where |t| is at least 0.1.
+        mean_phase_error_rad: mean magnitude of the phase error there.
+        max_stated_error: largest error bound of the library at these sizes.
+        max_solver_error: largest error bound of the reference solver.
+        beyond_stated: samples whose error exceeds the sum of both bounds.
+        worst_width_nm: width of the size with the largest error.
+        worst_length_nm: length of the size with the largest error.
         solver_seconds: time in the solver.
-        verdict: "holds" if no sample is beyond the stated errors, else "fails".
+        verdict: "holds" if no sample is beyond the bounds, else "fails".
         sizes: each sample, in the order of the draw.
     """
 
@@ -77,50 +87,47 @@ def check(
     progress: Progress = silent,
     solver: CellSolver = solve,
 ) -> LibraryCheck:
-    """Compare the library with a solver at random sizes.
+    """Compare a library with a solver at random sizes.
 
     Args:
-        library: what is judged.
-        against: "rcwa" at a tenth of the library's target error, or "meep" at the target error itself, but no less
-            than 1e-2. What Meep has finished is kept, so that a check that was stopped goes on where it was.
-        samples: how many sizes.
-        seed: of the draw.
-        executor: where cells are solved; this process when None.
-        progress: called after each.
+        library: library to check.
+        against: "rcwa" at a tenth of the library's target error, or "meep" at the target error, but no less than 1e-2.
+            Finished runs of Meep are kept, so that a check that was stopped continues.
+        samples: number of sizes.
+        seed: of the random draw.
+        executor: runs the solver; None for this process.
+        progress: called after each size.
         solver: solves one cell.
 
     Raises:
-        MissingToolError: Meep is asked for and not installed.
+        MissingToolError: Meep is requested but not installed.
     """
     rng = np.random.default_rng(seed)
-    width_nm = rng.uniform(library.width_nm[0], library.width_nm[-1], samples)
-    length_nm = rng.uniform(library.length_nm[0], library.length_nm[-1], samples)
-    if not library.is_continuous:
+    if library.is_continuous:
+        width_nm = rng.uniform(library.width_nm[0], library.width_nm[-1], samples)
+        length_nm = rng.uniform(library.length_nm[0], library.length_nm[-1], samples)
+        stated = library.surface(width_nm, length_nm)
+    else:
         row, column = np.nonzero(library.known)
         samples = min(samples, row.size)
         drawn = rng.choice(row.size, samples, replace=False)
         width_nm, length_nm = library.width_nm[column[drawn]], library.length_nm[row[drawn]]
         stated = library.at_sizes(width_nm, length_nm)
-    else:
-        stated = library.surface(width_nm, length_nm)
     target = library.unit_cell.sweep.target_error
-    asked = FINER * target if against == "rcwa" else max(target, MEEP_ERROR)
-    numbered = [
-        (k, library.pillar(float(w), float(length)))
-        for k, (w, length) in enumerate(zip(width_nm, length_nm, strict=True))
-    ]
-    answers: dict[int, CellResponse] = {}
-    work = partial(_solve_numbered, solver, CellNumerics(asked, against))
-    for (k, _), answer in stream(executor or SerialExecutor(), work, numbered):
-        answers[k] = answer
+    numerics = CellNumerics(FINER * target if against == "rcwa" else max(target, MEEP_ERROR), against)
+    cells = [library.pillar(float(width), float(length)) for width, length in zip(width_nm, length_nm, strict=True)]
+    answers = []
+    for answer in in_order(executor or SerialExecutor(), partial(solver, numerics=numerics), cells):
+        answers.append(answer)
         progress("library check", len(answers), samples)
-    found = np.array([[answers[k].t[0, 0], answers[k].t[1, 1]] for k in range(samples)])
-    solver_error = np.array([answers[k].error for k in range(samples)])
+    solved = np.array([[answer.t[0, 0], answer.t[1, 1]] for answer in answers])
+    solver_error = np.array([answer.error for answer in answers])
     held = np.stack([stated.t_xx, stated.t_yy], axis=-1)
-    error = np.abs(held - found).max(axis=-1)
+    error = np.abs(held - solved).max(axis=-1)
     beyond = int(np.count_nonzero(error > stated.error + solver_error))
     worst = int(np.argmax(error))
-    phase_error = np.abs(np.angle(held / found))[np.abs(found) >= 0.1]
+    phase_error = np.abs(np.angle(held / solved))[np.abs(solved) >= LEAST_AMPLITUDE]
+    rows = np.stack([width_nm, length_nm, error, stated.error, solver_error], axis=-1)
     return LibraryCheck(
         against=against,
         samples=samples,
@@ -133,14 +140,7 @@ def check(
         beyond_stated=beyond,
         worst_width_nm=float(width_nm[worst]),
         worst_length_nm=float(length_nm[worst]),
-        solver_seconds=float(sum(answer.seconds for answer in answers.values())),
+        solver_seconds=float(sum(answer.seconds for answer in answers)),
         verdict="fails" if beyond else "holds",
-        sizes=tuple(
-            CheckedSize(*map(float, row))
-            for row in zip(width_nm, length_nm, error, stated.error, solver_error, strict=True)
-        ),
+        sizes=tuple(CheckedSize(*row) for row in rows.tolist()),
     )
-
-
-def _solve_numbered(solver: CellSolver, numerics: CellNumerics, item: tuple[int, PillarCell]) -> CellResponse:
-    return solver(item[1], numerics)

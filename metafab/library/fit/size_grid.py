@@ -1,4 +1,4 @@
-"""Which sizes to solve: the distinct points of the manufacturable grid, spread evenly or where models disagree."""
+"""The grid of manufacturable sizes, its symmetry, and space-filling sequences of sizes to solve."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _PLASTIC = 1.32471795724474602596
 
 @dataclass(frozen=True)
 class SizeGrid:
-    """The manufacturable sizes, and which of them stand for others.
+    """Grid of manufacturable sizes.
 
     Points are numbered row by row, ``number = row * n_width + column``. Where exchanging x and y maps the grid
-    to itself, only points with width <= length are solved; they are called distinct.
+    to itself, only points with width <= length are solved. These points are called distinct.
 
     Attributes:
         width_nm: shape (n_width,), ascending.
         length_nm: shape (n_length,), ascending.
-        exchange: whether t_xx(W, L) = t_yy(L, W) holds on the grid.
-        diagonal: whether only sizes as wide as long are made (circles).
+        exchange: True if t_xx(W, L) = t_yy(L, W) on the grid.
+        diagonal: True if only sizes with equal width and length are made (circles).
     """
 
     width_nm: FloatArray
@@ -40,7 +40,7 @@ class SizeGrid:
 
     @classmethod
     def of(cls, unit_cell: UnitCell) -> SizeGrid:
-        """The grid of a unit cell's sweep."""
+        """Return the grid of a unit cell's sweep."""
         sweep = unit_cell.sweep
         exchange = is_square(unit_cell) and sweep.width_nm == sweep.length_nm
         diagonal = unit_cell.cell.shape == "circle"
@@ -51,9 +51,20 @@ class SizeGrid:
         """Number of points."""
         return self.width_nm.size * self.length_nm.size
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(n_length, n_width), the shape of a map over the grid."""
+        return self.length_nm.size, self.width_nm.size
+
+    @property
+    def spans_nm(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """(smallest, largest) width and length."""
+        width_nm, length_nm = ((float(axis[0]), float(axis[-1])) for axis in (self.width_nm, self.length_nm))
+        return width_nm, length_nm
+
     @cached_property
     def distinct(self) -> IndexArray:
-        """Numbers of the points to choose from, ascending."""
+        """Numbers of the points that symmetry leaves to solve: shape (n_distinct,), ascending."""
         number = np.arange(self.size)
         row, column = np.divmod(number, self.width_nm.size)
         if self.diagonal:
@@ -62,15 +73,15 @@ class SizeGrid:
 
     @cached_property
     def even_order(self) -> IndexArray:
-        """All distinct points, in an order whose beginnings fill the plane evenly, denser towards the edges.
+        """All distinct points as a space-filling sequence: shape (n_distinct,).
 
-        The density is that of Chebyshev points, for which polynomial least squares is well conditioned. The
-        corners come first: nothing is extrapolated. Of a diagonal, which no model over the plane can follow, the order
-        does not matter.
+        Every beginning of the sequence covers the plane with the density of Chebyshev points, for which polynomial
+        least squares is well conditioned. The corners come first, so that no model extrapolates. Points of a
+        diagonal grid are all solved; their order does not matter.
         """
         if self.diagonal:
             return self.distinct
-        n_length, n_width = self.length_nm.size, self.width_nm.size
+        n_length, n_width = self.shape
         k = np.arange(8 * self.size)
         u = np.mod(0.5 + k / _PLASTIC, 1.0)
         v = np.mod(0.5 + k / _PLASTIC**2, 1.0)
@@ -82,24 +93,36 @@ class SizeGrid:
         return number[np.sort(first)]
 
     def refined(self, parts: int) -> SizeGrid:
-        """The grid with so many steps for each of its own; its points are numbered afresh."""
-        width_nm, length_nm = (
-            np.linspace(axis[0], axis[-1], (axis.size - 1) * parts + 1) for axis in (self.width_nm, self.length_nm)
-        )
+        """Return a grid with ``parts`` steps for each step of this one; its points have numbers of their own."""
+        width_nm, length_nm = refined_axis(self.width_nm, parts), refined_axis(self.length_nm, parts)
         return SizeGrid(width_nm, length_nm, self.exchange, self.diagonal)
 
     def sizes_nm(self, number: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """Width and length of points."""
+        """Return the widths and lengths of points.
+
+        Args:
+            number: shape (n,).
+
+        Returns:
+            Width and length in nm, shape (n,) each.
+        """
         row, column = np.divmod(number, self.width_nm.size)
         return self.width_nm[column], self.length_nm[row]
 
     def cell(self, unit_cell: UnitCell, number: int) -> PillarCell:
-        """The cell of a point."""
+        """Return the cell of one point."""
         width_nm, length_nm = self.sizes_nm(np.array([number], dtype=np.intp))
         return pillar_cell(unit_cell, float(width_nm[0]), float(length_nm[0]))
 
     def exchanged(self, number: IndexArray) -> IndexArray:
-        """The points with width and length swapped (grids with ``exchange`` only)."""
+        """Return the points with width and length swapped (grids with ``exchange`` only).
+
+        Args:
+            number: shape (n,).
+
+        Returns:
+            Numbers, shape (n,).
+        """
         row, column = np.divmod(number, self.width_nm.size)
         return column * self.width_nm.size + row
 
@@ -110,20 +133,36 @@ class SizeGrid:
         return np.where(column <= row, number, self.exchanged(number))
 
 
-def worst_points(grid: SizeGrid, estimate: FloatArray, solved: NDArray[np.bool_], count: int) -> IndexArray:
-    """Distinct, unsolved points with the largest error estimates, none within three grid steps of another.
+def refined_axis(axis_nm: FloatArray, parts: int) -> FloatArray:
+    """Divide each step of a uniform axis.
 
     Args:
-        grid: the sizes.
+        axis_nm: shape (n,), uniform.
+        parts: new steps for each old step.
+
+    Returns:
+        Shape ((n - 1) parts + 1,).
+    """
+    return np.linspace(axis_nm[0], axis_nm[-1], (axis_nm.size - 1) * parts + 1)
+
+
+def worst_points(grid: SizeGrid, estimate: FloatArray, excluded: NDArray[np.bool_], count: int) -> IndexArray:
+    """Return the distinct points with the largest error estimates, no two within two grid steps of each other.
+
+    Args:
+        grid: sizes.
         estimate: shape (n_length, n_width), error estimate of each point.
-        solved: shape (n_points,).
-        count: how many at most.
+        excluded: shape (n_points,), True for points that are not returned, such as solved ones.
+        count: largest number of points.
+
+    Returns:
+        Numbers of the points, shape (at most count,), worst first.
     """
     worst = estimate.ravel()
     if grid.exchange:
         worst = np.maximum(worst, estimate.T.ravel())
-    open_points = grid.distinct[~solved[grid.distinct]]
-    ranked = open_points[np.argsort(-worst[open_points], kind="stable")]
+    candidates = grid.distinct[~excluded[grid.distinct]]
+    ranked = candidates[np.argsort(-worst[candidates], kind="stable")]
     chosen: list[int] = []
     free = np.ones(estimate.shape, dtype=bool)
     for number in ranked:

@@ -1,0 +1,250 @@
+"""Adaptive sampling over sizes and axes together.
+
+Cells come from a space-filling sequence in the box of sizes and axes, denser towards its faces. As over the sizes alone,
+every round solves the next cells of the sequence and those with the largest disagreement of the models. Each cell is
+predicted before it is solved; the ratio of these errors to the disagreement scales the disagreement to an error
+estimate. Cells of the nominal library serve as samples too. Sampling ends when the estimate is within the tolerance at
+all but a few cells of the sequence, or at the largest number of cells. The error bound of each corner holds in both
+cases.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from metafab.cell import PillarCell
+from metafab.core.conventions import FloatArray
+from metafab.library.axes import CornerBox, corner_cell
+from metafab.library.corners import Corners, CornerStatistics
+from metafab.library.fit.models import RankedModels, fit_corner_models
+from metafab.library.fit.rational import RationalModel, Samples
+from metafab.library.fit.size_grid import IndexArray, SizeGrid
+from metafab.library.sweep.adaptive_sampling import PointSolver, amplitudes_of, samples_at
+from metafab.library.sweep.checkpoint import SolvedPoint
+from metafab.spec import UnitCell
+
+#: Growth of the number of solved cells in each round after the first.
+GROWTH = 0.3
+#: Share of the sequence that may stay above the tolerance: cells right on the sharpest resonances.
+OPEN_SHARE = 0.02
+#: Least distance of the cells with the largest disagreement in one round, in a box of side 2.
+APART = 0.1
+
+
+@dataclass(frozen=True)
+class CornerNumerics:
+    """Size of the sampling over sizes and axes.
+
+    Attributes:
+        sequence: cells to choose from, besides the corners of the box.
+        first_round: cells of the first round for each dimension of the box.
+        most_cells: cells for each dimension of the box after which the sampling ends in any case.
+    """
+
+    sequence: int = 8192
+    first_round: int = 96
+    most_cells: int = 400
+
+
+class CornerSequence:
+    """Space-filling sequence of cells in the box of sizes and axes, the outermost ones first.
+
+    Args:
+        unit_cell: unit cell with ``sweep.axes``.
+        box: axes of the sweep.
+        first_number: checkpoint number of the first cell.
+        count: length of the sequence, besides the corners of the box.
+
+    Attributes:
+        width_nm: shape (n,), as made.
+        length_nm: shape (n,), as made.
+        axes: shape (n, n_variables), each in -1..1.
+        place: shape (n, 2 + n_variables), sizes and axes, each in -1..1.
+    """
+
+    def __init__(self, unit_cell: UnitCell, box: CornerBox, first_number: int, count: int) -> None:
+        self._unit_cell, self._box, self._first = unit_cell, box, first_number
+        dimensions = 2 + len(box.variables)
+        corners = np.array(list(product((-1.0, 1.0), repeat=dimensions)))
+        # Steps of 1/g, 1/g^2, ... fill the cube evenly, g^(d+1) = g + 1 (Roberts' R_d sequence).
+        root = 2.0
+        for _ in range(60):
+            root = (1.0 + root) ** (1.0 / (dimensions + 1))
+        steps = root ** -np.arange(1.0, dimensions + 1.0)
+        inner = -np.cos(math.pi * np.mod(0.5 + np.arange(count)[:, None] * steps, 1.0))
+        self.place: FloatArray = np.concatenate([corners, inner])
+        self.axes: FloatArray = self.place[:, 2:]
+        self.width_nm, self.length_nm = (
+            0.5 * (low + high) + 0.5 * (high - low) * column
+            for column, (low, high) in zip(self.place.T, (box.width_nm, box.length_nm), strict=False)
+        )
+
+    def cell(self, number: int) -> PillarCell:
+        """Return the cell of a checkpoint number."""
+        k = number - self._first
+        corner = self._box.from_variables(self.axes[k])
+        return corner_cell(self._unit_cell, float(self.width_nm[k]), float(self.length_nm[k]), corner)
+
+    def solve(self, solve_points: PointSolver, batch: IndexArray, expected_total: int) -> list[SolvedPoint]:
+        """Solve cells of the sequence.
+
+        Args:
+            solve_points: solves cells by checkpoint number.
+            batch: shape (n,), indices into the sequence.
+            expected_total: cells that the whole build may need.
+
+        Returns:
+            Answers in the order of ``batch``.
+        """
+        numbers = batch + self._first
+        answers = solve_points(numbers, expected_total)
+        return [answers[int(number)] for number in numbers]
+
+    def predicted(self, model: RationalModel, batch: IndexArray | slice = slice(None)) -> NDArray[np.complex128]:
+        """Return a model's t_xx, t_yy, r_xx, r_yy at cells of the sequence.
+
+        Args:
+            model: amplitudes over sizes and axes.
+            batch: shape (n,), indices into the sequence; all by default.
+
+        Returns:
+            Shape (n, 4).
+        """
+        return model(self.width_nm[batch], self.length_nm[batch], self.axes[batch])
+
+
+def sample_corners(
+    grid: SizeGrid,
+    box: CornerBox,
+    sequence: CornerSequence,
+    nominal: dict[int, SolvedPoint],
+    solve_points: PointSolver,
+    tolerance: float,
+    numerics: CornerNumerics = CornerNumerics(),
+) -> Corners:
+    """Solve cells until the model's error estimate is within the tolerance almost everywhere in the box.
+
+    Args:
+        grid: sizes of the nominal library.
+        box: axes and their spans.
+        sequence: cells to choose from.
+        nominal: answers of the nominal library by number.
+        solve_points: solves cells of the sequence by checkpoint number.
+        tolerance: largest error of the model.
+        numerics: size of the sampling.
+    """
+    dimensions = sequence.place.shape[1]
+    most, nominal_count = numerics.most_cells * dimensions, len(nominal)
+    exchange = grid.exchange and box.exchanges
+    cells = _SolvedCells.of(grid, box, nominal)
+    batch = np.arange(numerics.first_round * dimensions)
+    cells = cells.with_new(sequence, batch, sequence.solve(solve_points, batch, nominal_count + most // 2))
+    models = cells.fit(box, batch[::4], exchange)
+    rounds, open_share = 1, 1.0
+    while True:
+        rounds += 1
+        estimate = _estimate(sequence, models)
+        even, worst = _next_batch(sequence, cells, estimate, math.ceil(GROWTH * cells.samples.width_nm.size))
+        batch = np.concatenate([even, worst])
+        left = batch.size if open_share <= 2.0 * OPEN_SHARE else 2 * batch.size
+        expected_total = nominal_count + min(len(cells.taken) + left, most)
+        answers = sequence.solve(solve_points, batch, expected_total)
+        miss = np.abs(sequence.predicted(models.best, batch) - amplitudes_of(answers)).max(axis=-1)
+        certificate = np.array([point.error for point in answers])
+        safety_factor = max(1.0, float(np.max(miss / (estimate[batch] + certificate))))
+        cells = cells.with_new(sequence, batch, answers)
+        models = cells.fit(box, batch, exchange)
+        is_open = safety_factor * _estimate(sequence, models) > tolerance
+        is_open[cells.taken] = False
+        open_share = float(is_open.mean())
+        held_out = miss[: even.size]
+        holds = float(np.max(held_out - certificate[: even.size])) <= tolerance
+        reached = holds and open_share <= OPEN_SHARE
+        if reached or len(cells.taken) >= most:
+            break
+    shape = models.best.shape
+    statistics = CornerStatistics(
+        points_solved=len(cells.taken),
+        rounds=rounds,
+        held_out=even.size,
+        held_out_error=float(held_out.max()),
+        held_out_rms=float(np.sqrt(np.mean(held_out**2))),
+        open_share=open_share,
+        target="reached" if reached else _not_reached(len(cells.taken), open_share, tolerance),
+        axis_weight=shape.weight,
+        numerator_degree=shape.degrees[0],
+        denominator_degree=shape.degrees[1],
+    )
+    place = box.points(cells.samples.width_nm, cells.samples.length_nm, cells.samples.axes)
+    return Corners(models, safety_factor, statistics.held_out_rms, place, cells.certificate, statistics)
+
+
+def _not_reached(solved: int, open_share: float, tolerance: float) -> str:
+    return (
+        f"not reached in {solved} cells: {100.0 * open_share:.1f} % of the box may miss {tolerance:.1e}; "
+        "every corner states its own error, and a narrower span or a larger target_error takes fewer cells"
+    )
+
+
+@dataclass(frozen=True)
+class _SolvedCells:
+    """All solved cells: those of the nominal library, then those of the sequence.
+
+    Attributes:
+        samples: n cells.
+        certificate: shape (n,), the solver's errors.
+        taken: shape (n_taken,), indices into the sequence, in the order of solution.
+    """
+
+    samples: Samples
+    certificate: FloatArray
+    taken: IndexArray
+
+    @classmethod
+    def of(cls, grid: SizeGrid, box: CornerBox, nominal: dict[int, SolvedPoint]) -> _SolvedCells:
+        axes = np.tile(box.to_variables(box.nominal), (len(nominal), 1))
+        samples = replace(samples_at(grid, nominal), axes=axes)
+        return cls(samples, np.array([point.error for point in nominal.values()]), np.zeros(0, dtype=np.intp))
+
+    def with_new(self, sequence: CornerSequence, batch: IndexArray, answers: list[SolvedPoint]) -> _SolvedCells:
+        new = Samples(sequence.width_nm[batch], sequence.length_nm[batch], amplitudes_of(answers), sequence.axes[batch])
+        certificate = np.concatenate([self.certificate, [point.error for point in answers]])
+        return _SolvedCells(self.samples.joined(new), certificate, np.concatenate([self.taken, batch]))
+
+    def fit(self, box: CornerBox, held_out: IndexArray, exchange: bool) -> RankedModels:
+        """Fit models to all cells; the cells ``held_out`` of the sequence rank their shapes."""
+        nominal = self.samples.width_nm.size - self.taken.size
+        ranking = np.concatenate([np.zeros(nominal, dtype=bool), np.isin(self.taken, held_out)])
+        return fit_corner_models(self.samples, ranking, (box.width_nm, box.length_nm), exchange)
+
+
+def _estimate(sequence: CornerSequence, models: RankedModels) -> FloatArray:
+    """Disagreement of the best model with its rivals at all cells of the sequence, at least its median."""
+    best = sequence.predicted(models.best)
+    apart = np.max([np.abs(best - sequence.predicted(rival)).max(axis=-1) for rival in models.rivals], axis=0)
+    return np.asarray(np.maximum(apart, np.median(apart)), dtype=np.float64)
+
+
+def _next_batch(
+    sequence: CornerSequence, cells: _SolvedCells, estimate: FloatArray, count: int
+) -> tuple[IndexArray, IndexArray]:
+    """The next cells of the sequence, and as many with the largest estimates that are not near each other."""
+    free = np.ones(estimate.size, dtype=bool)
+    free[cells.taken] = False
+    even = np.flatnonzero(free)[: count - count // 2]
+    free[even] = False
+    tree = cKDTree(sequence.place)
+    worst: list[int] = []
+    for k in np.argsort(-estimate, kind="stable"):
+        if free[k]:
+            worst.append(int(k))
+            free[tree.query_ball_point(sequence.place[k], APART)] = False
+            if len(worst) == count // 2:
+                break
+    return even, np.array(worst, dtype=np.intp)
