@@ -1,9 +1,9 @@
-"""The paper's library, built to an asked error, beside the customary grid of solved sizes with interpolation between.
+"""The paper's library by adaptive sampling, compared with a grid of solved sizes and interpolation.
 
-``error`` is the largest miss of t_xx or t_yy at random sizes off every grid, against the certified solver at a tenth
-of the target; ``seconds`` is the time of the build alone on all cores, ``cpu_seconds`` the processor time of all its
-processes (the figure to quote on a machine that others use), ``points_solved`` the unit cells that it solved. Both
-ways use the same solver, target error and exchange of x and y, and solve every distinct size once.
+``error`` is the largest error of t_xx or t_yy at random sizes off every grid, against the certified solver at a tenth
+of the target. ``seconds`` is the time of the build on all cores, ``cpu_seconds`` the processor time of all its processes
+(the figure to quote on a shared machine), ``points_solved`` the number of unit cells solved. Both methods use one
+solver, one target error and the exchange of x and y, and solve every distinct size once.
 """
 
 from __future__ import annotations
@@ -27,80 +27,83 @@ from metafab.library import Library
 from metafab.spec import UnitCell, load_unit_cell
 
 UNIT_CELL = Path(__file__).parent.parent / "unitcell_lib" / "sos_800nm.toml"
-#: The reference's target, as a share of the library's.
+#: Target error of the reference solver over that of the library.
 FINER = 0.1
 #: Share of the target that the solver may use on the customary grids, as in the build.
 SOLVER_SHARE = 0.5
-#: Sizes of one call of the evaluation that is timed, and how often it is repeated.
+#: Sizes of one timed call of the evaluation, and number of calls.
 SIZES, REPEATS = 1_000_000, 5
 
 Interpolation = Callable[[FloatArray, FloatArray], ComplexArray]
 
 
 class Spent(Cost):
-    """A cost with the processor time of this process and of the workers that have ended."""
+    """Cost with the processor time of this process and of the workers that have ended."""
 
     cpu_seconds = 0.0
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
-    """A row for each target of the adaptive build, for grids of 5 nm (and 2 nm) steps, and for evaluation."""
+    """Return rows for each target of the adaptive build, for grids of 5 nm (and 2 nm) steps, and for evaluation.
+
+    Args:
+        quick: one target and one grid, over the corner of the large pillars, where resonances lie close.
+    """
     whole = load_unit_cell(UNIT_CELL)
-    # A quick look takes the corner of the large pillars, where guided-mode resonances lie close.
     cell = replace(whole, sweep=replace(whole.sweep, width_nm=(200.0, 250.0), length_nm=(200.0, 250.0)))
     cell = cell if quick else whole
     sizes_nm = np.random.default_rng(5).uniform(*cell.sweep.width_nm, (2, 40 if quick else 500))
     with open_executor() as executor:
-        held_out = _transmission(cell, sizes_nm, FINER * cell.sweep.target_error, executor)
+        reference = _transmission(cell, sizes_nm, FINER * cell.sweep.target_error, executor)
     table = []
     for target in (2e-3,) if quick else (1e-2, 2e-3, 5e-4):
-        built, row = _adaptive(cell, target, sizes_nm, held_out)
+        built, row = _adaptive_row(cell, target, sizes_nm, reference)
         table.append(row)
     for step_nm in (5.0,) if quick else (5.0, 2.0):
-        table += _customary(cell, step_nm, sizes_nm, held_out)
-    return [*table, _evaluation(built, quick)]
+        table += _grid_rows(cell, step_nm, sizes_nm, reference)
+    return [*table, _evaluation_row(built, quick)]
 
 
-def _adaptive(
-    cell: UnitCell, target: float, sizes_nm: FloatArray, truth: ComplexArray
+def _adaptive_row(
+    cell: UnitCell, target: float, sizes_nm: FloatArray, reference: ComplexArray
 ) -> tuple[Library, dict[str, Any]]:
-    with _spent() as spent, open_executor() as executor:
+    with _measured() as spent, open_executor() as executor:
         built = library.build(cell, target_error=target, executor=executor)
     held = built.surface(*sizes_nm)
-    miss = np.abs(np.stack([held.t_xx, held.t_yy], axis=-1) - truth).max(axis=-1)
-    points = int(float(built.details["points_solved"]))
+    miss = np.abs(np.stack([held.t_xx, held.t_yy], axis=-1) - reference).max(axis=-1)
+    points = built.statistics.points_solved
     beyond = int(np.count_nonzero(miss > held.error + FINER * cell.sweep.target_error))
     return built, _row(f"adaptive, target {target:g}", miss, spent, points, misses_beyond_stated_error=beyond)
 
 
-def _customary(cell: UnitCell, step_nm: float, sizes_nm: FloatArray, truth: ComplexArray) -> list[dict[str, Any]]:
-    """The same solved grid, interpolated in three ways."""
+def _grid_rows(cell: UnitCell, step_nm: float, sizes_nm: FloatArray, reference: ComplexArray) -> list[dict[str, Any]]:
+    """One solved grid, interpolated in two ways."""
     axis = np.arange(cell.sweep.width_nm[0], cell.sweep.width_nm[1] + 0.5 * step_nm, step_nm)
     row, column = np.tril_indices(axis.size)
-    with _spent() as spent, open_executor() as executor:
+    with _measured() as spent, open_executor() as executor:
         answers = _transmission(
             cell, np.stack([axis[column], axis[row]]), SOLVER_SHARE * cell.sweep.target_error, executor
         )
     t = np.empty((axis.size, axis.size, 2), dtype=np.complex128)
     t[row, column], t[column, row] = answers, answers[:, ::-1]
-    ways: dict[str, Interpolation] = {
+    methods: dict[str, Interpolation] = {
         "bilinear in phase and amplitude": lambda w, h: _polar(axis, t, w, h),
         "bilinear in complex t": lambda w, h: _bilinear(axis, t, w, h),
     }
     return [
-        _row(f"{step_nm:g} nm grid, {name}", np.abs(way(*sizes_nm) - truth).max(axis=-1), spent, row.size)
-        for name, way in ways.items()
+        _row(f"{step_nm:g} nm grid, {name}", np.abs(method(*sizes_nm) - reference).max(axis=-1), spent, row.size)
+        for name, method in methods.items()
     ]
 
 
-def _evaluation(built: Library, quick: bool) -> dict[str, Any]:
-    """Continuous evaluation of random sizes: ``error`` is the largest that the library states for them."""
+def _evaluation_row(built: Library, quick: bool) -> dict[str, Any]:
+    """Continuous evaluation of random sizes; ``error`` is the library's largest error bound at them."""
     count = SIZES // 10 if quick else SIZES
     axes = (built.width_nm, built.length_nm)
     rng = np.random.default_rng(6)
     sizes_nm = [rng.uniform(axis[0], axis[-1], count) for axis in axes]
     held = built.surface(*sizes_nm)  # builds the table and compiles
-    with _spent() as spent:
+    with _measured() as spent:
         for _ in range(REPEATS):
             held = built.surface(*sizes_nm)
     return {
@@ -116,7 +119,7 @@ def _evaluation(built: Library, quick: bool) -> dict[str, Any]:
 
 
 def _transmission(cell: UnitCell, sizes_nm: FloatArray, target: float, executor: Executor) -> ComplexArray:
-    """t_xx and t_yy of sizes by the solver: shape (2, n) -> (n, 2)."""
+    """Solve t_xx and t_yy of sizes: shape (2, n) -> (n, 2)."""
     cells = [pillar_cell(cell, width, length) for width, length in sizes_nm.T.tolist()]
     place = {(item.width_nm, item.length_nm): k for k, item in enumerate(cells)}
     t = np.empty((len(cells), 2), dtype=np.complex128)
@@ -142,7 +145,7 @@ def _bilinear(axis: FloatArray, values: Any, width_nm: FloatArray, length_nm: Fl
 
 
 @contextmanager
-def _spent() -> Iterator[Spent]:
+def _measured() -> Iterator[Spent]:
     spent = Spent()
     before = _cpu_seconds()
     with measured() as cost:

@@ -33,7 +33,7 @@ from metafab.cell.meep.grid import family, plan
 from metafab.cell.rcwa.row import RowNumerics, solve_row
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import ComplexArray
-from metafab.fullwave.patch import at_sites, differences
+from metafab.fullwave.patch import at_sites, field_difference
 from metafab.layout import Lattice
 from metafab.optics import Imaging, direct_irradiance
 from metafab.optics.sources.source import FieldTile
@@ -201,7 +201,7 @@ def _lens(pool: Pool, count: int = 28, focus_um: float = 10.0, padding: int = 2)
         for field in (full_wave, library, alone)
     )
     for name, theirs, field in (("the library", by_library, library), ("lone pillars on the grid", by_grid, alone)):
-        phase_rms = differences(full_wave[inside], field[inside])[1]
+        phase_rms = field_difference(full_wave[inside], field[inside]).phase_rms_rad
         yield _row(f"lens of 9.8 um, focus by Meep against {name}", _l2(by_meep, theirs), seconds) | {
             "peak_ratio": float(by_meep.max() / theirs.max()),
             "fwhm_um": [_fwhm_um(by_meep[30], axis), _fwhm_um(theirs[30], axis)],

@@ -7,11 +7,12 @@ on the curve s = 0 and whose half width is g nanometres; t_yy is the same with w
 from __future__ import annotations
 
 import cmath
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from metafab.cell import CellNumerics, CellResponse, CellSolver, PillarCell
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import SolverError
 
 #: Half widths of the two ridges, nm.
@@ -76,3 +77,18 @@ class DyingSolver:
         if self.calls > self.lives:
             raise SolverError("out of lives")
         return self.solver(cell, numerics)
+
+
+@dataclass(frozen=True)
+class Shifted:
+    """A model with the closed form's values off by a constant, and only that constant on a grid."""
+
+    off: float
+
+    def __call__(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
+        x = np.array([amplitude(w, h) for w, h in zip(width_nm, length_nm, strict=True)])
+        y = np.array([amplitude(h, w) for w, h in zip(width_nm, length_nm, strict=True)])
+        return np.asarray(np.stack([x, y, 0.1 * x, 0.1 * y], axis=-1) + self.off, dtype=np.complex128)
+
+    def on_grid(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
+        return np.full((4, length_nm.size, width_nm.size), self.off, dtype=np.complex128)

@@ -14,15 +14,15 @@ from metafab.fullwave.patch import Patch, load_patch, plan_patch, save_patch, so
 from metafab.fullwave.written import supercell_at
 
 __all__ = [
-    "measure_coupling",
-    "plan_patch",
-    "solve_patch",
     "Coupling",
     "CouplingNumerics",
     "Patch",
-    "supercell_at",
-    "save_coupling",
     "load_coupling",
-    "save_patch",
     "load_patch",
+    "measure_coupling",
+    "plan_patch",
+    "save_coupling",
+    "save_patch",
+    "solve_patch",
+    "supercell_at",
 ]

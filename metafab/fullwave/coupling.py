@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -41,8 +41,8 @@ class CouplingNumerics:
     """
 
     solvers: tuple[Solver, ...] = ("rcwa",)
-    rcwa: RowNumerics = RowNumerics()
-    meep: SupercellSettings = SupercellSettings()
+    rcwa: RowNumerics = field(default_factory=RowNumerics)
+    meep: SupercellSettings = field(default_factory=SupercellSettings)
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def measure_coupling(
     *,
     axis: Axis = "x",
     polarisations: Sequence[Polarisation] = POLARISATIONS,
-    numerics: CouplingNumerics = CouplingNumerics(),  # noqa: B008 (frozen)
+    numerics: CouplingNumerics = CouplingNumerics(),
     pool: Pool | None = None,
     progress: Progress = silent,
 ) -> Coupling:

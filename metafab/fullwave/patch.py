@@ -1,9 +1,9 @@
 """A square patch of the written mask by Meep, compared with the field stitched from the library.
 
 The patch is simulated with a frame of its real neighbours, so that the effect of the periodic images decays before it
-reaches the patch. Compared are the propagating fields (all propagating orders of the period, no evanescent ones), traced
-back to the plane where the pillars end and sampled at the sites: of Meep, of the library, and of each pillar alone on
-Meep's grid. The last field separates coupling from the error of the grid.
+reaches the patch. Three fields are compared: of Meep, of the library, and of each pillar alone on Meep's grid. The last
+one separates coupling from the error of the grid. Each field consists of all propagating orders of the period (no
+evanescent ones), traced back to the plane where the pillars end and sampled at the sites.
 """
 
 from __future__ import annotations
@@ -197,21 +197,18 @@ def solve_patch(
     supercell, padding = plan.supercell, plan.padding_sites
     answer = solve_supercell(supercell, polarisation, plan.settings, pool, progress)
     stored = library_responses(supercell, library)[POLARISATIONS.index(polarisation)]
-    fields = [
+    stitched = supercell.local_period(answer.order, stored)
+    full_wave, from_library, alone = (
         _inside(at_sites(supercell, answer.order, amplitude), padding)
-        for amplitude in (
-            answer.co_polarised,
-            supercell.local_period(answer.order, stored),
-            answer.local_period,
-        )
-    ]
+        for amplitude in (answer.co_polarised, stitched, answer.local_period)
+    )
     return Patch(
         x_um=plan.x_um[padding : plan.x_um.size - padding],
         y_um=plan.y_um[padding : plan.y_um.size - padding],
         polarisation=polarisation,
-        full_wave=fields[0],
-        library=fields[1],
-        alone=fields[2],
+        full_wave=full_wave,
+        library=from_library,
+        alone=alone,
         decay=answer.error,
         seconds=answer.seconds,
         pixels_per_period=plan.settings.pixels_per_period,
@@ -220,7 +217,16 @@ def solve_patch(
 
 
 def at_sites(supercell: Supercell, order: IntArray, amplitude: ComplexArray) -> ComplexArray:
-    """The sum of orders at the sites of a supercell, shape (n_y, n_x)."""
+    """Return the sum of diffraction orders at the sites of a supercell.
+
+    Args:
+        supercell: pillars of one period.
+        order: shape (n, 2), orders along x and y.
+        amplitude: shape (n,), amplitude of each order.
+
+    Returns:
+        Shape (n_y, n_x).
+    """
     n_y, n_x = supercell.shape
     x, y = (((np.arange(count) + 0.5) / count - 0.5) for count in (n_x, n_y))
     along_x = np.exp(2j * math.pi * order[:, :1] * x)
@@ -236,12 +242,12 @@ def save_patch(patch: Patch, path: Path, *, inputs_sha256: str) -> None:
             file.attrs[name] = getattr(patch, name)
         put(file, "x_um", patch.x_um, units="um", description="sites of the patch", dims=("x_um",))
         put(file, "y_um", patch.y_um, units="um", description="sites of the patch", dims=("y_um",))
-        for name, what in (
+        for name, text in (
             ("full_wave", "field behind the pillars over incident field, by Meep"),
-            ("library", "the same, stitched from the library"),
-            ("alone", "the same, stitched from each pillar alone on the grid of Meep"),
+            ("library", "field over incident field, stitched from the library"),
+            ("alone", "field over incident field, stitched from each pillar alone on the grid of Meep"),
         ):
-            put(file, name, getattr(patch, name), units="1", description=what, dims=("y_um", "x_um"))
+            put(file, name, getattr(patch, name), units="1", description=text, dims=("y_um", "x_um"))
 
 
 def load_patch(path: Path) -> Patch:

@@ -86,7 +86,7 @@ def supercell_at(
 
 
 def library_responses(supercell: Supercell, library: Library) -> ComplexArray:
-    """Return the library's t_xx and t_yy at each site, shape (2, n_y, n_x); 0 where there is no pillar, as in optics."""
+    """Return the library's t_xx and t_yy at each site, shape (2, n_y, n_x); 0 where there is no pillar."""
     responses = np.zeros((2, *supercell.shape), dtype=np.complex128)
     pillar = np.all(supercell.size_nm > 0.0, axis=-1)
     if pillar.any():

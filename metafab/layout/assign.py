@@ -21,7 +21,8 @@ from metafab.layout.geometry import tile_sites
 from metafab.layout.mapping import TileMapping
 from metafab.layout.outlines import Outline
 from metafab.layout.pillars import PillarMap, PillarTile
-from metafab.library import Library, SizeTable, global_offsets
+from metafab.library import Library, SizeTable
+from metafab.library.use.lookup import global_offsets
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 

@@ -81,9 +81,10 @@ class LibraryFigures:
     def of(cls, library: Library, path: Path) -> LibraryFigures:
         """Compute the figures of a library that is stored at ``path``."""
         from metafab.library import index_phase_error_rad, quality
+        from metafab.library.store import statistics_json
 
         index_error = {"index_phase_error_rad": index_phase_error_rad(library)}
-        return typed(cls, {"file": str(path), **plain(quality(library)), **index_error, **plain(library.details)})
+        return typed(cls, {"file": str(path), **plain(quality(library)), **index_error, **statistics_json(library)})
 
 
 def library_path(job: Job) -> Path:

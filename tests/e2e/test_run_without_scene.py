@@ -57,7 +57,7 @@ def test_a_lens_without_a_scene_runs_to_its_report(tmp_path: Path, plain_lens: D
     assert skipped == dict.fromkeys(("capture", "decode"), "the design has no scene to photograph")
     assert summary.psf is not None and summary.capture is None and summary.decode is None
     # Stigmatic for parallel light, used at a finite depth: most of what the pillars let through is in the window.
-    transmitted = library.quality(open_library(Job(plain_lens, tmp_path)))["mean_transmittance"]
+    transmitted = library.quality(open_library(Job(plain_lens, tmp_path))).mean_transmittance
     assert 0.5 * transmitted < summary.psf.efficiency_x[0] <= 1.0
     sources = {line.source for line in summary.error_budget}
     assert "pupil reduction and sampling" in sources

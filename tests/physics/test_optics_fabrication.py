@@ -11,6 +11,8 @@ import pytest
 from metafab import library
 from metafab.core.conventions import FloatArray
 from metafab.layout.pillars import PillarMap
+from metafab.library.sweep.build import BuildNumerics
+from metafab.library.sweep.corner_sampling import CornerNumerics
 from metafab.optics import Imaging, WrittenField, direct_irradiance, psf, relative_l2
 from metafab.optics.geometry.path import Ray
 from metafab.optics.measures.metrics import peak_irradiance
@@ -149,7 +151,8 @@ def test_blocks_of_a_stitched_mask_lie_in_one_field() -> None:
 
 def _two_pillars(unit_cell: UnitCell, axes: Axes | None) -> tuple[WrittenField, library.Library, np.ndarray]:
     sweep = replace(unit_cell.sweep, width_nm=(100.0, 160.0), length_nm=(100.0, 160.0), size_grid_nm=20.0)
-    built = library.build(replace(unit_cell, sweep=replace(sweep, axes=axes)), solver=ridges.solve_scaled)
+    few = BuildNumerics(corners=CornerNumerics(sequence=2048, first_round=24))
+    built = library.build(replace(unit_cell, sweep=replace(sweep, axes=axes)), solver=ridges.solve_scaled, numerics=few)
     size_dbu = np.array([(0, 0), (200, 320), (280, 240)], dtype=np.int32)
     index = np.array([[1, 2], [0, 1]], dtype=np.uint16)
     pillars = PillarMap.from_array(replace(SOURCE.lattice, shape=(2, 2)), size_dbu, index, 2)
@@ -159,11 +162,9 @@ def _two_pillars(unit_cell: UnitCell, axes: Axes | None) -> tuple[WrittenField, 
 
 
 def test_corners_of_the_library_are_the_same_pillars_at_other_sizes(
-    unit_cell: UnitCell, monkeypatch: pytest.MonkeyPatch
+    unit_cell: UnitCell,
 ) -> None:
     """Amplitudes of biased pillars against the closed form that the library was built from; nothing is solved."""
-    monkeypatch.setattr("metafab.library.sweep.corner_rounds.FIRST_ROUND", 24)
-    monkeypatch.setattr("metafab.library.sweep.corner_rounds.SEQUENCE", 2048)
     axes = Axes(wavelength_nm=(790.0, 810.0), cd_bias_nm=(-5.0, 5.0))
     written, built, sizes_nm = _two_pillars(unit_cell, axes)
     corners = corner_fields(written, built, {"cd_bias_nm": 5.0})

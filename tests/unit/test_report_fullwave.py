@@ -47,7 +47,7 @@ def test_the_page_shows_both_fields_and_their_differences(patch: fullwave.Patch,
         "patch_difference_library", "patch_difference_coupling",
     }  # fmt: skip
     # Amplitudes: 0.05 brighter than the library, as bright as the lone pillars.
-    assert patch.figures()["amplitude_rms"] == pytest.approx(0.05)
+    assert patch.against_library.amplitude_rms == pytest.approx(0.05)
     assert "0.05" in text
 
 

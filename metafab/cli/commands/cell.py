@@ -130,19 +130,22 @@ def library_build(
     from metafab.core.parallel.executor import default_workers
     from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import plain
+    from metafab.library.store import statistics_json
     from metafab.spec import load_unit_cell
 
     spec = load_unit_cell(unit_cell)
     path = output or unit_cell.with_suffix(".h5")
-    estimate = library.foresee(spec, library.SOLVER_SHARE * (target_error or spec.sweep.target_error))
+    estimate = library.estimate_cost(spec, target_error=target_error)
     if estimate is not None:
         least, most = (seconds / (workers or default_workers()) for seconds in estimate.seconds)
         cells = "{} to {} cells".format(*estimate.cells)
         announce([f"{cells} are expected, {least:.2g} to {most:.2g} s" + (" a core" if cluster else "")])
     with open_work(workers, cluster) as work, measured() as cost, work.processes() as executor:
         built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=work.progress)
-    announce(coverage_warning(library.coverage_rad(built)))
-    figures = plain(library.quality(built)) | plain(built.details) | plain(built.spent)
+    quality = library.quality(built)
+    announce(coverage_warning(quality.coverage_rad))
+    time = {} if built.time is None else plain(built.time)
+    figures = plain(quality) | statistics_json(built) | time
     show(figures | {"file": path, "seconds": cost.seconds}, json_)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -119,9 +119,10 @@ def coupling_command(
             [_place(text) for text in at_um],
             file_sha256(layout),
             axis=axis,
-            solvers=("rcwa", "meep") if solver == "both" else (solver,),
             polarisations=("x", "y") if polarisation == "both" else (polarisation,),
-            meep=SupercellSettings(pixels_per_period),
+            numerics=fullwave.CouplingNumerics(
+                solvers=("rcwa", "meep") if solver == "both" else (solver,), meep=SupercellSettings(pixels_per_period)
+            ),
             progress=work.progress,
         )
     if output is not None:
@@ -153,6 +154,7 @@ def patch_command(
     from metafab.cell.meep import Pool, SupercellSettings
     from metafab.cell.meep.pool import own_folder
     from metafab.core.storage.files import file_sha256, fingerprint, plain
+    from metafab.fullwave.patch import PATCH_DECAY
     from metafab.steps import open_library
 
     require_positive("--size-um", size_um)
@@ -166,7 +168,7 @@ def patch_command(
             at_um,
             size_um,
             padding_sites=padding_sites,
-            settings=SupercellSettings(pixels_per_period, decay=fullwave.PATCH_DECAY),
+            settings=SupercellSettings(pixels_per_period, decay=PATCH_DECAY),
         )
         rows, columns = plan.supercell.shape
         cost = f"about {plan.seconds / 60.0:.2g} min and {plan.memory_mb:.2g} MB"
@@ -182,7 +184,10 @@ def patch_command(
     estimate = PatchEstimate(plan.pixels, plan.seconds, plan.memory_mb)
     numerics = PatchNumerics(pixels_per_period, padding_sites)
     answer = PatchAnswer(patch.full_wave.size, polarisation, patch.decay, patch.seconds, estimate, numerics, path)
-    show(plain(patch.figures()) | plain(answer), json_)
+    differences = asdict(patch.against_library)
+    for name, difference in (("coupling", patch.coupling), ("grid", patch.grid)):
+        differences |= {f"{name}_{figure}": value for figure, value in asdict(difference).items()}
+    show(differences | plain(answer), json_)
 
 
 def _place(text: str) -> tuple[float, float]:

@@ -229,8 +229,7 @@ def prediction_errors(
 def error_ratio(miss: FloatArray, certificate: FloatArray, disagreement: FloatArray) -> float:
     """Return the largest ratio of prediction errors to the models' disagreement, at least 1.
 
-    The disagreement must be that of the models, without the factor of an earlier round, which would make the next factor
-    too small.
+    The disagreement must not contain the factor of an earlier round, which would make the next factor too small.
 
     Args:
         miss: shape (n,), errors of predictions.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -56,8 +56,8 @@ class BuildNumerics:
         corners: sampling over the axes of the sweep.
     """
 
-    off_grid: RoundLimits = RoundLimits()
-    corners: CornerNumerics = CornerNumerics()
+    off_grid: RoundLimits = field(default_factory=RoundLimits)
+    corners: CornerNumerics = field(default_factory=CornerNumerics)
 
 
 @dataclass(frozen=True)
@@ -96,8 +96,8 @@ def build(
         numerics: size of the adaptive sampling.
 
     Returns:
-        The library. Its ``error`` is solver certificate plus interpolation estimate at each size. Sizes above the target
-        are counted in ``statistics.sizes_beyond_target``.
+        The library. Its ``error`` is solver certificate plus interpolation estimate at each size.
+        ``statistics.sizes_beyond_target`` counts the sizes whose error is above the target.
 
     Raises:
         InputError: ``checkpoint`` belongs to another build.

@@ -1,8 +1,8 @@
 """Adaptive sampling over sizes and axes together.
 
-Cells come from a space-filling sequence in the box of sizes and axes, denser towards its faces. As over the sizes alone,
-every round solves the next cells of the sequence and those with the largest disagreement of the models. Each cell is
-predicted before it is solved; the ratio of these errors to the disagreement scales the disagreement to an error
+Cells come from a space-filling sequence in the box of sizes and axes, denser towards its faces. As over the sizes
+alone, every round solves the next cells of the sequence and those with the largest disagreement of the models. Each
+cell is predicted before it is solved; the ratio of these errors to the disagreement scales the disagreement to an error
 estimate. Cells of the nominal library serve as samples too. Sampling ends when the estimate is within the tolerance at
 all but a few cells of the sequence, or at the largest number of cells. The error bound of each corner holds in both
 cases.

@@ -91,7 +91,7 @@ def coverage(library: Library, axes: Axes) -> Axes:
     )
     colour_bar(points, axes, "smaller transmittance")
     reached = quality(library)
-    hole = (reached["worst_hole_phase_x_rad"], reached["worst_hole_phase_y_rad"])
+    hole = (reached.worst_hole_phase_x_rad, reached.worst_hole_phase_y_rad)
     axes.plot(*hole, "o", mfc="none", mec=X_COLOUR, mew=1.4, ms=11)
     dress(axes, "phase of x / rad", "phase of y / rad", "Reach, and its worst hole")
     axes.set_xticks(_PI_TICKS, _PI_LABELS)

@@ -40,15 +40,14 @@ def _local_periods(coupling: Coupling) -> str:
 
 
 def _patch(patch: Patch, drawn: Drawn) -> str:
-    found = patch.figures()
     kinds = ("phase_meep", "phase_library", "amplitude_meep", "amplitude_library", "difference_library")
     names = [f"patch_{kind}" for kind in (*kinds, "difference_coupling")]
     rows = [
-        [escape(what), *(html.number(found[f"{key}{figure}"]) for figure in _PATCH_FIGURES)]
-        for what, key in (
-            ("Meep against the library", ""),
-            ("Meep against each pillar alone on the same grid: coupling", "coupling_"),
-            ("each pillar alone on Meep's grid against the library: the grid", "grid_"),
+        [escape(what), *(html.number(getattr(difference, figure)) for figure in _PATCH_FIGURES)]
+        for what, difference in (
+            ("Meep against the library", patch.against_library),
+            ("Meep against each pillar alone on the same grid: coupling", patch.coupling),
+            ("each pillar alone on Meep's grid against the library: the grid", patch.grid),
         )
     ]
     caption = (

@@ -30,7 +30,7 @@ def test_a_library_by_meep_holds_against_rcwa(
     )
     path = tmp_path / "weak.h5"
     built = library.build_file(weak, path)
-    assert built.details["points_solved"] == 3
+    assert built.statistics.points_solved == 3
     assert built.error.max() < 0.05
     judged = library.check(library.load(path), against="rcwa", samples=4)
     assert judged.verdict == "holds"

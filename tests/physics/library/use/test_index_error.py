@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from metafab.library.library import Library
-from metafab.library.use.index_error import _phase_rms_rad, index_phase_error_rad
+from metafab.library.use.index_error import index_phase_error_rad, phase_rms_rad
 
 
 def _with_error(library: Library, n_error: float) -> Library:
@@ -33,7 +33,7 @@ def test_the_error_grows_with_the_uncertainty_and_stays_below_a_solid_film(smoot
 
 def test_a_phase_that_all_sizes_share_is_no_error() -> None:
     t = np.exp(1j * np.linspace(0.0, 5.0, 20)).reshape(10, 2)
-    assert _phase_rms_rad(t, t * np.exp(0.7j)) == pytest.approx(0.0, abs=1e-12)
-    assert _phase_rms_rad(t, t * np.exp(1j * np.array([[0.7, -0.2]]))) == pytest.approx(0.0, abs=1e-12)
+    assert phase_rms_rad(t, t * np.exp(0.7j)) == pytest.approx(0.0, abs=1e-12)
+    assert phase_rms_rad(t, t * np.exp(1j * np.array([[0.7, -0.2]]))) == pytest.approx(0.0, abs=1e-12)
     wobble = np.tile([[0.1], [-0.1]], (5, 2))
-    assert _phase_rms_rad(t, t * np.exp(1j * wobble)) == pytest.approx(0.1, rel=1e-12)
+    assert phase_rms_rad(t, t * np.exp(1j * wobble)) == pytest.approx(0.1, rel=1e-12)

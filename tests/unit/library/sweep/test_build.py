@@ -1,4 +1,4 @@
-"""Libraries and checks by Meep, with a fake worker in its place: what is asked, what a kill leaves, what is judged."""
+"""Builds: their cost, equal bytes by any workers, and builds by Meep with a fake worker in its place."""
 
 from __future__ import annotations
 
@@ -6,19 +6,18 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from metafab import library
-from metafab.cell import CellNumerics, CellResponse, PillarCell
 from metafab.cell.meep import Pool, finding, solver
 from metafab.cell.meep.pool import FOLDER_VARIABLE
-from metafab.core.errors import SolverError
+from metafab.core.errors import InputError, SolverError
 from metafab.core.parallel.executor import open_executor
-from metafab.library import Library
 from metafab.spec import UnitCell
-from tests import library_ridges as ridges
+from metafab.spec.cell import Axes, Material
 from tests.dask_workers import two_workers
 
 #: Answers every job alike, notes it in ``log``, and dies once at the job that ``fatal`` names.
@@ -70,12 +69,12 @@ def _runs(tmp_path: Path) -> list[str]:
 def test_a_unit_cell_that_names_meep_is_built_by_it(small_sweep: UnitCell, fake_pool: Pool, tmp_path: Path) -> None:
     built = library.build(small_sweep)
     assert built.t_xx.shape == (1, 3, 3)
-    assert built.details["points_solved"] == 6
+    assert built.statistics.points_solved == 6
     np.testing.assert_array_equal(built.t_xx[0], built.t_yy[0].T)
     runs = _runs(tmp_path)
     assert len(set(runs)) == len(runs), "nothing was run twice"
     # Grids that answer alike although their waves travel differently are far from converged: that is stated.
-    assert float(built.details["max_error"]) > 0.05
+    assert built.statistics.max_error > 0.05
 
 
 def test_a_killed_build_goes_on_with_what_was_finished(small_sweep: UnitCell, fake_pool: Pool, tmp_path: Path) -> None:
@@ -125,50 +124,45 @@ def test_a_cluster_runs_meep_in_its_own_processes(
     assert sorted(_runs(tmp_path)) == sorted(2 * runs)
 
 
-class _Biased:
-    """The library's own values off by ``bias``, with a stated error; remembers what it was asked."""
-
-    def __init__(self, bias: complex, error: float) -> None:
-        self.bias, self.error = bias, error
-        self.asked: list[CellNumerics] = []
-
-    def __call__(self, cell: PillarCell, numerics: CellNumerics) -> CellResponse:
-        self.asked.append(numerics)
-        true = ridges.solve(cell, numerics)
-        return replace(true, t=true.t + self.bias * np.eye(2), error=self.error)
+def test_what_a_build_takes_is_foreseen(unit_cell: UnitCell) -> None:
+    ahead = library.estimate_cost(unit_cell, target_error=2e-3)
+    assert ahead is not None
+    assert 0.0 < ahead.seconds[0] < ahead.seconds[1]
+    small = replace(unit_cell, sweep=replace(unit_cell.sweep, width_nm=(100.0, 104.0), length_nm=(100.0, 104.0)))
+    few = library.estimate_cost(small, target_error=2e-3)
+    assert few is not None
+    assert few.cells == (6, 6)
+    assert library.estimate_cost(replace(unit_cell, solver=replace(unit_cell.solver, name="meep"))) is None
 
 
-@pytest.fixture
-def stored(smooth_library: Library) -> Library:
-    """The ridges at three widths and lengths, too few to go on between them: samples are stored sizes."""
-    width_nm, length_nm = smooth_library.width_nm[::30], smooth_library.length_nm[::30]
-    t_xx = np.vectorize(ridges.amplitude)(*np.meshgrid(width_nm, length_nm))[None]
-    t_yy, error = t_xx.transpose(0, 2, 1), np.full(t_xx.shape, 1e-3)
-    return replace(
-        smooth_library, width_nm=width_nm, length_nm=length_nm, t_xx=t_xx, t_yy=t_yy, r_xx=t_xx, r_yy=t_yy, error=error
+def test_axes_count_in_what_is_foreseen(unit_cell: UnitCell) -> None:
+    tilted = replace(unit_cell, sweep=replace(unit_cell.sweep, axes=Axes(angle_x_deg=(0.0, 4.0))))
+    plain, oblique = (library.estimate_cost(cell, target_error=2e-2) for cell in (unit_cell, tilted))
+    assert plain is not None
+    assert oblique is not None
+    assert oblique.seconds[0] > 5.0 * plain.seconds[0]
+
+
+def test_a_record_that_does_not_cover_the_axis_is_refused_before_any_cell_is_solved(unit_cell: UnitCell) -> None:
+    materials = replace(unit_cell.materials, pillar=Material(record="Si/Aspnes"))
+    asked = replace(
+        unit_cell,
+        sweep=replace(unit_cell.sweep, axes=Axes(wavelength_nm=(790.0, 830.0))),
+        materials=materials,
     )
 
+    def never(*_: object) -> Any:
+        raise AssertionError("a cell was solved")
 
-def test_a_check_by_meep_asks_for_what_meep_can_do(stored: Library) -> None:
-    judge = _Biased(0.004, 5e-3)
-    found = library.check(stored, against="meep", samples=7, solver=judge)
-    assert {numerics.solver for numerics in judge.asked} == {"meep"}
-    assert {numerics.target_error for numerics in judge.asked} == {1e-2}
-    assert (found.samples, len(found.sizes), found.verdict) == (7, 7, "holds")
-    assert found.max_abs_error == pytest.approx(0.004)
-    assert found.mean_abs_error == pytest.approx(0.004)
-    assert (found.max_stated_error, found.max_solver_error) == pytest.approx((1e-3, 5e-3))
-    finer = _Biased(0.0, 0.0)
-    library.check(stored, against="rcwa", samples=2, solver=finer)
-    assert {n.target_error for n in finer.asked} == {0.1 * stored.unit_cell.sweep.target_error}
+    with pytest.raises(InputError, match="wavelength_nm"):
+        library.build(asked, solver=never)
 
 
-def test_a_check_names_every_size_and_the_worst(stored: Library) -> None:
-    found = library.check(stored, against="meep", samples=9, solver=_Biased(0.02j, 1e-3))
-    assert (found.verdict, found.beyond_stated) == ("fails", 9)
-    assert all(size.abs_error > size.stated_error + size.solver_error for size in found.sizes)
-    worst = max(found.sizes, key=lambda size: size.abs_error)
-    assert worst.abs_error == found.max_abs_error
-    assert 0.0 < found.mean_phase_error_rad <= found.max_phase_error_rad
-    # A bias of 0.02 turns an amplitude of a tenth, the smallest that counts, by 0.2 at most.
-    assert found.max_phase_error_rad < 0.21
+def test_two_workers_write_the_bytes_of_one(unit_cell: UnitCell, tmp_path: Path) -> None:
+    """The real solver over a corner of the sweep, fits beside the workers or after them."""
+    sweep = replace(unit_cell.sweep, width_nm=(100.0, 130.0), length_nm=(100.0, 130.0), target_error=1e-2)
+    cell = replace(unit_cell, sweep=sweep)
+    for workers in (1, 2):
+        with open_executor(workers) as executor:
+            library.build_file(cell, tmp_path / f"{workers}.h5", executor=executor)
+    assert (tmp_path / "1.h5").read_bytes() == (tmp_path / "2.h5").read_bytes()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +13,15 @@ from metafab import library
 from metafab.cell import CellNumerics, CellResponse, PillarCell
 from metafab.core.errors import SolverError
 from metafab.library import Library
+from metafab.library.store import statistics_json
+from metafab.library.sweep.build import BuildNumerics
+from metafab.library.sweep.corner_sampling import CornerNumerics
 from metafab.spec import UnitCell
 from metafab.spec.cell import Axes
 from tests import library_ridges as ridges
+
+#: The closed form is smooth here: rounds of a real build would spend their time on fits that it does not need.
+SMALL = BuildNumerics(corners=CornerNumerics(sequence=2048, first_round=24))
 
 
 @pytest.fixture(scope="module")
@@ -31,18 +36,9 @@ def cell(plain: UnitCell) -> UnitCell:
     return replace(plain, sweep=replace(plain.sweep, axes=axes))
 
 
-@pytest.fixture(scope="module", autouse=True)
-def small_rounds() -> Iterator[None]:
-    """The closed form is smooth here: rounds of a real build would spend their time on fits that it does not need."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("metafab.library.sweep.corner_rounds.FIRST_ROUND", 24)
-        patch.setattr("metafab.library.sweep.corner_rounds.SEQUENCE", 2048)
-        yield
-
-
 @pytest.fixture(scope="module")
 def built(cell: UnitCell) -> Library:
-    return library.build(cell, solver=ridges.solve_scaled)
+    return library.build(cell, solver=ridges.solve_scaled, numerics=SMALL)
 
 
 def test_every_corner_is_within_its_stated_error(built: Library) -> None:
@@ -84,39 +80,45 @@ def test_exchange_holds_at_every_corner(built: Library) -> None:
 
 
 def test_axes_leave_the_nominal_library_as_it_was(built: Library, plain: UnitCell) -> None:
-    without = library.build(plain, solver=ridges.solve_scaled)
+    without = library.build(plain, solver=ridges.solve_scaled, numerics=SMALL)
     for name in ("t_xx", "t_yy", "r_xx", "r_yy", "error"):
         assert np.array_equal(getattr(built, name), getattr(without, name)), name
     assert without.corners is None
-    assert not any(name.startswith("corner") for name in without.details)
+    assert not any(name.startswith("corner") for name in statistics_json(without))
+    assert any(name.startswith("corner") for name in statistics_json(built))
 
 
 def test_workers_and_kills_change_nothing(built: Library, cell: UnitCell, tmp_path: Path) -> None:
     """Killed among the corners, taken up again by three workers, saved and loaded: the same to the last bit."""
     checkpoint = tmp_path / "library.partial"
-    lives = int(float(built.details["points_solved"])) + 30
+    lives = built.statistics.points_solved + 30
     with pytest.raises(SolverError, match="out of lives"):
-        library.build(cell, solver=ridges.DyingSolver(lives, ridges.solve_scaled), checkpoint=checkpoint)
+        dying = ridges.DyingSolver(lives, ridges.solve_scaled)
+        library.build(cell, solver=dying, checkpoint=checkpoint, numerics=SMALL)
     survivor = ridges.DyingSolver(10_000, ridges.solve_scaled)
     with ThreadPoolExecutor(3) as executor:
-        again = library.build(cell, solver=survivor, checkpoint=checkpoint, executor=executor)
+        again = library.build(cell, solver=survivor, checkpoint=checkpoint, executor=executor, numerics=SMALL)
     # A chunk of 4 goes down with the build.
-    total = float(built.details["points_solved"]) + float(built.details["corner_points_solved"])
+    assert built.corners is not None
+    total = built.statistics.points_solved + built.corners.statistics.points_solved
     assert total - lives <= survivor.calls <= total - lives + 4
     library.save(again, tmp_path / "library.h5")
     loaded = library.load(tmp_path / "library.h5")
     one, other = (each.at(wavelength_nm=806.0, cd_bias_nm=1.0) for each in (built, loaded))
     for name in ("t_xx", "t_yy", "r_xx", "r_yy", "error", "model_error"):
         assert np.array_equal(getattr(one, name), getattr(other, name)), name
-    assert loaded.details == again.details
+    assert loaded.statistics == again.statistics
+    assert loaded.corners is not None and again.corners is not None
+    assert loaded.corners.statistics == again.corners.statistics
     assert library.is_current(tmp_path / "library.h5", cell) == (again.inputs_sha256 == loaded.inputs_sha256)
 
 
 def test_a_bias_alone_is_no_variable_but_a_margin_of_the_sizes(plain: UnitCell) -> None:
     """Only widths and lengths matter then: the model of the wider sweep serves every bias."""
     cell = replace(plain, sweep=replace(plain.sweep, axes=Axes(cd_bias_nm=(-5.0, 5.0))))
-    built = library.build(cell, solver=ridges.solve)
-    assert built.details["corner_target"] == "reached"
+    built = library.build(cell, solver=ridges.solve, numerics=SMALL)
+    assert built.corners is not None
+    assert built.corners.statistics.target == "reached"
     width_nm, length_nm = np.random.default_rng(8).uniform(100.0, 160.0, (2, 300))
     for bias_nm in (-5.0, 0.7, 5.0):
         held = library.evaluate(built, width_nm, length_nm, cd_bias_nm=bias_nm)
@@ -126,7 +128,7 @@ def test_a_bias_alone_is_no_variable_but_a_margin_of_the_sizes(plain: UnitCell) 
         assert error.max() <= built.unit_cell.sweep.target_error
 
 
-def test_an_axis_out_of_reach_ends_and_says_so(cell: UnitCell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_axis_out_of_reach_ends_and_says_so(cell: UnitCell) -> None:
     """A response that jumps from cell to cell away from 800 nm: no model can hold, and the errors say how far off."""
 
     def jumping(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
@@ -136,10 +138,11 @@ def test_an_axis_out_of_reach_ends_and_says_so(cell: UnitCell, monkeypatch: pyte
         jump = 0.05 if int(1e6 * cell.wavelength_nm) % 2 else -0.05
         return replace(answer, t=answer.t + jump * np.eye(2))
 
-    monkeypatch.setattr("metafab.library.sweep.corner_rounds.MOST_SAMPLES", 40)
-    built = library.build(cell, solver=jumping)
+    few = BuildNumerics(corners=replace(SMALL.corners, most_cells=40))
+    built = library.build(cell, solver=jumping, numerics=few)
+    assert built.corners is not None
     most = 40 * 3  # width, length and wavelength
-    assert most <= float(built.details["corner_points_solved"]) <= 1.5 * most
-    assert str(built.details["corner_target"]).startswith("not reached in")
+    assert most <= built.corners.statistics.points_solved <= 1.5 * most
+    assert built.corners.statistics.target.startswith("not reached in")
     assert built.at(wavelength_nm=795.0).error.min() > 0.02
     assert built.error.max() <= built.unit_cell.sweep.target_error

@@ -33,7 +33,7 @@ def test_a_library_comes_back_exactly(built: Library, path: Path) -> None:
     for name in ("wavelength_nm", "width_nm", "length_nm", "t_xx", "t_yy", "r_xx", "r_yy", "error"):
         assert np.array_equal(getattr(again, name), getattr(built, name)), name
     assert again.unit_cell == built.unit_cell == unit_cell_of_library(path)
-    assert again.details == built.details
+    assert again.statistics == built.statistics
     sizes = np.random.default_rng(1).uniform(100.0, 250.0, (2, 50))
     assert np.array_equal(library.evaluate(again, *sizes).t_xx, library.evaluate(built, *sizes).t_xx)
 
@@ -54,6 +54,12 @@ def test_a_file_is_current_for_its_own_unit_cell_only(built: Library, path: Path
     assert library.is_current(path, built.unit_cell)
     assert not library.is_current(path, unit_cell)
     assert not library.is_current(path.with_name("none.h5"), unit_cell)
+
+
+def test_a_corner_is_not_saved_as_if_it_were_the_library(smooth_library: Library, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cd_bias_nm = 5"):
+        library.save(replace(smooth_library, corner={"cd_bias_nm": 5.0}), tmp_path / "corner.h5")
+    assert not list(tmp_path.iterdir())
 
 
 def test_bad_files_are_refused(path: Path, tmp_path: Path) -> None:

@@ -9,6 +9,8 @@ import pytest
 
 from metafab import library
 from metafab.cell import CellNumerics, solve
+from metafab.library.sweep.build import BuildNumerics
+from metafab.library.sweep.corner_sampling import CornerNumerics
 from metafab.spec import UnitCell
 from metafab.spec.cell import Axes, Material
 
@@ -27,7 +29,6 @@ SILICON, TITANIA = None, 2.4
 )
 def test_a_corner_holds_against_the_solver(
     unit_cell: UnitCell,
-    monkeypatch: pytest.MonkeyPatch,
     axis: str,
     span: tuple[float, float],
     corner: float,
@@ -35,15 +36,14 @@ def test_a_corner_holds_against_the_solver(
     target_error: float,
 ) -> None:
     """A small part of the sweep, few cells a round; six sizes at one corner, solved to a better error."""
-    monkeypatch.setattr("metafab.library.sweep.corner_rounds.FIRST_ROUND", 12)
-    monkeypatch.setattr("metafab.library.sweep.corner_rounds.SEQUENCE", 256)
     sweep = replace(unit_cell.sweep, width_nm=(100.0, 120.0), length_nm=(100.0, 120.0), size_grid_nm=5.0)
     cell = replace(unit_cell, sweep=replace(sweep, target_error=target_error, axes=Axes(**{axis: span})))
     if n_pillar is not None:
         materials = replace(cell.materials, pillar=Material(n=n_pillar), substrate=Material(n=1.46))
         cell = replace(cell, materials=materials, cell=replace(cell.cell, height_nm=400.0))
-    built = library.build(cell)
-    assert built.details["corner_target"] == "reached"
+    built = library.build(cell, numerics=BuildNumerics(corners=CornerNumerics(sequence=256, first_round=12)))
+    assert built.corners is not None
+    assert built.corners.statistics.target == "reached"
     there = built.at(**{axis: corner})
     width_nm, length_nm = np.random.default_rng(3).uniform(100.0, 120.0, (2, 6))
     held = there.surface(width_nm, length_nm)

@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 
 from metafab import library
+from metafab.library.library import BuildStatistics
 
 #: The unit cell as format 1 of version 0.1 stored it: no key that came later.
 UNIT_CELL = """
@@ -74,7 +75,7 @@ def test_format_1_with_a_model(tmp_path: Path) -> None:
     t = write_format_1(tmp_path / "old.h5", continuous=True)
     old = library.load(tmp_path / "old.h5")
     assert np.array_equal(old.t_xx[0], t)
-    assert old.details == {"points_solved": 36.0}
+    assert old.statistics == BuildStatistics(points_solved=36)
     assert old.corners is None
     assert old.unit_cell.sweep.axes is None
     held = library.evaluate(old, 113.0, 104.5)

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from metafab.core.errors import InputError
-from metafab.library import Library, SizeTable, build_size_table, global_offsets
-from metafab.library.use.lookup import empty_cell_t, phase_slope_per_nm
+from metafab.library import Library, SizeTable, build_size_table
+from metafab.library.use.lookup import empty_cell_t, global_offsets, phase_slope_per_nm
 
 CELLS = 64
 
@@ -157,7 +157,7 @@ def test_global_offsets_find_the_best_place_of_all(table: SizeTable) -> None:
         ]
     )
     c_x, c_y = global_offsets(table, histogram)
-    reached = np.sum(table.overlap[table._cell(phases[1] + c_y), table._cell(phases[0] + c_x)])
+    reached = np.sum(table.overlap[table.nearest_cell(phases[1] + c_y), table.nearest_cell(phases[0] + c_x)])
     assert reached == pytest.approx(total.max(), rel=2e-3)  # targets on a cell's edge may round the other way
 
 
@@ -180,7 +180,5 @@ def test_phase_error_is_wrapped(table: SizeTable) -> None:
 )
 def test_compiled_and_vectorised_look_up_agree(table: SizeTable, phase_x: np.ndarray, phase_y: np.ndarray) -> None:
     """Also with shapes that broadcast; the compiled form must not differ in a single cell."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("metafab.library.use.lookup.HAS_NUMBA", False)
-        vectorised = table.sizes_for(phase_x, phase_y)
+    vectorised = table.size_index[table.nearest_cell(phase_y), table.nearest_cell(phase_x)]
     assert np.array_equal(table.sizes_for(phase_x, phase_y), vectorised)

@@ -47,23 +47,23 @@ def test_the_geometry_is_the_papers(unit_cell: UnitCell) -> None:
 
 def test_both_phases_cover_the_circle(paper_library: Library) -> None:
     """Every phase of either polarisation is had to within 0.1 rad by sizes that pass half the power of both."""
-    assert library.coverage_rad(paper_library) == pytest.approx(2.0 * math.pi)
-    assert paper_library.details["coverage_rad"] == pytest.approx(2.0 * math.pi)
+    assert library.quality(paper_library).coverage_rad == pytest.approx(2.0 * math.pi)
+    assert paper_library.statistics.coverage_rad == pytest.approx(2.0 * math.pi)
 
 
 def test_pairs_of_phases_are_covered_but_for_a_wedge(paper_library: Library) -> None:
     """All pairs outside the wedge; nothing in an empty square is farther from its edge than half a side."""
     figures = library.quality(paper_library)
-    assert figures["torus_coverage"] >= 1.0 - WEDGE
-    assert figures["worst_hole_rad"] <= 0.5 * WEDGE_RAD
+    assert figures.torus_coverage >= 1.0 - WEDGE
+    assert figures.worst_hole_rad <= 0.5 * WEDGE_RAD
 
 
 def test_transmission_is_high_where_phases_are_chosen(paper_library: Library) -> None:
     """As good as the bare face on average, even if nothing passed for pairs in the wedge."""
     figures = library.quality(paper_library)
-    assert figures["mean_transmittance"] >= (1.0 - WEDGE) * BARE
+    assert figures.mean_transmittance >= (1.0 - WEDGE) * BARE
     # The overlap is of amplitudes, and a phase off by the reach costs its cosine.
-    assert figures["mean_overlap"] >= (1.0 - WEDGE) * math.sqrt(BARE) * math.cos(REACH_RAD)
+    assert figures.mean_overlap >= (1.0 - WEDGE) * math.sqrt(BARE) * math.cos(REACH_RAD)
 
 
 def test_high_transmission_does_not_hold_for_every_size(paper_library: Library) -> None:
@@ -85,8 +85,8 @@ def test_mapped_phases_are_near_their_targets(paper_library: Library) -> None:
 
 def test_every_size_is_known_to_the_asked_error(paper_library: Library) -> None:
     assert paper_library.error.max() <= paper_library.unit_cell.sweep.target_error
-    assert paper_library.details["sizes_beyond_target"] == 0
-    assert float(paper_library.details["points_solved"]) < 0.2 * 76 * 77 / 2
+    assert paper_library.statistics.sizes_beyond_target == 0
+    assert paper_library.statistics.points_solved < 0.2 * 76 * 77 / 2
 
 
 def test_a_finer_solver_agrees_at_held_out_sizes_between_the_grid(paper_library: Library) -> None:

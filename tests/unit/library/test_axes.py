@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,13 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from metafab import library
 from metafab.cell import is_square, pillar_cell
 from metafab.core.errors import InputError
 from metafab.library.axes import CornerBox, corner_cell, corner_unit_cell
-from metafab.library.fit import corner_model
-from metafab.library.fit.corner_model import CornerSamples, fit_corner_models
-from metafab.library.fit.sampling import SizeGrid
+from metafab.library.fit.size_grid import SizeGrid
 from metafab.library.library import Library
 from metafab.library.use.lookup import isotropic_sizes
 from metafab.spec import UnitCell, canonical_toml
@@ -122,18 +118,18 @@ def test_the_box_holds_the_bias_in_its_sizes(box: CornerBox) -> None:
 def test_variables_and_back(
     box: CornerBox, wavelength_nm: float, height_nm: float, shift: float, angle_deg: float
 ) -> None:
-    corner = box.whole(
+    corner = box.completed(
         {"wavelength_nm": wavelength_nm, "height_nm": height_nm, "pillar_n_shift": shift, "angle_x_deg": angle_deg}
     )
-    variables = box.variables_of(corner)
+    variables = box.to_variables(corner)
     assert np.all(np.abs(variables) <= 1.0 + 1e-12)
-    back = box.corner(variables)
+    back = box.from_variables(variables)
     # sin^2 of 0.01 degrees is 3e-8, known to 1e-16 of the span's 1e-2: the angle to 1e-8 of itself, and to 1e-7 here.
     assert back == pytest.approx({name: corner[name] for name in box.variables}, rel=1e-7, abs=1e-12)
 
 
 def test_an_angle_may_have_either_sign(box: CornerBox) -> None:
-    assert box.whole({"angle_x_deg": -3.0})["angle_x_deg"] == 3.0
+    assert box.completed({"angle_x_deg": -3.0})["angle_x_deg"] == 3.0
 
 
 @pytest.mark.parametrize(
@@ -142,82 +138,13 @@ def test_an_angle_may_have_either_sign(box: CornerBox) -> None:
 )
 def test_corners_beyond_the_box_are_refused(box: CornerBox, corner: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        box.whole(corner)
+        box.completed(corner)
 
 
 def test_a_library_without_axes_has_no_corners(smooth_library: Library) -> None:
     assert smooth_library.at() is smooth_library
     with pytest.raises(InputError, match=r"\[sweep.axes\]"):
         smooth_library.at(wavelength_nm=801.0)
-
-
-def rational(width_nm: np.ndarray, length_nm: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """Four amplitudes with a pole that moves with both axes: t_yy(W, L) = t_xx(L, W)."""
-
-    def channel(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        a, b = axes.T
-        pole = u + 0.3 * v + 0.2 * a - 0.1 * b * u + 0.05j
-        return np.asarray((1.0 + 0.5 * v + 0.3j * a * u) / pole)
-
-    u, v = (width_nm - 175.0) / 75.0, (length_nm - 175.0) / 75.0
-    x, y = channel(u, v), channel(v, u)
-    return np.stack([x, y, 0.1 * x, 0.1 * y], axis=1)
-
-
-@pytest.mark.parametrize("exchange", [True, False])
-def test_rational_functions_are_found_and_contracted_exactly(exchange: bool) -> None:
-    """An amplitude of the model's own kind comes back to rounding, scattered and at one corner alike."""
-    rng = np.random.default_rng(4)
-    width_nm, length_nm = rng.uniform(100.0, 250.0, (2, 160))
-    axes = rng.uniform(-1.0, 1.0, (160, 2))
-    samples = CornerSamples(width_nm, length_nm, axes, rational(width_nm, length_nm, axes))
-    span = (100.0, 250.0)
-    best, *_ = fit_corner_models(samples, np.arange(160) % 4 == 0, (span, span), exchange)
-    new = rng.uniform(100.0, 250.0, (2, 50))
-    place = np.tile([0.3, -0.7], (50, 1))
-    true = rational(*new, place)
-    # Poles come as near as 0.05 to real sizes: amplitudes reach 30, and rounding with them.
-    assert np.abs(best(*new, place) - true).max() < 1e-8
-    assert np.allclose(best.at(place[0])(*new), best(*new, place), atol=1e-9)
-    # A bias of 4 nm: the size drawn as 150 is made as 154.
-    drawn = new - 4.0
-    assert np.allclose(best.at(place[0], bias_nm=4.0)(*drawn), best(*new, place), atol=1e-9)
-
-
-@pytest.mark.parametrize("equations", [200, 600, 4000])
-@pytest.mark.parametrize("variables", [0, 1, 2])
-def test_more_samples_never_mean_poorer_shapes(equations: int, variables: int) -> None:
-    """However many samples there are, shapes with poles are tried, and none has more unknowns than they determine."""
-    shapes = corner_model._candidates(equations, variables)
-    assert len(shapes) > 1
-    assert all(shape.degrees[1] >= 7 for shape in shapes)
-    assert all(shape.unknowns <= 0.7 * 2 * equations for shape in shapes)
-    fewer = corner_model._candidates(equations // 2, variables)
-    assert max(shape.degrees[0] for shape in shapes) >= max(shape.degrees[0] for shape in fewer)
-
-
-def test_a_record_that_does_not_cover_the_axis_is_refused_before_any_cell_is_solved(unit_cell: UnitCell) -> None:
-    materials = replace(unit_cell.materials, pillar=Material(record="Si/Aspnes"))
-    asked = replace(asking(unit_cell, wavelength_nm=(790.0, 830.0)), materials=materials)
-
-    def never(*_: object) -> Any:
-        raise AssertionError("a cell was solved")
-
-    with pytest.raises(InputError, match="wavelength_nm"):
-        library.build(asked, solver=never)
-
-
-def test_a_corner_is_not_saved_as_if_it_were_the_library(smooth_library: Library, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="cd_bias_nm = 5"):
-        library.save(replace(smooth_library, corner={"cd_bias_nm": 5.0}), tmp_path / "corner.h5")
-    assert not list(tmp_path.iterdir())
-
-
-def test_axes_count_in_what_is_foreseen(unit_cell: UnitCell) -> None:
-    plain, oblique = (library.foresee(cell, 1e-2) for cell in (unit_cell, asking(unit_cell, angle_x_deg=(0.0, 4.0))))
-    assert plain is not None
-    assert oblique is not None
-    assert oblique.seconds[0] > 5.0 * plain.seconds[0]
 
 
 def test_a_birefringent_record_tells_x_from_y(unit_cell: UnitCell, smooth_library: Library) -> None:

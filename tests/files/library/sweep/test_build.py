@@ -22,7 +22,7 @@ from metafab.spec import UnitCell, canonical_toml
 from tests import library_ridges as ridges
 from tests.dask_workers import two_workers
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[4]
 #: What stands for the hash of the code, here and in processes: people may edit it while tests run.
 CODE = "the code of this test run"
 #: A hang, not a slow machine: the tests wait for events, and only a fault lets so much time pass.
@@ -108,7 +108,7 @@ def test_a_build_killed_outright_loses_only_what_was_in_flight(
     survivor = ridges.DyingSolver(10_000)
     resumed = library.build_file(coarse, path, solver=survivor)
     assert same(resumed, whole)
-    assert survivor.calls == float(whole.details["points_solved"]) - kept
+    assert survivor.calls == whole.statistics.points_solved - kept
     assert not list(tmp_path.glob("*.partial"))
 
 
@@ -184,8 +184,8 @@ def test_processes_and_clusters_write_the_same_bytes(coarse: UnitCell, tmp_path:
 
     def digest(name: str, executor: Executor) -> str:
         built = library.build_file(coarse, tmp_path / name, solver=ridges.solve, executor=executor)
-        assert built.spent["seconds"] > 0.0
-        assert library.load(tmp_path / name).spent == {}
+        assert built.time is not None and built.time.seconds > 0.0
+        assert library.load(tmp_path / name).time is None
         return file_sha256(tmp_path / name)
 
     digests = []

@@ -1,0 +1,47 @@
+"""Rounds of solving over the grid of sizes: the error estimate keeps the factor of the largest held-out errors."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import cast
+
+import numpy as np
+import pytest
+
+from metafab import library
+from metafab.library.fit.models import RankedModels
+from metafab.library.fit.rational import RationalModel
+from metafab.library.fit.size_grid import SizeGrid
+from metafab.library.sweep.adaptive_sampling import FIRST_ROUND, error_ratio, sample_grid
+from metafab.spec import UnitCell
+from tests import library_ridges as ridges
+from tests.unit.library.sweep.conftest import Solving
+
+
+def test_a_shortfall_is_that_of_the_worst_miss() -> None:
+    """Misses of 6 and 1 where 2 and 3 were foreseen, the solver's own error of 1 included: 6 / 3."""
+    miss, certificate, disagreement = np.array([6.0, 1.0]), np.array([1.0, 1.0]), np.array([2.0, 3.0])
+    assert error_ratio(miss, certificate, disagreement) == 2.0
+    assert error_ratio(0.1 * miss, certificate, disagreement) == 1.0
+
+
+def test_the_factor_is_not_forgotten_in_the_next_round(cell: UnitCell, grid: SizeGrid, solving: Solving) -> None:
+    """Models that are 5 times farther from the truth than from each other: no round may take them at their word.
+
+    A factor measured on estimates that the last one had scaled already would be 5 in every second round and 1 in the
+    others, where the build would end although every unsolved size misses the tolerance.
+    """
+    near = RankedModels(cast(RationalModel, ridges.Shifted(5e-4)), (cast(RationalModel, ridges.Shifted(4e-4)),))
+    sampling = sample_grid(grid, solving(partial(grid.cell, cell)), 2e-4, fit=lambda *_: near)
+    assert len(sampling.solved) == grid.distinct.size
+    # The solver's certificate of 1e-6 stands beside the disagreement of 1e-4.
+    assert sampling.safety_factor == pytest.approx(5e-4 / 1.01e-4)
+
+
+def test_progress_foresees_no_more_than_it_can_know(cell: UnitCell) -> None:
+    """The first round is all that is foreseen until it has shown how much is left; the end is the number solved."""
+    seen: list[tuple[int, int]] = []
+    built = library.build(cell, solver=ridges.solve, progress=lambda _, done, total: seen.append((done, total)))
+    assert seen[0][1] == FIRST_ROUND
+    assert all(done <= total for done, total in seen)
+    assert seen[-1] == (built.statistics.points_solved,) * 2

@@ -1,0 +1,62 @@
+"""Checks of a library with solvers in closed form: requests to the solver, and the verdict."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metafab import library
+from metafab.cell import CellNumerics, CellResponse, PillarCell
+from metafab.library import Library
+from tests import library_ridges as ridges
+
+
+class _Biased:
+    """The library's own values off by ``bias``, with a stated error; remembers what it was asked."""
+
+    def __init__(self, bias: complex, error: float) -> None:
+        self.bias, self.error = bias, error
+        self.asked: list[CellNumerics] = []
+
+    def __call__(self, cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+        self.asked.append(numerics)
+        true = ridges.solve(cell, numerics)
+        return replace(true, t=true.t + self.bias * np.eye(2), error=self.error)
+
+
+@pytest.fixture
+def stored(smooth_library: Library) -> Library:
+    """The ridges at three widths and lengths, too few to go on between them: samples are stored sizes."""
+    width_nm, length_nm = smooth_library.width_nm[::30], smooth_library.length_nm[::30]
+    t_xx = np.vectorize(ridges.amplitude)(*np.meshgrid(width_nm, length_nm))[None]
+    t_yy, error = t_xx.transpose(0, 2, 1), np.full(t_xx.shape, 1e-3)
+    return replace(
+        smooth_library, width_nm=width_nm, length_nm=length_nm, t_xx=t_xx, t_yy=t_yy, r_xx=t_xx, r_yy=t_yy, error=error
+    )
+
+
+def test_a_check_by_meep_asks_for_what_meep_can_do(stored: Library) -> None:
+    judge = _Biased(0.004, 5e-3)
+    found = library.check(stored, against="meep", samples=7, solver=judge)
+    assert {numerics.solver for numerics in judge.asked} == {"meep"}
+    assert {numerics.target_error for numerics in judge.asked} == {1e-2}
+    assert (found.samples, len(found.sizes), found.verdict) == (7, 7, "holds")
+    assert found.max_abs_error == pytest.approx(0.004)
+    assert found.mean_abs_error == pytest.approx(0.004)
+    assert (found.max_stated_error, found.max_solver_error) == pytest.approx((1e-3, 5e-3))
+    finer = _Biased(0.0, 0.0)
+    library.check(stored, against="rcwa", samples=2, solver=finer)
+    assert {n.target_error for n in finer.asked} == {0.1 * stored.unit_cell.sweep.target_error}
+
+
+def test_a_check_names_every_size_and_the_worst(stored: Library) -> None:
+    found = library.check(stored, against="meep", samples=9, solver=_Biased(0.02j, 1e-3))
+    assert (found.verdict, found.beyond_stated) == ("fails", 9)
+    assert all(size.abs_error > size.stated_error + size.solver_error for size in found.sizes)
+    worst = max(found.sizes, key=lambda size: size.abs_error)
+    assert worst.abs_error == found.max_abs_error
+    assert 0.0 < found.mean_phase_error_rad <= found.max_phase_error_rad
+    # A bias of 0.02 turns an amplitude of a tenth, the smallest that counts, by 0.2 at most.
+    assert found.max_phase_error_rad < 0.21
