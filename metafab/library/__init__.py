@@ -9,8 +9,8 @@
 - ``library``  Library: values on the grid of sizes, ``library.at(wavelength_nm=803.0)``, ``library.surface``
 - ``store``    save and load (HDF5)
 
-In: a :class:`~metafab.spec.cell.UnitCell` and an executor. Out: a :class:`Library`, and the :class:`SizeTable` that maps
-target phases to sizes.
+In: a :class:`~metafab.spec.cell.UnitCell` and an executor. Out: a :class:`Library`, and the :class:`SizeTable` that
+maps target phases to sizes.
 """
 
 from metafab.library.library import Library, evaluate

@@ -90,7 +90,7 @@ def test_what_is_shown_runs_over_the_diameter(circles: Library) -> None:
     ("old", "new", "said"),
     [
         ("length_nm = [100.0, 250.0]", "length_nm = [100.0, 200.0]", "both are the diameter"),
-        ("[solver]", "[sweep.axes]\nheight_nm = [990.0, 1010.0]\n[solver]", "build a library each"),
+        ("[solver]", "[sweep.axes]\nheight_nm = [990.0, 1010.0]\n[solver]", "build one library for each value"),
     ],
 )
 def test_sweeps_that_are_no_circles_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
