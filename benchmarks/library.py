@@ -1,9 +1,9 @@
 """The paper's library by adaptive sampling, compared with a grid of solved sizes and interpolation.
 
 ``error`` is the largest error of t_xx or t_yy at random sizes off every grid, against the certified solver at a tenth
-of the target. ``seconds`` is the time of the build on all cores, ``cpu_seconds`` the processor time of all its processes
-(the figure to quote on a shared machine), ``points_solved`` the number of unit cells solved. Both methods use one
-solver, one target error and the exchange of x and y, and solve every distinct size once.
+of the target. ``seconds`` is the time of the build on all cores, ``cpu_seconds`` the processor time of all its
+processes (the figure to quote on a shared machine), ``points_solved`` the number of unit cells solved. Both methods use
+one solver, one target error and the exchange of x and y, and solve every distinct size once.
 """
 
 from __future__ import annotations

@@ -8,8 +8,7 @@ from typing import TypeAlias
 
 import pytest
 
-from metafab.cell import CellNumerics, PillarCell
-from metafab.cell import CellSolver
+from metafab.cell import CellNumerics, CellSolver, PillarCell
 from metafab.core.parallel.executor import SerialExecutor
 from metafab.core.parallel.progress import silent
 from metafab.library.fit.size_grid import SizeGrid
