@@ -100,11 +100,11 @@ def assign_turned(
         library: response over width and length.
         design: lattice, aperture and rules. Bounding boxes keep the gap, so that no pair of neighbours is too close.
         angles: angles in half a turn, even, so that both diagonals are among them.
-        size_step_nm: step of the sizes that are tried, a multiple of ``sweep.size_grid_nm``.
+        size_step_nm: step of widths and lengths, rounded up to a multiple of ``sweep.size_grid_nm``.
         progress: called while sites are assigned.
 
     Raises:
-        InputError: the gap leaves no room for any pillar, or sizes lie off the grids of library or mask.
+        InputError: the gap leaves no room for any pillar, or sizes lie off the mask's grid.
     """
     lattice = lattice_of(design)
     size_dbu, angle_deg = _allowed_sizes(library, design, angles, size_step_nm)
@@ -139,11 +139,8 @@ def _allowed_sizes(
 ) -> tuple[NDArray[np.int32], FloatArray]:
     """Sizes, shape (n + 1, 2), and angles, shape (n + 1,), of turned pillars that keep the rules; index 0 is none."""
     unit_nm, grid_nm = design.mask.database_unit_nm, design.unit_cell.sweep.size_grid_nm
-    if abs(size_step_nm / grid_nm - round(size_step_nm / grid_nm)) > 1e-6:
-        raise InputError.single(
-            design.name, "size_step_nm", f"a multiple of `sweep.size_grid_nm`, {grid_nm:g} nm", f"{size_step_nm:g} nm"
-        )
-    sides = [np.arange(axis[0], axis[-1] + 1e-6, size_step_nm) for axis in (library.width_nm, library.length_nm)]
+    step_nm = math.ceil(size_step_nm / grid_nm - 1e-6) * grid_nm
+    sides = [np.arange(axis[0], axis[-1] + 1e-6, step_nm) for axis in (library.width_nm, library.length_nm)]
     # A quarter turn exchanges width and length: angles below it list each pillar once.
     angle_deg = np.arange(angles // 2) * 180.0 / angles
     width, length, angle = (axis.ravel() for axis in np.meshgrid(*sides, angle_deg, indexing="ij"))
@@ -154,7 +151,7 @@ def _allowed_sizes(
     if not kept.any():
         expected, got = "a gap that leaves room for turned pillars", f"{design.rules.min_gap_nm:g} nm"
         raise InputError.single(design.name, "rules.min_gap_nm", expected, got, "make it smaller")
-    for side_nm in (float(sides[0][0]), float(sides[1][0]), size_step_nm):
+    for side_nm in (float(sides[0][0]), float(sides[1][0]), step_nm):
         whole_dbu(side_nm, unit_nm, "sweep", even=True)
     size_dbu = np.rint(np.stack([width, length], axis=1)[kept] / unit_nm).astype(np.int32)
     return np.concatenate([np.zeros((1, 2), dtype=np.int32), size_dbu]), np.append(0.0, angle[kept])

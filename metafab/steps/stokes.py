@@ -73,7 +73,7 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
         job: a design with a mask and a scene.
         row_angle_deg: angle between rows of images, seen from the lens.
         angles: angles of pillars in half a turn.
-        size_step_nm: step of widths and lengths.
+        size_step_nm: step of widths and lengths, rounded up to the library's size grid.
 
     Raises:
         InputError: the design has no mask or scene, keys that turned pillars do not support, or no room for them.

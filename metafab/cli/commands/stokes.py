@@ -19,7 +19,9 @@ def stokes_command(
         typer.Option(min=0.5, max=40.0, help="Angle between rows of images, degrees [default: the split angle]."),
     ] = None,
     angles: Annotated[int, typer.Option(min=4, max=64, help="Pillar angles in half a turn, a multiple of 4.")] = 16,
-    size_step_nm: Annotated[float, typer.Option(min=1.0, help="Step of pillar widths and lengths, nm.")] = 10.0,
+    size_step_nm: Annotated[
+        float, typer.Option(min=1.0, help="Step of pillar sizes, nm, rounded up to the library's grid.")
+    ] = 10.0,
     json_: Json = False,
 ) -> None:
     """Full-Stokes imaging with a camera design: turned pillars, six images, Stokes vectors and depth."""

@@ -73,10 +73,12 @@ def test_a_gap_without_room_is_refused(smooth_library: Library) -> None:
         assigned(tight, smooth_library)
 
 
-def test_sizes_off_the_library_grid_are_refused(smooth_library: Library) -> None:
+def test_sizes_lie_on_the_grid_of_the_library(smooth_library: Library) -> None:
+    """A step of 15 nm becomes 16 nm on a grid of 2 nm."""
     design = quarter_lens()
-    with pytest.raises(InputError, match="size_grid_nm"):
-        assign_turned(JonesTarget.of(design, ROW_ANGLE_DEG), smooth_library, design, size_step_nm=5.0)
+    target = JonesTarget.of(design, ROW_ANGLE_DEG)
+    size_nm = assign_turned(target, smooth_library, design, angles=ANGLES, size_step_nm=15.0).pillars.size_nm()[1:]
+    assert ((size_nm - design.unit_cell.sweep.width_nm[0]) % 16.0 == 0.0).all()
 
 
 def test_vertices_are_those_of_the_turned_rectangle() -> None:
