@@ -1,8 +1,8 @@
-"""Phase design: what the optimisers reach, how far from the proven bound, and the cost of the tiles.
+"""Benchmark of the phase design: results of the optimisers, their distance from the bound, and the time of the tiles.
 
-``error`` is the share that is missing to the proven bound for the peak, the rms relative error of depth for the far
-lens, and the largest difference from the plain formulas in rad for the tiles; the searches for information and with
-limited side lobes have no bound to be compared with (NaN).
+``error`` is the missing share of the proven bound for the peak, the rms relative error of depth for the far lens, and
+the largest difference from the plain formulas in rad for the tiles. The searches for information and with limited side
+lobes have no bound (NaN).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ TILE_SITES, PERIOD_UM, SITES = 286, 0.35, 25.6e6
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
-    """One row an optimiser and number of zones, and one for all tiles of a 2 mm lens."""
+    """Rows of all optimisers and numbers of zones, of the far lens, and of all tiles of a 2 mm lens."""
     optimise_peak(2)  # warm-up
     table = [_peak(zones, goal) for zones in ((4,) if quick else (2, 3, 4, 5, 7)) for goal in ("mean", "worst")]
     table += [_blind(zones) for zones in ((4,) if quick else (2, 4, 7))]
@@ -74,29 +74,26 @@ def _side_lobes(limit: float) -> dict[str, Any]:
 
 
 def _far(draws: int) -> dict[str, Any]:
-    """An aperture of 5 cm at 200 m: depth by maximum likelihood in simulated twin images, beside its bound."""
-    best, pupil, random = (
-        propose(150.0, 250.0, aperture_um=5e4, wavelength_um=0.8)[0],
-        Pupil(48),
-        np.random.default_rng(1),
-    )
+    """An aperture of 5 cm at 200 m: depth by maximum likelihood on simulated twin images, and its bound."""
+    best = propose(150.0, 250.0, aperture_um=5e4, wavelength_um=0.8)[0]
+    pupil, random = Pupil(48), np.random.default_rng(1)
     mask, focus_m = spiral_field(pupil, best.zones, best.exponent), best.focus_depth_m
     problem = BlindInformation(pupil, rim_defocus_rad([200.0], focus_m, 25_000.0, 0.8), Texture())
     true, (nearest, farthest) = float(problem.defocus_rad[0]), rim_defocus_rad([140.0, 270.0], focus_m, 25_000.0, 0.8)
     per_metre = rim_defocus_per_dioptre_rad(25_000.0, 0.8) / 200.0**2
 
-    def read() -> list[float]:
+    def estimate() -> list[float]:
         images = (twin_images(problem, mask, true, random) for _ in range(draws))
         return [most_likely_defocus(pair, problem, mask, nearest, farthest) for pair in images]
 
-    found, seconds = _timed(read)
-    error = float(np.sqrt(np.mean((np.array(found) - true) ** 2))) / per_metre / 200.0
+    estimates, seconds = _timed(estimate)
+    error = float(np.sqrt(np.mean((np.array(estimates) - true) ** 2))) / per_metre / 200.0
     bound = 1.0 / (math.sqrt(float(problem.of_field(mask)[0])) * per_metre * 200.0)
     return _row("depth at 200 m, aperture 5 cm", error, seconds / draws, bound=bound)
 
 
 def _tiles() -> dict[str, Any]:
-    """All sites of the 2 mm lens, both polarisations, one thread, from the time of twenty tiles."""
+    """All sites of the 2 mm lens, both polarisations, one thread; extrapolated from twenty tiles."""
     helix = optimise_peak(4).term(1000.0)
     profile = PhaseProfile((helix, SplitLensPhase(0.8, 20000.0, 8.0)))
     x_um = (np.arange(TILE_SITES) + 400.0) * PERIOD_UM

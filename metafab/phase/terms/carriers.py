@@ -18,7 +18,7 @@ from metafab.phase.terms.profile import PhaseProfile, PolarisedTerm
 
 @dataclass(frozen=True)
 class LensPhase(PolarisedTerm):
-    """A hyperbolic lens on the axis: -k (sqrt(r^2 + s^2) - s), and the same with the distance of a finite object.
+    """A hyperbolic lens on the axis: -k (sqrt(r^2 + s^2) - s), plus that term of the object's distance if it is finite.
 
     Attributes:
         wavelength_um: vacuum wavelength.

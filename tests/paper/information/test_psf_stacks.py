@@ -59,12 +59,14 @@ def test_two_orders_of_magnitude_hold_at_focus_only(masks: dict[str, ComplexArra
     assert 0.3 < mean["plain spiral"] / mean["lens"] < 3.0
 
 
-def test_only_the_conjugate_single_helix_tells_the_depth_of_an_unknown_texture(masks: dict[str, ComplexArray]) -> None:
+def test_only_the_conjugate_single_helix_has_depth_information_for_unknown_texture(
+    masks: dict[str, ComplexArray],
+) -> None:
     range_m = 1.0 / np.linspace(4.0, 1.0 / 0.6, 25)
-    told = {
+    information = {
         name: twin_depth_information(_stack(field, range_m), range_m, PIXEL_UM, Texture()).mean()
         for name, field in masks.items()
     }
-    assert told["lens"] < 1e-9 * told["single helix"]
-    assert told["double helix"] < 1e-9 * told["single helix"]
-    assert told["single helix"] > 1.2 * told["plain spiral"]
+    assert information["lens"] < 1e-9 * information["single helix"]
+    assert information["double helix"] < 1e-9 * information["single helix"]
+    assert information["single helix"] > 1.2 * information["plain spiral"]

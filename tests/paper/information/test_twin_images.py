@@ -29,10 +29,10 @@ def test_five_centimetres_see_200_m_to_below_one_per_cent() -> None:
         defocus = float(rim_defocus_rad(depth_m, best.focus_depth_m, 25_000.0, 0.8))
         for _ in range(8):
             images = twin_images(problem, mask, defocus, random)
-            found = most_likely_defocus(images, problem, mask, float(ends[0]), float(ends[1]))
-            errors.append(1.0 / (depth_m * (1.0 / best.focus_depth_m + found / per_dioptre)) - 1.0)
+            estimate = most_likely_defocus(images, problem, mask, float(ends[0]), float(ends[1]))
+            errors.append(1.0 / (depth_m * (1.0 / best.focus_depth_m + estimate / per_dioptre)) - 1.0)
     assert np.abs(errors).max() < 0.01
-    # The estimator reaches the bound: 24 draws know a standard deviation to 1 / sqrt(48) = 14 %, three times that.
+    # The estimator reaches the bound: 24 draws give a standard deviation to 1 / sqrt(48) = 14 %, three times that.
     promised = np.sqrt(np.mean((best.crlb_m / best.depth_m) ** 2))
     assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(promised, rel=0.45)
 
@@ -45,10 +45,10 @@ def test_without_a_helix_the_likelihood_does_not_know_the_depth() -> None:
     lens = np.ones(pupil.count, dtype=complex)
     spread = {}
     for name, mask in (("spiral", spiral), ("lens", lens)):
-        found = [
+        estimate = [
             most_likely_defocus(twin_images(problem, mask, 3.0, random), problem, mask, -10.0, 10.0) for _ in range(6)
         ]
-        spread[name] = float(np.abs(np.array(found) - 3.0).max())
+        spread[name] = float(np.abs(np.array(estimate) - 3.0).max())
     assert spread["spiral"] < 0.02
-    # The sign of a lens' defocus cannot be told: some draws come out at -3.
+    # The sign of a lens' defocus is ambiguous: some draws come out at -3.
     assert spread["lens"] > 5.0

@@ -23,22 +23,22 @@ def design(small_design: Design) -> Design:
     return dataclasses.replace(small_design, device=device, phase=terms, verify=verify)
 
 
-def test_a_helix_pair_tells_depth_where_a_lens_in_focus_does_not(design: Design, tmp_path: Path) -> None:
-    found = comparison.compare(design, planes=2)
-    assert found.error.shape == found.bound.shape == (5, found.depth_m.size)
-    own, lens = found.error[0], found.error[found.methods.index("standard lens")]
+def test_a_helix_pair_measures_depth_where_a_lens_in_focus_does_not(design: Design, tmp_path: Path) -> None:
+    result = comparison.compare(design, planes=2)
+    assert result.error.shape == result.bound.shape == (5, result.depth_m.size)
+    helix, lens = result.error[0], result.error[result.methods.index("standard lens")]
     # On both sides of its focus a lens looks the same: some depth is taken for its twin.
-    assert lens.max() > 3.0 * own.max()
-    assert own.max() < 0.1
-    by_name = dict(zip(found.cameras, found.restored, strict=True))
+    assert lens.max() > 3.0 * helix.max()
+    assert helix.max() < 0.1
+    by_name = dict(zip(result.cameras, result.restored, strict=True))
     # A helix stays as sharp over the range; a lens that is focused at its end does not.
     assert np.ptp(by_name["this design"]) < 0.5 * np.ptp(by_name["lens, focused nearer"])
     assert by_name["standard lens"].min() < by_name["this design"].min()
-    comparison.save_comparison(found, tmp_path / "comparison.json")
+    comparison.save_comparison(result, tmp_path / "comparison.json")
     back = comparison.load_comparison(tmp_path / "comparison.json")
     assert back is not None
-    assert back.methods == found.methods
-    np.testing.assert_allclose(back.error, found.error, rtol=1e-12)
+    assert back.methods == result.methods
+    np.testing.assert_allclose(back.error, result.error, rtol=1e-12)
     (tmp_path / "comparison.json").write_text("{}")
     assert comparison.load_comparison(tmp_path / "comparison.json") is None
 

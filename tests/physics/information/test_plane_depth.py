@@ -45,13 +45,13 @@ def test_the_likeliest_depth_is_that_of_the_plane(
     assert estimator.likeliest(images) == pytest.approx(depth_m, rel=0.015)
 
 
-def test_exchanged_images_tell_another_depth(kernels: PairKernels, estimator: PlaneEstimator) -> None:
+def test_exchanged_images_have_another_depth(kernels: PairKernels, estimator: PlaneEstimator) -> None:
     """The depth is in the relation of the two: exchanged, they turn the other way."""
     images = photographed(pair_at(kernels, 0.0033), LIGHT, 0)
     assert abs(estimator.likeliest(images[::-1]) - 0.0033) > 0.0005
 
 
-def test_the_bound_falls_with_light_and_says_nothing_of_a_psf_that_stays(kernels: PairKernels) -> None:
+def test_the_bound_falls_with_light_and_is_large_for_a_psf_that_does_not_change(kernels: PairKernels) -> None:
     dim, bright = (
         plane_estimator(kernels, 96, Texture(e, read_noise_e=0.0)).bound_m(0.003, 0.25) for e in (300.0, 30000.0)
     )
@@ -63,26 +63,26 @@ def test_the_bound_falls_with_light_and_says_nothing_of_a_psf_that_stays(kernels
 
 
 def test_the_likeliest_depth_reaches_the_bound(kernels: PairKernels, estimator: PlaneEstimator) -> None:
-    """Textures that go on round the window need no taper, and no light comes from beyond: Whittle's own case."""
+    """Periodic textures need no taper and receive no light from beyond the window: the case of Whittle's formula."""
     rng = np.random.default_rng(5)
     power = TEXTURE.half_power(96)
     index = 31
     true_m = float(estimator.depth_m[index])
-    found = []
+    estimates = []
     for _ in range(80):
         white = np.fft.rfft2(rng.normal(size=(96, 96))) / 96.0
         noise = np.fft.rfft2(rng.normal(0.0, math.sqrt(TEXTURE.noise_variance_e2), (2, 96, 96))) / 96.0
-        found.append(estimator.likeliest_of_spectra(estimator.transfer[index] * np.sqrt(power) * white + noise))
+        estimates.append(estimator.likeliest_of_spectra(estimator.transfer[index] * np.sqrt(power) * white + noise))
     untapered_m = estimator.bound_m(true_m, 0.25) / math.sqrt(noise_bandwidth(96))
     # The standard deviation of 80 is known to 8 %.
-    assert np.std(found) / untapered_m == pytest.approx(1.0, abs=0.3)
+    assert np.std(estimates) / untapered_m == pytest.approx(1.0, abs=0.3)
     # Of windows cut from a larger picture, which are tapered, the bound stays below.
     cut = [estimator.likeliest(photographed(pair_at(kernels, true_m), LIGHT, n)) / true_m - 1.0 for n in range(30)]
     ratio = float(np.sqrt(np.mean(np.square(cut)))) / (estimator.bound_m(true_m, 0.25) / true_m)
     assert 1.0 < ratio < 3.0
 
 
-def test_hanns_window_makes_one_of_neighbouring_frequencies() -> None:
+def test_the_noise_bandwidth_of_a_hann_window() -> None:
     assert noise_bandwidth(96) == pytest.approx((35.0 / 18.0) ** 2, rel=1e-6)
     # Periodograms of white noise: the variance of their mean, over that of as many independent ones.
     rng = np.random.default_rng(2)
@@ -94,7 +94,7 @@ def test_hanns_window_makes_one_of_neighbouring_frequencies() -> None:
 
 
 def test_two_equal_images_of_a_gaussian_texture_have_whittles_information() -> None:
-    """A kernel that is only scaled by g: each of the frequencies tells (P g^2)' / (P g^2 + N / 2), closed form."""
+    """A kernel that is only scaled by g: each frequency has (P g^2)' / (P g^2 + N / 2), closed form."""
     gains = np.linspace(1.0, 2.0, 9)
     psf = np.zeros((2, 9, 8, 8))
     psf[:, :, 4, 4] = gains / 2.4**2
@@ -125,6 +125,6 @@ def test_the_cepstrum_finds_the_turn_of_two_lobes() -> None:
             psf[:, index] += lobe / lobe.sum() / 2.0 / base.pixel_um**2
     kernels = PairKernels(dataclasses.replace(base, psf=psf))
     estimator = plane_estimator(kernels, 96, TEXTURE)
-    found = [estimator.by_cepstrum(photographed(pair_at(kernels, z), LIGHT, 1)) for z in (0.0027, 0.0032)]
+    estimates = [estimator.by_cepstrum(photographed(pair_at(kernels, z), LIGHT, 1)) for z in (0.0027, 0.0032)]
     # A degree of turn is 0.3 % of depth; a ripple of 10 periods over the window turns by a few.
-    assert found == pytest.approx([0.0027, 0.0032], rel=0.02)
+    assert estimates == pytest.approx([0.0027, 0.0032], rel=0.02)

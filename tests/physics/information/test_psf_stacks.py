@@ -44,14 +44,14 @@ def test_a_moving_spot_in_a_strong_background_has_the_information_of_its_gradien
     np.testing.assert_allclose(information, expected, rtol=2e-3)  # spline of 9 depths, and the spot's own noise
 
 
-def test_unknown_position_takes_what_a_shift_of_one_spot_tells_but_not_of_a_pair() -> None:
+def test_an_unknown_position_removes_the_information_of_one_shifted_spot_but_not_of_a_pair() -> None:
     pair = _moving_pair()
     alone = pair.copy()
     alone[1] = 0.0
     source = PointSource()
     known = point_information(alone, DEPTH_M, 2.0, source)
     unknown = point_information(alone, DEPTH_M, 2.0, source, known=False)
-    # np.gradient's second-order differences are what is left: (pixel / sigma)^2 / 6 of the slope, squared.
+    # np.gradient's second-order differences leave (pixel / sigma)^2 / 6 of the slope, squared.
     assert (unknown < 3e-3 * known).all()
     both = point_information(pair, DEPTH_M, 2.0, source)
     np.testing.assert_allclose(point_information(pair, DEPTH_M, 2.0, source, known=False), both, rtol=1e-6)
@@ -77,7 +77,7 @@ def test_symmetric_masks_and_single_images_tell_nothing_of_an_unknown_texture() 
     alone = _moving_pair()
     alone[1] = 0.0
     assert (twin_depth_information(alone, DEPTH_M, 2.0, Texture()) < 1e-12 * helix).all()
-    # A point source, in contrast, is seen to blur.
+    # A point source, in contrast, shows the blur.
     assert point_information(lens, DEPTH_M, 2.0, PointSource())[0] > 0.0
 
 

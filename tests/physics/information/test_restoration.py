@@ -22,7 +22,7 @@ def gaussian(width_px: float, share: float = 1.0) -> FloatArray:
 
 
 def test_the_error_is_that_of_a_wiener_filter_on_noisy_pictures() -> None:
-    """Two images of one texture through unlike kernels, filtered by what theory says is best: mean of 40 pictures."""
+    """Two images of one texture through unlike kernels, filtered by the Wiener filter: mean of 40 pictures."""
     electrons, contrast, kernels = 1000.0, 0.2, np.stack([gaussian(1.0), gaussian(2.5, 0.7)])
     power = Texture(electrons, contrast).half_power(SIDE)
     rng = np.random.default_rng(3)
@@ -33,11 +33,11 @@ def test_the_error_is_that_of_a_wiener_filter_on_noisy_pictures() -> None:
     for _ in range(40):
         white = scipy.fft.rfft2(rng.standard_normal((SIDE, SIDE)))
         texture = white * np.sqrt(power)
-        seen = [
+        noisy = [
             texture * h + scipy.fft.rfft2(math.sqrt(noise) * rng.standard_normal((SIDE, SIDE)))
             for h, noise in zip(transfers, noises, strict=True)
         ]
-        filtered = sum(h.conj() * image / noise for h, image, noise in zip(transfers, seen, noises, strict=True))
+        filtered = sum(h.conj() * image / noise for h, image, noise in zip(transfers, noisy, noises, strict=True))
         restored = scipy.fft.irfft2(filtered * power / (1.0 + power * gain), (SIDE, SIDE))
         true = scipy.fft.irfft2(texture, (SIDE, SIDE))
         lost, total = lost + float(((restored - true) ** 2).sum()), total + float((true**2).sum())

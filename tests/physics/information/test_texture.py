@@ -9,7 +9,7 @@ import scipy.fft
 from metafab.information.texture import Texture
 
 
-def test_a_texture_has_the_variance_that_is_asked() -> None:
+def test_a_texture_has_the_variance_of_its_contrast() -> None:
     white = np.abs(scipy.fft.rfft2(np.random.default_rng(1).standard_normal((64, 64)))) ** 2
     coloured = scipy.fft.irfft2(np.sqrt(Texture(100.0, 0.3).half_power(64) * white), (64, 64))
     assert coloured.std() == pytest.approx(30.0, rel=0.35)  # a few low frequencies hold most of it

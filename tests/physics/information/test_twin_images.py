@@ -40,5 +40,5 @@ def test_the_scatter_of_the_best_estimate_is_the_bound() -> None:
     transfer = np.ones((2, side, side), dtype=complex)
     slope = np.stack([1j * transfer_angle, -1j * transfer_angle])
     information = 2.0 * twin_information(transfer, slope, power)  # only one half carries power
-    # 4000 draws know a standard deviation to 1.1 %.
+    # 4000 draws give a standard deviation to 1.1 %.
     assert estimate.std() == pytest.approx(float(depth_crlb_m(information)), rel=0.035)

@@ -15,7 +15,7 @@ from metafab.spec.terms import SpiralZones
 from metafab.steps import preflight
 
 
-def test_profiles_of_a_design_optimise_as_asked(small_design: Design) -> None:
+def test_profiles_of_a_design_optimise_as_their_file_says(small_design: Design) -> None:
     figures = profile_of(small_design).figures
     assert figures.peak_gain >= 1.36
     assert figures.bound_fraction > 0.95
@@ -61,9 +61,9 @@ def test_a_picture_that_is_too_wide_is_refused_before_any_work(tmp_path: Path) -
     file, picture = write_new("mine", "hologram", tmp_path)
     text = file.read_text(encoding="utf-8")
     file.write_text(text.replace("width_um = 100.0", "width_um = 1e6"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"`phase\[1\]\.width_um`: expected at most \d+.* um") as told:
+    with pytest.raises(InputError, match=r"`phase\[1\]\.width_um`: expected at most \d+.* um") as refusal:
         preflight(load_design(file))
-    most_um = told.value.faults[0].expected.split()[2]
+    most_um = refusal.value.faults[0].expected.split()[2]
     file.write_text(text.replace("width_um = 100.0", f"width_um = {0.9999 * float(most_um):f}"), encoding="utf-8")
     preflight(load_design(file))
     picture.unlink()

@@ -19,7 +19,7 @@ from metafab.spec.design import Optics
 
 
 @pytest.fixture(scope="module")
-def found(small_design: Design) -> PhaseStudy:
+def stored(small_design: Design) -> PhaseStudy:
     plain = (replace(small_design.phase[0], optimise="none"), *small_design.phase[1:])
     design = replace(small_design, phase=plain, optics=Optics(20.0))
     return study(design, profile_of(design))
@@ -38,39 +38,39 @@ def _same(one: Any, other: Any) -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_round_trip(found: PhaseStudy, tmp_path: Path) -> None:
-    save_study(found, tmp_path / "phase_study.h5", inputs_sha256="")
-    _same(load_study(tmp_path / "phase_study.h5"), found)
+def test_round_trip(stored: PhaseStudy, tmp_path: Path) -> None:
+    save_study(stored, tmp_path / "phase_study.h5", inputs_sha256="")
+    _same(load_study(tmp_path / "phase_study.h5"), stored)
 
 
-def test_parts_may_be_missing(found: PhaseStudy, tmp_path: Path) -> None:
-    for part in (PhaseStudy(None, None, None), replace(found, bandwidth=None), replace(found, lobe=None)):
+def test_parts_may_be_missing(stored: PhaseStudy, tmp_path: Path) -> None:
+    for part in (PhaseStudy(None, None, None), replace(stored, bandwidth=None), replace(stored, lobe=None)):
         save_study(part, tmp_path / "part.h5", inputs_sha256="")
         _same(load_study(tmp_path / "part.h5"), part)
 
 
-def test_a_budget_without_remedies_is_kept(found: PhaseStudy, tmp_path: Path) -> None:
-    assert found.bandwidth is not None
-    hopeless = replace(found, bandwidth=replace(found.bandwidth, remedies=()))
+def test_a_budget_without_remedies_is_kept(stored: PhaseStudy, tmp_path: Path) -> None:
+    assert stored.bandwidth is not None
+    hopeless = replace(stored, bandwidth=replace(stored.bandwidth, remedies=()))
     save_study(hopeless, tmp_path / "hopeless.h5", inputs_sha256="")
     _same(load_study(tmp_path / "hopeless.h5"), hopeless)
 
 
-def test_same_study_same_bytes_and_every_dataset_has_its_unit(found: PhaseStudy, tmp_path: Path) -> None:
+def test_same_study_same_bytes_and_every_dataset_has_its_unit(stored: PhaseStudy, tmp_path: Path) -> None:
     for name in ("a.h5", "b.h5"):
-        save_study(found, tmp_path / name, inputs_sha256="")
+        save_study(stored, tmp_path / name, inputs_sha256="")
     assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
-    seen = []
+    datasets = []
     with h5py.File(tmp_path / "a.h5") as file:
 
         def look(name: str, item: object) -> None:
             if isinstance(item, h5py.Dataset):
-                seen.append(name)
+                datasets.append(name)
                 assert item.attrs["units"] and item.attrs["description"], name
 
         file.visititems(look)
         assert file["bounds/point_m"].dims[1][0].name == "/bounds/depth_m"
-    assert len(seen) > 20
+    assert len(datasets) > 20
 
 
 def test_foreign_files_are_refused(tmp_path: Path) -> None:

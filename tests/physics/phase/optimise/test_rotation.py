@@ -35,7 +35,7 @@ PUPIL = Pupil(128)
 
 
 @pytest.mark.parametrize("zones", [2, 3, 4, 5, 7])
-def test_rings_tell_the_rate_and_the_radius_of_the_plain_spirals_lobe(zones: int) -> None:
+def test_the_rings_give_rate_and_radius_of_the_plain_spirals_lobe(zones: int) -> None:
     radius, rate = ring_rotation(zones, 0.5)
     lobe = main_lobe(PUPIL, spiral_field(PUPIL, zones, 0.5), full_turn_defocus_rad(zones, 48), 2.0 * zones + 6.0)
     assert (np.diff(lobe.phi_deg) < 0.0).all()
@@ -46,7 +46,7 @@ def test_rings_tell_the_rate_and_the_radius_of_the_plain_spirals_lobe(zones: int
 
 
 def test_two_zones_turn_slower_than_the_law_and_that_is_no_error() -> None:
-    """The paper's range at L = 2: 3.4 % off -1 / L, and within half a per cent of what its two rings say."""
+    """The paper's range at L = 2: 3.4 % off -1 / L, and within half a per cent of the rate of its two rings."""
     defocus = rim_defocus_rad(1.0 / np.linspace(4.0, 1.0 / 0.6, 49), 0.30, 1000.0, 0.8)
     lobe = main_lobe(PUPIL, spiral_field(PUPIL, 2, 0.5), defocus, 10.0)
     rate = np.polyfit(defocus, np.radians(lobe.phi_deg), 1)[0]

@@ -55,17 +55,17 @@ def test_a_clear_aperture_has_the_first_ring_of_airy() -> None:
 
 def test_limits_are_met_and_cost_more_the_tighter_they_are(free: PeakDesign) -> None:
     limits = (0.9, 0.34, 0.28)
-    found = [limit_side_lobes(free, limit, pupil=PUPIL) for limit in limits]
-    for design, limit in zip(found, limits, strict=True):
+    designs = [limit_side_lobes(free, limit, pupil=PUPIL) for limit in limits]
+    for design, limit in zip(designs, limits, strict=True):
         assert design.limited <= limit
         again = measured_side_lobes(PUPIL, np.exp(1j * design.phase_rad), free.defocus_rad, 14.0)
         np.testing.assert_allclose(again, design.side_lobe)
-    gains = [design.peak_gain for design in found]
+    gains = [design.peak_gain for design in designs]
     assert gains[0] == pytest.approx(free.peak_gain, rel=1e-6), "a limit that binds nobody changes nothing"
     assert gains[0] > gains[1] > gains[2] > 1.36
     # An optimum below the limit would be no optimum: it comes near.
-    assert found[2].limited > 0.95 * 0.28
-    rate = np.polyfit(free.defocus_rad, np.radians(found[2].lobe.phi_deg), 1)[0]
+    assert designs[2].limited > 0.95 * 0.28
+    rate = np.polyfit(free.defocus_rad, np.radians(designs[2].lobe.phi_deg), 1)[0]
     assert rate == pytest.approx(-0.25, rel=0.03)
 
 

@@ -44,10 +44,10 @@ def test_bounds_at_the_pupil_are_those_of_a_sampled_stack() -> None:
             np.testing.assert_allclose(bounds.texture_m[row, inner], texture[inner], rtol=5e-3)
 
 
-def test_only_the_single_helix_reads_unknown_texture_and_everybody_a_point() -> None:
+def test_only_the_single_helix_has_information_about_unknown_texture() -> None:
     bounds = compare_masks(reference_masks(PUPIL, 4, 0.5), PUPIL, DEPTH_M, **SETTING, **NOISE)  # type: ignore[arg-type]
-    told = np.isfinite(bounds.texture_m)
-    assert told[1].all() and not told[0].any() and not told[2].any()
+    readable = np.isfinite(bounds.texture_m)
+    assert readable[1].all() and not readable[0].any() and not readable[2].any()
     assert np.isfinite(bounds.point_m[1:]).all()
 
 
@@ -55,8 +55,8 @@ def test_bounds_fall_with_light_and_grow_with_noise() -> None:
     def bound(**change: float) -> np.ndarray:
         source, texture = replace(PointSource(), **change), replace(Texture(), **change)
         masks = {"spiral": reference_masks(PUPIL, 4, 0.5)["plain spiral"]}
-        found = compare_masks(masks, PUPIL, DEPTH_M[:3], **SETTING, source=source, texture=texture)
-        return np.stack([found.point_m, found.texture_m])
+        bounds = compare_masks(masks, PUPIL, DEPTH_M[:3], **SETTING, source=source, texture=texture)
+        return np.stack([bounds.point_m, bounds.texture_m])
 
     assert (bound(electrons=1e5) < bound(electrons=1e4)).all()
     assert (bound(read_noise_e=20.0) > bound(read_noise_e=2.0)).all()
@@ -69,5 +69,5 @@ def test_bounds_fall_with_light_and_grow_with_noise() -> None:
 def test_pixels_without_light_and_noise_do_no_harm() -> None:
     """A clear aperture of Nyquist samples has exact zeros; without any noise they are 0 / 0."""
     quiet = {"source": PointSource(100.0, 0.0, 0.0), "texture": Texture(read_noise_e=0.0)}
-    found = compare_masks(reference_masks(PUPIL, 4, 0.5), PUPIL, DEPTH_M, **SETTING, **quiet)  # type: ignore[arg-type]
-    assert not np.isnan(found.point_m).any()
+    bounds = compare_masks(reference_masks(PUPIL, 4, 0.5), PUPIL, DEPTH_M, **SETTING, **quiet)  # type: ignore[arg-type]
+    assert not np.isnan(bounds.point_m).any()

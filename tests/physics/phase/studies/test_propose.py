@@ -11,9 +11,9 @@ from metafab.phase import propose
 
 
 def test_proposals_turn_once_at_most_and_are_ordered_by_their_bound() -> None:
-    found = propose(0.25, 0.60, aperture_um=2000.0, wavelength_um=0.8)
-    assert [p.relative_error for p in found] == sorted(p.relative_error for p in found)
-    for proposal in found:
+    proposals = propose(0.25, 0.60, aperture_um=2000.0, wavelength_um=0.8)
+    assert [p.relative_error for p in proposals] == sorted(p.relative_error for p in proposals)
+    for proposal in proposals:
         assert 0.0 < proposal.rotation_deg <= 330.0
         assert proposal.depth_m.shape == proposal.crlb_m.shape
         assert proposal.depth_m[[0, -1]] == pytest.approx([0.25, 0.60])

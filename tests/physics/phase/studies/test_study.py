@@ -41,9 +41,9 @@ def test_a_study_has_what_the_design_declares(small_design: Design) -> None:
 def test_a_design_without_helix_or_split_has_no_lobe_and_no_budget(small_design: Design) -> None:
     split = small_design.phase[1]
     lens = replace(small_design, phase=(split,), optics=Optics(10.0))
-    found = study(lens, profile_of(lens))
-    assert found.lobe is None and found.bounds is not None and found.bandwidth is not None
-    assert not np.isfinite(found.bounds.texture_m[0]).any(), "a lens tells nothing"
+    result = study(lens, profile_of(lens))
+    assert result.lobe is None and result.bounds is not None and result.bandwidth is not None
+    assert not np.isfinite(result.bounds.texture_m[0]).any(), "a lens has no information"
     helix = replace(_plain(small_design), optics=Optics(10.0))
     helix = replace(helix, phase=helix.phase[:1])
     assert study(helix, profile_of(helix)).bandwidth is None, "nothing is split"

@@ -28,14 +28,14 @@ def test_one_bright_spot_is_a_grating_towards_it(row: int, column: int) -> None:
     picture = np.zeros((41, 41))
     picture[row, column] = 1.0
     # Two rounds: later ones trade light for black between the spot's side lobes, which no grating has.
-    found = _hologram(picture, 41 * step_um, iterations=2)
+    hologram = _hologram(picture, 41 * step_um, iterations=2)
     # First row at the top: y falls with the row. The plane's middle point lies on the axis for odd counts.
     x_um, y_um = (column - 20) * step_um, (20 - row) * step_um
     angle_deg = math.degrees(math.asin(math.hypot(x_um, y_um) / DISTANCE_UM))
     azimuth_deg = math.degrees(math.atan2(y_um, x_um))
     axis_um = PITCH_UM * (np.arange(SITES) - 0.5 * (SITES - 1))
     grating = GratingPhase(WAVELENGTH_UM, angle_deg, azimuth_deg)(axis_um, axis_um, "x")
-    likeness = np.abs(np.mean(found.field * np.exp(-1j * grating)))
+    likeness = np.abs(np.mean(hologram.field * np.exp(-1j * grating)))
     assert likeness > 0.999
 
 
@@ -43,16 +43,16 @@ def test_a_picture_is_painted_upright_and_bright() -> None:
     picture = np.zeros((40, 60))
     picture[:10, :15] = 1.0  # the top left corner
     picture[30:, 30:] = 0.5  # and a fainter bar at the bottom right
-    found = _hologram(picture, 120.0, sites=200)
-    rows, columns = found.image.shape
-    total = found.image.sum()
-    bright = found.image[round(0.75 * rows) :, : round(0.25 * columns)].sum()
-    faint = found.image[: round(0.25 * rows), round(0.5 * columns) :].sum()
+    hologram = _hologram(picture, 120.0, sites=200)
+    rows, columns = hologram.image.shape
+    total = hologram.image.sum()
+    bright = hologram.image[round(0.75 * rows) :, : round(0.25 * columns)].sum()
+    faint = hologram.image[: round(0.25 * rows), round(0.5 * columns) :].sum()
     assert bright + faint > 0.85 * total
     # 150 points of 1 against 300 of 0.5: equal light, within what the speckle of the free border moves.
     assert bright / faint == pytest.approx(1.0, abs=0.2)
-    assert found.correlation > 0.9
-    assert 0.5 < found.efficiency <= 1.0
+    assert hologram.correlation > 0.9
+    assert 0.5 < hologram.efficiency <= 1.0
 
 
 def test_more_iterations_never_harm_and_nothing_is_left_to_chance() -> None:
@@ -63,18 +63,18 @@ def test_more_iterations_never_harm_and_nothing_is_left_to_chance() -> None:
 
 
 def test_energy_is_conserved_and_the_phase_is_pure() -> None:
-    found = _hologram(sample_picture(120), 80.0)
-    assert np.abs(np.abs(found.field) - 1.0).max() < 1e-12
-    assert found.wanted.sum() == pytest.approx(1.0, abs=1e-12)
-    assert found.efficiency <= 1.0 + 1e-12
+    hologram = _hologram(sample_picture(120), 80.0)
+    assert np.abs(np.abs(hologram.field) - 1.0).max() < 1e-12
+    assert hologram.wanted.sum() == pytest.approx(1.0, abs=1e-12)
+    assert hologram.efficiency <= 1.0 + 1e-12
 
 
 @pytest.mark.parametrize(("shape", "share"), [((40, 60), 1.0), ((60, 40), 40 / 60), ((40, 40), 1.0)])
 def test_the_widest_picture_fills_the_period_of_the_image_plane(shape: tuple[int, int], share: float) -> None:
     period_um = WAVELENGTH_UM * DISTANCE_UM / PITCH_UM
     picture = np.ones(shape)
-    found = _hologram(picture, share * period_um, iterations=1)
-    assert max(found.image.shape) == math.ceil(1.5 * SITES)  # all of the plane, along the picture's longer side
+    hologram = _hologram(picture, share * period_um, iterations=1)
+    assert max(hologram.image.shape) == math.ceil(1.5 * SITES)  # all of the plane, along the picture's longer side
     with pytest.raises(ValueError, match="`width_um`"):
         _hologram(picture, 1.001 * share * period_um, iterations=1)
     with pytest.raises(ValueError, match="`width_um`"):

@@ -68,7 +68,7 @@ def test_phases_of_the_papers_lens_are_right_to_a_ten_thousandth_of_a_radian() -
     assert error.max() < 1e-4
 
 
-def test_a_site_has_the_same_phase_in_whatever_tile_it_is_asked_for() -> None:
+def test_the_phase_of_a_site_does_not_depend_on_its_tile() -> None:
     term = _waves(7, 24, 12.0, 3.7)
     y_um = 0.35 * np.arange(-1500, 1500, 7)
     whole = term(SITES_UM, y_um, "x")
