@@ -1,9 +1,9 @@
-"""Raw frame and PSF calibration -> Image4D."""
+"""Decoder: RawFrame and PSF calibration -> Image4D."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,80 +13,117 @@ from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import Progress, silent
-from metafab.decode.evaluation.metrics import judged
+from metafab.decode.evaluation.metrics import evaluated
 from metafab.decode.image import Image4D
-from metafab.decode.images.compose import Pictures, empty, full_depth_m, lit_about, sharpened
-from metafab.decode.images.deconvolution import Restorer, Sharp
-from metafab.decode.matching.cost_volume import Volume
+from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m
+from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages
+from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
-from metafab.decode.matching.filters import BASIS_ERROR, CrossFilters
+from metafab.decode.matching.filters import CrossFilters
 from metafab.decode.matching.levels import Levels
 from metafab.decode.registration.calibration import Calibration
-from metafab.decode.registration.reduce import repeated
+from metafab.decode.registration.downsampling import repeated
 from metafab.decode.registration.twins import TwinGrid
-from metafab.decode.segmentation.frame_statistics import Seen
-from metafab.decode.segmentation.regions import Regions, find_regions, textured_pixels
+from metafab.decode.segmentation.outlines import ROUNDS
+from metafab.decode.segmentation.prepared_frame import PreparedFrame
+from metafab.decode.segmentation.regions import Regions, find_regions, textured_pixel_depth
 from metafab.optics.point_spread import Psf
 
-#: Between so few candidates the agreement is smooth enough for its peak to be found: by a spline for segments, and by a
-#: parabola for pixels, whose noise is larger than what that is off.
+#: Candidate depths. The correlation between them is smooth enough for its peak: that of a spline for segments, that of
+#: a parabola for pixels, whose noise is larger than the parabola's error.
 _CANDIDATES = 13
-#: How far around a pixel light is let in.
+#: Margin around the decoded window from which blur comes in, pixels.
 MARGIN_PX = 36
 
 
-def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D:
-    """Depth, all-in-focus polarisation images and their contrast from one frame.
+@dataclass(frozen=True)
+class DecoderNumerics:
+    """How a decoder computes.
 
-    Depth is claimed only where the twins agree, at a depth inside the calibrated range, and to better than a
-    few per cent; everywhere else it is NaN. No frame raises: what cannot be decoded comes back empty, with the
-    reason in ``details``.
+    Attributes:
+        basis_error: relative L2 error of the low-rank basis of the matched filters; a larger one is faster.
+        compensate_space_variance: whether to correct the filters for the pair's change over the field.
+        outline_rounds: most rounds of the refinement of outlines.
+        kept_bytes: most memory of the transfer functions that are kept for the next frame.
+    """
+
+    basis_error: float = 0.02
+    compensate_space_variance: bool = True
+    outline_rounds: int = ROUNDS
+    kept_bytes: int = KEPT_BYTES
+
+
+def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D:
+    """Decode depth, all-in-focus polarisation images and their contrast from one frame.
+
+    A depth is claimed only where the twins correlate, at a depth inside the calibrated range, and to better than a few
+    per cent; everywhere else it is NaN. No frame raises: one that cannot be decoded gives an empty image, with the
+    reason in its ``figures``.
 
     Args:
         frame: electrons or counts; saturated and invalid pixels are left out.
-        psf: calibration over the depths that are to be found, at least three.
-        progress: called after each candidate depth.
+        psf: calibration over the depths that are to be measured, at least three.
+        progress: called as images are filtered.
 
     Returns:
-        The image on the geometric image grid of the x polarisation. ``nmae`` is the mean of |z - z_true| /
-        z_true over pixels with a decoded and a true depth, with the segments' depths. ``details`` has
-        ``seconds``, ``nmae_pixel`` (each pixel's own depth), ``share_decoded`` (of the pixels with a true
-        depth), ``twin_mismatch`` (share of the twins' power that neither noise nor depth explains), what was
-        skipped, and a ``warning`` where the calibration does not seem to be the camera's.
+        The image on the geometric image grid of the x polarisation.
     """
     started = time.perf_counter()
     values = np.asarray(frame.frame)
     if values.ndim != 2 or values.dtype.kind not in "buif":
-        return _nothing((1, 1), frame, f"not a grey frame (shape {values.shape}, type {values.dtype})", started)
+        return _empty((1, 1), frame, f"not a grey frame (shape {values.shape}, type {values.dtype})", started)
     if psf.depth_m.size < 3:
-        return _nothing(values.shape, frame, "the calibration holds fewer than three depths", started)
+        return _empty(values.shape, frame, "the calibration holds fewer than three depths", started)
     if not np.isfinite([*frame.origin_um, frame.read_noise_e]).all() or not frame.holds_window:
-        return _nothing(values.shape, frame, "the frame's place, noise or window make no sense", started)
+        return _empty(values.shape, frame, "the frame's place, noise or window make no sense", started)
     if not abs(frame.pixel_um / psf.pixel_um - 1.0) <= 1e-6:
         reason = f"pixels of {frame.pixel_um:g} um, but a calibration for {psf.pixel_um:g} um"
-        return _nothing(values.shape, frame, reason, started)
+        return _empty(values.shape, frame, reason, started)
     decoder = Decoder.of(psf, values.shape, frame.origin_um, frame.x_window)
     if decoder is None:
-        return _nothing(values.shape, frame, "the frame does not hold both images", started)
+        return _empty(values.shape, frame, "the frame does not hold both images", started)
     return decoder(frame, progress=progress)
 
 
 @dataclass(frozen=True)
-class Decoder:
-    """A decoder for frames of one shape: what depends on the calibration alone is computed once.
+class DecodedFrame:
+    """All results of which a frame's 4D image is made.
 
-    For one Python thread at a time: Numba's ``workqueue`` layer ends a process in which two start parallel loops at
-    once, and what is kept between frames is not locked.
+    Attributes:
+        prepared: registered twins.
+        volume: cost volume.
+        pixels: depth of each pixel.
+        regions: segments.
+        sharp: all-in-focus images.
+        maps: arrays of the 4D image.
+    """
+
+    prepared: PreparedFrame
+    volume: CostVolume
+    pixels: PixelDepth
+    regions: Regions
+    sharp: SharpImages
+    maps: PixelMaps
+
+
+@dataclass(frozen=True)
+class Decoder:
+    """A decoder for frames of one shape; everything that depends on the calibration alone is computed once.
+
+    For one Python thread at a time: Numba's ``workqueue`` layer ends a process in which two threads start parallel
+    loops at once, and the transforms that are kept between frames are not locked.
 
     Attributes:
         calibration: the pair on the grid of the x image.
-        filters: what makes the twins equal at each candidate depth.
-        restorer: what makes them sharp.
+        filters: matched filters of each candidate depth.
+        deconvolver: Wiener filters.
+        numerics: how it computes.
     """
 
     calibration: Calibration
     filters: CrossFilters
-    restorer: Restorer
+    deconvolver: Deconvolver
+    numerics: DecoderNumerics = DecoderNumerics()
 
     @classmethod
     def of(
@@ -95,7 +132,7 @@ class Decoder:
         frame_shape: tuple[int, int],
         origin_um: tuple[float, float],
         x_window: tuple[int, int, int, int] | None = None,
-        basis_error: float = BASIS_ERROR,
+        numerics: DecoderNumerics | None = None,
     ) -> Decoder | None:
         """A decoder, or None if no part of such frames holds both images.
 
@@ -103,9 +140,10 @@ class Decoder:
             psf: calibration.
             frame_shape: (n_y, n_x) of the frames.
             origin_um: (x, y) on the sensor of pixel [0, 0].
-            x_window: (row, column, rows, columns) of the x image; without it, all that has its twin in the frame.
-            basis_error: what the mixtures of filters may leave out (relative L2): more is faster, and less exact.
+            x_window: (row, column, rows, columns) of the x image; by default, all pixels whose twins are in the frame.
+            numerics: how to compute.
         """
+        numerics = numerics or DecoderNumerics()
         kernels, image_map = PairKernels(psf), ImageMap.from_psf(psf)
         place = (image_map, frame_shape, origin_um, psf.pixel_um, MARGIN_PX)
         grid = TwinGrid.find(*place) if x_window is None else TwinGrid.at(*place, x_window)
@@ -113,106 +151,83 @@ class Decoder:
             return None
         calibration = Calibration(kernels, grid, image_map)
         vergences = np.linspace(1.0 / psf.depth_m.max(), 1.0 / psf.depth_m.min(), _CANDIDATES)
-        return cls(calibration, CrossFilters.of(calibration, vergences, basis_error), Restorer.of(calibration))
+        filters = CrossFilters.of(
+            calibration, vergences, numerics.basis_error, compensate=numerics.compensate_space_variance
+        )
+        return cls(calibration, filters, Deconvolver.of(calibration, numerics.kept_bytes), numerics)
 
     @property
     def nbytes(self) -> int:
-        """Memory of what is computed once."""
+        """Memory of everything that is kept between frames."""
         grid = self.calibration.grid
         maps = grid.tangent_x.nbytes * 5 + grid.resampler.nbytes
-        return self.calibration.stack.nbytes + self.filters.nbytes + self.restorer.nbytes + maps
+        return self.calibration.stack.nbytes + self.filters.nbytes + self.deconvolver.nbytes + maps
 
     def depth_map(self, frame: RawFrame, *, progress: Progress = silent) -> FloatArray:
-        """The depth of each pixel by itself, m, and nothing else: NaN where none is claimed."""
+        """Depth of each pixel from the window about it, without segments: shape (n_y, n_x), m; NaN for none."""
         with kept_threads():
-            seen = self.look(frame)
-            if isinstance(seen, str):
+            prepared = self.prepare(frame)
+            if isinstance(prepared, str):
                 return np.full(self.calibration.grid.shape, np.nan)
-            pixels = textured_pixels(seen, self.volume(seen, progress=progress))
-        return full_depth_m(pixels, self.filters.reduction.every, self.calibration.grid.shape)
+            pixels = textured_pixel_depth(prepared, self.match(prepared, progress))
+        return full_depth_m(pixels, self.filters.downsampling.step, self.calibration.grid.shape)
 
     def __call__(self, frame: RawFrame, *, progress: Progress = silent) -> Image4D:
-        """Decode one frame."""
+        """Decode one frame; see :func:`decode`."""
         started = time.perf_counter()
         with kept_threads():
-            seen = self.look(frame)
-            if isinstance(seen, str):
-                return _nothing(self.calibration.grid.shape, frame, seen, started, self.calibration.grid)
-            found = self.finish(frame, seen, self.volume(seen, progress=progress))
-        return judged(found.image, frame, seconds=time.perf_counter() - started)
+            prepared = self.prepare(frame)
+            if isinstance(prepared, str):
+                return _empty(self.calibration.grid.shape, frame, prepared, started, self.calibration.grid)
+            image = self.image(self.complete(prepared, self.match(prepared, progress)))
+        return evaluated(image, frame, seconds=time.perf_counter() - started)
 
-    def look(self, frame: RawFrame, levels: Levels | None = None) -> Seen | str:
-        """The twins and what is to be seen of them at once, or why there is nothing.
+    def prepare(self, frame: RawFrame, levels: Levels | None = None) -> PreparedFrame | str:
+        """Register and downsample a frame, or return the reason why it cannot be decoded.
 
         Args:
             frame: of the decoder's shape.
             levels: of an earlier frame in the same light; measured by default.
         """
         grid, values = self.calibration.grid, np.asarray(frame.frame)
-        pitch_um = self.calibration.kernels.psf.pixel_um
-        if not abs(frame.pixel_um / pitch_um - 1.0) <= 1e-6:
-            return f"pixels of {frame.pixel_um:g} um, but a decoder for {pitch_um:g} um"
-        away_um = np.subtract(frame.origin_um, self._frame_origin_um)
-        if not np.abs(away_um).max() <= 1e-3 * pitch_um:
-            return (
-                f"the frame starts at {frame.origin_um} um on the sensor, the decoder is for {self._frame_origin_um} um"
-            )
+        if not abs(frame.pixel_um / grid.pixel_um - 1.0) <= 1e-6:
+            return f"pixels of {frame.pixel_um:g} um, but a decoder for {grid.pixel_um:g} um"
+        origin_um = (
+            grid.origin_um[0] - grid.pixel_um * (grid.column + grid.margin),
+            grid.origin_um[1] - grid.pixel_um * (grid.row + grid.margin),
+        )
+        if not np.abs(np.subtract(frame.origin_um, origin_um)).max() <= 1e-3 * grid.pixel_um:
+            return f"the frame starts at {frame.origin_um} um on the sensor, the decoder is for {origin_um} um"
         if values.shape != grid.frame_shape or values.dtype.kind not in "buif":
             return f"expected a grey frame of {grid.frame_shape}, got one of {values.shape}, {values.dtype}"
-        return Seen.of(frame, grid, self.filters.reduction, levels)
+        return PreparedFrame.of(frame, grid, self.filters.downsampling, levels)
 
-    @property
-    def _frame_origin_um(self) -> tuple[float, float]:
-        """(x, y) on the sensor of pixel [0, 0] of the frames that it is made for."""
-        grid, pitch_um = self.calibration.grid, self.calibration.kernels.psf.pixel_um
-        (x, y), m = grid.origin_um, grid.margin
-        return x - pitch_um * (grid.column + m), y - pitch_um * (grid.row + m)
+    def match(self, prepared: PreparedFrame, progress: Progress = silent) -> CostVolume:
+        """Cost volume of the twins over the candidate depths."""
+        return self.filters.volume(prepared.spectra, prepared.levels, prepared.lit, progress)
 
-    def volume(self, seen: Seen, progress: Progress = silent) -> Volume:
-        """Agreement of the twins over depth."""
-        return self.filters.volume(seen.spectra, seen.levels, seen.lit, progress)
+    def complete(self, prepared: PreparedFrame, volume: CostVolume) -> DecodedFrame:
+        """Depths, segments and sharp images of a frame."""
+        step, shape = self.filters.downsampling.step, self.calibration.grid.shape
+        with kept_threads() as pool:
+            # Parallel loops run in this thread only: not every threading layer lets two threads start them at once.
+            near_light = repeated(prepared.near_light, step, shape)
+            tiles = pool.submit(self.deconvolver.tile_spectra, prepared.twins.image, near_light)
+            pixels = textured_pixel_depth(prepared, volume)
+            regions = find_regions(prepared, volume, pixels, outline_rounds=self.numerics.outline_rounds)
+        label, vergences = focus_depths(prepared, regions, volume.vergences_per_m)
+        sharp = self.deconvolver(tiles.result(), prepared.levels, repeated(label, step, shape), vergences)
+        maps = PixelMaps.of(prepared, pixels, regions, sharp)
+        return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 
-    def finish(self, frame: RawFrame, seen: Seen, volume: Volume) -> Decoded:
-        """Depth, segments and sharp images."""
-        every, shape = self.filters.reduction.every, self.calibration.grid.shape
-        with kept_threads() as beside:
-            # Loops over all threads are left to this one: not every threading layer lets two start them at once.
-            tiles = beside.submit(self.restorer.transformed, seen.twins.image, repeated(lit_about(seen), every, shape))
-            pixels = textured_pixels(seen, volume)
-            regions = find_regions(seen, volume, pixels)
-        sharp = sharpened(seen, regions, self.restorer, tiles.result(), volume.vergences_per_m)
-        return self.put_together(frame, seen, volume, pixels, regions, sharp, Pictures.of(seen, pixels, regions, sharp))
-
-    def put_together(
-        self,
-        frame: RawFrame,
-        seen: Seen,
-        volume: Volume,
-        pixels: PixelDepth,
-        regions: Regions,
-        sharp: Sharp,
-        pictures: Pictures,
-    ) -> Decoded:
-        """A frame of which all is known."""
-        image = pictures.image(frame, seen, volume, regions, sharp, self.filters.kernels.shape[1])
-        return Decoded(seen, volume, pixels, regions, sharp, pictures, image)
+    def image(self, decoded: DecodedFrame) -> Image4D:
+        """The 4D image of a decoded frame."""
+        image = decoded.maps.image(decoded.prepared, decoded.volume, decoded.regions, decoded.sharp)
+        return replace(image, figures=replace(image.figures, basis_images=self.filters.basis.count))
 
 
-@dataclass(frozen=True)
-class Decoded:
-    """A frame, and all that was found on the way to its image."""
-
-    seen: Seen
-    volume: Volume
-    pixels: PixelDepth
-    regions: Regions
-    sharp: Sharp
-    pictures: Pictures
-    image: Image4D
-
-
-def _nothing(
+def _empty(
     shape: tuple[int, ...], frame: RawFrame, reason: str, started: float, grid: TwinGrid | None = None
 ) -> Image4D:
-    """No depth anywhere, and why."""
-    return judged(empty(shape, frame, reason, grid), frame, seconds=time.perf_counter() - started)
+    """An image without any depth, and the reason."""
+    return evaluated(empty(shape, frame, reason, grid), frame, seconds=time.perf_counter() - started)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,8 @@ class SegmentFigures:
         number: of the segment, from 1, as in :attr:`Image4D.segment`.
         pixels: pixels of the segment.
         depth_m: depth at the middle of the segment.
-        slope_x_per_m: change of 1/depth a pixel along x, 1/m; 0 for a segment of one depth. Likewise ``slope_y_per_m``.
+        slope_x_per_m: change of 1/depth per pixel along x, 1/m; 0 for a segment of one depth.
+        slope_y_per_m: change of 1/depth per pixel along y, 1/m.
         error_m: standard error of ``depth_m``.
         contrast: I_x / I_y, mean over the interior of the segment.
         contrast_error: standard error of ``contrast``.
@@ -37,6 +38,63 @@ class SegmentFigures:
 
 
 @dataclass(frozen=True)
+class DecodeFigures:
+    """Figures of a decoded frame; None where a figure does not apply, and those against the truth without one.
+
+    Attributes:
+        reason: why nothing was decoded.
+        warning: why the calibration does not seem to be the camera's.
+        layers: depths at which many pixels lie.
+        basis_images: basis kernels that each image was filtered with.
+        step_px: frame pixels from one compared pixel to the next.
+        pixels: pixels of the window.
+        pixels_without_signal: pixels without light.
+        pixels_without_texture: lit pixels without a depth.
+        pixels_broken: saturated pixels, and those that are not a number.
+        contrast_standard_error: median over the pixels of the contrast's relative standard error.
+        twin_mismatch: share of the twins' power that neither noise nor depth explains.
+        seconds: time of decoding.
+        changed_share: share of a film frame's pixels that were decoded again.
+        share_decoded: of the pixels with a true depth, the share with a decoded one.
+        nmae_pixel: mean |depth error| / depth of the pixels' own depths.
+        psnr_x_db: peak signal-to-noise ratio of the x image; the peak is the largest true intensity.
+        ssim_x: structural similarity of the x image.
+        psnr_y_db: peak signal-to-noise ratio of the y image.
+        ssim_y: structural similarity of the y image.
+        object_error: mean over the true objects of the median relative error of depth.
+        worst_object_error: the largest of these.
+        contrast_error: mean relative error of the true objects' contrasts.
+    """
+
+    reason: str | None = None
+    warning: str | None = None
+    layers: int | None = None
+    basis_images: int | None = None
+    step_px: int | None = None
+    pixels: int | None = None
+    pixels_without_signal: int | None = None
+    pixels_without_texture: int | None = None
+    pixels_broken: int | None = None
+    contrast_standard_error: float | None = None
+    twin_mismatch: float | None = None
+    seconds: float | None = None
+    changed_share: float | None = None
+    share_decoded: float | None = None
+    nmae_pixel: float | None = None
+    psnr_x_db: float | None = None
+    ssim_x: float | None = None
+    psnr_y_db: float | None = None
+    ssim_y: float | None = None
+    object_error: float | None = None
+    worst_object_error: float | None = None
+    contrast_error: float | None = None
+
+    def known(self) -> dict[str, float | str]:
+        """The figures that apply, by name, for JSON."""
+        return {name: value for name, value in asdict(self).items() if value is not None}
+
+
+@dataclass(frozen=True)
 class Image4D:
     """All-in-focus polarisation images and depth on the geometric image grid of the x polarisation.
 
@@ -45,7 +103,7 @@ class Image4D:
         intensity_y: shape (n_y, n_x), electrons.
         contrast: shape (n_y, n_x), I_x / I_y; NaN where there is no signal.
         depth_m: shape (n_y, n_x), depth of the pixel's segment; NaN where no depth is claimed.
-        confidence: shape (n_y, n_x), 0 to 1; 0 where no depth is claimed.
+        confidence: shape (n_y, n_x), 0 to 1 (:mod:`metafab.decode.confidence`); 0 where no depth is claimed.
         segment: shape (n_y, n_x), number of the segment from 1; 0 for none.
         origin_um: (x, y) on the sensor of the centre of pixel [0, 0].
         pixel_um: pixel pitch.
@@ -54,7 +112,7 @@ class Image4D:
         contrast_error: shape (n_y, n_x), standard error of each pixel's contrast by photon and read noise; NaN where
             there is no signal.
         nmae: mean |depth error| / depth over decoded pixels with known truth; None without truth.
-        details: figures of the computing (seconds, pixels skipped and why, ...).
+        figures: figures of the decoding.
     """
 
     intensity_x: FloatArray
@@ -69,4 +127,4 @@ class Image4D:
     depth_pixel_m: FloatArray | None = None
     contrast_error: FloatArray | None = None
     nmae: float | None = None
-    details: dict[str, float | str] = field(default_factory=dict)
+    figures: DecodeFigures = field(default_factory=DecodeFigures)

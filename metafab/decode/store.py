@@ -12,7 +12,7 @@ import numpy as np
 
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import plain, untimed
-from metafab.decode.image import Image4D, SegmentFigures
+from metafab.decode.image import DecodeFigures, Image4D, SegmentFigures
 
 DECODED_KIND = "metafab decoded image"
 DECODED_FORMAT = 1
@@ -25,14 +25,12 @@ _DATASETS = (
     ("depth_m", "m", "depth of the segment, NaN where none is claimed"),
     ("confidence", "1", "0 to 1, 0 where no depth is claimed"),
     ("segment", "1", "number of the segment from 1, 0 for none"),
-    ("depth_pixel_m", "m", "depth of the pixel by itself, NaN where none is claimed"),
+    ("depth_pixel_m", "m", "depth of the pixel from the window about it, NaN where none is claimed"),
 )
-
-_SEGMENT_FIGURES = tuple(item.name for item in fields(SegmentFigures))
 
 
 def save(image: Image4D, path: Path, *, inputs_sha256: str = "") -> None:
-    """Write a decoded image, whole or not at all."""
+    """Write a decoded image; an interrupted write leaves no file."""
     with hdf5.create(path, kind=DECODED_KIND, format_version=DECODED_FORMAT, inputs_sha256=inputs_sha256) as file:
         n_y, n_x = image.depth_m.shape
         for name, start, count in (("x_um", image.origin_um[0], n_x), ("y_um", image.origin_um[1], n_y)):
@@ -45,7 +43,7 @@ def save(image: Image4D, path: Path, *, inputs_sha256: str = "") -> None:
         file.attrs["origin_um"] = image.origin_um
         file.attrs["pixel_um"] = image.pixel_um
         file.attrs["segments"] = json.dumps(plain(image.segments))
-        file.attrs["details"] = json.dumps(plain(untimed(image.details)))
+        file.attrs["details"] = json.dumps(plain(untimed(image.figures.known())))
         if image.nmae is not None:
             file.attrs["nmae"] = image.nmae
 
@@ -60,6 +58,7 @@ def load(path: Path | str) -> Image4D:
     with hdf5.open_kind(path, kind=DECODED_KIND, format_version=DECODED_FORMAT, remedy=remedy) as file:
         arrays = {name: np.asarray(file[name]) for name, _, _ in _DATASETS if name in file}
         origin, nmae = file.attrs["origin_um"], file.attrs.get("nmae")
+        figures = json.loads(str(file.attrs["details"]))
         return Image4D(
             arrays["intensity_x"],
             arrays["intensity_y"],
@@ -73,11 +72,12 @@ def load(path: Path | str) -> Image4D:
             arrays.get("depth_pixel_m"),
             arrays.get("contrast_error"),
             None if nmae is None else float(nmae),
-            json.loads(str(file.attrs["details"])),
+            DecodeFigures(**{item.name: figures[item.name] for item in fields(DecodeFigures) if item.name in figures}),
         )
 
 
 def _segment_figures(row: dict[str, float | None]) -> SegmentFigures:
     """Figures of one segment from its JSON object; a figure that is null or missing is NaN."""
-    known: dict[str, Any] = {name: math.nan if (value := row.get(name)) is None else value for name in _SEGMENT_FIGURES}
+    names = (item.name for item in fields(SegmentFigures))
+    known: dict[str, Any] = {name: math.nan if (value := row.get(name)) is None else value for name in names}
     return SegmentFigures(**{**known, "number": int(known["number"]), "pixels": int(known["pixels"])})

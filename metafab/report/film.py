@@ -115,8 +115,9 @@ def _caption(time_s: float, decoded: Image4D) -> str:
     if decoded.nmae is not None:
         told.append(f"depth within {100.0 * decoded.nmae:.2f} % over all pixels")
     for name, words in (("worst_object_error", "{:.2f} % of each object"), ("changed_share", "{:.0f} % decoded anew")):
-        if name in decoded.details:
-            told.append(words.format(100.0 * float(decoded.details[name])))
+        share = getattr(decoded.figures, name)
+        if share is not None:
+            told.append(words.format(100.0 * share))
     return ", ".join(told)
 
 

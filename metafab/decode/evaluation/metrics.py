@@ -1,8 +1,8 @@
-"""A decoded image against the truth, where a simulation knows it."""
+"""Errors of a decoded image against the truth of a simulated frame."""
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -11,62 +11,59 @@ from metafab.camera.frames.frame import RawFrame, Truth
 from metafab.core.conventions import FloatArray
 from metafab.decode.image import Image4D
 
-#: Pixels of the window of the structural similarity.
-_SSIM_REACH = 11
+#: Side of the window of the structural similarity, pixels.
+_SSIM_WINDOW_PX = 11
 
 
-def judged(image: Image4D, frame: RawFrame, *, seconds: float) -> Image4D:
-    """``image`` with its errors and the time it took.
-
-    ``details`` gets ``nmae_pixel``, ``object_error`` and ``worst_object_error`` (mean and largest over the true objects
-    of the median error of their pixels), ``share_decoded``, ``contrast_error`` (mean relative error of the contrast
-    over whole segments), ``psnr_x_db``, ``psnr_y_db`` (peak: the largest true intensity) and ``ssim_x``, ``ssim_y``.
-    """
-    details = {**image.details, "seconds": seconds}
+def evaluated(image: Image4D, frame: RawFrame, *, seconds: float) -> Image4D:
+    """``image`` with the time that it took and, where the truth is known, its errors."""
+    image = replace(image, figures=replace(image.figures, seconds=seconds))
     overlap = _overlap(image, frame)
     if overlap is None:
-        return dataclasses.replace(image, details=details)
-    mine, truth = overlap
+        return image
+    here, truth = overlap
+    depth_m, intensity_x, intensity_y = image.depth_m[here], image.intensity_x[here], image.intensity_y[here]
     known = np.isfinite(truth.depth_m)
-    decoded = known & np.isfinite(image.depth_m[mine])
-    nmae = _nmae(image.depth_m[mine], truth.depth_m)
-    details["share_decoded"] = float(decoded.sum() / max(1, known.sum()))
-    if image.depth_pixel_m is not None:
-        pixel = _nmae(image.depth_pixel_m[mine], truth.depth_m)
-        if pixel is not None:
-            details["nmae_pixel"] = pixel
-    for axis, got, true in (
-        ("x", image.intensity_x[mine], truth.intensity_x),
-        ("y", image.intensity_y[mine], truth.intensity_y),
-    ):
-        mean_square = float(np.mean((got - true) ** 2))
-        peak = float(true.max(initial=0.0))
-        if mean_square > 0.0 and peak > 0.0:
-            details[f"psnr_{axis}_db"] = 10.0 * float(np.log10(peak**2 / mean_square))
-        if peak > 0.0 and min(true.shape) >= _SSIM_REACH:
-            details[f"ssim_{axis}"] = structural_similarity(got, true, peak)
+    decoded = known & np.isfinite(depth_m)
+    psnr_x, ssim_x = _image_quality(intensity_x, truth.intensity_x)
+    psnr_y, ssim_y = _image_quality(intensity_y, truth.intensity_y)
     of_objects = [abs(error) for error in object_errors(image, frame).values()]
-    if of_objects:
-        details["object_error"] = float(np.mean(of_objects))
-        details["worst_object_error"] = max(of_objects)
-    errors = []
+    contrast_errors = []
     for number in np.unique(truth.label[truth.label > 0]):
         mask = (truth.label == number) & decoded
-        y, true_y = image.intensity_y[mine][mask].sum(), truth.intensity_y[mask].sum()
+        y, true_y = intensity_y[mask].sum(), truth.intensity_y[mask].sum()
         if y > 0.0 and true_y > 0.0:
-            ratio = image.intensity_x[mine][mask].sum() / y
-            errors.append(abs(ratio / (truth.intensity_x[mask].sum() / true_y) - 1.0))
-    if errors:
-        details["contrast_error"] = float(np.mean(errors))
-    return dataclasses.replace(image, nmae=nmae, details=details)
+            ratio = intensity_x[mask].sum() / y
+            contrast_errors.append(abs(ratio / (truth.intensity_x[mask].sum() / true_y) - 1.0))
+    figures = replace(
+        image.figures,
+        share_decoded=float(decoded.sum() / max(1, known.sum())),
+        nmae_pixel=None if image.depth_pixel_m is None else _nmae(image.depth_pixel_m[here], truth.depth_m),
+        psnr_x_db=psnr_x,
+        ssim_x=ssim_x,
+        psnr_y_db=psnr_y,
+        ssim_y=ssim_y,
+        object_error=float(np.mean(of_objects)) if of_objects else None,
+        worst_object_error=max(of_objects, default=None),
+        contrast_error=float(np.mean(contrast_errors)) if contrast_errors else None,
+    )
+    return replace(image, nmae=_nmae(depth_m, truth.depth_m), figures=figures)
 
 
-def structural_similarity(got: FloatArray, true: FloatArray, peak: float) -> float:
+def _image_quality(image: FloatArray, truth: FloatArray) -> tuple[float | None, float | None]:
+    """Peak signal-to-noise ratio in dB and structural similarity; None where they are not defined."""
+    mean_square, peak = float(np.mean((image - truth) ** 2)), float(truth.max(initial=0.0))
+    psnr_db = 10.0 * float(np.log10(peak**2 / mean_square)) if mean_square > 0.0 and peak > 0.0 else None
+    large = peak > 0.0 and min(truth.shape) >= _SSIM_WINDOW_PX
+    return psnr_db, structural_similarity(image, truth, peak) if large else None
+
+
+def structural_similarity(image: FloatArray, truth: FloatArray, peak: float) -> float:
     """Mean structural similarity (Wang et al., IEEE Trans. Image Process. 13, 600, 2004; Eq. 13).
 
     Args:
-        got: shape (n_y, n_x).
-        true: the same shape.
+        image: shape (n_y, n_x).
+        truth: shape (n_y, n_x).
         peak: range of the values, the ``L`` of its constants.
 
     Returns:
@@ -74,57 +71,68 @@ def structural_similarity(got: FloatArray, true: FloatArray, peak: float) -> flo
     """
     low, high = (0.01 * peak) ** 2, (0.03 * peak) ** 2
     mean_a, mean_b, square_a, square_b, product = (
-        gaussian_filter(part, 1.5, truncate=3.5) for part in (got, true, got * got, true * true, got * true)
+        gaussian_filter(part, 1.5, truncate=3.5) for part in (image, truth, image * image, truth * truth, image * truth)
     )
     variance = np.maximum(square_a - mean_a**2, 0.0) + np.maximum(square_b - mean_b**2, 0.0)
-    likeness = (2.0 * mean_a * mean_b + low) / (mean_a**2 + mean_b**2 + low)
-    return float(np.mean(likeness * (2.0 * (product - mean_a * mean_b) + high) / (variance + high)))
+    luminance = (2.0 * mean_a * mean_b + low) / (mean_a**2 + mean_b**2 + low)
+    return float(np.mean(luminance * (2.0 * (product - mean_a * mean_b) + high) / (variance + high)))
 
 
 def object_errors(image: Image4D, frame: RawFrame) -> dict[int, float]:
-    """The error of each true object's depth, whatever becomes of its outline: median of z / z_true - 1 of its pixels.
+    """Relative depth error of each true object: the median of z / z_true - 1 over its pixels.
 
     Args:
         image: decoded from ``frame``.
-        frame: with its truth; without it there is nothing to tell.
+        frame: with its truth.
 
     Returns:
-        By the number of each object of which anything is decoded.
+        Error by the number of each object of which a pixel is decoded; empty without truth.
     """
     overlap = _overlap(image, frame)
     if overlap is None:
         return {}
-    mine, truth = overlap
-    depth_m = image.depth_m[mine]
+    here, truth = overlap
+    depth_m = image.depth_m[here]
     known = np.isfinite(depth_m) & np.isfinite(truth.depth_m)
-    return {
-        int(number): float(np.median(depth_m[mask] / truth.depth_m[mask])) - 1.0
-        for number in np.unique(truth.label[truth.label > 0])
-        if (mask := known & (truth.label == number)).any()
-    }
+    errors = {}
+    for number in np.unique(truth.label[truth.label > 0]):
+        mask = known & (truth.label == number)
+        if mask.any():
+            errors[int(number)] = float(np.median(depth_m[mask] / truth.depth_m[mask])) - 1.0
+    return errors
 
 
 def _nmae(depth_m: FloatArray, true_m: FloatArray) -> float | None:
+    """Mean |depth error| / depth where both are known; None without any."""
     both = np.isfinite(depth_m) & np.isfinite(true_m)
     return float(np.mean(np.abs(depth_m[both] / true_m[both] - 1.0))) if both.any() else None
 
 
+@dataclass(frozen=True)
+class _Span:
+    """Overlap of two grids along one axis: slices in the image and in the truth."""
+
+    image: slice
+    truth: slice
+
+
 def _overlap(image: Image4D, frame: RawFrame) -> tuple[tuple[slice, slice], Truth] | None:
-    """The part of the decoded grid that the truth covers, and the truth there; grids meet at whole pixels."""
+    """The part of the image that the truth covers, and the truth there; None without any.
+
+    The grids are a whole number of pixels apart.
+    """
     if frame.truth is None or frame.truth_origin_um is None:
         return None
     if not image.pixel_um > 0.0 or not np.isfinite([*frame.truth_origin_um, *image.origin_um]).all():
-        return None  # a frame that was not decoded, for it does not know where it stands
-    slices, parts = [], []
-    for axis in (1, 0):
+        return None  # a frame that was not decoded, for its place is not known
+    spans = []
+    for axis, n, true_n in zip((1, 0), image.depth_m.shape, frame.truth.depth_m.shape, strict=True):
         offset = round((frame.truth_origin_um[axis] - image.origin_um[axis]) / image.pixel_um)
-        have, true = image.depth_m.shape[1 - axis], frame.truth.depth_m.shape[1 - axis]
-        start, stop = max(0, offset), min(have, offset + true)
+        start, stop = max(0, offset), min(n, offset + true_n)
         if stop <= start:
             return None
-        slices.append(slice(start, stop))
-        parts.append(slice(start - offset, stop - offset))
-    crop = (parts[0], parts[1])
-    truth = frame.truth
-    part = Truth(truth.depth_m[crop], truth.intensity_x[crop], truth.intensity_y[crop], truth.label[crop])
-    return (slices[0], slices[1]), part
+        spans.append(_Span(slice(start, stop), slice(start - offset, stop - offset)))
+    rows, columns = spans
+    crop = (rows.truth, columns.truth)
+    truth = Truth(**{item.name: getattr(frame.truth, item.name)[crop] for item in fields(Truth)})
+    return (rows.image, columns.image), truth

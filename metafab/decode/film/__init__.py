@@ -1,1 +1,6 @@
-"""Films: change detection, tracking of segments, frame after frame."""
+"""Films: frames one after the other, of which only the parts that changed are decoded again.
+
+- ``changes``   change detection between raw frames: RawFrame, RawFrame -> rectangles that changed
+- ``tracking``  segments of the last frame continued in the segments of a part
+- ``video``     VideoDecoder: RawFrame after RawFrame -> Image4D after Image4D
+"""

@@ -1,7 +1,7 @@
-"""Frames one after the other: what has not changed since it was decoded is not decoded again.
+"""Decoder of films: parts of a frame that have not changed since the last one are not decoded again.
 
-Changes are looked for in the raw frame. Rectangles that hold them and what they reach are decoded as if they were small
-frames, with what lies around them: their segments are joined to the last frame's, their images written over its own.
+Changes are detected in the raw frame. Rectangles that hold them, with the pixels that filters mix them into, are
+decoded like small frames, together with their surroundings. Their segments are tracked from the last frame's.
 """
 
 from __future__ import annotations
@@ -17,231 +17,245 @@ from numpy.typing import NDArray
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import silent
-from metafab.decode.decoder import Decoded, Decoder
-from metafab.decode.evaluation.metrics import judged
-from metafab.decode.film.changes import Glance, Squares, parts_of
-from metafab.decode.film.tracking import Part, joined, planes_around, refreshed
+from metafab.decode.decoder import DecodedFrame, Decoder
+from metafab.decode.evaluation.metrics import evaluated
+from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
+from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track
 from metafab.decode.image import Image4D
-from metafab.decode.images.compose import Pictures, focus, lit_about
-from metafab.decode.images.deconvolution import LitTiles
-from metafab.decode.matching.cost_volume import Volume
+from metafab.decode.images.compose import PixelMaps, focus_depths
+from metafab.decode.images.deconvolution import SharpImages, TileSpectra
+from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
-from metafab.decode.registration.reduce import place_within, repeated
-from metafab.decode.registration.twins import extract_part
-from metafab.decode.segmentation.frame_statistics import Seen
-from metafab.decode.segmentation.regions import Regions, find_regions, layer_step_per_m, near_texture
+from metafab.decode.registration.downsampling import relative_slices, repeated
+from metafab.decode.registration.twins import Twins, extract_part
+from metafab.decode.segmentation.prepared_frame import PreparedFrame
+from metafab.decode.segmentation.regions import Regions, find_regions, layer_separation_per_m, near_texture
 
-#: A frame of which more changed is decoded anew, with levels of its own.
+#: Share of changed pixels from which a whole frame is decoded anew, with levels of its own.
 _MOST_CHANGED = 0.6
-#: Frames with changes that are decoded anew for a second look, and after how many more there is another: the better one
-#: stays, so that a bad beginning, and fragments of segments, do not last.
-_SECOND_LOOKS, _LOOK_AGAIN = (1, 3), 25
-#: What a part is seen with, pixels of the frame around it: what windows reach, and where its segments go on.
-_AROUND_PX = 12
+#: Numbers of the changed frames that are decoded anew for comparison, and then every so many: the segmentation with
+#: fewer segments is kept, so that a bad start, and fragments of segments, do not last.
+SECOND_LOOKS, _LOOK_AGAIN = (1, 3), 25
+#: Width of the surroundings with which a part is decoded, frame pixels.
+_SURROUNDINGS_PX = 12
+
+
+@dataclass(frozen=True)
+class FilmState:
+    """The last frame of a film.
+
+    Attributes:
+        decoded: its decoding.
+        image: its 4D image, without errors against a truth.
+        patches: its patches, for change detection.
+        camera: shape of the frame, pixel, place, noise and saturation; frames of another camera do not continue it.
+    """
+
+    decoded: DecodedFrame
+    image: Image4D
+    patches: PatchMeans
+    camera: tuple[object, ...]
 
 
 @dataclass
 class VideoDecoder:
-    """A decoder with a memory.
+    """A decoder that remembers the last frame.
 
     Attributes:
-        decoder: what decodes.
-        changed_share: share of the last frame's pixels that were decoded anew.
+        decoder: decoder of single frames.
+        second_looks: numbers of the changed frames that are decoded anew for comparison.
+        changed_share: share of the last frame's pixels that were decoded again.
+        state: the last frame; None before the first one, and after one that could not be decoded.
     """
 
     decoder: Decoder
+    second_looks: tuple[int, ...] = SECOND_LOOKS
     changed_share: float = field(default=1.0, init=False)
+    state: FilmState | None = field(default=None, init=False, repr=False)
     _changes: int = field(default=0, init=False, repr=False)
-    _last: tuple[Decoded, Glance, tuple[object, ...]] | None = field(default=None, init=False, repr=False)
 
     def __call__(self, frame: RawFrame) -> Image4D:
-        """Decode the next frame: where nothing moved, all that is known of it is the last frame's.
+        """Decode the next frame.
 
-        The image's arrays are for reading only (a copy of one is not): later frames go on from them, and one in which
-        nothing moved has the very same. ``details`` get ``changed_share``. A frame that cannot be decoded is forgotten
-        at once; one that shows another scene, or the same in other light, is decoded anew.
+        Where nothing has changed, the results of the last frame are kept. The image's arrays are read-only, because
+        the next frames share them. A frame of another scene, or in other light, is decoded anew.
         """
         started = time.perf_counter()
         camera = (np.shape(frame.frame), frame.pixel_um, frame.origin_um, frame.read_noise_e, frame.saturation_e)
-        last = self._last
-        self._last, self.changed_share = None, 1.0
+        last = self.state
+        self.state, self.changed_share = None, 1.0
         with kept_threads():
-            found = None if last is None or last[2] != camera else self._followed(frame, last[0], last[1])
-            if found is None:
+            state = self._continued(frame, last) if last is not None and last.camera == camera else None
+            if state is None:
                 self._changes = 0
-                found = self._anew(frame)
-            if found is None:
+                state = self._anew(frame, camera)
+            if state is None:
                 return self.decoder(frame)
-        self._last = *found, camera
-        image = judged(_for_reading(found[0].image), frame, seconds=time.perf_counter() - started)
-        image.details["changed_share"] = self.changed_share
-        return image
+        self.state = state
+        image = evaluated(_read_only(state.image), frame, seconds=time.perf_counter() - started)
+        return replace(image, figures=replace(image.figures, changed_share=self.changed_share))
 
-    def _anew(self, frame: RawFrame) -> tuple[Decoded, Glance] | None:
-        """A frame decoded by itself, and what it looks like; None if there is nothing to be decoded."""
-        seen = self.decoder.look(frame)
-        if not isinstance(seen, Seen):
+    def _anew(self, frame: RawFrame, camera: tuple[object, ...]) -> FilmState | None:
+        """A frame decoded by itself; None if it cannot be decoded."""
+        prepared = self.decoder.prepare(frame)
+        if isinstance(prepared, str):
             return None
-        return self.decoder.finish(frame, seen, self.decoder.volume(seen)), self._squares.glance(frame)
+        decoded = self.decoder.complete(prepared, self.decoder.match(prepared))
+        return FilmState(decoded, self.decoder.image(decoded), self._detector.patch_means(frame), camera)
 
     @cached_property
-    def _squares(self) -> Squares:
-        return Squares.of(self.decoder.calibration.grid, self.decoder.filters.reduction)
+    def _detector(self) -> ChangeDetector:
+        return ChangeDetector.of(self.decoder.calibration.grid, self.decoder.filters.downsampling)
 
-    def _followed(self, frame: RawFrame, last: Decoded, before: Glance) -> tuple[Decoded, Glance] | None:
-        """The last frame with what changed, and what it looks like; None if too much did."""
-        now = self._squares.glance(frame)
-        reached = self._squares.reached(self._squares.moved(now, before, last.seen.levels))
-        parts = parts_of(reached, self.decoder.filters.block)
-        anew = np.zeros(reached.shape, dtype=bool)
+    def _continued(self, frame: RawFrame, last: FilmState) -> FilmState | None:
+        """The last frame updated where it changed; None if too much did."""
+        patches = self._detector.patch_means(frame)
+        changed = self._detector.changed(patches, last.patches, last.decoded.prepared.levels)
+        affected = self._detector.affected(changed)
+        parts = changed_rectangles(affected, self.decoder.filters.block)
+        again = np.zeros(affected.shape, dtype=bool)
         for part in parts:
-            anew[part] = True
-        share = float(anew.mean())
+            again[part] = True
+        share = float(again.mean())
         if share > _MOST_CHANGED:
             return None
-        if parts:
-            self._changes += 1
-            if self._changes in _SECOND_LOOKS or self._changes % _LOOK_AGAIN == 0:
-                again = self._anew(frame)
-                # The same scene in fewer pieces is better understood.
-                if again is not None and len(again[0].regions.depths) <= len(last.regions.depths):
-                    return again
-        self.changed_share = share
         if not parts:
-            return last, before
-        # What moved in the margin beside a part is known with it.
-        taken = np.pad(anew, self._squares.margin, mode="edge")
-        return self._renewed(frame, last, parts, reached), now.kept(before, taken)
+            self.changed_share = share
+            return last
+        self._changes += 1
+        if self._changes in self.second_looks or self._changes % _LOOK_AGAIN == 0:
+            anew = self._anew(frame, last.camera)
+            # Fewer segments of the same scene are the better segmentation.
+            if anew is not None and len(anew.decoded.regions.depths) <= len(last.decoded.regions.depths):
+                return anew
+        self.changed_share = share
+        decoded = self._updated(frame, last.decoded, parts, affected)
+        # Changes in the margin next to a part are known with it.
+        known = np.pad(again, self._detector.margin, mode="edge")
+        return FilmState(decoded, self.decoder.image(decoded), last.patches.replaced(patches, known), last.camera)
 
-    def _renewed(self, frame: RawFrame, last: Decoded, parts: list[Part], reached: NDArray[np.bool_]) -> Decoded:
-        """The last frame with some parts of another. All of it but its image and segments is written over.
+    def _updated(
+        self, frame: RawFrame, last: DecodedFrame, parts: list[Part], affected: NDArray[np.bool_]
+    ) -> DecodedFrame:
+        """The last frame with parts of the next one.
 
         Args:
-            frame: that other.
-            last: the frame before.
-            parts: what is decoded anew, compared pixels.
-            reached: shape (n_y, n_x), the pixels of those whose light is anew.
+            frame: the next frame.
+            last: the last one.
+            parts: changed rectangles, downsampled pixels.
+            affected: shape (n_y, n_x), the pixels in them whose light changed.
         """
-        for part in parts:
-            self._look(frame, last, part)
-        seen = replace(last.seen)  # without what it knew of its pixels
-        rows, columns = self.decoder.filters.reduction.shape
-        everywhere = [(slice(0, rows), slice(0, columns))]
-        with kept_threads() as beside:
-            # Loops over all threads are left to this one: not every threading layer lets two start them at once.
-            ready = beside.submit(lambda: (last.pictures.copy(), self._tiles(seen, parts, reached)))
-            regions, number = self._segments(last, parts)
-        copied, tiles = ready.result()
-        refreshed_ones = refreshed(regions, last.volume, self.decoder.filters.reduction.every)
-        self._sharpen(seen, last, refreshed_ones, parts, reached, tiles)
-        pictures = copied.renumbered(number)
-        for part in parts if refreshed_ones is regions else everywhere:
-            self._draw(pictures, seen, last, refreshed_ones, part)
-        return self.decoder.put_together(frame, seen, last.volume, last.pixels, refreshed_ones, last.sharp, pictures)
+        prepared, volume = self._matched(frame, last, parts)
+        with kept_threads() as pool:
+            # Parallel loops run in this thread only: not every threading layer lets two threads start them at once.
+            tiles = pool.submit(self._tile_spectra, prepared, parts, affected)
+            pixels, tracked = self._segmented(prepared, volume, last, parts)
+        regions = remeasured(tracked.regions, volume, self.decoder.filters.downsampling.step)
+        sharp = self._deconvolved(prepared, last, regions, parts, affected, tiles.result())
+        rows, columns = self.decoder.filters.downsampling.shape
+        redrawn = parts if regions is tracked.regions else [(slice(0, rows), slice(0, columns))]
+        patches = []
+        for part in redrawn:
+            around, frame_slices = self._surroundings(part), self.decoder.filters.downsampling.frame_slices
+            local = prepared.within(*around), pixels.within(*around), regions.within(*around)
+            maps = PixelMaps.of(*local, sharp.within(*frame_slices(*around)))
+            patches.append((frame_slices(*part), maps, frame_slices(*around)))
+        maps = last.maps.updated(tracked.number, patches)
+        return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 
-    def _about(self, part: Part) -> Part:
-        """A part and what lies around it in the window."""
-        reduction = self.decoder.filters.reduction
-        reach = -(-_AROUND_PX // reduction.every)
+    def _surroundings(self, part: Part) -> Part:
+        """A part with the pixels around it, inside the window."""
+        downsampling = self.decoder.filters.downsampling
+        reach = -(-_SURROUNDINGS_PX // downsampling.step)
         rows, columns = (
             slice(max(0, at.start - reach), min(n, at.stop + reach))
-            for at, n in zip(part, reduction.shape, strict=True)
+            for at, n in zip(part, downsampling.shape, strict=True)
         )
         return rows, columns
 
-    def _look(self, frame: RawFrame, last: Decoded, part: Part) -> None:
-        """Write a part's twins and their agreement over the last frame's."""
-        (rows, columns), seen, m = part, last.seen, self._squares.margin
-        filters = self.decoder.filters.within(*part)
-        inside = self.decoder.filters.reduction.of_part(*part)
-        image, bad = extract_part(frame, self.decoder.calibration.grid, *inside)
-        here = seen.twins.within(*inside)
-        here.image[:], here.bad[:] = image, bad
-        spectra = filters.reduction.spectra(image)
-        small = filters.reduction.images(spectra)[:, *filters.reduction.inner]
-        seen.small[:, m + rows.start : m + rows.stop, m + columns.start : m + columns.stop] = small
-        lit = small.sum(axis=0) > seen.floor_e
-        last.volume.parts[:, :, rows, columns] = filters.volume(spectra, seen.levels, lit, silent).parts
+    def _matched(self, frame: RawFrame, last: DecodedFrame, parts: list[Part]) -> tuple[PreparedFrame, CostVolume]:
+        """The last frame's twins and cost volume with those of the changed parts."""
+        before, grid = last.prepared, self.decoder.calibration.grid
+        twin_images, bad = before.twins.image.copy(), before.twins.bad.copy()
+        images, products = before.images.copy(), last.volume.products.copy()
+        for part in parts:
+            filters = self.decoder.filters.within(*part)
+            rows, columns = self.decoder.filters.downsampling.frame_slices(*part)
+            twins = extract_part(frame, grid, rows, columns)
+            wide = slice(rows.start, rows.stop + 2 * grid.margin), slice(columns.start, columns.stop + 2 * grid.margin)
+            twin_images[:, *wide], bad[rows, columns] = twins
+            spectra = filters.downsampling.spectra(twins[0])
+            small = filters.downsampling.images(spectra)[:, *filters.downsampling.inner]
+            m = filters.downsampling.margin
+            images[:, part[0].start + m : part[0].stop + m, part[1].start + m : part[1].stop + m] = small
+            lit = small.sum(axis=0) > before.floor_e
+            products[:, :, *part] = filters.volume(spectra, before.levels, lit, silent).products
+        prepared = replace(before, twins=Twins(grid, twin_images, bad), images=images)
+        return prepared, replace(last.volume, products=products)
 
-    def _pixels(self, seen: Seen, volume: Volume, last: PixelDepth, part: Part, about: Part) -> PixelDepth:
-        """Write the depth of each of a part's pixels by itself over the last frame's; those about it.
-
-        Args:
-            seen: of what lies about the part, like ``volume``.
-            volume: see ``seen``.
-            last: of all of the window.
-            part: what is written.
-            about: that and what lies around it.
-        """
-        found = pixel_depth(volume, seen.window, seen.variance)
-        found = PixelDepth(found.vergence_per_m, found.relative_error, found.claimed & near_texture(seen))
-        rows, columns = place_within(part, about)
-        inner, here = found.within(rows, columns), last.within(*part)
-        here.vergence_per_m[:], here.relative_error[:] = inner.vergence_per_m, inner.relative_error
-        here.claimed[:] = inner.claimed
-        return last.within(*about)
-
-    def _segments(self, last: Decoded, parts: list[Part]) -> tuple[Regions, NDArray[np.int32]]:
-        """The last frame's segments with those of some parts, and the number that each of the former has now."""
-        regions = last.regions
+    def _segmented(
+        self, prepared: PreparedFrame, volume: CostVolume, last: DecodedFrame, parts: list[Part]
+    ) -> tuple[PixelDepth, TrackedRegions]:
+        """The last frame's pixel depths and segments with those of the changed parts."""
+        before, regions = last.pixels, last.regions
         number = np.arange(len(regions.depths) + 1, dtype=np.int32)
+        pixels = PixelDepth(before.vergence_per_m.copy(), before.relative_error.copy(), before.claimed.copy())
+        separation = layer_separation_per_m(volume)
         for part in parts:
-            about = self._about(part)
-            seen, volume = last.seen.within(*about), last.volume.within(*about)
-            pixels = self._pixels(seen, volume, last.pixels, part, about)
-            step_per_m = layer_step_per_m(volume)
-            found = find_regions(seen, volume, pixels, planes_around(regions, part, about, step_per_m))
-            regions, changed = joined(regions, found, part, about, step_per_m)
-            number = changed[number]
-        return regions, number
+            around = self._surroundings(part)
+            inside = relative_slices(part, around)
+            local, local_volume = prepared.within(*around), volume.within(*around)
+            depth = pixel_depth(local_volume, local.window, local.variance)
+            pixels.vergence_per_m[part] = depth.vergence_per_m[inside]
+            pixels.relative_error[part] = depth.relative_error[inside]
+            pixels.claimed[part] = (depth.claimed & near_texture(local))[inside]
+            known = planes_around(regions, part, around, separation)
+            rounds = self.decoder.numerics.outline_rounds
+            current = find_regions(local, local_volume, pixels.within(*around), known, rounds)
+            tracked = track(regions, current, part, around, separation)
+            regions, number = tracked.regions, tracked.number[number]
+        return pixels, TrackedRegions(regions, number)
 
-    def _tiles(self, seen: Seen, parts: list[Part], reached: NDArray[np.bool_]) -> LitTiles:
-        """The tiles that hold what is made sharp."""
-        lit = np.zeros_like(reached)
+    def _tile_spectra(self, prepared: PreparedFrame, parts: list[Part], affected: NDArray[np.bool_]) -> TileSpectra:
+        """Transforms of the tiles that hold the affected light."""
+        near_light = np.zeros_like(affected)
         for part in parts:
-            lit[part] = lit_about(seen.within(*part))
-        every = self.decoder.filters.reduction.every
-        label = repeated(lit & reached, every, self.decoder.calibration.grid.shape)
-        return self.decoder.restorer.transformed(seen.twins.image, label)
+            around = self._surroundings(part)
+            near_light[part] = prepared.within(*around).near_light[relative_slices(part, around)]
+        step, shape = self.decoder.filters.downsampling.step, self.decoder.calibration.grid.shape
+        return self.decoder.deconvolver.tile_spectra(prepared.twins.image, repeated(near_light & affected, step, shape))
 
-    def _sharpen(
+    def _deconvolved(
         self,
-        seen: Seen,
-        last: Decoded,
+        prepared: PreparedFrame,
+        last: DecodedFrame,
         regions: Regions,
         parts: list[Part],
-        reached: NDArray[np.bool_],
-        tiles: LitTiles,
-    ) -> None:
-        """Write what is reached over the last frame's sharp images."""
-        reduction, shape = self.decoder.filters.reduction, self.decoder.calibration.grid.shape
-        label, vergences = np.zeros(reached.shape, dtype=np.int32), np.zeros(0)
+        affected: NDArray[np.bool_],
+        tiles: TileSpectra,
+    ) -> SharpImages:
+        """The last frame's sharp images with those of the affected pixels."""
+        downsampling, shape = self.decoder.filters.downsampling, self.decoder.calibration.grid.shape
+        label, vergences = np.zeros(affected.shape, dtype=np.int32), np.zeros(0)
         for part in parts:
-            about = self._about(part)
-            depths, its_vergences = focus(seen.within(*about), regions.within(*about), last.volume.vergences_per_m)
-            numbers = np.where(depths > 0, depths + vergences.size, 0)
-            rows, columns = place_within(part, about)
-            label[part] = np.where(reached[part], numbers[rows, columns], 0)
-            vergences = np.append(vergences, its_vergences)
-        wanted, dark = (repeated(of, reduction.every, shape) for of in (label, reached & (label == 0)))
-        number = np.zeros(shape, dtype=np.int32)
+            around = self._surroundings(part)
+            depths, of_depths = focus_depths(
+                prepared.within(*around), regions.within(*around), last.volume.vergences_per_m
+            )
+            numbers = np.where(depths > 0, depths + vergences.size, 0)[relative_slices(part, around)]
+            label[part] = np.where(affected[part], numbers, 0)
+            vergences = np.append(vergences, of_depths)
+        wanted, renewed = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=bool)
+        all_wanted, all_affected = (repeated(values, downsampling.step, shape) for values in (label, affected))
         for part in parts:
-            inside = reduction.of_part(*part)
-            number[inside] = wanted[inside]
-            here = last.sharp.within(*inside)
-            for values in (here.images, here.noise_gain):
-                np.copyto(values, 0.0, where=dark[inside])
-        self.decoder.restorer.write(last.sharp, tiles, seen.levels, number, vergences)
-
-    def _draw(self, pictures: Pictures, seen: Seen, last: Decoded, regions: Regions, part: Part) -> None:
-        """Draw a part over the last frame's pictures."""
-        about, of_part = self._about(part), self.decoder.filters.reduction.of_part
-        known = last.pixels.within(*about), regions.within(*about), last.sharp.within(*of_part(*about))
-        pictures.paste(Pictures.of(seen.within(*about), *known), of_part(*part), of_part(*about))
+            inside = downsampling.frame_slices(*part)
+            wanted[inside], renewed[inside] = all_wanted[inside], all_affected[inside]
+        sharp = self.decoder.deconvolver(tiles, prepared.levels, wanted, vergences)
+        return last.sharp.replaced(sharp, renewed)
 
 
-def _for_reading(image: Image4D) -> Image4D:
-    """An image that shares its arrays, and by which nothing is written to them."""
+def _read_only(image: Image4D) -> Image4D:
+    """The image with read-only views of its arrays."""
     views: dict[str, Any] = {
         item.name: array.view() for item in fields(image) if isinstance(array := getattr(image, item.name), np.ndarray)
     }

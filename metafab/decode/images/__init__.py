@@ -1,1 +1,6 @@
-"""All-in-focus images, contrast, and the composed Image4D."""
+"""All-in-focus images, their contrast, and the 4D image put together.
+
+- ``deconvolution``  Wiener deconvolution, tile by tile, at the depth of each pixel
+- ``contrast``       I_x / I_y of pixels and segments, with standard errors
+- ``compose``        PixelDepth, Regions and sharp images -> Image4D
+"""

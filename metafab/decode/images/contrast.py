@@ -1,4 +1,4 @@
-"""I_x / I_y and its standard error to first order in the noise, of pixels and of segments."""
+"""Contrast I_x / I_y of pixels and of segments, and its standard error to first order in the noise."""
 
 from __future__ import annotations
 
@@ -8,57 +8,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.compiled import HAS_NUMBA, compiled_parallel, prange
-from metafab.decode.images.deconvolution import NOISE_WINDOW_PX, Sharp
+from metafab.core.numeric.compiled import compiled_parallel, prange
+from metafab.decode.images.deconvolution import NOISE_WINDOW_PX, SharpImages
 from metafab.decode.matching.pooling import window_means
 
 
-def pixel_contrast(sharp: Sharp, read_noise_e: float, lit: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    """The contrast where there is light, and its standard error; NaN elsewhere: both of the shape of ``lit``.
+def pixel_contrast(sharp: SharpImages, read_noise_e: float, lit: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+    """Contrast of each pixel and its standard error.
 
     Args:
         sharp: both images.
-        read_noise_e: standard deviation of a pixel of the frame without light.
-        lit: shape (n_y, n_x), where there is light.
+        read_noise_e: standard deviation of a pixel of the frame without light, electrons.
+        lit: shape (n_y, n_x), whether a pixel is lit.
+
+    Returns:
+        Two arrays of shape (n_y, n_x); NaN where ``lit`` is not set or I_y is 0.
     """
-    about = window_means(sharp.images, NOISE_WINDOW_PX)
-    ratios = _ratios if HAS_NUMBA else _ratios_plain
-    return ratios(sharp.images, sharp.noise_gain, about, np.float32(read_noise_e**2), lit)
-
-
-def _ratios_plain(
-    images: NDArray[np.float32],
-    noise_gain: NDArray[np.float32],
-    about: NDArray[np.float32],
-    dark: np.float32,
-    lit: NDArray[np.bool_],
-) -> tuple[FloatArray, FloatArray]:
-    x, y = images
-    known = lit & (y > 0.0)
-    of_x, of_y = noise_gain * (about + dark)
-    contrast, error = np.full((2, *lit.shape), np.nan)
-    np.divide(x, y, out=contrast, where=known)
-    np.divide(np.sqrt(of_x + contrast * contrast * of_y), y, out=error, where=known)
-    return contrast, error
+    light = window_means(sharp.images, NOISE_WINDOW_PX)
+    return contrast_with_error(sharp.images, sharp.noise_gain * (light + np.float32(read_noise_e**2)), lit)
 
 
 @compiled_parallel
-def _ratios(
-    images: NDArray[np.float32],
-    noise_gain: NDArray[np.float32],
-    about: NDArray[np.float32],
-    dark: np.float32,
-    lit: NDArray[np.bool_],
+def contrast_with_error(
+    images: NDArray[np.float32], variance: NDArray[np.float32], lit: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
+    """Ratio of two images and its standard error.
+
+    Args:
+        images: shape (2, n_y, n_x), electrons.
+        variance: shape (2, n_y, n_x), variance of their pixels.
+        lit: shape (n_y, n_x), whether a pixel is lit.
+
+    Returns:
+        Two arrays of shape (n_y, n_x); NaN where ``lit`` is not set or the second image is 0.
+    """
     contrast, error = np.empty(lit.shape), np.empty(lit.shape)
     for i in prange(lit.shape[0]):
         for j in range(lit.shape[1]):
             known = lit[i, j] and images[1, i, j] > np.float32(0.0)
             y = images[1, i, j] if known else np.float32(1.0)
             ratio = images[0, i, j] / y
-            of_x = noise_gain[0, i, j] * (about[0, i, j] + dark)
-            of_y = noise_gain[1, i, j] * (about[1, i, j] + dark)
-            spread = np.sqrt(of_x + ratio * ratio * of_y) / y
+            spread = np.sqrt(variance[0, i, j] + ratio * ratio * variance[1, i, j]) / y
             contrast[i, j] = ratio if known else np.float32(np.nan)
             error[i, j] = spread if known else np.float32(np.nan)
     return contrast, error
@@ -66,12 +56,12 @@ def _ratios(
 
 @dataclass(frozen=True)
 class SegmentLight:
-    """The light of segments.
+    """Light of each segment.
 
     Attributes:
-        pixels: shape (n,), all that belong to each.
-        inner: shape (n,), those that its contrast is from.
-        light_e: shape (2, n), of those pixels in both images, electrons.
+        pixels: shape (n,), pixels of each segment.
+        inner: shape (n,), pixels of its interior.
+        light_e: shape (2, n), sum of each image over the interior, electrons.
     """
 
     pixels: NDArray[np.intp]
@@ -82,15 +72,16 @@ class SegmentLight:
     def of(
         cls, images: NDArray[np.float32], segment: NDArray[np.int32], inner: NDArray[np.int32], count: int
     ) -> SegmentLight:
-        """Sum up both images (2, n_y, n_x) over the segments from 1 to ``count``.
+        """Sum both images over the segments from 1 to ``count``.
 
         Args:
-            images: electrons.
+            images: shape (2, n_y, n_x), electrons.
             segment: shape (n_y, n_x), number of each pixel's segment; 0 for none.
-            inner: the same, of the pixels whose light counts; it counts where they have a segment at all.
+            inner: shape (n_y, n_x), number of the segment whose interior holds the pixel; it counts where ``segment``
+                is not 0.
             count: the largest number.
         """
-        sums = (_light if HAS_NUMBA else _light_plain)(images, segment, inner, count)
+        sums = _segment_sums(images, segment, inner, count)
         pixels, within = np.rint(sums[:2]).astype(np.intp)
         return cls(pixels, within, sums[2:])
 
@@ -102,21 +93,15 @@ class SegmentLight:
         return ratio, ratio * np.sqrt((x + read) / x**2 + (y + read) / y**2)
 
 
-def _light_plain(
+@compiled_parallel
+def _segment_sums(
     images: NDArray[np.float32], segment: NDArray[np.int32], inner: NDArray[np.int32], count: int
 ) -> FloatArray:
-    within = (inner * (segment > 0)).ravel()
-    weights = (None, *(image.ravel() for image in images))
-    of_inner = [np.bincount(within, weight, count + 1)[1:] for weight in weights]
-    return np.asarray([np.bincount(segment.ravel(), minlength=count + 1)[1:], *of_inner], dtype=np.float64)
-
-
-@compiled_parallel
-def _light(images: NDArray[np.float32], segment: NDArray[np.int32], inner: NDArray[np.int32], count: int) -> FloatArray:
+    """Pixels of each segment, of its interior, and the light of both images there: shape (4, count)."""
     rows = np.zeros((segment.shape[0], 4, count + 1))
     for i in prange(segment.shape[0]):
         sums, start = rows[i], 0
-        # Runs of the same numbers: each sum grows in a register.
+        # Runs of equal numbers: each sum grows in a register.
         while start < segment.shape[1]:
             number, within, stop, x, y = segment[i, start], inner[i, start], start, 0.0, 0.0
             while stop < segment.shape[1] and segment[i, stop] == number and inner[i, stop] == within:

@@ -1,4 +1,4 @@
-"""Depth of each pixel from the agreement of the twins in windows about it, with its error."""
+"""Depth of each pixel from the correlation of the twins in windows about it, with its standard error."""
 
 from __future__ import annotations
 
@@ -10,33 +10,34 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from metafab.core.conventions import FloatArray
-from metafab.decode.matching.cost_volume import Volume
-from metafab.decode.matching.peaks import peaks
-from metafab.decode.registration.reduce import enlarged, repeated
+from metafab.core.numeric.compiled import compiled, compiled_parallel, prange
+from metafab.decode.confidence import LARGEST_ERROR
+from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.pooling import mirrored
+from metafab.decode.registration.downsampling import enlarged, repeated
 
-#: Correlation of the twins, in standard deviations of what pure noise gives, from which there is texture.
+#: Mean product of the twins, in standard deviations of that of pure noise, from which there is texture.
 _SIGNIFICANT = 5.0
-#: Relative standard error at which the confidence is one half; no depth is claimed from four times as much.
-HALF_CONFIDENCE = 0.01
-_LARGEST_ERROR = 4.0 * HALF_CONFIDENCE
-#: Each window is twice as wide as the one before.
+#: Windows that are tried, each twice as wide as the one before.
 _WINDOWS = 3
-#: Windows of so many pixels of the volume are looked at on every second one.
-_WIDE = 8
-#: A wider window is trusted while it stays within this many standard errors of the narrower one.
+#: Width of a window, in pixels of the volume, from which every second pixel is enough.
+_WIDE_WINDOW = 8
+#: A wider window is trusted while its depth stays within this many standard errors of the narrower one's.
 _SAME_DEPTH = 1.5
-#: Points a candidate at which splines through their agreement are read.
-_FINE = 32
+#: Points per candidate at which splines through the correlation are evaluated.
+_POINTS_PER_CANDIDATE = 32
+#: Root mean square below which a picture is dark.
+_DARK = 1e-15
 
 
 @dataclass(frozen=True)
 class PixelDepth:
-    """The depth of each pixel by itself.
+    """The depth of each pixel from the windows about it.
 
     Attributes:
-        vergence_per_m: shape (n_y, n_x), 1/depth at the best agreement.
+        vergence_per_m: shape (n_y, n_x), 1/depth at the largest correlation.
         relative_error: shape (n_y, n_x), standard error of depth over depth; inf without texture.
-        claimed: shape (n_y, n_x), whether a depth may be claimed.
+        claimed: shape (n_y, n_x), whether a depth is claimed.
     """
 
     vergence_per_m: FloatArray
@@ -49,92 +50,190 @@ class PixelDepth:
         return PixelDepth(self.vergence_per_m[part], self.relative_error[part], self.claimed[part])
 
 
-def pixel_depth(volume: Volume, window: int, noise_variance: FloatArray) -> PixelDepth:
-    """Depth from the widest window that shows no other depth than the narrower ones in it.
+@dataclass(frozen=True)
+class Peak:
+    """A maximum of equally spaced values, interpolated between them.
+
+    Attributes:
+        place: any shape, place of the maximum, in steps of the values.
+        height: any shape, the maximum.
+        curvature: any shape, minus the second derivative, per squared step; positive.
+        inside: any shape, whether the maximum is inside the range of the values.
+    """
+
+    place: FloatArray
+    height: FloatArray
+    curvature: FloatArray
+    inside: NDArray[np.bool_]
+
+
+def pixel_depth(volume: CostVolume, window: int, noise_variance: FloatArray) -> PixelDepth:
+    """Depth from the widest window whose depth agrees with that of the narrower windows.
 
     Args:
-        volume: agreement of the twins; at least three candidates.
-        window: side of the narrowest window, in pixels of the volume.
+        volume: cost volume of at least three candidates.
+        window: side of the narrowest window, in pixels of the volume; odd.
         noise_variance: shape (2, n_y, n_x), variance of a pixel of the frame, of both images.
     """
-    shape = volume.parts.shape[-2], volume.parts.shape[-1]
-    first = int(window >= _WIDE and min(shape) > 2 * window)
-    if first:  # windows this wide say the same at every second pixel
+    shape = volume.shape
+    first = int(window >= _WIDE_WINDOW and min(shape) > 2 * window)
+    if first:
         volume, window = volume.halved(), window // 2 | 1
-    vergence, error, inside, common = _best(volume, window)
+    narrow, largest_product = _window_depth(volume, window)
     noise = volume.noise_gain * np.sqrt(noise_variance[0] * noise_variance[1])[:: 1 + first, :: 1 + first]
-    significant = common > _SIGNIFICANT * noise / np.sqrt(window**2 * volume.samples)
-    claimed = repeated(significant & inside & (error < _LARGEST_ERROR), 1 + first, shape)
-    vergence, error = (enlarged(values, 1 + first, shape) for values in (vergence, error))
+    significant = largest_product > _SIGNIFICANT * noise / np.sqrt(window**2 * volume.samples)
+    claimed = repeated(significant & narrow.claimed & (narrow.relative_error < LARGEST_ERROR), 1 + first, shape)
+    vergence = enlarged(narrow.vergence_per_m, 1 + first, shape)
+    error = enlarged(narrow.relative_error, 1 + first, shape)
     agreed = claimed
     for level in range(first + 1, first + _WINDOWS):
-        if min(volume.parts.shape[-2:]) < 2 * window:
+        if min(volume.shape) < 2 * window:
             break
         volume = volume.halved()
-        wider, its_error, its_inside, _ = _best(volume, window)
-        wider, its_error = (enlarged(values, 2**level, shape) for values in (wider, its_error))
-        inside = enlarged(its_inside.astype(np.float32), 2**level, shape) == 1.0
-        agreed = agreed & inside & (np.abs(wider / vergence - 1.0) < _SAME_DEPTH * error) & (its_error < error)
-        vergence, error = np.where(agreed, wider, vergence), np.where(agreed, its_error, error)
+        wide, _ = _window_depth(volume, window)
+        wide_vergence = enlarged(wide.vergence_per_m, 2**level, shape)
+        wide_error = enlarged(wide.relative_error, 2**level, shape)
+        inside = enlarged(wide.claimed.astype(np.float32), 2**level, shape) == 1.0
+        same_depth = np.abs(wide_vergence / vergence - 1.0) < _SAME_DEPTH * error
+        agreed = agreed & inside & same_depth & (wide_error < error)
+        vergence, error = np.where(agreed, wide_vergence, vergence), np.where(agreed, wide_error, error)
     return PixelDepth(vergence, np.where(claimed, error, np.inf), claimed)
 
 
-def _best(volume: Volume, window: int) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.float32]]:
-    """The depth at which the twins agree best in a window about each pixel.
-
-    Returns:
-        Vergence by a parabola through the best candidate and its neighbours, its relative standard error, whether it is
-        a maximum, and the largest mean product of the twins.
-    """
+def _window_depth(volume: CostVolume, window: int) -> tuple[PixelDepth, NDArray[np.float32]]:
+    """Depth at the parabolic peak of the correlation in the window about each pixel, and the largest mean product."""
     count = volume.vergences_per_m.size
-    best, around, common = peaks(volume.parts, window)
-    below, at, above = around
-    shift, peak, curvature = parabola(below, at, above)
-    vergence = volume.vergences_per_m[np.clip(best, 1, count - 2)] + volume.step_per_m * np.clip(shift, -1.0, 1.0)
-    error = standard_error(peak, curvature / volume.step_per_m**2, window**2 * volume.samples) / np.abs(vergence)
+    best, around, largest_product = best_candidates(volume.products, window)
+    peak = parabolic_peak(*around)
+    shift = np.clip(peak.place, -1.0, 1.0)
+    vergence = volume.vergences_per_m[np.clip(best, 1, count - 2)] + volume.step_per_m * shift
+    curvature = peak.curvature / volume.step_per_m**2
+    error = standard_error(peak.height, curvature, window**2 * volume.samples) / np.abs(vergence)
     # At an end of the range the true depth may lie beyond it.
-    return vergence, error, (best > 0) & (best < count - 1), common
+    return PixelDepth(vergence, error, (best > 0) & (best < count - 1)), largest_product
 
 
-def parabola(below: FloatArray, at: FloatArray, above: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Vertex (in steps from the middle), height and curvature (per step squared, positive) through three values."""
+def parabolic_peak(below: FloatArray, at: FloatArray, above: FloatArray) -> Peak:
+    """Vertex of the parabola through three equally spaced values, its place counted from the middle one.
+
+    Args:
+        below: any shape.
+        at: the same shape.
+        above: the same shape.
+    """
     curvature = np.maximum(2.0 * at - below - above, 1e-12)
     shift = 0.5 * (above - below) / curvature
-    return shift, at + 0.25 * (above - below) * shift, curvature
+    return Peak(shift, at + 0.25 * (above - below) * shift, curvature, np.abs(shift) <= 1.0)
 
 
-def spline_peaks(values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Largest values of splines through equally spaced ones.
+def spline_peaks(values: FloatArray) -> Peak:
+    """Largest values of splines through equally spaced values; places are counted from the first one.
 
-    A parabola through three candidates alone is off, and by the same all over a frame.
+    A parabola through three candidates has an error that is the same all over a frame.
 
     Args:
         values: shape (n, n_candidates).
 
     Returns:
-        Shapes (n,): place of the maximum, in steps from the first; the maximum; its curvature (per step squared,
-        positive); whether it lies inside of the range.
+        The peaks, of shape (n,).
     """
-    fine = values @ _spline_weights(values.shape[1]).T
+    fine = values @ _spline_table(values.shape[1]).T
     best = fine.argmax(axis=1)
     inner = np.clip(best, 1, fine.shape[1] - 2)
-    below, at, above = (np.take_along_axis(fine, (inner + d)[:, None], axis=1)[:, 0] for d in (-1, 0, 1))
-    shift, peak, curvature = parabola(below, at, above)
-    return (inner + np.clip(shift, -1.0, 1.0)) / _FINE, peak, curvature * _FINE**2, best == inner
+    rows = np.arange(best.size)
+    peak = parabolic_peak(fine[rows, inner - 1], fine[rows, inner], fine[rows, inner + 1])
+    place = (inner + np.clip(peak.place, -1.0, 1.0)) / _POINTS_PER_CANDIDATE
+    return Peak(place, peak.height, peak.curvature * _POINTS_PER_CANDIDATE**2, best == inner)
 
 
 @lru_cache(maxsize=8)
-def _spline_weights(count: int) -> FloatArray:
-    """Weights of ``count`` values in their spline, ``_FINE`` points a step: shape (n_points, count)."""
-    points = np.arange(_FINE * (count - 1) + 1) / _FINE
+def _spline_table(count: int) -> FloatArray:
+    """Weights of ``count`` values in the spline through them: shape (n_points, count)."""
+    points = np.arange(_POINTS_PER_CANDIDATE * (count - 1) + 1) / _POINTS_PER_CANDIDATE
     return np.asarray(make_interp_spline(np.arange(count), np.eye(count), k=min(5, count - 1))(points))
 
 
-def standard_error(peak: FloatArray, curvature: FloatArray, samples: float) -> FloatArray:
-    """Standard error of the place of a correlation's maximum.
+def standard_error(height: FloatArray, curvature: FloatArray, samples: float) -> FloatArray:
+    """Standard error of the place of a correlation's maximum: the Cramer-Rao bound of a Gaussian pair of images.
 
-    Twins with correlation rho before and kappa rho after a small move have, over ``samples`` independent pairs,
-    var = (1 - rho^2) / (samples rho |rho''|): the Cramer-Rao bound of a Gaussian pair.
+    With correlation rho over ``samples`` independent pairs of pixels, var = (1 - rho^2) / (samples rho |rho''|).
+
+    Args:
+        height: any shape, correlation at the maximum.
+        curvature: the same shape, -rho''.
+        samples: independent pairs of pixels.
+
+    Returns:
+        The same shape, in the unit of place.
     """
-    rho = np.clip(peak, 1e-6, 1.0 - 1e-6)
+    rho = np.clip(height, 1e-6, 1.0 - 1e-6)
     return np.sqrt((1.0 - rho**2) / (samples * rho * np.maximum(curvature, 1e-30)))
+
+
+def best_candidates(
+    products: NDArray[np.float32], window: int
+) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
+    """Candidates of largest correlation in the window about each pixel; beyond an edge, the products are mirrored.
+
+    Args:
+        products: shape (3, n, n_y, n_x), products a b, a^2 and b^2 of the twins at n >= 3 candidates.
+        window: side of the window, odd.
+
+    Returns:
+        Number of the best candidate, shape (n_y, n_x); the correlation below, at and above it (of the nearest candidate
+        that has both neighbours), shape (3, n_y, n_x); the largest mean of a b, shape (n_y, n_x).
+    """
+    return _best_candidates(np.ascontiguousarray(products), window // 2)
+
+
+@compiled
+def _row_means(
+    picture: NDArray[np.float32], row: int, reach: int, padded: NDArray[np.float32], out: NDArray[np.float32]
+) -> None:
+    """Write the means of a picture (n_y, n_x) over the windows about one row's pixels; ``padded``: n_x + 2 reach."""
+    n_y, n_x = picture.shape
+    column_sum = padded[reach : reach + n_x]
+    column_sum[:] = np.float32(0.0)
+    for i in range(row - reach, row + reach + 1):
+        line = picture[mirrored(i, n_y)]
+        for j in range(n_x):
+            column_sum[j] += line[j]
+    for j in range(reach):
+        padded[reach - 1 - j] = column_sum[mirrored(-1 - j, n_x)]
+        padded[reach + n_x + j] = column_sum[mirrored(n_x + j, n_x)]
+    total = 0.0
+    for j in range(2 * reach):
+        total += padded[j]
+    share = 1.0 / (2 * reach + 1) ** 2
+    for j in range(n_x):
+        total += padded[j + 2 * reach]
+        out[j] = np.float32(total * share)
+        total -= padded[j]
+
+
+@compiled_parallel
+def _best_candidates(
+    products: NDArray[np.float32], reach: int
+) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
+    _, count, n_y, n_x = products.shape
+    best = np.zeros((n_y, n_x), dtype=np.intp)
+    around = np.empty((3, n_y, n_x), dtype=np.float32)
+    largest_product = np.empty((n_y, n_x), dtype=np.float32)
+    for i in prange(n_y):
+        padded = np.empty(n_x + 2 * reach, dtype=np.float32)
+        means = np.empty((3, n_x), dtype=np.float32)
+        rho = np.empty((count, n_x), dtype=np.float32)
+        for v in range(count):
+            for p in range(3):
+                _row_means(products[p, v], i, reach, padded, means[p])
+            for j in range(n_x):
+                norm = np.sqrt(max(means[1, j], np.float32(0.0))) * np.sqrt(max(means[2, j], np.float32(0.0)))
+                rho[v, j] = means[0, j] / max(norm, np.float32(_DARK))
+                largest_product[i, j] = max(means[0, j], largest_product[i, j]) if v > 0 else means[0, j]
+                if rho[v, j] > rho[best[i, j], j]:
+                    best[i, j] = v
+        for j in range(n_x):
+            inner = min(max(best[i, j], 1), count - 2)
+            for d in range(3):
+                around[d, i, j] = rho[inner - 1 + d, j]
+    return best, around, largest_product

@@ -1,4 +1,4 @@
-"""How bright, how noisy and how textured a frame is: what the filters need to know before anything is decoded."""
+"""Brightness, noise and texture of a frame: the figures that matched and Wiener filters depend on."""
 
 from __future__ import annotations
 
@@ -11,22 +11,25 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 
-#: Textures are compared down to this frequency, cycles a pixel.
+#: Lowest frequency at which textures are compared, cycles a pixel.
 LOWEST_FREQUENCY = 1.0 / 64.0
+#: Cut-off of the high-pass, in lowest frequencies: slower structure varies with the light, and reaches across outlines.
+_HIGH_PASS = 3.0
+#: Rms contrast of the texture that filters are made for.
 _TEXTURE_CONTRAST = 0.2
-#: No calibration is better than this: it stands in for noise where there are very many photons.
+#: Error of the calibration, as a share of the texture: it adds to the noise where there are very many photons.
 _MODEL_ERROR = 0.03
 
 
 @dataclass(frozen=True)
 class Levels:
-    """Figures of a pair of images.
+    """Typical figures of the lit pixels of a pair of images.
 
     Attributes:
-        signal: typical brightness of what is lit, electrons a pixel (0 for a dark frame).
-        noise_variance: typical variance of a lit pixel, electrons squared.
+        signal: brightness, electrons a pixel; 0 for a dark frame.
+        noise_variance: variance of a pixel, electrons squared.
         texture_rms: rms of the texture that filters are made for, electrons.
-        read_noise_e: standard deviation without light.
+        read_noise_e: standard deviation of a pixel without light, electrons.
     """
 
     signal: float
@@ -36,7 +39,7 @@ class Levels:
 
     @classmethod
     def of(cls, images: NDArray[np.floating[Any]], read_noise_e: float) -> Levels:
-        """Measure the levels of both images, shape (2, n_y, n_x)."""
+        """Measure the levels of images of shape (2, n_y, n_x)."""
         brightest = float(np.percentile(images, 99.0)) if images.size else 0.0
         floor = max(0.2 * brightest, 5.0 * read_noise_e)
         lit = images[images > floor]
@@ -46,6 +49,18 @@ class Levels:
         return cls(signal, max(variance, 1e-12), texture, read_noise_e)
 
     def texture_spectrum(self, frequency_squared: FloatArray) -> FloatArray:
-        """Expected power of the sharp image at a squared frequency (cycles a pixel): amplitude 1/k, as in nature."""
+        """Expected power of the sharp image, with amplitude 1/k as in natural scenes.
+
+        Args:
+            frequency_squared: any shape, squared frequency in (cycles a pixel)^2.
+
+        Returns:
+            Power of the same shape, electrons squared.
+        """
         low = LOWEST_FREQUENCY**2
         return np.asarray(self.texture_rms**2 / (math.pi * math.log(0.25 / low)) / (frequency_squared + low))
+
+
+def high_pass(frequency_squared: FloatArray) -> FloatArray:
+    """Amplitude of the high-pass at squared frequencies of any shape, (cycles a pixel)^2: 0 to 1, the same shape."""
+    return np.asarray(frequency_squared / (frequency_squared + (_HIGH_PASS * LOWEST_FREQUENCY) ** 2))

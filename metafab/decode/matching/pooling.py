@@ -1,64 +1,73 @@
-"""Means over windows and sums over regions of many pictures at once."""
+"""Means over windows and sums over labels, of many pictures at once."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.compiled import HAS_NUMBA, compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled, compiled_parallel, prange
+
+
+@compiled
+def mirrored(index: int, count: int) -> int:
+    """The pixel of a line of ``count`` pixels, mirrored at both ends, that stands at ``index``."""
+    index %= 2 * count
+    return index if index < count else 2 * count - 1 - index
 
 
 def window_means(pictures: NDArray[np.float32], window: int) -> NDArray[np.float32]:
-    """Means over a square window about each pixel; beyond an edge, the pictures are mirrored at it.
+    """Means over a square window about each pixel; beyond an edge, the pictures are mirrored.
 
     Args:
         pictures: shape (..., n_y, n_x).
         window: side of the window, odd.
+
+    Returns:
+        Shape (..., n_y, n_x).
     """
-    rows, columns = pictures.shape[-2:]
-    if not HAS_NUMBA or window // 2 > min(rows, columns):
-        return np.asarray(uniform_filter1d(uniform_filter1d(pictures, window, axis=-1), window, axis=-2))
-    flat = np.ascontiguousarray(pictures).reshape(-1, rows, columns)
-    return np.asarray(_means(flat, window // 2).reshape(pictures.shape))
+    flat = np.ascontiguousarray(pictures).reshape(-1, *pictures.shape[-2:])
+    return np.asarray(_window_means(flat, window // 2).reshape(pictures.shape))
 
 
 @compiled_parallel
-def _means(pictures: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+def _window_means(pictures: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
     count, n_y, n_x = pictures.shape
     out = np.empty_like(pictures)
     share = 1.0 / (2 * reach + 1) ** 2
+    source = np.empty(n_x + 2 * reach, dtype=np.int64)
+    for k in range(source.size):
+        source[k] = mirrored(k - reach, n_x)
     for p in prange(count):
-        down = np.zeros(n_x, dtype=np.float64)
-        along = np.empty(n_x + 2 * reach + 1, dtype=np.float64)
+        column_sum = np.zeros(n_x, dtype=np.float64)
+        running = np.empty(source.size + 1, dtype=np.float64)
         for i in range(-reach, reach + 1):
-            row = -i - 1 if i < 0 else (2 * n_y - 1 - i if i >= n_y else i)
+            row = mirrored(i, n_y)
             for j in range(n_x):
-                down[j] += pictures[p, row, j]
+                column_sum[j] += pictures[p, row, j]
         for i in range(n_y):
-            # Running sums along the row, of its mirrored continuation: along[k] holds the first k values.
-            along[0] = 0.0
-            for k in range(n_x + 2 * reach):
-                j = k - reach
-                j = -j - 1 if j < 0 else (2 * n_x - 1 - j if j >= n_x else j)
-                along[k + 1] = along[k] + down[j]
+            # Running sums along the mirrored row: running[k] holds the first k values.
+            running[0] = 0.0
+            for k in range(source.size):
+                running[k + 1] = running[k] + column_sum[source[k]]
             for j in range(n_x):
-                out[p, i, j] = np.float32((along[j + 2 * reach + 1] - along[j]) * share)
-            old, new = i - reach, i + reach + 1
-            old = -old - 1 if old < 0 else old
-            new = 2 * n_y - 1 - new if new >= n_y else new
-            if i + 1 < n_y:
-                for j in range(n_x):
-                    down[j] += np.float64(pictures[p, new, j]) - np.float64(pictures[p, old, j])
+                out[p, i, j] = np.float32((running[j + 2 * reach + 1] - running[j]) * share)
+            old, new = mirrored(i - reach, n_y), mirrored(i + reach + 1, n_y)
+            for j in range(n_x):
+                column_sum[j] += np.float64(pictures[p, new, j]) - np.float64(pictures[p, old, j])
     return out
 
 
 def halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Every second pixel of pictures (..., n_y, n_x), a mean of what lies about it by (1, 2, 1) / 4 each way."""
-    rows, columns = pictures.shape[-2:]
-    flat = np.ascontiguousarray(pictures).reshape(-1, rows, columns)
-    small = (_halved if HAS_NUMBA else _halved_plain)(flat)
+    """Every second pixel of pictures (..., n_y, n_x), smoothed by (1, 2, 1) / 4 along both axes.
+
+    Args:
+        pictures: shape (..., n_y, n_x).
+
+    Returns:
+        Shape (..., ceil(n_y / 2), ceil(n_x / 2)).
+    """
+    small = _halved(np.ascontiguousarray(pictures).reshape(-1, *pictures.shape[-2:]))
     return np.asarray(small.reshape(*pictures.shape[:-2], *small.shape[1:]))
 
 
@@ -69,44 +78,29 @@ def _halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
     out = np.empty((count, rows, columns), dtype=np.float32)
     for p in prange(count):
         for i in range(rows):
-            above, here, below = (
-                pictures[p, max(2 * i - 1, 0)],
-                pictures[p, 2 * i],
-                pictures[p, min(2 * i + 1, n_y - 1)],
-            )
+            above, row, below = max(2 * i - 1, 0), 2 * i, min(2 * i + 1, n_y - 1)
+            upper, here, lower = pictures[p, above], pictures[p, row], pictures[p, below]
             for j in range(columns):
                 left, at, right = max(2 * j - 1, 0), 2 * j, min(2 * j + 1, n_x - 1)
-                before = above[left] + np.float32(2.0) * here[left] + below[left]
-                middle = above[at] + np.float32(2.0) * here[at] + below[at]
-                after = above[right] + np.float32(2.0) * here[right] + below[right]
+                before = upper[left] + np.float32(2.0) * here[left] + lower[left]
+                middle = upper[at] + np.float32(2.0) * here[at] + lower[at]
+                after = upper[right] + np.float32(2.0) * here[right] + lower[right]
                 out[p, i, j] = (before + np.float32(2.0) * middle + after) * np.float32(0.0625)
     return out
 
 
-def _halved_plain(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
-    for axis in (-2, -1):
-        values = np.moveaxis(pictures, axis, 0)
-        after = np.concatenate([values[1:], values[-1:]])
-        before = np.concatenate([values[:1], values[:-1]])
-        pictures = np.moveaxis(0.5 * values[::2] + 0.25 * (after[::2] + before[::2]), 0, axis)
-    return np.ascontiguousarray(pictures)
-
-
 def label_sums(pictures: NDArray[np.float32], label: NDArray[np.int32], count: int) -> FloatArray:
-    """Sums over the pixels of each label from 1 to ``count``: shape (n, count).
+    """Sums over the pixels of each label.
 
     Args:
         pictures: shape (n, n_y, n_x).
-        label: shape (n_y, n_x), 0 for none.
-        count: the largest label.
+        label: shape (n_y, n_x), numbers from 1; 0 for none.
+        count: the largest number.
+
+    Returns:
+        Shape (n, count).
     """
-    flat, number = pictures.reshape(pictures.shape[0], -1), label.ravel()
-    return (_label_sums if HAS_NUMBA else _label_sums_plain)(flat, number, count)
-
-
-def _label_sums_plain(flat: NDArray[np.float32], number: NDArray[np.int32], count: int) -> FloatArray:
-    sums = [np.bincount(number, weights=row, minlength=count + 1)[1:] for row in flat]
-    return np.asarray(np.stack(sums), dtype=np.float64)
+    return _label_sums(pictures.reshape(pictures.shape[0], -1), label.ravel(), count)
 
 
 @compiled_parallel

@@ -1,7 +1,6 @@
-"""The PSF pair as the decoder uses it: kernels on the grid of the x image, at any tile and depth.
+"""The calibrated PSF pair on the grid of the x image, at any place and depth.
 
-The image is cut into tiles, small enough for one pair each. The y image has been brought onto the x image's grid, so
-its kernels are stretched by the same map.
+The y image is resampled on the x image's grid, so the y kernels are stretched by the same map.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ class Calibration:
 
     Attributes:
         kernels: the PSF calibration.
-        grid: the twin grid.
-        image_map: directions to the sensor.
+        grid: the grid of both images.
+        image_map: map from directions to places on the sensor.
     """
 
     kernels: PairKernels
@@ -38,33 +37,31 @@ class Calibration:
     image_map: ImageMap
 
     def core_px(self, change: float) -> tuple[float, float]:
-        """(n_y, n_x) of a tile from whose centre to whose edge the pair changes by ``change`` (relative L2)."""
+        """(n_y, n_x) of a tile over which the pair changes by ``change`` (relative L2) from the centre to the edge."""
         pixel_tangent = self.kernels.psf.pixel_um / self.kernels.psf.sensor_distance_um
         rate_y, rate_x = _change_per_tangent(self.kernels)
         return 2.0 * change / max(rate_y * pixel_tangent, 1e-12), 2.0 * change / max(rate_x * pixel_tangent, 1e-12)
 
-    def tile_weights(self, tiling: Tiling, every: int) -> NDArray[np.float32]:
-        """Share of each field point in each tile's kernel: shape (n_tiles, n_field_y * n_field_x).
-
-        Args:
-            tiling: tiles of every ``every``-th pixel of the window.
-            every: step of the tiling's pixels.
-        """
-        row, column = self.grid.margin + every * tiling.middles.T
+    def tile_weights(self, tiling: Tiling) -> NDArray[np.float32]:
+        """Interpolation weights of the field points at each tile's centre: shape (n_tiles, n_field)."""
+        row, column = self.grid.margin + tiling.middles.T
         weights = self.kernels.field_weights(self.grid.tangent_x[row, column], self.grid.tangent_y[row, column])
         return weights.reshape(tiling.n_tiles, -1).astype(np.float32)
 
-    def block_weights(self, shape: tuple[int, int], every: int, block: int) -> NDArray[np.float32]:
-        """Share of each field point in the middle of each block of pixels: shape (n_block_y, n_block_x, n_field).
+    def block_weights(self, shape: tuple[int, int], step: int, block: int) -> NDArray[np.float32]:
+        """Interpolation weights of the field points at the centre of each block of pixels.
 
         Args:
-            shape: (n_y, n_x) of every ``every``-th pixel of the window.
-            every: step of those pixels.
-            block: side of a block of them.
+            shape: (n_y, n_x) of the downsampled window.
+            step: frame pixels from one downsampled pixel to the next.
+            block: side of a block, downsampled pixels.
+
+        Returns:
+            Shape (n_block_y, n_block_x, n_field).
         """
         grid = self.grid
         row, column = (
-            grid.margin + np.minimum(every * (np.arange(-(-n // block)) * block + 0.5 * (block - 1)), most - 1.0)
+            grid.margin + np.minimum(step * (np.arange(-(-n // block)) * block + 0.5 * (block - 1)), most - 1.0)
             for n, most in zip(shape, grid.shape, strict=True)
         )
         place = np.meshgrid(row, column, indexing="ij")
@@ -74,7 +71,7 @@ class Calibration:
 
     @cached_property
     def stack(self) -> NDArray[np.float32]:
-        """Kernels at all calibrated depths with y's stretched: (2, n_depth, n_field, n_y, n_x)."""
+        """Kernels at all calibrated points, those of y stretched: shape (2, n_depth, n_field, n_y, n_x)."""
         nodes = self.kernels.nodes.copy()
         for j, tangent_y in enumerate(self.kernels.tangent_y):
             for i, tangent_x in enumerate(self.kernels.tangent_x):
@@ -89,7 +86,7 @@ class Calibration:
         return np.asarray(y @ np.linalg.inv(x))
 
     def depth_weights(self, vergence_per_m: float | FloatArray) -> NDArray[np.float32]:
-        """Share of each calibrated depth at one vergence or several: shape (..., n_depth)."""
+        """Interpolation weights of the calibrated depths at a vergence, scalar or array: shape (..., n_depth)."""
         return spline_weights(1.0 / self.kernels.psf.depth_m, vergence_per_m).astype(np.float32)
 
 
@@ -112,7 +109,15 @@ def _change_per_tangent(kernels: PairKernels) -> tuple[float, float]:
 
 
 def stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.float32]:
-    """h(J r) |J| for a stack of kernels (n, n_y, n_x), by a quintic spline; zero outside of the window."""
+    """Stretch kernels h(r) to h(J r) |J| by a quintic spline; zero outside of their window.
+
+    Args:
+        kernels: shape (n, n_y, n_x), origin at [n_y // 2, n_x // 2].
+        stretch: J, shape (2, 2) over (x, y).
+
+    Returns:
+        Shape (n, n_y, n_x).
+    """
     n_y, n_x = kernels.shape[-2:]
     coefficients = spline_filter1d(kernels, order=5, axis=-1, mode="mirror", output=np.float32)
     coefficients = spline_filter1d(coefficients, order=5, axis=-2, mode="mirror", output=np.float32)
@@ -133,12 +138,12 @@ def stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.f
     return np.asarray((matrix @ coefficients.reshape(-1, n_y * n_x).T).T.reshape(kernels.shape), dtype=np.float32)
 
 
-#: Powers (highest first) of each of the quintic B-spline's six pieces; SciPy puts five empty ones and one of 0 before.
+#: Polynomial coefficients (highest power first) of the six pieces of the quintic B-spline.
 _QUINTIC = PPoly.from_spline(BSpline.basis_element(np.arange(-3.0, 4.0)).tck).c[:, 5:11]
 
 
 def _quintic_weights(fraction: FloatArray) -> FloatArray:
-    """Of the six coefficients about a place, by its fraction of a pixel beyond the third: shape (6, ...)."""
+    """Weights of the six spline coefficients about a place, a fraction of a pixel beyond the third: shape (6, ...)."""
     return np.stack([np.polyval(_QUINTIC[:, 5 - i], fraction) for i in range(6)])
 
 

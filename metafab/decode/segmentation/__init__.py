@@ -1,1 +1,9 @@
-"""Segments of a frame: connected pixels on one plane."""
+"""Segmentation: connected pixels of one plane, and the depth of each segment from all of its pixels.
+
+- ``prepared_frame``  PreparedFrame: registered twins, their spectra, masks of light and texture
+- ``distance``        Euclidean distance transform
+- ``planes``          tilted planes through cells of a segment: least median of squares, RANSAC
+- ``outlines``        refinement of outlines by threshold dynamics
+- ``segments``        layers of depth, connected segments, the depth of a segment
+- ``regions``         CostVolume and PixelDepth -> Regions: all of it
+"""

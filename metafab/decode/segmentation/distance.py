@@ -1,51 +1,45 @@
-"""Distance of each pixel from the nearest one of a set, and which that is.
+"""Exact Euclidean distance transform, in time proportional to the pixels.
 
-Exact, in time that grows with the pixels alone: first along columns, then along rows by the lower envelope of parabolas
-(Felzenszwalb and Huttenlocher, Theory of Computing 8, 415, 2012). Loops run in one thread, so that any thread may ask.
+Columns first, then rows by the lower envelope of parabolas (Felzenszwalb and Huttenlocher, Theory of Computing 8, 415,
+2012). The loops run in one thread, so that any thread may call them.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
-from metafab.core.numeric.compiled import HAS_NUMBA, compiled
+from metafab.core.numeric.compiled import compiled
 
-#: Rows away that stand for a column without any: no image is as high, and its square is exact.
+#: Distance in rows that stands for a column without any pixel: no image is as high, and its square is exact.
 _FAR = np.int32(10_000_000)
 
 Nearest = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
 
 
 def distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Pixels from each pixel to the nearest one of ``mask``, shape (n_y, n_x); inf everywhere if there is none."""
+    """Distance in pixels to the nearest pixel of ``mask``, shape (n_y, n_x): the same shape; inf if it is empty."""
     return nearest(mask)[0]
 
 
 def nearest(mask: NDArray[np.bool_]) -> Nearest:
-    """How far away the nearest pixel of ``mask`` is, its row and its column; of several, any one.
+    """Distance, row and column of the nearest pixel of a mask; of several equally near ones, any.
 
     Args:
         mask: shape (n_y, n_x).
 
     Returns:
-        Three arrays of that shape; without any pixel in ``mask``, inf and the pixel itself.
+        Three arrays of shape (n_y, n_x); for an empty mask, inf and the pixel itself.
     """
     if not mask.any():
         row, column = np.meshgrid(*(np.arange(n, dtype=np.int32) for n in mask.shape), indexing="ij")
         return np.full(mask.shape, np.inf, dtype=np.float32), row, column
-    return _envelopes(_nearest_rows(mask)) if HAS_NUMBA else _nearest_plain(mask)
-
-
-def _nearest_plain(mask: NDArray[np.bool_]) -> Nearest:
-    away, (row, column) = distance_transform_edt(~mask, return_indices=True)
-    return away.astype(np.float32), row, column
+    return _lower_envelopes(_nearest_rows(mask))
 
 
 @compiled
 def _nearest_rows(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Of each pixel's column, the nearest row in ``mask``; far outside of the image if there is none."""
+    """The nearest row of ``mask`` in each pixel's column; far outside of the image if there is none."""
     n_y, n_x = mask.shape
     rows = np.empty((n_y, n_x), dtype=np.int32)
     last = np.full(n_x, -_FAR, dtype=np.int32)
@@ -64,13 +58,13 @@ def _nearest_rows(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 @compiled
-def _envelopes(rows: NDArray[np.int32]) -> Nearest:
-    """The nearest pixel of all columns, from that of each column."""
+def _lower_envelopes(rows: NDArray[np.int32]) -> Nearest:
+    """The nearest pixel over all columns, from the nearest row of each column."""
     n_y, n_x = rows.shape
-    away = np.empty((n_y, n_x), dtype=np.float32)
+    distances = np.empty((n_y, n_x), dtype=np.float32)
     row, column = np.empty((2, n_y, n_x), dtype=np.int32)
     for i in range(n_y):
-        # Columns whose parabolas (x - j)^2 + d_j^2 lie lowest somewhere, and from where on each does.
+        # Columns whose parabolas (x - j)^2 + d_j^2 are the lowest somewhere, and where each begins to be.
         lowest, start = np.empty(n_x, dtype=np.int32), np.empty(n_x + 1, dtype=np.float64)
         height = np.empty(n_x, dtype=np.float64)
         last = -1
@@ -94,5 +88,5 @@ def _envelopes(rows: NDArray[np.int32]) -> Nearest:
             k = lowest[at]
             row[i, j], column[i, j] = rows[i, k], k
             down, along = np.float64(rows[i, k] - i), np.float64(k - j)
-            away[i, j] = np.sqrt(down * down + along * along)
-    return away, row, column
+            distances[i, j] = np.sqrt(down * down + along * along)
+    return distances, row, column

@@ -1,8 +1,9 @@
-"""Tilted segments: the depth of a plane, and which pixels lie on it.
+"""Tilted planes: least median of squares over the cells of a segment, RANSAC over the cells of a whole picture.
 
 The vergence 1/z of a plane is linear over its picture: Z = Z_0 + a X + b Y with X = t_x Z and Y = t_y Z gives
-1/Z = (1 - a t_x - b t_y) / Z_0. A segment is cut into cells, each of which says a depth by itself; a plane goes through
-them where a single depth does not.
+1/Z = (1 - a t_x - b t_y) / Z_0. A segment is cut into cells, and each cell is given a depth. A plane is fitted where a
+single depth does not explain them. Layers of one depth cut a tilted surface into stripes, each too narrow to show the
+tilt; RANSAC over all cells finds the plane across them.
 """
 
 from __future__ import annotations
@@ -13,25 +14,35 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
+from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
-from metafab.decode.matching.cost_volume import Volume, correlation
+from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import spline_peaks, standard_error
 from metafab.optics.interpolation.field import spline_weights
 
-#: Side of a cell, pixels of the frame.
+#: Side of a cell, frame pixels.
 _CELL_PX = 36
 _FEWEST_CELLS = 8
-#: Share of a segment that has to be clear of the picture's rim for its depth to be from that alone.
+#: Share of a segment's pixels away from the picture's rim from which its depth is measured on them alone.
 _LEAST_CLEAR = 0.2
-#: A tilt counts from so many standard errors, and from this change over the segment (relative).
-_SIGNIFICANT = 6.0
-_SMALLEST_RISE = 5e-3
-#: Cells farther from the plane than this many times their typical distance do not count (Tukey's biweight).
+#: A tilt is significant from this many standard errors, and from this relative change of vergence over the segment.
+_SIGNIFICANT, _SMALLEST_RISE = 6.0, 5e-3
+#: Distance from the plane, in typical distances, from which Tukey's biweight rejects a cell.
 _TUKEY = 4.7
-_ROUNDS = 8
-#: Planes through three cells that are tried first.
+_TUKEY_ROUNDS = 8
+#: Random triples of cells that the least median of squares tries.
 _TRIPLES = 200
+#: RANSAC: radius of the neighbourhood that proposes a plane, in sides of a cell (21 cells), and its fewest cells.
+_NEIGHBOURHOOD, _FEWEST_NEIGHBOURS = 2.5, 6
+#: RANSAC: distance of an inlier, in standard errors of the cell plus a share of the layers' separation.
+_INLIER_ERRORS, _INLIER_SHARE = 2.5, 0.15
+#: RANSAC: fewest inliers of a plane, most planes, and refits of a plane to its inliers.
+_FEWEST_INLIERS, _MOST_PLANES, _REFITS = 10, 8, 3
+#: Layers that a plane may cross within a cell: an outline between two objects is steeper.
+_STEEPEST = 1.5
+#: Determinant of the normal equations over the product of their diagonal (Hadamard) of cells that lie on one line.
+_DEGENERATE = 1e-9
 
 
 @dataclass(frozen=True)
@@ -40,8 +51,8 @@ class Plane:
 
     Attributes:
         vergence_per_m: 1/depth at ``centre``.
-        slope_per_m: its change a compared pixel along (y, x); (0, 0) for one depth.
-        centre: (row, column) of compared pixels.
+        slope_per_m: its change per downsampled pixel along (y, x); (0, 0) for one depth.
+        centre: (row, column), downsampled pixels.
     """
 
     vergence_per_m: float
@@ -50,42 +61,51 @@ class Plane:
 
     @property
     def tilted(self) -> bool:
-        """Whether it is more than one depth."""
+        """Whether the plane has more than one depth."""
         return self.slope_per_m != (0.0, 0.0)
 
     def at(self, row: FloatArray, column: FloatArray) -> FloatArray:
-        """1/depth at places, compared pixels; not below a hundredth of that at the centre."""
+        """1/depth at places; at least a hundredth of that at the centre.
+
+        Args:
+            row: scalar or array of any shape, downsampled pixels.
+            column: broadcast with ``row``.
+
+        Returns:
+            Vergence of the broadcast shape, 1/m.
+        """
         rise = self.slope_per_m[0] * (row - self.centre[0]) + self.slope_per_m[1] * (column - self.centre[1])
         return np.maximum(self.vergence_per_m + rise, 0.01 * self.vergence_per_m)
 
     def moved(self, rows: int, columns: int) -> Plane:
-        """The plane in a picture in which everything stands at rows and columns larger by these."""
+        """The plane in a picture whose contents are moved by some rows and columns."""
         return replace(self, centre=(self.centre[0] + rows, self.centre[1] + columns)) if self.tilted else self
 
     def over(self, shape: tuple[int, ...]) -> FloatArray:
-        """1/depth at each compared pixel."""
+        """1/depth at each pixel of a picture: shape ``shape``."""
         row, column = np.ogrid[: shape[0], : shape[1]]
         return np.broadcast_to(self.at(row.astype(np.float64), column.astype(np.float64)), shape)
 
 
-def cell_side(every: int, side_px: int = _CELL_PX) -> int:
-    """Side of a cell in compared pixels, from that in pixels of the frame and how many of these a compared one has."""
-    return max(2, side_px // every)
+def cell_side(step: int, side_px: int = _CELL_PX) -> int:
+    """Side of a cell in downsampled pixels, for a downsampling step and a side in frame pixels."""
+    return max(2, side_px // step)
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Cells of a segment.
+    """Square cells of a segment, each with its own depth.
 
     Attributes:
-        sums: shape (n, 3, n_candidates), products of the twins.
-        pixels: shape (n,).
-        row: shape (n,), their middles, compared pixels; likewise ``column``.
-        vergence_per_m: shape (n,), where their twins agree best.
-        error_per_m: shape (n,), its standard error; inf for a cell that says no depth.
-        whole: shape (3, n_candidates), the sums over all of the segment, cells too small to count included; those
-            along the picture's rim, beyond which it goes on unseen, only if hardly any others are there.
-        size: how many pixels that are.
+        sums: shape (n, 3, n_candidates), products of the twins summed over each cell.
+        pixels: shape (n,), pixels of each cell.
+        row: shape (n,), row of its centre, downsampled pixels.
+        column: shape (n,), column of its centre.
+        vergence_per_m: shape (n,), 1/depth at the largest correlation of its twins.
+        error_per_m: shape (n,), standard error of the vergence; inf for a cell without a depth.
+        whole: shape (3, n_candidates), products summed over the segment, small cells included; without the cells along
+            the picture's rim, beyond which the segment may continue, unless hardly any others are there.
+        size: pixels of ``whole``.
     """
 
     sums: FloatArray
@@ -98,149 +118,210 @@ class Cells:
     size: int
 
     @classmethod
-    def of(cls, volume: Volume, mask: NDArray[np.bool_], every: int, side_px: int = _CELL_PX) -> Cells:
-        """Those of the pixels of a mask that hold at least a quarter of a whole cell.
+    def of(cls, volume: CostVolume, mask: NDArray[np.bool_], step: int, side_px: int = _CELL_PX) -> Cells:
+        """Cells of a mask that hold at least a quarter of a whole cell.
 
         Args:
-            volume: agreement of the twins.
-            mask: shape (n_y, n_x), compared pixels.
-            every: pixels of the frame a compared pixel.
-            side_px: side of a cell, pixels of the frame.
+            volume: cost volume.
+            mask: shape (n_y, n_x), downsampled pixels.
+            step: frame pixels from one downsampled pixel to the next.
+            side_px: side of a cell, frame pixels.
         """
-        return cls.of_each(volume, mask.astype(np.int32), 1, every, side_px)[0]
+        return cls.of_each(volume, mask.astype(np.int32), 1, step, side_px)[0]
 
     @classmethod
     def of_each(
-        cls, volume: Volume, label: NDArray[np.int32], count: int, every: int, side_px: int = _CELL_PX
+        cls, volume: CostVolume, label: NDArray[np.int32], count: int, step: int, side_px: int = _CELL_PX
     ) -> list[Cells]:
-        """As :meth:`of`, of the segments from 1 to ``count`` that ``label`` (n_y, n_x) gives pixels to."""
+        """Cells of each segment from 1 to ``count`` of ``label``, shape (n_y, n_x); see :meth:`of`."""
         row, column = np.nonzero(label)
-        segment = label[row, column]
-        side = cell_side(every, side_px)
+        side = cell_side(step, side_px)
         down, across = (-(-n // side) for n in label.shape)
-        # Numbers in the order of segments: those of one segment lie together.
-        given = (segment * down + row // side) * across + column // side
-        sizes = np.bincount(given)
+        # Numbers in the order of segments: the cells of one segment are contiguous.
+        code = (label[row, column] * down + row // side) * across + column // side
+        sizes = np.bincount(code)
         number = np.flatnonzero(sizes)
-        cell, pixels = (np.cumsum(sizes > 0) - 1)[given], sizes[number]
-        numbered = np.zeros(label.shape, dtype=np.int32)
-        numbered[row, column] = cell + 1
-        sums = volume.over(numbered, number.size)
+        cell, pixels = (np.cumsum(sizes > 0) - 1)[code], sizes[number]
+        cell_label = np.zeros(label.shape, dtype=np.int32)
+        cell_label[row, column] = cell + 1
+        sums = volume.label_sums(cell_label, number.size)
         middle_row, middle_column = (np.bincount(cell, axis, number.size) / pixels for axis in (row, column))
-        vergence, error = _cell_depths(volume, sums, pixels)
-        starts = np.searchsorted(number // (down * across), np.arange(1, count + 2))
+        peak = spline_peaks(correlation(np.moveaxis(sums, 1, 0)).astype(np.float64))
+        vergence = volume.vergences_per_m[0] + volume.step_per_m * peak.place
+        error = standard_error(peak.height, peak.curvature / volume.step_per_m**2, 1.0)
+        error = np.where(peak.inside & (peak.height > 0.0), error / np.sqrt(pixels * volume.samples), np.inf)
         clear = np.ones(number.size, dtype=bool)
         for middle, length in zip((middle_row, middle_column), label.shape, strict=True):
             clear &= (middle >= side) & (middle < length - side)
-        found = []
+        starts = np.searchsorted(number // (down * across), np.arange(1, count + 2))
+        cells = []
         for start, stop in itertools.pairwise(starts.tolist()):
-            part = start + np.flatnonzero(clear[start:stop])
-            if pixels[part].sum() < _LEAST_CLEAR * pixels[start:stop].sum():
-                part = np.arange(start, stop)
-            kept = start + np.flatnonzero(pixels[start:stop] >= 0.25 * side**2)
-            cells = cls(
-                sums[kept],
-                pixels[kept].astype(np.float64),
-                middle_row[kept],
-                middle_column[kept],
-                vergence[kept],
-                error[kept],
-                sums[part].sum(axis=0),
-                int(pixels[part].sum()),
+            measured = start + np.flatnonzero(clear[start:stop])
+            if pixels[measured].sum() < _LEAST_CLEAR * pixels[start:stop].sum():
+                measured = np.arange(start, stop)
+            large = start + np.flatnonzero(pixels[start:stop] >= 0.25 * side**2)
+            cells.append(
+                cls(
+                    sums[large],
+                    pixels[large].astype(np.float64),
+                    middle_row[large],
+                    middle_column[large],
+                    vergence[large],
+                    error[large],
+                    sums[measured].sum(axis=0),
+                    int(pixels[measured].sum()),
+                )
             )
-            found.append(cells)
-        return found
+        return cells
 
     def chosen(self, which: NDArray[np.bool_]) -> Cells:
-        """Some of the cells, with the same whole."""
-        return replace(
-            self,
-            sums=self.sums[which],
-            pixels=self.pixels[which],
-            row=self.row[which],
-            column=self.column[which],
-            vergence_per_m=self.vergence_per_m[which],
-            error_per_m=self.error_per_m[which],
+        """The cells where ``which``, shape (n,), is set; ``whole`` and ``size`` stay."""
+        return Cells(
+            self.sums[which],
+            self.pixels[which],
+            self.row[which],
+            self.column[which],
+            self.vergence_per_m[which],
+            self.error_per_m[which],
+            self.whole,
+            self.size,
         )
 
-    def sheared(self, volume: Volume, plane: Plane) -> FloatArray:
-        """Sums of the products along a plane's tilt: shape (3, n_candidates) over its vergence at the centre."""
+    def sheared(self, volume: CostVolume, plane: Plane) -> FloatArray:
+        """Products summed along a plane's tilt: shape (3, n_candidates) over the vergence at its centre."""
         rise = plane.at(self.row, self.column) - plane.vergence_per_m
         nodes = volume.vergences_per_m
         at = np.clip(nodes + rise[:, None], nodes[0], nodes[-1])
         return np.asarray(np.einsum("cvk,cpk->pv", spline_weights(nodes, at), self.sums))
 
 
-def _cell_depths(volume: Volume, sums: FloatArray, pixels: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-    agreement = correlation(np.moveaxis(sums, 1, 0)).astype(np.float64)
-    place, peak, curvature, inside = spline_peaks(agreement)
-    error = standard_error(peak, curvature / volume.step_per_m**2, 1.0) / np.sqrt(pixels * volume.samples)
-    return volume.vergences_per_m[0] + volume.step_per_m * place, np.where(inside & (peak > 0.0), error, np.inf)
-
-
-def fitted_plane(cells: Cells) -> Plane | None:
-    """The plane through cells, if they say that there is a tilt; outlying ones do not count."""
+def fit_plane(cells: Cells) -> Plane | None:
+    """Fit a plane to cells: least median of squares, refined by Tukey's biweight; None without a significant tilt."""
     known = np.isfinite(cells.error_per_m)
     if known.sum() < _FEWEST_CELLS:
         return None
     row, column, vergence = cells.row[known], cells.column[known], cells.vergence_per_m[known]
     weight = 1.0 / cells.error_per_m[known] ** 2
     centre = float(np.average(row, weights=weight)), float(np.average(column, weights=weight))
-    table = np.stack([np.ones(row.size), row - centre[0], column - centre[1]], axis=1)
-    found = _most_agreed(table, vergence, np.sqrt(weight))
-    scale, trust = 1.0, np.ones(row.size)
-    for _ in range(_ROUNDS):
-        away = np.abs(vergence - table @ found) * np.sqrt(weight)
-        scale = max(1.0, 1.48 * float(np.median(away)))
-        trust = np.clip(1.0 - (away / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
-        normal = table.T @ (table * (weight * trust)[:, None])
-        # Of a volume against its edges (Hadamard): cells on one line make no plane.
-        if not np.linalg.det(normal) > 1e-9 * np.prod(np.diag(normal)):
+    design = np.stack([np.ones(row.size), row - centre[0], column - centre[1]], axis=1)
+    solution = _least_median_of_squares(design, vergence, np.sqrt(weight))
+    scale, biweight = 1.0, np.ones(row.size)
+    for _ in range(_TUKEY_ROUNDS):
+        residual = np.abs(vergence - design @ solution) * np.sqrt(weight)
+        scale = max(1.0, 1.48 * float(np.median(residual)))
+        biweight = np.clip(1.0 - (residual / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
+        normal = design.T @ (design * (weight * biweight)[:, None])
+        if not np.linalg.det(normal) > _DEGENERATE * np.prod(np.diag(normal)):
             return None
-        before = found
-        found = np.asarray(np.linalg.solve(normal, table.T @ (weight * trust * vergence)), dtype=np.float64)
-        if np.abs(table @ (found - before)).max() < 1e-9 * abs(found[0]):
+        before = solution
+        solution = np.asarray(np.linalg.solve(normal, design.T @ (weight * biweight * vergence)), dtype=np.float64)
+        if np.abs(design @ (solution - before)).max() < 1e-9 * abs(solution[0]):
             break
-    normal = table.T @ (table * (weight * trust)[:, None]) / scale**2
-    slope = found[1:]
-    left = normal[1:, 1:] - np.outer(normal[1:, 0], normal[0, 1:]) / normal[0, 0]
-    rise = float(np.ptp((table[:, 1:] @ slope)[trust > 0.0])) if (trust > 0.0).any() else 0.0
-    if float(slope @ left @ slope) < _SIGNIFICANT**2 or rise < _SMALLEST_RISE * abs(found[0]):
+    normal = design.T @ (design * (weight * biweight)[:, None]) / scale**2
+    slope = solution[1:]
+    slope_information = normal[1:, 1:] - np.outer(normal[1:, 0], normal[0, 1:]) / normal[0, 0]
+    rise = float(np.ptp((design[:, 1:] @ slope)[biweight > 0.0])) if (biweight > 0.0).any() else 0.0
+    if float(slope @ slope_information @ slope) < _SIGNIFICANT**2 or rise < _SMALLEST_RISE * abs(solution[0]):
         return None
-    return Plane(float(found[0]), (float(slope[0]), float(slope[1])), centre)
+    return Plane(float(solution[0]), (float(slope[0]), float(slope[1])), centre)
 
 
-def _most_agreed(table: FloatArray, vergence: FloatArray, weight: FloatArray) -> FloatArray:
-    """Of the planes through three cells each, the one with the least median distance: a third may be outliers."""
+def _least_median_of_squares(design: FloatArray, vergence: FloatArray, weight: FloatArray) -> FloatArray:
+    """Of planes through random triples of cells, the one of least median residual: a third may be outliers."""
     rng = np.random.default_rng(0)
     picks = rng.integers(0, vergence.size, (_TRIPLES, 3))
-    corners = table[picks]  # one that is picked twice makes no plane, and is left out with the others that are narrow
-    good = np.abs(np.linalg.det(corners)) > 0.1 * np.ptp(table[:, 1]) * np.ptp(table[:, 2])
-    if not good.any():
+    corners = design[picks]  # a cell that is picked twice gives no area, and is left out with other narrow triples
+    wide = np.abs(np.linalg.det(corners)) > 0.1 * np.ptp(design[:, 1]) * np.ptp(design[:, 2])
+    if not wide.any():
         return np.array([float(np.median(vergence)), 0.0, 0.0])
-    planes = np.linalg.solve(corners[good], vergence[picks[good]][..., None])[..., 0]
-    away = np.abs(vergence - planes @ table.T) * weight
-    return np.asarray(planes[np.partition(away, vergence.size // 2, axis=1)[:, vergence.size // 2].argmin()])
+    planes = np.linalg.solve(corners[wide], vergence[picks[wide]][..., None])[..., 0]
+    residual = np.abs(vergence - planes @ design.T) * weight
+    middle = vergence.size // 2
+    return np.asarray(planes[np.partition(residual, middle, axis=1)[:, middle].argmin()])
+
+
+def ransac_planes(cells: Cells, side: int, separation_per_m: float) -> list[Plane]:
+    """Find planes that span more than one layer by RANSAC, those of most cells first.
+
+    Args:
+        cells: of the whole picture, at most one at a place.
+        side: of a cell, downsampled pixels.
+        separation_per_m: vergence by which layers differ.
+    """
+    remaining = np.isfinite(cells.error_per_m)
+    near = np.hypot(cells.row[:, None] - cells.row, cells.column[:, None] - cells.column) <= _NEIGHBOURHOOD * side
+    tolerance = _INLIER_ERRORS * cells.error_per_m + _INLIER_SHARE * separation_per_m
+    planes: list[Plane] = []
+    while remaining.sum() >= _FEWEST_INLIERS and len(planes) < _MOST_PLANES:
+        inliers = _ransac_step(cells, remaining, near, tolerance, side)
+        if inliers.sum() < _FEWEST_INLIERS:
+            break
+        remaining = remaining & ~inliers
+        plane = fit_plane(cells.chosen(inliers))
+        if plane is None:
+            continue
+        vergence = plane.at(cells.row, cells.column)
+        remaining = remaining & (np.abs(cells.vergence_per_m - vergence) > tolerance)
+        gentle = np.hypot(*plane.slope_per_m) * side < _STEEPEST * separation_per_m
+        if np.ptp(vergence[inliers]) > separation_per_m and gentle:
+            planes.append(plane)
+    return planes
+
+
+def _ransac_step(
+    cells: Cells, remaining: NDArray[np.bool_], near: NDArray[np.bool_], tolerance: FloatArray, side: int
+) -> NDArray[np.bool_]:
+    """RANSAC step: the largest connected set of cells on one plane; each cell's neighbourhood proposes a plane."""
+    design = np.stack([np.ones(cells.row.size), cells.row, cells.column], axis=1)
+    weight = np.where(near & remaining, 1.0 / np.where(remaining, tolerance, 1.0) ** 2, 0.0)
+    normal = np.einsum("cn,ni,nj->cij", weight, design, design)
+    right_side = np.einsum("cn,ni->ci", weight, design * np.where(remaining, cells.vergence_per_m, 0.0)[:, None])
+    diagonal = np.prod(np.diagonal(normal, axis1=1, axis2=2), axis=1)
+    enough = remaining & ((weight > 0.0).sum(axis=1) >= _FEWEST_NEIGHBOURS)
+    proposing = enough & (np.linalg.det(normal) > _DEGENERATE * diagonal)
+    if not proposing.any():
+        return np.zeros(remaining.size, dtype=bool)
+    planes = np.linalg.solve(normal[proposing], right_side[proposing][..., None])[..., 0]
+    vergence = np.where(remaining, cells.vergence_per_m, np.inf)
+    agreeing = np.abs(vergence - planes @ design.T) < tolerance
+    best = int(agreeing.sum(axis=1).argmax())
+    inliers, seed = agreeing[best], int(np.flatnonzero(proposing)[best])
+    for _ in range(_REFITS):
+        inliers = _connected_to(cells, inliers, seed, side)
+        root = inliers / tolerance
+        plane = np.linalg.lstsq(design * root[:, None], cells.vergence_per_m * root, rcond=None)[0]
+        inliers = np.abs(vergence - design @ plane) < tolerance
+    return _connected_to(cells, inliers, seed, side)
+
+
+def _connected_to(cells: Cells, chosen: NDArray[np.bool_], seed: int, side: int) -> NDArray[np.bool_]:
+    """The chosen cells in one connected component with the seed."""
+    at = (cells.row // side).astype(np.intp), (cells.column // side).astype(np.intp)
+    grid = np.zeros((int(at[0].max()) + 1, int(at[1].max()) + 1), dtype=bool)
+    grid[at] = chosen
+    grid[at[0][seed], at[1][seed]] = True
+    component, _ = connected_components(grid, np.ones((3, 3), dtype=bool))
+    return np.asarray(chosen & (component[at] == component[at[0][seed], at[1][seed]]))
 
 
 def distinct_planes(planes: list[Plane], label: NDArray[np.int32], separation_per_m: float) -> list[Plane]:
-    """Planes without those that go on in a tilted neighbour; the larger segment's plane is kept.
+    """Planes without those that continue the plane of a tilted neighbour; the larger segment's plane is kept.
 
     Args:
-        planes: of each segment.
+        planes: plane of each segment.
         label: shape (n_y, n_x), numbers of the segments from 1.
-        separation_per_m: segments whose own depth is nearer to the neighbour's plane than half of this lie on it.
+        separation_per_m: vergence by which planes differ; segments nearer than half of it are on one plane.
     """
     sizes = np.bincount(label.ravel(), minlength=len(planes) + 1)[1:]
     kept: list[int] = []
     for index in sorted(range(len(planes)), key=lambda k: (not planes[k].tilted, -sizes[k])):
         row, column = (axis.astype(np.float64) for axis in np.nonzero(label == index + 1))
-        own = planes[index].at(row, column)
-        about = binary_dilation(label == index + 1, iterations=2)
+        vergence = planes[index].at(row, column)
+        near = binary_dilation(label == index + 1, iterations=2)
         if not any(
             planes[other].tilted
-            and about[label == other + 1].any()
-            and np.median(np.abs(planes[other].at(row, column) - own)) < 0.5 * separation_per_m
+            and near[label == other + 1].any()
+            and np.median(np.abs(planes[other].at(row, column) - vergence)) < 0.5 * separation_per_m
             for other in kept
         ):
             kept.append(index)

@@ -1,4 +1,4 @@
-"""Segments of a frame: which pixels lie at one depth, and at which."""
+"""Segmentation of a frame: cost volume and pixel depths -> segments with their depths."""
 
 from __future__ import annotations
 
@@ -11,51 +11,62 @@ from scipy.ndimage import binary_opening
 
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.matching.cost_volume import Volume
-from metafab.decode.matching.depth import HALF_CONFIDENCE, PixelDepth, pixel_depth
-from metafab.decode.segmentation import segment as segments
-from metafab.decode.segmentation.consensus import spanning_planes
+from metafab.decode.confidence import LARGEST_ERROR
+from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.segmentation.distance import distance
-from metafab.decode.segmentation.frame_statistics import WINDOW_PX, Seen
-from metafab.decode.segmentation.neighbours import joined
-from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, fitted_plane
+from metafab.decode.segmentation.outlines import ROUNDS
+from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, fit_plane, ransac_planes
+from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
+from metafab.decode.segmentation.segments import (
+    SegmentDepth,
+    assign_layers,
+    connected_segments,
+    depth_layers,
+    fragment_targets,
+    grown,
+    interior,
+    is_textured,
+    segment_depth,
+    textured_components,
+)
 
-#: Layers of the scene are told apart from this share of the calibrated range of vergence.
+#: Separation of layers, as a share of the calibrated range of vergence.
 LAYER_SHARE = 1.0 / 24.0
-#: How far from an outline a window, through the pair's main parts, still sees it.
+#: Distance from an outline up to which a window, with the pair's main lobes, contains it; frame pixels.
 _OUTLINE_REACH_PX = 40
-#: So many layers may be stripes of a tilted surface.
+#: Number of layers from which they may be stripes of a tilted surface.
 _MANY_LAYERS = 5
-#: A segment is a stripe of a plane that is hardly farther from its pixels' own depths than the segment's depth is.
-_AS_NEAR = 1.25
+#: A segment is a stripe of a plane if its pixels' depths differ at most this many times as much from the plane.
+_STRIPE_RATIO = 1.25
 
 
 @dataclass(frozen=True)
 class Regions:
-    """The segments of a frame, on every few pixels.
+    """The segments of a frame, on the downsampled pixels.
 
     Attributes:
-        layers: depths at which many pixels lie.
-        depths: of each segment.
+        layers: number of depths at which many pixels lie.
+        depths: depth of each segment, in the order of their numbers.
         label: shape (n_y, n_x), number of each pixel's segment from 1; 0 for none.
-        inner: the same, of the pixels alone that its depth is from.
-        near: the same, with the pixels along the outlines.
+        interior: shape (n_y, n_x), ``label`` where the segment's depth is measured; 0 elsewhere.
+        grown: shape (n_y, n_x), ``label`` grown over the pixels along the outlines.
     """
 
     layers: int
-    depths: tuple[segments.SegmentDepth, ...]
+    depths: tuple[SegmentDepth, ...]
     label: NDArray[np.int32]
-    inner: NDArray[np.int32]
-    near: NDArray[np.int32]
+    interior: NDArray[np.int32]
+    grown: NDArray[np.int32]
 
     def within(self, rows: slice, columns: slice) -> Regions:
-        """Those of a part of the window, with the same numbers."""
-        depths = (replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
-        labels = (label[rows, columns] for label in (self.label, self.inner, self.near))
-        return Regions(self.layers, tuple(depths), *labels)
+        """The segments in a part of the window, with the same numbers."""
+        depths = tuple(replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
+        part = (rows, columns)
+        return Regions(self.layers, depths, self.label[part], self.interior[part], self.grown[part])
 
     def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
-        """1/depth at each pixel of the segment that ``label`` gives it to; NaN for none."""
+        """1/depth of each pixel's segment, for a label of shape (n_y, n_x): the same shape; NaN for none."""
         one = np.array([np.nan, *(depth.vergence_per_m for depth in self.depths)])
         vergence = one[label]
         for number, depth in enumerate(self.depths, start=1):
@@ -64,181 +75,200 @@ class Regions:
         return vergence
 
     def bands(self, label: NDArray[np.int32], step_per_m: float) -> tuple[NDArray[np.int32], FloatArray]:
-        """``label`` with tilted segments cut into bands of one depth each, and 1/depth of every number from 1."""
+        """Cut tilted segments into bands of one depth.
+
+        Args:
+            label: shape (n_y, n_x), numbers of the segments from 1.
+            step_per_m: vergence from one band to the next.
+
+        Returns:
+            Number of each pixel's band from 1, shape (n_y, n_x), and 1/depth of each band, shape (n_bands,).
+        """
         if not any(depth.plane.tilted for depth in self.depths):
             return label, np.array([depth.vergence_per_m for depth in self.depths])
         vergence, bands = self.vergence_per_m(label), np.zeros(label.shape, dtype=np.int32)
-        found: list[float] = []
+        of_bands: list[float] = []
         for number, depth in enumerate(self.depths, start=1):
             mask = label == number
             step = np.round((vergence[mask] - depth.vergence_per_m) / step_per_m)
             steps, place = np.unique(step, return_inverse=True)
-            bands[mask] = len(found) + 1 + place
-            found += (depth.vergence_per_m + steps * step_per_m).tolist()
-        return bands, np.array(found)
+            bands[mask] = len(of_bands) + 1 + place
+            of_bands += (depth.vergence_per_m + steps * step_per_m).tolist()
+        return bands, np.array(of_bands)
 
 
-def layer_step_per_m(volume: Volume) -> float:
+def layer_separation_per_m(volume: CostVolume) -> float:
     """Vergence by which layers differ."""
     return float(volume.vergences_per_m[-1] - volume.vergences_per_m[0]) * LAYER_SHARE
 
 
-def textured_pixels(seen: Seen, volume: Volume) -> PixelDepth:
-    """The depth of each pixel by itself, claimed where something lit shows texture."""
-    variance, _ = seen.variance, seen.uneven  # by loops over all threads, before another thread asks
-    with kept_threads() as beside:
-        near = beside.submit(near_texture, seen)
-        pixels = pixel_depth(volume, seen.window, variance)
-    return PixelDepth(pixels.vergence_per_m, pixels.relative_error, pixels.claimed & near.result())
+def textured_pixel_depth(prepared: PreparedFrame, volume: CostVolume) -> PixelDepth:
+    """Depth of each pixel, claimed where the window about it lies on a textured surface."""
+    # Parallel loops run here first: not every threading layer lets two threads start them at once.
+    variance, _ = prepared.variance, prepared.textured
+    with kept_threads() as pool:
+        near = pool.submit(near_texture, prepared)
+        pixels = pixel_depth(volume, prepared.window, variance)
+    return replace(pixels, claimed=pixels.claimed & near.result())
 
 
-def near_texture(seen: Seen) -> NDArray[np.bool_]:
-    """Pixels whose windows lie on something lit that shows texture.
+def near_texture(prepared: PreparedFrame) -> NDArray[np.bool_]:
+    """Pixels whose windows lie on a textured lit surface: shape (n_y, n_x).
 
-    The outline of a uniform object has no texture either: what lies behind it would be mixed in.
+    At the outline of a uniform object, the texture of the background would be mixed in.
     """
-    kept = segments.textured_parts(seen.lit, seen.uneven, _OUTLINE_REACH_PX // seen.reduction.every)
-    return np.asarray((distance(kept) <= seen.window // 2) & ~seen.plain)
+    reach = _OUTLINE_REACH_PX // prepared.downsampling.step
+    textured = textured_components(prepared.lit, prepared.textured, reach)
+    return np.asarray((distance(textured) <= prepared.window // 2) & ~prepared.plain)
 
 
-def find_regions(seen: Seen, volume: Volume, pixels: PixelDepth, known: Sequence[Plane] = ()) -> Regions:
-    """Segments from the pixels' own depths, and the depth of each from all of its pixels at once.
+def find_regions(
+    prepared: PreparedFrame,
+    volume: CostVolume,
+    pixels: PixelDepth,
+    known: Sequence[Plane] = (),
+    outline_rounds: int = ROUNDS,
+) -> Regions:
+    """Segment a frame.
 
-    First each layer has one depth. If some of their segments turn out to be tilted, or to be stripes of a tilted
-    surface, layers are planes, and pixels are shared out among them once more.
+    At first each layer has one depth. If some of its segments are tilted, or are stripes of a tilted surface, the
+    layers become planes, and pixels are assigned to them once more.
 
     Args:
-        seen: of the frame.
-        volume: of the frame.
-        pixels: the depth of each pixel by itself.
-        known: planes that are in the picture; if some are tilted, pixels are shared out among them at once.
+        prepared: the frame.
+        volume: its cost volume.
+        pixels: depth of each pixel.
+        known: planes of the picture; if some are tilted, pixels are assigned to them at once.
+        outline_rounds: most rounds of the refinement of outlines.
     """
+    segmentation = _Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
     if any(plane.tilted for plane in known):
-        return _shared_out_on(list(known), seen, volume, pixels)
-    separation = layer_step_per_m(volume)
-    layers = [Plane(vergence) for vergence in segments.depth_layers(pixels, separation).tolist()]
+        return segmentation.of_planes(list(known))
+    layers = [Plane(vergence) for vergence in depth_layers(pixels, segmentation.separation_per_m).tolist()]
     if not layers:
-        nowhere = np.zeros(volume.parts.shape[-2:], dtype=np.int32)
-        return Regions(0, (), nowhere, nowhere, nowhere)
-    regions = _share_out(seen, volume, pixels, layers, separation)
+        none = np.zeros(volume.shape, dtype=np.int32)
+        return Regions(0, (), none, none, none)
+    regions = segmentation.of_layers(layers)
     if len(layers) >= _MANY_LAYERS or any(depth.plane.tilted for depth in regions.depths):
-        planes = _planes(seen.lit, seen.reduction.every, volume, pixels, regions)
+        cells = Cells.of(volume, pixels.claimed & prepared.lit, prepared.downsampling.step)
+        planes = planes_across(cells, cell_side(prepared.downsampling.step), volume, pixels, regions)
         if any(plane.tilted for plane in planes):
-            return _shared_out_on(planes, seen, volume, pixels)
+            return segmentation.of_planes(planes)
     return regions
 
 
-def _shared_out_on(planes: list[Plane], seen: Seen, volume: Volume, pixels: PixelDepth) -> Regions:
-    """Segments of planes, and of the depths of what lies on none of them."""
-    separation = layer_step_per_m(volume)
-    surfaces, allowed = _surfaces(planes, pixels, separation, seen.window)
-    return _share_out(seen, volume, pixels, surfaces, separation, allowed)
+def planes_across(cells: Cells, side: int, volume: CostVolume, pixels: PixelDepth, regions: Regions) -> list[Plane]:
+    """Planes that span several layers, and the distinct planes of segments that are no stripes of those.
 
-
-def _planes(lit: NDArray[np.bool_], every: int, volume: Volume, pixels: PixelDepth, regions: Regions) -> list[Plane]:
-    """Distinct planes of segments, and those that several segments are stripes of, in place of them."""
-    step_per_m = layer_step_per_m(volume)
-    cells = Cells.of(volume, pixels.claimed & lit, every)
-    spanning = spanning_planes(cells, cell_side(every), step_per_m)
-    over = [plane.over(regions.label.shape) for plane in spanning]
+    Args:
+        cells: of the whole picture.
+        side: of a cell, downsampled pixels.
+        volume: cost volume.
+        pixels: depth of each pixel.
+        regions: segments of one depth.
+    """
+    separation = layer_separation_per_m(volume)
+    spanning = ransac_planes(cells, side, separation)
+    surfaces = [plane.over(regions.label.shape) for plane in spanning]
 
     def is_stripe(number: int) -> bool:
         mask = (regions.label == number) & pixels.claimed
-        own, *others = (
-            float(np.median(np.abs(pixels.vergence_per_m[mask] - there[mask]))) if mask.any() else 0.0
-            for there in (regions.depths[number - 1].plane.over(mask.shape), *over)
-        )
-        return any(other < _AS_NEAR * own for other in others)
+        if not mask.any():
+            return False
+        vergence, plane = pixels.vergence_per_m[mask], regions.depths[number - 1].plane.over(mask.shape)
+        away = float(np.median(np.abs(vergence - plane[mask])))
+        return any(float(np.median(np.abs(vergence - one[mask]))) < _STRIPE_RATIO * away for one in surfaces)
 
-    left = [number for number in range(1, len(regions.depths) + 1) if not is_stripe(number)]
-    number = np.zeros(len(regions.depths) + 1, dtype=np.int32)
-    number[left] = np.arange(1, len(left) + 1)
-    planes = [regions.depths[index - 1].plane for index in left]
-    return spanning + distinct_planes(planes, number[regions.label], step_per_m)
-
-
-def _share_out(
-    seen: Seen,
-    volume: Volume,
-    pixels: PixelDepth,
-    layers: list[Plane],
-    separation_per_m: float,
-    allowed: NDArray[np.bool_] | None = None,
-) -> Regions:
-    """Segments of layers: connected pixels of one plane, where that may be."""
-    every = seen.reduction.every
-    layer = segments.assign(volume, layers, pixels, separation_per_m, every, seen.lit, allowed)
-    parts, inside, unseen = _textured(seen, segments.split(layer, seen.lit & ~seen.plain, WINDOW_PX, every))
-    count = int(parts.max(initial=0))
-    number, sizes = np.zeros(count + 1, dtype=np.int32), np.bincount(inside.ravel(), minlength=count + 1)
-    found: list[segments.SegmentDepth] = []
-    for part, cells in enumerate(Cells.of_each(volume, inside, count, every), start=1):
-        depth = depth_of(volume, cells, layers[int(np.median(layer[parts == part])) - 1])
-        if depth is not None:
-            found.append(replace(depth, pixels=float(sizes[part])))
-            number[part] = len(found)
-    label, inner = number[parts], number[inside]
-    near = segments.grown(label, WINDOW_PX / every)
-    if unseen.any():
-        near[(distance(unseen) <= WINDOW_PX / every) & (label == 0)] = 0
-    near[seen.plain] = 0
-    target = joined(found, near)
-    own = target == np.arange(target.size)
-    renumbered = (np.cumsum(own) - 1).astype(np.int32)
-    kept = tuple(depth for depth, itself in zip(found, own[1:].tolist(), strict=True) if itself)
-    # Depth and contrast are of a segment itself, without what joins it.
-    label, near = (renumbered[target][part] for part in (label, near))
-    return Regions(len(layers), kept, label, np.where(own, renumbered, 0)[inner].astype(np.int32), near)
+    remaining = [number for number in range(1, len(regions.depths) + 1) if not is_stripe(number)]
+    renumbered = np.zeros(len(regions.depths) + 1, dtype=np.int32)
+    renumbered[remaining] = np.arange(1, len(remaining) + 1)
+    planes = [regions.depths[number - 1].plane for number in remaining]
+    return spanning + distinct_planes(planes, renumbered[regions.label], separation)
 
 
-def depth_of(volume: Volume, cells: Cells, otherwise: Plane) -> segments.SegmentDepth | None:
-    """The depth of a segment, tilted if its cells say so or if it is taken for a tilted one; None if it has none."""
-    plane = fitted_plane(cells) or otherwise
+def measured_depth(volume: CostVolume, cells: Cells, layer: Plane) -> SegmentDepth | None:
+    """Depth of a segment from its cells: tilted if they, or else its layer, are tilted; None if it has none."""
+    plane = fit_plane(cells) or layer
     if plane.tilted and cells.pixels.size:
-        depth = segments.segment_depth(volume, cells.sheared(volume, plane), float(cells.pixels.sum()), plane)
+        depth = segment_depth(volume, cells.sheared(volume, plane), float(cells.pixels.sum()), plane)
     else:
-        depth = segments.segment_depth(volume, cells.whole, float(cells.size))
-    known = depth.relative_error < 4.0 * HALF_CONFIDENCE and depth.correlation > 0.0
-    return depth if known else None
+        depth = segment_depth(volume, cells.whole, float(cells.size))
+    return depth if depth.relative_error < LARGEST_ERROR and depth.correlation > 0.0 else None
 
 
-def _surfaces(
-    planes: list[Plane], pixels: PixelDepth, separation_per_m: float, window: int
-) -> tuple[list[Plane], NDArray[np.bool_]]:
-    """Planes, the depths of what clearly lies on none of them, and where each may be.
+@dataclass(frozen=True)
+class _Segmentation:
+    """The inputs that every assignment of a frame's pixels shares."""
 
-    Such a depth may cross a tilted plane elsewhere, where it must not take the plane's pixels; it needs a patch of a
-    window, or noise would make some, and outlines.
-    """
-    shape = pixels.claimed.shape
-    away = np.min([np.abs(pixels.vergence_per_m - plane.over(shape)) for plane in planes], axis=0)
-    doubt = 0.5 * separation_per_m + 2.0 * pixels.relative_error * pixels.vergence_per_m
-    beside = binary_opening(pixels.claimed & (away > doubt), np.ones((window, window), dtype=bool))
-    others = PixelDepth(pixels.vergence_per_m, pixels.relative_error, beside)
-    depths = segments.depth_layers(others, separation_per_m).tolist()
-    about = distance(beside) <= window
-    allowed = np.stack([np.ones(shape, dtype=bool)] * len(planes) + [about] * len(depths))
-    return planes + [Plane(vergence) for vergence in depths], allowed
+    prepared: PreparedFrame
+    volume: CostVolume
+    pixels: PixelDepth
+    separation_per_m: float
+    outline_rounds: int
 
+    def of_planes(self, planes: list[Plane]) -> Regions:
+        """Segments of planes, and of the depths of pixels that clearly lie on none of them.
 
-def _textured(seen: Seen, parts: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
-    """The parts that show texture, numbered anew from 1, their interiors, and the pixels of the others."""
-    every, kept = seen.reduction.every, 0
-    label, inner = np.zeros((2, *parts.shape), dtype=np.int32)
-    unseen = np.zeros(parts.shape, dtype=bool)
-    uneven = seen.uneven
+        Such a depth may equal that of a tilted plane elsewhere, where it must not take the plane's pixels. It needs a
+        patch as large as a window: noise and outlines are smaller.
+        """
+        pixels, window = self.pixels, self.prepared.window
+        shape = pixels.claimed.shape
+        away = np.min([np.abs(pixels.vergence_per_m - plane.over(shape)) for plane in planes], axis=0)
+        doubt = 0.5 * self.separation_per_m + 2.0 * pixels.relative_error * pixels.vergence_per_m
+        off_planes = binary_opening(pixels.claimed & (away > doubt), np.ones((window, window), dtype=bool))
+        depths = depth_layers(replace(pixels, claimed=off_planes), self.separation_per_m).tolist()
+        near = distance(off_planes) <= window
+        allowed = np.stack([np.ones(shape, dtype=bool)] * len(planes) + [near] * len(depths))
+        return self.of_layers(planes + [Plane(vergence) for vergence in depths], allowed)
 
-    def inside(number: int) -> NDArray[np.bool_] | None:
-        if segments.textured(parts == number, uneven, _OUTLINE_REACH_PX // every):
-            return segments.interior(parts, number, every)
-        return None
+    def of_layers(self, layers: list[Plane], allowed: NDArray[np.bool_] | None = None) -> Regions:
+        """Segments of layers: connected pixels of one plane, where ``allowed`` (n_layers, n_y, n_x)."""
+        prepared, volume, step = self.prepared, self.volume, self.prepared.downsampling.step
+        layer = assign_layers(
+            volume, layers, self.pixels, self.separation_per_m, step, prepared.lit, allowed, self.outline_rounds
+        )
+        segments = connected_segments(layer, prepared.lit & ~prepared.plain, WINDOW_PX, step)
+        parts, inside, plain = self._textured(segments)
+        count = int(parts.max(initial=0))
+        number, sizes = np.zeros(count + 1, dtype=np.int32), np.bincount(inside.ravel(), minlength=count + 1)
+        depths: list[SegmentDepth] = []
+        for part, cells in enumerate(Cells.of_each(volume, inside, count, step), start=1):
+            depth = measured_depth(volume, cells, layers[int(np.median(layer[parts == part])) - 1])
+            if depth is not None:
+                depths.append(replace(depth, pixels=float(sizes[part])))
+                number[part] = len(depths)
+        label, inner = number[parts], number[inside]
+        wide = grown(label, WINDOW_PX / step)
+        if plain.any():
+            wide[(distance(plain) <= WINDOW_PX / step) & (label == 0)] = 0
+        wide[prepared.plain] = 0
+        target = fragment_targets(depths, wide)
+        stays = target == np.arange(target.size)
+        renumbered = (np.cumsum(stays) - 1).astype(np.int32)
+        kept = tuple(depth for depth, stay in zip(depths, stays[1:].tolist(), strict=True) if stay)
+        # Depth and contrast are measured without the fragments that are merged into a segment.
+        inner = np.where(stays, renumbered, 0)[inner].astype(np.int32)
+        merged = renumbered[target]
+        return Regions(len(layers), kept, merged[label], inner, merged[wide])
 
-    numbers = range(1, int(parts.max(initial=0)) + 1)
-    with kept_threads() as pool:
-        for number, within in zip(numbers, pool.map(inside, numbers), strict=True):
-            if within is None:
-                unseen |= parts == number
-                continue
-            kept += 1
-            label[parts == number], inner[within] = kept, kept
-    return label, inner, unseen
+    def _textured(self, segments: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
+        """The segments that show texture, numbered anew from 1, their interiors, and the pixels of the others."""
+        step, texture, count = self.prepared.downsampling.step, self.prepared.textured, 0
+        label, inner = np.zeros((2, *segments.shape), dtype=np.int32)
+        plain = np.zeros(segments.shape, dtype=bool)
+
+        def interior_of(number: int) -> NDArray[np.bool_] | None:
+            if is_textured(segments == number, texture, _OUTLINE_REACH_PX // step):
+                return interior(segments, number, step)
+            return None
+
+        numbers = range(1, int(segments.max(initial=0)) + 1)
+        with kept_threads() as pool:
+            for number, inside in zip(numbers, pool.map(interior_of, numbers), strict=True):
+                if inside is None:
+                    plain |= segments == number
+                    continue
+                count += 1
+                label[segments == number], inner[inside] = count, count
+        return label, inner, plain

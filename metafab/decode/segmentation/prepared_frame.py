@@ -1,0 +1,153 @@
+"""A frame prepared for decoding: registered twins, their spectra, and masks of light and texture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.camera.frames.frame import RawFrame
+from metafab.core.conventions import FloatArray
+from metafab.decode.matching.levels import Levels
+from metafab.decode.matching.pooling import window_means
+from metafab.decode.registration.downsampling import Downsampling
+from metafab.decode.registration.twins import TwinGrid, Twins, extract
+from metafab.decode.segmentation.distance import distance
+
+#: Side of the narrowest window from which a depth is measured, frame pixels.
+WINDOW_PX = 28
+#: Rms of a texture in the frame, as a share of the brightness, below which a surface is plain.
+_FAINT = 0.01
+#: Distance from an outline up to which light of the other side is mixed in, frame pixels.
+_BLUR_PX = 12
+#: Distance from a lit pixel up to which images are deconvolved, downsampled pixels.
+_LIT_MARGIN_PX = 2
+#: Reason for an empty image of a dark frame.
+NO_LIGHT = "there is no light in the frame"
+
+
+@dataclass(frozen=True)
+class PreparedFrame:
+    """Registered twins of a frame and their downsampled images.
+
+    Attributes:
+        twins: both images at all pixels.
+        levels: their noise and texture.
+        downsampling: the pixels that are compared.
+        spectra: shape (2, n_ky, n_kx), transforms of the downsampled images.
+        images: shape (2, n_y + 2 margin, n_x + 2 margin), the downsampled images, electrons.
+    """
+
+    twins: Twins
+    levels: Levels
+    downsampling: Downsampling
+    spectra: NDArray[np.complex64]
+    images: NDArray[np.float32]
+
+    @classmethod
+    def of(
+        cls, frame: RawFrame, grid: TwinGrid, downsampling: Downsampling, levels: Levels | None = None
+    ) -> PreparedFrame | str:
+        """Register and downsample a frame.
+
+        Args:
+            frame: of the grid's shape.
+            grid: place of its twins.
+            downsampling: of the grid's window.
+            levels: of an earlier frame in the same light; measured by default.
+
+        Returns:
+            The prepared frame, or the reason why the frame cannot be decoded.
+        """
+        twins = extract(frame, grid)
+        if twins.bad.all():
+            return "all pixels are saturated or invalid"
+        spectra = downsampling.spectra(twins.image)
+        images = downsampling.images(spectra)
+        levels = Levels.of(images, frame.read_noise_e) if levels is None else levels
+        if levels.signal <= 0.0:
+            return NO_LIGHT
+        return cls(twins, levels, downsampling, spectra, images)
+
+    def within(self, rows: slice, columns: slice) -> PreparedFrame:
+        """A part of the window (slices of downsampled pixels), without ``spectra``."""
+        m, part = self.downsampling.margin, self.downsampling.within(rows, columns)
+        images = self.images[:, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
+        twins = self.twins.within(*self.downsampling.frame_slices(rows, columns))
+        return PreparedFrame(twins, self.levels, part, self.spectra[:0], images)
+
+    @property
+    def window(self) -> int:
+        """Side of the narrowest window, downsampled pixels; odd."""
+        return round(WINDOW_PX / self.downsampling.step) | 1
+
+    @property
+    def floor_e(self) -> float:
+        """Sum of both images below which a pixel is dark, electrons."""
+        return max(0.35 * self.levels.signal, 6.0 * self.levels.read_noise_e)
+
+    @property
+    def inner(self) -> NDArray[np.float32]:
+        """The downsampled images without margin: shape (2, n_y, n_x)."""
+        return self.images[:, *self.downsampling.inner]
+
+    @cached_property
+    def lit(self) -> NDArray[np.bool_]:
+        """Downsampled pixels with light: shape (n_y, n_x)."""
+        return np.asarray(self.inner.sum(axis=0) > self.floor_e)
+
+    @property
+    def near_light(self) -> NDArray[np.bool_]:
+        """Downsampled pixels near a lit one, at which images are deconvolved: shape (n_y, n_x)."""
+        return near_light(self.lit)
+
+    @cached_property
+    def mean(self) -> NDArray[np.float32]:
+        """Mean over a window: shape (2, n_y, n_x), electrons."""
+        return window_means(self.inner, self.window)
+
+    @cached_property
+    def variance(self) -> FloatArray:
+        """Variance of the frame's pixels in a window about each pixel: shape (2, n_y, n_x), positive."""
+        least = self.levels.read_noise_e**2 + 1e-9 * self.levels.noise_variance
+        return np.asarray(np.maximum(self.mean, 0.0) + least)
+
+    @cached_property
+    def textured(self) -> NDArray[np.bool_]:
+        """Whether either image varies over a window by more than its noise: shape (n_y, n_x)."""
+        return np.asarray((self._texture > self._least_texture).any(axis=0))
+
+    @cached_property
+    def plain(self) -> NDArray[np.bool_]:
+        """Surfaces without texture and their outlines, where even a faint texture would show: shape (n_y, n_x)."""
+        faint = (_FAINT * self.mean) ** 2
+        would_show = (faint > self._least_texture).any(axis=0)
+        smooth = self.lit & (self._texture < faint).all(axis=0) & would_show
+        reach = self.window // 2
+        core = distance(~smooth) > reach if not smooth.all() else smooth
+        # The windows of smooth pixels end before any other surface's light.
+        outline = 2 * reach + _BLUR_PX / self.downsampling.step
+        return np.asarray((distance(core) <= outline) & self.lit)
+
+    @cached_property
+    def _texture(self) -> NDArray[np.float32]:
+        """Variance of each image over a window minus that of its noise: shape (2, n_y, n_x)."""
+        return np.asarray(window_means(self.inner**2, self.window) - self.mean**2 - self._noise)
+
+    @property
+    def _noise(self) -> NDArray[np.float32]:
+        noise = np.maximum(self.mean, 0.0) + self.levels.read_noise_e**2
+        return np.asarray(self.downsampling.variance_gain * noise)
+
+    @property
+    def _least_texture(self) -> NDArray[np.float32]:
+        """Variance beyond that of the noise from which a window shows texture, electrons squared."""
+        # The mean square of n nearly independent deviations is 1 +- sqrt(2 / n) of their variance.
+        return np.asarray(self._noise * np.float32(6.0 * np.sqrt(2.0) / self.window))
+
+
+def near_light(lit: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels within two pixels of a lit one, shape (n_y, n_x): the same shape."""
+    return np.asarray(distance(lit) <= _LIT_MARGIN_PX)

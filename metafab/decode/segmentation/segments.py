@@ -1,0 +1,323 @@
+"""Segments: layers of depth, connected pixels of one layer, and the depth of each segment.
+
+All pictures are on the downsampled pixels of the cost volume.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_cdt, gaussian_filter1d
+from scipy.ndimage import label as connected_components
+
+from metafab.core.conventions import FloatArray
+from metafab.decode.matching.cost_volume import CostVolume, correlation
+from metafab.decode.matching.depth import PixelDepth, spline_peaks, standard_error
+from metafab.decode.matching.pooling import window_means
+from metafab.decode.segmentation.distance import distance, nearest
+from metafab.decode.segmentation.outlines import ROUNDS, refined_outlines
+from metafab.decode.segmentation.planes import Plane
+
+#: Frame pixels of the smallest segment, half a window: less looks like the mixture of depths along an outline.
+_FEWEST_PX = 300
+#: Share of the claimed pixels that a layer holds at least.
+_SMALLEST_SHARE = 0.01
+#: Distances from other segments, frame pixels, that keep their blur out: the first that leaves enough is taken.
+_CLEAR_PX = (24, 20, 16, 12, 8, 4)
+#: Window over which the correlation at each layer's depth is pooled for the first assignment, frame pixels.
+_ASSIGNMENT_WINDOW_PX = 13
+#: Window over which it is pooled to score outlines: a narrower one would be noise.
+_OUTLINE_WINDOW_PX = 7
+#: Window over which the refinement of outlines takes the layers' shares.
+_SHARES_WINDOW_PX = 21
+#: Weight of the correlation against those shares: with half as much, outlines would eat small objects.
+_CORRELATION_WEIGHT = 2.0
+#: Share of a region's interior that shows texture at least; 5 standard deviations leave noise none.
+_LEAST_TEXTURED = 0.05
+#: Standard errors within which a fragment's depth is that of its neighbour, and their least ratio of sizes.
+_SAME_DEPTH, _SIZE_RATIO = 2.5, 4
+
+
+@dataclass(frozen=True)
+class SegmentDepth:
+    """The depth of one segment.
+
+    Attributes:
+        vergence_per_m: 1/depth; at the centre of the plane for a tilted segment.
+        relative_error: standard error of depth over depth; inf if the twins agree at no depth.
+        correlation: of the twins at that depth.
+        power: mean square of the filtered twins there, geometric mean of both, electrons squared.
+        plane: depth over the picture.
+        pixels: downsampled pixels that the depth is measured on.
+    """
+
+    vergence_per_m: float
+    relative_error: float
+    correlation: float
+    power: float
+    plane: Plane
+    pixels: float = 0.0
+
+
+def depth_layers(pixels: PixelDepth, separation_per_m: float) -> FloatArray:
+    """Vergences of layers: peaks of the histogram of the pixels' depths, strongest first.
+
+    Args:
+        pixels: depth of each pixel.
+        separation_per_m: peaks nearer to each other than 1.5 of this are one layer.
+
+    Returns:
+        Shape (n_layers,), 1/m.
+    """
+    claimed = pixels.claimed
+    if not claimed.any():
+        return np.zeros(0)
+    vergence = pixels.vergence_per_m[claimed]
+    weight = 1.0 / (1.0 + (pixels.relative_error[claimed] / 0.01) ** 2)
+    low, high = float(vergence.min()) - 2.0 * separation_per_m, float(vergence.max()) + 2.0 * separation_per_m
+    bins = max(8, int(np.ceil(4.0 * (high - low) / separation_per_m)))
+    counts, edges = np.histogram(vergence, bins=bins, range=(low, high), weights=weight)
+    smooth = gaussian_filter1d(counts, 2.0, mode="constant")
+    middle = smooth[1:-1]
+    peak = 1 + np.flatnonzero((middle >= smooth[:-2]) & (middle > smooth[2:]))
+    bins_of_peak = 2.0 * np.sqrt(2.0 * np.pi)  # area of the smoothing Gaussian over its height
+    peak = peak[smooth[peak] * bins_of_peak > max(_SMALLEST_SHARE * counts.sum(), 1.0)]
+    peak = peak[np.argsort(-smooth[peak])]
+    kept: list[float] = []
+    for centre in 0.5 * (edges[:-1] + edges[1:])[peak]:
+        if all(abs(centre - other) > 1.5 * separation_per_m for other in kept):
+            kept.append(float(centre))
+    return np.array(kept)
+
+
+def assign_layers(
+    volume: CostVolume,
+    layers: Sequence[Plane],
+    pixels: PixelDepth,
+    separation_per_m: float,
+    step: int,
+    lit: NDArray[np.bool_],
+    allowed: NDArray[np.bool_] | None = None,
+    outline_rounds: int = ROUNDS,
+) -> NDArray[np.int32]:
+    """Assign each pixel to the layer at whose depth the twins correlate best about it.
+
+    Args:
+        volume: cost volume.
+        layers: depths of the layers over the picture.
+        pixels: depth of each pixel.
+        separation_per_m: vergence by which layers differ.
+        step: frame pixels from one downsampled pixel to the next.
+        lit: shape (n_y, n_x), whether a pixel is lit.
+        allowed: shape (n_layers, n_y, n_x), where each layer may be; everywhere by default.
+        outline_rounds: most rounds of the refinement of outlines.
+
+    Returns:
+        Number of each pixel's layer from 1, shape (n_y, n_x).
+    """
+    flat = np.array([plane.vergence_per_m for plane in layers])
+    tilted = any(plane.tilted for plane in layers)
+    vergence = np.stack([plane.over(volume.shape) for plane in layers]) if tilted else flat[:, None, None]
+    products = volume.at(vergence if tilted else flat)
+    difference = np.abs(pixels.vergence_per_m.astype(np.float32) - vergence.astype(np.float32))
+    penalty = np.float32(0.05) * np.minimum(difference / np.float32(separation_per_m), np.float32(4.0))
+    wide, narrow = (
+        (correlation(window_means(products, px // step | 1)) - penalty).astype(np.float32)
+        for px in (_ASSIGNMENT_WINDOW_PX, _OUTLINE_WINDOW_PX)
+    )
+    wide = window_means(wide, 3)
+    if allowed is not None:
+        wide[~allowed] = narrow[~allowed] = -np.inf
+    window = _SHARES_WINDOW_PX // step | 1
+    layer = refined_outlines(wide.argmax(axis=0), _CORRELATION_WEIGHT * narrow, lit, window, outline_rounds)
+    label = (layer + 1).astype(np.int32)
+    if pixels.claimed.any() and not pixels.claimed.all():
+        away, row, column = nearest(pixels.claimed)
+        label = np.where(away * step > _ASSIGNMENT_WINDOW_PX, label[row, column], label).astype(np.int32)
+    return np.asarray(label)
+
+
+def connected_segments(
+    layer: NDArray[np.int32], lit: NDArray[np.bool_], window_px: int, step: int
+) -> NDArray[np.int32]:
+    """Number the connected lit pixels of each layer.
+
+    Specks are left out, and so is a part smaller than a window next to a larger one: it is the mixture of depths along
+    an outline.
+
+    Args:
+        layer: shape (n_y, n_x), numbers of the layers from 1.
+        lit: shape (n_y, n_x), whether a pixel is lit.
+        window_px: side of a window, frame pixels.
+        step: frame pixels from one downsampled pixel to the next.
+
+    Returns:
+        Number of each pixel's segment from 1, 0 for none: shape (n_y, n_x).
+    """
+    segment = np.zeros(layer.shape, dtype=np.int32)
+    count = 0
+    for index in range(1, int(layer.max(initial=0)) + 1):
+        component, n_components = connected_components(opened((layer == index) & lit, max(1, 2 // step)))
+        sizes = np.bincount(component.ravel(), minlength=n_components + 1) * step**2
+        for number in range(1, n_components + 1):
+            if sizes[number] >= _FEWEST_PX:
+                count += 1
+                segment[component == number] = count
+    sizes = np.bincount(segment.ravel(), minlength=count + 1) * step**2
+    large = sizes >= window_px**2
+    large[0] = False
+    near_large = distance(large[segment]) * step <= window_px if large.any() else np.zeros(layer.shape, bool)
+    renumbered = np.zeros(count + 1, dtype=np.int32)
+    kept = [k for k in range(1, count + 1) if large[k] or not near_large[segment == k].any()]
+    renumbered[kept] = np.arange(1, len(kept) + 1)
+    return np.asarray(renumbered[segment])
+
+
+def opened(mask: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
+    """Morphological opening by a cross, ``steps`` times; ten times faster than SciPy's ``binary_opening``.
+
+    Args:
+        mask: shape (n_y, n_x).
+        steps: pixels of erosion and of dilation.
+
+    Returns:
+        Shape (n_y, n_x).
+    """
+    for combine in (np.logical_and, np.logical_or):
+        for _ in range(steps):
+            wide = np.pad(mask, 1)
+            mask = combine(mask, wide[:-2, 1:-1])
+            for neighbour in (wide[2:, 1:-1], wide[1:-1, :-2], wide[1:-1, 2:]):
+                combine(mask, neighbour, out=mask)
+    return mask
+
+
+def grown(segment: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
+    """Give pixels without a segment, shape (n_y, n_x), to the nearest one within ``reach`` pixels: the same shape."""
+    if not segment.any():
+        return segment
+    away, row, column = nearest(segment > 0)
+    return np.where(away <= reach, segment[row, column], 0).astype(np.int32)
+
+
+def segment_depth(volume: CostVolume, sums: FloatArray, pixels: float, tilt: Plane | None = None) -> SegmentDepth:
+    """Measure a segment's depth at the peak of a spline through the correlation at all candidates.
+
+    The error is infinite where the twins do not correlate, or best at an end of the candidates.
+
+    Args:
+        volume: cost volume.
+        sums: shape (3, n_candidates), its products summed over the segment's interior.
+        pixels: pixels of that interior.
+        tilt: plane along which they were summed; none by default.
+    """
+    rho = correlation(sums)
+    nodes = volume.vergences_per_m
+    if not np.isfinite(rho).all() or rho.max() <= 0.0:
+        return _segment(tilt, float(nodes[nodes.size // 2]), np.inf, 0.0, 0.0)
+    peak = spline_peaks(rho[None])
+    vergence, height = float(nodes[0]) + volume.step_per_m * float(peak.place[0]), float(peak.height[0])
+    if not peak.inside[0]:  # still rising at the end of the calibrated range
+        return _segment(tilt, vergence, np.inf, height, 0.0)
+    samples = max(pixels * volume.samples, 1.0)
+    error = standard_error(peak.height[0], peak.curvature[0] / volume.step_per_m**2, samples) / abs(vergence)
+    candidate = int(np.abs(nodes - vergence).argmin())
+    power = float(np.sqrt(sums[1, candidate] * sums[2, candidate])) / max(pixels, 1.0)
+    return _segment(tilt, vergence, float(error), height, power)
+
+
+def _segment(tilt: Plane | None, vergence: float, error: float, height: float, power: float) -> SegmentDepth:
+    plane = Plane(vergence) if tilt is None else replace(tilt, vergence_per_m=vergence)
+    return SegmentDepth(vergence, error, height, power, plane)
+
+
+def interior(segment: NDArray[np.int32], number: int, step: int) -> NDArray[np.bool_]:
+    """The pixels of a segment away from other segments, as far as a fifth of them remain.
+
+    Next to another depth the pair's lobes mix both; next to darkness there is nothing to mix.
+
+    Args:
+        segment: shape (n_y, n_x), numbers of the segments from 1.
+        number: of the segment.
+        step: frame pixels from one downsampled pixel to the next.
+
+    Returns:
+        Shape (n_y, n_x).
+    """
+    mask: NDArray[np.bool_] = segment == number
+    others = (segment > 0) & ~mask
+    if not others.any():
+        return mask
+    away = distance(others)
+    least = max(0.2 * _FEWEST_PX / step**2, 0.2 * float(mask.sum()))
+    for px in _CLEAR_PX:
+        inner = mask & (away > px / step)
+        if inner.sum() >= least:
+            return np.asarray(inner)
+    return mask
+
+
+def is_textured(region: NDArray[np.bool_], texture: NDArray[np.bool_], reach: int) -> bool:
+    """Whether a region shows texture away from its outline; True for one too small to have an interior.
+
+    Args:
+        region: shape (n_y, n_x), connected lit pixels.
+        texture: shape (n_y, n_x), whether a window shows texture.
+        reach: distance from which a window contains the outline, pixels.
+    """
+    inner = distance_transform_cdt(np.pad(region, 1), metric="taxicab")[1:-1, 1:-1] > reach
+    return not inner.any() or float(texture[inner].mean()) > _LEAST_TEXTURED
+
+
+def textured_components(lit: NDArray[np.bool_], texture: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """The connected components of ``lit``, shape (n_y, n_x), that :func:`is_textured`: the same shape."""
+    component, count = connected_components(lit)
+    keep = np.array([False, *(is_textured(component == k, texture, reach) for k in range(1, count + 1))])
+    return np.asarray(keep[component])
+
+
+def fragment_targets(depths: Sequence[SegmentDepth], label: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The segment that each segment is merged into: itself, or a much larger neighbour of the same depth.
+
+    Along outlines, in shadows and at the picture's rim, narrow strips become segments whose depths have large errors.
+    Such a fragment belongs to a neighbour if their depths do not differ significantly.
+
+    Args:
+        depths: of the segments from 1.
+        label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
+
+    Returns:
+        Shape (len(depths) + 1,): number of the target by the number of the segment; 0 for 0.
+    """
+    count = len(depths) + 1
+    target = np.arange(count, dtype=np.int32)
+    sizes = np.bincount(label.ravel(), minlength=count)
+    adjacent = _adjacency(label, count)
+    smallest_first: list[int] = (1 + np.argsort(sizes[1:], kind="stable")).tolist()
+    for number in smallest_first:
+        depth = depths[number - 1]
+        larger = np.flatnonzero(adjacent[number] & (sizes > _SIZE_RATIO * sizes[number]))
+        larger = larger[larger > 0]
+        if depth.plane.tilted or not larger.size or not sizes[number]:
+            continue
+        row, column = (np.array(float(axis.mean())) for axis in np.nonzero(label == number))
+        vergences = np.array([float(depths[k - 1].plane.at(row, column)) for k in larger.tolist()])
+        difference = np.abs(vergences / depth.vergence_per_m - 1.0)
+        if difference.min() < _SAME_DEPTH * depth.relative_error:
+            target[number] = larger[difference.argmin()]
+    for number in reversed(smallest_first):  # fragments of a fragment follow it
+        target[number] = target[target[number]]
+    return target
+
+
+def _adjacency(label: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
+    """Which segments touch each other: shape (count, count)."""
+    adjacent = np.zeros(count * count, dtype=bool)
+    for one, other in ((label[:-1], label[1:]), (label[:, :-1], label[:, 1:])):
+        codes = np.bincount((one * np.int32(count) + other).ravel(), minlength=count * count)
+        adjacent |= codes > 0
+    both = adjacent.reshape(count, count)
+    return np.asarray(both | both.T)
