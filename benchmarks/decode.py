@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from metafab import camera, decode, optics, phase
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.measure import measured
-from metafab.decode.matching.cost_volume import Volume
+from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.segmentation.planes import Cells
 from metafab.information import Texture
 from metafab.layout import Lattice, sampling_lattice
@@ -116,11 +116,11 @@ def _row(name: str, design: Design, shown: optics.Psf, psf: optics.Psf, photons:
         for frame in frames:
             decoder.depth_map(frame)
     keys = ("nmae_pixel", "share_decoded", "psnr_x_db", "ssim_x", "contrast_error")
-    mean = {key: float(np.mean([image.details[key] for image in images])) for key in keys}
+    mean = {key: float(np.mean([getattr(image.figures, key) for image in images])) for key in keys}
     error = float(np.mean([image.nmae if image.nmae is not None else math.nan for image in images]))
     bound, bound_known = smallest_nmae(scene, decoder, first)
     # Of the decoding alone, without the judging against the truth.
-    seconds = float(np.mean([image.details["seconds"] for image in images]))
+    seconds = float(np.mean([image.figures.seconds for image in images]))
     return {
         "name": name,
         "series": name.rsplit(", ", 1)[0],
@@ -160,15 +160,15 @@ def _video_row() -> dict[str, Any]:
         "name": f"2 mm lens, film of a moving car, {len(images)} frames",
         "series": "2 mm lens, film",
         "error": float(np.mean([image.nmae if image.nmae is not None else math.nan for image in images])),
-        "seconds": float(np.mean([image.details["seconds"] for image in images])),
+        "seconds": float(np.mean([image.figures.seconds for image in images])),
         "peak_rss_mb": cost.peak_rss_mb,
         "photons": design.scene.photons_per_pixel,
-        "changed_share": float(np.mean([image.details["changed_share"] for image in images])),
-        "nmae_pixel": float(np.mean([image.details["nmae_pixel"] for image in images])),
-        "worst_object_error": max(float(image.details["worst_object_error"]) for image in images),
-        "worst_object_error_alone": max(float(image.details["worst_object_error"]) for image in alone),
-        "seconds_alone": float(np.mean([image.details["seconds"] for image in alone])),
-        "seconds_unchanged": float(same.details["seconds"]),
+        "changed_share": float(np.mean([image.figures.changed_share for image in images])),
+        "nmae_pixel": float(np.mean([image.figures.nmae_pixel for image in images])),
+        "worst_object_error": max(float(image.figures.worst_object_error) for image in images),
+        "worst_object_error_alone": max(float(image.figures.worst_object_error) for image in alone),
+        "seconds_alone": float(np.mean([image.figures.seconds for image in alone])),
+        "seconds_unchanged": float(same.figures.seconds),
     }
 
 
@@ -208,10 +208,10 @@ def window_errors(
     """
     errors = []
     for frame in frames:
-        seen = decoder.look(frame)
-        if isinstance(seen, str):
-            raise ValueError(seen)
-        cells = _cells(decoder, decoder.volume(seen), side_px)
+        prepared = decoder.prepare(frame)
+        if isinstance(prepared, str):
+            raise ValueError(prepared)
+        cells = _cells(decoder, decoder.match(prepared), side_px)
         errors.append(_inside(cells.vergence_per_m[_whole(cells)], decoder, side_px) * bound.depth_m - 1.0)
     return np.concatenate(errors), np.tile(window_bounds(bound, decoder, side_px), len(errors))
 
@@ -220,9 +220,9 @@ def window_bounds(
     bound: decode.DepthBound, decoder: decode.Decoder, side_px: int, *, known: bool = False
 ) -> FloatArray:
     """Least relative error of each window, in the order of :func:`window_errors`."""
-    every = decoder.filters.reduction.every
+    step = decoder.filters.downsampling.step
     rows, columns = _counts(decoder, side_px)
-    span = every * (side_px // every)
+    span = step * (side_px // step)
     least = [
         bound.relative_error((slice(i * span, (i + 1) * span), slice(j * span, (j + 1) * span)), known=known)
         for i in range(rows)
@@ -233,8 +233,8 @@ def window_bounds(
 
 def _counts(decoder: decode.Decoder, side_px: int) -> tuple[int, int]:
     """Whole windows along y and x."""
-    reduction = decoder.filters.reduction
-    rows, columns = (n // (side_px // reduction.every) for n in reduction.shape)
+    downsampling = decoder.filters.downsampling
+    rows, columns = (n // (side_px // downsampling.step) for n in downsampling.shape)
     return rows, columns
 
 
@@ -243,8 +243,8 @@ def _inside(values: FloatArray, decoder: decode.Decoder, side_px: int) -> FloatA
     return values.reshape(_counts(decoder, side_px))[1:-1, 1:-1].ravel()
 
 
-def _cells(decoder: decode.Decoder, volume: Volume, side_px: int) -> Cells:
-    return Cells.of(volume, np.ones(volume.parts.shape[-2:], dtype=bool), decoder.filters.reduction.every, side_px)
+def _cells(decoder: decode.Decoder, volume: CostVolume, side_px: int) -> Cells:
+    return Cells.of(volume, np.ones(volume.shape, dtype=bool), decoder.filters.downsampling.step, side_px)
 
 
 def _whole(cells: Cells) -> NDArray[np.bool_]:

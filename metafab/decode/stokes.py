@@ -18,14 +18,20 @@ from scipy.ndimage import binary_erosion, map_coordinates, uniform_filter
 from metafab.camera.stokes import StokesFrame, kernels_at
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.polarisation import ORTHOGONAL
-from metafab.decode.matching.cost_volume import Volume, correlation
-from metafab.decode.matching.depth import PixelDepth, parabola, standard_error
-from metafab.decode.matching.levels import LOWEST_FREQUENCY, Levels
-from metafab.decode.matching.peaks import peaks
+from metafab.decode.matching.cost_volume import CostVolume, correlation
+from metafab.decode.matching.depth import PixelDepth, best_candidates, parabolic_peak, standard_error
+from metafab.decode.matching.levels import Levels, high_pass
 from metafab.decode.matching.pooling import window_means
-from metafab.decode.segmentation import segment as segments
-from metafab.decode.segmentation.planes import Cells, Plane, fitted_plane
+from metafab.decode.segmentation.planes import Cells, Plane, fit_plane
 from metafab.decode.segmentation.regions import LAYER_SHARE
+from metafab.decode.segmentation.segments import (
+    assign_layers,
+    connected_segments,
+    depth_layers,
+    grown,
+    interior,
+    segment_depth,
+)
 from metafab.optics.polarisation_states import StokesPsf
 
 #: Candidate depths of the cost volume, and depths at which the images are inverted.
@@ -36,8 +42,6 @@ _WINDOW_PX = 33
 _LEAST_CORRELATION = 0.5
 #: Share of the strongest frequency's power that regularises the filters: weaker frequencies hold noise.
 _FAINTEST = 1e-4
-#: Corner of the high-pass filter over the lowest frequency; coarser structure follows the illumination.
-_HIGH_PASS = 3.0
 #: Least brightness of a lit pixel, over the 99th percentile of the frame.
 _LIT = 0.2
 #: Pixels along outlines that do not count to an object's interior, and side of the windows of the rms error.
@@ -88,17 +92,17 @@ def decode_stokes(frame: StokesFrame, psf: StokesPsf) -> StokesImage:
     segment, planes = _segments(volume, uniform_filter(mean, 3) > least_lit)
     nodes = volume.vergences_per_m
     vergence = np.full(mean.shape, 0.5 * (nodes[0] + nodes[-1]))
-    nearest = segments.grown(segment, float(sum(mean.shape)))
+    nearest = grown(segment, float(sum(mean.shape)))
     for number, plane in enumerate(planes, start=1):
         np.copyto(vergence, np.clip(plane.over(mean.shape), nodes[0], nodes[-1]), where=nearest == number)
     stokes = _stokes_parameters(frame, psf, vergence)
     # Blur reaches beyond outlines: only what is bright in the sharp image belongs to an object.
-    shown = (segments.grown(segment, 0.5 * _WINDOW_PX) > 0) & (uniform_filter(stokes[0], 3) > least_lit)
+    shown = (grown(segment, 0.5 * _WINDOW_PX) > 0) & (uniform_filter(stokes[0], 3) > least_lit)
     agreement = correlation(window_means(volume.at(vergence[None])[:, 0], _WINDOW_PX))
     return StokesImage(stokes, np.where(shown, 1.0 / vergence, np.nan), agreement.astype(np.float64))
 
 
-def _cost_volume(frame: StokesFrame, psf: StokesPsf) -> Volume:
+def _cost_volume(frame: StokesFrame, psf: StokesPsf) -> CostVolume:
     """Sum of the three pairs' products at equally spaced vergences.
 
     Each image is filtered by the other's transfer function over the root of both powers. In white noise the residual
@@ -130,7 +134,7 @@ def _cost_volume(frame: StokesFrame, psf: StokesPsf) -> Volume:
     columns[[0, -1]] = 1.0
     power_sum, square_sum = float((weight**2 * columns).sum()), float((weight**4 * columns).sum())
     pixels = size[0] * size[1]
-    return Volume(vergences, parts, 3.0 * power_sum**2 / (square_sum * pixels), 3.0 * power_sum / pixels)
+    return CostVolume(vergences, parts, 3.0 * power_sum**2 / (square_sum * pixels), 3.0 * power_sum / pixels)
 
 
 def _transfer_functions(kernels: FloatArray, size: tuple[int, int]) -> ComplexArray:
@@ -146,31 +150,31 @@ def _likelihood_weight(frame: StokesFrame, power: FloatArray, size: tuple[int, i
     levels = Levels.of(frame.images, frame.read_noise_e)
     k2 = scipy.fft.fftfreq(size[0])[:, None] ** 2 + scipy.fft.rfftfreq(size[1]) ** 2
     signal = power * levels.texture_spectrum(k2)
-    high_pass = k2 / (k2 + (_HIGH_PASS * LOWEST_FREQUENCY) ** 2)
-    weight = high_pass * np.sqrt(2.0 * signal / (levels.noise_variance + 2.0 * signal))
+    weight = high_pass(k2) * np.sqrt(2.0 * signal / (levels.noise_variance + 2.0 * signal))
     return np.asarray(np.maximum(weight, 1e-9))  # equal weights for a dark frame
 
 
-def _segments(volume: Volume, lit: NDArray[np.bool_]) -> tuple[NDArray[np.int32], list[Plane]]:
+def _segments(volume: CostVolume, lit: NDArray[np.bool_]) -> tuple[NDArray[np.int32], list[Plane]]:
     """Number of each lit pixel's segment from 1 (0 for none), and the plane of each segment."""
-    best, (below, at, above), _ = peaks(volume.parts, _WINDOW_PX)
+    best, around, _ = best_candidates(volume.products, _WINDOW_PX)
     last = volume.vergences_per_m.size - 1
-    shift, peak, curvature = parabola(below, at, above)
-    vergence = volume.vergences_per_m[np.clip(best, 1, last - 1)] + volume.step_per_m * np.clip(shift, -1.0, 1.0)
-    error = standard_error(peak, curvature / volume.step_per_m**2, _WINDOW_PX**2 * volume.samples) / vergence
-    pixels = PixelDepth(vergence, error, lit & (peak >= _LEAST_CORRELATION) & (best > 0) & (best < last))
+    peak = parabolic_peak(*around)
+    vergence = volume.vergences_per_m[np.clip(best, 1, last - 1)] + volume.step_per_m * np.clip(peak.place, -1.0, 1.0)
+    curvature = peak.curvature / volume.step_per_m**2
+    error = standard_error(peak.height, curvature, _WINDOW_PX**2 * volume.samples) / vergence
+    pixels = PixelDepth(vergence, error, lit & (peak.height >= _LEAST_CORRELATION) & (best > 0) & (best < last))
 
     separation = LAYER_SHARE * float(np.ptp(volume.vergences_per_m))
-    layers = [Plane(vergence) for vergence in segments.depth_layers(pixels, separation).tolist()]
+    layers = [Plane(vergence) for vergence in depth_layers(pixels, separation).tolist()]
     label, planes = np.zeros(lit.shape, dtype=np.int32), list[Plane]()
     if not layers:
         return label, planes
-    parts = segments.split(segments.assign(volume, layers, pixels, separation, 1, lit), lit, _WINDOW_PX, 1)
+    parts = connected_segments(assign_layers(volume, layers, pixels, separation, 1, lit), lit, _WINDOW_PX, 1)
     for number in range(1, int(parts.max(initial=0)) + 1):
-        inner = segments.interior(parts, number, 1)
-        depth = segments.segment_depth(volume, volume.over(inner.astype(np.int32), 1)[0], float(inner.sum()))
+        inner = interior(parts, number, 1)
+        depth = segment_depth(volume, volume.label_sums(inner.astype(np.int32), 1)[0], float(inner.sum()))
         if np.isfinite(depth.relative_error) and depth.correlation >= _LEAST_CORRELATION:
-            planes.append(fitted_plane(Cells.of(volume, inner, 1)) or depth.plane)
+            planes.append(fit_plane(Cells.of(volume, inner, 1)) or depth.plane)
             label[parts == number] = len(planes)
     return label, planes
 

@@ -103,7 +103,7 @@ class DecodeFigures:
     @classmethod
     def of(cls, image: Image4D) -> DecodeFigures:
         """Figures of a decoded image."""
-        return typed(cls, {"nmae": image.nmae, "segments": plain(image.segments), **plain(image.details)})
+        return typed(cls, {"nmae": image.nmae, "segments": plain(image.segments), **image.figures.known()})
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def decode_file(
     if unfit == "refuse" and (fault := _unfit(frame.frame)) is not None:
         raise InputError(str(raw_path), [fault])
     image = decode.decode(frame, calibration, progress=progress)
-    reason = str(image.details.get("reason", decode.NO_LIGHT))
+    reason = image.figures.reason or decode.NO_LIGHT
     if unfit == "refuse" and reason != decode.NO_LIGHT:
         raise InputError.single(str(raw_path), "frame", "one that can be decoded", reason, "is it this camera's?")
     if frame.saturation_assumed:
@@ -233,8 +233,8 @@ def _assumed_saturation(frame: RawFrame) -> str:
 
 
 def _with_warning(image: Image4D, sentence: str) -> Image4D:
-    earlier = [str(image.details["warning"])] if "warning" in image.details else []
-    return replace(image, details={**image.details, "warning": "; ".join([*earlier, sentence])})
+    earlier = image.figures.warning
+    return replace(image, figures=replace(image.figures, warning=f"{earlier}; {sentence}" if earlier else sentence))
 
 
 def _unfit(values: FloatArray) -> Fault | None:

@@ -62,8 +62,8 @@ def test_a_scenes_own_pair_is_at_its_very_depths_and_on_finer_directions(job: Jo
 def test_frames_of_the_one_are_decoded_by_the_other(job: Job, calibration: Psf, exact: Psf) -> None:
     assert job.design.scene is not None
     image = decode.decode(camera.capture(job.design.scene, exact), calibration)
-    assert image.details["object_error"] < 0.01
-    assert image.details["share_decoded"] > 0.95
+    assert image.figures.object_error < 0.01
+    assert image.figures.share_decoded > 0.95
 
 
 def test_a_design_without_a_scene_has_no_calibration(job: Job) -> None:

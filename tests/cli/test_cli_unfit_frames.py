@@ -45,7 +45,7 @@ def test_an_unfit_frame_replaces_nothing(tmp_path: Path, psf: Path, values: np.n
         decode_file(raw, psf, output)
     assert output.read_bytes() == b"an older result"
     # A run goes on: its report says why there is no image.
-    assert "reason" in decode_file(raw, psf, output, unfit="empty").details
+    assert decode_file(raw, psf, output, unfit="empty").figures.reason
     assert not np.isfinite(decode.load(output).depth_m).any()
 
 
@@ -195,8 +195,8 @@ def test_a_full_well_in_counts_keeps_contrast_and_is_told(
         wrong = abs(float(np.median(image.contrast[inside])) / 3.0 - 1.0)
         seen = "65535" not in options
         assert (wrong < 0.02) == seen, (name, options, wrong)
-        assert (image.details["pixels_broken"] >= clipped) == seen
-        assert ("taken as saturated" in str(image.details.get("warning", ""))) == told
+        assert (image.figures.pixels_broken >= clipped) == seen
+        assert ("taken as saturated" in str(image.figures.warning)) == told
         # In the answer, and on stderr.
         assert said.count("taken as saturated") == 2 * told
 

@@ -77,11 +77,11 @@ def test_its_frames_are_read_as_by_its_own_pair(
     assert isinstance(scene, Scene)
     frame = camera.capture(scene, displaced)
     uncalibrated, calibrated, own = (decode.decode(frame, psf) for psf in (predicted, fitted[0], displaced))
-    assert uncalibrated.details["object_error"] > 0.03
-    assert "calibration" in str(uncalibrated.details["warning"])
-    assert "warning" not in calibrated.details
-    assert "warning" not in own.details
-    assert calibrated.details["object_error"] < 0.005
+    assert uncalibrated.figures.object_error > 0.03
+    assert "calibration" in str(uncalibrated.figures.warning)
+    assert calibrated.figures.warning is None
+    assert own.figures.warning is None
+    assert calibrated.figures.object_error < 0.005
     assert calibrated.nmae is not None
     assert own.nmae is not None
     assert calibrated.nmae < own.nmae + 0.003
@@ -113,5 +113,5 @@ def test_another_wavelength_is_calibrated_as_the_sensor_that_it_looks_like(
     steeper = np.tan(np.arcsin((1.0 + share) * np.sin(np.radians(8.0)))) / np.tan(np.radians(8.0))
     assert fit.magnification == pytest.approx(steeper, abs=5.0 * fit.magnification_error)
     frame = camera.capture(design.scene, redder)
-    assert decode.decode(frame, corrected).details["object_error"] < 0.005
-    assert decode.decode(frame, predicted).details["object_error"] > 0.01
+    assert decode.decode(frame, corrected).figures.object_error < 0.005
+    assert decode.decode(frame, predicted).figures.object_error > 0.01

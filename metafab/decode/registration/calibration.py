@@ -127,8 +127,8 @@ def stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.f
     place_y = stretch[1, 0] * x + stretch[1, 1] * y + n_y // 2
     inside = (place_x >= 0) & (place_x <= n_x - 1) & (place_y >= 0) & (place_y <= n_y - 1)
     first_x, first_y = np.floor(place_x).astype(int) - 2, np.floor(place_y).astype(int) - 2
-    weight_x = _quintic_weights(place_x - (first_x + 2)) * inside
-    weight_y = _quintic_weights(place_y - (first_y + 2))
+    weight_x = quintic_weights(place_x - (first_x + 2)) * inside
+    weight_y = quintic_weights(place_y - (first_y + 2))
     row = np.stack([_mirrored(first_y + j, n_y) for j in range(6)])
     column = np.stack([_mirrored(first_x + i, n_x) for i in range(6)])
     source = (row[:, None] * n_x + column[None, :]).reshape(36, -1)
@@ -142,8 +142,15 @@ def stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.f
 _QUINTIC = PPoly.from_spline(BSpline.basis_element(np.arange(-3.0, 4.0)).tck).c[:, 5:11]
 
 
-def _quintic_weights(fraction: FloatArray) -> FloatArray:
-    """Weights of the six spline coefficients about a place, a fraction of a pixel beyond the third: shape (6, ...)."""
+def quintic_weights(fraction: FloatArray) -> FloatArray:
+    """Weights of the six spline coefficients about a place.
+
+    Args:
+        fraction: any shape, distance of the place from the third coefficient, 0 to 1 pixel.
+
+    Returns:
+        Shape (6, *fraction.shape).
+    """
     return np.stack([np.polyval(_QUINTIC[:, 5 - i], fraction) for i in range(6)])
 
 

@@ -209,17 +209,17 @@ def extract_part(
     first = max(0, min(corner[0], resampler.first_row, counts.shape[0] - 1) - _REPAIR_REACH_PX)
     last = max(corner[0] + shape[0], resampler.first_row + resampler.column.shape[0]) + _REPAIR_REACH_PX
     limit = np.inf if frame.saturation_e is None else float(frame.saturation_e)
-    values, broken = _validated(compilable(counts[first:last]), limit)
+    values, broken = validated(compilable(counts[first:last]), limit)
     corner, resampler = (corner[0] - first, corner[1]), replace(resampler, first_row=resampler.first_row - first)
     any_broken = bool(broken.any())
     if any_broken:
         values = _repaired(values, broken)
     image = np.empty((2, *shape), dtype=np.float32)
-    image[0] = _crop(values, corner, shape)
+    image[0] = crop(values, corner, shape)
     np.multiply(resampler(values), grid.area[wide], out=image[1])
     bad = np.zeros(shape, dtype=bool)
     if any_broken:
-        bad = _crop(broken, corner, shape) | (resampler(uniform_filter(broken.astype(np.float32), 3)) > 0.05)
+        bad = crop(broken, corner, shape) | (resampler(uniform_filter(broken.astype(np.float32), 3)) > 0.05)
     return image, bad[m : shape[0] - m, m : shape[1] - m]
 
 
@@ -244,8 +244,17 @@ def _twin_maps(image_map: ImageMap, x_um: FloatArray, y_um: FloatArray) -> tuple
 
 
 @compiled_parallel
-def _validated(counts: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Values in single precision (NaN if invalid), and whether each is saturated, too bright or not a number."""
+def validated(counts: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Check the pixels of a frame.
+
+    Args:
+        counts: shape (n_rows, n_columns).
+        saturation: level from which a pixel is saturated.
+
+    Returns:
+        Values in single precision, NaN where a pixel is not a number or too bright, and whether it is one of these or
+        saturated: both of shape (n_rows, n_columns).
+    """
     values = np.empty(counts.shape, dtype=np.float32)
     broken = np.empty(counts.shape, dtype=np.bool_)
     for i in prange(counts.shape[0]):
@@ -257,8 +266,17 @@ def _validated(counts: NDArray[Any], saturation: float) -> tuple[NDArray[np.floa
     return values, broken
 
 
-def _crop(values: NDArray[Any], corner: tuple[int, int], shape: tuple[int, int]) -> NDArray[Any]:
-    """A part of a frame from a corner (row, column); beyond the frame, its edge value."""
+def crop(values: NDArray[Any], corner: tuple[int, int], shape: tuple[int, int]) -> NDArray[Any]:
+    """Cut a part out of a frame; beyond the frame, the value of its edge is taken.
+
+    Args:
+        values: shape (n_rows, n_columns).
+        corner: (row, column) of the part's first pixel.
+        shape: (n_y, n_x) of the part.
+
+    Returns:
+        Shape (n_y, n_x).
+    """
     (row, column), (n_y, n_x) = corner, shape
     if row >= 0 and column >= 0 and row + n_y <= values.shape[0] and column + n_x <= values.shape[1]:
         return values[row : row + n_y, column : column + n_x]

@@ -1,0 +1,146 @@
+"""Segments of a part of the window, joined to those of the last frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from metafab.decode.film.tracking import planes_around, remeasured, track
+from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.segmentation.planes import Plane
+from metafab.decode.segmentation.regions import Regions
+from metafab.decode.segmentation.segments import SegmentDepth
+
+SHAPE, STEP_PER_M = (40, 60), 0.1
+PART, ABOUT = (slice(10, 30), slice(20, 40)), (slice(5, 35), slice(15, 45))
+ROAD = Plane(2.0, (0.01, 0.0), (20.0, 30.0))
+
+
+def regions(label: np.ndarray, *planes: Plane) -> Regions:
+    depths = tuple(SegmentDepth(plane.vergence_per_m, 1e-3, 0.9, 1.0, plane, 100.0) for plane in planes)
+    label = label.astype(np.int32)
+    return Regions(2, depths, label, label.copy(), label.copy())
+
+
+def street() -> np.ndarray:
+    """A road (1), a post that stands on it (2), and a car (3) in the part."""
+    label = np.ones(SHAPE, dtype=int)
+    label[:, 50:55] = 2
+    label[15:25, 25:30] = 3
+    return label
+
+
+def now(car: tuple[slice, slice] | None, *planes: Plane) -> Regions:
+    """The part: the road in its own numbers and picture, the car elsewhere, or gone."""
+    label = np.full((30, 30), 2)
+    if car is not None:
+        label[car] = 1
+    return regions(label, *planes)
+
+
+def test_what_goes_on_keeps_its_depth_and_what_moves_has_its_own() -> None:
+    last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
+    # The road is not as well known from the part: half a step would make it another one.
+    poorer = Plane(2.03, (0.01, 0.0), (15.0, 15.0))
+    found = now((slice(12, 22), slice(14, 19)), Plane(2.6, (0.0, 0.02), (17.0, 16.5)), poorer)
+    tracked = track(last, found, PART, ABOUT, STEP_PER_M)
+    both, number = tracked.regions, tracked.number
+    assert [depth.vergence_per_m for depth in both.depths] == [2.0, 3.0, 2.6]
+    assert both.depths[0] == last.depths[0]
+    # In the picture of the whole window.
+    assert both.depths[2].plane == Plane(2.6, (0.0, 0.02), (22.0, 31.5))
+    want = street()
+    want[15:25, 25:30] = 1
+    want[17:27, 29:34] = 3
+    for label in (both.label, both.interior, both.grown):
+        np.testing.assert_array_equal(label, want)
+    # The car is a new segment with the number of the one that has gone.
+    assert number.tolist() == [0, 1, 2, 0]
+
+
+def test_another_depth_beside_the_same_pixels_is_another_segment() -> None:
+    last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
+    found = now(None, Plane(9.0), Plane(2.2))
+    tracked = track(last, found, PART, ABOUT, STEP_PER_M)
+    both, number = tracked.regions, tracked.number
+    # That of which no pixel is left in the part has no number.
+    assert [depth.vergence_per_m for depth in both.depths] == [2.0, 3.0, 2.2]
+    assert (both.label[PART] == 3).all()
+    assert (both.label[:, :20] == 1).all()
+    assert number.tolist() == [0, 1, 2, 0]
+
+
+def test_what_has_gone_leaves_no_number_behind() -> None:
+    """The car (2) drives away: the post (3) becomes 2 in labels and depths."""
+    label = street()
+    label = np.where(label == 2, 3, np.where(label == 3, 2, label))
+    last = regions(label, ROAD, Plane(2.5), Plane(3.0))
+    found = regions(np.ones((30, 30)), Plane(2.0, (0.01, 0.0), (15.0, 15.0)))
+    tracked = track(last, found, PART, ABOUT, STEP_PER_M)
+    both, number = tracked.regions, tracked.number
+    assert [depth.vergence_per_m for depth in both.depths] == [2.0, 3.0]
+    assert (both.label[:, 50:55] == 2).all()
+    assert set(np.unique(both.label)) == {1, 2}
+    assert number.tolist() == [0, 1, 0, 2]
+
+
+def test_nothing_in_the_part_and_nothing_in_the_last_frame() -> None:
+    last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
+    tracked = track(last, regions(np.zeros((30, 30))), PART, ABOUT, STEP_PER_M)
+    both = tracked.regions
+    assert not both.label[PART].any()
+    assert len(both.depths) == 2
+    nothing = regions(np.zeros(SHAPE))
+    tracked = track(nothing, now(None, Plane(9.0), Plane(2.2)), PART, ABOUT, STEP_PER_M)
+    both, number = tracked.regions, tracked.number
+    assert (both.label[PART] == both.label.max()).all()
+    assert both.label[:10].max() == 0
+    assert number.tolist() == [0]
+    assert planes_around(nothing, PART, ABOUT, STEP_PER_M) == []
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), before=st.integers(0, 5), after=st.integers(0, 5))
+def test_labels_and_depths_always_belong_together(seed: int, before: int, after: int) -> None:
+    rng = np.random.default_rng(seed)
+    last = regions(
+        rng.integers(0, before + 1, (8, 12)).repeat(5, 0).repeat(5, 1), *(Plane(1.0 + k) for k in range(before))
+    )
+    found = regions(
+        rng.integers(0, after + 1, (6, 6)).repeat(5, 0).repeat(5, 1), *(Plane(1.0 + k) for k in range(after))
+    )
+    tracked = track(last, found, PART, ABOUT, STEP_PER_M)
+    both, number = tracked.regions, tracked.number
+    outside = np.ones(SHAPE, dtype=bool)
+    outside[PART] = False
+    one = np.array([np.nan, *(depth.vergence_per_m for depth in both.depths)])
+    was = np.array([np.nan, *(depth.vergence_per_m for depth in last.depths)])
+    is_now = np.array([np.nan, *(depth.vergence_per_m for depth in found.depths)])
+    np.testing.assert_array_equal(one[both.label[outside]], was[last.label[outside]])
+    np.testing.assert_array_equal(number[last.label[outside]], both.label[outside])
+    # A segment that goes on is at the same depth to within half a step; these differ by more or not at all.
+    np.testing.assert_array_equal(one[both.label[PART]], is_now[found.label[5:25, 5:25]])
+
+
+def test_known_planes_are_those_around_the_part_in_its_own_picture() -> None:
+    last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
+    # The car is in the part, the post beyond what lies around it.
+    assert planes_around(last, PART, ABOUT, STEP_PER_M) == [Plane(2.0, (0.01, 0.0), (15.0, 15.0))]
+
+
+@pytest.mark.parametrize(("pixels", "again"), [(100.0, True), (1900.0, False)])
+def test_a_segment_that_has_grown_is_measured_again(pixels: float, again: bool) -> None:
+    nodes = np.linspace(1.0, 3.0, 9)
+    rho = np.exp(-((nodes - 2.2) ** 2))
+    parts = np.stack([0.9 * rho, np.ones(9), np.ones(9)])[:, :, None, None] * np.ones(SHAPE)
+    volume = CostVolume(nodes, parts.astype(np.float32), 1.0, 0.1)
+    depth = SegmentDepth(2.0, 1e-3, 0.9, 1.0, Plane(2.0), pixels)
+    label = np.ones(SHAPE, dtype=np.int32)
+    last = Regions(1, (depth,), label, np.where(np.arange(60) < 50, label, 0).astype(np.int32), label)
+    got = remeasured(last, volume, 3)
+    assert (got is last) == (not again)
+    assert got.depths[0].vergence_per_m == pytest.approx(2.2 if again else 2.0, abs=0.01)
+    if again:
+        assert remeasured(got, volume, 3) is got

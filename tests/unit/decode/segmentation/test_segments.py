@@ -1,0 +1,112 @@
+"""Connected segments, their interiors, texture and fragments."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import binary_opening
+
+from metafab.decode.segmentation.planes import Plane
+from metafab.decode.segmentation.segments import (
+    SegmentDepth,
+    connected_segments,
+    fragment_targets,
+    grown,
+    interior,
+    is_textured,
+    opened,
+)
+
+#: A wall, a strip along its side, and an object that hides some of both.
+LABEL = np.ones((60, 80), dtype=np.int32)
+LABEL[:, :6] = 2
+LABEL[20:50, 30:60] = 3
+
+
+def test_the_mixture_along_an_outline_is_no_segment_of_its_own() -> None:
+    layer = np.ones((60, 90), dtype=np.int32)
+    layer[:, 45:] = 2
+    layer[10:30, 40:50] = 3  # 200 pixels of every second: 800 of the frame, just a window
+    lit = np.ones(layer.shape, dtype=bool)
+    assert connected_segments(layer, lit, 32, 2).max() == 2
+    assert connected_segments(np.where(layer == 3, 3, 0), lit, 32, 2).max() == 1  # by itself it is one
+
+
+def test_growth_stops_at_its_reach() -> None:
+    segment = np.zeros((9, 9), dtype=np.int32)
+    segment[4, 4] = 7
+    assert (grown(segment, 2.0) > 0).sum() == 13
+    assert not grown(np.zeros((9, 9), dtype=np.int32), 2.0).any()
+
+
+def test_texture_at_the_outline_alone_is_none() -> None:
+    region = np.zeros((60, 60), dtype=bool)
+    region[5:55, 5:55] = True
+    outline = region.copy()
+    outline[15:45, 15:45] = False
+    assert not is_textured(region, outline, 10)
+    assert is_textured(region, region, 10)
+    assert is_textured(region, outline, 30)  # too small to have an inside
+
+
+def test_the_inside_of_a_segment_keeps_away_from_other_depths_alone() -> None:
+    segment = np.zeros((120, 120), dtype=np.int32)
+    segment[10:110, 10:60], segment[10:110, 60:110] = 1, 2
+    inner = interior(segment, 1, 1)
+    assert inner[10, 10]  # beside darkness
+    assert not inner[:, 36:].any()  # 24 pixels from the other depth
+    assert inner[10:110, 10:36].all()
+    segment[:, :57] = 0  # too narrow for a distance of 24, or of anything
+    np.testing.assert_array_equal(interior(segment, 1, 1), segment == 1)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_opened_masks_are_those_of_scipy(steps: int) -> None:
+    mask = np.random.default_rng(steps).random((31, 47)) < 0.93
+    given = mask.copy()
+    assert (opened(mask, steps) == binary_opening(mask, iterations=steps)).all()
+    assert (mask == given).all()
+
+
+def depth(vergence_per_m: float, relative_error: float, slope: tuple[float, float] = (0.0, 0.0)) -> SegmentDepth:
+    return SegmentDepth(vergence_per_m, relative_error, 0.95, 1.0, Plane(vergence_per_m, slope, (30.0, 40.0)), 100.0)
+
+
+@pytest.mark.parametrize(("away", "joins"), [(0.0, True), (2.0, True), (-2.0, True), (3.0, False), (-3.0, False)])
+def test_a_strip_joins_what_it_does_not_differ_from(away: float, joins: bool) -> None:
+    """By its own standard errors: 1 % here."""
+    depths = [depth(3.0, 1e-3), depth(3.0 / (1.0 + 0.01 * away), 0.01), depth(3.8, 1e-3)]
+    np.testing.assert_array_equal(fragment_targets(depths, LABEL), [0, 1, 1 if joins else 2, 3])
+
+
+def test_what_is_not_beside_it_is_no_neighbour() -> None:
+    depths = [depth(3.0, 1e-3), depth(3.8, 0.01), depth(3.8, 1e-3)]
+    np.testing.assert_array_equal(fragment_targets(depths, LABEL), [0, 1, 2, 3])
+
+
+def test_halves_stay_apart() -> None:
+    label = np.ones((40, 40), dtype=np.int32)
+    label[:, 20:] = 2
+    np.testing.assert_array_equal(fragment_targets([depth(3.0, 0.01), depth(3.0, 0.01)], label), [0, 1, 2])
+
+
+def test_a_tilted_neighbour_is_met_where_the_strip_is() -> None:
+    """The strip's middle is 37.5 columns left of the plane's."""
+    wall = depth(3.0, 1e-3, (0.0, 0.01))
+    there = float(wall.plane.at(np.array(29.5), np.array(2.5)))
+    for vergence, joins in ((there, True), (3.0, False)):
+        depths = [wall, depth(vergence, 0.01), depth(3.8, 1e-3)]
+        np.testing.assert_array_equal(fragment_targets(depths, LABEL), [0, 1, 1 if joins else 2, 3])
+
+
+def test_a_strip_of_a_strip_joins_what_that_has_fragment_targets() -> None:
+    label = LABEL.copy()
+    label[:4, :4] = 4
+    label[:4, 4:6] = 2
+    label[4:5, :2] = 2
+    depths = [depth(3.0, 1e-3), depth(3.0, 0.01), depth(3.8, 1e-3), depth(3.0, 0.02)]
+    assert fragment_targets(depths, label).tolist() == [0, 1, 1, 3, 1]
+
+
+def test_nothing_joins_nothing() -> None:
+    assert fragment_targets([], np.zeros((5, 5), dtype=np.int32)).tolist() == [0]
