@@ -1,21 +1,13 @@
-"""Scene and PSF pair -> raw frame (Eq. 1, occlusion, noise), and frames of real cameras.
+"""Camera: a scene and the PSF pair -> a raw frame (Eq. 1 of Shen 2023, occlusion, noise); frames of real cameras.
 
-- ``frame``     RawFrame and Truth
-- ``geometry``  directions to places on the sensor and back, for both polarisations
-- ``kernels``   the PSF calibration as blur kernels at any depth and direction
-- ``texture``   procedural and pictured textures
-- ``render``    objects to coverage and brightness at each depth
-- ``motion``    where objects are when, and which rows see them then
-- ``blur``      a layer through a PSF that varies over the field
-- ``sensor``    noise, dark current, fixed pattern, full wells, counts
-- ``windows``   where on the sensor the images lie, and what their pixels collect
-- ``exact``     the PSFs of one scene's own depths, field and light
-- ``capture``   all of it: one exposure, or the frames of a film
-- ``quality``   how sharp a texture can be restored through some PSFs
-- ``store``     raw.h5
-- ``foreign``   TIFF, PNG and NumPy frames
-
-In: a Scene and a Psf, or a file. Out: a RawFrame.
+- ``geometry``    directions to places on the sensor and back, for both polarisations: Psf -> ImageMap
+- ``kernels``     blur kernels at any depth and direction: Psf -> PairKernels
+- ``rendering/``  a scene at rest -> mean electrons of each pixel
+- ``sensor``      noise, dark current, fixed pattern, full wells, counts
+- ``capture``     Scene and Psf -> RawFrame, or the RawFrames of a film
+- ``exact``       the PSFs of one scene's own depths, field and light: Scene -> Psf
+- ``stokes``      a scene of known polarisation as six images: Scene and StokesPsf -> StokesFrame
+- ``frames/``     RawFrame and its truth; raw.h5, TIFF, PNG and NumPy files
 """
 
 from metafab.camera.capture import capture, film
@@ -27,18 +19,18 @@ from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 
 __all__ = [
-    "Counts",
-    "ImageMap",
-    "PairKernels",
+    "capture",
+    "film",
     "RawFrame",
     "Truth",
-    "capture",
+    "load",
+    "save",
+    "load_frame",
+    "save_counts",
+    "Counts",
     "counts_of",
     "exact_psf",
-    "film",
-    "load",
-    "load_frame",
+    "ImageMap",
+    "PairKernels",
     "require_frame_name",
-    "save",
-    "save_counts",
 ]

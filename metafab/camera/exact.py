@@ -1,9 +1,8 @@
-"""PSFs for one scene alone: at its very depths, in its own light, over a field that is as fine as they need.
+"""PSFs for one scene: at its own depths, in its own light, over a field that is sampled as finely as they need.
 
-A frame to judge a decoder by must not be made with the decoder's own approximations. The pair is computed at the
-depths that the scene shows, so nothing is interpolated over depth; over the field, on points of its own that are
-refined until a pair interpolated between them meets the computed one; and on a window that may be wider than the
-calibration's.
+A frame to judge a decoder by must not contain the decoder's own approximations. The pair is computed at the depths of
+the scene, so that nothing is interpolated over depth. Over the field it is computed at points that are refined until a
+pair interpolated between them meets the computed one. Its window may be wider than the calibration's.
 """
 
 from __future__ import annotations
@@ -22,19 +21,19 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.optics import Imaging, Psf, Source, at_tangent, psf, relative_l2
 from metafab.spec.scene import Scene
 
-#: Field points along x and y of the first attempt: odd beside even, so few fall on those of a calibration.
+#: Field points along x and y of the first attempt: even numbers, so that few fall on those of a calibration.
 _FIRST_POINTS = (8, 4)
 _MOST_POINTS = 64
 _MOST_DEPTHS = 256
-#: The images' distortion lets pixels at the rim look a little further out than the field's middle tells.
+#: Field over the tangent of the field's rim: the images' distortion lets pixels at the rim look further out.
 _BEYOND = 1.03
 
 
 def scene_depths_m(scene: Scene, pixel_tangent: float, rows: int) -> FloatArray:
-    """Every depth that :func:`metafab.camera.film` will ask a pair for: shape (n,), ascending, each once.
+    """Every depth at which :func:`metafab.camera.film` needs a pair: shape (n,), ascending, each once.
 
     Args:
-        scene: what is photographed, moving or not.
+        scene: the photographed scene, moving or not.
         pixel_tangent: a pixel's size as a tangent.
         rows: of the sensor, for a rolling shutter.
     """
@@ -56,28 +55,28 @@ def exact_psf(
     filter_fwhm_nm: float | None = None,
     progress: Progress = silent,
 ) -> Psf:
-    """The pair with which :func:`metafab.camera.capture` photographs ``scene`` as exactly as is known.
+    """Compute the pair with which :func:`metafab.camera.capture` photographs ``scene`` most exactly.
 
-    Every depth of the scene has its own PSFs, in the light of the whole filter; over the field they are splines
-    between points that were refined until the interpolation, checked in the middle of the cells where it is worst
-    (at the field's corners and on its axes), keeps to ``target_error``. What is left is the layered model of
-    occlusion, and textures that are flat within a quarter of a pixel.
+    Every depth of the scene has its own PSFs, in the light of the whole filter. Over the field they are splines between
+    points that are refined until the interpolation error is at most ``target_error``, in the middle of the cells where
+    it is largest (at the field's corners and on its axes). The remaining approximations are the layers of occlusion,
+    and textures that are constant within a quarter of a pixel.
 
-    Each PSF of the paper's lens or its tenth takes some hundredths of a second, in a filter's light some tenths;
+    A PSF of the paper's lens takes some hundredths of a second, in a filter's light some tenths;
     :func:`metafab.optics.save` keeps them.
 
     Args:
-        scene: its depths, its field.
-        source: what leaves the metasurface (:func:`metafab.optics.written_field`, ``ideal_field``).
+        scene: its depths and its field.
+        source: light behind the metasurface (:func:`metafab.optics.written_field`, ``ideal_field``).
         imaging: wavelength, sensor plane, pixel, aperture.
-        window_px: points a side of each PSF: wider than a calibration's, so that its cut-off light shows.
+        window_px: side of each PSF's window, pixels: wider than a calibration's, to hold the light that it cuts off.
         target_error: relative L2 error of the irradiance, over the field as in each PSF.
         filter_fwhm_nm: full width of a filter with a flat top; None for one wavelength.
-        progress: called as windows are done.
+        progress: called as windows are computed.
 
     Returns:
         The stack over the scene's depths and its field. ``details`` has ``field_interpolation_error``, the largest
-        of the checked directions.
+        error of the checked directions.
 
     Raises:
         InputError: more than 256 depths, or a field that 64 points a side do not resolve.
@@ -85,24 +84,29 @@ def exact_psf(
     pixel_tangent = imaging.pixel_um / imaging.sensor_distance_um
     depths_m = scene_depths_m(scene, pixel_tangent, scene.field_px[0] + window_px)
     if depths_m.size > _MOST_DEPTHS:
-        raise InputError.single(
-            "scene", "objects", f"at most {_MOST_DEPTHS} depths over all frames", f"{depths_m.size}",
-            "photograph fewer frames, or objects that do not move along the axis",
-        )  # fmt: skip
+        expected = f"at most {_MOST_DEPTHS} depths over all frames"
+        remedy = "photograph fewer frames, or objects that do not move along the axis"
+        raise InputError.single("scene", "objects", expected, f"{depths_m.size}", remedy)
     reach_x, reach_y = (0.5 * _BEYOND * pixel_tangent * n for n in scene.field_px[::-1])
     points, error = _FIRST_POINTS, np.inf
     ends = np.unique(depths_m[[0, -1]])
 
     def stack(at_m: FloatArray, field_tangents: tuple[FloatArray, FloatArray]) -> Psf:
         return psf(
-            source, imaging, at_m, window_px=window_px, target_error=target_error, field_tangents=field_tangents,
-            filter_fwhm_nm=filter_fwhm_nm, progress=progress,
-        )  # fmt: skip
+            source,
+            imaging,
+            at_m,
+            window_px=window_px,
+            target_error=target_error,
+            field_tangents=field_tangents,
+            filter_fwhm_nm=filter_fwhm_nm,
+            progress=progress,
+        )
 
     while True:
         tangents = np.linspace(-reach_x, reach_x, points[0]), np.linspace(-reach_y, reach_y, points[1])
         coarse = stack(ends, field_tangents=tangents)
-        errors = [_worst_between(coarse, partial(stack, ends), axis) for axis in (0, 1)]
+        errors = [_interpolation_error(coarse, partial(stack, ends), axis) for axis in (0, 1)]
         error = max(errors)
         if error <= target_error:
             break
@@ -110,15 +114,14 @@ def exact_psf(
         wanted = [n * max(1.0, 1.1 * (e / target_error) ** 0.25) for n, e in zip(points, errors, strict=True)]
         points = (int(np.ceil(wanted[0])), int(np.ceil(wanted[1])))
         if max(points) > _MOST_POINTS:
-            raise InputError.single(
-                "scene", "field_px", f"a field that {_MOST_POINTS} PSFs a side describe to {target_error:g}",
-                f"one that needs {max(points)}", "make the field smaller, or the error larger",
-            )  # fmt: skip
+            expected = f"a field that {_MOST_POINTS} PSFs a side describe to {target_error:g}"
+            remedy = "make the field smaller, or the error larger"
+            raise InputError.single("scene", "field_px", expected, f"one that needs {max(points)}", remedy)
     whole = coarse if ends.size == depths_m.size else stack(depths_m, field_tangents=tangents)
     return replace(whole, details={**whole.details, "field_interpolation_error": error})
 
 
-def _worst_between(coarse: Psf, computed: Callable[..., Psf], axis: int) -> float:
+def _interpolation_error(coarse: Psf, computed: Callable[..., Psf], axis: int) -> float:
     """Largest relative error of the pair interpolated along one axis, in the middle of an outer and an inner cell."""
     assert coarse.field is not None
     checked = []
@@ -127,9 +130,10 @@ def _worst_between(coarse: Psf, computed: Callable[..., Psf], axis: int) -> floa
         checked.append(middles[[middles.size // 2, -1]] if index == axis else nodes[[nodes.size // 2, -1]])
     fine = computed(field_tangents=(checked[0], checked[1])).field
     assert fine is not None
-    truth, worst = fine.psf.astype(np.float64), 0.0
+    truth, largest = fine.psf.astype(np.float64), 0.0
     for row, column in np.ndindex(2, 2):
-        guess = at_tangent(coarse, (float(checked[0][column]), float(checked[1][row])))
-        for polarisation, depth in np.ndindex(guess.shape[:2]):
-            worst = max(worst, relative_l2(guess[polarisation, depth], truth[polarisation, depth, row, column]))
-    return worst
+        interpolated = at_tangent(coarse, (float(checked[0][column]), float(checked[1][row])))
+        for polarisation, depth in np.ndindex(interpolated.shape[:2]):
+            error = relative_l2(interpolated[polarisation, depth], truth[polarisation, depth, row, column])
+            largest = max(largest, error)
+    return largest

@@ -1,8 +1,8 @@
 """Directions in the scene to places on the sensor and back, for both polarisations.
 
-A direction is the pair of tangents (x/z, y/z) of an object point. The images are inverted: an object at +x
-appears at -x of the geometric image point of the axis. The split lens draws its two images with opposite
-distortion (some 15 pixels over the paper's field), so the twin of a pixel is looked up, not shifted.
+A direction is the pair of tangents (x/z, y/z) of an object point. The images are inverted: an object at +x appears at
+-x of the geometric image point of the axis. The two images of the split lens have opposite distortion, some 15 pixels
+over the paper's field. The place of a pixel's twin is therefore computed from the maps of both.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from metafab.core.conventions import FloatArray
 from metafab.optics.point_spread import Psf
 
 _NEWTON_STEPS = 4
-#: Share of the calibrated field by which it may be left on either side: what lies further out was never calibrated.
+#: Share of the calibrated field by which directions may lie outside of it on either side.
 _BEYOND = 0.05
 
 
@@ -26,9 +26,9 @@ class ImageMap:
     """The geometric images of both polarisations as polynomials through the calibrated field points.
 
     Attributes:
-        scale: largest tangent among the field points; the polynomials' argument is tangent / scale.
-        coefficients_um: shape (2, 2, n_y, n_x): polarisation, (x, y) on the sensor, powers of y and of x.
-        field: lowest and highest tangent along x and along y that were calibrated; all for a pair without a field.
+        scale: largest tangent of the field points; the argument of the polynomials is tangent / scale.
+        coefficients_um: shape (2, 2, n_y, n_x), over polarisation, (x, y) on the sensor, powers of y and of x.
+        field: lowest and highest calibrated tangent along x and along y; infinite for a pair without a field.
     """
 
     scale: float
@@ -60,20 +60,37 @@ class ImageMap:
         return cls(scale, coefficients, (_span(tangent_x), _span(tangent_y)))
 
     def covers(self, tangent_x: FloatArray, tangent_y: FloatArray) -> NDArray[np.bool_]:
-        """Whether directions lie in the calibrated field, or hardly beyond."""
+        """Whether directions lie in the calibrated field, or hardly beyond.
+
+        Args:
+            tangent_x: any shape.
+            tangent_y: the shape of ``tangent_x``.
+
+        Returns:
+            The same shape.
+        """
         (left, right), (low, high) = self.field
         return np.asarray((tangent_x >= left) & (tangent_x <= right) & (tangent_y >= low) & (tangent_y <= high))
 
     def to_sensor_um(
         self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(x, y) on the sensor of the geometric image of a direction; ``polarisation`` 0 for x, 1 for y."""
+        """Geometric image of a direction.
+
+        Args:
+            polarisation: 0 for x, 1 for y.
+            tangent_x: any shape, x/z.
+            tangent_y: the shape of ``tangent_x``, y/z.
+
+        Returns:
+            (x, y) on the sensor, um, each of the same shape.
+        """
         v, u = tangent_y / self.scale, tangent_x / self.scale
         x, y = (np.asarray(polyval2d(v, u, c)) for c in self.coefficients_um[polarisation])
         return x, y
 
     def jacobian_um(self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
-        """d(x, y) / d(tangent_x, tangent_y), shape (..., 2, 2), um."""
+        """d(x, y) / d(tangent_x, tangent_y) at directions of any shape (...): shape (..., 2, 2), um."""
         v, u = tangent_y / self.scale, tangent_x / self.scale
         rows = [
             [polyval2d(v, u, polyder(c, axis=axis)) / self.scale for axis in (1, 0)]
@@ -84,8 +101,15 @@ class ImageMap:
     def to_tangent(self, polarisation: int, x_um: FloatArray, y_um: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The direction whose geometric image is at (x, y), by Newton's method from the axis.
 
-        Far outside the calibrated field, where the map may not be invertible, the result is not meaningful:
-        callers compare with the field's range.
+        Far outside the calibrated field the map may not be invertible; see :meth:`covers`.
+
+        Args:
+            polarisation: 0 for x, 1 for y.
+            x_um: any shape, place on the sensor.
+            y_um: broadcast with ``x_um``.
+
+        Returns:
+            Tangents (x/z, y/z), each of the broadcast shape.
         """
         x_um, y_um = np.broadcast_arrays(x_um, y_um)
         tangent_x, tangent_y = np.zeros(x_um.shape), np.zeros(x_um.shape)
@@ -102,12 +126,12 @@ class ImageMap:
         return tangent_x, tangent_y
 
     def area_um2(self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
-        """Sensor area per unit area of tangents, um^2: irradiance falls as it grows."""
+        """Sensor area per unit area of tangents, um^2, at directions of any shape: the same shape."""
         return np.asarray(np.abs(np.linalg.det(self.jacobian_um(polarisation, tangent_x, tangent_y))))
 
 
 def _span(tangents: FloatArray) -> tuple[float, float]:
-    """Where calibrated directions along one axis may be used; one of them stands for all."""
+    """Range of usable directions along one axis; unlimited for a single field point."""
     if tangents.size == 1:
         return -np.inf, np.inf
     low, high = float(tangents.min()), float(tangents.max())

@@ -1,7 +1,7 @@
-"""The calibrated PSF pair as blur kernels of one depth, at any direction of the field.
+"""Blur kernels of the calibrated PSF pair, at any depth and direction of the field.
 
-Between the calibrated points the pair is interpolated by cubic splines: over depth in vergence (1/z), in which
-the helix turns evenly, and over the field in tangents. Nothing is extrapolated over depth.
+Between the calibrated points the pair is interpolated by cubic splines: over depth in vergence (1/z), in which the
+helix turns at a constant rate, and over the field in tangents. Nothing is extrapolated over depth.
 """
 
 from __future__ import annotations
@@ -21,22 +21,24 @@ from metafab.optics.point_spread import Psf
 
 @dataclass(frozen=True)
 class PairKernels:
-    """A PSF calibration, ready to blur with.
+    """Kernels of a PSF calibration, integrated over the pixel.
 
-    Kernels are integrated over the pixel and scaled so that their sums are throughputs relative to the mean of
-    both polarisations on the axis at the middle depth.
+    Their sums are throughputs relative to the mean of both polarisations on the axis at the middle depth.
+
+    Attributes:
+        psf: the calibration.
     """
 
     psf: Psf
 
     @cached_property
     def tangent_x(self) -> FloatArray:
-        """Directions of the field points along x, shape (n_field_x,); one point on the axis without a field."""
+        """x/z of the field points, shape (n_field_x,); one point on the axis without a field."""
         return np.zeros(1) if self.psf.field is None else self.psf.field.tangent_x
 
     @cached_property
     def tangent_y(self) -> FloatArray:
-        """Directions of the field points along y, shape (n_field_y,)."""
+        """y/z of the field points, shape (n_field_y,)."""
         return np.zeros(1) if self.psf.field is None else self.psf.field.tangent_y
 
     @cached_property
@@ -48,7 +50,7 @@ class PairKernels:
             nodes, centre = np.asarray(psf.psf)[:, :, None, None], psf.centre_um[:, :, None, None]
         else:
             nodes, centre = np.asarray(psf.field.psf, dtype=np.float64), psf.field.centre_um
-        # Kernels are about the geometric image point of the middle depth, wherever their own windows stand.
+        # Kernels are centred on the geometric image point of the middle depth, whatever the place of their windows.
         offset_px = (centre - centre[:, middle : middle + 1]) / psf.pixel_um
         n_y, n_x = nodes.shape[-2:]
         ky, kx = scipy.fft.fftfreq(n_y)[:, None], scipy.fft.rfftfreq(n_x)[None, :]
@@ -85,6 +87,14 @@ class PairKernels:
         return np.asarray(np.tensordot(weights, self.nodes, axes=(0, 1)), dtype=np.float64)
 
     def field_weights(self, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
-        """Share of each field point in the kernel of a direction: shape (*directions, n_field_y, n_field_x)."""
+        """Interpolation weights of the field points at directions.
+
+        Args:
+            tangent_x: any shape.
+            tangent_y: the shape of ``tangent_x``.
+
+        Returns:
+            Shape (*tangent_x.shape, n_field_y, n_field_x).
+        """
         along_y, along_x = spline_weights(self.tangent_y, tangent_y), spline_weights(self.tangent_x, tangent_x)
         return along_y[..., :, None] * along_x[..., None, :]

@@ -1,4 +1,4 @@
-"""What the sensor makes of light: shot noise, dark current, read noise, full wells, hot pixels, whole counts."""
+"""The sensor: shot noise, dark current, read noise, full wells, hot pixels, whole counts."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from metafab.spec.scene import Scene
 
 @dataclass(frozen=True)
 class FixedPattern:
-    """What differs from pixel to pixel and stays from frame to frame.
+    """Differences between pixels that are the same in all frames.
 
     Attributes:
-        response: shape (n_y, n_x), electrons a photoelectron of the mean pixel; mean 1.
-        hot: shape (n_y, n_x), pixels that are always full.
+        response: shape (n_y, n_x), sensitivity of each pixel over the mean one; mean 1.
+        hot: shape (n_y, n_x), whether a pixel is always full.
     """
 
     response: FloatArray
@@ -25,7 +25,7 @@ class FixedPattern:
 
     @classmethod
     def of(cls, scene: Scene, shape: tuple[int, ...], seed: int) -> FixedPattern:
-        """The pattern of a sensor: the same for every frame with the same seed."""
+        """Draw the pattern of a sensor from a seed."""
         rng = np.random.default_rng(np.random.SeedSequence((seed, 0xF1BED)))
         response = np.ones(shape)
         if scene.response_rms > 0.0:
@@ -35,17 +35,17 @@ class FixedPattern:
 
 
 def expose(mean_e: FloatArray, scene: Scene, pattern: FixedPattern, rng: np.random.Generator) -> FloatArray:
-    """One exposure.
+    """Expose one frame.
 
     Args:
-        mean_e: mean electrons that light leaves in each pixel of mean response.
-        scene: the sensor's figures.
-        pattern: what differs from pixel to pixel; the same shape.
+        mean_e: shape (n_y, n_x), mean electrons in each pixel of mean response.
+        scene: figures of the sensor.
+        pattern: fixed pattern of the same shape.
         rng: source of the noise.
 
     Returns:
-        The same shape, electrons: Poisson arrivals with the dark current, less its known mean, plus Gaussian read
-        noise; with ``full_well_e``, at most that; with ``bit_depth``, in steps of the full well's share of a count.
+        Shape (n_y, n_x), electrons: Poisson arrivals with the dark current, minus its known mean, plus Gaussian read
+        noise; at most ``full_well_e``, and in steps of a count where ``bit_depth`` is given.
     """
     arrived = rng.poisson(np.maximum(mean_e, 0.0) * pattern.response + scene.dark_frame_e).astype(np.float64)
     if scene.full_well_e is not None:

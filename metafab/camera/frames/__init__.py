@@ -1,1 +1,6 @@
-"""Raw frames in memory and in files."""
+"""Raw frames in memory and in files.
+
+- ``frame``    RawFrame and Truth
+- ``store``    raw.h5
+- ``foreign``  TIFF, PNG and NumPy files of real cameras
+"""

@@ -1,4 +1,4 @@
-"""Frames of a real camera: TIFF and PNG of 8, 12 or 16 bit, and NumPy arrays; ours written as one."""
+"""Frames in the files of real cameras: TIFF and PNG of 8, 12 or 16 bit, and NumPy arrays."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from metafab.optics.point_spread import Psf
 
 _COUNTED = {".tif", ".tiff", ".png", ".npy"}
 _FULL_COUNT = 2**16 - 1
-#: So many pixels, and so large a share of all, at exactly the largest value, are full and not bright by chance...
+#: Number and share of pixels at exactly the largest value from which they are saturated, not bright by chance.
 _PILED_UP = (50, 1e-5)
-#: ...where they are so many times as many as those at the next lower value: below a full well, light thins out.
+#: Their least ratio to the pixels at the next lower value: below saturation, a histogram falls off.
 _SPIKE = 4.0
 
 
 @dataclass(frozen=True)
 class Counts:
-    """What a camera's counts mean; the defaults take them for electrons.
+    """Meaning of a camera's counts; by default they are electrons.
 
     Attributes:
         black: counts of a pixel without light.
         electrons_per_count: gain.
         read_noise_e: standard deviation without light, electrons.
-        white: counts of a pixel that is full; by default the file type's largest, or what many pixels share.
+        white: counts of a saturated pixel; by default the largest of the file type, or a value that many pixels share.
     """
 
     black: float = 0.0
@@ -40,7 +40,7 @@ class Counts:
     white: float | None = None
 
     def electrons(self, counts: FloatArray | float) -> FloatArray:
-        """Electrons of counts."""
+        """Electrons of counts, scalar or array: the same shape."""
         return np.asarray((np.asarray(counts, dtype=np.float64) - self.black) * self.electrons_per_count)
 
 
@@ -48,18 +48,17 @@ _ELECTRONS = Counts()
 
 
 def load_frame(path: Path, psf: Psf, *, counts: Counts = _ELECTRONS, first_row: str = "top") -> RawFrame:
-    """A frame from a file: metafab's own, or a real camera's with the optical axis assumed at its centre.
+    """Read a frame: a ``raw.h5``, or a file of a real camera with the optical axis at the centre of the picture.
 
     Args:
-        path: a ``raw.h5``, a grey TIFF or PNG (8 to 16 bit; 12-bit counts are taken as they are), a 2-D ``.npy``.
+        path: a ``raw.h5``, a grey TIFF or PNG (8 to 16 bit; 12-bit counts are not rescaled), a 2-D ``.npy``.
         psf: the calibration; its ``pixel_um`` is the camera's pixel pitch.
-        counts: what the file's numbers mean.
-        first_row: whether the file's first row is the picture's "top" (as TIFF and PNG have it) or "bottom".
+        counts: meaning of the file's counts.
+        first_row: whether the file's first row is the picture's "top" (as in TIFF and PNG) or "bottom".
 
     Returns:
-        The frame in electrons with its lowest row first, as everywhere in metafab. Pixels at ``counts.white`` are
-        saturated, without it those at the file type's largest value, or at the frame's own largest where many share
-        it (``saturation_assumed``): the level travels with the frame.
+        The frame in electrons, its lowest row first. Its ``saturation_e`` is ``counts.white``; without it, the file
+        type's largest value, or the frame's own largest value where many pixels share it (``saturation_assumed``).
 
     Raises:
         InputError: the file cannot be read, is no grey picture, or is metafab's own, in electrons already.
@@ -80,13 +79,17 @@ def load_frame(path: Path, psf: Psf, *, counts: Counts = _ELECTRONS, first_row: 
     origin_um = (-psf.pixel_um * (n_x // 2), -psf.pixel_um * (n_y // 2))
     full_e = None if saturation is None else float(counts.electrons(saturation))
     return RawFrame(
-        np.ascontiguousarray(frame), psf.pixel_um, origin_um, counts.read_noise_e,
-        saturation_e=full_e, saturation_assumed=assumed,
-    )  # fmt: skip
+        np.ascontiguousarray(frame),
+        psf.pixel_um,
+        origin_um,
+        counts.read_noise_e,
+        saturation_e=full_e,
+        saturation_assumed=assumed,
+    )
 
 
 def _piled_up(values: FloatArray, black: float) -> float | None:
-    """The largest value, where so many pixels have exactly this one that they are full; else None."""
+    """The largest value, if so many pixels have exactly this value that they are saturated; else None."""
     finite = values[np.isfinite(values)]
     if not finite.size or (peak := float(finite.max())) <= max(black, float(finite.min())):
         return None
@@ -98,27 +101,27 @@ def _piled_up(values: FloatArray, black: float) -> float | None:
 
 
 def require_frame_name(path: Path) -> None:
-    """Refuse names of files that no frame can be written to.
+    """Check that a frame can be written to a file of this name.
 
     Raises:
-        InputError: the file's ending is none of those.
+        InputError: the ending of the name is not one of a raw frame.
     """
     if path.suffix.lower() not in {*HDF5_SUFFIXES, *_COUNTED}:
         raise InputError.single(str(path), "output", "a .h5, .tif, .png or .npy file", repr(path.suffix))
 
 
 def counts_of(frame: RawFrame, *, black: int = 0) -> Counts:
-    """What the counts mean that :func:`save_counts` writes.
+    """Meaning of the counts that :func:`save_counts` writes.
 
-    A frame that knows at which level it saturates fills the 16 bits with it, so that full pixels are known from the
-    file alone; else a count is an electron.
+    The largest count of 16 bits is the frame's level of saturation, so that saturated pixels are known from the file
+    alone. Without such a level, a count is an electron.
 
     Args:
         frame: in electrons.
         black: counts of a pixel without light.
 
     Raises:
-        InputError: a black level outside of the lower half of the 16 bits.
+        InputError: a black level outside the lower half of the 16 bits.
     """
     if not 0 <= black <= _FULL_COUNT // 2:
         raise InputError.single("counts", "black", f"0 to {_FULL_COUNT // 2} counts", f"{black}")
@@ -130,13 +133,13 @@ def save_counts(frame: RawFrame, path: Path, *, black: int = 0) -> None:
     """Write a frame as a camera would: whole counts of 16 bits, the axis in the middle, top row first.
 
     Args:
-        frame: whose pixels stand on whole multiples of the pitch from the axis; its truth is left out.
+        frame: its pixels stand on whole multiples of the pitch from the axis; its truth is not written.
         path: a .tif, .tiff, .png or .npy file.
-        black: counts of a pixel without light. At 0, noise below zero is cut off: dark pixels are brighter as a mean
+        black: counts of a pixel without light. With 0, noise below zero is cut off, and the mean of dark pixels rises
             by 0.4 of the read noise.
 
     Raises:
-        InputError: another kind of file, or a black level outside of the lower half of the 16 bits.
+        InputError: another kind of file, or a black level outside the lower half of the 16 bits.
     """
     require_frame_name(path)
     meant = counts_of(frame, black=black)

@@ -1,4 +1,4 @@
-"""A raw frame as the sensor hands it over, with the truth where a simulation knows it."""
+"""A raw frame of the sensor, and the truth of a simulated one."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from metafab.core.conventions import FloatArray
 
 @dataclass(frozen=True)
 class Truth:
-    """What a perfect decoder would return, on the geometric image grid of the x polarisation.
+    """The result of a perfect decoder, on the geometric image grid of the x polarisation.
 
     Attributes:
         depth_m: shape (n_y, n_x), NaN where the scene is empty.
-        intensity_x: shape (n_y, n_x), mean electrons of x polarised light; likewise ``intensity_y``.
+        intensity_x: shape (n_y, n_x), mean electrons of x-polarised light.
+        intensity_y: shape (n_y, n_x), mean electrons of y-polarised light.
         label: shape (n_y, n_x), number of the object from 1, 0 for none.
     """
 
@@ -31,7 +32,7 @@ class RawFrame:
     """One exposure.
 
     Attributes:
-        frame: shape (n_y, n_x), electrons (or a real camera's counts).
+        frame: shape (n_y, n_x), electrons (or counts of a real camera).
         pixel_um: pixel pitch.
         origin_um: (x, y) on the sensor plane of the centre of pixel [0, 0].
         read_noise_e: standard deviation of the read noise.
@@ -39,7 +40,7 @@ class RawFrame:
         truth_origin_um: (x, y) on the sensor plane of the centre of pixel [0, 0] of the truth's grid.
         x_window: (row, column, rows, columns) of the x polarisation's image, where the field stop is known.
         saturation_e: level at which pixels saturate, where it is known.
-        saturation_assumed: whether nobody said so, but many pixels share exactly that level.
+        saturation_assumed: whether the level was inferred, because many pixels share it exactly.
     """
 
     frame: FloatArray
@@ -54,7 +55,7 @@ class RawFrame:
 
     @property
     def holds_window(self) -> bool:
-        """Whether ``x_window``, where it is known, lies in the frame."""
+        """Whether ``x_window`` lies in the frame, or is not known."""
         if self.x_window is None or self.frame.ndim != 2:
             return True
         row, column, rows, columns = self.x_window

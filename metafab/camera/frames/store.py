@@ -1,4 +1,4 @@
-"""Raw frames in HDF5: ``raw.h5`` with the truth where a simulation knows it."""
+"""Raw frames in HDF5: ``raw.h5``, with the truth of a simulated frame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RAW_FORMAT = 1
 
 
 def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
-    """Write a frame, whole or not at all."""
+    """Write a frame; an interrupted write leaves no file."""
     with hdf5.create(path, kind=RAW_KIND, format_version=RAW_FORMAT, inputs_sha256=inputs_sha256) as file:
         _axes(file, frame.frame.shape, frame.origin_um, frame.pixel_um)
         _image(file, "frame", frame.frame, "e", "raw frame (electrons, or counts of a camera)")
@@ -76,7 +76,7 @@ def load(path: Path | str) -> RawFrame:
 
 
 def _faults(frame: RawFrame) -> list[Fault]:
-    """What no frame of ours says of itself."""
+    """Attributes that no frame written by this tool has."""
     faults = []
     if frame.frame.ndim != 2:
         faults.append(Fault("frame", "rows and columns", f"an array of shape {frame.frame.shape}"))

@@ -1,1 +1,9 @@
-"""A scene rendered layer by layer and blurred."""
+"""Rendering: a scene at rest -> mean electrons of each pixel.
+
+- ``texture``  brightness patterns
+- ``render``   objects -> coverage and brightness at each of their depths
+- ``motion``   a moving scene -> the scene at one time; rows of the sensor -> their exposures
+- ``windows``  rectangles of the sensor on which the two images lie
+- ``blur``     convolution of a layer with PSFs that vary over the field
+- ``lens``     both images of a scene, from far to near
+"""

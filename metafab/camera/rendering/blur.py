@@ -1,7 +1,7 @@
-"""Eq. 1 with a PSF that changes over the field: every object point spreads by its own direction's kernel.
+"""Eq. 1 with PSFs that vary over the field: each object point is convolved with the kernel of its direction.
 
-The kernels of one depth are expanded in a few basis kernels (singular vectors over the field points): image =
-sum_k b_k * (c_k f), with the coefficient maps c_k on the object's side. A layer costs one FFT a basis kernel.
+The kernels of one depth are expanded in a few basis kernels b_k, singular vectors over the field points. The image is
+sum_k b_k * (c_k f), with maps c_k of coefficients over the object f. A layer costs one FFT per basis kernel.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ class FieldBlur:
 
     Attributes:
         basis: shape (n_basis, n_y, n_x), basis kernels.
-        coefficients: shape (n_field_y, n_field_x, n_basis), each field point's kernel in the basis.
+        coefficients: shape (n_field_y, n_field_x, n_basis), coefficients of each field point's kernel.
         throughput: shape (n_field_y, n_field_x), sum of each field point's kernel.
-        kernels: the calibration behind, for its field weights.
+        kernels: the calibration, for its field weights.
     """
 
     basis: FloatArray
@@ -53,18 +53,18 @@ class FieldBlur:
     def __call__(
         self, light: FloatArray, coverage: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Blur the light of a layer, and what it covers.
+        """Blur the light of a layer, and its coverage.
 
         Args:
             light: shape (n_y, n_x), electrons a pixel; zero outside.
-            coverage: the same shape, share of each pixel that the layer covers.
-            tangent_x: the same shape, direction of each pixel.
-            tangent_y: the same shape.
+            coverage: shape (n_y, n_x), share of each pixel that the layer covers.
+            tangent_x: shape (n_y, n_x), x/z of each pixel's direction.
+            tangent_y: shape (n_y, n_x), y/z of each pixel's direction.
 
         Returns:
-            Two arrays of shape (n_y + kernel - 1, n_x + kernel - 1): the full convolutions, whose pixel
-            ``[kernel_n_y // 2, kernel_n_x // 2]`` is the layer's pixel [0, 0]. Coverage is blurred by kernels of
-            sum 1, so that a layer that fills the view covers all of it.
+            The full convolutions, two arrays of shape (n_y + k_y - 1, n_x + k_x - 1); the layer's pixel [0, 0] is at
+            ``[k_y // 2, k_x // 2]``. Coverage is blurred by kernels of sum 1, so that a layer that fills the view
+            covers all of it.
         """
         weights = self.kernels.field_weights(tangent_x, tangent_y)
         weights = weights.reshape(*light.shape, -1)

@@ -1,4 +1,4 @@
-"""Where objects are at which time, and which rows of the sensor see them then."""
+"""Moving objects: the scene at one time, and the times at which the rows of the sensor are exposed."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.spec.scene import Scene
 
+#: Most instants of one exposure.
 _MOST_INSTANTS = 64
 
 
 def moved(scene: Scene, time_s: float) -> Scene:
-    """The scene at a time after the start of the first frame: what comes nearer looks larger."""
+    """The scene at a time after the start of the first frame; objects that come nearer look larger."""
     if time_s == 0.0 or not any(piece.moves for piece in scene.objects):
         return scene
     objects = []
@@ -37,10 +38,10 @@ def moved(scene: Scene, time_s: float) -> Scene:
 
 @dataclass(frozen=True)
 class Shutter:
-    """Which instants of a moving scene make up each row of one frame.
+    """Instants of a moving scene whose mean is the exposure of one frame, row by row.
 
     Attributes:
-        instants_s: shape (n_instants,), times that stand for equal parts of the time that the frame takes.
+        instants_s: shape (n_instants,), middles of equal parts of the frame's time.
         weights: shape (n_rows, n_instants), share of each instant in each row's exposure; rows sum to 1.
         middle_s: shape (n_rows,), middle of each row's exposure.
     """
@@ -51,9 +52,9 @@ class Shutter:
 
     @classmethod
     def of(cls, scene: Scene, start_s: float, rows: int, pixel_tangent: float) -> Shutter:
-        """The shutter of a frame of ``rows`` rows that starts at ``start_s``; the lowest row is the first.
+        """The shutter of a frame that starts at ``start_s``; the lowest of its ``rows`` is exposed first.
 
-        There are as many instants as something moves pixels (of ``pixel_tangent``) in the frame's time, 64 at most.
+        There is one instant per pixel (of ``pixel_tangent``) of the fastest motion in the frame's time, at most 64.
         """
         delay_s = np.multiply(scene.row_time_s, np.arange(rows), dtype=np.float64)
         span_s = float(delay_s[-1]) + scene.exposure_s
@@ -63,7 +64,7 @@ class Shutter:
         instants_s = start_s + np.multiply(part_s, np.arange(count) + 0.5, dtype=np.float64)
         if count == 1:
             return cls(instants_s, np.ones((rows, 1)), middle_s)
-        # A flash is shared between the two instants next to it.
+        # An exposure shorter than the parts is shared between the two nearest instants.
         open_s = max(scene.exposure_s, part_s)
         begin_s = np.clip(delay_s + 0.5 * (scene.exposure_s - open_s), 0.0, span_s - open_s)[:, None]
         first_s = part_s * np.arange(count)
@@ -72,7 +73,7 @@ class Shutter:
 
 
 def _travel(scene: Scene, start_s: float, span_s: float) -> float:
-    """How far any edge moves in a time, as a tangent."""
+    """Largest motion of any edge in a time, as a tangent."""
     first, last = moved(scene, start_s), moved(scene, start_s + span_s)
     return max(
         math.dist(a.centre, b.centre) + 0.5 * max(abs(a.size[0] - b.size[0]), abs(a.size[1] - b.size[1]))

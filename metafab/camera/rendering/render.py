@@ -1,4 +1,4 @@
-"""A scene on a grid of directions, object by object: coverage and brightness at each depth, before any blur."""
+"""Objects of a scene on a grid of directions: coverage and brightness at each depth, before any blur."""
 
 from __future__ import annotations
 
@@ -13,21 +13,24 @@ from metafab.camera.rendering.texture import Texture, make_texture
 from metafab.core.conventions import FloatArray
 from metafab.spec.scene import Scene, SceneObject
 
+#: Samples of a pixel along each axis.
 _SUPERSAMPLING = 2
-#: A tilted or curved piece is cut into steps of at most this much of its depth.
+#: Largest step of depth, relative, into which a tilted or curved object is cut.
 _TILT_STEP = 0.004
 
 
 @dataclass(frozen=True)
 class Piece:
-    """What one object shows on a crop of a pixel grid, before any blur.
+    """One object on a part of a pixel grid, before any blur.
 
     Attributes:
         label: number of the object from 1.
-        depth_m: shape (n_steps,), the depths that it is made of; one if it is flat.
-        rows: rows of the grid that the crop covers; likewise ``columns``.
+        depth_m: shape (n_steps,), depths of its steps; one for a flat object.
+        rows: rows of the grid that the part covers.
+        columns: columns of the grid that the part covers.
         coverage: shape (n_steps, n_y, n_x), share of each pixel that each step covers.
-        brightness: the same shape, coverage times texture times the object's brightness, both polarisations' mean.
+        brightness: shape (n_steps, n_y, n_x), coverage times texture times the object's brightness, mean of both
+            polarisations.
         share: (x, y) factors of the two polarisations; their mean is 1.
     """
 
@@ -42,11 +45,11 @@ class Piece:
 
 @dataclass(frozen=True)
 class Renderer:
-    """A scene whose textures are drawn once, so that both polarisations see the same.
+    """A scene with its textures, which are drawn once for both polarisations and all frames.
 
     Attributes:
-        scene: what is shown.
-        textures: one for each object.
+        scene: objects and light.
+        textures: texture of each object.
     """
 
     scene: Scene
@@ -63,18 +66,29 @@ class Renderer:
         return cls(scene, tuple(textures))
 
     def pieces(self, tangent_x: FloatArray, tangent_y: FloatArray) -> Iterator[Piece]:
-        """All objects in sight, farthest first, on a grid with directions ``tangent_x``, ``tangent_y`` (n_y, n_x)."""
+        """Yield all objects in sight, farthest first.
+
+        Args:
+            tangent_x: shape (n_y, n_x), x/z of the grid's directions.
+            tangent_y: shape (n_y, n_x), y/z of the grid's directions.
+        """
         for index, _ in self.farthest_first():
             piece = self.piece(index, tangent_x, tangent_y)
             if piece is not None:
                 yield piece
 
     def farthest_first(self) -> list[tuple[int, SceneObject]]:
-        """The objects with their numbers from 0, in the order in which each hides those before it."""
+        """The objects with their numbers from 0, each hiding those before it."""
         return sorted(enumerate(self.scene.objects), key=lambda numbered: -numbered[1].depth_m)
 
     def piece(self, index: int, tangent_x: FloatArray, tangent_y: FloatArray) -> Piece | None:
-        """What one object, numbered from 0, shows on a grid; None out of sight."""
+        """One object on a grid; None if it is out of sight.
+
+        Args:
+            index: number of the object from 0.
+            tangent_x: shape (n_y, n_x), x/z of the grid's directions.
+            tangent_y: shape (n_y, n_x), y/z of the grid's directions.
+        """
         spec = self.scene.objects[index]
         slopes_x, slopes_y = np.gradient(tangent_x), np.gradient(tangent_y)
         pixel = max(float(np.abs(slope).max(initial=0.0)) for slope in (*slopes_x, *slopes_y))
@@ -99,7 +113,7 @@ class Renderer:
 
 
 def _covered(spec: SceneObject, u: FloatArray, v: FloatArray, sample: float) -> FloatArray:
-    """Share of each sample (of the tangent size ``sample``) inside the outline: exact for a rectangle."""
+    """Share of each sample, of tangent size ``sample``, inside the outline; exact for a rectangle."""
     if spec.outline == "ellipse":
         radius = np.maximum(np.hypot(u, v), 1e-12)
         slope = np.hypot(u / spec.size[0], v / spec.size[1]) / radius
@@ -110,14 +124,14 @@ def _covered(spec: SceneObject, u: FloatArray, v: FloatArray, sample: float) -> 
 
 
 def step_depths_m(spec: SceneObject) -> FloatArray:
-    """The depths that a piece is made of, ascending: shape (n_steps,), one if it is flat."""
+    """Depths of an object's steps, ascending: shape (n_steps,), one for a flat object."""
     nearest, farthest = spec.relative_depths
     count = max(1, math.ceil((farthest - nearest) / _TILT_STEP))
     return np.asarray(spec.depth_m * (1.0 + nearest + (farthest - nearest) * (np.arange(count) + 0.5) / count))
 
 
 def _steps(spec: SceneObject, u: FloatArray, v: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Depths of a piece's steps, and the step that each sample belongs to."""
+    """Depths of an object's steps, and the step of each sample."""
     depth_m = step_depths_m(spec)
     nearest, farthest = spec.relative_depths
     if depth_m.size == 1:
@@ -128,13 +142,13 @@ def _steps(spec: SceneObject, u: FloatArray, v: FloatArray) -> tuple[FloatArray,
 
 
 def extent(hit: ArrayLike) -> slice:
-    """From the first to the last hit of a row of flags, at least one of which is set."""
+    """From the first to the last set flag of ``hit``, shape (n,); at least one is set."""
     where = np.flatnonzero(np.asarray(hit))
     return slice(int(where[0]), int(where[-1]) + 1)
 
 
 def _supersampled(values: FloatArray, slope_y: FloatArray, slope_x: FloatArray) -> FloatArray:
-    """Values at a regular grid of points inside each pixel, linear within it: shape (s n_y, s n_x)."""
+    """Values at a regular grid of s x s points inside each pixel, linear within it: shape (s n_y, s n_x)."""
     s = _SUPERSAMPLING
     offset = (np.arange(s) + 0.5) / s - 0.5
     fine = (

@@ -15,12 +15,14 @@ from metafab.spec.scene import SceneObject
 
 Texture = Callable[[FloatArray, FloatArray], FloatArray]
 
+#: Squares of a checker along each side.
 _CHECKER_SQUARES = 8
-_DARKEST = 0.02  # nothing that reflects is blacker than this, relative to its mean
+#: Smallest brightness of a texture, relative to its mean: no surface is blacker.
+_DARKEST = 0.02
 
 
 def make_texture(spec: SceneObject, texels: tuple[int, int], rng: np.random.Generator) -> Texture:
-    """The texture of an object as a function of (u, v), each 0 to 1 across its bounding box.
+    """Make the texture of an object: a function of (u, v), arrays of any shape, 0 to 1 across its bounding box.
 
     Args:
         spec: kind, contrast (rms over mean) and picture of the texture.
@@ -39,8 +41,8 @@ def make_texture(spec: SceneObject, texels: tuple[int, int], rng: np.random.Gene
 
 
 def fractal(shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
-    """Gaussian noise with amplitude 1/frequency, as natural scenes have: mean 0, rms 1, not periodic."""
-    n_y, n_x = (2 * count for count in shape)  # twice the size, cropped: opposite edges stay unrelated
+    """Gaussian noise of amplitude 1/frequency, as in natural scenes: shape ``shape``, mean 0, rms 1, not periodic."""
+    n_y, n_x = (2 * count for count in shape)  # twice the size, cropped, so that opposite edges are independent
     frequency = np.hypot(scipy.fft.fftfreq(n_y)[:, None] * 1.0, scipy.fft.rfftfreq(n_x)[None, :])
     frequency[0, 0] = np.inf
     spectrum = scipy.fft.rfft2(rng.standard_normal((n_y, n_x))) / frequency
@@ -62,7 +64,7 @@ def _picture(path: Path) -> FloatArray:
 
 
 def _with_contrast(pattern: FloatArray, contrast: float) -> FloatArray:
-    """1 + contrast * pattern, kept above the darkest value with mean 1 and the wanted rms (where attainable)."""
+    """1 + contrast * pattern, with mean 1 and the wanted rms as far as the darkest value allows."""
     values = 1.0 + contrast * pattern
     for _ in range(20):
         values = np.maximum(values, _DARKEST)

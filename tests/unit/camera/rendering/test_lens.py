@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from metafab.camera.capture import _Lens
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
+from metafab.camera.rendering.lens import Lens
 from metafab.camera.rendering.motion import moved
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import sensor_windows
@@ -23,8 +23,8 @@ SCENE = Scene(objects=(CAR, WALL, POST), field_px=(48, 48), frames=2)
 def test_a_lens_that_remembers_what_stands_still_sees_what_a_new_one_sees() -> None:
     psf = helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32)
 
-    def lens() -> _Lens:
-        return _Lens(PairKernels(psf), sensor_windows(SCENE, psf, ImageMap.from_psf(psf)))
+    def lens() -> Lens:
+        return Lens(PairKernels(psf), sensor_windows(SCENE, psf, ImageMap.from_psf(psf)))
 
     first = Renderer.of(SCENE, psf.pixel_um / psf.sensor_distance_um, 1)
     later = Renderer(moved(SCENE, 0.04), first.textures)

@@ -13,7 +13,7 @@ from metafab.layout import Lattice, lattice_of, sampling_lattice
 from metafab.phase import propose
 from metafab.spec import Design, SceneObject, load_design
 
-DESIGN = Path(__file__).parents[2] / "layouts" / "helix_5cm.toml"
+DESIGN = Path(__file__).parents[3] / "layouts" / "helix_5cm.toml"
 
 
 @pytest.fixture(scope="module")
