@@ -91,8 +91,8 @@ def test_five_centimetres_decode_a_street_at_200_m(far: Design) -> None:
         source, imaging, scene.depths_m, field_tangents=optics.field_tangents(finer, imaging), window_px=80
     )
     image = decode.decode(camera.capture(scene, shown), calibration)
-    assert image.details["share_decoded"] > 0.98
-    assert image.details["worst_object_error"] < 3e-3
-    assert image.details["contrast_error"] < 0.02
+    assert image.figures.share_decoded > 0.98
+    assert image.figures.worst_object_error < 3e-3
+    assert image.figures.contrast_error < 0.02
     assert image.nmae is not None
     assert image.nmae < 0.02
