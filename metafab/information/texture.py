@@ -61,7 +61,11 @@ class Texture:
         return self.power((side_px, side_px))[:, : side_px // 2 + 1]
 
     def signal_to_noise(self, shape: tuple[int, int], extent: tuple[int, int] | None = None) -> FloatArray:
-        """Power of the texture over the power of the noise; arguments and shape as in :meth:`power`."""
+        """Power of the texture over the power of the noise; arguments as in :meth:`power`.
+
+        Returns:
+            Shape ``shape``, zero frequency first.
+        """
         return self.power(shape, extent) / self.noise_variance_e2
 
     def _spectrum(self, shape: tuple[int, int]) -> FloatArray:

@@ -65,7 +65,7 @@ class JonesTarget:
 
         Args:
             x_um: shape (n_x,), positions from the optical axis.
-            y_um: shape (n_y,).
+            y_um: shape (n_y,), positions from the optical axis.
 
         Returns:
             Shape (3, n_y, n_x), matrix entries xx, xy = yx and yy.
@@ -81,7 +81,15 @@ class JonesTarget:
         return total
 
     def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
-        """Return the nearest lossless matrices to the target, shape (3, n_y, n_x): the light behind perfect pillars."""
+        """Evaluate the lossless matrices nearest to the target: the light behind perfect pillars.
+
+        Args:
+            x_um: shape (n_x,), positions from the optical axis.
+            y_um: shape (n_y,), positions from the optical axis.
+
+        Returns:
+            Shape (3, n_y, n_x), matrix entries xx, xy = yx and yy.
+        """
         return nearest_unitary(self(x_um, y_um))
 
 

@@ -123,5 +123,13 @@ class PhaseProfile:
         return total
 
     def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
-        """Return exp(i phase) on the grid of ``x_um`` (n_x,) and ``y_um`` (n_y,), shape (2, n_y, n_x)."""
+        """Evaluate exp(i phase) on a rectangular grid.
+
+        Args:
+            x_um: shape (n_x,), positions from the optical axis.
+            y_um: shape (n_y,), positions from the optical axis.
+
+        Returns:
+            Shape (2, n_y, n_x); first axis x and y polarisation.
+        """
         return np.asarray(np.exp(1j * self(x_um, y_um)))
