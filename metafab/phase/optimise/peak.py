@@ -45,9 +45,8 @@ class PeakDesign:
         zones: L, which sets the rate of rotation.
         defocus_rad: shape (n_depth,), rim defocuses of the target points.
         lobe_radius: radius of the target points, optical units.
-        phi_deg: shape (n_depth,), orientations by the law of rotation.
-        aim_deg: shape (n_depth,), orientations of the target points; they lead or lag the law so that the lobe itself
-            keeps to it.
+        aim_deg: shape (n_depth,), orientations of the target points; they lead or lag the law of rotation so that the
+            lobe itself keeps to it.
         amplitude: shape (n_depth,), weights of the waves whose sum has the phase of the mask.
         goal: maximised quantity, the mean or the smallest value of ``target``.
         target: shape (n_depth,), Strehl ratio at the target points.
@@ -59,7 +58,6 @@ class PeakDesign:
     zones: int
     defocus_rad: FloatArray
     lobe_radius: float
-    phi_deg: FloatArray
     aim_deg: FloatArray
     amplitude: ComplexArray
     goal: Goal
@@ -152,7 +150,7 @@ def optimise_peak(
         target = np.abs(waves.conj() @ field / pupil.count) ** 2
         lobe = main_lobe(pupil, field, defocus, half_width)
         progress("phase: peak", 2, 2)
-    return PeakDesign(zones, defocus, lobe_radius, phi_deg, aim_deg, amplitude, goal, target, bound, lobe, plain)
+    return PeakDesign(zones, defocus, lobe_radius, aim_deg, amplitude, goal, target, bound, lobe, plain)
 
 
 def target_waves(pupil: Pupil, defocus_rad: FloatArray, aim: FloatArray) -> ComplexArray:
