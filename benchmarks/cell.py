@@ -1,13 +1,13 @@
-"""The unit-cell solver on the paper's pillars: true error and time against the target error, beside other solvers.
+"""Unit-cell solvers on the paper's pillars: true error and time, of metafab and of other solvers.
 
 ``error`` is the largest difference of any t or r from a reference of 16 orders (which a rise to 20 orders moves by
 less than 1e-5), over pillars drawn between 100 and 250 nm and those on guided-mode resonances; ``seconds`` is the
 processor time of one pillar with both polarisations and reflection, on one thread: the median over the set.
 
-Peers (``cell_peers.py``) run in the interpreter that METAFAB_PEERS_PYTHON names, this one if it names none, on
-``PEER_NM``, against the same references, as long as a pillar takes less than METAFAB_PEERS_SECONDS (20). Their errors
-are of t alone. In the row of a peer's smallest error, ``ours_faster`` and ``ours_certified_faster`` say how many times
-less our fastest single truncation, and our fastest certified answer, take to err less on the same pillars.
+Peers (``cell_peers.py``) run in the interpreter named by METAFAB_PEERS_PYTHON, by default this one, on the pillars
+``PEER_NM``, as long as a pillar takes less than METAFAB_PEERS_SECONDS (20). Their errors are of t alone. In the row of
+a peer's smallest error, ``ours_faster`` and ``ours_certified_faster`` are the peer's time over that of metafab's fastest
+single truncation, and of its fastest certified answer, with at most that error.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from metafab.cell.rcwa.basis.coordinates import Formulation
 from metafab.cell.rcwa.jones import ZeroOrder, distance
 
 RESONANT_NM = ((250.0, 250.0), (150.0, 210.0), (145.0, 245.0), (155.0, 185.0), (220.0, 195.0), (220.8, 244.6))
-#: Whole nanometres, so that a raster of 0.5 nm is exact: one plain pillar, one beside a resonance.
+#: Whole nanometres, so that a raster of 0.5 nm is exact: one plain pillar, one near a resonance.
 PEER_NM = ((120.0, 180.0), (150.0, 210.0))
 fourier_limit = runpy.run_path(str(Path(__file__).with_name("fourier_limit.py")))["fourier_limit"]
 PEERS_FILE = Path(__file__).with_name("cell_peers.py")
@@ -84,7 +84,7 @@ def _extrapolated(cells: Sequence[PillarCell], references: Sequence[ZeroOrder]) 
 
 
 def _peers(quick: bool) -> list[dict[str, Any]]:
-    """Rows of all peers; of one that is missing, a row that says so."""
+    """Rows of all peers; one row with the reason for a peer that is missing."""
     cells = [_cell(*size_nm) for size_nm in PEER_NM]
     references = [zero_order(cell, 12 if quick else 16) for cell in cells]
     single = [_truncated("adaptive", m, cells, references) for m in TRUNCATIONS]
@@ -110,7 +110,7 @@ def _peers(quick: bool) -> list[dict[str, Any]]:
 
 
 def ask_peer(name: str, cells: Sequence[PillarCell], longest_s: float) -> tuple[list[dict[str, Any]], str]:
-    """What a peer answered in an interpreter of its own, and the last line of its complaint if it ended early."""
+    """Run a peer in another interpreter; return its answers, and the last line of its error if it ended early."""
     pillars = [
         {
             "period_nm": cell.period_nm[0],
@@ -139,7 +139,7 @@ def ask_peer(name: str, cells: Sequence[PillarCell], longest_s: float) -> tuple[
 
 
 def _ratio(peer: dict[str, Any], ours: Sequence[dict[str, Any]]) -> float | None:
-    """The peer's seconds over those of our fastest row that errs no more; None where there is none."""
+    """The peer's seconds over those of our fastest row with at most its error; None where there is none."""
     seconds = [row["seconds"] for row in ours if row["error"] <= peer["error"]]
     return peer["seconds"] / min(seconds) if seconds else None
 

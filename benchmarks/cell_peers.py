@@ -1,11 +1,11 @@
-"""Other Fourier modal solvers on our pillars, each in the formulation that converges best for it.
+"""Other Fourier modal solvers on the paper's pillars, each in the formulation that converges best for it.
 
 Run as a program by an interpreter that has the peers (``benchmarks/peers.txt``); neither metafab nor its packages need
 to be there. It reads one JSON object from stdin, ``{"peer": name, "pillars": [...], "longest_s": s}``, where a pillar
-has the keys of :class:`Pillar`, and writes one JSON line for each truncation that it reached:
+has the keys of :class:`Pillar`, and writes one JSON line for each truncation:
 ``{"orders": n, "t": [[[re, im], [re, im]], ...], "seconds": [...], "peak_rss_mb": mb}`` with t_xx and t_yy of each
-pillar by our conventions. Truncations rise until the next is expected to take more than ``longest_s`` seconds of
-processor time a pillar. Importing, compiling and one warm-up are not counted.
+pillar by metafab's conventions. Truncations rise until the next is expected to take more than ``longest_s`` seconds of
+processor time per pillar. Importing, compiling and one warm-up are not counted.
 
 All solve for the zero order of light along z from the substrate, both polarisations at once, in double precision and
 on one thread. Where a code takes a permittivity as a raster, the raster is 0.5 nm, which is exact for pillars of whole
@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 RASTER_NM = 0.5
-#: Cosines M beside the constant, a rung each: (2 M + 1)^2 orders. Peers with round truncations come near to that.
+#: Cosines M besides the constant: (2 M + 1)^2 orders. Peers with circular truncations have nearly as many.
 RUNGS = (3, 5, 7, 9, 11, 13, 15, 17, 19)
 
 
@@ -34,14 +34,14 @@ class Pillar:
     """A rectangular pillar on a square lattice; light comes from the substrate along z.
 
     Attributes:
-        period_nm: of both axes.
-        width_nm: along x, 0 to the period.
-        length_nm: along y.
-        height_nm: along z.
-        wavelength_nm: in vacuum.
-        n_pillar: index, [real, imaginary]; Im > 0 absorbs.
-        n_substrate: real index.
-        n_ambient: real index, also between the pillars.
+        period_nm: period of both axes.
+        width_nm: size along x, 0 to the period.
+        length_nm: size along y.
+        height_nm: size along z.
+        wavelength_nm: vacuum wavelength.
+        n_pillar: index of the pillar, [real, imaginary]; Im > 0 absorbs.
+        n_substrate: real index of the substrate.
+        n_ambient: real index around and above the pillar.
     """
 
     period_nm: float
@@ -55,25 +55,25 @@ class Pillar:
 
     @property
     def index(self) -> complex:
-        """Of the pillar."""
+        """Complex index of the pillar."""
         return complex(*self.n_pillar)
 
     def raster(self) -> Any:
-        """Permittivity [x, y] on pixels of RASTER_NM, the pillar in the middle."""
+        """Permittivity on pixels of RASTER_NM with the pillar in the middle, shape (n_x, n_y)."""
         pixels = round(self.period_nm / RASTER_NM)
         at_nm = np.abs(np.arange(pixels) + 0.5 - pixels / 2) * RASTER_NM
         inside = (at_nm[:, None] < self.width_nm / 2) & (at_nm < self.length_nm / 2)
         return np.where(inside, self.index**2, self.n_ambient**2)
 
     def normal_field(self) -> tuple[Any, Any]:
-        """(x, y) components of the nearest wall's normal on the pixels of the raster."""
+        """(x, y) components of the nearest wall's normal on the pixels of the raster, each of shape (n_x, n_y)."""
         pixels = round(self.period_nm / RASTER_NM)
         at_nm = np.abs(np.arange(pixels) + 0.5 - pixels / 2) * RASTER_NM
         along_x = (at_nm - self.width_nm / 2)[:, None] > (at_nm - self.length_nm / 2)
         return along_x + 0j, ~along_x + 0j
 
     def coefficient(self, m: Any, n: Any) -> Any:
-        """Fourier coefficients of the permittivity at orders (m, n), in closed form."""
+        """Fourier coefficients of the permittivity at orders (m, n), in closed form; arrays of any shape."""
         fill_x, fill_y = self.width_nm / self.period_nm, self.length_nm / self.period_nm
         shape = fill_x * np.sinc(m * fill_x) * fill_y * np.sinc(n * fill_y)
         around = self.n_ambient**2
@@ -86,7 +86,7 @@ Peer = Callable[[Pillar, int], Answer]
 
 
 def fmmax() -> Peer:
-    """The vector formulation of fmmax (jax) with a rectangle's exact field, which beats the fields it makes itself."""
+    """The vector formulation of fmmax (jax) with a rectangle's exact normal field, better here than its own fields."""
     import jax
 
     jax.config.update("jax_enable_x64", True)
@@ -129,24 +129,32 @@ def meent() -> Peer:
 
     def run(pillar: Pillar, rung: int) -> Answer:
         middle = pillar.period_nm / 2
-        # Time runs as exp(+i omega t) there: absorption has the other sign, and so has every phase.
+        # meent's time dependence is exp(+i omega t): absorption and phases have the other sign.
         rectangle = ["rectangle", middle, middle, pillar.width_nm, pillar.length_nm, pillar.index.conjugate()]
         solver = call_mee(
-            backend=0, n_top=pillar.n_substrate, n_bot=pillar.n_ambient, theta=0.0, phi=0.0, psi=0.0,
-            wavelength=pillar.wavelength_nm, period=[pillar.period_nm, pillar.period_nm], fto=[rung, rung],
-            thickness=[pillar.height_nm], ucell=[[pillar.n_ambient, [rectangle]]],
-        )  # fmt: skip
-        found = solver.conv_solve()
+            backend=0,
+            n_top=pillar.n_substrate,
+            n_bot=pillar.n_ambient,
+            theta=0.0,
+            phi=0.0,
+            psi=0.0,
+            wavelength=pillar.wavelength_nm,
+            period=[pillar.period_nm, pillar.period_nm],
+            fto=[rung, rung],
+            thickness=[pillar.height_nm],
+            ucell=[[pillar.n_ambient, [rectangle]]],
+        )
+        result = solver.conv_solve()
         # TM amplitudes are those of i H = i n E.
-        t_xx = 1j * found.res_tm_inc.T_p[rung, rung].conjugate() / pillar.n_ambient
-        t_yy = found.res_te_inc.T_s[rung, rung].conjugate()
+        t_xx = 1j * result.res_tm_inc.T_p[rung, rung].conjugate() / pillar.n_ambient
+        t_yy = result.res_te_inc.T_s[rung, rung].conjugate()
         return (2 * rung + 1) ** 2, complex(t_xx), complex(t_yy)
 
     return run
 
 
 def grcwa() -> Peer:
-    """The one formulation of grcwa (numpy): the same permittivity matrix for all components."""
+    """The one formulation of grcwa (numpy): one permittivity matrix for all components."""
     import grcwa as package
     from grcwa.rcwa import GetSMatrix
 
@@ -167,7 +175,7 @@ def grcwa() -> Peer:
 
 
 def torcwa() -> Peer:
-    """The one formulation of torcwa (torch), of grcwa's kind, with coefficients in closed form."""
+    """The one formulation of torcwa (torch), equal to grcwa's, with coefficients in closed form."""
     import torch
     import torcwa as package
 
@@ -178,9 +186,13 @@ def torcwa() -> Peer:
         m, n = (each.ravel() for each in np.meshgrid(order, order, indexing="ij"))
         matrix = torch.as_tensor(pillar.coefficient(m[:, None] - m, n[:, None] - n))
         solver = package.rcwa(
-            freq=1.0 / pillar.wavelength_nm, order=[rung, rung], L=[pillar.period_nm, pillar.period_nm],
-            dtype=torch.complex128, device=torch.device("cpu"), stable_eig_grad=False,
-        )  # fmt: skip
+            freq=1.0 / pillar.wavelength_nm,
+            order=[rung, rung],
+            L=[pillar.period_nm, pillar.period_nm],
+            dtype=torch.complex128,
+            device=torch.device("cpu"),
+            stable_eig_grad=False,
+        )
         solver._material_conv = lambda _: matrix
         solver.add_input_layer(eps=pillar.n_substrate**2)
         solver.add_output_layer(eps=pillar.n_ambient**2)
@@ -196,7 +208,7 @@ def torcwa() -> Peer:
 
 
 def inkstone() -> Peer:
-    """A rectangle of inkstone (numpy): closed form, undamped, as its damping slows convergence here."""
+    """A rectangle in closed form by inkstone (numpy), without its damping, which slows convergence here."""
     from inkstone import Inkstone
 
     def run(pillar: Pillar, rung: int) -> Answer:
@@ -214,7 +226,7 @@ def inkstone() -> Peer:
         for s, p in ((0.0, 1.0), (1.0, 0.0)):
             solver.SetExcitation(theta=0.0, phi=0.0, s_amplitude=s, p_amplitude=p)
             for layer in ("in", "out"):
-                solver.GetPowerFlux(layer)  # amplitudes are known only after this
+                solver.GetPowerFlux(layer)  # computes the amplitudes
             sent, gone = (solver.GetAmplitudesByOrder(layer, 0.0) for layer in ("in", "out"))
             component = 0 if p else 2
             t.append(complex((gone[component] / sent[component]).item()))
@@ -274,7 +286,7 @@ def main() -> None:
             "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6,
         }
         print(json.dumps(line), flush=True)
-        # Dense eigenvectors: the cube of the number of orders.
+        # The time of dense eigenvectors grows as the cube of the number of orders.
         if following is None or min(seconds) * ((2 * following + 1) / (2 * rung + 1)) ** 6 > job["longest_s"]:
             return
 

@@ -1,11 +1,11 @@
-"""FDTD by the real Meep: its error against RCWA, what the driver saves, what neighbours do, and a whole tiny lens.
+"""FDTD by Meep: error against RCWA, time that the driver saves, coupling of neighbours, and a whole tiny lens.
 
 - ``cells``: ten pillars with W != L (one square), resonant ones included; by the exact exchange of x and y they stand
   for nineteen. ``error`` is the largest |t - t_ref| against RCWA at 1e-4 in adapted coordinates, ``difference_fourier``
   that against the limit of plain harmonics.
-- ``savings``: one polarisation of one cell at 100 px/um as the driver runs it, and by a plain script
-  (``meep_plain.py``); seconds of the processor.
-- ``supercell``: a row of unlike pillars on two grids that hold all walls, extrapolated, against RCWA of the row.
+- ``savings``: processor time of one polarisation of one cell at 100 px/um, by the driver and by a plain script
+  (``meep_plain.py``).
+- ``supercell``: a row of unlike pillars, extrapolated from two grids with all walls on nodes, against RCWA of the row.
 - ``lens``: a lens of 9.8 um and its focal spot by Meep's field against the library's; ``error`` is the relative L2 of
   the irradiance. About ten minutes.
 
@@ -50,20 +50,20 @@ CELL = PillarCell(
     n_ambient=1.0 + 0j,
     wavelength_nm=800.0,
 )
-#: (width, length) in nm: on or beside guided-mode resonances.
+#: (width, length) in nm on or near guided-mode resonances.
 RESONANT = ((150.0, 210.0), (145.0, 245.0), (155.0, 185.0), (220.0, 195.0), (250.0, 250.0))
-#: Asked of Meep; finer grids are added until it states so much or there are none.
+#: Target error of Meep; finer grids are added until its stated error is below, or there are none.
 TARGET = 1e-2
 
 
 def drawn(count: int = 5) -> tuple[tuple[float, float], ...]:
-    """Sizes between 100 and 250 nm, W != L, of those whose grids have the fewest pixels: a minute or two each."""
-    found: list[tuple[float, float]] = []
+    """Sizes between 100 and 250 nm, W != L, whose grids have the fewest pixels: a minute or two each."""
+    sizes: list[tuple[float, float]] = []
     for width, length in np.random.default_rng(20261121).integers(100, 251, (400, 2)):
         cell = replace(CELL, width_nm=float(width), length_nm=float(length))
-        if width != length and family(cell).period == (5, 5) and len(found) < count:
-            found.append((float(width), float(length)))
-    return tuple(found)
+        if width != length and family(cell).period == (5, 5) and len(sizes) < count:
+            sizes.append((float(width), float(length)))
+    return tuple(sizes)
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
@@ -73,14 +73,14 @@ def rows(quick: bool) -> list[dict[str, Any]]:
         quick: one pillar on coarse grids, the savings, and no lens.
     """
     with Pool(1) as pool:
-        found = list(_cells(pool, RESONANT[:1] if quick else (*RESONANT, *drawn()), (1, 2) if quick else (1, 2, 3, 4)))
+        table = list(_cells(pool, RESONANT[:1] if quick else (*RESONANT, *drawn()), (1, 2) if quick else (1, 2, 3, 4)))
         if not quick:
-            found += list(_supercell(pool))
-            found += list(_lens(pool))
-    found += list(_savings())
-    # Known once the workers have ended; the largest of them all.
+            table += list(_supercell(pool))
+            table += list(_lens(pool))
+    table += list(_savings())
+    # The peak memory of the largest worker is known once all have ended.
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
-    return [row | {"peak_rss_mb": peak} for row in found]
+    return [row | {"peak_rss_mb": peak} for row in table]
 
 
 def _cells(pool: Pool, sizes: tuple[tuple[float, float], ...], members: tuple[int, ...]) -> Iterator[dict[str, Any]]:
@@ -99,7 +99,7 @@ def _cells(pool: Pool, sizes: tuple[tuple[float, float], ...], members: tuple[in
 
 
 def _savings() -> Iterator[dict[str, Any]]:
-    """At 100 px/um: the quarter cell until its tail can be extrapolated, and the whole cell until it has died."""
+    """Processor time at 100 px/um: a quarter cell with its tail extrapolated, and a whole cell until it dies."""
     reference = complex(rcwa.solve(CELL, CellNumerics(1e-4)).t[0, 0])
     grids = family(CELL)
     member = next(m for m in range(1, 9) if 2 * m * grids.period[0] >= 0.1 * CELL.period_nm[0])
@@ -169,12 +169,12 @@ class _Sites:
     amplitude: ComplexArray
 
     def tiles(self) -> Iterator[FieldTile]:
-        """All of them."""
+        """Yield one tile with all sites."""
         yield FieldTile(0, 0, amplitudes=np.stack([self.amplitude, self.amplitude]))
 
 
 def _lens(pool: Pool, count: int = 28, focus_um: float = 10.0, padding: int = 2) -> Iterator[dict[str, Any]]:
-    """Square pillars by their own phase, a quarter simulated; fields inside the aperture, propagated alike."""
+    """A lens of square pillars: focal spots of Meep's field and of the library's, by one propagator."""
     place = (np.arange(count) - (count - 1) / 2.0) * 0.35
     radius = np.hypot(place[:, None], place)
     inside = radius <= 0.5 * count * 0.35

@@ -1,7 +1,7 @@
 """A plain Meep script for one unit cell, as tutorials write it: whole cell, walls anywhere, a long wait.
 
-Run by the interpreter that has Meep, with the cell as JSON on stdin; prints t and the seconds of both runs. It is what
-``benchmarks/meep.py`` measures the driver against.
+It runs in an interpreter that has Meep, reads the cell as JSON from stdin, and prints t and the seconds of both runs.
+``benchmarks/meep.py`` compares the driver with it.
 """
 
 import cmath
@@ -30,7 +30,7 @@ def main() -> None:
     epsilon = n_pillar**2
     silicon = mp.Medium(epsilon=epsilon.real, D_conductivity=2 * math.pi / wavelength * epsilon.imag / epsilon.real)
     geometry = [
-        # Not beyond the cell: Meep would let the rest come in again at the other end.
+        # It ends with the cell: beyond, Meep would let it re-enter at the other end.
         mp.Block(
             size=mp.Vector3(mp.inf, mp.inf, foot + 0.5 * size_z),
             center=mp.Vector3(z=0.5 * (foot - 0.5 * size_z)),
@@ -67,7 +67,7 @@ def main() -> None:
         return complex(np.mean(simulation.get_dft_array(monitor, mp.Ex, 0)))
 
     start = time.process_time()
-    # Through the substrate alone light takes the same way with another index; the phases are taken out again.
+    # The empty run has the substrate's index everywhere; its phase is removed below.
     empty = field([], mp.Medium(index=n_in))
     behind = field(geometry, mp.Medium(index=n_out))
     seconds = time.process_time() - start

@@ -81,18 +81,21 @@ def run(job: Json, report: Any) -> Json:
     import meep as mp
 
     mp.verbosity(0)
-    empty = _simulation(mp, job, empty=True)
-    monitors = _monitors(mp, job, empty, empty=True)
+    # The empty cell is uniform across the wave, so that two pixels suffice.
+    nothing = {"n_x": 2, "n_y": 2, "blocks": [], "mirrors": [], "orders": [(0, 0)], "weight": [1.0, 1.0]}
+    empty_job = {**job, **nothing}
+    empty = _simulation(mp, empty_job)
+    monitors = _monitors(mp, empty_job, empty)
     pulse = 2.0 * _PULSE_CUTOFF * job["wavelength_um"] / _PULSE_WIDTH
     # After the pulse only the absorber's echo remains: two passes through the cell are ample.
     slowness = max(abs(complex(*epsilon)) for epsilon in job["epsilon_in"]) ** 0.5
     empty.run(until=pulse + 2.0 * slowness * job["n_z"] * job["pixel_um"])
     co_polarised = job["components"].index(job["polarisation"])
-    incident = _amplitudes(mp, job, empty, monitors, empty=True)[:, co_polarised, 0]
+    incident = _amplitudes(mp, empty_job, empty, monitors)[:, co_polarised, 0]
     empty.reset_meep()
 
-    cell = _simulation(mp, job, empty=False)
-    monitors = _monitors(mp, job, cell, empty=False)
+    cell = _simulation(mp, job)
+    monitors = _monitors(mp, job, cell)
     step = _SAMPLE_PERIODS * job["wavelength_um"]
     scale = float(np.max(np.abs(incident)))
     times, samples, limits = [], [], []
@@ -100,7 +103,7 @@ def run(job: Json, report: Any) -> Json:
     tail = math.inf
     while True:
         times.append(cell.meep_time())
-        samples.append(_amplitudes(mp, job, cell, monitors, empty=False))
+        samples.append(_amplitudes(mp, job, cell, monitors))
         report(times[-1])
         if len(samples) >= _TAIL_SAMPLES:
             limits.append(tail_limit(np.reshape(samples[-_TAIL_SAMPLES:], (_TAIL_SAMPLES, -1))))
@@ -135,20 +138,18 @@ def _medium(mp: Any, job: Json, epsilon: Any, mu: Any = (1.0, 1.0, 1.0)) -> Any:
     )
 
 
-def _lateral_um(job: Json, empty: bool) -> tuple[float, float]:
-    """Periods; the empty cell is uniform across the wave, so that two pixels suffice."""
-    n_x, n_y = (2, 2) if empty else (job["n_x"], job["n_y"])
-    return n_x * job["pixel_um"], n_y * job["pixel_um"]
-
-
 def _z(job: Json, node: float) -> float:
     """Meep's z of a node: its origin is the middle of the cell."""
     return float((node - job["n_z"] / 2) * job["pixel_um"])
 
 
-def _simulation(mp: Any, job: Json, *, empty: bool) -> Any:
+def _component(mp: Any, polarisation: str) -> Any:
+    return mp.Ex if polarisation == "x" else mp.Ey
+
+
+def _simulation(mp: Any, job: Json) -> Any:
     pixel, frequency = job["pixel_um"], 1.0 / job["wavelength_um"]
-    width, length = _lateral_um(job, empty)
+    width, length = job["n_x"] * pixel, job["n_y"] * pixel
     x_polarised = job["polarisation"] == "x"
     geometry = [
         mp.Block(
@@ -156,10 +157,10 @@ def _simulation(mp: Any, job: Json, *, empty: bool) -> Any:
             size=mp.Vector3(*np.subtract(block["high"], block["low"])),
             material=_medium(mp, job, block["epsilon"], block["mu"]),
         )
-        for block in ([] if empty else job["blocks"])
+        for block in job["blocks"]
     ]
     mirrors = []
-    for name in () if empty else job["mirrors"]:
+    for name in job["mirrors"]:
         # The source is a polar vector: odd under the mirror across its own axis.
         phase = -1 if name == job["polarisation"] else 1
         mirrors.append(mp.Mirror(mp.X if name == "x" else mp.Y, phase=phase))
@@ -171,10 +172,10 @@ def _simulation(mp: Any, job: Json, *, empty: bool) -> Any:
 
     source = mp.Source(
         mp.GaussianSource(frequency, fwidth=_PULSE_WIDTH * frequency, cutoff=_PULSE_CUTOFF),
-        component=mp.Ex if x_polarised else mp.Ey,
+        component=_component(mp, job["polarisation"]),
         center=mp.Vector3(z=_z(job, job["source_node"])),
         size=mp.Vector3(width, length),
-        amp_func=None if empty or len(set(job["weight"])) == 1 else weight,
+        amp_func=None if len(set(job["weight"])) == 1 else weight,
     )
     return mp.Simulation(
         cell_size=mp.Vector3(width, length, job["n_z"] * pixel),
@@ -192,9 +193,9 @@ def _simulation(mp: Any, job: Json, *, empty: bool) -> Any:
     )
 
 
-def _monitors(mp: Any, job: Json, simulation: Any, *, empty: bool) -> list[Any]:
-    width, length = _lateral_um(job, empty)
-    components = [mp.Ex if name == "x" else mp.Ey for name in job["components"]]
+def _monitors(mp: Any, job: Json, simulation: Any) -> list[Any]:
+    width, length = job["n_x"] * job["pixel_um"], job["n_y"] * job["pixel_um"]
+    components = [_component(mp, name) for name in job["components"]]
     return [
         simulation.add_dft_fields(
             components,
@@ -209,23 +210,22 @@ def _monitors(mp: Any, job: Json, simulation: Any, *, empty: bool) -> list[Any]:
     ]
 
 
-def _plane(mp: Any, job: Json, simulation: Any, monitor: Any, component: str, *, empty: bool = False) -> Any:
-    """One period of a monitor's field, shape (n_y, n_x), on the component's own grid points."""
-    field = simulation.get_dft_array(monitor, mp.Ex if component == "x" else mp.Ey, 0)
-    shape = (2, 2) if empty else (job["n_x"], job["n_y"])
+def _plane(mp: Any, job: Json, simulation: Any, monitor: Any, component: str) -> Any:
+    """One period of a monitor's field on the component's grid points, shape (n_y, n_x)."""
+    field = simulation.get_dft_array(monitor, _component(mp, component), 0)
     # Meep adds the periodic images at the edges: one where points lie on the edge, two where they straddle it.
-    cut = tuple(slice((held - n) // 2, (held - n) // 2 + n) for held, n in ((field.shape[i], shape[i]) for i in (0, 1)))
-    return field[cut].T
+    n_x, n_y = job["n_x"], job["n_y"]
+    left, below = (field.shape[0] - n_x) // 2, (field.shape[1] - n_y) // 2
+    return field[left : left + n_x, below : below + n_y].T
 
 
-def _amplitudes(mp: Any, job: Json, simulation: Any, monitors: list[Any], *, empty: bool) -> Any:
-    """Diffraction orders of each monitor and component: shape (n_monitors, n_components, n_orders).
+def _amplitudes(mp: Any, job: Json, simulation: Any, monitors: list[Any]) -> Any:
+    """Diffraction orders of each monitor and component, shape (n_monitors, n_components, n_orders).
 
     The cell average over the grid points removes every other order exactly.
     """
-    orders = np.array([(0, 0)] if empty else job["orders"])
-    shape = (2, 2) if empty else (job["n_x"], job["n_y"])
-    weight = np.ones(shape[1] if job["polarisation"] == "x" else shape[0]) if empty else np.asarray(job["weight"])
+    orders, shape = np.array(job["orders"]), (job["n_x"], job["n_y"])
+    weighted = 1 if job["polarisation"] == "x" else 0
     result = np.empty((len(monitors), len(job["components"]), len(orders)), dtype=complex)
     for j, component in enumerate(job["components"]):
         # E_x lies half a pixel along x from the nodes, E_y along y; the first node is the cell's edge.
@@ -233,10 +233,9 @@ def _amplitudes(mp: Any, job: Json, simulation: Any, monitors: list[Any], *, emp
         for axis, name in enumerate("xy"):
             place = (np.arange(shape[axis]) + (0.5 if component == name else 0.0)) / shape[axis] - 0.5
             along.append(np.exp(-2j * np.pi * orders[:, axis, None] * place) / shape[axis])
-        weighted = 1 if job["polarisation"] == "x" else 0
-        along[weighted] = along[weighted] * weight
+        along[weighted] = along[weighted] * np.asarray(job["weight"])
         for i, monitor in enumerate(monitors):
-            field = _plane(mp, job, simulation, monitor, component, empty=empty)
+            field = _plane(mp, job, simulation, monitor, component)
             result[i, j] = np.sum((along[1] @ field) * along[0], axis=1)
     return result
 

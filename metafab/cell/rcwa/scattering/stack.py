@@ -77,7 +77,14 @@ def through_stack(
 
 
 def by_slabs(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray) -> Faces | None:
-    """Solve a stack by slabs, arguments as of :func:`through_stack`; None where rounding is too large."""
+    """Solve a stack by slabs; None where rounding is too large.
+
+    Args:
+        layers: layers of positive thickness, from the side of the light to the far side.
+        incoming: as of :func:`through_stack`.
+        outgoing: as of :func:`through_stack`.
+        incident: shape (n, p), as of :func:`through_stack`.
+    """
     (e_in, h_in), (e_out, h_out) = as_matrices(incoming), as_matrices(outgoing)
     n, count = incident.shape
     passed, largest = [], 0.0
@@ -116,7 +123,14 @@ def by_slabs(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, inc
 
 
 def by_modes(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray) -> Faces:
-    """Solve a stack by the modes of every layer, arguments as of :func:`through_stack`."""
+    """Solve a stack by the modes of every layer.
+
+    Args:
+        layers: layers of positive thickness, from the side of the light to the far side.
+        incoming: as of :func:`through_stack`.
+        outgoing: as of :func:`through_stack`.
+        incident: shape (n, p), as of :func:`through_stack`.
+    """
     e_out, h_out = as_matrices(outgoing)
     e, h = e_out, h_out
     passed, worst = [], NO_MODES

@@ -1,0 +1,89 @@
+"""Cells by FDTD with waves of known amplitudes in place of Meep."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metafab.cell import CellNumerics, PillarCell
+from metafab.cell.meep import MeepSettings, Pool, solve
+from metafab.cell.meep.grid import family, plan
+from metafab.cell.meep.protocol import Job, Reply
+from metafab.core.errors import InputError, SolverError
+from tests.paper_cell import SILICON
+
+
+class _KnownAnswers(Pool):
+    """In place of workers: grid waves around a pillar whose t and r err by h^2 and whose tails are known."""
+
+    T, R = {"x": 0.3 - 0.8j, "y": 0.6 + 0.2j}, {"x": -0.2 + 0.1j, "y": 0.1 + 0.4j}
+
+    def __init__(self, cell: PillarCell, tail: float) -> None:
+        super().__init__(1)
+        self.cell, self.tail = cell, tail
+        self.jobs: list[Job] = []
+
+    def run(self, job: Job, report: object = None) -> Reply:
+        self.jobs.append(job)
+        grids = family(self.cell)
+        member = job.n_x // (2 * grids.period[0])
+        run = plan(self.cell, job.polarisation, grids, member, decay=1.0, longest_time=1.0)
+        k_in, (k_out,) = run.k_in, run.k_out
+        t, r = (value[job.polarisation] + 40.0 * job.pixel_um**2 for value in (self.T, self.R))
+        near, far = cmath.exp(1j * k_in * run.near_um), cmath.exp(1j * k_out * run.far_um)
+        return {
+            "limit": np.array([near + r / near, t * far])[:, None, None],
+            "incident": np.array([near, 0.0]),
+            "tail": np.array(self.tail),
+            "time": np.array([10.0]),
+            "seconds": np.array(0.5),
+        }
+
+
+def test_a_cell_is_solved_in_both_polarisations_until_the_error_is_reached() -> None:
+    pool = _KnownAnswers(SILICON, 1e-6)
+    found = solve(SILICON, CellNumerics(1e-3, "meep"), pool=pool)
+    np.testing.assert_allclose(found.t, np.diag(list(pool.T.values())), atol=1e-10)
+    np.testing.assert_allclose(found.r, np.diag(list(pool.R.values())), atol=1e-10)
+    assert found.converged
+    assert len(pool.jobs) == 6, "a pure h^2 error is seen to be one on the third grid, and the fourth is saved"
+    assert found.error == pytest.approx(found.details.error_decay, abs=1e-9)
+    assert found.details.error_decay > 1e-6, "extrapolation makes more of the tails"
+
+
+def test_a_square_pillar_is_solved_in_one_polarisation() -> None:
+    square = replace(SILICON, width_nm=150.0, length_nm=150.0)
+    pool = _KnownAnswers(square, 0.0)
+    found = solve(square, CellNumerics(1e-3, "meep"), pool=pool)
+    assert found.t[0, 0] == found.t[1, 1]
+    assert {job.polarisation for job in pool.jobs} == {"x"}
+
+
+def test_a_field_that_does_not_decay_has_no_limit() -> None:
+    with pytest.raises(SolverError, match="longest_periods"):
+        solve(SILICON, CellNumerics(1e-3, "meep"), pool=_KnownAnswers(SILICON, math.inf))
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"angle_deg": 5.0}, "angle_deg"),
+        ({"n_substrate": (1.76 + 0.1j, 1.76 + 0j)}, "n_substrate"),
+        ({"n_ambient": 1.0 + 1e-3j}, "n_ambient"),
+        ({"n_pillar": 0.05 + 5.0j}, "n_pillar"),
+        ({"height_nm": 0.0}, "height_nm"),
+    ],
+)
+def test_what_fdtd_does_not_treat_is_refused_before_anything_starts(changes: dict[str, object], field: str) -> None:
+    with pytest.raises(InputError, match=field):
+        solve(replace(SILICON, **changes), CellNumerics(solver="meep"))
+
+
+@pytest.mark.parametrize("members", [(2,), (2, 1), (0, 1), (2, 2)])
+def test_settings_are_checked(members: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="members"):
+        MeepSettings(members=members)
