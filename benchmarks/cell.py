@@ -5,8 +5,8 @@ less than 1e-5), over pillars drawn between 100 and 250 nm and those on guided-m
 processor time of one pillar with both polarisations and reflection, on one thread: the median over the set.
 
 Peers (``cell_peers.py``) run in the interpreter named by METAFAB_PEERS_PYTHON, by default this one, on the pillars
-``PEER_NM``, as long as a pillar takes less than METAFAB_PEERS_SECONDS (20). Their errors are of t alone. In the row of
-a peer's smallest error, ``ours_faster`` and ``ours_certified_faster`` are the peer's time over that of metafab's fastest
+``PEER_NM``, as long as a pillar takes less than METAFAB_PEERS_SECONDS (20). Their errors are of t alone. The row of a
+peer's smallest error has ``ours_faster`` and ``ours_certified_faster``: the peer's time over that of metafab's fastest
 single truncation, and of its fastest certified answer, with at most that error.
 """
 
