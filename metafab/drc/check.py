@@ -1,4 +1,4 @@
-"""A written file against the rules of its design, by either engine."""
+"""A written file against the rules of its design, by any engine."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from metafab.core.errors import InputError
-from metafab.core.parallel.progress import Progress, silent
+from metafab.core.parallel.work import Work
 from metafab.drc.lattice import check_lattice
 from metafab.drc.rectangles import check_rectangles
 from metafab.drc.report import DrcReport
@@ -15,30 +15,19 @@ from metafab.mask import read
 from metafab.spec import Design
 
 
-def check(
-    path: Path,
-    design: Design,
-    *,
-    engine: str = "lattice",
-    workers: int | None = None,
-    cluster: str | None = None,
-    progress: Progress = silent,
-    copy: int = 1,
-) -> DrcReport:
-    """Check a GDSII or OASIS file.
+def check(path: Path, design: Design, *, engine: str = "lattice", work: Work = Work(), copy: int = 1) -> DrcReport:
+    """Check a GDSII or OASIS file; nothing but the file is read.
 
     Args:
-        path: the file; nothing but the file is looked at.
+        path: the file.
         design: rules, lattice, aperture, layer.
-        engine: ``lattice`` knows where pillars should be and checks every rule exactly; ``rectangles`` knows the
-            file's rectangles and no lattice; ``polygons`` is KLayout's and knows only shapes. The last two check
-            width, aspect ratio, gap, overlap, grid and foreign shapes.
-        workers: threads; the cores unless given.
-        cluster: address of a Dask scheduler whose workers check bands of rows (``lattice``) or rows of tiles
-            (``polygons``; they must see the file at the same path). ``rectangles`` is one stream and runs here.
-        progress: told about rows or tiles.
-        copy: the lens of ``mask.copies`` that ``lattice`` checks, counted from 1; the others are counted. The two
-            engines that know no lattice check all of them.
+        engine: ``lattice`` checks every rule exactly, on the sites of the design; ``rectangles`` takes rectangles of
+            any lattice; ``polygons`` is KLayout's and takes any shapes. The last two check width, aspect ratio, gap,
+            overlap, grid and foreign shapes.
+        work: threads, progress, and a cluster, whose workers check bands of rows (``lattice``) or rows of tiles
+            (``polygons``; they must find the file at the same path). ``rectangles`` is one stream and runs here.
+        copy: lens of ``mask.copies`` that ``lattice`` checks, counted from 1; the others are counted. The two engines
+            without a lattice check all of them.
 
     Raises:
         InputError: the file cannot be read as a mask, or the engine is unknown.
@@ -46,17 +35,13 @@ def check(
     """
     start = time.perf_counter()
     if engine == "lattice":
-        report = check_lattice(read(path, design, progress, copy), design, workers, progress, cluster)
+        report = check_lattice(read(path, design, work.progress, copy), design, work)
     elif engine == "rectangles":
-        if cluster is not None:
-            raise InputError.single(
-                "--cluster", "engine", "'lattice' or 'polygons'", repr(engine), "it runs on one machine: leave it out"
-            )
-        report = check_rectangles(path, design, workers, progress)
+        report = check_rectangles(path, design, work)
     elif engine == "polygons":
         from metafab.drc.polygons import check_polygons
 
-        report = check_polygons(path, design, workers, progress, cluster)
+        report = check_polygons(path, design, work)
     else:
         raise InputError.single("--engine", "engine", "'lattice', 'rectangles' or 'polygons'", repr(engine))
     return replace(report, seconds=time.perf_counter() - start)

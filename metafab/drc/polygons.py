@@ -1,4 +1,4 @@
-"""Design rules by KLayout's geometry engine, which knows nothing of lattices: the independent second opinion.
+"""Design rules by KLayout's geometry engine, which uses no lattice: an independent check.
 
 The only file of metafab that imports klayout (GPL, an optional extra).
 """
@@ -12,22 +12,25 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from metafab.core.errors import InputError, MissingToolError
 from metafab.core.parallel.executor import SerialExecutor, default_workers, in_order, open_executor
-from metafab.core.parallel.progress import Progress, silent
-from metafab.drc.report import MARKERS, DrcReport, Marker, refuse_empty, refuse_several_tops, upright_side_nm
+from metafab.core.parallel.work import Work
+from metafab.drc.report import MARKERS, DrcReport, Findings
+from metafab.drc.rules import RULES, SLACK_DBU, require_one_top, require_shapes, rules_in, upright_side_nm
 from metafab.layout import Outline
 from metafab.mask import read_shapes
 from metafab.mask.read import Shapes
 from metafab.mask.shapes.known import KnownShapes
 from metafab.spec import Design
 
-#: Side of the engine's tiles. Its scan lines cost more the longer they are: 50 um take two thirds of the time of 170.
-_TILE_UM = 60.0
+#: Side of KLayout's tiles. Its scan lines cost more the longer they are: 50 um take two thirds of the time of 170.
+TILE_UM = 60.0
 
-# What is computed in each tile; `raw` are shapes as drawn: overlaps stay visible to `merged`, and gaps need not be
-# looked for on merged shapes, which would double the time. Nothing is cut at the tile's edge: what two tiles see at
-# their seam is then equal, and counted once.
+# Script for each tile. `raw` are the shapes as drawn: `merged` still sees their overlaps, and gaps are not searched on
+# merged shapes, which would double the time. Nothing is cut at the edge of a tile, so that two tiles see equal
+# violations at their seam, which are counted once.
 _SCRIPT = """
 var raw = pillars;
 raw.merged_semantics = false;
@@ -39,70 +42,63 @@ _FOREIGN = "_output(foreign, raw.non_rectangles, false);"
 _GRID = "_output(grid, raw.grid_check(grid_dbu, grid_dbu), false);"
 _SLENDER = "_output(slender, raw.width_check(upright_dbu{facing}), false);"
 
-# A millionth of a unit is no violation.
-_SLACK_DBU = 1e-6
+_VISIBLE = {"min_width", "min_length", "aspect_ratio", "min_gap", "overlap", "grid", "foreign"}
 
+# x, y, width, height in units of the file, by rule.
 _Boxes: TypeAlias = dict[str, set[tuple[int, int, int, int]]]
 
 
-def check_polygons(
-    path: Path,
-    design: Design,
-    workers: int | None = None,
-    progress: Progress = silent,
-    cluster: str | None = None,
-) -> DrcReport:
-    """Width, length, gap, overlap, grid and foreign shapes by KLayout, tile by tile on all cores.
+def check_polygons(path: Path, design: Design, work: Work = Work(), tile_um: float = TILE_UM) -> DrcReport:
+    """Check width, length, gap, overlap, grid and foreign shapes by KLayout, tile by tile on all cores.
 
-    Shapes are counted by metafab's own reader, too: KLayout's drops all but one of the equal places of an OASIS
-    repetition, and what it holds fewer is reported as ``duplicate``. Of pillars that are no rectangles, that reader
-    tells which shapes are ``foreign``. Gaps are counted by pairs of rectangles; of other outlines, by pairs of sides.
+    Shapes are counted by metafab's own reader as well: KLayout's drops all but one of the equal places of an OASIS
+    repetition, and the difference is reported as ``duplicate``. If pillars are not rectangles, that reader determines
+    the ``foreign`` shapes. Gaps of rectangles are counted by pairs of pillars, gaps of other outlines by pairs of
+    sides.
 
     Args:
         path: GDSII or OASIS file.
         design: rules, layer, unit.
-        workers: threads; the cores unless given.
-        progress: told about rows of tiles.
-        cluster: address of a Dask scheduler whose workers take the rows, each on one thread. A worker reads the file
-            for itself, once.
+        work: threads of KLayout, or a cluster whose workers take rows of tiles, each on one thread and with the file
+            read once; progress by rows of tiles.
+        tile_um: side of KLayout's tiles.
 
     Raises:
         MissingToolError: KLayout is not installed.
-        InputError: the file cannot be read, has several top cells, or nothing on the pillars' layer.
+        InputError: the file cannot be read, has several top cells, or nothing on the pillar layer.
     """
-    own = read_shapes(path, design, known=KnownShapes(Outline.of(design)))
-    refuse_several_tops(path, own.top_cells)
-    refuse_empty(path, design, own.count)
-    rules = _RowRules(path.resolve(), design, 1 if cluster else workers or default_workers())
+    shapes = read_shapes(path, design, known=KnownShapes(Outline.of(design)))
+    require_one_top(path, shapes.top_cells)
+    require_shapes(path, design, shapes.count)
+    rules = _RowRules(path.resolve(), design, 1 if work.cluster else work.workers or default_workers(), tile_um)
     opened = rules.opened
-    found: _Boxes = {rule: set() for rule in rules.seen}
-    with SerialExecutor() if cluster is None else open_executor(cluster=cluster) as executor:
+    violations: _Boxes = {rule: set() for rule in rules.checked}
+    with SerialExecutor() if work.cluster is None else open_executor(cluster=work.cluster) as executor:
         for done, boxes in enumerate(in_order(executor, rules, range(opened.rows), ahead=1), start=1):
-            # Sets, because neighbouring tiles see violations on their seam twice.
-            for rule, seen in found.items():
-                seen.update(boxes[rule])
-            progress("design rules", done, opened.rows)
-    unit_nm = opened.unit_nm
-    unseen = {"duplicate": max(0, own.count - opened.count), "foreign": _foreign(own, design, opened)}
+            # Sets, because neighbouring tiles both see a violation on their seam.
+            for rule, places in violations.items():
+                places.update(boxes[rule])
+            work.progress("design rules", done, opened.rows)
+    findings = Findings({"duplicate", "foreign"} | violations.keys())
+    findings.counts["duplicate"] += max(0, shapes.count - opened.count)
+    findings.counts["foreign"] += _invisible_foreign(shapes, design, opened)
+    for rule, places in violations.items():
+        findings.add(rule, np.array(sorted(places)[:MARKERS], dtype=np.int64).reshape(-1, 4), len(places))
     return DrcReport(
         file=path.name,
         engine="polygons",
-        pillars=own.count,
-        violations=unseen | {rule: len(boxes) + unseen.get(rule, 0) for rule, boxes in found.items()},
-        markers={
-            rule: tuple(Marker(*(side * unit_nm for side in box)) for box in sorted(boxes)[:MARKERS])
-            for rule, boxes in found.items()
-            if boxes
-        },
-        other_layers=own.other_layers,
+        pillars=shapes.count,
+        violations={rule: findings.counts[rule] for rule in RULES if rule in findings.counts},
+        markers={rule: places for rule, places in findings.markers(opened.unit_nm).items() if places},
+        other_layers=shapes.other_layers,
     )
 
 
-def _foreign(own: Shapes, design: Design, opened: _Opened) -> int:
-    """Foreign shapes that no region shows: paths without width; unless pillars are rectangles, all of them."""
+def _invisible_foreign(shapes: Shapes, design: Design, opened: _Opened) -> int:
+    """Number of foreign shapes that a region does not show: paths without width; all, if pillars are not rectangles."""
     if Outline.of(design).is_rectangle:
         return opened.lines
-    return sum(other.count for chunk in own.chunks() for other in chunk.others)
+    return sum(other.count for chunk in shapes.chunks() for other in chunk.others)
 
 
 @dataclass(frozen=True)
@@ -111,9 +107,11 @@ class _Opened:
 
     Attributes:
         layout: KLayout's layout; must outlive ``pillars``.
-        pillars: what is drawn on the pillars' layer.
-        left_um: of the box around them; likewise ``bottom_um``.
-        columns: tiles that cover the box; likewise ``rows``.
+        pillars: shapes on the pillar layer.
+        left_um: left edge of their bounding box.
+        bottom_um: lower edge of their bounding box.
+        columns: tiles along x that cover the box.
+        rows: tiles along y that cover the box.
         unit_nm: database unit.
     """
 
@@ -127,12 +125,12 @@ class _Opened:
 
     @property
     def count(self) -> int:
-        """Shapes, members of arrays one by one."""
+        """Number of shapes, members of arrays one by one."""
         return int(_klayout().Region(self.pillars).count())
 
     @property
     def lines(self) -> int:
-        """Paths without width: edges, in software that knows these."""
+        """Number of paths without width: edges, in software that has these."""
         paths = self.pillars.dup()
         paths.shape_flags = _klayout().Shapes.SPaths
         return sum(at.shape().path_width == 0 for at in paths.each())
@@ -146,9 +144,9 @@ def _klayout() -> Any:
     return kdb
 
 
-def _open(path: Path, design: Design) -> _Opened:
+def _open(path: Path, design: Design, tile_um: float) -> _Opened:
     kdb = _klayout()
-    layout = kdb.Layout(False)  # not to be edited: arrays stay arrays, in half the memory
+    layout = kdb.Layout(False)  # Not editable: arrays stay arrays, in half the memory.
     try:
         layout.read(str(path))
     except RuntimeError as error:
@@ -158,12 +156,12 @@ def _open(path: Path, design: Design) -> _Opened:
     tops = layout.top_cells()
     first, last = design.mask.datatypes
     layers = [layout.layer(kdb.LayerInfo(design.mask.layer, datatype)) for datatype in range(first, last + 1)]
-    # Within a box, the members of arrays are counted one by one, and not each array as one.
+    # With a box, the members of arrays are counted one by one.
     everything = tops[0].bbox().enlarged(1, 1)
     pillars = kdb.RecursiveShapeIterator(layout, tops[0], layers, everything, True)
-    pillars.shape_flags = kdb.Shapes.SRegions  # a text is no pillar
+    pillars.shape_flags = kdb.Shapes.SRegions  # Without texts.
     box = kdb.Region(pillars).bbox().to_dtype(layout.dbu)
-    columns, rows = (max(1, math.ceil(length / _TILE_UM)) for length in (box.width(), box.height()))
+    columns, rows = max(1, math.ceil(box.width() / tile_um)), max(1, math.ceil(box.height() / tile_um))
     return _Opened(layout, pillars, box.left, box.bottom, columns, rows, layout.dbu * 1e3)
 
 
@@ -174,89 +172,85 @@ class _RowRules:
     Attributes:
         path: the file.
         design: rules, layer, unit.
-        threads: of KLayout.
+        threads: threads of KLayout.
+        tile_um: side of the tiles.
     """
 
     path: Path
     design: Design
     threads: int
+    tile_um: float
 
     @cached_property
     def opened(self) -> _Opened:
-        """The file, read."""
-        return _open(self.path, self.design)
+        """The file, read once."""
+        return _open(self.path, self.design, self.tile_um)
 
     @property
-    def seen(self) -> list[str]:
-        """The rules that are looked at."""
-        rules = ["min_width", "min_length", "min_gap", "overlap", "grid"]
-        if Outline.of(self.design).is_rectangle:
-            rules.append("foreign")
-        return rules if upright_side_nm(self.design) is None else [*rules, "aspect_ratio"]
+    def checked(self) -> list[str]:
+        """The rules that are checked."""
+        rules = rules_in(self.design, _VISIBLE)
+        return rules if Outline.of(self.design).is_rectangle else [rule for rule in rules if rule != "foreign"]
 
-    def __getstate__(self) -> tuple[Path, Design, int]:
-        """What travels to another process, which reads the file for itself."""
-        return self.path, self.design, self.threads
-
-    def __setstate__(self, state: tuple[Path, Design, int]) -> None:
-        for name, value in zip(("path", "design", "threads"), state, strict=True):
-            object.__setattr__(self, name, value)
+    def __getstate__(self) -> dict[str, Any]:
+        """Attributes that travel to another process, which reads the file itself."""
+        return {name: value for name, value in vars(self).items() if name != "opened"}
 
     def __call__(self, row: int) -> _Boxes:
         """Boxes of the violations of each rule in a row of tiles."""
         kdb, opened = _klayout(), self.opened
         unit_nm, upright_nm = opened.unit_nm, upright_side_nm(self.design)
         rules = self.design.rules
-        # Across a polygon, its sides are within its tolerance of the curve; those at the axes are where they should be.
+        # Two sides of a polygon are each within the tolerance of the curve; those at the axes are exact.
         slack_nm = 2.0 * Outline.of(self.design).tolerance_nm
         limits = {
             "gap": rules.min_gap_nm - slack_nm,
             "feature": rules.min_feature_nm - slack_nm,
             "upright": max(0.0, (upright_nm or 0.0) - slack_nm),
         }
-        # An edge at n units of the file is a whole number of the design's where n is one of this fraction's lower part.
+        # An edge at n file units lies on the design's grid if n is a multiple of the denominator of this fraction.
         grid = Fraction(unit_nm / self.design.mask.database_unit_nm).limit_denominator(1_000_000).denominator
         outputs = {name: kdb.Region() for name in ("foreign", "overlap")}
         outputs |= {name: kdb.EdgePairs() for name in ("grid", "narrow", "slender", "gaps")}
         processor = kdb.TilingProcessor()
-        processor.tile_size(_TILE_UM, _TILE_UM)
-        processor.tile_origin(opened.left_um, opened.bottom_um + row * _TILE_UM)
+        processor.tile_size(self.tile_um, self.tile_um)
+        processor.tile_origin(opened.left_um, opened.bottom_um + row * self.tile_um)
         processor.tiles(opened.columns, 1)
         processor.tile_border(2e-3 * max(limits.values()), 2e-3 * max(limits.values()))
         processor.threads = self.threads
         processor.input("pillars", opened.pillars)
         for name, limit_nm in limits.items():
-            # Distances are whole units: below a limit between two of them is below the upper one.
-            processor.var(f"{name}_dbu", max(1, math.ceil(limit_nm / unit_nm - _SLACK_DBU)))
+            # Distances are whole units, so that the limit can be rounded up.
+            processor.var(f"{name}_dbu", max(1, math.ceil(limit_nm / unit_nm - SLACK_DBU)))
         processor.var("grid_dbu", grid)
         for name, collection in outputs.items():
             processor.output(name, collection)
-        # Whole numbers of units are on a grid of one unit, whatever they are.
+        # Every edge is on a grid of one unit.
         scripts = {"grid": _GRID if grid > 1 else "", "foreign": _FOREIGN, "aspect_ratio": _SLENDER}
-        # A polygon narrows towards its tips: only sides that face each other, and are parallel, tell its width.
+        # A polygon narrows towards its tips: its width is measured between parallel sides that face each other.
         facing = "" if Outline.of(self.design).is_rectangle else ", false, Metrics.Projection, 0.01"
-        script = _SCRIPT + "".join(script for rule, script in scripts.items() if rule in self.seen)
+        script = _SCRIPT + "".join(script for rule, script in scripts.items() if rule in self.checked)
         processor.queue(script.format(facing=facing))
         processor.execute("design rules")
-        found: _Boxes = {rule: set() for rule in self.seen}
+        boxes: _Boxes = {rule: set() for rule in self.checked}
         for pair in outputs["narrow"].each():
-            found["min_width" if pair.first.dx() == 0 else "min_length"].add(_box(pair.bbox()))
+            boxes["min_width" if pair.first.dx() == 0 else "min_length"].add(_box(pair.bbox()))
         pairs = {"grid": "grid", "aspect_ratio": "slender"}
         for rule, name in pairs.items():
-            if rule in found:
-                found[rule] |= {_box(pair.bbox()) for pair in outputs[name].each()}
-        for rule in found.keys() & {"overlap", "foreign"}:
-            found[rule] |= {_box(polygon.bbox()) for polygon in outputs[rule].each()}
+            if rule in boxes:
+                boxes[rule] |= {_box(pair.bbox()) for pair in outputs[name].each()}
+        for rule in boxes.keys() & {"overlap", "foreign"}:
+            boxes[rule] |= {_box(polygon.bbox()) for polygon in outputs[rule].each()}
         for pair in outputs["gaps"].each():
             between = _between(pair.first.bbox(), pair.second.bbox())
-            found["min_gap"].add(between)
-            if pair.distance() == 0:  # they touch: no area is common, as merging shapes would tell
-                found["overlap"].add(between)
-        return found
+            boxes["min_gap"].add(between)
+            if pair.distance() == 0:  # They touch, but have no area in common, which `merged` would show.
+                boxes["overlap"].add(between)
+        return boxes
 
 
 def _between(one: Any, other: Any) -> tuple[int, int, int, int]:
-    """The box between two edges; one for both edge pairs of two corners, so that a pair of rectangles counts once."""
+    """Box between two edges; equal for both edge pairs of two corners, so that a pair of rectangles counts once."""
     left, right = sorted((max(one.left, other.left), min(one.right, other.right)))
     bottom, top = sorted((max(one.bottom, other.bottom), min(one.top, other.top)))
     return left, bottom, right - left, top - bottom

@@ -1,72 +1,28 @@
-"""What a check found: counts of all violations, places of the first, as JSON and as KLayout's report database."""
+"""Violations of a file: counts of all, places of the first; JSON and KLayout's report database."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from metafab.core.errors import InputError
+import numpy as np
+from numpy.typing import NDArray
+
 from metafab.core.storage.files import whole_file, write_json
-from metafab.spec import Design
+from metafab.drc.rules import RULES
 
 Engine = Literal["lattice", "rectangles", "polygons"]
 
 #: Places that are kept for each rule; violations are counted without limit.
 MARKERS = 1000
 
-RULES = {
-    "min_width": "a pillar narrower along x than `rules.min_feature_nm`",
-    "min_length": "a pillar shorter along y than `rules.min_feature_nm`",
-    "aspect_ratio": "a pillar whose shorter side is below its height over `rules.max_aspect_ratio`",
-    "min_gap": "two pillars nearer than `rules.min_gap_nm`, corners of diagonal neighbours included",
-    "overlap": "two pillars that overlap or touch",
-    "grid": "edges that are no whole number of database units",
-    "lattice_site": "a rectangle whose centre is no site of the lattice, or that is larger than a unit cell",
-    "aperture": "a pillar whose unit cell is not inside the aperture",
-    "duplicate": "a second rectangle at a site",
-    "missing": "a site inside the aperture without a pillar",
-    "foreign": "a shape on the pillar layer that is no axis-parallel rectangle",
-}
-
-
-def refuse_several_tops(path: Path, top_cells: Sequence[str]) -> None:
-    """Refuse a file in which it is not certain what is to be made.
-
-    Raises:
-        InputError: not one top cell.
-    """
-    if len(top_cells) != 1:
-        names = ", ".join(map(repr, sorted(top_cells)[:5]))
-        raise InputError.single(
-            str(path), "cells", "one top cell", f"{len(top_cells)}: {names}", "write the mask again"
-        )
-
-
-def refuse_empty(path: Path, design: Design, shapes: int) -> None:
-    """Refuse a file in which an engine that knows no lattice would find nothing wrong, since there is nothing.
-
-    Raises:
-        InputError: no shape on the pillars' layer.
-    """
-    if shapes == 0:
-        first, last = design.mask.datatypes
-        layer = f"{design.mask.layer}/{first}" + (f" to {last}" if last > first else "")
-        remedy = "are `mask.layer` and `mask.datatype` those of the file?"
-        raise InputError.single(str(path), "pillars", f"shapes on layer {layer}", "none", remedy)
-
-
-def upright_side_nm(design: Design) -> float | None:
-    """Shortest drawn side that `rules.max_aspect_ratio` allows, nm; None without that rule."""
-    ratio = design.rules.max_aspect_ratio
-    return None if ratio is None else design.unit_cell.cell.height_nm / ratio + design.mask.bias_nm
-
 
 @dataclass(frozen=True)
 class Marker:
-    """One violation's place: the box around it, nm, in the coordinates of the file."""
+    """Place of one violation: its bounding box, nm, in the coordinates of the file."""
 
     x_nm: float
     y_nm: float
@@ -79,18 +35,18 @@ class DrcReport:
     """The outcome of a check.
 
     Attributes:
-        file: the checked file's name.
+        file: name of the checked file.
         engine: ``lattice``, ``rectangles`` or ``polygons``.
-        pillars: rectangles found on the pillar layer.
-        violations: count by rule, zero included; the rules that this engine can see.
+        pillars: number of rectangles on the pillar layer.
+        violations: count by rule, zero included, of the rules that this engine checks.
         markers: up to :data:`MARKERS` places of each rule that is violated.
-        min_gap_nm: smallest distance between neighbours; None if the engine does not measure it. ``lattice`` measures
-            pillars on their sites, and gives None where others were found, whose gaps it does not check
-            (``rectangles`` does); ``rectangles`` gives None where no pair is at or below the rule.
-        other_layers: shapes on other layers, which no rule concerns, by "layer/datatype".
-        other_copies: pillars of the other copies of the lens, by number from 1, where one copy was checked.
-        pillars_sha256: hash of the size at every lattice site, equal for equal masks in either format; empty if
-            the engine does not know sites.
+        min_gap_nm: smallest distance between neighbours; None if it was not measured. ``lattice`` measures pillars on
+            their sites, and gives None if there are others, whose gaps it does not check (``rectangles`` does);
+            ``rectangles`` gives None if no pair is at or below the rule.
+        other_layers: number of shapes on other layers, which no rule concerns, by "layer/datatype".
+        other_copies: number of pillars of the other copies of the lens, by number from 1, if one copy was checked.
+        pillars_sha256: hash of the size at every lattice site, equal for equal masks in either format; empty for an
+            engine without a lattice.
         seconds: wall clock, reading included.
     """
 
@@ -111,10 +67,59 @@ class DrcReport:
         return not any(self.violations.values())
 
 
+class Findings:
+    """Violations, collected while a file is checked.
+
+    Args:
+        rules: the rules that are checked.
+
+    Attributes:
+        counts: violations by rule.
+    """
+
+    def __init__(self, rules: Iterable[str]) -> None:
+        self.counts = dict.fromkeys(rules, 0)
+        self._boxes: dict[str, list[NDArray[Any]]] = {rule: [] for rule in self.counts}
+
+    def add(self, rule: str, boxes: NDArray[Any], count: int | None = None) -> None:
+        """Count violations of a rule and keep the first places.
+
+        Args:
+            rule: one of the rules.
+            boxes: shape (n, 4), x, y, width, height, in any unit.
+            count: number of violations, if it is not n.
+        """
+        self.counts[rule] += len(boxes) if count is None else count
+        if len(boxes):
+            self._boxes[rule].append(boxes[:MARKERS])
+
+    def merge(self, other: Findings) -> None:
+        """Add the violations of another part of the file."""
+        for rule, count in other.counts.items():
+            self.counts[rule] += count
+            self._boxes[rule] += other._boxes[rule]
+
+    def markers(self, unit_nm: float = 1.0) -> dict[str, tuple[Marker, ...]]:
+        """Return the first places of each violated rule; ``unit_nm`` is the unit of the boxes."""
+        markers = {}
+        for rule, boxes in self._boxes.items():
+            if self.counts[rule]:
+                first = np.concatenate([np.empty((0, 4)), *boxes])[:MARKERS] * unit_nm
+                markers[rule] = tuple(Marker(*box) for box in first.tolist())
+        return markers
+
+
+def spanning_boxes(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
+    """Bounding boxes of pairs of rectangles; x, y, width, height, shape (n, 4) each."""
+    low = np.minimum(one[:, :2], other[:, :2])
+    high = np.maximum(one[:, :2] + one[:, 2:], other[:, :2] + other[:, 2:])
+    return np.concatenate([low, high - low], axis=1)
+
+
 def save(reports: Sequence[DrcReport], directory: Path, top_cell: str = "TOP") -> tuple[Path, Path]:
     """Write ``drc.json``, every report by its file, and ``drc.lyrdb``, which KLayout opens at the violations.
 
-    The files of one mask hold the same pillars, so the database shows the one with the most violations.
+    The files of one mask hold the same pillars, so that the database shows the report with the most violations.
     """
     json_path, database_path = directory / "drc.json", directory / "drc.lyrdb"
     write_json(json_path, {report.file: report for report in reports})
@@ -125,7 +130,7 @@ def save(reports: Sequence[DrcReport], directory: Path, top_cell: str = "TOP") -
 
 
 def report_database(report: DrcReport, top_cell: str) -> str:
-    """The report in KLayout's marker format (micrometres)."""
+    """Return the report in KLayout's marker format (micrometres)."""
     categories = "".join(
         f"  <category><name>{rule}</name><description>{escape(RULES[rule])}</description></category>\n"
         for rule in report.violations

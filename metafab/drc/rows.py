@@ -1,10 +1,10 @@
-"""Pairs of rectangles that stand near each other, whatever lattice they came from, in the memory of a few rows.
+"""Pairs of rectangles that are near each other, of any lattice, in the memory of a few rows.
 
-Rectangles go into rows as high as a pillar's cell and the smallest gap, each row sorted along x; then a rectangle can
-be too near only to those that follow it in its own row within its width and the gap, and to a few in the row above.
-Rows are kept in bands. The shapes are read twice: counted first, which tells when all rectangles of a row have come,
-then placed; a band that is complete, as is the row above it, is compared and forgotten. Of a file that is written tile
-by tile, no more than the bands of two rows of tiles are ever held.
+A sweep along x. Rectangles go into rows as high as a pillar's cell and the smallest gap, each sorted along x. A
+rectangle can then be too near only to its successors in its own row, within its width and the gap, and to a few in the
+row above. Rows are kept in bands. The shapes are read twice: counted first, which shows when all rectangles of a row
+have come, then placed. A band that is complete, as is the row above it, is compared and released. A file that is
+written tile by tile thus needs no more memory than the bands of two rows of tiles.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from metafab.core.numeric.compiled import compiled
 from metafab.drc.report import MARKERS
+from metafab.layout.gaps import signed_square
 from metafab.mask.shapes.hierarchy import IntArray
 
 #: Rows of a band.
@@ -28,15 +29,15 @@ _BAND_ROWS = 128
 _WAITING = 2
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class Near:
     """Pairs of rectangles that are too near.
 
     Attributes:
-        smallest_square: smallest signed square of a distance, of all pairs that were looked at.
-        counts: shape (3,), pairs too near, of these overlapping or touching, of these equal.
-        one: shape (m, 4), the first :data:`MARKERS` pairs' first rectangles: x, y, width, length.
-        other: shape (m, 4), their second ones.
+        smallest_square: smallest signed square of a distance over all pairs that were compared.
+        counts: shape (3,), number of pairs too near, of these overlapping or touching, of these equal.
+        one: shape (m, 4), x, y, width, length of the first rectangles of up to :data:`MARKERS` pairs.
+        other: shape (m, 4), the second rectangles of these pairs.
         kind: shape (m,), 0 too near, 1 overlapping, 2 equal.
     """
 
@@ -49,13 +50,13 @@ class Near:
 
 @dataclass
 class _Band:
-    """Some rows: where each begins, how far it is filled, and the rectangles; behind them room for the row above.
+    """The rectangles of some rows, with room for those of the row above.
 
     Attributes:
-        start: shape (rows + 2,), the last row is the one above.
-        filled: shape (rows,).
-        corner: shape (n, 2), x and y, file units; ``size`` likewise, width and length.
-        size: see ``corner``.
+        start: shape (rows + 2,), index of the first rectangle of each row; the last row is the row above.
+        filled: shape (rows,), index behind the last rectangle placed in each row.
+        corner: shape (n, 2), x and y, file units.
+        size: shape (n, 2), width and length, file units.
     """
 
     start: IntArray
@@ -64,19 +65,19 @@ class _Band:
     size: NDArray[np.uint16]
 
     def sort(self) -> _Row:
-        """Sort each row along x; returns a copy of the first row, for the band below."""
+        """Sort each row along x; return a copy of the first row, for the band below."""
         _sort(self.start[:-1], self.corner, self.size)
         end = self.start[1]
         return _Row(self.corner[:end].copy(), self.size[:end].copy())
 
     def add_above(self, row: _Row) -> None:
-        """Put the row above behind the others."""
+        """Append the row above."""
         first, end = self.start[-2:]
         self.corner[first:end], self.size[first:end] = row.corner, row.size
 
 
 class _Row(NamedTuple):
-    """A sorted row of a band; see :class:`_Band`."""
+    """A sorted row of a band: corners and sizes, shape (n, 2) each."""
 
     corner: NDArray[np.int32]
     size: NDArray[np.uint16]
@@ -86,8 +87,8 @@ class Rows:
     """Rectangles in rows: first counted, then placed and compared with their neighbours.
 
     Args:
-        height: of a row, in file units: that of any rectangle and the smallest gap, at least.
-        gap: smallest distance; pairs below it are found.
+        height: height of a row, in file units; at least that of any rectangle and the smallest gap together.
+        gap: smallest distance; pairs below it are reported.
         executor: threads that sort and compare bands.
     """
 
@@ -99,11 +100,16 @@ class Rows:
         self._bands: dict[int, _Band] = {}
         self._first_rows: dict[int, Future[_Row]] = {}
         self._jobs: deque[tuple[Future[Near], _Band]] = deque()
-        # Memory of bands that are compared: handed back to the system, it would come in pieces of another size.
+        # Memory of bands already compared, used again: bands differ in size, and fresh pages cost time.
         self._spare: list[_Band] = []
 
     def count(self, boxes: IntArray, shift: IntArray) -> None:
-        """Note how many of the rectangles of a chunk, shape (n, 4), moved by ``shift``, belong to each row."""
+        """Count the rectangles of a chunk by row.
+
+        Args:
+            boxes: shape (n, 4), x, y, width, height.
+            shift: shape (2,), to be added to x and y.
+        """
         self._counted += 1
         indices = self._bands_of(boxes, shift)
         numbers = np.zeros((len(indices), _BAND_ROWS), dtype=np.int64)
@@ -114,7 +120,12 @@ class Rows:
                 self._last_chunk[index] = self._counted
 
     def place(self, boxes: IntArray, shift: IntArray) -> Iterator[Near]:
-        """Put the next chunk, as it was counted, into its rows; yields what was found in bands that are complete."""
+        """Put the next chunk into its rows and yield the near pairs of complete bands.
+
+        Args:
+            boxes: shape (n, 4), as for :meth:`count`, in the same order of chunks.
+            shift: shape (2,).
+        """
         self._placed += 1
         for index in self._bands_of(boxes, shift):
             if index in self._numbers and index not in self._first_rows:
@@ -134,7 +145,7 @@ class Rows:
             yield self._compared()
 
     def finish(self) -> Iterator[Near]:
-        """What was found in the last bands, once every chunk is placed."""
+        """Yield the near pairs of the last bands, after every chunk is placed."""
         while self._jobs:
             yield self._compared()
 
@@ -145,7 +156,7 @@ class Rows:
         return near
 
     def _empty_band(self, index: int) -> _Band:
-        """Room for the rectangles of a band, and of the row above it, in spare memory if there is enough."""
+        """Make room for the rectangles of a band and of the row above it, in spare memory if it is large enough."""
         numbers = self._numbers[index]
         above = self._numbers[index + 1][0] if index + 1 in self._numbers else 0
         start = np.concatenate([[0], np.cumsum(numbers), [numbers.sum() + above]])
@@ -157,7 +168,7 @@ class Rows:
         return _Band(start, start[:-2].copy(), np.empty((room, 2), np.int32), np.empty((room, 2), np.uint16))
 
     def _bands_of(self, boxes: IntArray, shift: IntArray) -> range:
-        """The bands that rectangles may belong to."""
+        """Bands to which rectangles may belong."""
         if not len(boxes):
             return range(0)
         band, bottom = self._height * _BAND_ROWS, boxes[:, 1]
@@ -165,22 +176,20 @@ class Rows:
 
 
 def _compare(band: _Band, first_row: Future[_Row], above: Future[_Row] | None, gap: float) -> Near:
-    """Near pairs of a band, with the row above it; both are sorted by calls that were made before this one."""
+    """Near pairs of a band and the row above it; earlier calls sort both."""
     first_row.result()
     if above is not None:
         band.add_above(above.result())
     pairs, counts = np.empty((MARKERS, 3), dtype=np.int64), np.zeros(3, dtype=np.int64)
     square = _sweep(band.start, len(band.filled), band.corner, band.size, gap, pairs, counts)
     pairs = pairs[: min(int(counts[0]), MARKERS)]
-    one, other = (
-        np.concatenate([band.corner[pairs[:, k]], band.size[pairs[:, k]]], axis=1).astype(np.int64) for k in (0, 1)
-    )
-    return Near(float(square), counts, one, other, pairs[:, 2])
+    boxes = np.concatenate([band.corner[pairs[:, :2]], band.size[pairs[:, :2]]], axis=2).astype(np.int64)
+    return Near(float(square), counts, boxes[:, 0], boxes[:, 1], pairs[:, 2])
 
 
 @compiled
 def _count(boxes: IntArray, shift: IntArray, height: int, first: int, number: IntArray) -> None:
-    """Rectangles, moved by ``shift``, of each row, counted from the row ``first``."""
+    """Count the rectangles, moved by ``shift``, of each row from the row ``first`` on."""
     for i in range(len(boxes)):
         number[(boxes[i, 1] + shift[1]) // height - first] += 1
 
@@ -195,10 +204,7 @@ def _place(
     corner: NDArray[np.int32],
     size: NDArray[np.uint16],
 ) -> None:
-    """Put the rectangles, moved by ``shift``, that belong to a band at the end of what its rows are filled with.
-
-    The band's rows begin with ``first``.
-    """
+    """Append the rectangles, moved by ``shift``, to their rows in the band whose first row is ``first``."""
     low, high = first * height, (first + len(filled)) * height
     for i in range(len(boxes)):
         y = boxes[i, 1] + shift[1]
@@ -212,7 +218,7 @@ def _place(
 
 @compiled
 def _sort(start: IntArray, corner: NDArray[np.int32], size: NDArray[np.uint16]) -> None:
-    """Sort the rectangles of each row by their left edge: into as many buckets as there are, then by insertion."""
+    """Sort the rectangles of each row by their left edge: bucket sort, then insertion sort in each bucket."""
     for row in range(len(start) - 1):
         begin, end = start[row], start[row + 1]
         count = end - begin
@@ -233,19 +239,12 @@ def _sort(start: IntArray, corner: NDArray[np.int32], size: NDArray[np.uint16]) 
             following[bucket] += 1
             x, y = unsorted_corner[i, 0], unsorted_corner[i, 1]
             w, length = unsorted_size[i, 0], unsorted_size[i, 1]
-            # Earlier ones of the same bucket that stand farther right move up by one.
+            # Earlier rectangles of the bucket that are farther right move up by one.
             while place > begin + start_of[bucket] and corner[place - 1, 0] > x:
                 corner[place, 0], corner[place, 1] = corner[place - 1, 0], corner[place - 1, 1]
                 size[place, 0], size[place, 1] = size[place - 1, 0], size[place - 1, 1]
                 place -= 1
             corner[place, 0], corner[place, 1], size[place, 0], size[place, 1] = x, y, w, length
-
-
-@compiled
-def _signed_square(gap_x: int, gap_y: int) -> float:
-    """Squared distance of two rectangles with these gaps along the axes; minus the squared depth where they overlap."""
-    depth = max(gap_x, gap_y)
-    return float(-depth * depth) if depth < 0 else float(max(gap_x, 0) ** 2 + max(gap_y, 0) ** 2)
 
 
 @compiled
@@ -258,11 +257,18 @@ def _sweep(
     pairs: IntArray,
     counts: IntArray,
 ) -> float:
-    """Compare near pairs of the first rows and what is above them; returns the smallest signed square of a distance.
+    """Compare near pairs of the first rows and the rows above them; return the smallest signed square of a distance.
 
-    ``counts`` becomes the pairs too near, of these overlapping, of these equal; ``pairs`` lists the first.
+    Args:
+        start: shape (rows + 2,), as :attr:`_Band.start`.
+        rows: number of first rows.
+        corner: shape (n, 2).
+        size: shape (n, 2).
+        gap: smallest distance.
+        pairs: shape (m, 3), filled with both indices and the kind of the first pairs.
+        counts: shape (3,), filled as :attr:`Near.counts`.
     """
-    reach = int(gap) + 2  # pairs exactly at the limit are seen, too: they may be the nearest
+    reach = int(gap) + 2  # Includes pairs exactly at the limit, which may be the nearest.
     smallest = np.inf
     for one in range(rows):
         above, above_end = start[one + 1], start[one + 1]
@@ -281,7 +287,7 @@ def _sweep(
                     x, y = np.int64(corner[j, 0]), np.int64(corner[j, 1])
                     gap_x = max(x - left - width, left - x - np.int64(size[j, 0]))
                     gap_y = max(y - low - length, low - y - np.int64(size[j, 1]))
-                    square = _signed_square(int(gap_x), int(gap_y))
+                    square = signed_square(float(gap_x), float(gap_y))
                     smallest = min(smallest, square)
                     if square < gap * gap:
                         equal = x == left and y == low and size[j, 0] == width and size[j, 1] == length

@@ -80,9 +80,7 @@ def drc_command(
 
     spec = load_design(design)
     with open_work(workers, cluster) as work:
-        report = drc.check(
-            layout, spec, engine=engine, workers=workers, cluster=cluster, progress=work.progress, copy=copy
-        )
+        report = drc.check(layout, spec, engine=engine, work=work, copy=copy)
     if output is not None:
         drc.save([report], output, mask.top_name(spec.name))
     show(report, json_)

@@ -11,6 +11,7 @@ import pytest
 
 from metafab import drc, layout, mask
 from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
 from metafab.library import Library
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
@@ -40,7 +41,7 @@ def test_the_grid_is_checked_in_units_that_do_not_divide_the_designs(
 ) -> None:
     path = _written(tmp_path / "units.gds", lambda _1, _2, s: s.insert(kdb.Box(left, 0, left + 1000, 1000)), unit_nm)
     for engine in ("rectangles", "polygons"):
-        found = drc.check(path, tiny_design, engine=engine, workers=1).violations["grid"]
+        found = drc.check(path, tiny_design, engine=engine, work=Work(1)).violations["grid"]
         assert bool(found) == bool(off), engine
 
 
@@ -60,7 +61,7 @@ def test_limits_between_two_units_are_those_of_the_next(
     fine = replace(design, rules=replace(design.rules, min_gap_nm=99.9, min_feature_nm=99.9))
     for chosen in (design, fine):
         for engine in ("rectangles", "polygons"):
-            report = drc.check(path, chosen, engine=engine, workers=1)
+            report = drc.check(path, chosen, engine=engine, work=Work(1))
             assert {rule for rule, count in report.violations.items() if count} == seen, engine
 
 
@@ -77,7 +78,7 @@ def test_equal_places_of_a_repetition_are_duplicates_to_every_engine(tiny_design
     path = tmp_path / "repeated.oas"
     library.write_oas(str(path))
     for engine in ENGINES:
-        report = drc.check(path, tiny_design, engine=engine, workers=1)
+        report = drc.check(path, tiny_design, engine=engine, work=Work(1))
         assert report.pillars == 5
         assert report.violations["duplicate"] == 1, engine
 
@@ -117,7 +118,7 @@ def test_texts_and_other_layers_are_told_from_pillars_and_edges_are_foreign(
 
     path = _written(tmp_path / "kinds.gds", draw)
     for engine in ENGINES:
-        report = drc.check(path, tiny_design, engine=engine, workers=1)
+        report = drc.check(path, tiny_design, engine=engine, work=Work(1))
         assert report.other_layers == {"1/0 text": 1, "7/0": 1}, engine
         assert report.violations["foreign"] == 1, engine
         assert report.violations["overlap"] == 0
@@ -136,7 +137,7 @@ def test_what_is_no_pillar_of_a_shaped_design_is_foreign(
     pillars = layout.assign(profile, smooth_library, design).pillars
     mask.write(pillars, tmp_path, design)
     path = tmp_path / "layout.oas"
-    assert drc.check(path, design, engine="polygons", workers=1).violations["foreign"] == 0
+    assert drc.check(path, design, engine="polygons", work=Work(1)).violations["foreign"] == 0
     drawn = kdb.Layout()
     drawn.read(str(path))
     shapes = drawn.top_cell().shapes(drawn.layer(1, 0))
@@ -144,7 +145,7 @@ def test_what_is_no_pillar_of_a_shaped_design_is_foreign(
     shapes.insert(kdb.Polygon([kdb.Point(30000, 0), kdb.Point(30000, 600), kdb.Point(30600, 0)]))
     drawn.write(str(path))
     for engine in ("lattice", "polygons"):
-        report = drc.check(path, design, engine=engine, workers=1)
+        report = drc.check(path, design, engine=engine, work=Work(1))
         assert report.violations["foreign"] == 2, engine
 
 
@@ -178,7 +179,7 @@ def test_klayout_counts_a_pair_once_and_what_touches_overlaps(
         tmp_path / "pair.gds",
         lambda _1, _2, s: [s.insert(kdb.Box(*a, a[0] + 300, a[1] + 300)) for a in ((0, 0), (x, y))],
     )
-    found = {engine: drc.check(path, tiny_design, engine=engine, workers=1) for engine in ("polygons", "rectangles")}
+    found = {engine: drc.check(path, tiny_design, engine=engine, work=Work(1)) for engine in ("polygons", "rectangles")}
     assert found["polygons"].violations["overlap"] == found["rectangles"].violations["overlap"] == overlapping
     assert found["polygons"].violations["min_gap"] == near
     # What overlaps is too near to the other engine, too.

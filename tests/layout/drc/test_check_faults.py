@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from metafab import drc
-from metafab.drc import polygons
+from metafab.core.parallel.work import Work
+from metafab.drc.polygons import check_polygons
 from metafab.layout import Assignment
 from metafab.spec import Design
 
@@ -170,7 +171,7 @@ def test_the_rectangles_engine_counts_what_needs_no_lattice(
     act(plant)
     path = tmp_path / f"planted.{suffix}"
     plant.layout.write(str(path))
-    report = drc.check(path, tiny_design, engine="rectangles", workers=2)
+    report = drc.check(path, tiny_design, engine="rectangles", work=Work(2))
     on_lattice = drc.check(path, tiny_design)
     assert report.pillars == on_lattice.pillars
     found = {rule: count for rule, count in report.violations.items() if count}
@@ -202,7 +203,7 @@ def test_rectangles_of_any_lattice_against_all_pairs(tiny_design: Design, tmp_pa
         shapes.insert(kdb.Box(x, y, x + width, y + length))
     path = tmp_path / "any.gds"
     layout.write(str(path))
-    report = drc.check(path, tiny_design, engine="rectangles", workers=2)
+    report = drc.check(path, tiny_design, engine="rectangles", work=Work(2))
     low, high = corner, corner + size
     gap = np.maximum(low[:, None] - high[None, :], low[None, :] - high[:, None])
     distance = np.sqrt(np.sum(np.maximum(gap, 0) ** 2, axis=-1))
@@ -220,7 +221,7 @@ def test_klayout_agrees_where_it_can_see(fault: str, plant: Plant, tiny_design: 
     act(plant)
     path = tmp_path / "planted.gds"  # from OASIS, KLayout reads two copies at one place of a repetition as one
     plant.layout.write(str(path))
-    report = drc.check(path, tiny_design, engine="polygons", workers=2)
+    report = drc.check(path, tiny_design, engine="polygons", work=Work(2))
     assert seen <= {rule for rule, count in report.violations.items() if count}
 
 
@@ -229,7 +230,7 @@ def test_the_mask_itself_is_clean(
     suffix: str, tiny: Assignment, tiny_design: Design, tiny_files: dict[str, Path]
 ) -> None:
     for engine in ("lattice", "rectangles", "polygons"):
-        report = drc.check(tiny_files[suffix], tiny_design, engine=engine, workers=2)
+        report = drc.check(tiny_files[suffix], tiny_design, engine=engine, work=Work(2))
         assert report.clean
         assert report.violations.keys() <= drc.RULES.keys()
         assert report.pillars == tiny.figures.pillars
@@ -251,8 +252,8 @@ def test_edges_off_the_grid_are_found(plant: Plant, tiny_design: Design, tmp_pat
     shape.box = shape.box.enlarged(1, 0)
     layout.write(str(path))
     for engine in ("lattice", "rectangles", "polygons"):
-        assert drc.check(fine, tiny_design, engine=engine, workers=2).clean
-        assert drc.check(path, tiny_design, engine=engine, workers=2).violations["grid"] >= 1
+        assert drc.check(fine, tiny_design, engine=engine, work=Work(2)).clean
+        assert drc.check(path, tiny_design, engine=engine, work=Work(2)).violations["grid"] >= 1
 
 
 def test_slender_pillars_are_found_where_the_rule_is_set(plant: Plant, tiny_design: Design, tmp_path: Path) -> None:
@@ -263,7 +264,7 @@ def test_slender_pillars_are_found_where_the_rule_is_set(plant: Plant, tiny_desi
     assert "aspect_ratio" not in drc.check(path, tiny_design).violations
     rules = replace(tiny_design.rules, min_feature_nm=90.0, max_aspect_ratio=6.0)
     for engine in ("lattice", "rectangles", "polygons"):
-        found = drc.check(path, replace(tiny_design, rules=rules), engine=engine, workers=2)
+        found = drc.check(path, replace(tiny_design, rules=rules), engine=engine, work=Work(2))
         assert {rule: count for rule, count in found.violations.items() if count} == {"aspect_ratio": 1}
         assert found.markers["aspect_ratio"][0].height_nm == 99.0
     biased = replace(tiny_design, rules=rules, mask=replace(tiny_design.mask, bias_nm=10.0))
@@ -280,7 +281,7 @@ def test_markers_stand_at_the_violation(plant: Plant, tiny_design: Design, tmp_p
     path = tmp_path / "planted.oas"
     plant.layout.write(str(path))
     lattice = drc.check(path, tiny_design)
-    polygons = drc.check(path, tiny_design, engine="polygons", workers=1)
+    polygons = drc.check(path, tiny_design, engine="polygons", work=Work(1))
     (marker,) = lattice.markers["min_width"]
     expected = (plant.x_dbu[40] / 2 - 49.5, plant.y_dbu[40] / 2 - 75.0, 99.0, 150.0)
     assert (marker.x_nm, marker.y_nm, marker.width_nm, marker.height_nm) == pytest.approx(expected, abs=1e-9)
@@ -309,11 +310,10 @@ def test_reports_are_written_and_klayout_opens_them(plant: Plant, tiny_design: D
 
 @pytest.mark.parametrize(("rule", "along_x"), [("min_gap", True), ("min_gap", False), ("overlap", True)])
 def test_a_violation_on_a_seam_of_klayouts_tiles_is_counted_once(
-    rule: str, along_x: bool, tiny_design: Design, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    rule: str, along_x: bool, tiny_design: Design, tmp_path: Path
 ) -> None:
     """The same fault in the middle of a tile, on a seam and on a corner of four: one violation each time."""
     sites = 34
-    monkeypatch.setattr(polygons, "_TILE_UM", sites * PERIOD * 0.5e-3)
     counts = []
     for row, column in ((sites // 2, sites // 2), (sites - 1, sites - 1), (2 * sites - 1, sites - 1)):
         layout = kdb.Layout()
@@ -329,7 +329,7 @@ def test_a_violation_on_a_seam_of_klayouts_tiles_is_counted_once(
         across, along = (grown, 300) if along_x else (300, grown)
         shape.box = kdb.Box(here.left, here.bottom, here.left + across, here.bottom + along)
         layout.write(str(tmp_path / "seam.oas"))
-        report = drc.check(tmp_path / "seam.oas", tiny_design, engine="polygons", workers=1)
+        report = check_polygons(tmp_path / "seam.oas", tiny_design, Work(1), tile_um=sites * PERIOD * 0.5e-3)
         counts.append({name: count for name, count in report.violations.items() if count})
     assert counts[0][rule] == 1
     assert counts == [counts[0]] * 3

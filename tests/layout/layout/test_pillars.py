@@ -16,6 +16,7 @@ from shapely.geometry import box
 
 from metafab import drc, layout, mask
 from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
 from metafab.layout import Aperture, Assignment, Lattice, field_sites, lattice_of, smallest_gap, tile_sites
 from metafab.library import Library
 from metafab.phase.terms.profile import PhaseProfile
@@ -210,7 +211,7 @@ def test_the_written_file_reads_back_and_is_clean(
 
 def test_klayout_sees_the_same(mapped: Assignment, design: Design, files: dict[str, Path]) -> None:
     pytest.importorskip("klayout.db")
-    report = drc.check(files["oas"], design, engine="polygons", workers=1)
+    report = drc.check(files["oas"], design, engine="polygons", work=Work(1))
     assert report.clean
     assert report.pillars == mapped.figures.pillars
 

@@ -12,6 +12,7 @@ import pytest
 
 from metafab import drc, layout, mask
 from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
 from metafab.layout import Assignment, PillarMap
 from metafab.library import Library
 from metafab.mask.drawing.surroundings import surroundings
@@ -115,7 +116,7 @@ def test_dose_classes_divide_the_pillars_and_are_read_as_one_mask(
     read_back = mask.read(path, design)
     assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(tiny.pillars))
     for engine in ("lattice", "polygons"):
-        report = drc.check(path, design, engine=engine, workers=1)
+        report = drc.check(path, design, engine=engine, work=Work(1))
         assert report.clean
         assert report.pillars == tiny.figures.pillars
 
@@ -162,7 +163,7 @@ def test_chip_and_field_stand_beside_the_pillars(
     assert sum(read_back.other_layers.values()) == sum(len(kind.rectangles) for kind in surroundings(design))
     assert set(read_back.other_layers) == set(layers) - {"1/0"}
     for engine in ("lattice", "polygons"):
-        assert drc.check(path, design, engine=engine, workers=1).clean
+        assert drc.check(path, design, engine=engine, work=Work(1)).clean
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

@@ -15,6 +15,7 @@ import pytest
 from metafab import drc, layout, mask
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import ClusterExecutor, in_order, open_executor
+from metafab.core.parallel.work import Work
 from metafab.layout import Assignment
 from metafab.library import Library
 from metafab.phase.terms.profile import PhaseProfile
@@ -78,7 +79,7 @@ def test_a_cluster_finds_the_same_violations(
     # A gap that many neighbours lack, and an aperture whose rim lacks its pillars.
     rules, device = replace(tiny_design.rules, min_gap_nm=120.0), replace(tiny_design.device, aperture_um=40.8)
     strict = replace(tiny_design, rules=rules, device=device if engine == "lattice" else tiny_design.device)
-    here, there = (drc.check(tiny_files["oas"], strict, engine=engine, workers=1, cluster=at) for at in (None, cluster))
+    here, there = (drc.check(tiny_files["oas"], strict, engine=engine, work=Work(1, at)) for at in (None, cluster))
     assert there.violations == here.violations
     assert here.violations["min_gap"] > 100
     assert engine == "polygons" or here.violations["missing"] > 100
@@ -88,7 +89,7 @@ def test_a_cluster_finds_the_same_violations(
 
 def test_the_engine_that_runs_on_one_machine_says_so(tiny_files: dict[str, Path], tiny_design: Design) -> None:
     with pytest.raises(InputError, match="runs on one machine"):
-        drc.check(tiny_files["oas"], tiny_design, engine="rectangles", cluster="tcp://127.0.0.1:1")
+        drc.check(tiny_files["oas"], tiny_design, engine="rectangles", work=Work(cluster="tcp://127.0.0.1:1"))
 
 
 def _die_once(place: tuple[int, str]) -> int:

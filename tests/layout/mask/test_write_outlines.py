@@ -12,6 +12,7 @@ import pytest
 
 from metafab import drc, layout, mask
 from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
 from metafab.layout import Assignment, Outline
 from metafab.library import Library
 from metafab.phase.terms.profile import PhaseProfile
@@ -110,13 +111,13 @@ def test_the_rules_are_kept_and_faults_are_found(
         report = drc.check(path, design)
         assert report.clean, (suffix, report.violations)
         assert report.min_gap_nm == mapped.figures.min_gap_nm >= design.rules.min_gap_nm
-    assert drc.check(files["oas"], design, engine="polygons", workers=1).clean
+    assert drc.check(files["oas"], design, engine="polygons", work=Work(1)).clean
     with pytest.raises(InputError, match="pillars of another shape"):
         drc.check(files["oas"], design, engine="rectangles")
     # KLayout lists each pair of sides that are too near, of which two round pillars have several.
     near = replace(design, rules=replace(design.rules, min_gap_nm=mapped.figures.min_gap_nm + 6.0))
     found = drc.check(files["oas"], near).violations["min_gap"]
-    assert drc.check(files["oas"], near, engine="polygons", workers=1).violations["min_gap"] >= found > 0
+    assert drc.check(files["oas"], near, engine="polygons", work=Work(1)).violations["min_gap"] >= found > 0
 
     # Two more shapes: a rectangle, which is no pillar here, and a pentagon.
     library = gdstk.read_oas(str(files["oas"]))

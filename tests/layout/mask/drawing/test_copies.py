@@ -14,6 +14,7 @@ from pydantic import TypeAdapter
 
 from metafab import drc, mask
 from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
 from metafab.layout import Assignment
 from metafab.mask.drawing.copies import lens_copies
 from metafab.mask.drawing.surroundings import surroundings
@@ -192,7 +193,7 @@ def test_lattice_rules_look_at_one_copy_and_miss_no_other(
 def test_engines_without_a_lattice_check_all_copies(tiny: Assignment, chip: Design, files: dict[str, Path]) -> None:
     loose = replace(chip, rules=replace(chip.rules, min_gap_nm=50.0, min_feature_nm=50.0))
     for engine in ("rectangles", "polygons"):
-        report = drc.check(files["oas"], loose, engine=engine, workers=1)
+        report = drc.check(files["oas"], loose, engine=engine, work=Work(1))
         assert report.clean
         assert report.pillars == 4 * tiny.figures.pillars
 
