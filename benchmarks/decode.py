@@ -91,8 +91,10 @@ def _realism_rows() -> list[dict[str, Any]]:
     design = load_design(PAPER_DESIGN)
     source, imaging, depth_m = _optics(design)
     tangents = optics.field_tangents(design, imaging)
-    calibration = optics.psf(source, imaging, depth_m, field_tangents=tangents, filter_fwhm_nm=FILTER_FWHM_NM)
-    exact = camera.exact_psf(design.scene, source, imaging, target_error=1e-2, filter_fwhm_nm=FILTER_FWHM_NM)
+    calibration = optics.psf(
+        source, imaging, depth_m, optics.PsfNumerics(filter_fwhm_nm=FILTER_FWHM_NM), field_tangents=tangents
+    )
+    exact = camera.exact_psf(design.scene, source, imaging, optics.PsfNumerics(96, 1e-2, FILTER_FWHM_NM))
     photons = design.scene.photons_per_pixel
     light = f"{FILTER_FWHM_NM:g} nm, {photons:g} e"
     return [

@@ -1,7 +1,7 @@
-"""The lens that the layout and drc benchmarks share: the paper's 2 mm (or a tenth of it) with a closed-form library.
+"""Lens of the layout and drc benchmarks: the paper's 2 mm lens, or a tenth of it, with a closed-form library.
 
-No solver is needed to time the way from phases to a checked mask; the library's phases and amplitudes are smooth
-functions of the size, on the paper's grid of 76 x 76 sizes. What a joint choice of sizes gains is measured with the
+The way from phases to a checked mask is timed without a solver: phases and amplitudes of the library are smooth
+functions of the size, on the paper's grid of 76 x 76 sizes. The gain of a joint choice of sizes is measured with the
 solved library of the paper's unit cell.
 """
 
@@ -22,24 +22,24 @@ from metafab.spec import Design, UnitCell, load_design
 LAYOUTS = Path(__file__).parent.parent / "layouts"
 LIBRARY = Path(__file__).parent.parent / "unitcell_lib" / "sos_800nm.h5"
 
-#: Smallest gaps of processes for which sizes are chosen one by one and jointly; the library ends at 250 nm.
+#: Smallest gaps for which sizes are chosen one by one and jointly; the largest size of the library is 250 nm.
 GAPS_NM = (110.0, 120.0, 140.0, 160.0, 180.0)
 
 
 def lens_design(quick: bool) -> Design:
-    """The paper's lens, or the small one; Eq. 2's zones as they are, without an optimisation."""
+    """Return the paper's lens, or the small one if ``quick``, with the zones of Eq. 2 and without optimisation."""
     design = load_design(LAYOUTS / ("helix_small.toml" if quick else "helix_2mm.toml"))
     terms = (replace(term, optimise="none") if hasattr(term, "optimise") else term for term in design.phase)
     return replace(design, phase=tuple(terms))
 
 
 def lens_profile(design: Design) -> PhaseProfile:
-    """Its target phases."""
+    """Return the target phases of the lens."""
     return phase.profile_of(design)
 
 
 def closed_form_library(unit_cell: UnitCell) -> Library:
-    """Each polarisation's phase runs over 1.3 turns, mostly with its own side; amplitudes dip for large pillars."""
+    """Return a library whose phases span 1.3 turns, mostly by the parallel side; amplitudes dip for large pillars."""
     sweep = unit_cell.sweep
     count = round((sweep.width_nm[1] - sweep.width_nm[0]) / sweep.size_grid_nm) + 1
     side_nm = np.linspace(*sweep.width_nm, count)
@@ -55,7 +55,7 @@ def closed_form_library(unit_cell: UnitCell) -> Library:
 
 
 def gap_rows(quick: bool) -> list[dict[str, Any]]:
-    """The small lens (and the paper's unless ``quick``) under either gap rule; ``error`` is the phase rms, rad."""
+    """Return rows of the small lens, and of the paper's unless ``quick``; ``error`` is the rms phase error, rad."""
     solved = library.load(LIBRARY)
     cases = [(True, gap_nm) for gap_nm in GAPS_NM] + ([] if quick else [(False, 140.0)])
     table = []

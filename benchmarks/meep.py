@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.direct_sum import direct_irradiance
 from metafab.cell import CellNumerics, PillarCell, rcwa
 from metafab.cell.meep import MeepSettings, Pool, SupercellSettings, finding, solve, solve_supercell
 from metafab.cell.meep.grid import family, plan
@@ -35,7 +36,7 @@ from metafab.cell.supercell import Supercell
 from metafab.core.conventions import ComplexArray
 from metafab.fullwave.patch import at_sites, field_difference
 from metafab.layout import Lattice
-from metafab.optics import Imaging, direct_irradiance
+from metafab.optics import Imaging
 from metafab.optics.sources.source import FieldTile
 
 fourier_limit = runpy.run_path(str(Path(__file__).with_name("fourier_limit.py")))["fourier_limit"]

@@ -1,46 +1,47 @@
-"""PSF benchmarks: error against the direct sum over every pillar, seconds and memory, goals, and other libraries.
+"""PSF benchmarks: error against the direct sum over every pillar, time and memory against goals, and other libraries.
 
-Four tables in one: true errors on and off the axis; what each part takes beside what it was to take (``goal_s``,
-``goal_mb``); stacks of a filter and over the field; and other libraries on the same task (``psf_beside.py``), which run
-in the interpreters that METAFAB_PEERS_PYTHON names.
+There are four tables: true errors on and off the axis; cost of each part with its goal (``goal_s``, ``goal_mb``); a
+filter, and a stack over the field; and other libraries (``psf_comparison.py``) in the interpreters of
+METAFAB_PEERS_PYTHON.
 """
 
 from __future__ import annotations
 
 import math
 import resource
-import runpy
 import time
 import tracemalloc
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from benchmarks.direct_sum import direct_irradiance
+from benchmarks.psf_comparison import APERTURES_UM, peer_rows
+from benchmarks.psf_lens import lens_design, lens_field
 from metafab.core.conventions import FloatArray
-from metafab.core.parallel.progress import silent
-from metafab.optics import Imaging, PsfBasis, WrittenField, direct_irradiance, psf, relative_l2
-from metafab.optics.propagation.band import band_ends, padded_px
+from metafab.core.parallel.work import Work
+from metafab.optics import Imaging, PsfBasis, PsfNumerics, WrittenField, psf, relative_l2
+from metafab.optics.geometry.imaging import Tangent
 from metafab.optics.propagation.blocks import reduce_to_target
-from metafab.optics.propagation.image import Tangent, Window
+from metafab.optics.propagation.image import Window
 from metafab.optics.propagation.kernel import WindowKernel
 from metafab.optics.propagation.pupil import Pupil, reduce_field
 
 WINDOW_PX, REFERENCE_POINTS = 64, 10
+ONE_THREAD = Work(workers=1)
 TARGETS = (1e-2, 1e-3, 1e-4)
-#: Half the field of the paper's aperture stop.
+#: Half the field of view through the aperture stop of the paper.
 EDGE = math.tan(math.radians(3.6))
 DIRECTIONS = {
     "axis": (0.0, 0.0),
     "+3.6 degrees in x and y": (EDGE, EDGE),
     "-3.6 degrees in x and y": (-EDGE, -EDGE),
 }
-#: Of one window from prepared blocks, by direction.
+#: Goals of one window from prepared blocks.
 WINDOW_GOAL_S = {"axis": 4e-3}
 WINDOW_GOAL_OFF_AXIS_S = 20e-3
 STACK_GOAL_S = {1e-3: 0.15, 1e-4: 1.0}
@@ -49,22 +50,20 @@ PASS_GOAL_S, PASS_GOAL_MB = 0.15, 300.0
 LIBRARY_GOAL_S, LIBRARY_GOAL_RANK = 10.0, 90
 REPEATS = 5
 
-Found = TypeVar("Found")
-_lens = runpy.run_path(str(Path(__file__).with_name("psf_lens.py")))
-_beside = runpy.run_path(str(Path(__file__).with_name("psf_beside.py")))
+Result = TypeVar("Result")
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
-    """All tables for the 2 mm lens; for a tenth of it, at one direction and target, if ``quick``.
+    """Return all tables for the 2 mm lens; if ``quick``, for a tenth of it, at one direction and target.
 
-    Seconds are processor time on one thread, the best of several, where the row has ``goal_s``.
+    Times of rows with ``goal_s`` are processor times on one thread, the best of several.
     """
-    design = _lens["lens_design"](200.0 if quick else 2000.0)
+    design = lens_design(200.0 if quick else 2000.0)
     imaging = Imaging.of(design)
-    source = _lens["lens_field"](design, imaging)
+    source = lens_field(design, imaging)
     near = design.verify.depths_m[0]
     depths = np.array([near, 1.2 * near, 2.4 * near])
-    psf(source, imaging, [near], window_px=16)  # compiles
+    psf(source, imaging, [near], PsfNumerics(window_px=16))  # compiles
     table = []
     for name, tangent in list(DIRECTIONS.items())[: 1 if quick else None]:
         table += _errors(source, imaging, depths, name, tangent, TARGETS[1:2] if quick else TARGETS)
@@ -77,7 +76,9 @@ def rows(quick: bool) -> list[dict[str, Any]]:
     table += [row for part in parts for row in part]
     table += _bands(source, imaging, depths[1])
     table += _library(source, imaging, stack, 3 if quick else 9)
-    return table + _beside["peer_rows"](quick, _own(table, design.device.aperture_um))
+    if quick:
+        return table + peer_rows([], APERTURES_UM[:1], limit_s=0.0)
+    return table + peer_rows(_own_results(table))
 
 
 def _errors(
@@ -88,20 +89,23 @@ def _errors(
     tangent: Tangent,
     targets: tuple[float, ...],
 ) -> list[dict[str, Any]]:
-    """True error of either polarisation at each target, the worst depth; ``stated`` is the largest of the result."""
+    """True error of either polarisation at each target, at the worst depth; ``stated`` is the largest stated error."""
     truth = [_truth(source, imaging, depths_m, tangent, p) for p in (0, 1)]
     step = WINDOW_PX // REFERENCE_POINTS
     places = slice(0, step * REFERENCE_POINTS, step)
-    found = []
+    table = []
     for target in targets:
         cost, result = _timed(
-            lambda target=target: psf(source, imaging, depths_m, tangent=tangent, target_error=target, workers=1), 1
+            lambda target=target: psf(
+                source, imaging, depths_m, PsfNumerics(target_error=target), tangent=tangent, work=ONE_THREAD
+            ),
+            1,
         )
         errors = [
             [relative_l2(image[places, places], true) for image, true in zip(*pair, strict=True)]
             for pair in zip(result.psf, truth, strict=True)
         ]
-        found.append(
+        table.append(
             {
                 **cost,
                 "name": f"pair at {len(depths_m)} depths, {name}, target {target:g}",
@@ -110,18 +114,18 @@ def _errors(
                 "error_x": float(np.max(errors[0])),
                 "error_y": float(np.max(errors[1])),
                 "stated": float(result.error.max()),
-                "blocks": result.details["blocks"],
+                "blocks": result.details.blocks,
                 "target": target,
                 "direction": name,
             }
         )
-    return found
+    return table
 
 
 def _truth(
     source: WrittenField, imaging: Imaging, depths_m: FloatArray, tangent: Tangent, polarisation: int
 ) -> FloatArray:
-    """The direct sum on every sixth point of the window along either side, shape (n_depth, 10, 10)."""
+    """Direct sum at every sixth point of the window along either side, shape (n_depth, 10, 10)."""
     axis = (np.arange(REFERENCE_POINTS) * (WINDOW_PX // REFERENCE_POINTS) - WINDOW_PX // 2) * imaging.pixel_um
     centre = imaging.image_point_um(polarisation, tangent)
     x, y = np.meshgrid(centre[0] + axis, centre[1] + axis)
@@ -132,47 +136,47 @@ def _truth(
 def _parts(
     source: WrittenField, imaging: Imaging, stack_m: FloatArray, name: str, target: float
 ) -> list[dict[str, Any]]:
-    """One polarisation: the pass over the pillars, one window, 21 depths; blocks are those that the pair takes."""
+    """Costs for one polarisation: pass over the pillars, one window, 21 depths, with the blocks of the pair."""
     tangent, window = DIRECTIONS[name], _window(imaging, target)
     with threadpool_limits(1, "blas"):
         pyramid = _blocks(source, [window], stack_m, tangent, target)
         carrier = pyramid[0].carrier
         tracemalloc.start()
-        over_pillars, _ = _timed(lambda: reduce_field(source, [carrier], imaging.wavenumber, workers=1), 1)
+        over_pillars, _ = _timed(lambda: reduce_field(source, [carrier], imaging.wavenumber, ONE_THREAD), 1)
         traced_mb = tracemalloc.get_traced_memory()[1] / 1e6
         tracemalloc.stop()
-        over_pillars, _ = _timed(lambda: reduce_field(source, [carrier], imaging.wavenumber, workers=1))
+        over_pillars, _ = _timed(lambda: reduce_field(source, [carrier], imaging.wavenumber, ONE_THREAD))
         middle = stack_m[len(stack_m) // 2 :][:1]
         one, (_, error) = _timed(lambda: window.irradiance(pyramid, 0, tangent, middle))
-        blind, _ = _timed(lambda: window.irradiance(pyramid[:1], 0, tangent, middle, judged="none"))
-        first, _ = _timed(lambda: _without_kernels(window.irradiance, pyramid[:1], 0, tangent, middle, judged="none"))
+        bare, _ = _timed(lambda: window.irradiance(pyramid[:1], 0, tangent, middle, judged="none"))
+        first, _ = _timed(lambda: _with_empty_cache(window.irradiance, pyramid[:1], 0, tangent, middle, judged="none"))
         many, (_, errors) = _timed(lambda: window.irradiance(pyramid, 0, tangent, stack_m))
-    after = f"{name}, target {target:g}"
+    case = f"{name}, target {target:g}"
     stated, worst = float(error.max()), float(errors.max())
     whole_s = over_pillars["seconds"] + many["seconds"]
     goal_s = (WINDOW_GOAL_S.get(name, WINDOW_GOAL_OFF_AXIS_S)) if target == 1e-3 else None
-    found = [
-        {**over_pillars, "name": f"pass over the pillars, {after}", "series": "metafab, pass",
+    table = [
+        {**over_pillars, "name": f"pass over the pillars, {case}", "series": "metafab, pass",
          "error": stated, "traced_mb": traced_mb, "goal_s": PASS_GOAL_S, "goal_mb": PASS_GOAL_MB},
-        {**blind, "name": f"one window from blocks, {after}", "series": "metafab, one window",
+        {**bare, "name": f"one window from blocks, {case}", "series": "metafab, one window",
          "error": stated, "goal_s": goal_s},
-        {**first, "name": f"the same, the window's kernel built first, {after}",
+        {**first, "name": f"one window from blocks with its kernel, {case}",
          "series": "metafab, first window", "error": stated, "goal_s": goal_s},
-        {**one, "name": f"one window from blocks with its error, {after}",
+        {**one, "name": f"one window from blocks with its error, {case}",
          "series": "metafab, one window and its error", "error": stated},
-        {**many, "name": f"pass and {len(stack_m)} depths with their errors, {after}",
+        {**many, "name": f"pass and {len(stack_m)} depths with their errors, {case}",
          "series": f"metafab, pass and {len(stack_m)} depths", "error": worst,
          "seconds": whole_s, "goal_s": STACK_GOAL_S.get(target)},
     ]  # fmt: skip
-    seconds = {"window": blind["seconds"], "pass": over_pillars["seconds"], "stack": many["seconds"]}
-    found[-1] |= {f"seconds_{part}": value for part, value in seconds.items()} | {"target": target, "direction": name}
-    return found
+    seconds = {"window": bare["seconds"], "pass": over_pillars["seconds"], "stack": many["seconds"]}
+    table[-1] |= {f"seconds_{part}": value for part, value in seconds.items()} | {"target": target, "direction": name}
+    return table
 
 
-def _without_kernels(run: Callable[..., Found], *given: Any, **options: Any) -> Found:
-    """As if for the first time."""
-    WindowKernel.forget()
-    return run(*given, **options)
+def _with_empty_cache(run: Callable[..., Result], *arguments: Any, **options: Any) -> Result:
+    """Call ``run`` without cached kernels."""
+    WindowKernel.clear_cache()
+    return run(*arguments, **options)
 
 
 def _window(imaging: Imaging, target: float) -> Window:
@@ -182,36 +186,34 @@ def _window(imaging: Imaging, target: float) -> Window:
 def _blocks(
     source: WrittenField, windows: Sequence[Window], depths_m: FloatArray, tangent: Tangent, target: float
 ) -> list[Pupil]:
-    """What :func:`psf` would sum for all of these windows: x's blocks and coarser ones."""
+    """Blocks of x polarisation that :func:`psf` takes for these windows, and coarser ones."""
     with ThreadPoolExecutor(1) as pool:
         pyramids, _ = reduce_to_target(
-            source, windows, [float(z) for z in depths_m], tangent, None, target, pool, silent, workers=1
+            source, windows, [float(z) for z in depths_m], tangent, None, target, pool, ONE_THREAD
         )
     return pyramids[0]
 
 
 def _bands(source: WrittenField, imaging: Imaging, depth_m: float) -> list[dict[str, Any]]:
-    """A PSF of one polarisation in the light of a filter of 10 nm, from prepared blocks."""
-    found = []
+    """Costs of one window of one polarisation over a filter of 10 nm, from prepared blocks."""
+    table = []
     for target, goal_s in BAND_GOAL_S.items():
-        half, tangent, window = 0.5 * target, DIRECTIONS["axis"], _window(imaging, target)
+        numerics = PsfNumerics(WINDOW_PX, target, 10.0)
+        tangent, window = DIRECTIONS["axis"], _window(imaging, target)
         with threadpool_limits(1, "blas"):
-            side_px = padded_px(imaging, tangent, 10.0, WINDOW_PX)
-            windows = [
-                replace(window, imaging=light, window_px=side_px) for light in (imaging, *band_ends(imaging, 10.0))
-            ]
-            pyramid = _blocks(source, windows, np.array([depth_m]), tangent, half)
-            light = partial(_without_kernels, window.light, pyramid, 0, tangent, [depth_m], 10.0, half)
+            windows = window.over_band(tangent, numerics.filter_fwhm_nm)[1:]
+            pyramid = _blocks(source, windows, np.array([depth_m]), tangent, numerics.block_error)
+            light = partial(_with_empty_cache, window.light, pyramid, 0, tangent, [depth_m], numerics)
             cost, (_, error) = _timed(light)
-        name = f"one window in the light of 10 nm from blocks, target {target:g}"
-        found.append(
+        name = f"one window over 10 nm from blocks, target {target:g}"
+        table.append(
             {**cost, "name": name, "series": "metafab, filter of 10 nm", "error": float(error.max()), "goal_s": goal_s}
         )
-    return found
+    return table
 
 
 def _library(source: WrittenField, imaging: Imaging, stack_m: FloatArray, points: int) -> list[dict[str, Any]]:
-    """PSFs over field and depth, and the basis that carries them; wall-clock seconds on all cores."""
+    """Cost of PSFs over field and depth with their basis; wall-clock seconds on all cores."""
     grid = (np.linspace(-EDGE, EDGE, points),) * 2
     begun, start = time.process_time(), time.perf_counter()
     cost, result = _timed(lambda: psf(source, imaging, stack_m, field_tangents=grid), 1)
@@ -225,10 +227,8 @@ def _library(source: WrittenField, imaging: Imaging, stack_m: FloatArray, points
     ]  # fmt: skip
 
 
-def _own(table: list[dict[str, Any]], aperture_um: float) -> list[dict[str, Any]]:
-    """Our answers on the axis for the peers' ratios, with true errors; none for a lens that is not theirs."""
-    if aperture_um != _beside["APERTURES_UM"][-1]:
-        return []
+def _own_results(table: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of the whole stack on the axis with their true errors, for comparison with the peers."""
     errors = {row["target"]: row["error"] for row in table if row.get("direction") == "axis" and "error_x" in row}
     return [
         {**row, "error": errors[row["target"]]}
@@ -237,8 +237,8 @@ def _own(table: list[dict[str, Any]], aperture_um: float) -> list[dict[str, Any]
     ]
 
 
-def _timed(run: Callable[[], Found], repeats: int = REPEATS) -> tuple[dict[str, Any], Found]:
-    """The best of several."""
+def _timed(run: Callable[[], Result], repeats: int = REPEATS) -> tuple[dict[str, Any], Result]:
+    """Time and peak memory of the fastest of several runs, and the result."""
     seconds = []
     for _ in range(repeats):
         begun = time.process_time()

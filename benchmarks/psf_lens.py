@@ -1,6 +1,6 @@
-"""The lens of the PSF benchmarks: Eqs. 2 to 4 in 30 x 30 phase levels at 90 % amplitude, of any size.
+"""Lens of the PSF benchmarks: Eqs. 2 to 4 of Shen 2023 in 30 x 30 phase levels at 90 % amplitude, of any aperture.
 
-Nothing but the optics room counts: no library is solved, and no mask is written.
+No library is solved and no mask is written, so that only the optics room is measured.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ LEVELS = 30
 
 
 def lens_design(aperture_um: float) -> Design:
-    """The paper's 2 mm lens, or one as steep of another aperture: focal length and depths go with it."""
+    """Return the paper's 2 mm lens, with focal length and depths scaled to the aperture."""
     design = load_design(LAYOUTS / "helix_2mm.toml")
     scale = aperture_um / design.device.aperture_um
     device = replace(design.device, aperture_um=aperture_um, focal_length_mm=scale * design.device.focal_length_mm)
@@ -31,7 +31,7 @@ def lens_design(aperture_um: float) -> Design:
 
 
 def lens_field(design: Design, imaging: Imaging) -> WrittenField:
-    """Its pillars, and the amplitude of each level."""
+    """Return the pillars of the lens with the amplitude of each pair of levels."""
     lattice = lattice_of(design)
     x, y = lattice.x_um(), lattice.y_um()
     radius = 0.5 * design.device.aperture_um

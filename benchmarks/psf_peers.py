@@ -1,24 +1,23 @@
-"""Other propagation libraries on our lens: the field behind it to one window of the sensor, each in its best way.
+"""Other propagation libraries: from the field behind a lens to one window of the sensor, each by its best method.
 
-Run as a program by an interpreter that has the peers (``benchmarks/psf_peers.txt``); neither metafab nor its
-packages need to be there. It reads one JSON object from stdin, ``{"way": name, "lenses": [...], "longest_s": s,
-"most_mb": mb}``, where a lens has the keys of :class:`Lens` but ``field`` names a .npy file, and writes one JSON
-line for each lens that it carried: ``{"aperture_um": d, "seconds": s, "carrier_s": s, "peak_rss_mb": mb,
-"irradiance": [[...]]}``. Lenses rise in size until the next is expected to take more than ``longest_s`` seconds of
-processor time or ``most_mb`` of memory. What the last of the lenses would take, in proportion to N log N and to N
-for the N points of the peer's grid, ends the answer then: ``{"expected_um": d, "seconds": s, "peak_rss_mb": mb}``.
+The program runs in an interpreter that has the peers (``benchmarks/psf_peers.txt``), without metafab. It reads one JSON
+object from stdin, ``{"method": name, "lenses": [...], "longest_s": s, "most_mb": mb}``. A lens has the keys of
+:class:`Lens`, with a .npy file as ``field``. It writes one JSON line per lens: ``{"aperture_um": d, "seconds": s,
+"carrier_s": s, "peak_rss_mb": mb, "irradiance": [[...]]}``. Lenses ascend in size until the next is expected to exceed
+``longest_s`` seconds of processor time or ``most_mb`` of memory. The last line is then the expected cost of the largest
+lens, scaled by N log N and N for the N points of the peer's grid: ``{"expected_um": d, "seconds": s, "peak_rss_mb":
+mb}``.
 
-Each gets the field on the lens' lattice for nothing. Two kinds of way are taken:
+The field on the lattice of the lens is given at no cost. There are two kinds of methods:
 
-- *exact*: the angular spectrum or the Rayleigh-Sommerfeld integral by Fourier transforms. Where a library can move the
-  output window it is moved; where it cannot, the grid holds lens and window. Where grids are periodic, light is read
-  where it wraps around, which allows the smallest grid there is.
+- *exact*: the angular spectrum or the Rayleigh-Sommerfeld integral by Fourier transforms. The output window is moved if
+  the library can do so; else the grid holds lens and window. On periodic grids, light is read where it wraps around,
+  which allows the smallest possible grid.
 - *carrier*: one matrix Fourier transform or chirp z transform. The exact path to the middle of the window is removed
-  beforehand (for nothing: no library does that), and the window is stretched as the grating law wants it. What remains
-  of the path beyond the linear term is their error, which no finer sampling lowers.
+  beforehand at no cost (no library does that), and the window is stretched by the grating law. The path beyond the
+  linear term is the error, which finer sampling does not reduce.
 
-Imports, transfer functions that can be kept, and a warm-up are not counted. Double precision where there is a choice,
-one thread.
+Imports, reusable transfer functions and a warm-up are not timed. Double precision where possible, one thread.
 """
 
 from __future__ import annotations
@@ -38,16 +37,16 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Lens:
-    """The lit lens, and the window on the sensor: points of the lens' lattice, ``stride`` sites apart.
+    """Field behind a lens, and a window on the sensor whose points are ``stride`` sites of the lattice apart.
 
     Attributes:
         aperture_um: diameter.
-        field: [y, x], complex, behind the lens; even number of sites a side, the axis in the middle.
-        pitch_um: of the sites.
-        wavelength_um: in vacuum.
-        distance_um: of the sensor.
-        first: (row, column) of the window's first point, in sites from the lens' first.
-        window_px: points a side.
+        field: shape (n, n), complex field behind the lens; n is even, and the axis is in the middle.
+        pitch_um: distance of sites.
+        wavelength_um: vacuum wavelength.
+        distance_um: distance of the sensor.
+        first: (row, column) of the first point of the window, in sites from the first site of the lens.
+        window_px: points along a side.
         stride: sites between points.
     """
 
@@ -62,7 +61,7 @@ class Lens:
 
     @property
     def wavenumber(self) -> float:
-        """2 pi / wavelength."""
+        """Wavenumber, rad/um."""
         return 2.0 * math.pi / self.wavelength_um
 
     @property
@@ -73,7 +72,7 @@ class Lens:
 
     @property
     def reach_sites(self) -> int:
-        """Sites of the window from its first to its last point."""
+        """Number of sites from the first to the last point of the window."""
         return (self.window_px - 1) * self.stride + 1
 
     @property
@@ -84,17 +83,17 @@ class Lens:
 
     @property
     def pixel_um(self) -> float:
-        """Distance of the window's points."""
+        """Distance of the points of the window."""
         return self.stride * self.pitch_um
 
     def padded(self, count: int) -> Any:
-        """The field in a dark grid of ``count`` sites a side, its first site at the grid's first."""
+        """Return the field in the first rows and columns of a dark grid of shape (count, count)."""
         grid = np.zeros((count, count), dtype=np.complex128)
         grid[: self.field.shape[0], : self.field.shape[1]] = self.field
         return grid
 
     def read(self, grid: Any) -> Any:
-        """The window's points of a periodic grid that begins with the lens' first site."""
+        """Return the points of the window from a periodic grid that begins with the first site of the lens."""
         rows, columns = (
             (first + self.stride * np.arange(self.window_px)) % size
             for first, size in zip(self.first, grid.shape, strict=True)
@@ -103,39 +102,39 @@ class Lens:
 
     @property
     def carried(self) -> Any:
-        """The field without the exact path to the window's middle, and with the fall-off there."""
+        """Field without the exact path to the middle of the window, and with the decay by distance."""
         x, y = self.sites_um[None, :] - self.middle_um[0], self.sites_um[:, None] - self.middle_um[1]
         path = np.sqrt(x * x + y * y + self.distance_um**2)
         return self.field * np.exp(1j * self.wavenumber * path) / path**2
 
     @property
     def focal_um(self) -> float:
-        """Distance to the window's middle: of the linear term of the path, across the plane of incidence."""
+        """Distance to the middle of the window: the focal length of the linear term of the path."""
         return math.hypot(*self.middle_um, self.distance_um)
 
 
-#: Makes ready what can be kept, and returns what carries the light: irradiance's square root on the window.
+#: Prepares reusable data and returns the propagation, whose result is the field on the window.
 Prepare = Callable[[Lens], Callable[[], Any]]
 
 
 def with_window(lens: Lens) -> int:
-    """Points a side of a grid that holds lens and window end to end: of a Fourier convolution with a moved window."""
+    """Points along a side of a grid for the convolution of the lens with the kernel on a moved window."""
     return lens.field.shape[0] + lens.reach_sites + 1
 
 
 def about_axis(lens: Lens) -> int:
-    """Points a side of a grid about the axis in which the window lies."""
+    """Points along a side of a grid about the axis that contains the window."""
     side = lens.field.shape[0]
     return int(side + 2 * max(0, *(max(-first, first + lens.reach_sites - side) for first in lens.first)))
 
 
 def of_either(lens: Lens) -> int:
-    """Points a side of the larger of lens and window, an even number."""
+    """Points along a side of the larger of lens and window, an even number."""
     return max(lens.field.shape[0], lens.reach_sites + lens.reach_sites % 2)
 
 
 def prysm_spectrum(lens: Lens) -> Callable[[], Any]:
-    """angular_spectrum of prysm with the exact transfer function handed in: its own is that of Fresnel."""
+    """angular_spectrum of prysm with an exact transfer function, as its own is that of Fresnel."""
     from prysm.propagation import angular_spectrum
 
     count = with_window(lens)
@@ -161,7 +160,7 @@ def prysm_carrier(lens: Lens) -> Callable[[], Any]:
 
 
 def hcipy_spectrum(lens: Lens) -> Callable[[], Any]:
-    """AngularSpectrumPropagator of HCIPy, on a grid about the axis that holds lens and window."""
+    """AngularSpectrumPropagator of HCIPy, on a grid about the axis that contains lens and window."""
     import hcipy
 
     side, count = lens.field.shape[0], about_axis(lens)
@@ -180,7 +179,7 @@ def hcipy_spectrum(lens: Lens) -> Callable[[], Any]:
 
 
 def hcipy_carrier(lens: Lens) -> Callable[[], Any]:
-    """FraunhoferPropagator of HCIPy, which takes a matrix Fourier transform for so few points."""
+    """FraunhoferPropagator of HCIPy, which chooses a matrix Fourier transform for a small window."""
     import hcipy
 
     side, n = lens.field.shape[0], lens.window_px
@@ -193,7 +192,7 @@ def hcipy_carrier(lens: Lens) -> Callable[[], Any]:
 
 
 def poppy_carrier(lens: Lens) -> Callable[[], Any]:
-    """matrix_dft of poppy, whose sign is the other one; half a pixel of offset puts a point on the middle."""
+    """matrix_dft of poppy, inverse for the opposite sign; half a pixel of offset centres a point."""
     from poppy.matrixDFT import matrix_dft
 
     span = lens.window_px * lens.pixel_um * lens.field.shape[0] * lens.pitch_um / (lens.wavelength_um * lens.focal_um)
@@ -206,15 +205,15 @@ def poppy_carrier(lens: Lens) -> Callable[[], Any]:
 
 
 def torchoptics_integral(lens: Lens) -> Callable[[], Any]:
-    """Field.propagate of torchoptics by direct integration (a Fourier convolution) to a plane that is moved aside."""
+    """Field.propagate of torchoptics by direct integration (a Fourier convolution) to a moved plane."""
     import torch
     from torchoptics import Field
 
     torch.set_num_threads(1)
     metre, reach = 1e-6, lens.reach_sites
-    # Its first axis is our second, but both are alike to it.
+    # The axes are exchanged, to which the propagation is symmetric.
     data = torch.tensor(lens.field.astype(np.complex128))
-    aside = [
+    offset = [
         (first + 0.5 * (reach - 1) - 0.5 * (lens.field.shape[0] - 1)) * lens.pitch_um * metre for first in lens.first
     ]
     double = {"dtype": torch.double}
@@ -226,7 +225,7 @@ def torchoptics_integral(lens: Lens) -> Callable[[], Any]:
         )  # fmt: skip
         there = light.propagate(
             (reach, reach), torch.tensor(lens.distance_um * metre, **double),
-            spacing=torch.tensor(lens.pitch_um * metre, **double), offset=torch.tensor(aside, **double),
+            spacing=torch.tensor(lens.pitch_um * metre, **double), offset=torch.tensor(offset, **double),
             propagation_method="DIM", interpolation_mode="none",
         )  # fmt: skip
         return there.data.numpy()[:: lens.stride, :: lens.stride]
@@ -235,11 +234,11 @@ def torchoptics_integral(lens: Lens) -> Callable[[], Any]:
 
 
 def diffractio_integral(lens: Lens) -> Callable[[], Any]:
-    """RS of diffractio: the Rayleigh-Sommerfeld convolution to as many points as the lens has, moved aside."""
+    """RS of diffractio: the Rayleigh-Sommerfeld convolution to a moved grid of the size of the lens."""
     from diffractio.scalar_masks_XY import Scalar_mask_XY
 
     side, count = lens.field.shape[0], of_either(lens)
-    # About the axis: its parameter for the output's place takes that for granted.
+    # The grid must lie about the axis, as the parameter of the output position assumes.
     margin = (count - side) // 2
     axis = (np.arange(count) - 0.5 * (count - 1)) * lens.pitch_um
     mask = Scalar_mask_XY(axis, axis, lens.wavelength_um)
@@ -255,26 +254,26 @@ def diffractio_integral(lens: Lens) -> Callable[[], Any]:
 
 
 def diffractio_carrier(lens: Lens) -> Callable[[], Any]:
-    """CZT of diffractio; the path that it removes itself, to the axis, is given back first."""
+    """CZT of diffractio, which removes the path to the axis itself; the field is multiplied by it beforehand."""
     from diffractio.scalar_masks_XY import Scalar_mask_XY
 
     axis = lens.sites_um
     square = axis[None, :] ** 2 + axis[:, None] ** 2 + lens.focal_um**2
     mask = Scalar_mask_XY(axis, axis, lens.wavelength_um)
     mask.u = lens.carried * np.exp(-1j * lens.wavenumber * np.sqrt(square)) * square
-    # Its points are n intervals of a whole n-th of the span asked for, one and a half of them on (measured).
+    # Measured: its points are n steps of 1/n of the requested span, shifted by one and a half steps.
     n = lens.window_px
     window = (-1.5 - n // 2 + np.arange(n) * (n / (n - 1))) * lens.pixel_um
     return lambda: mask.CZT(lens.focal_um, window, window).u
 
 
 def dflat_spectrum(lens: Lens) -> Callable[[], Any]:
-    """ASMPropagation of DFlat, which works in single precision, on a grid about the axis, without its extra padding."""
+    """ASMPropagation of DFlat (single precision), on a grid about the axis, without extra padding."""
     import torch
     from dflat.propagation.propagators import ASMPropagation
 
     torch.set_num_threads(1)
-    # Odd numbers alone are taken.
+    # Only odd sizes are accepted.
     side = lens.field.shape[0] | 1
     field, count = lens.padded(side), about_axis(lens) + side - lens.field.shape[0]
     margin = (count - side) // 2
@@ -287,87 +286,97 @@ def dflat_spectrum(lens: Lens) -> Callable[[], Any]:
 
     def run() -> Any:
         with torch.no_grad():
-            found = propagator(amplitude, phase)[0]
-        return found.numpy()[0, 0][np.ix_(rows, columns)]
+            whole = propagator(amplitude, phase)[0]
+        return whole.numpy()[0, 0][np.ix_(rows, columns)]
 
     return run
 
 
 @dataclass(frozen=True)
-class Way:
-    """A peer's function, and how many points its largest grid has."""
+class Method:
+    """A peer's method.
+
+    Attributes:
+        prepare: makes the propagation of a lens.
+        points: number of points of its largest grid.
+    """
 
     prepare: Prepare
     points: Callable[[Lens], int]
 
 
-WAYS = {
-    "prysm, angular spectrum": Way(prysm_spectrum, lambda lens: with_window(lens) ** 2),
-    "prysm, carrier": Way(prysm_carrier, lambda lens: lens.field.size),
-    "hcipy, angular spectrum": Way(hcipy_spectrum, lambda lens: 4 * about_axis(lens) ** 2),
-    "hcipy, carrier": Way(hcipy_carrier, lambda lens: lens.field.size),
-    "poppy, carrier": Way(poppy_carrier, lambda lens: lens.field.size),
-    "torchoptics, direct integration": Way(torchoptics_integral, lambda lens: with_window(lens) ** 2),
-    "diffractio, Rayleigh-Sommerfeld": Way(diffractio_integral, lambda lens: 4 * of_either(lens) ** 2),
-    "diffractio, carrier": Way(diffractio_carrier, lambda lens: lens.field.size),
-    "dflat, angular spectrum": Way(dflat_spectrum, lambda lens: about_axis(lens) ** 2),
+METHODS = {
+    "prysm, angular spectrum": Method(prysm_spectrum, lambda lens: with_window(lens) ** 2),
+    "prysm, carrier": Method(prysm_carrier, lambda lens: lens.field.size),
+    "hcipy, angular spectrum": Method(hcipy_spectrum, lambda lens: 4 * about_axis(lens) ** 2),
+    "hcipy, carrier": Method(hcipy_carrier, lambda lens: lens.field.size),
+    "poppy, carrier": Method(poppy_carrier, lambda lens: lens.field.size),
+    "torchoptics, direct integration": Method(torchoptics_integral, lambda lens: with_window(lens) ** 2),
+    "diffractio, Rayleigh-Sommerfeld": Method(diffractio_integral, lambda lens: 4 * of_either(lens) ** 2),
+    "diffractio, carrier": Method(diffractio_carrier, lambda lens: lens.field.size),
+    "dflat, angular spectrum": Method(dflat_spectrum, lambda lens: about_axis(lens) ** 2),
 }
 
 
 def main() -> None:
-    """Answer the job on stdin."""
+    """Run the job on stdin."""
     job = json.load(sys.stdin)
-    way = WAYS[job["way"]]
-    lenses = [Lens(**{**given, "field": np.load(given["field"], mmap_mode="r")}) for given in job["lenses"]]
+    method = METHODS[job["method"]]
+    lenses = [Lens(**{**keys, "field": np.load(keys["field"], mmap_mode="r")}) for keys in job["lenses"]]
     cost = expected = Cost(0.0, 0.0)
     for lens, following in zip(lenses, (*lenses[1:], None), strict=True):
-        cost = _measure(way, lens)
+        cost = _measure(method, lens)
         if following is None:
             return
-        expected = cost.scaled(way.points(lens), way.points(following))
+        expected = cost.scaled(method.points(lens), method.points(following))
         if expected.seconds > job["longest_s"] or expected.peak_rss_mb > job["most_mb"]:
             break
-    last = cost.scaled(way.points(lens), way.points(lenses[-1]))
+    last = cost.scaled(method.points(lens), method.points(lenses[-1]))
     print(json.dumps({"expected_um": lenses[-1].aperture_um, **asdict(last)}), flush=True)
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Of one window."""
+    """Cost of one window.
+
+    Attributes:
+        seconds: processor time.
+        peak_rss_mb: peak memory of the program.
+    """
 
     seconds: float
     peak_rss_mb: float
 
     def scaled(self, points: int, to_points: int) -> Cost:
-        """What a grid of another size takes by N log N and N."""
+        """Scale to a grid of another size by N log N and N."""
         ratio = to_points / points
         return Cost(self.seconds * ratio * math.log(to_points) / math.log(points), self.peak_rss_mb * ratio)
 
 
-def _measure(way: Way, lens: Lens) -> Cost:
+def _measure(method: Method, lens: Lens) -> Cost:
     start = time.process_time()
     _ = lens.carried
     carrier_s = time.process_time() - start
-    run = way.prepare(lens)
+    run = method.prepare(lens)
     seconds: list[float] = []
-    # The first may compile or plan; of a long one, one is enough.
+    # The first run may compile or plan; one run is enough if it is long.
     while len(seconds) < 3 and sum(seconds) < 2.0:
         start = time.process_time()
-        found = run()
+        field = run()
         seconds.append(time.process_time() - start)
     cost = Cost(min(seconds), _peak_mb())
     line = {
         "aperture_um": lens.aperture_um,
         **asdict(cost),
         "carrier_s": carrier_s,
-        "irradiance": (np.abs(found) ** 2).tolist(),
+        "irradiance": (np.abs(field) ** 2).tolist(),
     }
     print(json.dumps(line), flush=True)
     return cost
 
 
 def _peak_mb() -> float:
-    """Largest resident memory since the program began; what `getrusage` says may be its parent's."""
+    """Peak resident memory of the program; `getrusage` may include its parent."""
     try:
         status = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         return next(float(line.split()[1]) for line in status if line.startswith("VmHWM")) * 1024 / 1e6

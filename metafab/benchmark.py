@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -48,15 +48,13 @@ def rows_of(room: str, *, quick: bool = False, progress: Progress = silent) -> l
 
 
 def _load(room: str) -> Any:
-    path = Path(__file__).parent.parent / "benchmarks" / f"{room}.py"
-    if not path.is_file():
+    """The module of a room in the ``benchmarks`` folder beside the package."""
+    repository = Path(__file__).parent.parent
+    if not (repository / "benchmarks" / f"{room}.py").is_file():
         raise MissingToolError(
             "the benchmarks live in metafab's repository: clone it, run .ci/setup there, and call "
             ".venv/bin/metafab benchmark"
         )
-    spec = spec_from_file_location(f"metafab_benchmark_{room}", path)
-    assert spec is not None and spec.loader is not None  # a .py file always has a loader
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module  # where dataclasses look up their annotations
-    spec.loader.exec_module(module)
-    return module
+    if str(repository) not in sys.path:
+        sys.path.insert(0, str(repository))
+    return import_module(f"benchmarks.{room}")

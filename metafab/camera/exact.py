@@ -17,13 +17,15 @@ from metafab.camera.rendering.motion import Shutter, moved
 from metafab.camera.rendering.render import step_depths_m
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.parallel.progress import Progress, silent
-from metafab.optics import Imaging, Psf, Source, at_tangent, psf, relative_l2
+from metafab.core.parallel.work import Work
+from metafab.optics import Imaging, Psf, PsfNumerics, Source, at_tangent, psf, relative_l2
 from metafab.spec.scene import Scene
 
 #: Field points along x and y of the first attempt: even numbers, so that few fall on those of a calibration.
 _FIRST_POINTS = (8, 4)
 _MOST_POINTS = 64
+#: Window and error of PSFs by which decoders are judged.
+EXACT = PsfNumerics(window_px=96, target_error=3e-3)
 _MOST_DEPTHS = 256
 #: Field over the tangent of the field's rim: the images' distortion lets pixels at the rim look further out.
 _BEYOND = 1.03
@@ -49,11 +51,9 @@ def exact_psf(
     scene: Scene,
     source: Source,
     imaging: Imaging,
+    numerics: PsfNumerics = EXACT,
     *,
-    window_px: int = 96,
-    target_error: float = 3e-3,
-    filter_fwhm_nm: float | None = None,
-    progress: Progress = silent,
+    work: Work = Work(),
 ) -> Psf:
     """Compute the pair with which :func:`metafab.camera.capture` photographs ``scene`` most exactly.
 
@@ -69,10 +69,9 @@ def exact_psf(
         scene: its depths and its field.
         source: light behind the metasurface (:func:`metafab.optics.written_field`, ``ideal_field``).
         imaging: wavelength, sensor plane, pixel, aperture.
-        window_px: side of each PSF's window, pixels: wider than a calibration's, to hold the light that it cuts off.
-        target_error: relative L2 error of the irradiance, over the field as in each PSF.
-        filter_fwhm_nm: full width of a filter with a flat top; None for one wavelength.
-        progress: called as windows are computed.
+        numerics: window (wider than a calibration's, to hold the light that it cuts off), filter, and relative L2 error of
+            the irradiance, over the field as in each PSF.
+        work: threads or cluster, and progress over the windows.
 
     Returns:
         The stack over the scene's depths and its field. ``details`` has ``field_interpolation_error``, the largest
@@ -82,26 +81,17 @@ def exact_psf(
         InputError: more than 256 depths, or a field that 64 points a side do not resolve.
     """
     pixel_tangent = imaging.pixel_um / imaging.sensor_distance_um
-    depths_m = scene_depths_m(scene, pixel_tangent, scene.field_px[0] + window_px)
+    depths_m = scene_depths_m(scene, pixel_tangent, scene.field_px[0] + numerics.window_px)
     if depths_m.size > _MOST_DEPTHS:
         expected = f"at most {_MOST_DEPTHS} depths over all frames"
         remedy = "photograph fewer frames, or objects that do not move along the axis"
         raise InputError.single("scene", "objects", expected, f"{depths_m.size}", remedy)
     reach_x, reach_y = (0.5 * _BEYOND * pixel_tangent * n for n in scene.field_px[::-1])
-    points, error = _FIRST_POINTS, np.inf
+    points, error, target_error = _FIRST_POINTS, np.inf, numerics.target_error
     ends = np.unique(depths_m[[0, -1]])
 
     def stack(at_m: FloatArray, field_tangents: tuple[FloatArray, FloatArray]) -> Psf:
-        return psf(
-            source,
-            imaging,
-            at_m,
-            window_px=window_px,
-            target_error=target_error,
-            field_tangents=field_tangents,
-            filter_fwhm_nm=filter_fwhm_nm,
-            progress=progress,
-        )
+        return psf(source, imaging, at_m, numerics, field_tangents=field_tangents, work=work)
 
     while True:
         tangents = np.linspace(-reach_x, reach_x, points[0]), np.linspace(-reach_y, reach_y, points[1])
@@ -118,7 +108,7 @@ def exact_psf(
             remedy = "make the field smaller, or the error larger"
             raise InputError.single("scene", "field_px", expected, f"one that needs {max(points)}", remedy)
     whole = coarse if ends.size == depths_m.size else stack(depths_m, field_tangents=tangents)
-    return replace(whole, details={**whole.details, "field_interpolation_error": error})
+    return replace(whole, details=replace(whole.details, field_interpolation_error=error))
 
 
 def _interpolation_error(coarse: Psf, computed: Callable[..., Psf], axis: int) -> float:

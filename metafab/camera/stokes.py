@@ -12,7 +12,7 @@ from scipy.signal import fftconvolve
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
-from metafab.optics.interpolation.field import spline_weights
+from metafab.core.numeric.splines import spline_weights
 from metafab.optics.polarisation_states import StokesPsf
 from metafab.spec import Scene
 

@@ -10,8 +10,10 @@ from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
+from metafab.core.parallel.work import Work
 from metafab.layout import lattice_of
-from metafab.optics import Imaging, Psf, depth_nodes, ideal_field, psf, without_depths
+from metafab.optics import Imaging, Psf, PsfNumerics, depth_nodes, ideal_field, psf
+from metafab.optics.interpolation.stacks import without_depths
 from metafab.phase import profile_of
 from metafab.spec import Design
 from metafab.spec.terms import DoubleHelix, Grating, Lens, PhaseTerm, SplitLens
@@ -84,4 +86,5 @@ def _stack(design: Design, depth_m: FloatArray) -> tuple[Psf, FloatArray]:
     nodes = depth_nodes(imaging, 1.0 / (near + margin), 1.0 / max(far - margin, 0.5 * far), target)
     every = np.unique(np.concatenate([nodes, depth_m]))
     source = ideal_field(profile_of(design), lattice_of(design), design.device)
-    return psf(source, imaging, every, window_px=design.verify.window_px, target_error=target, workers=1), nodes
+    numerics = PsfNumerics(design.verify.window_px, target)
+    return psf(source, imaging, every, numerics, work=Work(workers=1)), nodes

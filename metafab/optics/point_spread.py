@@ -1,19 +1,22 @@
-"""The PSF pair over depth: what the optics room hands to the camera and the decoder."""
+"""Psf, the result of the optics room: point-spread functions of both polarisations over depth and field."""
 
 from __future__ import annotations
 
-import dataclasses
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import POLARISATIONS, FloatArray
+
+_SHARES = ("transmitted", "stray", "lost")
 
 
 @dataclass(frozen=True)
 class PsfField:
-    """How the pair changes over the field of view (x and y channels change in opposite senses).
+    """The pair of PSFs over the field of view.
 
     Attributes:
         tangent_x: shape (n_field_x,), object directions x/z, ascending.
@@ -29,23 +32,91 @@ class PsfField:
 
 
 @dataclass(frozen=True)
+class PsfDetails:
+    """Record of how a stack was computed, and its power budget.
+
+    Attributes:
+        block_sites: sites along a side of a pupil block.
+        blocks: number of pupil blocks.
+        transmitted: shape (2,), share of the power at the aperture that the pillars transmit, at the middle depth.
+        stray: shape (2,), share that is transmitted but misses the window.
+        lost: shape (2,), share that is not transmitted.
+        field_error: largest relative L2 error over the field points; NaN without a field.
+        field_interpolation_error: largest relative L2 error between field points, where it was measured; else NaN.
+        filter_fwhm_nm: full width of the filter; None for one wavelength.
+        seconds: wall-clock time of the computation.
+        camera_fit: parameters of the camera that the stack was fitted to; empty for a computed stack.
+    """
+
+    block_sites: int = 0
+    blocks: int = 0
+    transmitted: tuple[float, ...] = ()
+    stray: tuple[float, ...] = ()
+    lost: tuple[float, ...] = ()
+    field_error: float = math.nan
+    field_interpolation_error: float = math.nan
+    filter_fwhm_nm: float | None = None
+    seconds: float = 0.0
+    camera_fit: Mapping[str, float] = field(default_factory=dict)
+
+    def power_figures(self) -> dict[str, float]:
+        """Return the power budget by its names in summaries: ``transmitted_x``, ``stray_x``, ``lost_x``, ..."""
+        figures = {}
+        for name, *shares in zip(POLARISATIONS, self.transmitted, self.stray, self.lost, strict=False):
+            for share, value in zip(_SHARES, shares, strict=True):
+                figures[f"{share}_{name}"] = value
+        return figures
+
+    def figures(self) -> dict[str, float]:
+        """Return all computed entries, flat, by their names in summaries and files."""
+        computed: dict[str, float] = {
+            "block_sites": float(self.block_sites),
+            "blocks": float(self.blocks),
+            "field_error": self.field_error,
+            **self.power_figures(),
+            "seconds": self.seconds,
+        }
+        if self.filter_fwhm_nm is not None:
+            computed["filter_fwhm_nm"] = self.filter_fwhm_nm
+        if not math.isnan(self.field_interpolation_error):
+            computed["field_interpolation_error"] = self.field_interpolation_error
+        return {**(computed if self.blocks else {}), **self.camera_fit}
+
+    @classmethod
+    def of_figures(cls, figures: Mapping[str, float]) -> PsfDetails:
+        """Inverse of :meth:`figures`; unknown names are parameters of a camera fit."""
+        rest = dict(figures)
+        shares = {s: tuple(rest.pop(f"{s}_{p}") for p in POLARISATIONS if f"{s}_{p}" in rest) for s in _SHARES}
+        return cls(
+            block_sites=int(rest.pop("block_sites", 0)),
+            blocks=int(rest.pop("blocks", 0)),
+            **shares,
+            field_error=rest.pop("field_error", math.nan),
+            field_interpolation_error=rest.pop("field_interpolation_error", math.nan),
+            filter_fwhm_nm=rest.pop("filter_fwhm_nm", None),
+            seconds=rest.pop("seconds", 0.0),
+            camera_fit=rest,
+        )
+
+
+@dataclass(frozen=True)
 class Psf:
-    """Point-spread functions of both polarisations over depth, for an object on the axis (or one direction).
+    """Point-spread functions of both polarisations over depth, for objects on the axis or in one direction.
 
     Attributes:
         depth_m: shape (n_depth,), ascending.
         pixel_um: sampling step on the sensor plane.
-        psf: shape (2, n_depth, n_y, n_x), irradiance at pixel centres, 1/um^2 per unit power of that
-            polarisation that reaches the aperture.
-        centre_um: shape (2, n_depth, 2), (x, y) on the sensor of the centre pixel ``[n_y // 2, n_x // 2]``: the
-            geometric image point, rounded to nothing.
-        phi_deg: shape (n_depth,), orientation of the main lobe of PSF_x (conventions).
-        error: shape (n_depth,), relative L2 error of the irradiance (propagation; the library's comes on top).
+        psf: shape (2, n_depth, n_y, n_x), irradiance at pixel centres, 1/um^2 per unit power of that polarisation at
+            the aperture.
+        centre_um: shape (2, n_depth, 2), (x, y) on the sensor of the centre pixel ``[n_y // 2, n_x // 2]``: the exact
+            geometric image point.
+        phi_deg: shape (n_depth,), orientation of the main lobe of PSF_x (:mod:`metafab.core.conventions`).
+        error: shape (n_depth,), relative L2 error of the irradiance by the propagation alone.
         efficiency: shape (2, n_depth), share of the power at the aperture that falls into the window.
-        extinction_ratio: shape (n_depth,), wanted over unwanted polarisation's power in x's window.
-        sensor_distance_um: distance of the sensor plane.
-        field: the pair over the field of view, where it was asked for.
-        details: figures of the computing (block size, seconds, ...).
+        extinction_ratio: shape (n_depth,), power of x over that of y polarised light in the window of x.
+        sensor_distance_um: distance of the sensor plane from the metasurface.
+        field: the pair over the field of view; None for one direction.
+        details: record of the computation.
     """
 
     depth_m: FloatArray
@@ -58,4 +129,4 @@ class Psf:
     extinction_ratio: FloatArray
     sensor_distance_um: float
     field: PsfField | None = None
-    details: dict[str, float | str] = dataclasses.field(default_factory=dict)
+    details: PsfDetails = PsfDetails()

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.core.conventions import FloatArray
-from metafab.core.parallel.progress import Progress, silent
+from metafab.core.parallel.work import Work
 from metafab.core.polarisation import JONES, ORTHOGONAL, stokes_of, stokes_response
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.geometry.path import Ray, power_at_aperture
@@ -21,7 +21,7 @@ from metafab.phase.jones_target import JonesTarget
 
 #: Relative error of the propagation kernel's low-rank part.
 _KERNEL_TOLERANCE = 1e-4
-#: Sites a side of a block. For the paper's lens and its tenth, blocks of 2 sites agree with single sites to 1e-3.
+#: Sites along a side of a block. For the paper's lens and its tenth, blocks of 2 sites agree with single sites to 1e-3.
 _BLOCK_SITES = 2
 
 
@@ -34,7 +34,7 @@ class StokesPsf:
         pixel_um: sampling step.
         psf: shape (6, 4, n_depth, n, n), irradiance about each place per unit power at the aperture, 1/um^2, for each
             Stokes parameter: light with the Stokes vector S has the irradiance sum_j psf[:, j] S_j.
-        centre_um: shape (6, 2), the places.
+        centre_um: shape (6, 2), (x, y) of the six places on the sensor.
         sensor_distance_um: distance of the sensor plane.
     """
 
@@ -68,7 +68,7 @@ def stokes_psf(
     depths_m: Sequence[float] | FloatArray,
     *,
     window_px: int = 64,
-    progress: Progress = silent,
+    work: Work = Work(),
 ) -> StokesPsf:
     """Compute the PSFs of a full-Stokes lens for points on the axis.
 
@@ -77,15 +77,15 @@ def stokes_psf(
         target: places of the six images.
         imaging: wavelength, pixel, sensor, aperture.
         depths_m: shape (n_depth,), object depths, ascending.
-        window_px: points a side of each window.
-        progress: called after each tile and each place.
+        window_px: points along a side of each window.
+        work: threads, and progress over tiles and places.
     """
     depth_m = np.asarray(depths_m, dtype=np.float64)
     targets_um = [(x, y, imaging.sensor_distance_um) for x, y in target.places_um.tolist()]
     focus = 1e-6 / target.focus_depth_m
     focused = [Ray(focus, (0.0, 0.0), target_um) for target_um in targets_um]
     carriers = [Carrier(entry, ray, _BLOCK_SITES) for ray in focused for entry in range(3)]
-    pupils = reduce_field(source, carriers, imaging.wavenumber, progress=progress)
+    pupils = reduce_field(source, carriers, imaging.wavenumber, work)
     psf = np.empty((len(targets_um), 4, depth_m.size, window_px, window_px))
     for place, target_um in enumerate(targets_um):
         entries = pupils[3 * place : 3 * place + 3]
@@ -101,5 +101,5 @@ def stokes_psf(
             xx, xy, yy = np.array(fields, dtype=np.complex128)
             per_unit_power = entries[0].cell_um2 ** 2 / power_at_aperture(imaging, ray)
             psf[place, :, index] = stokes_response(xx, xy, xy, yy) * per_unit_power
-        progress("psf", place + 1, len(targets_um))
+        work.progress("psf", place + 1, len(targets_um))
     return StokesPsf(depth_m, imaging.pixel_um, psf, target.places_um, imaging.sensor_distance_um)

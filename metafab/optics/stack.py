@@ -1,100 +1,74 @@
-"""The PSF pair over depth and field: chooses the blocks, runs window after window, and adds up the power."""
+"""Compute the PSF pair over depth and field: choose the pupil blocks, propagate to each window, add up the power."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import AbstractContextManager
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
-from metafab.core.errors import InputError
-from metafab.core.parallel.executor import default_workers, open_executor
-from metafab.core.parallel.progress import Progress, silent
-from metafab.optics.geometry.imaging import Imaging
+from metafab.core.parallel.work import Work
+from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.path import Ray, power_at_aperture
 from metafab.optics.measures.lobe import orientation_deg
-from metafab.optics.point_spread import Psf, PsfField
+from metafab.optics.numerics import PsfNumerics, require_valid
+from metafab.optics.point_spread import Psf, PsfDetails, PsfField
 from metafab.optics.propagation.blocks import reduce_to_target
-from metafab.optics.propagation.image import Tangent, Window
+from metafab.optics.propagation.image import Window
 from metafab.optics.propagation.pupil import Pupil
 from metafab.optics.sources.source import Source
-from metafab.optics.validation import require_answerable
 
 
 def psf(
     source: Source,
     imaging: Imaging,
     depths_m: Sequence[float] | FloatArray,
+    numerics: PsfNumerics = PsfNumerics(),
     *,
     tangent: Tangent = (0.0, 0.0),
-    window_px: int = 64,
-    target_error: float = 1e-3,
-    field_points: int = 1,
-    field_tangents: tuple[FloatArray, FloatArray] | None = None,
-    filter_fwhm_nm: float | None = None,
-    workers: int | None = None,
-    cluster: str | None = None,
-    progress: Progress = silent,
+    field_tangents: FieldGrid | None = None,
+    work: Work = Work(),
 ) -> Psf:
-    """Point-spread functions of both polarisations behind a metasurface.
+    """Return the point-spread functions of both polarisations behind a metasurface.
 
     Args:
-        source: what leaves the metasurface (:func:`written_field`, :func:`ideal_field`).
+        source: field behind the metasurface (:func:`written_field`, :func:`ideal_field`).
         imaging: wavelength, sensor plane, sampling, aperture.
-        depths_m: object depths, ascending; ``math.inf`` is allowed.
+        depths_m: shape (n_depth,), object depths, ascending; ``math.inf`` is allowed.
+        numerics: window, target error and spectral band.
         tangent: object direction (x/z, y/z) of the pair itself.
-        window_px: points a side of each window.
-        target_error: wanted relative L2 error of the irradiance, 4e-6 (1e-5 with a filter) to 1.
-        field_points: points a side of the grid over the field of view; 1 for none.
-        field_tangents: the grid's (x/z, y/z), shapes (n_x,) and (n_y,); without them ``field_points`` points
-            span the field whose twin images just touch, -tan(theta) to tan(theta).
-        filter_fwhm_nm: full width of a filter with a flat top about the wavelength; None for one wavelength.
-        workers: threads; None for all cores. The result is the same, bit for bit.
-        cluster: address of a Dask scheduler that runs polarisations and directions instead.
-        progress: called as tiles and windows are done.
+        field_tangents: grid over the field of view, (x/z, y/z) of shapes (n_x,) and (n_y,); None for one direction.
+        work: threads or cluster, and progress. The result is bit-identical for any number of threads.
 
     Returns:
-        The pair; ``error`` bounds what block sums, low rank and single precision cost, ``details`` says where
-        the light went that is not in the windows.
+        The pair. ``error`` bounds the errors of block sums, low-rank kernel and single precision; ``details`` accounts
+        for the light outside the windows.
 
     Raises:
         InputError: depths that are not positive and ascending, an object whose light does not reach the sensor,
-            numbers out of range, or pixels too coarse to add up to the power in the window or to add a filter's
-            wavelengths.
+            numbers out of range, or pixels too coarse to add up to the power in the window or to add the wavelengths
+            of a filter.
     """
     begun = time.perf_counter()
     depths = [float(z) for z in depths_m]
-    grid = _field_grid(imaging, field_points, field_tangents)
-    require_answerable(imaging, depths, tangent, grid, window_px, target_error, filter_fwhm_nm)
-    window = Window.for_target(imaging, window_px, target_error)
-    windows = window.over_band(tangent, filter_fwhm_nm)
-    # Blocks and wavelengths share the target.
-    target_error *= 1.0 if filter_fwhm_nm is None else 0.5
+    grid = None if field_tangents is None else _grid(field_tangents)
+    require_valid(imaging, depths, tangent, grid, numerics)
+    window = Window.for_target(imaging, numerics)
+    windows = window.over_band(tangent, numerics.filter_fwhm_nm)
     tasks = [(p, tangent) for p in (0, 1)]
     if grid is not None:
         tasks += [(p, (float(t_x), float(t_y))) for p in (0, 1) for t_y in grid[1] for t_x in grid[0]]
     images: list[FloatArray] = []
     errors: list[FloatArray] = []
-    with threadpool_limits(1, "blas"), _executor(workers, cluster) as pool:
-        pyramids, stray = reduce_to_target(
-            source, windows, depths, tangent, grid, target_error, pool, progress, workers=workers
-        )
+    with threadpool_limits(1, "blas"), work.threads() as pool:
+        pyramids, stray = reduce_to_target(source, windows, depths, tangent, grid, numerics.block_error, pool, work)
         unwanted_light = pool.submit(Window.stray_irradiance, window, stray, 0, tangent, depths)
         jobs = [
             pool.submit(
-                Window.light,
-                window,
-                pyramids[p],
-                p,
-                t,
-                depths,
-                filter_fwhm_nm,
-                target_error,
-                judged="all" if index < 2 else "ends",
+                Window.light, window, pyramids[p], p, t, depths, numerics, judged="all" if index < 2 else "ends"
             )
             for index, (p, t) in enumerate(tasks)
         ]
@@ -102,83 +76,57 @@ def psf(
             image, error = job.result()
             images.append(image if done < 2 else image.astype(np.float32))
             errors.append(error)
-            progress("psf", done + 1, len(tasks))
+            work.progress("psf", done + 1, len(tasks))
         unwanted = unwanted_light.result().sum(axis=(1, 2)) * imaging.pixel_um**2
 
     pair = np.array(images[:2])
     efficiency = pair.sum(axis=(2, 3)) * imaging.pixel_um**2
     with np.errstate(divide="ignore", invalid="ignore"):
         extinction = efficiency[0] / unwanted
-    centres = np.array([np.tile(imaging.image_point_um(p, tangent), (len(depths), 1)) for p in (0, 1)])
-    details: dict[str, float | str] = {
-        "block_sites": float(pyramids[0][0].carrier.block_sites),
-        "blocks": float(pyramids[0][0].power.size),
-        "field_error": float(max(error.max() for error in errors[2:])) if grid is not None else float("nan"),
-        **({} if filter_fwhm_nm is None else {"filter_fwhm_nm": filter_fwhm_nm}),
-        **_power_budget(imaging, [pyramid[0] for pyramid in pyramids], tangent, depths, efficiency),
-        "seconds": time.perf_counter() - begun,
-    }
+    middle = len(depths) // 2
+    transmitted = [
+        _transmitted(imaging, pyramids[p][0], Ray.towards_image(imaging, p, depths[middle], tangent)) for p in (0, 1)
+    ]
     return Psf(
         depth_m=np.array(depths),
         pixel_um=imaging.pixel_um,
         psf=pair,
-        centre_um=centres,
+        centre_um=np.array([np.tile(imaging.image_point_um(p, tangent), (len(depths), 1)) for p in (0, 1)]),
         phi_deg=orientation_deg(pair[0]),
         error=np.max(errors[:2], axis=0),
         efficiency=efficiency,
         extinction_ratio=extinction,
         sensor_distance_um=imaging.sensor_distance_um,
-        field=None if grid is None else _field(imaging, grid, images[2:], len(depths), window_px),
-        details=details,
+        field=None if grid is None else _field(imaging, grid, np.array(images[2:], dtype=np.float32)),
+        details=PsfDetails(
+            block_sites=pyramids[0][0].carrier.block_sites,
+            blocks=pyramids[0][0].power.size,
+            transmitted=tuple(transmitted),
+            stray=tuple(share - float(efficiency[p, middle]) for p, share in enumerate(transmitted)),
+            lost=tuple(1.0 - share for share in transmitted),
+            field_error=float("nan") if grid is None else float(max(error.max() for error in errors[2:])),
+            filter_fwhm_nm=numerics.filter_fwhm_nm,
+            seconds=time.perf_counter() - begun,
+        ),
     )
 
 
-def _executor(workers: int | None, cluster: str | None) -> AbstractContextManager[Executor]:
-    """Threads, as kernels and matrix products leave them free to run; or a cluster."""
-    if cluster is not None:
-        return open_executor(cluster=cluster)
-    return ThreadPoolExecutor(default_workers() if workers is None else workers)
-
-
-def _field_grid(
-    imaging: Imaging, field_points: int, field_tangents: tuple[FloatArray, FloatArray] | None
-) -> tuple[FloatArray, FloatArray] | None:
-    if field_tangents is None and field_points < 1:
-        raise InputError.single("optics", "field_points", "at least 1 point a side", str(field_points))
-    if field_tangents is None and field_points == 1:
-        return None
-    if field_tangents is None:
-        reach = float(np.tan(np.radians(imaging.split_angle_deg)))
-        if reach == 0.0:
-            raise InputError.single(
-                "optics", "field_tangents", "the field's directions for a lens without a split", "None"
-            )
-        axis = np.linspace(-reach, reach, field_points)
-        return axis, axis.copy()
+def _grid(field_tangents: FieldGrid) -> FieldGrid | None:
+    """The grid as arrays; None for a single direction."""
     t_x, t_y = (np.atleast_1d(np.asarray(axis, dtype=np.float64)) for axis in field_tangents)
     return None if t_x.size == t_y.size == 1 else (t_x, t_y)
 
 
-def _power_budget(
-    imaging: Imaging, pupils: Sequence[Pupil], tangent: Tangent, depths_m: list[float], efficiency: FloatArray
-) -> dict[str, float | str]:
-    """Where the power at the aperture goes, for the middle depth: window, stray, and not transmitted."""
-    middle = len(depths_m) // 2
-    budget: dict[str, float | str] = {}
-    for index, name in enumerate("xy"):
-        ray = Ray.towards_image(imaging, index, depths_m[middle], tangent)
-        transmitted = pupils[index].transmitted(ray) / power_at_aperture(imaging, ray)
-        budget[f"transmitted_{name}"] = transmitted
-        budget[f"stray_{name}"] = transmitted - float(efficiency[index, middle])
-        budget[f"lost_{name}"] = 1.0 - transmitted
-    return budget
+def _transmitted(imaging: Imaging, pupil: Pupil, ray: Ray) -> float:
+    """Share of the power at the aperture that leaves the pillars."""
+    return pupil.transmitted(ray) / power_at_aperture(imaging, ray)
 
 
-def _field(
-    imaging: Imaging, grid: tuple[FloatArray, FloatArray], images: list[FloatArray], n_depth: int, n: int
-) -> PsfField:
+def _field(imaging: Imaging, grid: FieldGrid, images: NDArray[np.float32]) -> PsfField:
+    """The pair over the field, from images of shape (2 n_field_y n_field_x, n_depth, n, n)."""
     t_x, t_y = grid
-    stack = np.array(images, dtype=np.float32).reshape(2, t_y.size, t_x.size, n_depth, n, n)
+    n_depth, n_y, n_x = images.shape[1:]
+    stack = images.reshape(2, t_y.size, t_x.size, n_depth, n_y, n_x)
     centres = np.array([[[imaging.image_point_um(p, (x, y)) for x in t_x] for y in t_y] for p in (0, 1)])
     centres = np.repeat(centres[:, None], n_depth, axis=1)
     return PsfField(t_x, t_y, np.ascontiguousarray(np.moveaxis(stack, 3, 1)), centres)

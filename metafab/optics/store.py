@@ -1,8 +1,9 @@
-"""PSF files (``psf.h5``): written whole, read back with every fault named."""
+"""Save and load PSF stacks (``psf.h5``)."""
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 import h5py
@@ -11,7 +12,7 @@ import numpy as np
 from metafab.core.errors import Fault, InputError
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import plain, untimed
-from metafab.optics.point_spread import Psf, PsfField
+from metafab.optics.point_spread import Psf, PsfDetails, PsfField
 
 PSF_KIND = "metafab psf"
 PSF_FORMAT = 1
@@ -20,9 +21,9 @@ _REMEDY = "write it with `metafab psf LAYOUT --design DESIGN.toml -o PSF.h5`"
 
 
 def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
-    """Write ``psf`` to ``path``, whole or not at all."""
+    """Write ``psf`` to ``path``, whole or not at all; ``inputs_sha256`` is the fingerprint of its inputs."""
     with hdf5.create(path, kind=PSF_KIND, format_version=PSF_FORMAT, inputs_sha256=inputs_sha256) as file:
-        file.attrs["details"] = json.dumps(plain(untimed(psf.details)))
+        file.attrs["details"] = json.dumps(plain(untimed(psf.details.figures())))
         file.attrs["sensor_distance_um"] = psf.sensor_distance_um
         hdf5.put(file, "pixel_um", psf.pixel_um, units="um", description="sampling step on the sensor plane")
         hdf5.put(file, "polarisation", [b"x", b"y"], units="1", description="polarisation", dims=("polarisation",))
@@ -56,7 +57,7 @@ def load(path: Path | str) -> Psf:
     """Read a file that :func:`save` wrote.
 
     Raises:
-        InputError: missing, truncated, foreign, of a newer format, or with arrays that do not fit together.
+        InputError: the file is missing, truncated, foreign or of a newer format, or its arrays do not fit together.
     """
     with hdf5.open_kind(Path(path), kind=PSF_KIND, format_version=PSF_FORMAT, remedy=_REMEDY) as file:
         psf = Psf(
@@ -70,17 +71,17 @@ def load(path: Path | str) -> Psf:
             extinction_ratio=file["extinction_ratio"][...],
             sensor_distance_um=float(file.attrs["sensor_distance_um"]),
             field=_field(file["field"]) if "field" in file else None,
-            details={k: _number(v) for k, v in json.loads(str(file.attrs["details"])).items()},
+            details=_details(str(file.attrs["details"])),
         )
     _check(psf, Path(path))
     return psf
 
 
-def _number(value: object) -> float | str:
-    """JSON has no NaN or infinity: ``plain`` wrote null and "inf"."""
-    if value is None:
-        return float("nan")
-    return float(value) if isinstance(value, int | float) or value in {"inf", "-inf"} else str(value)
+def _details(text: str) -> PsfDetails:
+    """Details from JSON, in which NaN is null and infinity is a text."""
+    figures = {name: math.nan if value is None else value for name, value in json.loads(text).items()}
+    numbers = {k: float(v) for k, v in figures.items() if isinstance(v, int | float) or v in {"inf", "-inf"}}
+    return PsfDetails.of_figures(numbers)
 
 
 def _put_offsets(file: h5py.File, name: str, count: int, pixel_um: float) -> None:

@@ -184,10 +184,12 @@ def recorded_coupling(job: Job) -> CouplingFigures | None:
 
 def _merit(job: Job) -> MeritFigures:
     from metafab import optics
+    from metafab.optics.interpolation.stacks import without_depths
+    from metafab.optics.measures import metrics
 
     whole, ideal = (optics.load(job.folder / name) for name in ("psf.h5", "ideal_psf.h5"))
-    written = optics.without_depths(whole, ~np.isin(whole.depth_m, ideal.depth_m))
-    imaging, metrics = optics.Imaging.of(job.design), optics.metrics
+    written = without_depths(whole, ~np.isin(whole.depth_m, ideal.depth_m))
+    imaging = optics.Imaging.of(job.design)
     # The pinhole of the paper, or the largest that fits in the window.
     wanted_um = metrics.PINHOLE_UM if job.design.measured is None else job.design.measured.pinhole_um
     pinhole_um = metrics.largest_pinhole_um(written, wanted_um)
@@ -215,34 +217,35 @@ def _merit(job: Job) -> MeritFigures:
 
 
 def _modulation(job: Job, imaging: Imaging, written: Psf) -> ModulationFigures:
-    from metafab import optics
+    from metafab.optics.measures.mtf import lens_modulation, modulation_transfer
 
     device, focus_m = job.design.device, job.design.sensor.focus_depth_m
     cut_off = device.aperture_um / (imaging.wavelength_um * imaging.sensor_distance_um)
     frequency = np.linspace(0.0, cut_off, _FREQUENCIES)
-    rings, pair = optics.modulation_transfer(written)
+    rings, pair = modulation_transfer(written)
     frequency = frequency[frequency <= rings[-1]]
     pair_x, pair_y = (np.array([np.interp(frequency, rings, curve) for curve in curves]) for curves in pair)
-    lens = [optics.lens_modulation(imaging, device, float(z), frequency, focus_m) for z in written.depth_m]
+    lens = [lens_modulation(imaging, device, float(z), frequency, focus_m) for z in written.depth_m]
     return ModulationFigures(1e3 * frequency, pair_x, pair_y, np.array(lens))
 
 
 def _transmitted(psf: Psf) -> FloatArray:
-    return np.array([float(psf.details[f"transmitted_{p}"]) for p in "xy"])
+    return np.array(psf.details.transmitted)
 
 
 def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_passed: FloatArray) -> LossChainFigures:
     """Losses at the verified depth nearest to the focus depth; ``passed`` has shape (2, n_depth)."""
     from metafab import optics
+    from metafab.optics.measures.chain import loss_chain, wavefront
 
     depth = int(np.argmin(np.abs(1.0 / written.depth_m - 1.0 / job.design.sensor.focus_depth_m)))
     source = mask_source(job, mask_paths(job)[-1])
-    front = optics.wavefront(source, job.profile, job.design.device, open_library(job))
+    front = wavefront(source, job.profile, job.design.device, open_library(job))
     coupling = recorded_coupling(job)
     kept = None if coupling is None else coupling.efficiency_ratio
     transmitted = _transmitted(written)
     stopped = None if optics.Apodisation.of(job.design) is None else _transmitted(ideal)
-    losses = optics.loss_chain(front, transmitted, passed[:, depth], ideal_passed[:, depth], kept, stopped)
+    losses = loss_chain(front, transmitted, passed[:, depth], ideal_passed[:, depth], kept, stopped)
     table = {
         "depth_m": written.depth_m[depth],
         "wavefront": plain(front),
@@ -254,19 +257,19 @@ def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_pa
 
 def _space_variance(imaging: Imaging, written: Psf) -> SpaceVarianceFigures | None:
     """Aberrations and depth bias over the field at the middle depth; None without a field."""
-    from metafab import optics
+    from metafab.optics.measures.space_variance import depth_bias_dioptre, space_variance
 
     if written.field is None:
         return None
     middle_m = float(written.depth_m[written.depth_m.size // 2])
-    field = optics.space_variance(imaging, written.field.tangent_x, written.field.tangent_y, middle_m)
+    field = space_variance(imaging, written.field.tangent_x, written.field.tangent_y, middle_m)
     return SpaceVarianceFigures(
         middle_m,
         field.tangent_x,
         field.tangent_y,
         field.defocus_dioptre,
         field.astigmatism_dioptre,
-        optics.seen_bias_dioptre(written),
+        depth_bias_dioptre(written),
         field.distortion_um,
     )
 

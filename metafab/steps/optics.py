@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
 from metafab.core.storage.files import file_sha256, fingerprint, plain
 from metafab.core.storage.latest import Latest, file_mark
 from metafab.core.storage.provenance import contents_sha256
@@ -66,7 +67,7 @@ class PairFigures:
     @classmethod
     def of(cls, psf: Psf) -> PairFigures:
         """Figures of all depths of a pair."""
-        return typed(cls, {**_over_depth(psf, np.ones(psf.depth_m.size, dtype=bool)), **plain(psf.details)})
+        return typed(cls, {**_over_depth(psf, np.ones(psf.depth_m.size, dtype=bool)), **plain(psf.details.figures())})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +128,7 @@ class PsfFigures(PairFigures):
             "depth_interpolation_error": depth_interpolation_error,
             "field_interpolation_error": field_interpolation_error,
             "depths": psf.depth_m.size,
-            **plain(psf.details),
+            **plain(psf.details.figures()),
         }
         return typed(cls, table)
 
@@ -257,6 +258,7 @@ def point_spread(
         InputError: the file cannot be used, or an object at infinity has a position.
     """
     from metafab import optics
+    from metafab.optics.interpolation.stacks import concatenate
 
     imaging = optics.Imaging.of(job.design)
     if pixel_um is not None:
@@ -272,23 +274,20 @@ def point_spread(
         )
     source = _source_of(job, path, copy)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
+    numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design))
     passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
     stacks = [
         optics.psf(
             source,
             imaging,
             depths,
+            numerics,
             tangent=(1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]),
-            window_px=window_px,
-            target_error=target_error,
-            filter_fwhm_nm=filter_fwhm_nm(job.design),
-            workers=job.work.workers,
-            cluster=job.work.cluster,
-            progress=job.work.progress,
+            work=job.work,
         )
         for depths in passes
     ]
-    return optics.concatenate(stacks)
+    return concatenate(stacks)
 
 
 def calibration(job: Job, path: Path | None, *, copy: int = 1) -> Psf:
@@ -317,11 +316,11 @@ def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1) -> P
         copy: number of the lens in a file that holds several, from 1.
     """
     from metafab import camera, optics
+    from metafab.camera.exact import EXACT
 
     source, imaging = _source_of(job, path, copy), optics.Imaging.of(job.design)
-    return camera.exact_psf(
-        scene, source, imaging, filter_fwhm_nm=filter_fwhm_nm(job.design), progress=job.work.progress
-    )
+    numerics = replace(EXACT, filter_fwhm_nm=filter_fwhm_nm(job.design))
+    return camera.exact_psf(scene, source, imaging, numerics, work=Work(progress=job.work.progress))
 
 
 def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int = 1) -> None:
@@ -348,12 +347,8 @@ def _verified_psf(job: Job) -> Callable[..., Psf]:
     return partial(
         optics.psf,
         imaging=optics.Imaging.of(job.design),
-        window_px=verify.window_px,
-        target_error=verify.target_error,
-        filter_fwhm_nm=filter_fwhm_nm(job.design),
-        workers=job.work.workers,
-        cluster=job.work.cluster,
-        progress=job.work.progress,
+        numerics=optics.PsfNumerics(verify.window_px, verify.target_error, filter_fwhm_nm(job.design)),
+        work=job.work,
     )
 
 
@@ -371,12 +366,13 @@ def _calibration(job: Job, source: Source) -> Psf:
 def _depth_interpolation_error(written: Psf, verified: NDArray[np.bool_]) -> float | None:
     """Relative L2 error at the verified depths of PSFs interpolated from the other depths."""
     from metafab import optics
+    from metafab.optics.interpolation.stacks import without_depths
 
     others = written.depth_m[~verified]
     between = verified & (written.depth_m > others.min(initial=math.inf)) & (written.depth_m < others.max(initial=0.0))
     if not between.any():
         return None
-    interpolated = optics.at_depths(optics.without_depths(written, verified), written.depth_m[between])
+    interpolated = optics.at_depths(without_depths(written, verified), written.depth_m[between])
     return optics.relative_l2(interpolated, written.psf[:, between])
 
 

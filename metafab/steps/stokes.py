@@ -11,6 +11,7 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
 from metafab.core.polarisation import STATES
 from metafab.core.storage.files import write_json
 from metafab.spec.turned import require_turnable
@@ -102,7 +103,7 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
     written = mask_source(job, files[design.mask.formats[-1]], angles=angles)
     perfect = optics.ideal_field(target, written.lattice, design.device)
     depths_m, window_px = calibration_depths(design, imaging), design.verify.window_px
-    psf_of = partial(stokes_psf, target=target, imaging=imaging, window_px=window_px, progress=progress)
+    psf_of = partial(stokes_psf, target=target, imaging=imaging, window_px=window_px, work=Work(progress=progress))
     ideal = psf_of(lit_source(job, perfect), depths_m=depths_m[:1])
     psf = psf_of(lit_source(job, written), depths_m=depths_m)
     frame = photograph(design.scene, psf)

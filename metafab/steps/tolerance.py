@@ -68,22 +68,17 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
     from metafab import layout, optics, tolerance
 
     design = job.design
-    written, library = mask_source(job, path, copy), open_library(job)
-    with job.work.processes() as executor:
-        return tolerance.tolerance_table(
-            written,
-            library,
-            optics.Imaging.of(design),
-            design.verify.depths_m,
-            design.tolerance or Tolerances(),
-            min(layout.field_sites(design)),
-            window_px=design.verify.window_px,
-            target_error=design.verify.target_error,
-            transmission=optics.Apodisation.of(design),
-            filter_fwhm_nm=filter_fwhm_nm(design),
-            executor=executor,
-            progress=job.work.progress,
-        )
+    return tolerance.tolerance_table(
+        mask_source(job, path, copy),
+        open_library(job),
+        optics.Imaging.of(design),
+        design.verify.depths_m,
+        design.tolerance or Tolerances(),
+        min(layout.field_sites(design)),
+        optics.PsfNumerics(design.verify.window_px, design.verify.target_error, filter_fwhm_nm(design)),
+        transmission=optics.Apodisation.of(design),
+        work=job.work,
+    )
 
 
 def recorded_tolerance(job: Job) -> ToleranceFigures | None:

@@ -1,20 +1,31 @@
-"""What faults of fabrication do to PSFs, efficiency and depth."""
+"""Effect of fabrication faults on the PSFs, efficiency, extinction and decoded depth of a written mask.
+
+- ``corners``  amplitudes of a mask with another height, index, sidewall or bias, from a few solved cells
+- ``scatter``  random faults of block sums: misplaced and missing pillars, stitched write fields
+- ``study``    :func:`tolerance_table`: all corners and faults against the nominal mask, decoded depth included
+- ``table``    the result, and ``tolerance.json``
+
+In: a :class:`~metafab.optics.WrittenField` with its library, an :class:`~metafab.optics.Imaging` and the tolerances of
+a design. Out: a :class:`ToleranceTable`.
+"""
 
 from metafab.tolerance.corners import CornerField, corner_fields
-from metafab.tolerance.fabrication import ThinnedField, misplaced, stitched
-from metafab.tolerance.store import load_tolerance, save_tolerance, tolerance_figures
-from metafab.tolerance.table import ToleranceRow, ToleranceTable, tolerance_table
+from metafab.tolerance.study import tolerance_table
+from metafab.tolerance.table import (
+    ToleranceRow,
+    ToleranceTable,
+    load_tolerance,
+    save_tolerance,
+    tolerance_figures,
+)
 
 __all__ = [
     "CornerField",
-    "ThinnedField",
     "ToleranceRow",
     "ToleranceTable",
     "corner_fields",
     "load_tolerance",
-    "misplaced",
     "save_tolerance",
-    "stitched",
     "tolerance_figures",
     "tolerance_table",
 ]

@@ -1,10 +1,8 @@
-"""Random faults of a mask, as changes of its block sums: moved pillars, write fields aside, missing pillars.
+"""Random faults of a mask as changes of its block sums: misplaced pillars, stitched write fields, missing pillars.
 
-A block adds up N sites that are faulty independently of each other. Its sum S keeps its mean, damped, and scatters: in
-step with S by what the sites have in common, S / sqrt(N) times one Gaussian number of the block, the same for both
-polarisations; and by what they have not, circular, so that the variances add up to those of the sites, P in all.
-Moments scatter likewise, over the spread of a block. :mod:`metafab.tolerance.fabrication` moves each pillar by itself
-and is what this is tested on.
+A block adds up N sites with independent faults. Its sum S keeps a damped mean and scatters in two parts: in step with
+S, by S / sqrt(N) times one Gaussian number that both polarisations share; and independently of S, circular Gaussian,
+such that the variances add up to those of the sites. Moments scatter likewise, over the extent of a block.
 """
 
 from __future__ import annotations
@@ -23,66 +21,76 @@ from metafab.optics.propagation.pupil import Pupil
 
 
 class Fault(Protocol):
-    """A random fault of fabrication."""
+    """Random fault of fabrication."""
 
     @property
     def name(self) -> str:
-        """What it is, and how large."""
+        """Kind and size of the fault."""
 
-    def block_sites(self, wanted: int) -> int:
-        """Sites a side of the blocks that it can be applied to, ``wanted`` at most."""
+    def block_sites(self, largest: int) -> int:
+        """Return the largest valid number of sites along a side of a block, ``largest`` at most."""
 
     def __call__(self, pupils: Sequence[Pupil], random: np.random.Generator) -> list[Pupil]:
-        """The blocks of one faulty mask; blocks of any carrier belong to the same mask."""
+        """Return the blocks of one faulty mask; the blocks of all carriers belong to the same mask."""
 
 
 @dataclass(frozen=True)
 class Misplaced:
-    """Every pillar on its own aside, Gaussian, ``rms_nm`` along x and along y."""
+    """Each pillar displaced independently, normal distribution.
+
+    Attributes:
+        imaging: geometry.
+        rms_nm: standard deviation along x and along y.
+    """
 
     imaging: Imaging
     rms_nm: float
 
     @property
     def name(self) -> str:
-        """What it is, and how large."""
+        """Kind and size of the fault."""
         return f"misplacement {self.rms_nm:g} nm rms"
 
-    def block_sites(self, wanted: int) -> int:
-        """Any."""
-        return wanted
+    def block_sites(self, largest: int) -> int:
+        """Return ``largest``: any block is valid."""
+        return largest
 
     def __call__(self, pupils: Sequence[Pupil], random: np.random.Generator) -> list[Pupil]:
-        """Blocks of pillars that stand aside."""
+        """Return the blocks of displaced pillars."""
         shared: dict[tuple[int, ...], FloatArray] = {}
-        moved = []
+        displaced = []
         for pupil in pupils:
             slopes = self.imaging.wavenumber * 1e-3 * self.rms_nm * _slopes(pupil)
             common = shared.setdefault(pupil.power.shape, random.normal(size=(3, 2, *pupil.power.shape)))
             in_step = 1j * np.einsum("oayx,ayx->oyx", common, slopes)
-            variance = 1.0 - np.exp(-np.sum(slopes**2, axis=0))
+            square = np.sum(slopes**2, axis=0)
+            variance = 1.0 - np.exp(-square)
             mean = np.sqrt(1.0 - variance)
-            moved.append(_scattered(pupil, mean, in_step * mean, variance, np.sum(slopes**2, axis=0) * mean**2, random))
-        return moved
+            displaced.append(_scattered(pupil, mean, in_step * mean, variance, square * mean**2, random))
+        return displaced
 
 
 @dataclass(frozen=True)
 class Missing:
-    """A share of the pillars, chosen at random, is not there."""
+    """A random share of the pillars is missing.
+
+    Attributes:
+        share: probability that a pillar is missing, 0 to 1.
+    """
 
     share: float
 
     @property
     def name(self) -> str:
-        """What it is, and how large."""
+        """Kind and size of the fault."""
         return f"missing {1e3 * self.share:g} per mille"
 
-    def block_sites(self, wanted: int) -> int:
-        """Any."""
-        return wanted
+    def block_sites(self, largest: int) -> int:
+        """Return ``largest``: any block is valid."""
+        return largest
 
     def __call__(self, pupils: Sequence[Pupil], random: np.random.Generator) -> list[Pupil]:
-        """Blocks without the lost pillars."""
+        """Return the blocks without the missing pillars."""
         shared: dict[tuple[int, ...], FloatArray] = {}
         thinned = []
         variance = self.share * (1.0 - self.share)
@@ -95,7 +103,14 @@ class Missing:
 
 @dataclass(frozen=True)
 class Stitched:
-    """Every write field as a whole aside, Gaussian, ``rms_nm`` along x and along y."""
+    """Each write field displaced as a whole, normal distribution.
+
+    Attributes:
+        imaging: geometry.
+        rms_nm: standard deviation along x and along y.
+        field_sites: sites along a side of a write field.
+        lattice: sites of the mask.
+    """
 
     imaging: Imaging
     rms_nm: float
@@ -104,35 +119,32 @@ class Stitched:
 
     @property
     def name(self) -> str:
-        """What it is, and how large."""
+        """Kind and size of the fault."""
         return f"stitching {self.rms_nm:g} nm rms"
 
-    def block_sites(self, wanted: int) -> int:
-        """The largest divisor of a field: blocks then lie in one."""
-        return max(b for b in range(1, wanted + 1) if self.field_sites % b == 0)
+    def block_sites(self, largest: int) -> int:
+        """Return the largest divisor of a write field, so that each block lies in one field."""
+        return max(b for b in range(1, largest + 1) if self.field_sites % b == 0)
 
     def __call__(self, pupils: Sequence[Pupil], random: np.random.Generator) -> list[Pupil]:
-        """Blocks of fields that lie aside; a field's offset is the same for all sites of a block."""
+        """Return the blocks of displaced fields; all sites of a block share the offset of their field."""
         fields = [-(-count // self.field_sites) for count in self.lattice.shape]
-        aside_um = random.normal(scale=1e-3 * self.rms_nm, size=(2, *fields))
+        offset_um = random.normal(scale=1e-3 * self.rms_nm, size=(2, *fields))
         stitched = []
         for pupil in pupils:
             per_field = self.field_sites // pupil.carrier.block_sites
             row, column = (np.arange(count) // per_field for count in pupil.power.shape)
-            d_x, d_y = aside_um[:, row[:, None], column[None, :]]
+            d_x, d_y = offset_um[:, row[:, None], column[None, :]]
             ray, x, y = pupil.carrier.ray, pupil.x_um[None, :], pupil.y_um[:, None]
             change_um = ray.path_um(x + d_x, y + d_y) - ray.path_um(x, y)
-            turned = pupil.sums * np.exp(1j * self.imaging.wavenumber * change_um)
-            stitched.append(replace(pupil, sums=turned))
+            sums = pupil.sums * np.exp(1j * self.imaging.wavenumber * change_um)
+            stitched.append(replace(pupil, sums=sums))
         return stitched
 
 
 def _slopes(pupil: Pupil) -> FloatArray:
-    """Slopes of the path along x and y at the blocks' centres, shape (2, n_y, n_x)."""
-    ray = pupil.carrier.ray
-    _, along_x, along_y = path_and_slopes(
-        pupil.x_um[None, :], pupil.y_um[:, None], ray.vergence_per_um, *ray.tangent, *ray.target_um
-    )
+    """Slopes of the path along x and y at the block centres, shape (2, n_y, n_x)."""
+    _, along_x, along_y = path_and_slopes(pupil.x_um[None, :], pupil.y_um[:, None], pupil.carrier.ray.numbers)
     return np.array(np.broadcast_arrays(along_x, along_y))
 
 
@@ -144,24 +156,23 @@ def _scattered(
     in_step_variance: FloatArray,
     random: np.random.Generator,
 ) -> Pupil:
-    """Blocks damped by ``mean`` (n_y, n_x) and scattered.
+    """Damp and scatter blocks.
 
     Args:
         pupil: the blocks.
-        mean: of a site's factor.
-        in_step: shape (3, n_y, n_x), what sites in step with each other add over S / sqrt(N), for sum and moments.
-        variance: of a site's factor.
-        in_step_variance: of ``in_step``.
-        random: draws what is not in step.
+        mean: shape (n_y, n_x), mean of a site's random factor.
+        in_step: shape (3, n_y, n_x), scatter in step with S in units of S / sqrt(N), of the sum and the moments.
+        variance: shape (n_y, n_x), variance of a site's random factor.
+        in_step_variance: shape (n_y, n_x), variance of ``in_step``.
+        random: draws the independent scatter.
     """
-    block = pupil.carrier.block_sites
-    sites = float(block * block)
-    spread = [1.0] + [pitch * pitch * (block * block - 1) / 12.0 for pitch in pupil.pitch_um]
+    sites = float(pupil.carrier.block_sites**2)
+    spread = (1.0, *pupil.spread_um2)
     total = pupil.sums[0]
     rest = np.maximum(pupil.power * variance - np.abs(total) ** 2 / sites * in_step_variance, 0.0)
     circular = random.normal(scale=np.sqrt(0.5), size=(3, 2, *total.shape))
-    sums = [
-        mean * part + np.sqrt(width) * (total / np.sqrt(sites) * step + np.sqrt(rest) * (own[0] + 1j * own[1]))
-        for part, width, step, own in zip(pupil.sums, spread, in_step, circular, strict=True)
-    ]
+    sums = []
+    for part, width, step, (real, imag) in zip(pupil.sums, spread, in_step, circular, strict=True):
+        scatter = total / np.sqrt(sites) * step + np.sqrt(rest) * (real + 1j * imag)
+        sums.append(mean * part + np.sqrt(width) * scatter)
     return replace(pupil, sums=np.array(sums))

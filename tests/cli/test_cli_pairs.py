@@ -56,7 +56,7 @@ def test_a_scenes_own_pair_is_at_its_very_depths_and_on_finer_directions(job: Jo
     np.testing.assert_array_equal(exact.depth_m, job.design.scene.depths_m)
     assert exact.field is not None
     assert exact.field.tangent_x.size >= 8
-    assert exact.details["field_interpolation_error"] <= 3e-3
+    assert exact.details.field_interpolation_error <= 3e-3
 
 
 def test_frames_of_the_one_are_decoded_by_the_other(job: Job, calibration: Psf, exact: Psf) -> None:

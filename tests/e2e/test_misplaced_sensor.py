@@ -102,8 +102,8 @@ def test_another_wavelength_is_calibrated_as_the_sensor_that_it_looks_like(
         mask_source(job, main_job.folder / "layout.oas"),
         replace(imaging, wavelength_um=(1.0 + share) * imaging.wavelength_um),
         calibration_depths(design, imaging),
+        optics.PsfNumerics(window_px=design.verify.window_px),
         field_tangents=optics.field_tangents(design, imaging),
-        window_px=design.verify.window_px,
     )
     # The grating law at the longer wavelength, where the window's centre keeps to the design's.
     corrected, fit = calibrated(predicted, redder, tmp_path)

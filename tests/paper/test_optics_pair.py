@@ -9,7 +9,7 @@ import pytest
 
 from metafab import phase
 from metafab.layout.pillars import Lattice
-from metafab.optics import Imaging, Psf, depth_nodes, ideal_field, psf, relative_l2
+from metafab.optics import Imaging, Psf, PsfNumerics, depth_nodes, ideal_field, psf, relative_l2
 from metafab.spec import load_design
 
 ROOT = Path(__file__).parents[2]
@@ -24,7 +24,7 @@ def _stack(name: str) -> Psf:
     count = int(design.device.aperture_um * 2e3 // period)
     source = ideal_field(phase.profile_of(design), Lattice((period, period), (count, count), 0.5), design.device)
     depths = depth_nodes(imaging, design.verify.depths_m[0], design.verify.depths_m[-1], 1e-3)
-    return psf(source, imaging, depths, window_px=65)
+    return psf(source, imaging, depths, PsfNumerics(window_px=65))
 
 
 @pytest.fixture(scope="module", params=["helix_small", "helix_2mm"])

@@ -11,7 +11,7 @@ import pytest
 from metafab import layout, optics, phase
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
-from metafab.optics import Psf, WrittenField, psf, relative_l2
+from metafab.optics import Psf, PsfNumerics, WrittenField, psf, relative_l2
 from metafab.optics.measures import metrics
 from metafab.optics.measures.chain import Wavefront, loss_chain, wavefront
 from metafab.spec import Design
@@ -41,15 +41,15 @@ def test_the_shape_of_a_psf_does_not_validate_a_library() -> None:
     No error of 0.25 rad rms takes more than 0.25^2 of it (|<exp(i e)>|^2 >= 1 - <e^2>): a mask that should reach 0.82
     reaches 0.77. The light that is missing stands in the stray orders, whose growth tells what the shape hides.
     """
-    right, wrong = (psf(s, OPTICS, [DEPTH_M], target_error=1e-4) for s in (SOURCE, _with_error(0.25)))
+    right, wrong = (psf(s, OPTICS, [DEPTH_M], PsfNumerics(target_error=1e-4)) for s in (SOURCE, _with_error(0.25)))
     ratio = wrong.efficiency / right.efficiency
     bessel = 1.0 - 0.25**2 + 0.25**4 * 0.375  # J_0(x)^2 to fourth order in x = 0.25 sqrt(2)
     assert ratio == pytest.approx(bessel, abs=2e-3)
     shape_change = relative_l2(_shape(wrong), _shape(right))
     assert shape_change < 4e-3
     assert np.all(np.abs(ratio - 1.0) > 10.0 * shape_change)
-    for name in ("stray_x", "stray_y"):
-        gained = float(wrong.details[name]) - float(right.details[name])
+    for before, after in zip(right.details.stray, wrong.details.stray, strict=True):
+        gained = after - before
         assert gained == pytest.approx(float(right.efficiency[0, 0] * (1.0 - bessel)), rel=0.05)
 
 
@@ -82,7 +82,7 @@ def test_the_chain_of_a_mapped_lens_closes(smooth_library: Library, small_design
     assert front.filled == pytest.approx(front.sites / (0.25 * math.pi * (70.0 / 0.35) ** 2), abs=2e-3)
     assert all(0.9 < overlap < 1.0 for overlap in front.overlap)
     assert all(best >= own - 1e-3 for best, own in zip(front.best_overlap, front.overlap, strict=True))
-    transmitted = np.array([stacks[0].details[f"transmitted_{p}"] for p in "xy"])
+    transmitted = np.array(stacks[0].details.transmitted)
     passed, ideally = (metrics.pinhole_efficiency(stack)[:, 0] for stack in stacks)
     losses = loss_chain(front, transmitted, passed, ideally)
     assert np.prod([loss.factor for loss in losses if loss.factor], axis=0) == pytest.approx(passed)

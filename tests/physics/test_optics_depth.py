@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from metafab.optics import Imaging, at_depths, depth_nodes, psf, relative_l2
+from metafab.optics import Imaging, PsfNumerics, at_depths, depth_nodes, psf, relative_l2
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()
@@ -19,8 +19,8 @@ def test_nodes_carry_the_stack_to_the_target(target: float) -> None:
     source = lens.ideal(OPTICS, lens.eq_2(OPTICS, zones=4), lens.eq_3_and_4(OPTICS))
     nodes = depth_nodes(OPTICS, 0.65e-3, 1.3e-3, target)
     between = 2.0 / (1.0 / nodes[1:] + 1.0 / nodes[:-1])
-    stack = psf(source, OPTICS, nodes, window_px=40, target_error=0.1 * target)
-    true = psf(source, OPTICS, between, window_px=40, target_error=0.1 * target)
+    stack = psf(source, OPTICS, nodes, PsfNumerics(window_px=40, target_error=0.1 * target))
+    true = psf(source, OPTICS, between, PsfNumerics(window_px=40, target_error=0.1 * target))
     errors = [relative_l2(at_depths(stack, [z])[:, 0], true.psf[:, i]) for i, z in enumerate(between)]
     assert max(errors) <= target
 
@@ -42,7 +42,7 @@ def test_the_field_biases_the_depth_of_the_two_channels_oppositely() -> None:
     best = np.empty((2, 2))
     for column, sign in enumerate((-1.0, 1.0)):
         tangent = (sign * math.tan(math.radians(degrees)), 0.0)
-        peaks = psf(source, optics, depths, tangent=tangent, window_px=24).psf.max(axis=(2, 3))
+        peaks = psf(source, optics, depths, PsfNumerics(window_px=24), tangent=tangent).psf.max(axis=(2, 3))
         for polarisation in (0, 1):
             curve = np.polynomial.Polynomial.fit(1.0 / depths, peaks[polarisation], 4)
             grid = np.linspace(vergence[0], vergence[-1], 4001)

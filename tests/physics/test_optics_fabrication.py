@@ -8,12 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.direct_sum import direct_irradiance
 from metafab import library
 from metafab.core.conventions import FloatArray
 from metafab.layout.pillars import PillarMap
 from metafab.library.sweep.build import BuildNumerics
 from metafab.library.sweep.corner_sampling import CornerNumerics
-from metafab.optics import Imaging, WrittenField, direct_irradiance, psf, relative_l2
+from metafab.optics import Imaging, PsfNumerics, WrittenField, psf, relative_l2
 from metafab.optics.geometry.path import Ray
 from metafab.optics.measures.metrics import peak_irradiance
 from metafab.optics.propagation.image import Window
@@ -22,10 +23,10 @@ from metafab.optics.sources.source import Source
 from metafab.spec import UnitCell
 from metafab.spec.cell import Axes
 from metafab.tolerance.corners import corner_fields
-from metafab.tolerance.fabrication import MovedField, ThinnedField, misplaced, stitched
 from metafab.tolerance.scatter import Fault, Misplaced, Missing, Stitched
 from tests import library_ridges as ridges
 from tests import optics_lens as lens
+from tests.faulty_masks import MovedField, ThinnedField, misplaced, stitched
 
 OPTICS = lens.imaging()
 DEPTH_M = 0.9e-3
@@ -49,11 +50,11 @@ def test_a_lens_moved_as_a_whole_is_object_and_sensor_moved_the_other_way() -> N
     """
     d_x, d_y = 0.05, -0.03
     moved = MovedField(SOURCE, OPTICS, lambda tile, shape: (np.full(shape, d_x), np.full(shape, d_y)), DEPTH_M)
-    result = psf(moved, OPTICS, [DEPTH_M], window_px=16, target_error=1e-4)
+    result = psf(moved, OPTICS, [DEPTH_M], PsfNumerics(window_px=16, target_error=1e-4))
     x, y = lens.window_points(OPTICS, result.centre_um[0, 0], 16)
     tangent = (-1e-6 * d_x / DEPTH_M, -1e-6 * d_y / DEPTH_M)
     true = direct_irradiance(SOURCE, OPTICS, DEPTH_M, tangent, x - d_x, y - d_y, 0)
-    unmoved = psf(SOURCE, OPTICS, [DEPTH_M], window_px=16, target_error=1e-4).psf[0, 0].ravel()
+    unmoved = psf(SOURCE, OPTICS, [DEPTH_M], PsfNumerics(window_px=16, target_error=1e-4)).psf[0, 0].ravel()
     error = relative_l2(result.psf[0, 0].ravel(), true)
     assert error < 0.05 * relative_l2(unmoved, true) + 1e-3
 
@@ -87,13 +88,13 @@ def test_random_misplacement_costs_the_peak_a_debye_waller_factor(blocks: bool) 
 def test_missing_pillars_take_amplitude_and_power() -> None:
     share = 0.1
     thinned = ThinnedField(SOURCE, share, seed=1)
-    before, after = (psf(s, OPTICS, [0.8e-3, 0.9e-3], target_error=1e-3) for s in (SOURCE, thinned))
+    before, after = (psf(s, OPTICS, [0.8e-3, 0.9e-3], PsfNumerics(target_error=1e-3)) for s in (SOURCE, thinned))
     # Of 23 000 pillars a binomial share is lost: its standard deviation is 0.002.
     assert (peak_irradiance(after) / peak_irradiance(before)).min() == pytest.approx((1.0 - share) ** 2, abs=0.02)
-    light = [float(p.details["transmitted_x"]) for p in (before, after)]
+    light = [p.details.transmitted[0] for p in (before, after)]
     assert light[1] / light[0] == pytest.approx(1.0 - share, abs=0.008)
     # One that loses nothing passes another branch of the reduction, on amplitudes: its rounding is left.
-    nothing = psf(ThinnedField(SOURCE, 0.0), OPTICS, [0.8e-3, 0.9e-3], target_error=1e-3)
+    nothing = psf(ThinnedField(SOURCE, 0.0), OPTICS, [0.8e-3, 0.9e-3], PsfNumerics(target_error=1e-3))
     assert relative_l2(nothing.psf, before.psf) < 1e-6
 
 

@@ -21,9 +21,11 @@ def stacks(small_design: Design) -> tuple[list[optics.Psf], optics.Psf]:
     imaging = Imaging.of(plain)
     grids = [np.linspace(-0.1, 0.1, count) for count in (5, 9)]
     over_field = [
-        optics.psf(source, imaging, (0.003,), window_px=32, field_points=g.size, field_tangents=(g, g)) for g in grids
+        optics.psf(source, imaging, (0.003,), optics.PsfNumerics(window_px=32), field_tangents=(g, g)) for g in grids
     ]
-    return over_field, optics.psf(source, imaging, (0.003,), window_px=32, tangent=(0.0625, -0.0625))
+    return over_field, optics.psf(
+        source, imaging, (0.003,), optics.PsfNumerics(window_px=32), tangent=(0.0625, -0.0625)
+    )
 
 
 def test_nodes_are_returned_as_they_are(stacks: tuple[list[optics.Psf], optics.Psf]) -> None:

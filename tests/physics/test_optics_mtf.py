@@ -10,7 +10,7 @@ import pytest
 from scipy.special import j0, j1
 
 from metafab.core.conventions import FloatArray
-from metafab.optics import Psf, psf
+from metafab.optics import Psf, PsfNumerics, psf
 from metafab.optics.measures import metrics
 from metafab.optics.measures.mtf import lens_modulation, modulation_transfer
 from metafab.spec import Device
@@ -51,7 +51,7 @@ def test_a_circular_aperture_in_focus_has_the_textbook_mtf() -> None:
 def test_a_defocused_lens_has_the_mtf_of_its_psf() -> None:
     """The pupil's autocorrelation against the propagation of the target phases, which share no line."""
     wide = replace(OPTICS, pixel_um=1.5)
-    stack = psf(lens.ideal(wide, lens.eq_3_and_4(wide)), wide, [0.7 * FOCUS_M], window_px=128)
+    stack = psf(lens.ideal(wide, lens.eq_3_and_4(wide)), wide, [0.7 * FOCUS_M], PsfNumerics(window_px=128))
     frequency, mtf = modulation_transfer(stack)
     shown = frequency < 0.8 * CUT_OFF
     # Eq. 3 focuses parallel light; the standard lens is free of aberrations at its focus. NA 0.07: 2 % of a wave.

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from metafab.optics import Imaging, direct_irradiance, psf, relative_l2
+from benchmarks.direct_sum import direct_irradiance
+from metafab.optics import Imaging, PsfNumerics, psf, relative_l2
 from metafab.optics.geometry.path import Ray
-from metafab.optics.geometry.plate import Plate, focus_shift_um, lateral_shift_um
+from metafab.optics.geometry.plate import Plate, focus_shift_um
 from metafab.spec import Design
 from metafab.spec.design import Optics
 from tests import optics_lens as lens
@@ -20,6 +21,13 @@ from tests import optics_lens as lens
 PLATE = Plate(430.0, 1.7601)
 OPTICS = lens.imaging(aperture_um=40.0)
 POINT = (0.0, 0.0, 450.0)
+
+
+def _lateral_shift_um(plate: Plate, angle_deg: float) -> float:
+    """Displacement of a ray along the face of the plate: h (tan a - tan b), sin a = n sin b."""
+    angle = math.radians(angle_deg)
+    inside = math.asin(math.sin(angle) / plate.index)
+    return plate.thickness_um * (math.tan(angle) - math.tan(inside))
 
 
 def _paths(ray: Ray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -91,7 +99,7 @@ def test_a_plate_of_index_1_or_without_thickness_is_none() -> None:
 def test_the_ray_to_the_centre_is_moved_aside_by_the_plate() -> None:
     """The slope at the centre is the sine of the ray whose crossing of the face is moved by h (tan a - tan b)."""
     angle_deg, depth_um = 25.0, 5e3
-    aside = lateral_shift_um(PLATE, angle_deg)
+    aside = _lateral_shift_um(PLATE, angle_deg)
     offset_um = depth_um * math.tan(math.radians(angle_deg)) - aside
     ray = Ray(1.0 / depth_um, (0.0, offset_um / depth_um), POINT, PLATE)
     step = 1e-2
@@ -119,8 +127,8 @@ def test_psfs_behind_a_plate_keep_the_stated_error(tangent: tuple[float, float],
     """Half the way to the object is sapphire, other for x and y: the direct sum finds its rays by bisection."""
     optics = replace(OPTICS, plates=(Plate(450.0, 1.76), Plate(450.0, 1.5)))
     source = lens.written(optics, lens.eq_2(optics), lens.eq_3_and_4(optics))
-    result = psf(source, optics, [0.7e-3, 0.9e-3], tangent=tangent, window_px=24, target_error=target)
-    bare = psf(source, OPTICS, [0.7e-3, 0.9e-3], tangent=tangent, window_px=24, target_error=target)
+    result = psf(source, optics, [0.7e-3, 0.9e-3], PsfNumerics(window_px=24, target_error=target), tangent=tangent)
+    bare = psf(source, OPTICS, [0.7e-3, 0.9e-3], PsfNumerics(window_px=24, target_error=target), tangent=tangent)
     assert relative_l2(result.psf, bare.psf) > 0.1
     for p in (0, 1):
         points = lens.window_points(optics, result.centre_um[p, 1], 24)
@@ -136,7 +144,7 @@ def test_a_design_with_a_substrate_sees_it(small_design: Design) -> None:
     assert Imaging.of(design).plates[0].index == pytest.approx(1.7601)
     cell = design.unit_cell
     other_side = replace(cell, illumination=replace(cell.illumination, side="ambient"))
-    with pytest.raises(ValueError, match="from the substrate's side"):
+    with pytest.raises(ValueError, match="light from the ambient misses it"):
         replace(design, unit_cell=other_side)
     with pytest.raises(ValueError, match="before the nearest object"):
         replace(design, optics=Optics(substrate_um=1e4), verify=replace(design.verify, depths_m=(0.008, 0.1)))

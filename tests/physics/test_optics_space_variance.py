@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.direct_sum import direct_irradiance
 from metafab import phase
 from metafab.camera.geometry import ImageMap
 from metafab.layout.pillars import Lattice
-from metafab.optics import Imaging, Psf, depth_nodes, direct_irradiance, ideal_field, psf
-from metafab.optics.measures.space_variance import aberration_dioptre, seen_bias_dioptre, space_variance
+from metafab.optics import Imaging, Psf, PsfNumerics, depth_nodes, ideal_field, psf
+from metafab.optics.measures.space_variance import aberration_dioptre, depth_bias_dioptre, space_variance
 from metafab.optics.sources.source import IdealField
 from metafab.spec import load_design
 
@@ -33,18 +34,18 @@ def source() -> IdealField:
 def stack(source: IdealField) -> Psf:
     depths = depth_nodes(IMAGING, 0.24, 0.36, 1e-3)
     tangents = (np.array([-DEGREE, 0.0, DEGREE]), np.array([0.0, DEGREE]))
-    return psf(source, IMAGING, depths, field_tangents=tangents, window_px=48)
+    return psf(source, IMAGING, depths, PsfNumerics(window_px=48), field_tangents=tangents)
 
 
 def test_the_bias_is_opposite_in_the_two_channels(stack: Psf) -> None:
     """About 0.30 dioptre a degree along the split, as found before the first line of code; none on the axis."""
-    seen = seen_bias_dioptre(stack)
-    assert seen[:, 0, 1] == pytest.approx([0.0, 0.0], abs=1e-3)
-    slope = 0.5 * (seen[:, 0, 2] - seen[:, 0, 0])
+    bias = depth_bias_dioptre(stack)
+    assert bias[:, 0, 1] == pytest.approx([0.0, 0.0], abs=1e-3)
+    slope = 0.5 * (bias[:, 0, 2] - bias[:, 0, 0])
     assert slope[0] == pytest.approx(-0.30, abs=0.04)
     assert slope[1] == pytest.approx(-slope[0], rel=0.02)
     # Across the split they err by an order less, for skew astigmatism.
-    assert np.abs(seen[:, 1, 1]).max() < 0.15 * abs(slope[0])
+    assert np.abs(bias[:, 1, 1]).max() < 0.15 * abs(slope[0])
 
 
 def test_geometry_tells_defocus_and_astigmatism(stack: Psf) -> None:
@@ -57,7 +58,7 @@ def test_geometry_tells_defocus_and_astigmatism(stack: Psf) -> None:
     a = math.radians(8.0)
     across = -math.sin(a) * 1e-3 / (1e-6 * IMAGING.sensor_distance_um)  # d(cos a) / z
     assert defocus - astigmatism == pytest.approx(across, rel=0.02)
-    ratio = seen_bias_dioptre(stack)[0, 0, 2] / aberration_dioptre(IMAGING, 0, (DEGREE, 0.0), 0.3)[0]
+    ratio = depth_bias_dioptre(stack)[0, 0, 2] / aberration_dioptre(IMAGING, 0, (DEGREE, 0.0), 0.3)[0]
     assert 1.2 < ratio < 1.6
 
 
@@ -74,9 +75,9 @@ def test_the_direct_sum_shows_the_same_bias(stack: Psf, source: IdealField, pola
     assert stack.field is not None
     alone = replace(stack.field, tangent_x=np.zeros(1), tangent_y=np.zeros(1))
     alone = replace(alone, psf=np.tile(image.reshape(14, 14), (2, stack.depth_m.size, 1, 1, 1, 1)).astype(np.float32))
-    seen = seen_bias_dioptre(replace(stack, psf=cut, field=alone))[polarisation, 0, 0]
+    bias = depth_bias_dioptre(replace(stack, psf=cut, field=alone))[polarisation, 0, 0]
     sign = -1.0 if polarisation == 0 else 1.0
-    assert seen == pytest.approx(sign * 0.30 * degrees, abs=0.05)
+    assert bias == pytest.approx(sign * 0.30 * degrees, abs=0.05)
 
 
 def test_distortion_is_what_the_decoder_corrects() -> None:
@@ -102,4 +103,4 @@ def test_the_decoders_map_goes_through_the_image_points(stack: Psf) -> None:
 
 def test_a_stack_without_a_field_is_refused(stack: Psf) -> None:
     with pytest.raises(ValueError, match="field"):
-        seen_bias_dioptre(replace(stack, field=None))
+        depth_bias_dioptre(replace(stack, field=None))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.direct_sum import direct_irradiance
 from metafab.core.errors import InputError
-from metafab.optics import AngularSpectrum, direct_irradiance, psf, relative_l2
+from metafab.optics import PsfNumerics, psf, relative_l2
 from metafab.optics.geometry.path import Ray, power_at_aperture
 from tests import optics_lens as lens
+from tests.angular_spectrum import AngularSpectrum
 
 OPTICS = lens.imaging(aperture_um=40.0)
 WINDOW_PX = 16
@@ -33,7 +35,8 @@ def test_two_references_agree_and_the_stated_error_bounds_both(tangent: tuple[fl
     """One sums distances, the other directions; they share the sites' amplitudes and nothing else."""
     depths = [0.75e-3, 1.0e-3]
     results = {
-        t: psf(SOURCE, OPTICS, depths, tangent=tangent, window_px=WINDOW_PX, target_error=t) for t in (1e-2, 1e-3)
+        t: psf(SOURCE, OPTICS, depths, PsfNumerics(window_px=WINDOW_PX, target_error=t), tangent=tangent)
+        for t in (1e-2, 1e-3)
     }
     for index, depth in enumerate(depths):
         centre = results[1e-3].centre_um[polarisation, index]
@@ -54,11 +57,11 @@ def test_all_power_is_accounted_for() -> None:
     propagating power from directions, the transmitted one from the sites: three separate sums.
     """
     depth = 0.9e-3
-    result = psf(SOURCE, OPTICS, [depth], window_px=64, target_error=1e-3)
-    for p, name in enumerate("xy"):
+    result = psf(SOURCE, OPTICS, [depth], PsfNumerics(window_px=64, target_error=1e-3))
+    for p in (0, 1):
         light = AngularSpectrum.of(SOURCE, OPTICS, depth, (0.0, 0.0), p)
         incident = _incident(depth, (0.0, 0.0), p)
-        assert light.power / incident == pytest.approx(result.details[f"transmitted_{name}"], rel=1e-6)
+        assert light.power / incident == pytest.approx(result.details.transmitted[p], rel=1e-6)
         bound = (light.power - light.propagating_power()) / incident
         # The narrowest features, phase levels of single sites, scatter a little beyond 90 degrees.
         assert 0.0 <= bound < 0.05 * light.power / incident
@@ -68,7 +71,7 @@ def test_all_power_is_accounted_for() -> None:
         window = around[64:128, 64:128].sum()
         assert window == pytest.approx(result.efficiency[p, 0], rel=2.0 * result.error[0])
         beyond = light.propagating_power() / incident - window
-        assert result.details[f"stray_{name}"] == pytest.approx(beyond + bound, abs=2e-3)
+        assert result.details.stray[p] == pytest.approx(beyond + bound, abs=2e-3)
         # A wider window only takes from what is stray, and never more than propagates.
         assert window < around.sum() <= light.propagating_power() / incident
 

@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from benchmarks.direct_sum import direct_irradiance
 from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
 from metafab.layout.pillars import Lattice
-from metafab.optics import direct_irradiance, psf, relative_l2
+from metafab.optics import PsfNumerics, psf, relative_l2
 from metafab.optics.geometry.path import Ray, power_at_aperture
 from metafab.optics.propagation.pupil import Carrier, reduce_field
 from metafab.optics.sources.source import FieldTile
@@ -33,7 +35,7 @@ WINDOW_PX = 16
 )
 def test_near_far_and_steep_objects_keep_the_stated_error(depth_m: float, tangent: tuple[float, float]) -> None:
     """Light defocused far beyond the window, or 30 degrees off the axis: PSFs against the direct sum."""
-    result = psf(SOURCE, OPTICS, [depth_m], tangent=tangent, window_px=WINDOW_PX, target_error=1e-3)
+    result = psf(SOURCE, OPTICS, [depth_m], PsfNumerics(window_px=WINDOW_PX, target_error=1e-3), tangent=tangent)
     for p in (0, 1):
         points = lens.window_points(OPTICS, result.centre_um[p, 0], WINDOW_PX)
         true = direct_irradiance(SOURCE, OPTICS, depth_m, tangent, *points, p)
@@ -41,7 +43,9 @@ def test_near_far_and_steep_objects_keep_the_stated_error(depth_m: float, tangen
 
 
 def test_infinity_is_the_limit_of_far_objects() -> None:
-    far, farther = (psf(SOURCE, OPTICS, [z], window_px=WINDOW_PX, target_error=1e-4).psf for z in (1e4, math.inf))
+    far, farther = (
+        psf(SOURCE, OPTICS, [z], PsfNumerics(window_px=WINDOW_PX, target_error=1e-4)).psf for z in (1e4, math.inf)
+    )
     assert relative_l2(far, farther) < 1e-5
 
 
@@ -49,7 +53,7 @@ def test_light_that_does_not_reach_the_sensor_is_refused() -> None:
     """30 degrees off the axis and split by 40 degrees the same way: beyond 90 degrees for one polarisation."""
     steep = replace(OPTICS, split_angle_deg=40.0)
     with pytest.raises(InputError, match="leaves the lens towards the sensor"):
-        psf(SOURCE, steep, [0.9e-3], tangent=(math.tan(math.radians(30.0)), 0.0), window_px=WINDOW_PX)
+        psf(SOURCE, steep, [0.9e-3], PsfNumerics(window_px=WINDOW_PX), tangent=(math.tan(math.radians(30.0)), 0.0))
 
 
 @dataclass(frozen=True)
@@ -116,16 +120,24 @@ def test_a_wide_lens_is_streamed_through_whole() -> None:
 
 def test_an_aperture_of_no_pillar_and_an_absorbing_library_are_dark() -> None:
     for source in (replace(SOURCE, table=0.0 * SOURCE.table), _Uniform(20.0, lit=False)):
-        result = psf(source, OPTICS, [0.9e-3, math.inf], window_px=WINDOW_PX)
+        result = psf(source, OPTICS, [0.9e-3, math.inf], PsfNumerics(window_px=WINDOW_PX))
         assert not result.psf.any() and not result.efficiency.any()
-        assert result.details["lost_x"] == pytest.approx(1.0)
+        assert result.details.lost[0] == pytest.approx(1.0)
         assert np.isnan(result.extinction_ratio).all()
 
 
 def test_any_number_of_workers_gives_the_same_bytes() -> None:
     grid = (np.array([-0.05, 0.05]), np.array([0.0, 0.04]))
     one, three = (
-        psf(SOURCE, OPTICS, [0.8e-3, 0.9e-3], window_px=WINDOW_PX, field_tangents=grid, workers=n) for n in (1, 3)
+        psf(
+            SOURCE,
+            OPTICS,
+            [0.8e-3, 0.9e-3],
+            PsfNumerics(window_px=WINDOW_PX),
+            field_tangents=grid,
+            work=Work(workers=n),
+        )
+        for n in (1, 3)
     )
     assert one.field is not None and three.field is not None
     assert one.psf.tobytes() == three.psf.tobytes()
@@ -170,7 +182,7 @@ def test_wide_lenses_from_end_to_end(aperture_um: float, target: float) -> None:
     optics = lens.imaging(aperture_um=aperture_um, focal_length_mm=1e-3 * focal_um, aperture_shape="square")
     optics = replace(optics, sensor_distance_um=focal_um * math.cos(math.radians(lens.ANGLE_DEG)), pixel_um=2.0)
     source = _Patches(aperture_um, focal_um)
-    result = psf(source, optics, [1e5], window_px=WINDOW_PX, target_error=target)
+    result = psf(source, optics, [1e5], PsfNumerics(window_px=WINDOW_PX, target_error=target))
     for p in (0, 1):
         points = lens.window_points(optics, result.centre_um[p, 0], WINDOW_PX)
         true = direct_irradiance(source, optics, 1e5, (0.0, 0.0), *points, p)
@@ -183,8 +195,8 @@ def test_what_would_not_fit_into_memory_is_refused_with_the_reason() -> None:
     """A window of 4 cm behind 5 cm would take blocks of a few sites, 10^9 of them."""
     optics = lens.imaging(aperture_um=50_000.0, focal_length_mm=500.0, aperture_shape="square", pixel_um=8.0)
     optics = replace(optics, sensor_distance_um=5e5)
-    with pytest.raises(InputError, match="block sums carry"):
-        psf(_Patches(50_000.0, 5e5), optics, [1e3], window_px=5000, target_error=1e-4)
+    with pytest.raises(InputError, match="block sums suffice"):
+        psf(_Patches(50_000.0, 5e5), optics, [1e3], PsfNumerics(window_px=5000, target_error=1e-4))
 
 
 def test_an_object_at_5_cm_before_the_paper_lens_scaled() -> None:
@@ -192,7 +204,7 @@ def test_an_object_at_5_cm_before_the_paper_lens_scaled() -> None:
     optics = lens.imaging(aperture_um=40.0, focal_length_mm=0.4)
     optics = replace(optics, sensor_distance_um=1.06 * 400.0 * math.cos(math.radians(lens.ANGLE_DEG)))
     source = lens.written(optics, lens.eq_2(optics), lens.eq_3_and_4(optics))
-    result = psf(source, optics, [1.0e-3], window_px=32, target_error=1e-3)
+    result = psf(source, optics, [1.0e-3], PsfNumerics(window_px=32, target_error=1e-3))
     assert result.efficiency.max() < 0.9
     for p in (0, 1):
         points = lens.window_points(optics, result.centre_um[p, 0], 32)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,22 +13,17 @@ from metafab import library
 from metafab.cell.rcwa import zero_order
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.parallel.executor import SerialExecutor, open_executor
-from metafab.core.parallel.progress import silent
+from metafab.core.parallel.executor import open_executor
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.axes import corner_cell
 from metafab.library.library import Library
-from metafab.optics import WrittenField, psf, written_field
-from metafab.optics.propagation.blocks import reduce_to_target
-from metafab.optics.propagation.image import Window, relative_l2
-from metafab.optics.propagation.pupil import Pupil
+from metafab.optics import PsfNumerics, WrittenField, psf, relative_l2, written_field
 from metafab.spec import UnitCell
 from metafab.spec.design import Tolerances
-from metafab.tolerance import corner_fields, corners
-from metafab.tolerance import table as module
+from metafab.tolerance import ToleranceTable, corner_fields, load_tolerance, save_tolerance, tolerance_table
+from metafab.tolerance.corners import SLICE_CHECKS, MaskSizes, slice_error, solve_amplitudes
 from metafab.tolerance.scatter import Stitched
-from metafab.tolerance.store import load_tolerance, save_tolerance
-from metafab.tolerance.table import ToleranceTable, tolerance_table
+from metafab.tolerance.study import DepthDecoder, Light, MaskOptics, Reference, require_block_memory
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()
@@ -92,7 +86,7 @@ def test_few_cells_tell_all(
 @pytest.fixture(scope="module")
 def table(written: WrittenField, small_library: Library) -> ToleranceTable:
     asked = Tolerances(cd_bias_nm=4.0, sidewall_deg=0.0, stitching_nm=20.0, draws=6)
-    return tolerance_table(written, small_library, OPTICS, DEPTHS_M, asked, 50, window_px=48)
+    return tolerance_table(written, small_library, OPTICS, DEPTHS_M, asked, 50, PsfNumerics(window_px=48))
 
 
 def test_the_mask_itself_changes_nothing(table: ToleranceTable) -> None:
@@ -116,29 +110,23 @@ def test_every_corner_has_its_row(table: ToleranceTable) -> None:
 
 def test_a_depth_is_what_the_twins_agree_on(written: WrittenField) -> None:
     """A mask whose PSFs are those of another depth: the decoder that knows the nominal ones says that depth."""
-    window = Window(OPTICS, 48, 1e-4)
-    pyramids, stray = reduce_to_target(written, [window], DEPTHS_M, (0.0, 0.0), None, 1e-3, SerialExecutor(), silent)
-    carriers = (pyramids[0][0].carrier, pyramids[1][0].carrier, stray.carrier)
-    pupils = [pyramids[0][0], pyramids[1][0], stray]
-    judge = module._Judge.of(module._Bench(window, tuple(DEPTHS_M), carriers), pupils, 1e-3)
+    numerics = PsfNumerics(window_px=48, target_error=1e-3)
+    optics, pupils, _ = MaskOptics.of(written, OPTICS, DEPTHS_M, numerics)
     there = [0.85e-3, 0.9e-3, 0.91e-3]
-    pair = psf(written, OPTICS, there, window_px=48, target_error=1e-3).psf
-    found = module._reported_depth_m(pair, judge.trial_m, judge.transfer)
-    assert found == pytest.approx(there, rel=1e-3)
+    pair = psf(written, OPTICS, there, numerics).psf
+    assert DepthDecoder.of(optics, pupils).depth_m(pair) == pytest.approx(there, rel=1e-3)
 
 
-def test_steps_of_a_sloped_wall_err_by_no_more_than_is_said(written: WrittenField, small_library: Library) -> None:
-    """Against walls of four times the steps, whose error is an eighth or less."""
-    sizes = corners._Sizes.of(written, small_library)
-    sample = sizes.size_nm[sizes.sample[: corners._JUDGED]]
+def test_slices_of_a_sloped_wall_err_by_no_more_than_is_said(written: WrittenField, small_library: Library) -> None:
+    """Against walls of four times the slices, whose error is an eighth or less."""
+    sizes = MaskSizes.of(written, small_library)
+    sample = sizes.size_nm[sizes.sample[:SLICE_CHECKS]]
     for slope in (-2.0, 2.0):
         at = {"sidewall_angle_deg": small_library.unit_cell.nominal("sidewall_angle_deg") + slope}
         cells = [corner_cell(small_library.unit_cell, float(w), float(h), at) for w, h in sample]
-        coarse, fine, finest = (
-            np.array([corners._amplitudes((cell, steps)) for cell in cells]) for steps in (4, 8, 32)
-        )
+        coarse, fine, finest = (np.array([solve_amplitudes((cell, slices)) for cell in cells]) for slices in (4, 8, 32))
         before = np.ones_like(fine)
-        stated = replace(sizes, sample=sizes.sample[: len(cells)])._step_error(before, np.concatenate([fine, coarse]))
+        stated = slice_error(before, fine, coarse)
         true = float(np.linalg.norm(fine - finest) / np.linalg.norm(before))
         assert true <= stated < 5.0 * true
 
@@ -154,18 +142,17 @@ def test_workers_change_nothing(written: WrittenField, small_library: Library) -
 
 def test_one_field_is_not_stitched(written: WrittenField, small_library: Library) -> None:
     none = Tolerances(cd_bias_nm=0.0, height_nm=0.0, sidewall_deg=0.0, pillar_n=0.0, missing_share=0.0, draws=2)
-    table = tolerance_table(written, small_library, OPTICS, DEPTHS_M[:1], none, 5000, window_px=32)
+    table = tolerance_table(written, small_library, OPTICS, DEPTHS_M[:1], none, 5000, PsfNumerics(window_px=32))
     assert [row.corner for row in table.rows] == ["misplacement 10 nm rms"]
 
 
-def test_write_fields_that_no_block_divides_are_refused(written: WrittenField, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_write_fields_that_no_block_divides_are_refused(written: WrittenField) -> None:
     """A prime number of sites leaves blocks of one site, as many as pillars: more than this small memory holds."""
     rows, columns = written.lattice.shape
-    monkeypatch.setattr("metafab.optics.propagation.blocks._MOST_BLOCKS", rows * columns - 1)
     stitched = [Stitched(OPTICS, 30.0, sites, written.lattice) for sites in (80, 83)]
-    module._require_memory(stitched[:1], written, 16)
+    require_block_memory(stitched[:1], written, 16, most_blocks=rows * columns - 1)
     with pytest.raises(InputError, match=r"`mask\.write_field_um`.* blocks of 1 sites"):
-        module._require_memory(stitched, written, 16)
+        require_block_memory(stitched, written, 16, most_blocks=rows * columns - 1)
 
 
 def test_the_table_comes_back_from_its_file(table: ToleranceTable, tmp_path: Path) -> None:
@@ -180,20 +167,19 @@ def test_the_table_comes_back_from_its_file(table: ToleranceTable, tmp_path: Pat
     assert load_tolerance(path) is None and load_tolerance(tmp_path / "none.json") is None
 
 
-def _light(pair: FloatArray) -> module._Light:
-    return module._Light(pair, np.full(pair.shape[1], 1e-3), 1.0)
+def _light(pair: FloatArray) -> Light:
+    return Light(pair, np.full(pair.shape[1], 1e-3), 1.0)
 
 
 def test_draws_keep_the_sign_of_what_they_lose_and_say_what_they_cannot_tell() -> None:
     """Missing pillars only lose light: two draws that lose 0.02 and 0.04 lose 0.03; below the error, rows say so."""
     pair = np.ones((2, 1, 8, 8)) / 64.0
-    trial_m = np.linspace(0.9e-3, 0.8e-3, 5)
-    transfer = np.ones((2, 5, 8, 5)) + 0j
-    judge = module._Judge(_light(pair), (0.85e-3,), trial_m, transfer, np.array([0.85e-3]), 0.03)
-    row = judge.row("missing", [_light(0.98 * pair), _light(0.96 * pair)], 0.1)
+    decoder = DepthDecoder(np.linspace(0.9e-3, 0.8e-3, 5), np.ones((2, 5, 8, 5)) + 0j)
+    reference = Reference(_light(pair), (0.85e-3,), decoder, np.array([0.85e-3]), 0.03)
+    row = reference.row("missing", [_light(0.98 * pair), _light(0.96 * pair)], 0.1)
     assert row.efficiency_change == pytest.approx(-0.03)
     assert row.change == pytest.approx(math.sqrt((0.02**2 + 0.04**2) / 2.0)) and not row.below_error
-    assert judge.row("missing", [_light(0.98 * pair)], 0.1).below_error
+    assert reference.row("missing", [_light(0.98 * pair)], 0.1).below_error
 
 
 def test_an_infinite_number_comes_back_from_the_file(table: ToleranceTable, tmp_path: Path) -> None:
@@ -208,29 +194,18 @@ def test_a_table_reaches_to_infinity(written: WrittenField, small_library: Libra
     """The depth error is of the finite depths."""
     none = {"cd_bias_nm": 0.0, "height_nm": 0.0, "sidewall_deg": 0.0, "pillar_n": 0.0, "misplacement_nm": 0.0}
     asked = Tolerances(**none, stitching_nm=0.0, missing_share=1e-3, draws=2)
-    found = tolerance_table(written, small_library, OPTICS, [0.84e-3, 0.9e-3, math.inf], asked, 5000, window_px=48)
+    found = tolerance_table(
+        written, small_library, OPTICS, [0.84e-3, 0.9e-3, math.inf], asked, 5000, PsfNumerics(window_px=48)
+    )
     assert math.isfinite(found.rows[0].change) and found.depth_m[-1] == math.inf
 
 
-def test_a_filter_smears_the_light_of_the_table(written: WrittenField, small_library: Library) -> None:
+def test_a_filter_smears_the_light_of_the_table(written: WrittenField) -> None:
     """The table compares the pair that :func:`psf` gives behind the same filter, not that of one wavelength."""
-    target, width_nm, seen = 1e-3, 30.0, []
-
-    class Spy(module._Bench):
-        def light(self, pupils: Sequence[Pupil]) -> module._Light:
-            seen.append(super().light(pupils))
-            return seen[-1]
-
-    none = {"cd_bias_nm": 0.0, "height_nm": 0.0, "sidewall_deg": 0.0, "pillar_n": 0.0, "misplacement_nm": 0.0}
-    asked = Tolerances(**none, stitching_nm=0.0, missing_share=0.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "_Bench", Spy)
-        tolerance_table(
-            written, small_library, OPTICS, [0.88e-3], asked, 5000, window_px=16, filter_fwhm_nm=width_nm,
-            target_error=target,
-        )  # fmt: skip
-    one, band = (
-        psf(written, OPTICS, [0.88e-3], window_px=16, target_error=target, filter_fwhm_nm=w) for w in (None, width_nm)
-    )
-    assert relative_l2(seen[-1].pair, band.psf) < 2.0 * target
-    assert relative_l2(seen[-1].pair, one.psf) > 10.0 * target
+    one_wavelength = PsfNumerics(window_px=16, target_error=1e-3)
+    filtered = replace(one_wavelength, filter_fwhm_nm=30.0)
+    optics, pupils, _ = MaskOptics.of(written, OPTICS, [0.88e-3], filtered)
+    one, band = (psf(written, OPTICS, [0.88e-3], numerics) for numerics in (one_wavelength, filtered))
+    light = optics.light(pupils)
+    assert relative_l2(light.pair, band.psf) < 2.0 * filtered.target_error
+    assert relative_l2(light.pair, one.psf) > 10.0 * filtered.target_error

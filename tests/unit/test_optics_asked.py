@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.optics import Imaging, psf
+from metafab.optics import Imaging, PsfNumerics, psf
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging(aperture_um=40.0)
@@ -33,20 +33,21 @@ NAN = math.nan
         ("tangent", {"tangent": (NAN, 0.0)}),
         ("field_tangents", {"field_tangents": (np.array([0.1, 0.0]), np.zeros(1))}),
         ("field_tangents", {"field_tangents": (np.array([0.0, NAN]), np.zeros(1))}),
-        ("field_points", {"field_points": 0}),
         ("filter_fwhm_nm", {"filter_fwhm_nm": 2000.0}),
         ("filter_fwhm_nm", {"filter_fwhm_nm": -1.0}),
     ],
 )
 def test_what_cannot_be_answered_is_refused_by_name(field: str, asked: dict[str, Any]) -> None:
     with pytest.raises(InputError) as refused:
-        psf(SOURCE, OPTICS, **{"depths_m": [0.9e-3], "window_px": 16, **asked})
+        asked = dict(asked)
+        numerics = {key: asked.pop(key) for key in ("window_px", "target_error", "filter_fwhm_nm") if key in asked}
+        psf(SOURCE, OPTICS, **{"depths_m": [0.9e-3], **asked}, numerics=PsfNumerics(**{"window_px": 16, **numerics}))
     assert field in {fault.field for fault in refused.value.faults}
 
 
 def test_all_faults_come_at_once() -> None:
     with pytest.raises(InputError) as refused:
-        psf(SOURCE, OPTICS, [NAN], window_px=0, target_error=0.0)
+        psf(SOURCE, OPTICS, [NAN], PsfNumerics(window_px=0, target_error=0.0))
     assert {fault.field for fault in refused.value.faults} == {"depths_m", "window_px", "target_error"}
 
 
@@ -56,13 +57,12 @@ def test_no_sampling_finds_more_light_than_was_let_through(share: float) -> None
     limit_um = min(OPTICS.finest_fringe_um(p, (0.0, 0.0)) for p in (0, 1))
     assert limit_um == pytest.approx(0.8 * OPTICS.sensor_distance_um / 40.0, rel=0.05)
     coarse = replace(OPTICS, pixel_um=share * limit_um)
-    details = psf(SOURCE, coarse, [0.9e-3], window_px=2 * round(16 / share)).details
+    details = psf(SOURCE, coarse, [0.9e-3], PsfNumerics(window_px=2 * round(16 / share))).details
     # What lies outside falls with the width of the window, which is the same for all.
-    for name in "xy":
-        assert 0.0 < float(details[f"stray_{name}"]) < 0.03
+    assert all(0.0 < stray < 0.03 for stray in details.stray)
 
 
 def test_coarser_pixels_are_refused_with_limit_and_remedy() -> None:
     coarse: Imaging = replace(OPTICS, pixel_um=12.0)
     with pytest.raises(InputError, match=r"`pixel_um`: expected below 9\.01 um.*got 12 um; sample finer"):
-        psf(SOURCE, coarse, [0.9e-3], window_px=32)
+        psf(SOURCE, coarse, [0.9e-3], PsfNumerics(window_px=32))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.optics import Psf, PsfBasis, at_depths, at_tangent, psf, relative_l2
+from metafab.optics import Psf, PsfBasis, PsfNumerics, at_depths, at_tangent, psf, relative_l2
 from metafab.optics.geometry.imaging import depth_nodes
 from tests import optics_lens as lens
 
@@ -20,7 +20,7 @@ TANGENTS = (np.linspace(-0.06, 0.06, 5), np.linspace(-0.04, 0.04, 3))
 def stack() -> Psf:
     source = lens.written(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
     nodes = depth_nodes(OPTICS, 0.7e-3, 1.1e-3, 1e-2)
-    return psf(source, OPTICS, nodes, window_px=24, target_error=1e-2, field_tangents=TANGENTS)
+    return psf(source, OPTICS, nodes, PsfNumerics(window_px=24, target_error=1e-2), field_tangents=TANGENTS)
 
 
 @pytest.mark.parametrize("target", [1e-1, 1e-2, 1e-3])

@@ -32,9 +32,9 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
+from metafab.core.numeric.splines import spline_weights
 from metafab.decode.camera_fit.point import PointImage, find_point
 from metafab.decode.registration.calibration import stretched
-from metafab.optics.interpolation.field import spline_weights
 from metafab.optics.point_spread import Psf
 
 _ROUNDS = 3
@@ -317,5 +317,5 @@ def _calibrated(predicted: Psf, fit: CameraFit) -> Psf:
         extinction_ratio=predicted.extinction_ratio[keep],
         sensor_distance_um=predicted.sensor_distance_um * fit.magnification,
         field=field,
-        details={**predicted.details, **figures},
+        details=dataclasses.replace(predicted.details, camera_fit=figures),
     )

@@ -14,7 +14,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.optics.interpolation.field import spline_weights
+from metafab.core.numeric.splines import spline_weights
 
 #: How far from its predicted place an image of the point may stand, pixels.
 _SEARCH_PX = 64

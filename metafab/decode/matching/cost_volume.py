@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
+from metafab.core.numeric.splines import spline_weights
 from metafab.decode.matching.pooling import halved, label_sums
-from metafab.optics.interpolation.field import spline_weights
 
 #: Depths between two candidates at which products are interpolated pixel by pixel; the nearest one is taken.
 _DEPTHS_PER_CANDIDATE = 64

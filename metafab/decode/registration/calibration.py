@@ -17,9 +17,9 @@ from scipy.sparse import csr_matrix
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.splines import spline_weights
 from metafab.decode.registration.tiles import Tiling
 from metafab.decode.registration.twins import TwinGrid
-from metafab.optics.interpolation.field import spline_weights
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,9 @@ from scipy.ndimage import binary_dilation
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.splines import spline_weights
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import spline_peaks, standard_error
-from metafab.optics.interpolation.field import spline_weights
 
 #: Side of a cell, frame pixels.
 _CELL_PX = 36

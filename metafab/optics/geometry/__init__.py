@@ -1,1 +1,6 @@
-"""Image points, optical path lengths, and the substrate as a plane-parallel plate."""
+"""Geometry of lens and sensor.
+
+- ``imaging``  Imaging: image points by the grating law, finest fringes, nodes over depth and field
+- ``plate``    Plate: refraction by the substrate between scene and pillars
+- ``path``     Ray: path lengths from object over lens to sensor, and incident amplitudes
+"""

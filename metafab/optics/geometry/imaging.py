@@ -1,10 +1,10 @@
-"""Where light goes: the geometry of lens and sensor, image points by the grating law, nodes over depth and field."""
+"""Geometry of lens and sensor: image points by the grating law, finest fringes, nodes over depth and field."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -15,15 +15,20 @@ from metafab.optics.geometry.plate import Plate
 from metafab.spec import Design
 from metafab.spec.terms import Grating
 
-#: Relative L2 error of cubic interpolation between depths whose rim defocus differs by one radian; the measured
-#: error falls with the fourth power of the step (``tests/physics/test_optics_depth.py`` holds it as a bound).
+#: Object direction (x/z, y/z).
+Tangent: TypeAlias = tuple[float, float]
+#: Object directions of a rectangular grid: x/z of shape (n_x,) and y/z of shape (n_y,), each ascending.
+FieldGrid: TypeAlias = tuple[FloatArray, FloatArray]
+
+#: Relative L2 error of cubic interpolation between depths whose rim defocus differs by one radian, a measured upper
+#: bound. The error falls with the fourth power of the step.
 _CUBIC_ERROR_PER_RAD4 = 4.0e-3
 _FEWEST_NODES = 6
 
 
 @dataclass(frozen=True)
 class Imaging:
-    """Lens and sensor as the propagation sees them.
+    """Geometry of lens and sensor for the propagation.
 
     Attributes:
         wavelength_um: vacuum wavelength; object and sensor stand in vacuum (air).
@@ -31,12 +36,12 @@ class Imaging:
         split_angle_deg: theta of Eqs. 3 and 4; 0 for a lens without polarisation splitting.
         sensor_distance_um: distance of the sensor plane from the metasurface.
         pixel_um: sampling step on the sensor.
-        aperture_um: diameter of a circle or ring, side of a square or of the one that holds a polygon.
-        aperture_shape: outline through which light comes.
+        aperture_um: diameter of a circle or ring, side of a square or of the square around a polygon.
+        aperture_shape: outline of the aperture.
         deflection: direction cosines (x, y) that gratings add, for x and for y polarisation.
         inner_um: diameter of a ring's hole.
         outline_um: (x, y) of a polygon's vertices.
-        plates: the substrate as x and as y polarised light sees it, between scene and pillars; none for air.
+        plates: substrate between scene and pillars for x and for y polarisation; empty for air.
     """
 
     wavelength_um: float
@@ -53,10 +58,10 @@ class Imaging:
 
     @classmethod
     def of(cls, design: Design) -> Imaging:
-        """The imaging geometry of a design: sensor where an object at ``focus_depth_m`` is sharp.
+        """Return the geometry of a design, with the sensor where an object at ``focus_depth_m`` is sharp.
 
         Raises:
-            InputError: the focus depth is not beyond the focal length.
+            InputError: the focus depth does not exceed the focal length.
         """
         device, sensor, angle_deg = design.device, design.sensor, design.split_angle_deg
         if sensor.focus_depth_m * 1e3 <= device.focal_length_mm:
@@ -65,7 +70,7 @@ class Imaging:
                 "sensor.focus_depth_m",
                 f"more than the focal length, {device.focal_length_mm * 1e-3:g} m",
                 f"{sensor.focus_depth_m:g} m",
-                "nearer objects have no real image",
+                "choose a larger depth; nearer objects have no real image",
             )
         distance = sensor_distance_um(device.focal_length_mm, angle_deg, sensor.focus_depth_m)
         return cls(
@@ -87,13 +92,12 @@ class Imaging:
         """Vacuum wavenumber 2 pi / wavelength, rad/um."""
         return 2.0 * math.pi / self.wavelength_um
 
-    def image_point_um(self, polarisation: int, tangent: tuple[float, float]) -> tuple[float, float]:
-        """Geometric image point on the sensor plane of an object in the direction ``tangent``.
+    def image_point_um(self, polarisation: int, tangent: Tangent) -> tuple[float, float]:
+        """Return the geometric image point on the sensor plane of an object in the direction ``tangent``.
 
-        The ray through the lens' centre obeys the grating law with the gradient of Eq. 3 (or 4) there: the
-        direction cosines of the light become (-t_x, -t_y) / sqrt(1 + t^2) + (-+sin theta, 0), and those of the
-        design's gratings are added. Images are inverted: an object at +x has its image at -x of the on-axis image
-        point.
+        The ray through the lens centre obeys the grating law with the phase gradient of Eq. 3 or 4 of Shen 2023: its
+        direction cosines are (-t_x, -t_y) / sqrt(1 + t^2) + (-+sin theta, 0) plus those of the design's gratings.
+        Images are inverted: the image of an object at +x lies at -x of the on-axis image point.
 
         Args:
             polarisation: 0 for x, 1 for y.
@@ -103,7 +107,7 @@ class Imaging:
             (x, y) in um from the optical axis.
 
         Raises:
-            InputError: the light would leave at 90 degrees or more.
+            InputError: the light would leave the lens at 90 degrees or more.
         """
         t_x, t_y = tangent
         secant = math.sqrt(1.0 + t_x * t_x + t_y * t_y)
@@ -123,10 +127,10 @@ class Imaging:
         scale = self.sensor_distance_um / math.sqrt(1.0 - transverse)
         return s_x * scale, s_y * scale
 
-    def finest_fringe_um(self, polarisation: int, tangent: tuple[float, float]) -> float:
-        """Smallest period of the irradiance about an image point: what the aperture's opposite ends interfere to.
+    def finest_fringe_um(self, polarisation: int, tangent: Tangent) -> float:
+        """Return the smallest period of the irradiance about an image point: the fringes of opposite aperture edges.
 
-        Sums over pixels are exact integrals where these are smaller; half of it samples the irradiance fully.
+        Sums over smaller pixels are exact integrals; pixels of half this period sample the irradiance fully.
         """
         x, y = self.image_point_um(polarisation, tangent)
         half = 0.5 * self.aperture_um
@@ -138,20 +142,23 @@ class Imaging:
 
 
 def depth_nodes(imaging: Imaging, z_min_m: float, z_max_m: float, target_error: float) -> FloatArray:
-    """Depths between which cubic interpolation in vergence keeps to ``target_error`` (relative L2 of irradiance).
+    """Return depths between which cubic interpolation in vergence keeps to ``target_error``.
 
     Args:
-        imaging: geometry; the rim defocus k R^2 / 2 (1/z_min - 1/z_max) sets how many nodes are needed.
+        imaging: geometry; the rim defocus k R^2 / 2 (1/z_min - 1/z_max) sets the number of nodes.
         z_min_m: nearest depth.
         z_max_m: farthest depth; ``math.inf`` is allowed.
-        target_error: error wanted.
+        target_error: relative L2 error of the irradiance.
 
     Returns:
         Shape (n,), ascending, uniform in 1/z, both ends included.
+
+    Raises:
+        InputError: the depths are not positive and ascending.
     """
     if not 0.0 < z_min_m < z_max_m:
         raise InputError.single(
-            "optics", "depths", "0 < nearest < farthest depth", f"{z_min_m:g} and {z_max_m:g} m", ""
+            "optics", "depths", "0 < nearest < farthest depth", f"{z_min_m:g} and {z_max_m:g} m", "exchange them"
         )
     near, far = 1.0 / z_min_m, 1.0 / z_max_m
     corner = math.sqrt(2.0) if imaging.aperture_shape in {"square", "polygon"} else 1.0
@@ -165,12 +172,12 @@ def depth_nodes(imaging: Imaging, z_min_m: float, z_max_m: float, target_error: 
     return np.asarray(depths)
 
 
-def field_tangents(design: Design, imaging: Imaging) -> tuple[FloatArray, FloatArray] | None:
-    """Field points that span the scene's image: ``field_px`` = (rows, columns) about the axis.
+def field_tangents(design: Design, imaging: Imaging) -> FieldGrid | None:
+    """Return field points over the image of the scene, ``scene.field_px`` = (rows, columns) about the axis.
 
     Returns:
-        (x/z, y/z) of shapes (n_x,) and (n_y,) = ``verify.field_points``, ascending; one point is the axis. None for
-        a design without a scene.
+        (x/z, y/z) of shapes (n_x,) and (n_y,) = ``verify.field_points``; a single point lies on the axis. None for a
+        design without a scene.
     """
     if design.scene is None:
         return None
@@ -180,7 +187,7 @@ def field_tangents(design: Design, imaging: Imaging) -> tuple[FloatArray, FloatA
 
 
 def _plates(design: Design) -> tuple[Plate, ...]:
-    """The substrate where `optics.substrate_um` gives it a thickness."""
+    """The substrate for x and y polarisation; empty if its thickness ``optics.substrate_um`` is 0."""
     if design.optics is None or design.optics.substrate_um == 0.0:
         return ()
     cell = design.unit_cell
@@ -200,6 +207,6 @@ def _deflection(design: Design, polarisation: Polarisation) -> tuple[float, floa
 
 
 def _axis(pixels: int, count: int, imaging: Imaging) -> FloatArray:
-    """``count`` directions over ``pixels`` pixels about the axis; one alone is the axis."""
+    """``count`` directions over ``pixels`` pixels about the axis; a single one is the axis itself."""
     reach = 0.5 * pixels * imaging.pixel_um / imaging.sensor_distance_um if count > 1 else 0.0
     return np.linspace(-reach, reach, count)

@@ -1,8 +1,7 @@
-"""Path lengths from an object over the lens to the sensor, without cancellation, and the amplitudes that go with them.
+"""Path lengths from an object over the lens to the sensor, without cancellation, and the incident amplitudes.
 
-All lengths are differences from the path through the lens' centre, written so that double precision holds 1e-9
-rad at any distance, infinity included. Functions take scalars or arrays that broadcast; they are compiled where
-numba is installed, and inlined in the kernels that need them a million times.
+All lengths are differences from the path through the lens centre, written such that double precision keeps 1e-9 rad at
+any distance, infinity included. The compiled functions take scalars or arrays that broadcast; kernels inline them.
 """
 
 from __future__ import annotations
@@ -10,80 +9,81 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
-from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.geometry.imaging import Imaging, Tangent
 from metafab.optics.geometry.plate import Plate
+
+#: Ray in air: vergence (1/um), object direction (x/z, y/z) and sensor point (x, y, z) in um.
+RayNumbers: TypeAlias = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True)
 class Ray:
-    """The ray from an object point through the lens' centre to a point of the sensor.
+    """Ray from an object point through the lens centre to a point of the sensor.
 
     Attributes:
         vergence_per_um: 1 / depth; 0 for an object at infinity.
         tangent: (x/z, y/z) of the object.
         target_um: (x, y, z) of the sensor point.
-        plate: what the light crosses before the lens; None for air.
+        plate: substrate before the lens; None for air.
     """
 
     vergence_per_um: float
-    tangent: tuple[float, float]
+    tangent: Tangent
     target_um: tuple[float, float, float]
     plate: Plate | None = None
 
     @classmethod
-    def towards_image(cls, imaging: Imaging, polarisation: int, depth_m: float, tangent: tuple[float, float]) -> Ray:
-        """The ray to the geometric image point of one polarisation."""
+    def towards_image(cls, imaging: Imaging, polarisation: int, depth_m: float, tangent: Tangent) -> Ray:
+        """Return the ray to the geometric image point of one polarisation (0 for x, 1 for y)."""
         x, y = imaging.image_point_um(polarisation, tangent)
         plate = imaging.plates[polarisation] if imaging.plates else None
         return cls(1e-6 / depth_m, tangent, (x, y, imaging.sensor_distance_um), plate)
 
     @property
     def in_air(self) -> Ray:
-        """The same without the plate."""
+        """The ray without the plate."""
         return replace(self, plate=None)
 
+    @property
+    def numbers(self) -> RayNumbers:
+        """Vergence, direction and target for the compiled functions; the plate is left out."""
+        return (self.vergence_per_um, *self.tangent, *self.target_um)
+
     def path_um(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
-        """Path over the lens point (x, y) minus the path over its centre; broadcasts."""
-        path = path_um(x_um, y_um, self.vergence_per_um, *self.tangent, *self.target_um)
+        """Return the path over the lens point (x, y) minus the path over the centre; the arguments broadcast."""
+        path = path_um(x_um, y_um, self.numbers)
         if self.plate is not None:
             path = path + self.plate.path_change_um(x_um, y_um, self.vergence_per_um, self.tangent)
         return np.asarray(path)
 
     def incident_amplitude(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
-        """Square root of the incident flux through the lens plane, 1 at its centre; broadcasts."""
-        amplitude = incident_amplitude(x_um, y_um, self.vergence_per_um, *self.tangent)
+        """Return the square root of the incident flux through the lens plane, 1 at the centre; arguments broadcast."""
+        amplitude = incident_amplitude(x_um, y_um, self.numbers)
         if self.plate is not None:
             amplitude = amplitude * self.plate.amplitude_ratio(x_um, y_um, self.vergence_per_um, self.tangent)
         return np.asarray(amplitude)
 
 
 @compiled
-def path_um(x: Any, y: Any, w: float, t_x: float, t_y: float, c_x: float, c_y: float, c_z: float) -> Any:
-    """Object to (x, y, 0) to (c_x, c_y, c_z), minus the same over the origin.
+def path_um(x: Any, y: Any, ray: RayNumbers) -> Any:
+    """Return the path from the object over (x, y, 0) to the target, minus the path over the origin; broadcasts.
 
-    An object at depth 1/w in the direction (t_x, t_y): R - R_0 = (w r^2 - 2 r.t) / (w R + w R_0), finite for
-    w = 0, where it is the plane wave's -r.t / sqrt(1 + t^2).
+    For an object at depth 1/w in the direction t: R - R_0 = (w r^2 - 2 r.t) / (w R + w R_0). This is finite for w = 0,
+    the plane wave -r.t / sqrt(1 + t^2).
     """
-    square = x * x + y * y
-    secant2 = 1.0 + t_x * t_x + t_y * t_y
-    bend = w * square - 2.0 * (x * t_x + y * t_y)
-    source = bend / (np.sqrt(w * bend + secant2) + math.sqrt(secant2))
-    centre2 = c_x * c_x + c_y * c_y + c_z * c_z
-    fall = square - 2.0 * (x * c_x + y * c_y)
-    return source + fall / (np.sqrt(fall + centre2) + math.sqrt(centre2))
+    return path_and_slopes(x, y, ray)[0]
 
 
 @compiled
-def path_and_slopes(
-    x: Any, y: Any, w: float, t_x: float, t_y: float, c_x: float, c_y: float, c_z: float
-) -> tuple[Any, Any, Any]:
-    """:func:`path_um` and its derivatives along x and y."""
+def path_and_slopes(x: Any, y: Any, ray: RayNumbers) -> tuple[Any, Any, Any]:
+    """Return :func:`path_um` and its derivatives along x and y; broadcasts."""
+    w, t_x, t_y, c_x, c_y, c_z = ray
     square = x * x + y * y
     secant2 = 1.0 + t_x * t_x + t_y * t_y
     bend = w * square - 2.0 * (x * t_x + y * t_y)
@@ -96,24 +96,20 @@ def path_and_slopes(
 
 
 @compiled
-def incident_amplitude(x: Any, y: Any, w: float, t_x: float, t_y: float) -> Any:
-    """(R_0 / R)^(3/2): the flux of a spherical wave through a plane falls with cos / R^2 = z / R^3."""
+def incident_amplitude(x: Any, y: Any, ray: RayNumbers) -> Any:
+    """Return (R_0 / R)^(3/2), as the flux of a spherical wave through a plane falls with z / R^3; broadcasts."""
+    w, t_x, t_y = ray[:3]
     secant2 = 1.0 + t_x * t_x + t_y * t_y
     bend = w * (w * (x * x + y * y) - 2.0 * (x * t_x + y * t_y))
     square = 1.0 + bend / secant2
     return 1.0 / np.sqrt(square * np.sqrt(square))
 
 
-@cache
-def _gauss_legendre() -> tuple[FloatArray, FloatArray]:
-    return np.polynomial.legendre.leggauss(24)
-
-
 def power_at_aperture(imaging: Imaging, ray: Ray) -> float:
-    """Integral of the squared incident amplitude over the aperture, um^2 (its area for distant objects).
+    """Return the integral of the squared incident amplitude over the aperture, um^2: its area for distant objects.
 
-    Gauss-Legendre in r^2 and equidistant azimuths (a circle), or Gauss-Legendre twice (a square, or the triangles
-    from the axis to a polygon's edges, counted with their sign): exact to 1e-12 for objects further away than the
+    The quadrature is Gauss-Legendre in r^2 with equidistant azimuths (circle), or Gauss-Legendre twice (square, and
+    the signed triangles from the axis to a polygon's edges). It is exact to 1e-12 for objects further away than the
     aperture is wide.
     """
     node, weight = _gauss_legendre()
@@ -141,3 +137,8 @@ def _power_in_circle(radius_um: float, ray: Ray) -> float:
     radius = radius_um * np.sqrt(0.5 * (1.0 + node))[:, None]
     flux = ray.incident_amplitude(radius * np.cos(azimuth), radius * np.sin(azimuth)) ** 2
     return float(np.pi * radius_um**2 * 0.5 * weight @ flux.mean(axis=1))
+
+
+@cache
+def _gauss_legendre() -> tuple[FloatArray, FloatArray]:
+    return np.polynomial.legendre.leggauss(24)

@@ -1,18 +1,17 @@
-"""A plane-parallel plate between scene and pillars: the substrate, which refracts the light of every object point.
+"""The substrate as a plane-parallel plate between scene and pillars, which refracts the light of every object point.
 
-A ray from an object at depth z and offset z t (seen from the pillars) to the lens point p leaves the object at an angle
-of tangent u and crosses the plate of thickness h and index n by Snell's law:
+A ray from an object at depth z and lateral offset z t to the lens point p leaves the object at an angle of tangent u
+and crosses the plate of thickness h and index n by Snell's law:
 
     u (1 - w h) + w h u / q(u) = |t - w p|,   q(u) = sqrt(n^2 + (n^2 - 1) u^2),   w = 1 / z.
 
-The path's gradient over p is minus the ray's sine along t - w p. Its integral from the centre to p, less that in air,
-is what the plate adds to the path: no large lengths are subtracted, and w = 0, an infinite depth, is nothing special
-(the plate then adds nothing). Reflection at the plate's faces is not in it.
+The gradient of the path over p is minus the sine of the ray along t - w p. The plate adds the integral of this gradient
+from the centre to p, minus the integral in air. No large lengths are subtracted, and w = 0, an infinite depth, is
+regular: the plate then adds nothing. Reflections at the faces of the plate are neglected.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -21,26 +20,26 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 
-#: Of the integral from the centre to a lens point: exact to 1e-12 for objects beyond the aperture's radius.
+#: Gauss-Legendre nodes from the centre to a lens point: exact to 1e-12 for objects beyond the aperture radius.
 _NODES = 8
-#: Newton's steps from below; each doubles the digits, of which two are there at first.
+#: Newton steps from below. Each doubles the digits, and the start has two.
 _NEWTON_STEPS = 5
 
 
 @dataclass(frozen=True)
 class Plate:
-    """The plate: its thickness and index.
+    """Plane-parallel plate before the lens.
 
     Attributes:
-        thickness_um: up to the object's depth.
-        index: refractive index, real.
+        thickness_um: thickness, at most the object depth.
+        index: real refractive index.
     """
 
     thickness_um: float
     index: float
 
     def path_change_um(self, x_um: Any, y_um: Any, vergence_per_um: float, tangent: tuple[float, float]) -> FloatArray:
-        """What the plate adds to the path over the lens point (x, y) minus that over the centre; broadcasts."""
+        """Return the change by the plate of the path over (x, y) minus the path over the centre; broadcasts."""
         nodes, weights = _gauss_legendre()
         total = 0.0
         for node, weight in zip(nodes.tolist(), weights.tolist(), strict=True):
@@ -51,16 +50,16 @@ class Plate:
     def slope_change(
         self, x_um: Any, y_um: Any, vergence_per_um: float, tangent: tuple[float, float]
     ) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of :meth:`path_change_um` along x and y."""
+        """Return the derivatives of :meth:`path_change_um` along x and y; broadcasts."""
         t_x, t_y = tangent[0] - vergence_per_um * x_um, tangent[1] - vergence_per_um * y_um
         square = np.asarray(t_x * t_x + t_y * t_y, dtype=np.float64)
         ratio, tangent2 = self._refracted(square, vergence_per_um)
-        # Sines of the ray over the tangent of the straight one, with and without the plate.
+        # Sine of the ray over the tangent of the straight ray, with and without the plate.
         change = ratio / np.sqrt(1.0 + tangent2) - 1.0 / np.sqrt(1.0 + square)
         return -change * t_x, -change * t_y
 
     def amplitude_ratio(self, x_um: Any, y_um: Any, vergence_per_um: float, tangent: tuple[float, float]) -> FloatArray:
-        """Incident amplitude with the plate over that without, 1 at the centre: rays are spread otherwise."""
+        """Return the incident amplitude with the plate over the amplitude in air, 1 at the centre; broadcasts."""
         t_x, t_y = tangent[0] - vergence_per_um * x_um, tangent[1] - vergence_per_um * y_um
         here = self._spread(np.asarray(t_x * t_x + t_y * t_y), vergence_per_um)
         centre = self._spread(np.asarray(tangent[0] ** 2 + tangent[1] ** 2), vergence_per_um)
@@ -75,9 +74,9 @@ class Plate:
         return np.asarray(ratio / growth * ((1.0 + square) / (1.0 + tangent2)) ** 1.5)
 
     def _refracted(self, square: FloatArray, vergence_per_um: float) -> tuple[FloatArray, FloatArray]:
-        """Ratio u / rho, and u^2, for rho^2 = ``square``, rho being the tangent of the straight line to the object."""
+        """Ratio u / rho, and u^2, for rho^2 = ``square``; rho is the tangent of the straight line to the object."""
         share, n2 = vergence_per_um * self.thickness_um, self.index**2
-        # A concave function of u that is below rho at the start: the steps only rise.
+        # The left side is concave in u and below rho at the start, so that the Newton steps only rise.
         ratio = np.full(square.shape, 1.0 / (1.0 - share + share / self.index))
         for _ in range(_NEWTON_STEPS):
             tangent2 = ratio * ratio * square
@@ -89,18 +88,11 @@ class Plate:
 
 @cache
 def _gauss_legendre() -> tuple[FloatArray, FloatArray]:
-    """On 0 to 1."""
+    """Nodes and weights on 0 to 1."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     return 0.5 * (1.0 + node), 0.5 * weight
 
 
 def focus_shift_um(plate: Plate) -> float:
-    """How much nearer an object seems on the axis: h (1 - 1/n)."""
+    """Return the apparent approach of an object on the axis, h (1 - 1/n)."""
     return plate.thickness_um * (1.0 - 1.0 / plate.index)
-
-
-def lateral_shift_um(plate: Plate, angle_deg: float) -> float:
-    """How far the plate displaces a ray along its face: h (tan a - tan b), sin a = n sin b."""
-    angle = math.radians(angle_deg)
-    inside = math.asin(math.sin(angle) / plate.index)
-    return plate.thickness_um * (math.tan(angle) - math.tan(inside))

@@ -1,11 +1,11 @@
-"""Where the light of a written mask goes, factor by factor, from the aperture through a pinhole about its image.
+"""Loss chain of a written mask: the factors of its efficiency, from the aperture to a pinhole about the image.
 
-The field behind the pillars is the wanted wave, u = exp(i target phase), times c = <a u*>, and a rest that is
-orthogonal to it: |c|^2 is the share of the light in the wanted wave. It is the transmittance times what the library's
-phases and amplitudes can follow (measured on sizes as fine as if they were continuous) times what snapping to the size
-grid leaves of that, times the rim where no whole cell has room. Unlike neighbours take more, as full-wave rows of the
-mask tell. The wanted wave itself, the target phases alone, loses what passes beside the pinhole; and some of the rest
-falls into it. The factors multiply to the efficiency of the written mask, which is measured by itself.
+The field behind the pillars is the target wave, u = exp(i target phase), times c = <a u*>, plus a rest that is
+orthogonal to it. |c|^2 is the share of the light in the target wave. It is the product of the transmittance, the
+overlap that the library allows with continuous sizes, the loss by snapping to the size grid, and the loss at the rim,
+where no whole cell fits. Full-wave rows of the mask give a further loss by coupling between unlike neighbours. The
+target wave loses the light that misses the pinhole, and some of the rest enters it. The factors multiply to the
+efficiency of the written mask, which is measured independently.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Device
 from metafab.spec.outline import encloses
 
-#: Sites that are looked at, in whole rows spread evenly; and targets that are mapped to sizes off the grid.
+#: Largest number of sites, in evenly spaced rows, and of target phases that are mapped to continuous sizes.
 _MOST_SITES, _TARGETS = 3_000_000, 20_000
-#: Step of the sizes that stand for continuous ones, nm.
+#: Step of the sizes that represent continuous ones, nm.
 _FINE_NM = 0.5
 
 
 @dataclass(frozen=True)
 class Wavefront:
-    """How much of the light behind a mask is in the wanted wave; x and y polarisation each.
+    """Overlap of the field behind a mask with the target wave, for x and y polarisation.
 
     Attributes:
         overlap: |<a u*>|^2 / <|a|^2> over sites with a pillar.
-        error: statistical error of ``overlap``: rows are a sample.
-        best_overlap: the same with sizes off the grid, each chosen as the mapping chooses.
+        error: statistical error of ``overlap``, as rows are sampled.
+        best_overlap: overlap with continuous sizes, chosen as in the mapping.
         filled: share of the sites in the aperture that carry a pillar.
-        sites: how many with a pillar were looked at.
+        sites: number of sampled sites with a pillar.
     """
 
     overlap: tuple[float, float]
@@ -53,8 +53,8 @@ class Loss:
     """One factor of the chain.
 
     Attributes:
-        stage: what takes the light.
-        factor: what it leaves, of x and of y polarised light; None where it was not measured.
+        stage: cause of the loss.
+        factor: remaining share of x and of y polarised light; None if it was not measured.
     """
 
     stage: str
@@ -62,7 +62,7 @@ class Loss:
 
 
 def wavefront(written: WrittenField, profile: PhaseProfile, device: Device, library: Library) -> Wavefront:
-    """Compare the written pillars' field with the target phases, on rows spread over the lens."""
+    """Compare the field of the written pillars with the target phases, on sampled rows of the lens."""
     sums = np.zeros((2, 2), dtype=np.complex128)  # [half of the rows, polarisation]
     powers, counts, inside = np.zeros((2, 2)), np.zeros(2), 0
     targets: list[FloatArray] = []
@@ -98,16 +98,16 @@ def loss_chain(
     coupling: float | None = None,
     stopped: FloatArray | None = None,
 ) -> list[Loss]:
-    """The factors from the aperture to the pinhole; each argument but ``coupling`` holds x and y.
+    """Return the factors from the aperture to the pinhole.
 
     Args:
-        front: how much of the transmitted light is in the wanted wave.
-        transmitted: share of the light at the aperture that leaves the pillars.
-        through_pinhole: share that passes the pinhole behind the written mask, as the library's pillars would have it.
-        ideal_through_pinhole: the same of the target phases.
-        stopped: share of the light at the aperture that passes a stop or an amplitude before the pillars, which
-            ``transmitted`` and both efficiencies hold, too; None where there is none.
-        coupling: efficiency of full-wave rows over that of the same rows by the library; None where not measured.
+        front: overlap of the transmitted light with the target wave.
+        transmitted: shape (2,), share of the light at the aperture that the pillars transmit.
+        through_pinhole: shape (2,), share that passes the pinhole behind the written mask, by the library.
+        ideal_through_pinhole: shape (2,), share that passes the pinhole behind the target phases.
+        coupling: efficiency of full-wave rows over that of the same rows by the library; None if not measured.
+        stopped: shape (2,), share that passes a stop or an amplitude before the pillars, which is contained in
+            ``transmitted`` and both efficiencies; None for none.
 
     Returns:
         Losses whose factors multiply to ``through_pinhole`` times ``coupling``.
@@ -117,7 +117,7 @@ def loss_chain(
     if stopped is not None:
         transmitted, ideal_through_pinhole = transmitted / stopped, ideal_through_pinhole / stopped
         through_pinhole = through_pinhole / stopped
-    # Dark sites take their power, and once more of the amplitude at the image.
+    # Dark sites reduce the power by their share, and the peak of the image by its square.
     wanted = transmitted * overlap * front.filled
     return [
         *before,
@@ -138,7 +138,7 @@ def _loss(stage: str, factor: FloatArray) -> Loss:
 def _rows(
     written: WrittenField, profile: PhaseProfile, device: Device
 ) -> Iterator[tuple[int, ComplexArray, FloatArray]]:
-    """(number, amplitudes (2, n), target phases (2, n)) of the sites inside the aperture, of some rows of each tile."""
+    """Row number, amplitudes (2, n) and target phases (2, n) of the sites inside the aperture, for sampled rows."""
     lattice = written.lattice
     x_um, y_um = lattice.x_um(), lattice.y_um()
     every = max(1, -(-x_um.size * y_um.size // _MOST_SITES))
@@ -159,10 +159,10 @@ def _rows(
 
 
 def _best_overlap(written: WrittenField, target_rad: FloatArray, library: Library) -> FloatArray:
-    """|<a u*>|^2 / <|a|^2> of sizes off the grid, within the sizes that the mask has.
+    """|<a u*>|^2 / <|a|^2> of continuous sizes in the range of the mask.
 
-    The largest inner product with the wanted field is the nearest neighbour once a fifth coordinate makes all
-    sizes equally long (:mod:`metafab.library.use.lookup`).
+    The largest inner product with the target wave becomes a nearest-neighbour search once a fifth coordinate makes the
+    vectors of all sizes equally long (:mod:`metafab.library.use.lookup`).
     """
     size_nm = written.pillars.size_nm()[1:]
     axes = [_fine_axis(size_nm[:, axis], min(library.width_nm.size, library.length_nm.size)) for axis in (0, 1)]
@@ -173,18 +173,17 @@ def _best_overlap(written: WrittenField, target_rad: FloatArray, library: Librar
     parts = np.stack([t[:, 0].real, t[:, 0].imag, t[:, 1].real, t[:, 1].imag], axis=1)
     square = (parts**2).sum(axis=1)
     sized = np.concatenate([parts, np.sqrt(square.max() - square)[:, None]], axis=1)
-    # Sizes lie on a surface: halving boxes in their middle makes a tree that is asked in half the time.
+    # The sizes lie on a surface, for which a tree of boxes halved in the middle answers in half the time.
     tree = cKDTree(sized, balanced_tree=False, compact_nodes=False)
-    wanted = np.stack(
-        [f(row) for row in target_rad for f in (np.cos, np.sin)] + [np.zeros(target_rad.shape[1])], axis=1
-    )
+    (x, y), none = target_rad, np.zeros(target_rad.shape[1])
+    wanted = np.stack([np.cos(x), np.sin(x), np.cos(y), np.sin(y), none], axis=1)
     chosen = t[tree.query(wanted)[1]].T
     coherent = np.abs((chosen * np.exp(-1j * target_rad)).mean(axis=1)) ** 2
     return np.asarray(coherent / (np.abs(chosen) ** 2).mean(axis=1))
 
 
 def _fine_axis(sizes_nm: FloatArray, library_sizes: int) -> FloatArray:
-    """Sizes from the smallest to the largest of the mask, off the grid where the library has a surface there."""
+    """Fine sizes from the smallest to the largest of the mask; one size for a library too small for a surface."""
     low, high = float(sizes_nm.min()), float(sizes_nm.max())
     if library_sizes < 4 or high <= low:
         return np.array([low])

@@ -1,4 +1,4 @@
-"""Where the main lobe of a PSF is, to a small fraction of a pixel."""
+"""Position, height and orientation of the main lobe of a PSF, to a small fraction of a pixel."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ _NEWTON_STEPS = 12
 
 
 def main_lobe_px(psf: FloatArray) -> tuple[float, float, float]:
-    """Place and height of the highest maximum.
+    """Return the position and height of the highest maximum, by a quintic spline through the pixels around it.
 
     Args:
-        psf: shape (n_y, n_x), irradiance sampled at least as finely as its band limit asks.
+        psf: shape (n_y, n_x), irradiance sampled at or above its Nyquist rate.
 
     Returns:
-        (x, y) in pixels from the centre pixel ``[n_y // 2, n_x // 2]``, and the irradiance there, by a quintic
-        spline through the pixels around.
+        (x, y) in pixels from the centre pixel ``[n_y // 2, n_x // 2]``, and the irradiance there.
     """
     n_y, n_x = psf.shape
     row, column = divmod(int(np.argmax(psf)), n_x)
@@ -51,14 +50,15 @@ def main_lobe_px(psf: FloatArray) -> tuple[float, float, float]:
 
 
 def orientation_deg(psf: FloatArray) -> FloatArray:
-    """``phi_deg`` of each image of a stack: angle from the centre pixel to the main lobe, counter-clockwise.
+    """Return ``phi_deg`` of each image: the angle of the main lobe about the centre pixel, counter-clockwise from +x.
+
+    The angle is meaningless for a lobe at the centre, as of an ordinary lens.
 
     Args:
         psf: shape (n, n_y, n_x).
 
     Returns:
-        Shape (n,), in (-180, 180], NaN for a dark image; without a main lobe beside the centre (an ordinary lens)
-        it has no meaning.
+        Shape (n,), in (-180, 180]; NaN for a dark image.
     """
     places = [main_lobe_px(image) if image.any() else (math.nan, math.nan, 0.0) for image in psf]
     return np.array([math.degrees(math.atan2(y, x)) for x, y, _ in places])

@@ -1,4 +1,4 @@
-"""Figures of merit of a PSF stack: what the paper measured, and what a lens designer asks for."""
+"""Figures of merit of a PSF stack: efficiency through a pinhole, peaks, rotation, depth of field."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from metafab.core.errors import InputError
 from metafab.optics.measures.lobe import main_lobe_px
 from metafab.optics.point_spread import Psf
 
-#: Diameter of the pinhole through which the paper measured efficiencies.
+#: Diameter of the pinhole in the efficiency measurement of Shen 2023 (Methods).
 PINHOLE_UM = 100.0
 
 
 def pinhole_efficiency(psf: Psf, diameter_um: float = PINHOLE_UM) -> FloatArray:
-    """Share of the power at the aperture that passes a pinhole about the PSF, placed where most passes.
+    """Return the share of the power at the aperture that passes a pinhole scanned for the maximum.
 
-    The paper's measure of diffraction efficiency (Methods): a pinhole of 100 um, scanned for the maximum. It is
-    scanned over whole pixels. Its rim is exact: the irradiance is band-limited, so that its spectrum times that of a
-    disc, R J_1(2 pi R f) / f, is the spectrum of what passes.
+    This is the measure of diffraction efficiency in Shen 2023 (Methods). The pinhole is scanned over whole pixels. Its
+    rim is exact: the irradiance is band-limited, so that the spectrum of the transmitted power is the spectrum of the
+    irradiance times that of a disc, R J_1(2 pi R f) / f.
 
     Returns:
         Shape (2, n_depth).
@@ -43,32 +43,32 @@ def pinhole_efficiency(psf: Psf, diameter_um: float = PINHOLE_UM) -> FloatArray:
     disc = radius_um * j1(2.0 * np.pi * radius_um * frequency) / frequency
     disc[0, 0] = np.pi * radius_um**2
     passed = np.fft.irfft2(np.fft.rfft2(psf.psf) * disc, (n_y, n_x))
-    # Cyclic convolution: places where the pinhole would reach over the window's edge are left out.
+    # Cyclic convolution: positions at which the pinhole crosses the edge of the window are left out.
     inside = passed[..., reach : n_y - reach, reach : n_x - reach]
     return np.asarray(inside.max(axis=(2, 3)))
 
 
 def largest_pinhole_um(psf: Psf, wanted_um: float = PINHOLE_UM) -> float:
-    """``wanted_um``, or three quarters of the window where that is smaller: it must have room to be scanned."""
+    """Return ``wanted_um``, but at most three quarters of the window, which leaves room for the scan."""
     return float(min(wanted_um, 0.75 * min(psf.psf.shape[2:]) * psf.pixel_um))
 
 
 def main_lobe_um(psf: Psf) -> FloatArray:
-    """(x, y) of each main lobe from the geometric image point, to a fraction of a pixel: shape (2, n_depth, 2)."""
+    """Return (x, y) of each main lobe from the geometric image point, shape (2, n_depth, 2)."""
     places = [[main_lobe_px(image)[:2] for image in stack] for stack in psf.psf]
     return np.asarray(places, dtype=np.float64) * psf.pixel_um
 
 
 def peak_irradiance(psf: Psf) -> FloatArray:
-    """Height of the main lobe, 1/um^2 per unit power, shape (2, n_depth)."""
+    """Return the height of the main lobe, 1/um^2 per unit power, shape (2, n_depth)."""
     return np.array([[main_lobe_px(image)[2] for image in stack] for stack in psf.psf])
 
 
 def relative_peak(psf: Psf, ideal: Psf) -> FloatArray:
-    """Peak against that of the target phases at the same depths (a Strehl ratio), shape (2, n_depth).
+    """Return the Strehl ratio, the peak over that of the target phases, shape (2, n_depth).
 
     Raises:
-        InputError: the two stacks stand at different depths.
+        InputError: the two stacks have different depths.
     """
     if psf.depth_m.shape != ideal.depth_m.shape or not np.allclose(psf.depth_m, ideal.depth_m):
         raise InputError.single("PSF stack", "ideal", f"depths {psf.depth_m}", f"{ideal.depth_m}", "compute both alike")
@@ -76,7 +76,7 @@ def relative_peak(psf: Psf, ideal: Psf) -> FloatArray:
 
 
 def rotation_deg(psf: Psf) -> float:
-    """Turn of PSF_x's main lobe from the first to the last depth, counter-clockwise positive, whole turns counted.
+    """Return the rotation of the main lobe of PSF_x from the first to the last depth, counter-clockwise, unwrapped.
 
     Neighbouring depths must differ by less than half a turn.
     """
@@ -85,9 +85,9 @@ def rotation_deg(psf: Psf) -> float:
 
 
 def depth_of_field_dioptre(psf: Psf, share: float = 0.8) -> FloatArray:
-    """Span of vergence about the brightest depth over which the peak stays above ``share`` of the highest.
+    """Return the span of vergence about the brightest depth over which the peak exceeds ``share`` of the highest.
 
-    Linear between depths; a span that reaches an end of the stack is at least what is given.
+    Peaks are linear between depths. If the span reaches an end of the stack, the value is a lower bound.
 
     Returns:
         Shape (2,), dioptre.

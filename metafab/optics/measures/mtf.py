@@ -1,4 +1,4 @@
-"""Modulation transfer of a PSF pair over depth, and of a standard lens: same aperture and sensor, no spiral."""
+"""Modulation transfer function (MTF) of a PSF pair over depth, and of a standard lens of the same aperture."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from metafab.optics.point_spread import Psf
 from metafab.spec import Device
 from metafab.spec.outline import encloses
 
-#: Samples across a standard lens: the fewest, for each radian of rim defocus, and the most.
+#: Samples across a standard lens: minimum, increment per radian of rim defocus, and maximum.
 _SAMPLES, _SAMPLES_PER_RAD, _MOST_SAMPLES = 192, 6.0, 1024
 
 
 def modulation_transfer(psf: Psf) -> tuple[FloatArray, FloatArray]:
-    """MTF averaged over azimuth; light outside the window is not in it.
+    """Return the MTF averaged over azimuth, of the light in the window.
 
     Returns:
-        Mean frequency of each ring, shape (n_frequency,), cycles per um from 0 to half the sampling rate; and the
-        mean modulus of the PSF's spectrum over its value at 0, shape (2, n_depth, n_frequency).
+        Mean frequency of each ring, shape (n_frequency,), cycles per um from 0 to half the sampling rate; and the mean
+        modulus of the spectrum over its value at 0, shape (2, n_depth, n_frequency).
     """
     n_y, n_x = psf.psf.shape[2:]
     spectrum = np.abs(np.fft.fft2(psf.psf))
@@ -33,20 +33,20 @@ def modulation_transfer(psf: Psf) -> tuple[FloatArray, FloatArray]:
 def lens_modulation(
     imaging: Imaging, device: Device, depth_m: float, frequency_per_um: FloatArray, focus_depth_m: float
 ) -> FloatArray:
-    """MTF of an aberration-free lens on the axis with the design's aperture, focal length and focus, over azimuth.
+    """Return the MTF, averaged over azimuth, of an aberration-free lens with the aperture and focus of a design.
 
-    Its pupil function is the outline times the defocus of an object at ``depth_m``, exact in the aperture; the transfer
-    is its autocorrelation (Goodman, Introduction to Fourier Optics, 6.4).
+    The pupil function is the outline times the non-paraxial defocus of an object on the axis at ``depth_m``. The
+    transfer function is its autocorrelation (Goodman, Introduction to Fourier Optics, 6.4).
 
     Args:
-        imaging: wavelength, sensor distance, split angle (which shortens the sensor's distance only).
-        device: the aperture's outline.
+        imaging: wavelength, sensor distance, split angle (which only shortens the sensor distance).
+        device: outline of the aperture.
         depth_m: object depth; ``math.inf`` is allowed.
-        frequency_per_um: shape (n,), on the sensor.
+        frequency_per_um: shape (n,), cycles per um on the sensor.
         focus_depth_m: depth of an object in focus.
 
     Returns:
-        Shape (n,), 1 at frequency 0; 0 beyond the lens' cut-off.
+        Shape (n,), 1 at frequency 0 and 0 beyond the cut-off.
     """
     far, sharp = 1e-6 / depth_m, 1e-6 / focus_depth_m
     rim_um = 0.5 * device.aperture_um

@@ -1,10 +1,10 @@
-"""How the pair changes over the field of view: where the two images stand, and which depth they seem to have.
+"""Variation of the pair over the field of view: image points, aberrations and depth bias.
 
-A mask's phases stay what they are while the object moves, so that all that changes is the path from the object over
-the lens to the geometric image point. Its second order is a change of vergence (defocus), which the two carriers,
-deflecting to opposite sides, give opposite signs to first order in the direction, and astigmatism of the same size:
-along the split the curvature changes three times as much as across. How much nearer or farther an object then seems is
-up to the mask; the helix pair takes the astigmatism for depth, too, and errs by 1.4 times the defocus.
+The phases of a mask are fixed, so that an object beside the axis changes only the path over the lens to its geometric
+image point. The second order of this change is a defocus and an astigmatism of the same size: along the split the
+curvature changes three times as much as across. To first order in the direction, both have opposite signs for the two
+polarisations, which the carriers deflect to opposite sides. The resulting depth bias depends on the mask: the helix
+pair responds to astigmatism, too, and errs by 1.4 times the defocus.
 """
 
 from __future__ import annotations
@@ -14,28 +14,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.peaks import parabolic_maximum
+from metafab.core.numeric.splines import spline_weights
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.geometry.path import Ray
-from metafab.optics.interpolation.field import spline_weights
 from metafab.optics.point_spread import Psf
 
-#: Points of the lens, along radius and azimuth, that a change of path is fitted to.
+#: Points of the lens along radius and azimuth at which the change of path is fitted.
 _RADII, _AZIMUTHS = 12, 24
-#: Depths that are tried for each that a stack holds, when PSFs are compared.
+#: Trial depths per depth of the stack when PSFs are compared.
 _TRIALS = 8
 
 
 @dataclass(frozen=True)
 class SpaceVariance:
-    """Over a grid of object directions, for both polarisations.
+    """Image points and aberrations of both polarisations over a grid of object directions.
 
     Attributes:
-        tangent_x: shape (n_x,), x/z of the object; likewise ``tangent_y``.
-        tangent_y: shape (n_y,).
-        defocus_dioptre: shape (2, n_y, n_x), change of vergence, positive as if the object were nearer.
-        astigmatism_dioptre: the same shape, half of what the vergence along x is above that along y.
+        tangent_x: shape (n_x,), x/z of the object.
+        tangent_y: shape (n_y,), y/z of the object.
+        defocus_dioptre: shape (2, n_y, n_x), change of vergence, positive as for a nearer object.
+        astigmatism_dioptre: shape (2, n_y, n_x), half the vergence along x minus that along y.
         image_um: shape (2, n_y, n_x, 2), (x, y) of the geometric image points on the sensor.
-        distortion_um: the same shape, what they miss the image of a pinhole at the lens' centre by.
+        distortion_um: shape (2, n_y, n_x, 2), deviation from the image by a pinhole at the lens centre.
     """
 
     tangent_x: FloatArray
@@ -47,7 +48,14 @@ class SpaceVariance:
 
 
 def space_variance(imaging: Imaging, tangent_x: FloatArray, tangent_y: FloatArray, depth_m: float) -> SpaceVariance:
-    """Image points and aberrations over a grid of directions, by geometry alone; any depth has nearly the same."""
+    """Return image points and aberrations over a grid of directions; they hardly depend on the depth.
+
+    Args:
+        imaging: geometry.
+        tangent_x: shape (n_x,), x/z of the object.
+        tangent_y: shape (n_y,), y/z of the object.
+        depth_m: object depth.
+    """
     grid = [(float(t_x), float(t_y)) for t_y in tangent_y for t_x in tangent_x]
     shape = (2, tangent_y.size, tangent_x.size)
     second = np.array([[aberration_dioptre(imaging, p, t, depth_m) for t in grid] for p in (0, 1)])
@@ -61,10 +69,10 @@ def space_variance(imaging: Imaging, tangent_x: FloatArray, tangent_y: FloatArra
 def aberration_dioptre(
     imaging: Imaging, polarisation: int, tangent: tuple[float, float], depth_m: float
 ) -> tuple[float, float]:
-    """Defocus and astigmatism of an object beside the axis, to one polarisation.
+    """Return defocus and astigmatism of an object beside the axis for one polarisation.
 
-    The change of path from the axis to the object's direction, at one depth, fitted by least squares over the circle
-    that holds the aperture: its coefficients of (x^2 + y^2) / 2 and (x^2 - y^2) / 2, beside tilt, skew and coma.
+    They are the coefficients of (x^2 + y^2) / 2 and (x^2 - y^2) / 2 in a least-squares fit, with tilt, skew and coma,
+    to the change of path from the axis to the direction of the object, over the circle around the aperture.
     """
     rim_um = 0.5 * imaging.aperture_um
     radius = rim_um * np.sqrt((np.arange(_RADII) + 0.5) / _RADII)[:, None]
@@ -79,14 +87,19 @@ def aberration_dioptre(
     return float(defocus), float(astigmatism)
 
 
-def seen_bias_dioptre(psf: Psf) -> FloatArray:
-    """Vergence by which objects seem nearer than they are: that on the axis whose PSF is most like the field point's.
+def depth_bias_dioptre(psf: Psf) -> FloatArray:
+    """Return the apparent minus the true vergence over the field, at the middle depth of the stack.
+
+    The apparent vergence is that of the PSF on the axis with the largest correlation with the PSF at the field point.
 
     Args:
-        psf: a stack with a field.
+        psf: stack with a field.
 
     Returns:
-        Shape (2, n_y, n_x), at the middle depth; NaN where the most like lies at an end of the stack.
+        Shape (2, n_y, n_x); NaN where the correlation is largest at an end of the stack.
+
+    Raises:
+        ValueError: the stack has no field.
     """
     if psf.field is None:
         raise ValueError("`psf`: expected a stack with a field of view, got the axis alone")
@@ -95,19 +108,11 @@ def seen_bias_dioptre(psf: Psf) -> FloatArray:
     trial = np.linspace(nodes.min(), nodes.max(), _TRIALS * nodes.size)
     weights = spline_weights(nodes, trial)
     n_y, n_x = psf.field.psf.shape[2:4]
-    seen = np.empty((2, n_y, n_x))
+    bias = np.empty((2, n_y, n_x))
     for p in (0, 1):
-        known = weights @ psf.psf[p].reshape(nodes.size, -1)
-        known /= np.linalg.norm(known, axis=1, keepdims=True)
-        likeness = psf.field.psf[p, middle].reshape(n_y * n_x, -1).astype(np.float64) @ known.T
-        seen[p] = np.array([_summit(trial, row) for row in likeness]).reshape(n_y, n_x) - nodes[middle]
-    return seen
-
-
-def _summit(places: FloatArray, values: FloatArray) -> float:
-    """Where the largest value is, by a parabola through it and its neighbours; NaN at an end."""
-    k = int(np.argmax(values))
-    if k in {0, values.size - 1}:
-        return float("nan")
-    below, at, above = values[k - 1 : k + 2]
-    return float(places[k] + 0.5 * (above - below) / (2.0 * at - below - above) * (places[1] - places[0]))
+        axial = weights @ psf.psf[p].reshape(nodes.size, -1)
+        axial /= np.linalg.norm(axial, axis=1, keepdims=True)
+        correlation = psf.field.psf[p, middle].reshape(n_y * n_x, -1).astype(np.float64) @ axial.T
+        place = np.array([parabolic_maximum(row) for row in correlation]).reshape(n_y, n_x)
+        bias[p] = trial[0] + place * (trial[1] - trial[0]) - nodes[middle]
+    return bias

@@ -1,13 +1,13 @@
-"""PSFs in the light of a filter's band: few wavelengths, each followed to where its image lands.
+"""PSFs over the band of a filter, from a few wavelengths whose windows follow the image point.
 
-A split or grating moves the image with the wavelength (3.8 um a nanometre in the paper's lens), but about its own
-image point the PSF changes slowly, by defocus alone. Images are therefore computed on windows that go along,
-interpolated between a few wavelengths by polynomials, and shifted and added as spectra:
+A split or grating moves the image with the wavelength (3.8 um per nanometre in the paper's lens). About its own image
+point the PSF changes slowly, by defocus alone. Images are therefore computed on windows about each wavelength's image
+point, interpolated between a few wavelengths by polynomials, and shifted and added as spectra:
 
     PSF^(f) = sum over n of PSF_n^(f) x mean over the band of L_n(lambda) exp(-2 pi i f . s(lambda)),
 
-s being the image point's shift and L_n the Lagrange polynomials. The filter has a flat top. Light's paths disperse,
-the pillars' amplitudes are those of the design wavelength.
+where s is the shift of the image point and L_n are the Lagrange polynomials. The filter has a flat top. Optical paths
+disperse; the pillars' amplitudes are those of the design wavelength.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
-from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.geometry.imaging import Imaging, Tangent
 
-Tangent = tuple[float, float]
-#: Images on a window of so many points a side by an :class:`Imaging` of one wavelength, and their errors if judged.
+#: Images at the wavelength of an :class:`Imaging`, on a window of a number of points along a side, and their errors,
+#: which are estimated if the last argument is true.
 Monochromatic = Callable[[Imaging, int, bool], tuple[FloatArray, FloatArray]]
 
 _FEWEST_WAVELENGTHS = 4
 _MOST_WAVELENGTHS = 33
-#: Wavelengths whose own error is judged: the band's ends, between which it changes by a few per cent.
+#: Wavelengths whose own error is estimated: the band ends, between which it changes by a few per cent.
 _JUDGED_WAVELENGTHS = 2
-#: Pixels around what can be shifted into the window, over which images fade out.
+#: Pixels over which images fade out, beyond the region that can be shifted into the window.
 _ROLL_OFF_PX = 8
 
 
 def at_wavelength(imaging: Imaging, wavelength_um: float) -> Imaging:
-    """The same lens in other light: what deflects by a phase gradient does so in proportion to the wavelength."""
+    """Return the lens at another wavelength; deflection by a phase gradient is proportional to the wavelength."""
     ratio = wavelength_um / imaging.wavelength_um
     sine = ratio * math.sin(math.radians(imaging.split_angle_deg))
     (a, b), (c, d) = imaging.deflection
@@ -48,14 +48,14 @@ def at_wavelength(imaging: Imaging, wavelength_um: float) -> Imaging:
 
 
 def band_ends(imaging: Imaging, filter_fwhm_nm: float) -> tuple[Imaging, Imaging]:
-    """The lens in light of the shortest and of the longest wavelength that a filter lets through."""
+    """Return the lens at the shortest and at the longest wavelength of a filter."""
     half_um = 0.5e-3 * filter_fwhm_nm
     low, high = (at_wavelength(imaging, imaging.wavelength_um + end) for end in (-half_um, half_um))
     return low, high
 
 
 def padded_px(imaging: Imaging, tangent: Tangent, filter_fwhm_nm: float, window_px: int) -> int:
-    """Points a side of the window that holds all light that a filter's band shifts into the asked one."""
+    """Return the side of the window that holds all light of the band in a window of ``window_px`` points."""
     ends = band_ends(imaging, filter_fwhm_nm)
     farthest_um = max(
         float(np.abs(np.subtract(end.image_point_um(p, tangent), imaging.image_point_um(p, tangent))).max())
@@ -75,26 +75,26 @@ def band_irradiance(
     window_px: int,
     target_error: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Irradiance in the light of a filter about the image point of its middle wavelength.
+    """Return the irradiance over the band of a filter about the image point of the middle wavelength.
 
-    Wavelengths are added one by one, in Leja's order. Each changes the sum less than the one before; what all further
-    ones would change is estimated as if changes went on to fall in the slower of their last two ratios.
+    Wavelengths are added one by one in Leja order. The remaining interpolation error is extrapolated as a geometric
+    series from the last changes of the sum.
 
     Args:
         monochromatic: computes images of one wavelength.
         imaging: geometry in the middle of the band.
         polarisation: 0 for x, 1 for y.
         tangent: object direction.
-        filter_fwhm_nm: full width of the filter, which has a flat top.
-        window_px: points a side of the window.
-        target_error: wavelengths are added until the interpolation between them keeps to it.
+        filter_fwhm_nm: full width of the flat-top filter.
+        window_px: points along a side of the window.
+        target_error: relative L2 error at which no more wavelengths are added.
 
     Returns:
-        Images, shape (n_depth, n, n), and their errors (relative L2), of the depths that ``monochromatic`` judges:
-        the largest of the judged wavelengths and the interpolation's.
+        Images, shape (n_depth, n, n), and the errors (relative L2) of the depths that ``monochromatic`` judges: the
+        largest of the judged wavelengths plus that of the interpolation.
 
     Raises:
-        InputError: pixels too large for the images to be shifted by less than one.
+        InputError: pixels too coarse for shifts by a fraction of a pixel.
     """
     _require_fine_pixels(imaging, polarisation, tangent)
     half_um = 0.5e-3 * filter_fwhm_nm
@@ -107,45 +107,43 @@ def band_irradiance(
         there = at_wavelength(imaging, imaging.wavelength_um + half_um * detuning)
         return np.asarray((there.image_point_um(polarisation, tangent) - middle) / imaging.pixel_um, dtype=np.float64)
 
-    # Turns of the shift's phase over half the band at the highest frequency; the polynomials' degree comes on top.
+    # Periods of the shift's phase over half the band at the highest frequency; the polynomial degree comes on top.
     beats = max(float(np.abs(shift_px(end)).max()) for end in (-1.0, 1.0))
     spectra: list[ComplexArray] = []
     errors: list[FloatArray] = []
 
-    def mixed() -> FloatArray:
+    def interpolated() -> FloatArray:
         """The band's images by interpolation between the wavelengths so far."""
         nodes = _leja_points()[: len(spectra)]
         detuning, weight = np.polynomial.legendre.leggauss(len(spectra) + math.ceil(2.0 * beats) + 8)
         shifts = np.array([shift_px(float(d)) for d in detuning])
-        along_y, along_x = (
-            np.exp(-2j * np.pi * np.outer(shifts[:, axis], frequency))
-            for axis, frequency in ((1, np.fft.fftfreq(side)), (0, np.fft.rfftfreq(side)))
-        )
-        shares = 0.5 * weight * _lagrange(nodes, detuning)
-        total = sum(
-            image * ((along_y * share[:, None]).T @ along_x) for image, share in zip(spectra, shares, strict=True)
-        )
+        along_y = np.exp(-2j * np.pi * np.outer(shifts[:, 1], np.fft.fftfreq(side)))
+        along_x = np.exp(-2j * np.pi * np.outer(shifts[:, 0], np.fft.rfftfreq(side)))
+        total = np.zeros_like(spectra[0])
+        for image, share in zip(spectra, 0.5 * weight * _lagrange(nodes, detuning), strict=True):
+            total += image * ((along_y * share[:, None]).T @ along_x)
         return np.asarray(irfft2(total, (side, side))[:, inside, inside])
 
-    before, changes, left = np.zeros(()), [1.0], math.inf
+    before, changes, remaining = np.zeros(()), [1.0], math.inf
     for count, node in enumerate(_leja_points().tolist(), start=1):
         there = at_wavelength(imaging, imaging.wavelength_um + half_um * node)
         images, error = monochromatic(there, side, count <= _JUDGED_WAVELENGTHS)
         spectra.append(rfft2(images * fade))
         errors += [error] if count <= _JUDGED_WAVELENGTHS else []
-        fine = mixed()
+        fine = interpolated()
         changes.append(_largest_change(fine, before))
-        left = _still_missing(changes)
-        if count >= _FEWEST_WAVELENGTHS and left <= target_error:
+        remaining = _extrapolated_change(changes)
+        if count >= _FEWEST_WAVELENGTHS and remaining <= target_error:
             break
         before = fine
-    return fine, np.max(errors, axis=0) + left
+    return fine, np.max(errors, axis=0) + remaining
 
 
-def _still_missing(changes: list[float]) -> float:
-    """Sum of a geometric series that goes on from the last two changes, as one alone may be small by chance.
+def _extrapolated_change(changes: list[float]) -> float:
+    """Sum of the geometric series that continues the changes.
 
-    Odd and even wavelengths take turns in ratio; one below a quarter is not trusted to last.
+    Its first term is the larger of the last two changes, as one may be small by chance. Its ratio is the larger of the
+    last two, which alternate between odd and even counts, and at least a quarter.
     """
     ratios = [after / before if before > 0.0 else 0.0 for before, after in pairwise(changes[-3:])]
     ratio = min(max(0.25, *ratios), 0.9)
@@ -160,9 +158,9 @@ def _largest_change(fine: FloatArray, before: FloatArray) -> float:
 
 @cache
 def _leja_points() -> FloatArray:
-    """Leja's points on -1..1: each where the product of its distances from all before it is largest.
+    """Leja points on -1..1: each maximises the product of its distances to all earlier points.
 
-    Polynomials through the first n of them are nearly as good as through Chebyshev points, for every n.
+    Interpolation at the first n of them is nearly as good as at n Chebyshev points, for every n.
     """
     grid = np.linspace(-1.0, 1.0, 2001)
     chosen = [-1.0, 1.0]
@@ -174,18 +172,16 @@ def _leja_points() -> FloatArray:
 
 
 def _lagrange(nodes: FloatArray, at: FloatArray) -> FloatArray:
-    """The polynomials that are 1 at one of the nodes and 0 at the others, shape (n_nodes, n)."""
-    others = [np.delete(nodes, place) for place in range(nodes.size)]
-    return np.array(
-        [
-            np.prod((at - rest[:, None]) / (node - rest[:, None]), axis=0)
-            for node, rest in zip(nodes, others, strict=True)
-        ]
-    )
+    """Lagrange polynomials of the nodes at ``at``, shape (n_nodes, n)."""
+    polynomials = []
+    for index, node in enumerate(nodes):
+        others = np.delete(nodes, index)[:, None]
+        polynomials.append(np.prod((at - others) / (node - others), axis=0))
+    return np.array(polynomials)
 
 
 def _fade(side: int) -> FloatArray:
-    """1, falling to 0 over the outermost pixels, so that shifted spectra do not ring: shape (side, side)."""
+    """Taper, shape (side, side), that falls to 0 over the outermost pixels, against ringing of shifted spectra."""
     edge = np.sin(0.5 * np.pi * (np.arange(_ROLL_OFF_PX) + 0.5) / _ROLL_OFF_PX) ** 2
     along = np.concatenate([edge, np.ones(side - 2 * _ROLL_OFF_PX), edge[::-1]])
     return np.outer(along, along)
@@ -195,6 +191,9 @@ def _require_fine_pixels(imaging: Imaging, polarisation: int, tangent: Tangent) 
     largest = 0.5 * imaging.finest_fringe_um(polarisation, tangent)
     if imaging.pixel_um > largest:
         raise InputError.single(
-            "optics", "pixel_um", f"at most {largest:.3g} um, half the period of the finest fringe, to add a filter's "
-            "wavelengths", f"{imaging.pixel_um:g} um", "sample finer, or leave `optics.filter_fwhm_nm` out",
-        )  # fmt: skip
+            "optics",
+            "pixel_um",
+            f"at most {largest:.3g} um, half the period of the finest fringe, to add the wavelengths of a filter",
+            f"{imaging.pixel_um:g} um",
+            "sample finer, or leave `optics.filter_fwhm_nm` out",
+        )

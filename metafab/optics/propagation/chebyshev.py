@@ -1,4 +1,4 @@
-"""Polynomial interpolation between Chebyshev points: how the propagation compresses smooth functions."""
+"""Interpolation between Chebyshev points, which compresses the smooth factors of the propagation."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ Span = tuple[float, float]
 
 
 def points(span: Span, count: int) -> FloatArray:
-    """Chebyshev points of the first kind on ``span``, ascending, shape (count,)."""
+    """Return the Chebyshev points of the first kind on ``span``, ascending, shape (count,)."""
     low, high = span
     return 0.5 * (low + high) - 0.5 * (high - low) * np.cos(np.pi * (np.arange(count) + 0.5) / count)
 
 
 def interpolation(span: Span, count: int, at: FloatArray) -> FloatArray:
-    """Matrix (n, count) from values at :func:`points` to values at ``at`` (n,), inside ``span``."""
+    """Return the matrix, shape (n, count), from values at :func:`points` to values at ``at``, shape (n,)."""
     low, high = span
     if high == low:
         return np.full((at.size, count), 1.0 / count)
@@ -29,10 +29,10 @@ def interpolation(span: Span, count: int, at: FloatArray) -> FloatArray:
 
 
 def points_needed(phase_rad: float, tolerance: float) -> int:
-    """Points that carry exp(i phase s), s from -1 to 1, to ``tolerance``.
+    """Return the number of points that represent exp(i ``phase_rad`` s), s from -1 to 1, to ``tolerance``.
 
-    The coefficients are Bessel functions J_n(phase), which fall like Ai(x) at n = phase + x (phase / 2)^(1/3),
-    and Ai(x) like exp(-2/3 x^(3/2)).
+    The Chebyshev coefficients are Bessel functions J_n(phase). At n = phase + x (phase / 2)^(1/3) they decay like the
+    Airy function Ai(x), that is like exp(-2/3 x^(3/2)).
     """
     fall = math.pow(1.5 * math.log(1.0 / tolerance), 2.0 / 3.0)
     return 4 + math.ceil(phase_rad + fall * math.cbrt(0.5 * phase_rad))

@@ -1,8 +1,8 @@
-"""Irradiance on a window of the sensor over depth, with its error: panel after panel, where the window is large.
+"""Irradiance on a window of the sensor over depth, with its error; large windows are computed in panels.
 
-One kernel of a large window has many terms. Cut into panels, each with a ray to its own centre, the same light takes
-few terms again, but the blocks are refocused for each panel. How many panels are cheapest a cost model says, whose
-constants were measured.
+The kernel of a large window has many low-rank terms. The kernel of a panel, whose ray goes to the panel's own centre,
+has few, but the blocks must be refocused for each panel. A cost model with measured constants chooses the number of
+panels.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from typing import Literal
 import numpy as np
 
 from metafab.core.conventions import FloatArray
-from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.geometry.imaging import Imaging, Tangent
 from metafab.optics.geometry.path import Ray, power_at_aperture
+from metafab.optics.numerics import PsfNumerics
 from metafab.optics.propagation.band import band_ends, band_irradiance, padded_px
 from metafab.optics.propagation.chebyshev import Span, points_needed
 from metafab.optics.propagation.kernel import WindowKernel, largest_changes_rad
@@ -23,31 +24,36 @@ from metafab.optics.propagation.pupil import Pupil
 from metafab.optics.propagation.refocus import refocus
 from metafab.optics.propagation.window import WindowTransform
 
-Tangent = tuple[float, float]
-#: Whether the error of all depths is judged, of the first and the last one, or of none.
+#: Depths whose error is estimated: all, the first and the last one, or none.
 Judged = Literal["all", "ends", "none"]
 
 _SINGLE_PRECISION_ERROR = 2e-6
-#: Below, singular values of kernels are lost in rounding.
+#: Smaller singular values of a kernel are lost in rounding.
 _FINEST_TOLERANCE = 1e-7
-#: How much more blocks of twice the side err than they change at least. Light that fills its blocks gives 10 and more;
-#: light in a few corners of them converges with the square of the side, which makes it 3, and 2 is safe.
-_HALVING = 2.0
-#: Measured on one core: a real operation of a matrix product, a block refocused on a ray, an entry of the matrix
-#: whose singular values split the kernel's rest, and what a panel takes however small it is.
+#: Lower bound of the error of blocks of twice the side over their change. Light that fills its blocks gives 10 and
+#: more. Light in a few corners of its blocks converges with the square of the side, which gives 3; 2 is safe.
+_COARSENING = 2.0
+#: Cost model, measured on one core: a real operation of a matrix product, refocusing a block, an entry of the matrix
+#: whose singular values split the kernel, and the fixed cost of a panel.
 _SECONDS_PER_OPERATION = 3e-11
 _SECONDS_PER_BLOCK = 8e-8
 _SECONDS_PER_ENTRY = 4e-7
 _SECONDS_PER_PANEL = 2e-3
-_PANELS_A_SIDE = (1, 3, 5, 7, 9, 13, 17, 25, 33, 49, 65)
+_PANELS_PER_SIDE = (1, 3, 5, 7, 9, 13, 17, 25, 33, 49, 65)
 _SMALLEST_PANEL_PX = 16
-#: Depths over which the cost model spreads a panel's kernel: the same for any stack, so that errors are the same.
+#: Number of depths that share a panel's kernel in the cost model; fixed, so that errors do not depend on the stack.
 _USUAL_DEPTHS = 8
 
 
 @dataclass(frozen=True)
 class Panel:
-    """A square part of a window: its first row and column, and its side, which may reach beyond the window."""
+    """Square part of a window.
+
+    Attributes:
+        row: first row in the window.
+        column: first column in the window.
+        side_px: points along a side; the panel may reach beyond the window.
+    """
 
     row: int
     column: int
@@ -56,44 +62,46 @@ class Panel:
     def target_um(
         self, centre_um: tuple[float, float, float], window_px: int, pixel_um: float
     ) -> tuple[float, float, float]:
-        """The panel's centre point; ``centre_um`` is the window's."""
-        x, y = (
-            centre + (start + self.side_px // 2 - window_px // 2) * pixel_um
-            for centre, start in zip(centre_um, (self.column, self.row), strict=False)
-        )
+        """Return the panel's centre point; ``centre_um`` is the window's."""
+        offset = self.side_px // 2 - window_px // 2
+        x = centre_um[0] + (self.column + offset) * pixel_um
+        y = centre_um[1] + (self.row + offset) * pixel_um
         return x, y, centre_um[2]
 
     def inside(self, window_px: int) -> tuple[slice, slice]:
-        """Rows and columns of the window that the panel covers."""
+        """Return the rows and columns of the window that the panel covers."""
         rows, columns = (slice(first, min(first + self.side_px, window_px)) for first in (self.row, self.column))
         return rows, columns
 
 
 @dataclass(frozen=True)
 class Window:
-    """What all windows of a stack share.
+    """Sampling and tolerance that all windows of a stack share.
 
     Attributes:
         imaging: wavelength, sensor plane, sampling.
-        window_px: points a side.
-        tolerance: relative error of the kernel's low-rank part.
+        window_px: points along a side.
+        tolerance: relative error of the kernel's low-rank rest.
+        panels: panels along a side; None for the cheapest number.
     """
 
     imaging: Imaging
     window_px: int
     tolerance: float
+    panels: int | None = None
 
     @classmethod
-    def for_target(cls, imaging: Imaging, window_px: int, target_error: float) -> Window:
-        """The window whose low rank takes a fifth of the target.
+    def for_target(cls, imaging: Imaging, numerics: PsfNumerics) -> Window:
+        """Return the window whose low-rank error is a fifth of the target error.
 
-        What low rank errs by is of the light that the lens can send there. A window smaller than a fringe may hold
-        nothing but a dark core, whose field falls as its side or faster, to the power of the vortex' charge: two is
-        provided for. Kernels of such windows have few terms at any tolerance.
+        The low-rank error is relative to the light that the lens can send to the window. A window below the size of a
+        fringe may lie in the dark core of a vortex, where the field falls with the side to the power of the charge; a
+        charge of two is provided for. Kernels of such small windows have few terms at any tolerance.
         """
         fringe_um = imaging.finest_fringe_um(0, (0.0, 0.0))
-        share = min(1.0, window_px * imaging.pixel_um / fringe_um)
-        return cls(imaging, window_px, max(_FINEST_TOLERANCE, min(0.1 * target_error, 1e-3) * share**2))
+        share = min(1.0, numerics.window_px * imaging.pixel_um / fringe_um)
+        tolerance = max(_FINEST_TOLERANCE, min(0.1 * numerics.target_error, 1e-3) * share**2)
+        return cls(imaging, numerics.window_px, tolerance)
 
     def irradiance(
         self,
@@ -104,37 +112,38 @@ class Window:
         *,
         judged: Judged = "all",
     ) -> tuple[FloatArray, FloatArray]:
-        """PSFs about the geometric image point, shape (n_depth, n, n), and the error of each that is judged.
+        """Return PSFs about the geometric image point, shape (n_depth, n, n), and the error of each judged depth.
 
-        Blocks are followed to second order in their size, so that twice the size has three times the error or
-        more: half of the change from twice the size is a bound. Blocks of one site are exact. The error
-        changes slowly with depth; over the field only the first and the last depth are judged.
+        The error of the blocks falls by three or more when their side is halved, as they are accurate to second order.
+        Half of the change from blocks of twice the side is therefore an upper bound. Blocks of one site are exact. The
+        error changes slowly with depth; over the field only the first and the last depth are judged.
 
         Args:
-            pyramid: the blocks to use, then those of twice the side, and so on.
-            polarisation: of the image point, 0 for x, 1 for y.
+            pyramid: blocks of one polarisation, then blocks of twice the side, and so on.
+            polarisation: polarisation of the image point, 0 for x, 1 for y.
             tangent: object direction.
-            depths_m: object depths.
-            judged: which depths' errors are judged.
+            depths_m: shape (n_depth,), object depths.
+            judged: depths whose errors are estimated.
         """
         rays = [Ray.towards_image(self.imaging, polarisation, depth, tangent) for depth in depths_m]
         exact = pyramid[0].carrier.block_sites == 1 or len(pyramid) == 1
-        last = len(rays) - 1
-        places = {"all": range(len(rays)), "ends": sorted({0, last}), "none": ()}[judged]
+        indices = {"all": list(range(len(rays))), "ends": sorted({0, len(rays) - 1}), "none": []}[judged]
         ways = [(pyramid[0], rays)]
-        if places and not exact:
-            ways.append((pyramid[1], [rays[index] for index in places]))
-        fine, *coarse = self._powers(ways)
+        if indices and not exact:
+            ways.append((pyramid[1], [rays[index] for index in indices]))
+        fine, *coarse = self._squared_fields(ways)
         errors = [
-            (0.0 if exact else relative_l2(coarse[0][place], fine[index]) / _HALVING)
+            (0.0 if exact else relative_l2(coarse[0][place], fine[index]) / _COARSENING)
             + 2.0 * self.tolerance
             + _SINGLE_PRECISION_ERROR
-            for place, index in enumerate(places)
+            for place, index in enumerate(indices)
         ]
-        return fine * self._per_unit_power(pyramid[0], rays), np.array(errors)
+        cell_um2 = pyramid[0].cell_um2
+        per_unit_power = np.array([cell_um2**2 / power_at_aperture(self.imaging, ray) for ray in rays])
+        return fine * per_unit_power[:, None, None], np.array(errors)
 
     def over_band(self, tangent: Tangent, filter_fwhm_nm: float | None) -> list[Window]:
-        """This window, and where there is a filter those of its middle and ends: the ones whose blocks are judged."""
+        """Return the windows in which blocks are judged: this one, and with a filter its middle and both band ends."""
         if filter_fwhm_nm is None:
             return [self]
         side_px = padded_px(self.imaging, tangent, filter_fwhm_nm, self.window_px)
@@ -147,13 +156,12 @@ class Window:
         polarisation: int,
         tangent: Tangent,
         depths_m: Sequence[float],
-        filter_fwhm_nm: float | None,
-        target_error: float,
+        numerics: PsfNumerics,
         *,
         judged: Judged = "all",
     ) -> tuple[FloatArray, FloatArray]:
-        """As :meth:`irradiance`, in the light of a filter or, where it is None, of one wavelength."""
-        if filter_fwhm_nm is None:
+        """Return :meth:`irradiance`, shape (n_depth, n, n), over the band of ``numerics``, and the errors."""
+        if numerics.filter_fwhm_nm is None:
             return self.irradiance(pyramid, polarisation, tangent, depths_m, judged=judged)
 
         def monochromatic(imaging: Imaging, side_px: int, judge: bool) -> tuple[FloatArray, FloatArray]:
@@ -161,25 +169,33 @@ class Window:
             return there.irradiance(pyramid, polarisation, tangent, depths_m, judged=judged if judge else "none")
 
         return band_irradiance(
-            monochromatic, self.imaging, polarisation, tangent, filter_fwhm_nm, self.window_px, target_error
+            monochromatic,
+            self.imaging,
+            polarisation,
+            tangent,
+            numerics.filter_fwhm_nm,
+            self.window_px,
+            numerics.block_error,
         )
 
     def stray_irradiance(
         self, pupil: Pupil, polarisation: int, tangent: Tangent, depths_m: Sequence[float]
     ) -> FloatArray:
-        """Irradiance of ``pupil``'s light in the window of ``polarisation``, shape (n_depth, n, n)."""
+        """Return the irradiance of ``pupil`` in the window of ``polarisation``, shape (n_depth, n, n)."""
         return self.irradiance([pupil], polarisation, tangent, depths_m, judged="none")[0]
 
-    def panels_a_side(self, pupil: Pupil, target_um: tuple[float, float, float]) -> int:
-        """The cheapest number of panels along a side of the window, by the cost model; odd, as the middle is bright."""
-        counts = [count for count in _PANELS_A_SIDE if count == 1 or count * _SMALLEST_PANEL_PX <= self.window_px]
+    def panels_per_side(self, pupil: Pupil, target_um: tuple[float, float, float]) -> int:
+        """Return the cheapest number of panels along a side; it is odd, as the middle of the window is bright."""
+        if self.panels is not None:
+            return self.panels
+        counts = [count for count in _PANELS_PER_SIDE if count == 1 or count * _SMALLEST_PANEL_PX <= self.window_px]
         return min(counts, key=lambda count: self.seconds(pupil, target_um, count))
 
     def seconds(self, pupil: Pupil, target_um: tuple[float, float, float], panels: int) -> float:
-        """What the cost model expects of one core for a depth in ``panels`` x ``panels`` panels."""
+        """Return the expected time on one core for one depth in ``panels`` x ``panels`` panels."""
         side = -(-self.window_px // panels)
         half = 0.5 * side * self.imaging.pixel_um
-        changes = largest_changes_rad(self.imaging.wavenumber, target_um, _box([pupil]), (-half, half))
+        changes = largest_changes_rad(self.imaging.wavenumber, target_um, _bounding_box([pupil]), (-half, half))
         q_x, q_y, rest = (points_needed(change, self.tolerance) for change in changes)
         n_y, n_x = pupil.power.shape
         terms = 4.0 + rest * rest / 16.0
@@ -189,39 +205,35 @@ class Window:
         kernel = _SECONDS_PER_PANEL + _SECONDS_PER_ENTRY * rest**4
         return float(panels**2 * (per_depth + kernel / _USUAL_DEPTHS))
 
-    def _powers(self, ways: Sequence[tuple[Pupil, Sequence[Ray]]]) -> list[FloatArray]:
-        """Squared fields of each pupil behind its rays, (n_ray, n, n) each; panels' kernels are built once."""
+    def _squared_fields(self, ways: Sequence[tuple[Pupil, Sequence[Ray]]]) -> list[FloatArray]:
+        """Squared fields of each pupil behind its rays, shapes (n_ray, n, n). Each panel's kernel is built once."""
         (pupil, rays), n, pixel_um = ways[0], self.window_px, self.imaging.pixel_um
-        k, box = self.imaging.wavenumber, _box([blocks for blocks, _ in ways])
-        powers = [np.empty((len(wanted), n, n)) for _, wanted in ways]
-        for panel in _panels(n, self.panels_a_side(pupil, rays[0].target_um)):
+        k, box = self.imaging.wavenumber, _bounding_box([blocks for blocks, _ in ways])
+        squares = [np.empty((len(its_rays), n, n)) for _, its_rays in ways]
+        for panel in _panels(n, self.panels_per_side(pupil, rays[0].target_um)):
             target = panel.target_um(rays[0].target_um, n, pixel_um)
             kernel = WindowKernel.build(k, target, box, panel.side_px, pixel_um, self.tolerance)
             rows, columns = panel.inside(n)
-            for (blocks, wanted), power in zip(ways, powers, strict=True):
+            for (blocks, its_rays), square in zip(ways, squares, strict=True):
                 transform = WindowTransform.build(blocks, kernel)
-                for index, ray in enumerate(wanted):
+                for index, ray in enumerate(its_rays):
                     field = transform.field(refocus(blocks, replace(ray, target_um=target), k)).astype(np.complex128)
-                    square = field.real**2 + field.imag**2
-                    power[index, rows, columns] = square[: rows.stop - rows.start, : columns.stop - columns.start]
-        return powers
-
-    def _per_unit_power(self, pupil: Pupil, rays: Sequence[Ray]) -> FloatArray:
-        return np.array([pupil.cell_um2**2 / power_at_aperture(self.imaging, ray) for ray in rays])[:, None, None]
+                    part = field.real**2 + field.imag**2
+                    square[index, rows, columns] = part[: rows.stop - rows.start, : columns.stop - columns.start]
+        return squares
 
 
 def relative_l2(value: FloatArray, reference: FloatArray) -> float:
-    """|value - reference| / |reference|; 0 where both are dark."""
+    """Return |value - reference| / |reference| of two arrays of the same shape; 0 where both are dark."""
     norm = float(np.linalg.norm(reference))
     difference = float(np.linalg.norm(np.asarray(value) - reference))
     return difference / norm if norm > 0.0 else (0.0 if difference == 0.0 else float("inf"))
 
 
-def _box(pupils: Sequence[Pupil]) -> tuple[Span, Span]:
-    x, y = (
-        (min(float(axis[0]) for axis in axes), max(float(axis[-1]) for axis in axes))
-        for axes in ([p.x_um for p in pupils], [p.y_um for p in pupils])
-    )
+def _bounding_box(pupils: Sequence[Pupil]) -> tuple[Span, Span]:
+    """Box around the block centres of all pupils."""
+    x = min(float(p.x_um[0]) for p in pupils), max(float(p.x_um[-1]) for p in pupils)
+    y = min(float(p.y_um[0]) for p in pupils), max(float(p.y_um[-1]) for p in pupils)
     return x, y
 
 

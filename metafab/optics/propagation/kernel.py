@@ -1,12 +1,12 @@
-"""The propagation kernel from the lens to one window of the sensor, split where it is separable.
+"""Propagation kernel from the lens to one window of the sensor: a separable part times a low-rank rest.
 
 The kernel h(R) exp(ikR) from a lens point (x, y) to a window point (u, v) is, up to a phase on the window alone,
 
-    exp(ik R(x, y; 0, 0)) x exp(ik X(x, u)) x exp(ik Y(y, v)) x (smooth rest).
+    exp(ik R(x, y; 0, 0)) x exp(ik X(x, u)) x exp(ik Y(y, v)) x rest(x, y, u, v).
 
-The first factor belongs to the pupil's path. X and Y are the exact change of distance along the axes; being
-functions of one lens and one window coordinate they are the two matrices of a separable transform. The rest
-(curvature and skew off the axes, obliquity, fall-off with distance) has low rank: it is sampled on Chebyshev
+The first factor belongs to the path over the pupil. X and Y are the exact changes of distance along the axes. Each
+depends on one lens and one window coordinate, so that they are the two matrices of a separable transform. The rest
+(curvature and skew off the axes, obliquity, decay with distance) is smooth and has low rank: it is sampled on Chebyshev
 points and split by a singular value decomposition, sum over m of A_m(u, v) B_m(x, y).
 """
 
@@ -24,19 +24,20 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.optics.propagation import chebyshev
 from metafab.optics.propagation.chebyshev import Span
 
-#: Block phases are reduced in double precision; what is left fits single precision: 1e-6 of the field at most.
+#: Block phases are reduced in double precision. The rest fits single precision, with errors of at most 1e-6 of the
+#: field.
 SingleComplexArray = NDArray[np.complex64]
 
-#: Kernels that are kept, least used first to go, and the largest window of one: 2 MB each, where terms are many.
+#: Size of the kernel cache (least recently used out first), and the largest window that is cached: up to 2 MB each.
 _KERNELS_KEPT, _LARGEST_KEPT_PX = 16, 128
 
 
 @dataclass(frozen=True)
 class WindowKernel:
-    """Propagation from Chebyshev points of the lens to one window, whatever the blocks are.
+    """Propagation from Chebyshev points of the lens to one window, for blocks of any size.
 
     Attributes:
-        wavenumber: k, rad/um; that of the blocks, or another wavelength's.
+        wavenumber: k, rad/um, of the blocks or of another wavelength.
         target_um: (x, y, z) of the window's centre point.
         offsets_um: shape (n,), window points along x and y from the centre.
         lens_um: ((lowest, highest) x, (lowest, highest) y) of the lens points.
@@ -65,34 +66,37 @@ class WindowKernel:
         pixel_um: float,
         tolerance: float,
     ) -> WindowKernel:
-        """Sample and split the kernel; kernels of usual windows are kept for the next depth, mask or halved block.
+        """Sample and split the kernel; windows up to 128 points a side are cached for other depths, masks and blocks.
 
         Args:
             wavenumber: k, rad/um.
-            target_um: centre of the window, which is point ``window_px // 2`` along either side.
-            lens_um: box that holds all block centres.
-            window_px: points a side.
+            target_um: centre of the window, point ``window_px // 2`` along either side.
+            lens_um: bounding box of the block centres.
+            window_px: points along a side.
             pixel_um: distance of points.
-            tolerance: relative error, 1e-7 or more.
+            tolerance: relative error of the low-rank rest, 1e-7 or more.
         """
         build = _build if window_px <= _LARGEST_KEPT_PX else _build.__wrapped__
         return build(wavenumber, target_um, lens_um, window_px, pixel_um, tolerance)
 
     @staticmethod
-    def forget() -> None:
-        """Drop the kernels that were kept."""
+    def clear_cache() -> None:
+        """Drop all cached kernels."""
         _build.cache_clear()
 
     @property
     def rank(self) -> int:
-        """Terms of the low-rank part."""
+        """Number of low-rank terms."""
         return int(self.over_window.shape[0])
 
 
 def largest_changes_rad(
     wavenumber: float, target_um: tuple[float, float, float], lens_um: tuple[Span, Span], window_um: Span
 ) -> tuple[float, float, float]:
-    """Largest phases kX, kY and of the rest: at the corners of lens and window, which spans ``window_um`` each way."""
+    """Return the largest phases kX, kY and of the rest, rad, at the corners of the lens and of the window.
+
+    The window spans ``window_um`` along either axis.
+    """
     corners = np.array(np.meshgrid(*lens_um, window_um, window_um, indexing="ij")).reshape(4, -1)
     x, y, rest = (wavenumber * float(np.abs(change).max()) for change in _changes_um(target_um, *corners))
     return x, y, rest
@@ -100,9 +104,13 @@ def largest_changes_rad(
 
 @lru_cache(maxsize=_KERNELS_KEPT)
 def _build(
-    k: float, target_um: tuple[float, float, float], lens_um: tuple[Span, Span], window_px: int, pixel_um: float,
+    k: float,
+    target_um: tuple[float, float, float],
+    lens_um: tuple[Span, Span],
+    window_px: int,
+    pixel_um: float,
     tolerance: float,
-) -> WindowKernel:  # fmt: skip
+) -> WindowKernel:
     offsets = np.multiply(np.arange(window_px) - window_px // 2, pixel_um, dtype=np.float64)
     span = (float(offsets[0]), float(offsets[-1]))
     changes_rad = largest_changes_rad(k, target_um, lens_um, span)
@@ -137,7 +145,7 @@ def _split_rest(
 ) -> tuple[ComplexArray, ComplexArray]:
     """A_m and B_m, each of shape (rank, count, count), on Chebyshev points of the window and of the lens.
 
-    The eigenvectors of the Gram matrix are the right singular vectors; squared singular values below 1e-14 of the
+    The right singular vectors are the eigenvectors of the Gram matrix. Squared singular values below 1e-14 of the
     largest are lost in rounding, hence the smallest tolerance of 1e-7.
     """
     count = chebyshev.points_needed(rest_rad, tolerance)

@@ -1,4 +1,4 @@
-"""Block sums behind another ray than the one that they were summed for: other depths, field points, wavelengths."""
+"""Transfer block sums from the carrier ray to another ray: another depth, field point or wavelength."""
 
 from __future__ import annotations
 
@@ -7,86 +7,84 @@ from typing import Any
 
 import numpy as np
 
-from metafab.core.numeric.compiled import HAS_NUMBA, compiled
-from metafab.optics.geometry.path import Ray, incident_amplitude, path_and_slopes
+from metafab.core.numeric.compiled import compiled
+from metafab.optics.geometry.path import Ray, RayNumbers, incident_amplitude, path_and_slopes
 from metafab.optics.propagation.kernel import SingleComplexArray
 from metafab.optics.propagation.pupil import Pupil
 
 
 def refocus(pupil: Pupil, ray: Ray, wavenumber: float) -> SingleComplexArray:
-    """Sums and moments behind another ray than the carrier: its path instead, and its incident amplitude.
+    """Return sums and moments with the path and incident amplitude of ``ray`` in place of the carrier's.
 
-    The change of phase is followed to second order in the block's size. ``wavenumber`` is the ray's, rad/um.
+    The change of phase is followed to second order in the block size. The carrier's path is always that in air.
+
+    Args:
+        pupil: block sums behind the carrier.
+        ray: new ray, with or without a plate.
+        wavenumber: k of the new ray, rad/um.
 
     Returns:
-        Shape (3, n_y, n_x), or (1, n_y, n_x) for blocks of one site. The carrier's own path is always that in air.
+        Shape (3, n_y, n_x), or (1, n_y, n_x) for blocks of one site.
     """
-    block = pupil.carrier.block_sites
-    orders = 1 if block == 1 else 3
-    # The mean of x^2 over a full block.
-    spread_x, spread_y = (pitch * pitch * (block * block - 1) / 12.0 for pitch in pupil.pitch_um)
-    kernel = _refocus_compiled if HAS_NUMBA else _refocus_plain
-    old, blocks = pupil.carrier.ray, np.empty((orders, *pupil.power.shape), dtype=np.complex64)
-    kernel(
-        blocks, pupil.sums, pupil.x_um, pupil.y_um, wavenumber, pupil.wavenumber, spread_x, spread_y,
-        ray.vergence_per_um, *ray.tangent, *ray.target_um, old.vergence_per_um, *old.tangent, *old.target_um,
-    )  # fmt: skip
-    if ray.plate is not None:
-        _through_plate(blocks, pupil, ray, wavenumber, (spread_x, spread_y))
-    return blocks
+    orders = 1 if pupil.carrier.block_sites == 1 else 3
+    blocks = np.empty((orders, *pupil.power.shape), dtype=np.complex64)
+    _refocus(
+        blocks,
+        pupil.sums,
+        pupil.x_um,
+        pupil.y_um,
+        pupil.spread_um2,
+        wavenumber,
+        ray.numbers,
+        pupil.wavenumber,
+        pupil.carrier.ray.numbers,
+    )
+    if ray.plate is None:
+        return blocks
+    return _behind_plate(blocks, pupil, ray, wavenumber)
 
 
-def _through_plate(
-    blocks: SingleComplexArray, pupil: Pupil, ray: Ray, k: float, spread_um2: tuple[float, float]
-) -> None:
-    """What the plate does to the blocks: phase and slopes (to first order of the block's size) and amplitude."""
+def _behind_plate(blocks: SingleComplexArray, pupil: Pupil, ray: Ray, wavenumber: float) -> SingleComplexArray:
+    """Multiply blocks by the phase, phase slopes (to first order of the block size) and amplitude of the plate."""
     assert ray.plate is not None
-    x, y, w = pupil.x_um[None, :], pupil.y_um[:, None], ray.vergence_per_um
-    slopes = [k * along for along in ray.plate.slope_change(x, y, w, ray.tangent)]
-    wave = np.exp(1j * k * ray.plate.path_change_um(x, y, w, ray.tangent))
-    wave *= ray.plate.amplitude_ratio(x, y, w, ray.tangent)
-    total = blocks[0].copy()
+    x, y, vergence = pupil.x_um[None, :], pupil.y_um[:, None], ray.vergence_per_um
+    slopes = [wavenumber * slope for slope in ray.plate.slope_change(x, y, vergence, ray.tangent)]
+    wave = np.exp(1j * wavenumber * ray.plate.path_change_um(x, y, vergence, ray.tangent))
+    wave *= ray.plate.amplitude_ratio(x, y, vergence, ray.tangent)
+    behind = blocks.copy()
     if blocks.shape[0] == 3:
-        second = 1.0 - 0.5 * sum(slope**2 * spread for slope, spread in zip(slopes, spread_um2, strict=True))
-        blocks[0] = second * total + 1j * (slopes[0] * blocks[1] + slopes[1] * blocks[2])
-        for order, (slope, spread) in enumerate(zip(slopes, spread_um2, strict=True), start=1):
-            blocks[order] += 1j * slope * spread * total
-    blocks *= wave
-
-
-def _refocus_plain(
-    blocks: Any, sums: Any, x: Any, y: Any, k: float, old_k: float, spread_x: float, spread_y: float,
-    w: float, t_x: float, t_y: float, c_x: float, c_y: float, c_z: float,
-    old_w: float, old_t_x: float, old_t_y: float, old_x: float, old_y: float, old_z: float,
-) -> None:  # fmt: skip
-    x, y = x[None, :], y[:, None]
-    path, along_x, along_y = path_and_slopes(x, y, w, t_x, t_y, c_x, c_y, c_z)
-    old_path, old_along_x, old_along_y = path_and_slopes(x, y, old_w, old_t_x, old_t_y, old_x, old_y, old_z)
-    slope_x, slope_y = k * along_x - old_k * old_along_x, k * along_y - old_k * old_along_y
-    wave = np.exp(1j * (k * path - old_k * old_path)) * incident_amplitude(x, y, w, t_x, t_y)
-    second = 1.0 - 0.5 * (slope_x**2 * spread_x + slope_y**2 * spread_y)
-    blocks[0] = wave * (second * sums[0] + 1j * (slope_x * sums[1] + slope_y * sums[2]))
-    if blocks.shape[0] == 3:
-        blocks[1] = wave * (sums[1] + 1j * slope_x * spread_x * sums[0])
-        blocks[2] = wave * (sums[2] + 1j * slope_y * spread_y * sums[0])
+        second = 1.0 - 0.5 * sum(slope**2 * spread for slope, spread in zip(slopes, pupil.spread_um2, strict=True))
+        behind[0] = second * blocks[0] + 1j * (slopes[0] * blocks[1] + slopes[1] * blocks[2])
+        for order, (slope, spread) in enumerate(zip(slopes, pupil.spread_um2, strict=True), start=1):
+            behind[order] += 1j * slope * spread * blocks[0]
+    behind *= wave
+    return behind
 
 
 @compiled
-def _refocus_compiled(
-    blocks: Any, sums: Any, x: Any, y: Any, k: float, old_k: float, spread_x: float, spread_y: float,
-    w: float, t_x: float, t_y: float, c_x: float, c_y: float, c_z: float,
-    old_w: float, old_t_x: float, old_t_y: float, old_x: float, old_y: float, old_z: float,
-) -> None:  # fmt: skip
+def _refocus(
+    blocks: Any,
+    sums: Any,
+    x: Any,
+    y: Any,
+    spread_um2: tuple[float, float],
+    wavenumber: float,
+    ray: RayNumbers,
+    carrier_wavenumber: float,
+    carrier: RayNumbers,
+) -> None:
+    spread_x, spread_y = spread_um2
     blocks[:] = 0.0
     for i in range(y.size):
         for j in range(x.size):
             if sums[0, i, j] == 0.0:
                 continue
-            path, along_x, along_y = path_and_slopes(x[j], y[i], w, t_x, t_y, c_x, c_y, c_z)
-            old = path_and_slopes(x[j], y[i], old_w, old_t_x, old_t_y, old_x, old_y, old_z)
-            phase = k * path - old_k * old[0]
-            slope_x, slope_y = k * along_x - old_k * old[1], k * along_y - old_k * old[2]
-            amplitude = incident_amplitude(x[j], y[i], w, t_x, t_y)
+            path, along_x, along_y = path_and_slopes(x[j], y[i], ray)
+            old_path, old_along_x, old_along_y = path_and_slopes(x[j], y[i], carrier)
+            phase = wavenumber * path - carrier_wavenumber * old_path
+            slope_x = wavenumber * along_x - carrier_wavenumber * old_along_x
+            slope_y = wavenumber * along_y - carrier_wavenumber * old_along_y
+            amplitude = incident_amplitude(x[j], y[i], ray)
             wave = amplitude * math.cos(phase) + 1j * (amplitude * math.sin(phase))
             s, s_x, s_y = sums[0, i, j], sums[1, i, j], sums[2, i, j]
             second = 1.0 - 0.5 * (slope_x * slope_x * spread_x + slope_y * slope_y * spread_y)

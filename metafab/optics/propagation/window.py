@@ -1,7 +1,7 @@
-"""From block sums to the field on one window of the sensor: a few matrix Fourier transforms.
+"""Transform block sums to the field on one window of the sensor, by a few matrix Fourier transforms.
 
-Blocks are gathered on the Chebyshev points of the lens, each term of the kernel's low-rank part takes them to the
-window by two matrices, and the window's side of the terms adds them up.
+Blocks are gathered on the Chebyshev points of the lens. Each low-rank term of the kernel weights them on the lens,
+transforms them to the window by two matrices, and weights the result on the window; the terms add up.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from metafab.optics.propagation.pupil import Pupil
 
 @dataclass(frozen=True)
 class WindowTransform:
-    """The linear map from refocused blocks to the field on the window.
+    """Linear map from refocused blocks to the field on the window.
 
     Attributes:
-        kernel: from Chebyshev points to the window.
+        kernel: propagation from Chebyshev points to the window.
         gather_y: shape (q_y, n_y), transposed interpolation: blocks to weights on Chebyshev points.
         gather_x: shape (n_x, q_x).
-        by_order: shape (3, n, n) or (1, n, n), what a window point makes of a block's sum and moments: the
-            diffraction of a block, and i times its phase slope along x and y. Blocks of one site have no moments.
+        by_order: shape (3, n, n), response of each window point to the sum and the moments of a block: the diffraction
+            of the block, and i times its phase slope along x and y. Shape (1, n, n) for blocks of one site.
     """
 
     kernel: WindowKernel
@@ -37,7 +37,7 @@ class WindowTransform:
 
     @classmethod
     def build(cls, pupil: Pupil, kernel: WindowKernel) -> WindowTransform:
-        """The transform from the blocks of ``pupil`` to the window of ``kernel``."""
+        """Return the transform from the blocks of ``pupil`` to the window of ``kernel``."""
         q_y, q_x = kernel.over_lens.shape[1:]
         (x, y, z), block, n = kernel.target_um, pupil.carrier.block_sites, kernel.offsets_um.size
         distance = math.hypot(x, y, z)
@@ -56,7 +56,7 @@ class WindowTransform:
         )
 
     def field(self, blocks: SingleComplexArray) -> SingleComplexArray:
-        """Field on the window, shape (n, n), of refocused blocks of shape (1 or 3, n_y, n_x)."""
+        """Return the field on the window, shape (n, n), of refocused blocks of shape (1 or 3, n_y, n_x)."""
         kernel = self.kernel
         rows = (self.gather_y @ blocks.view(np.float32)).view(np.complex64)
         weights = (rows.real @ self.gather_x) + 1j * (rows.imag @ self.gather_x)
@@ -68,11 +68,11 @@ class WindowTransform:
         return total
 
     def _terms(self) -> list[slice]:
-        """Low-rank terms for sum and moments: terms grow in strength, and moments, small, need the stronger half."""
+        """Low-rank terms for the sum (all) and for the small moments (the stronger half; terms grow in strength)."""
         return [slice(None), *2 * [slice(self.kernel.rank // 2, None)]][: self.by_order.shape[0]]
 
     def adjoint(self, field: SingleComplexArray) -> SingleComplexArray:
-        """Blocks, shape (1 or 3, n_y, n_x), of a window field: the conjugate transpose of :meth:`field`."""
+        """Apply the conjugate transpose of :meth:`field`: field, shape (n, n), to blocks, shape (1 or 3, n_y, n_x)."""
         kernel = self.kernel
         blocks = []
         for terms, order in zip(self._terms(), self.by_order, strict=True):
@@ -84,7 +84,7 @@ class WindowTransform:
 
 
 def _dirichlet(phase_per_site: FloatArray, sites: int) -> FloatArray:
-    """Mean of exp(i phase n) over a centred run of ``sites``: the diffraction of a block, 1 for one site."""
+    """Dirichlet kernel, the diffraction of a block: mean of exp(i phase n) over ``sites`` centred sites."""
     half = 0.5 * phase_per_site
     steep = np.abs(np.sin(half)) > 1e-9
     safe = np.where(steep, half, 1.0)

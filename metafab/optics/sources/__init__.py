@@ -1,1 +1,5 @@
-"""The field that leaves the metasurface."""
+"""Field behind the metasurface.
+
+- ``source``      the written pillars through their library, or the target phases
+- ``apodisation``  a stop and an amplitude in the plane of the pillars
+"""

@@ -1,4 +1,4 @@
-"""What stands in the plane of the pillars besides them: a round stop, and an amplitude of the user's own."""
+"""Apodisation in the plane of the pillars: a round stop and a sampled amplitude."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from metafab.optics.sources.source import ApodisedField, Source
 from metafab.phase.terms.sampled import read_array
 from metafab.spec import Design
 
-#: Amplitude let through, 0 to 1, shape (n_y, n_x), at x (n_x,) and y (n_y,) in um.
+#: Transmitted amplitude, 0 to 1, shape (n_y, n_x), at x, shape (n_x,), and y, shape (n_y,), in um.
 Transmission = Callable[[FloatArray, FloatArray], FloatArray]
 
 
 @dataclass(frozen=True)
 class Apodisation:
-    """Stop and amplitude; either may be absent.
+    """Round stop and sampled amplitude; either may be absent.
 
     Attributes:
         stop_um: diameter of the stop; infinite for none.
-        samples: shape (n_y, n_x), amplitudes on a square grid about the axis, lowest y first, or None.
-        pitch_um: distance of samples, between which amplitudes are interpolated bilinearly.
+        samples: shape (n_y, n_x), amplitudes on a square grid about the axis, lowest y first; None for 1.
+        pitch_um: distance of the samples, between which the amplitude is bilinear.
     """
 
     stop_um: float = np.inf
@@ -34,7 +34,10 @@ class Apodisation:
     pitch_um: float = 1.0
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
-        """Amplitude that is let through; sites count by their centres, as those of the aperture do."""
+        """Return the transmitted amplitude, shape (n_y, n_x), at ``x_um``, shape (n_x,), and ``y_um``, shape (n_y,).
+
+        A site is inside the stop if its centre is, as with the aperture.
+        """
         open_ = np.hypot(x_um[None, :], y_um[:, None]) <= 0.5 * self.stop_um
         if self.samples is None:
             return open_.astype(np.float64)
@@ -42,10 +45,11 @@ class Apodisation:
 
     @classmethod
     def of(cls, design: Design) -> Apodisation | None:
-        """What the ``[optics]`` of a design puts there; None for nothing.
+        """Return the apodisation of a design (``[optics]``); None for none.
 
         Raises:
-            InputError: the file of amplitudes cannot be read, holds others than 0 to 1, or does not cover the aperture.
+            InputError: the file of amplitudes cannot be read, has values outside 0 to 1, or does not cover the
+                aperture.
         """
         optics = design.optics
         if optics is None or (optics.stop_um is None and optics.amplitude_file is None):
@@ -57,15 +61,17 @@ class Apodisation:
         reach_um, radius_um = 0.5 * min(samples.shape) * optics.amplitude_pitch_um, 0.5 * design.device.aperture_um
         if reach_um < radius_um * (1.0 - 1e-9):
             raise InputError.single(
-                str(optics.amplitude_file), "optics.amplitude_pitch_um",
+                str(optics.amplitude_file),
+                "optics.amplitude_pitch_um",
                 f"samples that cover the aperture to {radius_um:g} um from the axis",
-                f"a grid that reaches {reach_um:g} um", "give more samples or the right pitch; nothing is extrapolated",
-            )  # fmt: skip
+                f"a grid that reaches {reach_um:g} um",
+                "give more samples or the right pitch; nothing is extrapolated",
+            )
         return cls(stop_um, samples, optics.amplitude_pitch_um)
 
 
 def apodised(source: Source, transmission: Transmission | None) -> Source:
-    """The source behind stop and amplitude; itself where there is none."""
+    """Return the source behind an apodisation; the source itself for None."""
     return source if transmission is None else ApodisedField(source, transmission)
 
 
@@ -76,8 +82,7 @@ def _amplitudes(file: Path, dataset: str) -> FloatArray:
         got = f"{samples.dtype} of shape {samples.shape}"
         if fits:
             got += f", {samples.min():g} to {samples.max():g}"
-        raise InputError.single(
-            str(file), "optics.amplitude_file", "amplitudes from 0 to 1 of shape (n_y, n_x), at least 2 x 2", got,
-            "amplitudes are roots of transmitted power",
-        )  # fmt: skip
+        expected = "amplitudes from 0 to 1 of shape (n_y, n_x), at least 2 x 2"
+        remedy = "give the square root of the transmitted power"
+        raise InputError.single(str(file), "optics.amplitude_file", expected, got, remedy)
     return samples.astype(np.float64)

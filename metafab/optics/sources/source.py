@@ -1,7 +1,7 @@
-"""What leaves the metasurface: the written pillars through their library, or the target phases themselves.
+"""Field behind the metasurface: the written pillars through their library, or the target phases themselves.
 
-Amplitudes are normalised to power: |a|^2 is the flux through the lens plane per incident flux, so that a
-propagation that conserves the integral of |a|^2 makes efficiencies add up.
+Amplitudes are normalised to power: |a|^2 is the transmitted over the incident flux through the lens plane, so that
+efficiencies add up in a propagation that conserves the integral of |a|^2.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ _IDEAL_TILE_SITES = 256
 
 @dataclass(frozen=True)
 class FieldTile:
-    """A rectangular block of sites: indices into a table of amplitudes, or the amplitudes themselves.
+    """Rectangular tile of sites: indices into a table of amplitudes, or the amplitudes themselves.
 
     Attributes:
         row: lattice row of the first row.
         column: lattice column of the first column.
-        size_index: shape (n_y, n_x), rows of ``table``; None for a tile that carries its amplitudes.
-        table: shape (n, n_polarisations), power-normalised amplitude of each index for x and y polarisation or, of
-            turned pillars, the Jones matrix' entries xx, xy = yx and yy.
-        amplitudes: shape (n_polarisations, n_y, n_x) where ``size_index`` is None.
+        size_index: shape (n_y, n_x), rows of ``table``; None for a tile of amplitudes.
+        table: shape (n, n_polarisations), power-normalised amplitudes of each index: for x and y polarisation or, for
+            turned pillars, the Jones entries xx, xy = yx and yy.
+        amplitudes: shape (n_polarisations, n_y, n_x), if ``size_index`` is None.
     """
 
     row: int
@@ -44,21 +44,21 @@ class FieldTile:
 
     @property
     def polarisations(self) -> int:
-        """Number of amplitudes at each site: 2, or 3 entries of Jones matrices."""
+        """Number of amplitudes of each site: 2, or the 3 entries of Jones matrices."""
         if self.table is not None:
             return int(self.table.shape[1])
         assert self.amplitudes is not None
         return len(self.amplitudes)
 
     def amplitude(self, polarisation: int) -> ComplexArray:
-        """Amplitude of one polarisation at each site, shape (n_y, n_x)."""
+        """Return the amplitude of one polarisation at each site, shape (n_y, n_x)."""
         if self.size_index is None or self.table is None:
             assert self.amplitudes is not None
             return np.asarray(self.amplitudes[polarisation])
         return np.asarray(self.table[self.size_index, polarisation])
 
     def indexed(self, polarisation: int) -> tuple[NDArray[np.unsignedinteger], ComplexArray]:
-        """The same as an index, shape (n_y, n_x), into amplitudes, shape (n,): what the compiled pass reads."""
+        """Return indices, shape (n_y, n_x), into the amplitudes, shape (n,), of one polarisation."""
         if self.size_index is None or self.table is None:
             amplitude = self.amplitude(polarisation)
             sites = np.arange(amplitude.size).reshape(amplitude.shape)
@@ -67,24 +67,24 @@ class FieldTile:
 
 
 class Source(Protocol):
-    """A stream of field tiles over a lattice, which can be opened again and again."""
+    """Repeatable stream of field tiles over a lattice."""
 
     @property
     def lattice(self) -> Lattice:
-        """Where the sites are."""
+        """Lattice of the sites."""
 
     def tiles(self) -> Iterator[FieldTile]:
-        """Tiles that cover the lattice once; where there is none, no light comes through."""
+        """Return disjoint tiles; sites without a tile are dark."""
 
 
 @dataclass(frozen=True)
 class WrittenField:
-    """Pillars of a mask, each with the amplitudes of its size.
+    """Pillars of a mask with the amplitudes of their sizes.
 
     Attributes:
-        pillars: the sites' size indices.
-        table: shape (n_sizes + 1, n_polarisations), t sqrt(n_out / n_in) of each size, as :class:`FieldTile` holds it;
-            row 0 (no pillar) is dark.
+        pillars: size index of each site.
+        table: shape (n_sizes + 1, n_polarisations), t sqrt(n_out / n_in) of each size, as in :class:`FieldTile`; row 0
+            (no pillar) is dark.
     """
 
     pillars: PillarMap
@@ -92,11 +92,11 @@ class WrittenField:
 
     @property
     def lattice(self) -> Lattice:
-        """The pillars' lattice."""
+        """Lattice of the pillars."""
         return self.pillars.lattice
 
     def tiles(self) -> Iterator[FieldTile]:
-        """The mask's tiles."""
+        """Return the tiles of the mask."""
         for tile in self.pillars.tiles():
             yield FieldTile(tile.row, tile.column, tile.size_index, self.table)
 
@@ -105,17 +105,17 @@ class Target(Protocol):
     """Target phases or Jones matrices."""
 
     def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
-        """Amplitudes on the grid of ``x_um`` (n_x,) and ``y_um`` (n_y,), shape (n_polarisations, n_y, n_x)."""
+        """Return the amplitudes at ``x_um``, shape (n_x,), and ``y_um``, shape (n_y,): (n_polarisations, n_y, n_x)."""
 
 
 @dataclass(frozen=True)
 class IdealField:
-    """The target phases at full transmission inside the aperture.
+    """Target phases at full transmission inside the aperture.
 
     Attributes:
         profile: target phases.
-        lattice: where they are sampled.
-        device: the aperture's outline and size.
+        lattice: sampling points.
+        device: outline and size of the aperture.
     """
 
     profile: Target
@@ -123,7 +123,7 @@ class IdealField:
     device: Device
 
     def tiles(self) -> Iterator[FieldTile]:
-        """Square tiles; those outside the aperture are left out."""
+        """Return square tiles without those outside the aperture."""
         x, y = self.lattice.x_um(), self.lattice.y_um()
         for row in range(0, y.size, _IDEAL_TILE_SITES):
             for column in range(0, x.size, _IDEAL_TILE_SITES):
@@ -137,39 +137,39 @@ class IdealField:
 
 @dataclass(frozen=True)
 class ApodisedField:
-    """A source behind a stop or a filter in its own plane.
+    """Source behind a stop or an amplitude in the plane of the pillars.
 
     Attributes:
-        behind: what leaves the metasurface without it.
-        transmission: amplitude that it lets through, 0 to 1, of shape (n_y, n_x) on the grid of x (n_x,) and y (n_y,).
+        source: field without the apodisation.
+        transmission: transmitted amplitude, 0 to 1, shape (n_y, n_x), at x, shape (n_x,), and y, shape (n_y,).
     """
 
-    behind: Source
+    source: Source
     transmission: Callable[[FloatArray, FloatArray], FloatArray]
 
     @property
     def lattice(self) -> Lattice:
-        """The source's lattice."""
-        return self.behind.lattice
+        """Lattice of the source."""
+        return self.source.lattice
 
     def tiles(self) -> Iterator[FieldTile]:
-        """The source's tiles, weakened; dark ones are left out, clear ones left as they are."""
+        """Return the attenuated tiles of the source without the dark ones; clear tiles are unchanged."""
         x, y = self.lattice.x_um(), self.lattice.y_um()
-        for tile in self.behind.tiles():
+        for tile in self.source.tiles():
             n_y, n_x = tile.amplitude(0).shape if tile.size_index is None else tile.size_index.shape
-            let_through = self.transmission(x[tile.column : tile.column + n_x], y[tile.row : tile.row + n_y])
-            if (let_through == 1.0).all():
+            transmitted = self.transmission(x[tile.column : tile.column + n_x], y[tile.row : tile.row + n_y])
+            if (transmitted == 1.0).all():
                 yield tile
-            elif let_through.any():
-                amplitudes = [tile.amplitude(p) * let_through for p in range(tile.polarisations)]
+            elif transmitted.any():
+                amplitudes = [tile.amplitude(p) * transmitted for p in range(tile.polarisations)]
                 yield FieldTile(tile.row, tile.column, amplitudes=np.array(amplitudes))
 
 
 def written_field(pillars: PillarMap, library: Library) -> WrittenField:
-    """The field behind the pillars of a mask, by the library's zero-order transmission.
+    """Return the field behind the pillars of a mask, by the zero-order transmission of the library.
 
     Raises:
-        InputError: the mask holds a size that the library does not.
+        InputError: the library lacks a size of the mask.
     """
     width_nm, length_nm = pillars.size_nm()[1:].T
     table = power_amplitudes(library, width_nm, length_nm) if width_nm.size else np.empty((0, 2), dtype=np.complex128)
@@ -180,5 +180,5 @@ def written_field(pillars: PillarMap, library: Library) -> WrittenField:
 
 
 def ideal_field(profile: Target, lattice: Lattice, device: Device) -> IdealField:
-    """The field of the target phases themselves: what a perfect library and mask would give."""
+    """Return the field of the target phases themselves: that of a perfect library and mask."""
     return IdealField(profile, lattice, device)

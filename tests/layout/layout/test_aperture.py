@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 import shapely
 
+from benchmarks.direct_sum import direct_irradiance
 from metafab import drc, layout, mask, optics
 from metafab.layout import Aperture
 from metafab.library import Library
 from metafab.optics import Imaging
 from metafab.optics.geometry.path import Ray, power_at_aperture
-from metafab.optics.reference.direct_sum import direct_irradiance
 from metafab.phase import LensPhase
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
@@ -63,7 +63,7 @@ def test_from_phases_to_a_psf(shape: str, smooth_library: Library, tiny_design: 
 
     imaging = Imaging.of(design)
     source = optics.written_field(pillars, smooth_library)
-    psf = optics.psf(source, imaging, (0.003,), window_px=16, target_error=1e-3)
+    psf = optics.psf(source, imaging, (0.003,), optics.PsfNumerics(window_px=16, target_error=1e-3))
     points = optics_lens.window_points(imaging, psf.centre_um[0, 0], 16)
     direct = direct_irradiance(source, imaging, 0.003, (0.0, 0.0), *points, 0)
     # The reference counts a polygon's power by cells of the rim, to 2e-3 for this one.

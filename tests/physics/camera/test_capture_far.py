@@ -61,7 +61,12 @@ def test_coarse_sites_have_the_pair_of_the_whole_lattice(far: Design, angle_deg:
     lattices = sampling_lattice(profile, lens), lattice_of(lens)
     assert lattices[0].period_dbu[0] > lattices[1].period_dbu[0]
     coarse, fine = (
-        optics.psf(optics.ideal_field(profile, lattice, device), optics.Imaging.of(lens), (0.19, 0.21), window_px=48)
+        optics.psf(
+            optics.ideal_field(profile, lattice, device),
+            optics.Imaging.of(lens),
+            (0.19, 0.21),
+            optics.PsfNumerics(window_px=48),
+        )
         for lattice in lattices
     )
     # A zone's rim and the aperture's are squared off by the sites: a few in a thousand stand on the wrong side.
@@ -88,7 +93,11 @@ def test_five_centimetres_decode_a_street_at_200_m(far: Design) -> None:
     # The frame knows neither the calibration's depths nor its directions.
     finer = replace(lens, verify=replace(lens.verify, field_points=(7, 4)))
     shown = optics.psf(
-        source, imaging, scene.depths_m, field_tangents=optics.field_tangents(finer, imaging), window_px=80
+        source,
+        imaging,
+        scene.depths_m,
+        optics.PsfNumerics(window_px=80),
+        field_tangents=optics.field_tangents(finer, imaging),
     )
     image = decode.decode(camera.capture(scene, shown), calibration)
     assert image.figures.share_decoded > 0.98

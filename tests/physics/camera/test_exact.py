@@ -9,7 +9,7 @@ import pytest
 
 from metafab.camera import PairKernels, capture, exact_psf
 from metafab.core.errors import InputError
-from metafab.optics import Imaging, Psf, relative_l2
+from metafab.optics import Imaging, Psf, PsfNumerics, relative_l2
 from metafab.optics import psf as pair_of
 from metafab.optics.sources.source import IdealField
 from metafab.spec import Scene, SceneObject
@@ -35,7 +35,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def exact(lens: tuple[Imaging, IdealField], scene: Scene) -> Psf:
-    return exact_psf(scene, lens[1], lens[0], window_px=32, target_error=TARGET)
+    return exact_psf(scene, lens[1], lens[0], PsfNumerics(32, TARGET))
 
 
 def test_every_step_of_the_scene_has_its_own_depth(exact: Psf) -> None:
@@ -45,7 +45,7 @@ def test_every_step_of_the_scene_has_its_own_depth(exact: Psf) -> None:
 def test_pairs_between_its_field_points_are_the_computed_ones(lens: tuple[Imaging, IdealField], exact: Psf) -> None:
     """In a direction that no refinement looked at."""
     direction = (0.0113, -0.0071)
-    computed = pair_of(lens[1], lens[0], [DEPTHS_M[1]], tangent=direction, window_px=32, target_error=1e-3)
+    computed = pair_of(lens[1], lens[0], [DEPTHS_M[1]], PsfNumerics(window_px=32, target_error=1e-3), tangent=direction)
     kernels = PairKernels(exact)
     weights = kernels.field_weights(np.array(direction[0]), np.array(direction[1]))
     got = np.einsum("pyxij,yx->pij", kernels.at_depth(DEPTHS_M[1]), weights)
@@ -54,7 +54,7 @@ def test_pairs_between_its_field_points_are_the_computed_ones(lens: tuple[Imagin
         a, b = got[polarisation] / got[polarisation].sum(), own[polarisation] / own[polarisation].sum()
         # Blocks and the field each keep to the target.
         assert relative_l2(a, b) < 2.0 * TARGET
-    assert 0.0 < exact.details["field_interpolation_error"] <= TARGET
+    assert 0.0 < exact.details.field_interpolation_error <= TARGET
 
 
 def test_a_dot_shows_the_psf_of_its_own_depth_and_direction(
@@ -67,7 +67,7 @@ def test_a_dot_shows_the_psf_of_its_own_depth_and_direction(
     direction = scene.objects[1].centre
     errors = []
     for depth_m in (DEPTHS_M[1], DEPTHS_M[0]):
-        own = pair_of(lens[1], lens[0], [depth_m], tangent=direction, window_px=32, target_error=1e-3)
+        own = pair_of(lens[1], lens[0], [depth_m], PsfNumerics(window_px=32, target_error=1e-3), tangent=direction)
         place = (np.array(own.centre_um[0, 0]) - np.array(frame.origin_um)) / frame.pixel_um
         rows, columns = (np.fft.fftfreq(n)[:, None] for n in x_image.shape)
         y, x = np.mgrid[-16:16, -16:16]

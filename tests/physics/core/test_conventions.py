@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.direct_sum import direct_irradiance
 from metafab.core.conventions import FloatArray, image_distance_mm, sensor_distance_um, wrap_phase
-from metafab.optics import Imaging, direct_irradiance, psf, relative_l2
+from metafab.optics import Imaging, PsfNumerics, psf, relative_l2
 from metafab.optics.geometry.path import Ray
 from metafab.optics.measures.lobe import main_lobe_px
 from tests import optics_lens as lens
@@ -74,7 +75,9 @@ def test_the_centre_pixel_is_the_geometric_image_point(polarisation: int, tangen
 
     The image is inverted, and pixel centres lie on integers times the pitch about it. What remains is coma.
     """
-    result = psf(lens.ideal(OPTICS, lens.eq_3_and_4(OPTICS)), OPTICS, [FOCUS_M], tangent=tangent, window_px=32)
+    result = psf(
+        lens.ideal(OPTICS, lens.eq_3_and_4(OPTICS)), OPTICS, [FOCUS_M], PsfNumerics(window_px=32), tangent=tangent
+    )
     airy_px = 0.61 * 0.8 * OPTICS.sensor_distance_um / (0.5 * OPTICS.aperture_um) / OPTICS.pixel_um
     x, y, _ = main_lobe_px(result.psf[polarisation, 0])
     assert math.hypot(x, y) < 0.5 * airy_px
@@ -109,7 +112,7 @@ def test_the_sensor_stands_where_the_focus_depth_is_sharp() -> None:
     assert stated == pytest.approx(OPTICS.sensor_distance_um)
     source = lens.ideal(OPTICS, lens.eq_3_and_4(OPTICS))
     relative = np.linspace(1.2, 0.8, 13)
-    peaks = psf(source, OPTICS, FOCUS_M / relative, window_px=16).psf.max(axis=(2, 3))
+    peaks = psf(source, OPTICS, FOCUS_M / relative, PsfNumerics(window_px=16)).psf.max(axis=(2, 3))
     fine = np.linspace(0.8, 1.2, 4001)
     between = 0.5 * (1.0 + math.cos(math.radians(angle)) ** 2)
     for polarisation in (0, 1):
@@ -130,15 +133,15 @@ def test_the_pair_is_conjugate(depth_m: float) -> None:
     (blocks are mirrored too, up to one block at the rim) are left.
     """
     source = lens.ideal(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
-    result = psf(source, OPTICS, [depth_m], window_px=33, target_error=1e-4)
+    result = psf(source, OPTICS, [depth_m], PsfNumerics(window_px=33, target_error=1e-4))
     assert relative_l2(result.psf[1, 0], result.psf[0, 0, ::-1, ::-1]) < 2.0 * result.error[0]
 
 
 def test_off_axis_the_pair_is_conjugate_for_opposite_fields() -> None:
     """PSF_y(r; field) = PSF_x(-r; -field)."""
     source = lens.ideal(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
-    here = psf(source, OPTICS, [FOCUS_M], tangent=(0.05, 0.03), window_px=33, target_error=1e-4)
-    there = psf(source, OPTICS, [FOCUS_M], tangent=(-0.05, -0.03), window_px=33, target_error=1e-4)
+    here = psf(source, OPTICS, [FOCUS_M], PsfNumerics(window_px=33, target_error=1e-4), tangent=(0.05, 0.03))
+    there = psf(source, OPTICS, [FOCUS_M], PsfNumerics(window_px=33, target_error=1e-4), tangent=(-0.05, -0.03))
     assert relative_l2(here.psf[1, 0], there.psf[0, 0, ::-1, ::-1]) < 2.0 * (here.error[0] + there.error[0])
     assert here.centre_um[1, 0] == pytest.approx(-there.centre_um[0, 0])
 
@@ -147,7 +150,7 @@ def test_orientation_is_that_of_x_and_turns_counter_clockwise_with_depth() -> No
     """``phi_deg`` against the lobe of PSF_x; y's lobe lies opposite. Charges that grow outwards turn it this way."""
     source = lens.ideal(OPTICS, lens.eq_2(OPTICS, zones=4), lens.eq_3_and_4(OPTICS))
     depths = 1.0 / np.linspace(1e3 / 0.75, 1e3 / 1.05, 5)
-    result = psf(source, OPTICS, depths, window_px=48)
+    result = psf(source, OPTICS, depths, PsfNumerics(window_px=48))
     assert np.all(np.diff(result.phi_deg) > 0.0)
     for index in range(5):
         x, y, _ = main_lobe_px(result.psf[0, index])
@@ -159,8 +162,10 @@ def test_orientation_is_that_of_x_and_turns_counter_clockwise_with_depth() -> No
 def test_irradiance_is_per_power_and_area() -> None:
     """Halving the pitch quarters the power a pixel stands for, not the irradiance at the pixels in common."""
     source = lens.ideal(OPTICS, lens.eq_3_and_4(OPTICS))
-    coarse = psf(source, OPTICS, [FOCUS_M], window_px=16, target_error=1e-4)
-    fine = psf(source, replace(OPTICS, pixel_um=0.5 * OPTICS.pixel_um), [FOCUS_M], window_px=32, target_error=1e-4)
+    coarse = psf(source, OPTICS, [FOCUS_M], PsfNumerics(window_px=16, target_error=1e-4))
+    fine = psf(
+        source, replace(OPTICS, pixel_um=0.5 * OPTICS.pixel_um), [FOCUS_M], PsfNumerics(window_px=32, target_error=1e-4)
+    )
     assert relative_l2(fine.psf[:, :, ::2, ::2], coarse.psf) < fine.error[0] + coarse.error[0]
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from metafab.camera import capture, exact_psf
 from metafab.decode import decode
-from metafab.optics import depth_nodes, psf
+from metafab.optics import PsfNumerics, depth_nodes, psf
 from metafab.spec import Scene, SceneObject
 from tests.optics_lens import eq_2, eq_3_and_4, ideal, imaging
 
@@ -32,12 +34,11 @@ def test_depth_over_field_and_band_by_the_calibration_alone() -> None:
     reach = 1.02 * half * np.linspace(-1.0, 1.0, 5)
     depths_m = depth_nodes(lens, 0.83 * 0.003, 1.18 * 0.003, 1e-2)
     assert not np.isclose(depths_m, DEPTH_M, rtol=5e-3).any()
-    settings = {"window_px": 48, "target_error": 3e-3}
-    calibration = psf(
-        source, lens, depths_m, field_tangents=(reach, reach[::2]), filter_fwhm_nm=FILTER_FWHM_NM, **settings
-    )
-    exact = exact_psf(scene, source, lens, window_px=64, target_error=1e-2, filter_fwhm_nm=FILTER_FWHM_NM)
-    one_pair = psf(source, lens, depths_m, **settings)
+    one_wavelength = PsfNumerics(window_px=48, target_error=3e-3)
+    numerics = replace(one_wavelength, filter_fwhm_nm=FILTER_FWHM_NM)
+    calibration = psf(source, lens, depths_m, numerics, field_tangents=(reach, reach[::2]))
+    exact = exact_psf(scene, source, lens, PsfNumerics(64, 1e-2, FILTER_FWHM_NM))
+    one_pair = psf(source, lens, depths_m, one_wavelength)
     errors, naive = [], []
     for seed in (1, 2, 3):
         frame = capture(scene, exact, seed=seed)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from metafab.optics.interpolation.field import spline_weights
+from metafab.core.numeric.splines import spline_weights
 
 
 @given(st.integers(1, 9), st.floats(-2.0, 2.0))

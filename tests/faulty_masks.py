@@ -1,8 +1,7 @@
-"""Faulty masks, pillar by pillar: moved and missing ones, as sources like any other, exact and slow.
+"""Faulty masks pillar by pillar, displaced and missing ones: the exact, slow reference of the scattered block sums.
 
-A pillar that stands aside by d sends the light of its site from there: its phase changes by k times the change of the
-path over it, which is followed exactly for the ray to the geometric image point. Random draws depend on seed and tile
-alone. :mod:`metafab.tolerance.scatter` does the same to block sums, many times faster, and is tested on these.
+A displaced pillar changes its phase by k times the change of the path over it, exact for the ray to the geometric image
+point. Random draws depend on seed and tile alone.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ Offsets = Callable[[FieldTile, tuple[int, int]], tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True)
 class MovedField:
-    """A source whose sites stand aside.
+    """Source with displaced sites.
 
     Attributes:
-        source: the sites at their places.
+        source: sites at their nominal places.
         imaging: geometry.
-        offsets_um: how far each is moved.
-        depth_m: object depth of the rays along which the paths change (they hardly depend on it).
+        offsets_um: displacement of each site.
+        depth_m: object depth of the rays along which the paths change; the change hardly depends on it.
     """
 
     source: Source
@@ -44,7 +43,7 @@ class MovedField:
         return self.source.lattice
 
     def tiles(self) -> Iterator[FieldTile]:
-        """The source's tiles with the moved pillars' phases."""
+        """Return the tiles with the phases of the displaced pillars."""
         x_um, y_um, k = self.lattice.x_um(), self.lattice.y_um(), self.imaging.wavenumber
         rays = [Ray.towards_image(self.imaging, p, self.depth_m, (0.0, 0.0)) for p in (0, 1)]
         for tile in self.source.tiles():
@@ -60,12 +59,12 @@ class MovedField:
 
 @dataclass(frozen=True)
 class ThinnedField:
-    """A source some of whose sites are dark.
+    """Source with missing sites.
 
     Attributes:
         source: all sites.
-        share: of the sites that are lost, 0 to 1.
-        seed: of the choice.
+        share: probability that a site is missing, 0 to 1.
+        seed: seed of the choice.
     """
 
     source: Source
@@ -78,7 +77,7 @@ class ThinnedField:
         return self.source.lattice
 
     def tiles(self) -> Iterator[FieldTile]:
-        """The source's tiles without the lost sites."""
+        """Return the tiles without the missing sites."""
         for tile in self.source.tiles():
             amplitudes = np.array([tile.amplitude(p) for p in (0, 1)])
             lost = _random(self.seed, tile).random(amplitudes.shape[1:]) < self.share
@@ -86,7 +85,7 @@ class ThinnedField:
 
 
 def misplaced(source: Source, imaging: Imaging, depth_m: float, rms_nm: float, *, seed: int = 0) -> MovedField:
-    """Every pillar on its own aside, Gaussian, ``rms_nm`` along x and along y."""
+    """Displace each pillar independently, normal distribution of ``rms_nm`` along x and along y."""
 
     def offsets(tile: FieldTile, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         dx, dy = _random(seed, tile).normal(scale=1e-3 * rms_nm, size=(2, *shape))
@@ -98,7 +97,7 @@ def misplaced(source: Source, imaging: Imaging, depth_m: float, rms_nm: float, *
 def stitched(
     source: Source, imaging: Imaging, depth_m: float, rms_nm: float, field_sites: int, *, seed: int = 0
 ) -> MovedField:
-    """Every write field of ``field_sites`` sites a side as a whole aside, Gaussian, ``rms_nm`` along x and y."""
+    """Displace each write field of ``field_sites`` sites a side, normal distribution of ``rms_nm`` along x and y."""
     rows, columns = (-(-count // field_sites) for count in source.lattice.shape)
     moved = np.random.default_rng(seed).normal(scale=1e-3 * rms_nm, size=(2, rows, columns))
 

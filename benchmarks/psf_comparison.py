@@ -1,17 +1,15 @@
-"""PSFs beside other propagation libraries: what ``psf_peers.py`` answers, judged by the direct sum.
+"""Comparison of PSFs with other propagation libraries (``psf_peers.py``), judged by the direct sum.
 
-Each way of a peer gets lenses of the paper's steepness and pitch, from 0.1 mm up to 2 mm, as far as its time and
-memory reach; its errors are measured against the direct sum at 121 points, the best common factor granted (their
-normalisations are their own). Its row for 2 mm is measured, or scaled by N log N from the largest that was: the row's
-name says which.
+Each method of a peer gets lenses of the paper's numerical aperture and pitch, from 0.1 mm up to 2 mm, as far as its
+time and memory allow. Its error is measured against the direct sum at 121 points, up to a common factor, as
+normalisations differ. Its row for 2 mm is measured, or scaled by N log N from the largest measured lens and named so.
 
-Times are over those of our fastest answer that errs no more, for one polarisation. Where a peer is exact, which sums
-of blocks are not, it is our most exact answer; ``ours_error`` says how exact:
+Ratios of times are those of the peer over our fastest result of no larger error, for one polarisation. If the peer is
+exact, our most exact result is taken; ``ours_error`` is its error.
 
-- ``ours_faster_window``: one window from what can be prepared: the field behind the lens (with the path removed), or
-  our block sums.
-- ``ours_faster``: the same from the pillars: what it takes to make the field in plain NumPy is added to the peer's
-  time, our pass over the pillars to ours.
+- ``ours_faster_window``: one window from prepared data: the field behind the lens (with the path removed), or our
+  block sums.
+- ``ours_faster``: one window from the pillars, with the time to make the field in NumPy, or our pass over the pillars.
 - ``ours_faster_stack``: 21 depths from the pillars; each depth is another field.
 """
 
@@ -19,7 +17,6 @@ from __future__ import annotations
 
 import json
 import os
-import runpy
 import subprocess
 import sys
 import tempfile
@@ -30,63 +27,68 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.direct_sum import direct_irradiance, incident_wave
+from benchmarks.psf_lens import lens_design, lens_field
+from benchmarks.psf_peers import METHODS
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.optics import Imaging, WrittenField, direct_irradiance, relative_l2
-from metafab.optics.reference.direct_sum import incident_wave
+from metafab.optics import Imaging, WrittenField, relative_l2
 
 PEERS_FILE = Path(__file__).with_name("psf_peers.py")
 APERTURES_UM = (100.0, 200.0, 400.0, 800.0, 2000.0)
 STRIDE, WINDOW_PX, JUDGED_STEP = 10, 64, 6
 STACK_DEPTHS = 21
 
-_lens = runpy.run_path(str(Path(__file__).with_name("psf_lens.py")))
 
-
-def peer_rows(quick: bool, ours: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows of all ways of all peers; of one that is missing, a row that says so.
+def peer_rows(
+    ours: Sequence[dict[str, Any]], apertures_um: Sequence[float] = APERTURES_UM, limit_s: float | None = None
+) -> list[dict[str, Any]]:
+    """Return the rows of all methods of all peers; a missing peer gives a row with the reason.
 
     Args:
-        quick: only the smallest lens.
-        ours: our answers for 2 mm, one polarisation: ``error``, ``seconds_window``, ``seconds_pass``,
+        ours: our results for 2 mm, one polarisation: ``error``, ``seconds_window``, ``seconds_pass``,
             ``seconds_stack`` (21 windows).
+        apertures_um: diameters of the lenses, ascending.
+        limit_s: longest processor time of a peer's window; METAFAB_PEERS_SECONDS, or 20 s, if None.
     """
-    apertures_um = APERTURES_UM[:1] if quick else APERTURES_UM
+    limit_s = float(os.environ.get("METAFAB_PEERS_SECONDS", "20")) if limit_s is None else limit_s
     table: list[dict[str, Any]] = []
     with tempfile.TemporaryDirectory() as folder:
-        lenses = [_Given(aperture_um, Path(folder)) for aperture_um in apertures_um]
-        for name in runpy.run_path(str(PEERS_FILE))["WAYS"]:
-            answers, complaint = ask_peer(name, [lens.job for lens in lenses], 0.0 if quick else longest_s())
-            own = [_row(name, answer, lenses) for answer in answers if "irradiance" in answer]
-            if not own:
+        lenses = [PeerLens(aperture_um, Path(folder)) for aperture_um in apertures_um]
+        for name in METHODS:
+            answers, complaint = ask_peer(name, [lens.job for lens in lenses], limit_s)
+            rows = [peer_row(name, answer, lenses) for answer in answers if "irradiance" in answer]
+            if not rows:
                 table.append({"name": name, "error": None, "seconds": None, "peak_rss_mb": None, "skipped": complaint})
                 continue
-            own += [{**own[-1], **_scaled(own[-1], answer, lenses)} for answer in answers if "expected_um" in answer]
-            own[-1] |= _ratios(own[-1], ours)
-            # A plot of error against time shows the largest lens alone, as its other rows do.
-            for row in own[:-1]:
+            rows += [{**rows[-1], **_scaled(rows[-1], answer, lenses)} for answer in answers if "expected_um" in answer]
+            rows[-1] |= time_ratios(rows[-1], ours)
+            # The plot of error against time shows the largest lens only.
+            for row in rows[:-1]:
                 row |= {"seconds_of_this_lens": row["seconds"], "seconds": None}
-            table += own
+            table += rows
     return table
 
 
-def longest_s() -> float:
-    """METAFAB_PEERS_SECONDS: processor time up to which a peer's window is waited for."""
-    return float(os.environ.get("METAFAB_PEERS_SECONDS", "20"))
+def ask_peer(method: str, lenses: Sequence[dict[str, Any]], limit_s: float) -> tuple[list[dict[str, Any]], str]:
+    """Run a peer in the first interpreter of METAFAB_PEERS_PYTHON that has it.
 
+    The variable is a search path; without it, this interpreter is taken.
 
-def ask_peer(way: str, lenses: Sequence[dict[str, Any]], limit_s: float) -> tuple[list[dict[str, Any]], str]:
-    """What a peer answered in the first of METAFAB_PEERS_PYTHON that has it, and its complaint if it ended early.
-
-    Several interpreters are separated as in a search path; without any it is this one.
+    Returns:
+        The answers, and the last line of stderr if the program failed.
     """
     one_thread = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    job = json.dumps({"way": way, "lenses": list(lenses), "longest_s": limit_s, "most_mb": 0.3 * _free_mb()})
+    job = json.dumps({"method": method, "lenses": list(lenses), "longest_s": limit_s, "most_mb": 0.3 * _free_mb()})
     complaint = "no interpreter"
     for python in os.environ.get("METAFAB_PEERS_PYTHON", sys.executable).split(os.pathsep):
         done = subprocess.run(
-            [python, str(PEERS_FILE)], input=job, env=os.environ | one_thread, capture_output=True, text=True,
+            [python, str(PEERS_FILE)],
+            input=job,
+            env=os.environ | one_thread,
+            capture_output=True,
+            text=True,
             check=False,
-        )  # fmt: skip
+        )
         answers = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
         complaint = "" if done.returncode == 0 else (done.stderr.strip().splitlines() or ["no reason given"])[-1]
         if answers:
@@ -94,20 +96,20 @@ def ask_peer(way: str, lenses: Sequence[dict[str, Any]], limit_s: float) -> tupl
     return [], complaint
 
 
-class _Given:
-    """A lens as the peers get it, and what is true of its window."""
+class PeerLens:
+    """A lens as the peers get it, with the true irradiance of its window."""
 
     def __init__(self, aperture_um: float, folder: Path) -> None:
-        design = _lens["lens_design"](aperture_um)
+        design = lens_design(aperture_um)
         self.imaging = Imaging.of(design)
-        self.source: WrittenField = _lens["lens_field"](design, self.imaging)
+        self.source = lens_field(design, self.imaging)
         self.depth_m = design.sensor.focus_depth_m
         self.aperture_um = aperture_um
         self._truth: dict[float, FloatArray] = {}
         lattice = self.source.lattice
         self.pitch_um = lattice.period_dbu[0] * lattice.database_unit_nm * 1e-3
         middle = self.imaging.image_point_um(0, (0.0, 0.0))
-        # The window's middle is the site next to the image point.
+        # The middle of the window is the site next to the image point.
         self.first = [
             round((at - axis[0]) / self.pitch_um) - STRIDE * (WINDOW_PX // 2)
             for at, axis in ((middle[1], lattice.y_um()), (middle[0], lattice.x_um()))
@@ -129,7 +131,7 @@ class _Given:
         }
 
     def truth(self, carrier: bool) -> FloatArray:
-        """The direct sum at the judged points; a carrier's window is stretched along x by the grating law."""
+        """Return the direct sum at the judged points, with ``carrier`` stretched along x by the grating law."""
         axes = self.source.lattice.x_um(), self.source.lattice.y_um()
         x, y = (
             axis[0] + self.pitch_um * (first + STRIDE * np.arange(WINDOW_PX))
@@ -148,7 +150,7 @@ class _Given:
 
 
 def _behind(source: WrittenField, imaging: Imaging, depth_m: float) -> ComplexArray:
-    """Light polarised along x, of an object on the axis behind the lens, single precision (1e-7)."""
+    """Field of x polarised light of an object on the axis behind the lens, in single precision (1e-7)."""
     field = np.zeros(source.lattice.shape, dtype=np.complex64)
     x, y = source.lattice.x_um(), source.lattice.y_um()
     for tile in source.tiles():
@@ -161,24 +163,25 @@ def _behind(source: WrittenField, imaging: Imaging, depth_m: float) -> ComplexAr
     return field
 
 
-def _row(name: str, answer: dict[str, Any], lenses: Sequence[_Given]) -> dict[str, Any]:
+def peer_row(name: str, answer: dict[str, Any], lenses: Sequence[PeerLens]) -> dict[str, Any]:
+    """Return the row of one answer, with its error up to a common factor."""
     lens = next(lens for lens in lenses if lens.aperture_um == answer["aperture_um"])
     truth = lens.truth("carrier" in name)
-    found = np.array(answer["irradiance"])[::JUDGED_STEP, ::JUDGED_STEP]
-    scale = float(np.vdot(found, truth) / np.vdot(found, found))
+    image = np.array(answer["irradiance"])[::JUDGED_STEP, ::JUDGED_STEP]
+    scale = float(np.vdot(image, truth) / np.vdot(image, image))
     return {
         "name": f"{name}, {_millimetres(lens.aperture_um)}",
         "series": name,
         "aperture_um": lens.aperture_um,
-        "error": relative_l2(scale * found, truth),
+        "error": relative_l2(scale * image, truth),
         "seconds": answer["seconds"],
         "field_seconds": lens.field_s + (answer["carrier_s"] if "carrier" in name else 0.0),
         "peak_rss_mb": answer["peak_rss_mb"],
     }
 
 
-def _scaled(largest: dict[str, Any], answer: dict[str, Any], lenses: Sequence[_Given]) -> dict[str, Any]:
-    """The peer's answer for a lens that it did not reach; its error is that of the largest one."""
+def _scaled(largest: dict[str, Any], answer: dict[str, Any], lenses: Sequence[PeerLens]) -> dict[str, Any]:
+    """The extrapolated cost of a lens beyond the limits; its error is that of the largest measured lens."""
     lens, reached = (
         next(lens for lens in lenses if lens.aperture_um == aperture_um)
         for aperture_um in (answer["expected_um"], largest["aperture_um"])
@@ -196,8 +199,8 @@ def _millimetres(length_um: float) -> str:
     return f"{1e-3 * length_um:g} mm"
 
 
-def _ratios(peer: dict[str, Any], ours: Sequence[dict[str, Any]]) -> dict[str, float]:
-    """The peer's seconds over those of our fastest answer that errs no more, or of our most exact one."""
+def time_ratios(peer: dict[str, Any], ours: Sequence[dict[str, Any]]) -> dict[str, float]:
+    """Return the peer's times over those of our fastest result of no larger error, or of our most exact result."""
     if not ours:
         return {}
     least = min(row["error"] for row in ours)
@@ -208,13 +211,12 @@ def _ratios(peer: dict[str, Any], ours: Sequence[dict[str, Any]]) -> dict[str, f
         "ours_faster": (whole, [row["seconds_pass"] + row["seconds_window"] for row in good]),
         "ours_faster_stack": (STACK_DEPTHS * whole, [row["seconds_pass"] + row["seconds_stack"] for row in good]),
     }
-    return {"ours_error": max(row["error"] for row in good)} | {
-        name: theirs / min(own) for name, (theirs, own) in pairs.items()
-    }
+    ratios = {name: theirs / min(times) for name, (theirs, times) in pairs.items()}
+    return {"ours_error": max(row["error"] for row in good), **ratios}
 
 
 def _free_mb() -> float:
-    """Memory that is free for a peer (Linux; elsewhere 4 GB are taken to be)."""
+    """Free memory, MB; 4 GB are assumed on other systems than Linux."""
     try:
         lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
     except OSError:

@@ -1,11 +1,11 @@
-"""The angular spectrum of a small lens: a second reference, in direction space, and the account of all power.
+"""Angular spectrum of a small lens: a second reference, in direction space, and its power budget.
 
     E(u, v) = integral over f of A(f) exp(i k_z(f) z) exp(2 pi i f . (u, v)),
     A(f) = sum over sites of a exp(-2 pi i f . r) times the cell's area,
 
-is the same light as the direct sum's (Weyl's expansion of its kernel), without a distance in it. Frequencies of
-light that cannot reach the window are faded out, so that a grid of frequencies carries the integral without light
-wrapped around from elsewhere. By Parseval's theorem the spectrum holds the power of every direction.
+equals the direct sum by the Weyl expansion of its kernel, without any distance. Frequencies whose light cannot reach
+the window are faded out, so that a grid of frequencies represents the integral without wrapped light. By Parseval's
+theorem the spectrum holds the power of all directions.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.direct_sum import incident_wave
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.optics.geometry.imaging import Imaging
-from metafab.optics.reference.direct_sum import incident_wave
 from metafab.optics.sources.source import Source
 
-#: Sites a side up to which the spectrum is a reasonable way: a matrix of sites times frequencies.
+#: Largest number of sites along a side: the spectrum takes a matrix of sites times frequencies.
 _MOST_SITES = 2000
-#: Over how much of the direction sine the fade runs, and what lies between it and the farthest wanted direction.
+#: Width of the fade, and its distance from the farthest wanted direction, in direction sine.
 _FADE_SINE = 0.25
 _CLEAR_SINE = 0.1
 
 
 @dataclass(frozen=True)
 class AngularSpectrum:
-    """Light of one object point and polarisation just behind a small lens.
+    """Light of one object point and one polarisation just behind a small lens.
 
     Attributes:
         imaging: wavelength and sensor.
         lit: shape (n_y, n_x), field at the sites; its square is the power per area from an object of 1 W per steradian,
-            z / R^3 times the pillar's transmission. Powers here are over 1 W, not over the power at the aperture.
+            z / R^3 times the transmission of the pillar. Powers are over 1 W, not over the power at the aperture.
         x_um: shape (n_x,), sites.
         y_um: shape (n_y,).
-        cell_um2: area that belongs to one pillar.
+        cell_um2: area of one unit cell.
     """
 
     imaging: Imaging
@@ -58,10 +58,8 @@ class AngularSpectrum:
         """
         lattice = source.lattice
         if max(lattice.shape) > _MOST_SITES:
-            raise InputError.single(
-                "optics", "aperture_um", f"at most {_MOST_SITES} sites a side for the angular spectrum",
-                f"{max(lattice.shape)}", "take the PSF by blocks, which states its error",
-            )  # fmt: skip
+            expected = f"at most {_MOST_SITES} sites a side for the angular spectrum"
+            raise InputError.single("optics", "aperture_um", expected, f"{max(lattice.shape)}", "take a smaller lens")
         amplitude = np.zeros(lattice.shape, dtype=np.complex128)
         for tile in source.tiles():
             part = tile.amplitude(polarisation)
@@ -75,7 +73,7 @@ class AngularSpectrum:
 
     @property
     def power(self) -> float:
-        """Power that the pillars let through, in the units of the squared field times um^2."""
+        """Power that the pillars transmit, in units of the squared field times um^2."""
         return float(np.sum(np.abs(self.lit) ** 2) * self.cell_um2)
 
     def irradiance(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
@@ -104,7 +102,7 @@ class AngularSpectrum:
         return np.asarray(np.abs(field) ** 2, dtype=np.float64)
 
     def propagating_power(self) -> float:
-        """Power of all directions that leave the lens; the rest of :attr:`power` is bound to it.
+        """Power of all propagating directions; the rest of :attr:`power` is evanescent.
 
         The discrete spectrum over one period of frequencies, sampled at twice the lens' size.
         """

@@ -1,7 +1,7 @@
-"""The direct Rayleigh-Sommerfeld sum over every site: slow, exact, and sharing nothing with the fast path but the spec.
+"""Direct Rayleigh-Sommerfeld sum over every site: the slow, exact reference of the optics room.
 
-It takes distances as they are (no differences, no blocks, no expansion), so that it checks carrier, blocks,
-low-rank terms and normalisation of the fast path at once.
+Distances are computed directly, without differences, blocks or expansions, so that the sum checks carrier, blocks,
+low-rank kernel and normalisation of the fast propagation at once.
 """
 
 from __future__ import annotations
@@ -28,20 +28,19 @@ def direct_irradiance(
     y_um: FloatArray,
     polarisation: int,
 ) -> FloatArray:
-    """Irradiance at points of the sensor, 1/um^2 per unit power of one polarisation at the aperture.
+    """Return the irradiance at points of the sensor, 1/um^2 per unit power of one polarisation at the aperture.
 
     Args:
         source: amplitudes of the sites.
         imaging: wavelength, sensor distance and aperture.
-        depth_m: finite object depth, or several: the way from lens to sensor is then evaluated once for all.
+        depth_m: finite object depth, or several, which share the paths from lens to sensor.
         tangent: object direction.
         x_um: shape (n,), sensor points.
-        y_um: shape (n,).
+        y_um: shape (n,), sensor points.
         polarisation: 0 for x, 1 for y.
 
     Returns:
-        Shape (n,), or (n_depth, n) for several depths. Each site is a point source of strength amplitude times cell
-        area.
+        Shape (n,), or (n_depth, n) for several depths. Each site is a point source of amplitude times cell area.
     """
     depth_um = 1e6 * np.atleast_1d(np.asarray(depth_m, dtype=np.float64))
     objects = [(tangent[0] * z, tangent[1] * z, z) for z in depth_um.tolist()]
@@ -69,9 +68,9 @@ def incident_wave(
     wavenumber: float,
     plate: Plate | None = None,
 ) -> ComplexArray:
-    """Square root of the flux z / R^3 of a spherical wave through the lens plane, with its phase, shape (n_y, n_x).
+    """Return a spherical wave in the lens plane, shape (n_y, n_x), whose modulus is the root of its flux z / R^3.
 
-    Behind a plate, the ray is found by bisection, the optical path is the sum of its two lengths, and the flux is that
+    Behind a plate, the ray is found by bisection. The optical path is the sum of its two lengths, and the flux is that
     of a cone of rays through the ring where it arrives.
     """
     across = np.hypot(x_um[None, :] - object_x, y_um[:, None] - object_y)
@@ -83,7 +82,7 @@ def incident_wave(
 
 
 def _through_plate(across_um: FloatArray, depth_um: float, plate: Plate) -> tuple[FloatArray, FloatArray]:
-    """Optical path and flux (power per solid angle 1, per um^2) at a distance ``across_um`` beside the object."""
+    """Optical path and flux (1/um^2, for unit power per solid angle) at a lateral distance ``across_um``."""
     air, inside, n = depth_um - plate.thickness_um, plate.thickness_um, plate.index
 
     def arrival(sine: FloatArray) -> FloatArray:
@@ -97,17 +96,16 @@ def _through_plate(across_um: FloatArray, depth_um: float, plate: Plate) -> tupl
     sine = 0.5 * (low + high)
     cosine = np.sqrt(1.0 - sine**2)
     path = air / cosine + n * inside / np.sqrt(1.0 - (sine / n) ** 2)
-    # Solid angle sin d(angle) = s ds / cos over the ring's area, r dr; r / s is finite on the axis.
+    # Solid angle sin d(angle) = s ds / cos over the area r dr of the ring; r / s is finite on the axis.
     spread = air / cosine + inside / np.sqrt(n**2 - sine**2)
     growth = air / cosine**3 + inside * n**2 / (n**2 - sine**2) ** 1.5
     return path, 1.0 / (cosine * spread * growth)
 
 
 def _incident_power(imaging: Imaging, object_x: float, object_y: float, depth_um: float, plate: Plate | None) -> float:
-    """Flux z / R^3 (or behind a plate) through the aperture, by the midpoint rule.
+    """Flux through the aperture by the midpoint rule, on polar (circle, ring) or Cartesian cells.
 
-    Cells are polar (circle, ring) or Cartesian.
-    Cells of a polygon count by their centres, which leaves an error of about 1e-3 along its rim.
+    Cells of a polygon are counted by their centres, with an error of about 1e-3 at the rim.
     """
     half = 0.5 * imaging.aperture_um
     if imaging.aperture_shape in {"square", "polygon"}:
@@ -138,7 +136,7 @@ def _accumulate(
     sensor_um: float,
     wavenumber: float,
 ) -> None:
-    """Add h(R) a to each sensor point, h = (z / R) (1/R - ik) exp(ikR) / (2 pi R); field (n_depth, n_point)."""
+    """Add h(R) a to ``field``, shape (n_depth, n_point), with h = (z / R) (1/R - ik) exp(ikR) / (2 pi R)."""
     for point in prange(x_um.size):
         total = np.zeros(lit.shape[0], dtype=np.complex128)
         for row in range(site_y.size):

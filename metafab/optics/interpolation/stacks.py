@@ -1,0 +1,129 @@
+"""PSF stacks between their nodes in depth and direction; joined stacks and selected depths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.core.numeric.splines import spline_weights
+from metafab.optics.geometry.imaging import Tangent
+from metafab.optics.point_spread import Psf
+
+_FEWEST_NODES = 4
+
+
+def at_depths(psf: Psf, depths_m: Sequence[float] | FloatArray) -> FloatArray:
+    """Interpolate the irradiance between depths by cubic splines in vergence 1/z.
+
+    Args:
+        psf: stack of at least four depths (:func:`depth_nodes` spaces them for a target error).
+        depths_m: shape (n,), any order.
+
+    Returns:
+        Shape (2, n, n_y, n_x), 1/um^2; exactly the stored images at stored depths.
+
+    Raises:
+        InputError: a depth lies outside the stack (nothing is extrapolated), or the stack is too short.
+    """
+    wanted = np.atleast_1d(np.asarray(depths_m, dtype=np.float64))
+    low, high = psf.depth_m[0], psf.depth_m[-1]
+    if not np.all((wanted >= low * (1.0 - 1e-12)) & (wanted <= high * (1.0 + 1e-12))):
+        outside = wanted[(wanted < low) | (wanted > high) | np.isnan(wanted)]
+        raise InputError.single(
+            "PSF stack",
+            "depths_m",
+            f"depths from {low:g} to {high:g} m",
+            f"{outside[0]:g} m ({outside.size} outside)",
+            "compute the stack over a wider range",
+        )
+    if np.all(np.isin(wanted, psf.depth_m)):
+        return psf.psf[:, np.searchsorted(psf.depth_m, wanted)]
+    if psf.depth_m.size < _FEWEST_NODES:
+        expected = f"{_FEWEST_NODES} depths or more to interpolate between"
+        raise InputError.single("PSF stack", "depths_m", expected, f"{psf.depth_m.size}", "compute more depths")
+    weights = spline_weights(1.0 / psf.depth_m, 1.0 / wanted)
+    return np.asarray(np.einsum("pdij,nd->pnij", psf.psf, weights, optimize=True))
+
+
+def at_tangent(psf: Psf, tangent: Tangent) -> FloatArray:
+    """Interpolate the irradiance about the geometric image point to any direction inside the field.
+
+    Args:
+        psf: stack with a field.
+        tangent: (x/z, y/z) of the object.
+
+    Returns:
+        Shape (2, n_depth, n_y, n_x), 1/um^2.
+
+    Raises:
+        InputError: the stack has no field, or the direction lies outside it (nothing is extrapolated).
+    """
+    if psf.field is None:
+        raise InputError.single(
+            "PSF stack", "field", "a stack over the field of view", "one direction", "set `verify.field_points`"
+        )
+    nodes = (psf.field.tangent_x, psf.field.tangent_y)
+    for name, value, grid in zip("xy", tangent, nodes, strict=True):
+        if not grid[0] <= value <= grid[-1]:
+            expected = f"a direction from {grid[0]:g} to {grid[-1]:g}"
+            remedy = "compute the stack over a wider field"
+            raise InputError.single("PSF stack", f"tangent_{name}", expected, f"{value:g}", remedy)
+    w_x, w_y = (spline_weights(grid, value) for grid, value in zip(nodes, tangent, strict=True))
+    return np.asarray(np.einsum("pdyxij,y,x->pdij", psf.field.psf, w_y, w_x, optimize=True), dtype=np.float64)
+
+
+def without_depths(psf: Psf, left_out: NDArray[np.bool_]) -> Psf:
+    """Return the stack without the depths marked in ``left_out``, shape (n_depth,)."""
+    kept = ~np.asarray(left_out)
+    field = psf.field
+    if field is not None:
+        field = replace(field, psf=field.psf[:, kept], centre_um=field.centre_um[:, kept])
+    return replace(
+        psf,
+        depth_m=psf.depth_m[kept],
+        psf=psf.psf[:, kept],
+        centre_um=psf.centre_um[:, kept],
+        phi_deg=psf.phi_deg[kept],
+        error=psf.error[kept],
+        efficiency=psf.efficiency[:, kept],
+        extinction_ratio=psf.extinction_ratio[kept],
+        field=field,
+    )
+
+
+def concatenate(stacks: Sequence[Psf]) -> Psf:
+    """Join stacks of the same sampling and sensor along depth.
+
+    Details are those of the first stack with the sum of all times. Fields are dropped.
+
+    Raises:
+        ValueError: no stacks, different sampling, or depths that do not ascend from one stack to the next.
+    """
+    if not stacks:
+        raise ValueError("`stacks`: expected at least one")
+    first = stacks[0]
+    sampling = {(stack.pixel_um, stack.psf.shape[2:], stack.sensor_distance_um) for stack in stacks}
+    if len(sampling) > 1:
+        raise ValueError("`stacks`: expected one sampling, window and sensor plane")
+    depth_m = np.concatenate([stack.depth_m for stack in stacks])
+    if np.any(np.diff(depth_m) <= 0.0):
+        raise ValueError("`stacks`: expected ascending depths")
+    if len(stacks) == 1:
+        return first
+    return replace(
+        first,
+        depth_m=depth_m,
+        psf=np.concatenate([stack.psf for stack in stacks], axis=1),
+        centre_um=np.concatenate([stack.centre_um for stack in stacks], axis=1),
+        phi_deg=np.concatenate([stack.phi_deg for stack in stacks]),
+        error=np.concatenate([stack.error for stack in stacks]),
+        efficiency=np.concatenate([stack.efficiency for stack in stacks], axis=1),
+        extinction_ratio=np.concatenate([stack.extinction_ratio for stack in stacks]),
+        field=None,
+        details=replace(first.details, seconds=sum(stack.details.seconds for stack in stacks)),
+    )

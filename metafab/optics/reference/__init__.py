@@ -1,1 +1,0 @@
-"""Slow, exact references for the fast propagation."""
