@@ -69,8 +69,8 @@ def exact_psf(
         scene: its depths and its field.
         source: light behind the metasurface (:func:`metafab.optics.written_field`, ``ideal_field``).
         imaging: wavelength, sensor plane, pixel, aperture.
-        numerics: window (wider than a calibration's, to hold the light that it cuts off), filter, and relative L2 error of
-            the irradiance, over the field as in each PSF.
+        numerics: window (wider than a calibration's, to hold the light that it cuts off), filter, and relative L2 error
+            of the irradiance, over the field as in each PSF.
         work: threads or cluster, and progress over the windows.
 
     Returns:
