@@ -7,7 +7,7 @@ import threading
 import time
 import zipfile
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, cached_property
 from multiprocessing.util import Finalize
 from pathlib import Path
 
@@ -30,35 +30,6 @@ def own_folder() -> Path | None:
         return Path(named) if named else None
     caches = os.environ.get("XDG_CACHE_HOME")
     return (Path(caches) if caches else Path.home() / ".cache") / "metafab" / "meep"
-
-
-class KeptReplies:
-    """Replies of finished jobs, one .npz file each; any number of processes may share the folder.
-
-    Args:
-        folder: folder of the files; made when the first one is kept.
-        program: identity of the program that runs the jobs (worker's source, version of Meep).
-    """
-
-    def __init__(self, folder: Path, program: str) -> None:
-        self._folder = folder
-        self._program = program
-
-    def find(self, job: Job) -> Reply | None:
-        """Return the reply of an equal finished job, or None. A damaged file counts as none, and is replaced."""
-        try:
-            with np.load(self._path(job), allow_pickle=False) as content:
-                return {name: np.array(content[name]) for name in content.files}
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-            return None
-
-    def keep(self, job: Job, reply: Reply) -> None:
-        """Write a reply, whole or not at all."""
-        with whole_file(self._path(job)) as part, part.open("wb") as stream:
-            np.savez(stream, **reply)  # type: ignore[arg-type]
-
-    def _path(self, job: Job) -> Path:
-        return self._folder / f"{fingerprint(self._program, job)[:40]}.npz"
 
 
 class Pool:
@@ -90,7 +61,6 @@ class Pool:
         self._jobs_per_worker = jobs_per_worker
         self._limit_s = limit_s
         self._keep = keep
-        self._kept: KeptReplies | None = None
         self._slots = threading.BoundedSemaphore(self.size)
         self._lock = threading.Lock()
         self._idle: list[Worker] = []
@@ -111,9 +81,9 @@ class Pool:
             MissingToolError: no interpreter has Meep.
         """
         with self._slots:
-            kept = self._replies()
-            if kept is not None and (known := kept.find(job)) is not None:
-                return known
+            kept = self._kept(job)
+            if kept is not None and (finished := _finished(kept)) is not None:
+                return finished
             worker = self._take()
             start = time.perf_counter()
             try:
@@ -122,7 +92,8 @@ class Pool:
                 self._give(worker)
             reply["seconds"] = np.array(time.perf_counter() - start)
             if kept is not None:
-                kept.keep(job, reply)
+                with whole_file(kept) as part, part.open("wb") as stream:
+                    np.savez(stream, **reply)  # type: ignore[arg-type]
             return reply
 
     def run_to_decay(self, job: Job, report: Callable[[float], None] | None = None) -> Reply:
@@ -155,14 +126,15 @@ class Pool:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _replies(self) -> KeptReplies | None:
-        if self._keep is None:
-            return None
-        with self._lock:
-            if self._kept is None:
-                program = finding.best().version if self._command is None else " ".join(self._command)
-                self._kept = KeptReplies(self._keep, f"{program} {file_sha256(finding.WORKER)}")
-            return self._kept
+    @cached_property
+    def _program(self) -> str:
+        """Identity of the program that runs the jobs: version of Meep, and the worker's source."""
+        program = finding.best().version if self._command is None else " ".join(self._command)
+        return f"{program} {file_sha256(finding.WORKER)}"
+
+    def _kept(self, job: Job) -> Path | None:
+        """File of the finished job, named by the hash of all that decides its reply."""
+        return None if self._keep is None else self._keep / f"{fingerprint(self._program, job)[:40]}.npz"
 
     def _take(self) -> Worker:
         with self._lock:
@@ -180,6 +152,15 @@ class Pool:
                 return
             self._all.discard(worker)
         worker.close()
+
+
+def _finished(path: Path) -> Reply | None:
+    """The reply in a file; None where there is none, or a damaged one, which is then replaced."""
+    try:
+        with np.load(path, allow_pickle=False) as content:
+            return {name: np.array(content[name]) for name in content.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
 
 
 @cache

@@ -96,11 +96,6 @@ class Job:
     longest_time: float
     courant: float = 0.5
 
-    def to_json(self) -> dict[str, Any]:
-        """The job as JSON types; complex numbers as [re, im]."""
-        table: dict[str, Any] = plain(self)
-        return table
-
 
 class Worker:
     """A process that runs jobs one after the other; not to be shared between threads.
@@ -153,7 +148,7 @@ class Worker:
         name = f"{self.jobs_done}"
         arrays = Path(self._folder.name) / f"{name}.npz"
         try:
-            self._send({"id": name, "job": job.to_json(), "arrays": str(arrays)})
+            self._send({"id": name, "job": plain(job), "arrays": str(arrays)})
             self._await(name, time.monotonic() + limit_s, limit_s, report)
             with np.load(arrays, allow_pickle=False) as content:
                 reply = {key: np.array(content[key]) for key in content.files}

@@ -93,7 +93,7 @@ _LADDERS: dict[Formulation, tuple[tuple[float, tuple[int, ...]], ...]] = {
 }
 #: Rung that measured cells skip between 6 and 8: at targets from 5e-4, 7 cosines were enough for 5 of the 90 silicon
 #: pillars that needed more than 6, at more than half the cost of 8.
-_SELDOM_ENOUGH = 7
+_SKIPPED_RUNG = 7
 #: Last difference above which the ladder has not begun to converge.
 _NOT_CONVERGING = 5e-2
 #: Measured range: period in wavelengths inside the densest medium, height in vacuum wavelengths, ratio of the indices,
@@ -129,6 +129,7 @@ class PowerLaw:
 
 #: Curved outlines converge more slowly than corners between straight walls.
 _CURVED, _STRAIGHT = PowerLaw(1.5, 7), PowerLaw(2.0, 6)
+#: Margin over the largest implied error.
 _LAW_MARGIN = 1.4
 #: Target whose ladder a power law uses at least: distant rungs determine the error best.
 _FAR_TARGET = 4e-3
@@ -246,8 +247,8 @@ def ladder(numerics: CellNumerics, *, measured: bool = False, law: PowerLaw | No
             below = rungs
         if numerics.target_error >= least_target:
             break
-    if measured and 4 in below and max(below) > _SELDOM_ENOUGH:
-        return tuple(orders for orders in below if orders != _SELDOM_ENOUGH)
+    if measured and 4 in below and max(below) > _SKIPPED_RUNG:
+        return tuple(orders for orders in below if orders != _SKIPPED_RUNG)
     return below or _LADDERS[numerics.formulation][-1][1][:1]
 
 

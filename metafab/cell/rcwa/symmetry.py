@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
 
 from metafab.cell.pillar import PillarCell, Slice
@@ -45,7 +46,7 @@ class SymmetryClass:
         """Coefficients and wave numbers of all layers (with the overlap of the first outline)."""
         return self.bases[0][0]
 
-    @property
+    @cached_property
     def incident(self) -> ComplexArray:
         """Incident E_x = 1 and E_y = 1 as columns, shape (n, 2); zero where the class does not hold them."""
         return self.basis.zero_order()

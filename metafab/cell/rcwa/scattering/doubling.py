@@ -42,7 +42,8 @@ _LAMBERT = np.array(
 )
 #: Largest x of a travelling mode in the thin slab.
 _THIN = 1.5
-#: Largest accepted violation of reciprocity, as an amplitude. Amplitudes by modes differ up to a hundredfold.
+#: Largest accepted violation of reciprocity, as an amplitude. Amplitudes by doubling and by modes then differ by up to
+#: a hundred times this.
 CONSISTENT = 1e-10
 
 
