@@ -106,7 +106,10 @@ class _RecognisedOutlines(Outline):
             width, length = size_dbu.tolist()
             drawn = canonical_polygon(turned_rectangle(width, length, angle_deg))
             if np.array_equal(2 * drawn, 2 * ring - ring[0] - ring[2]):
-                number = self._numbers.setdefault((width, length, angle_deg), next(self._next_number))
+                kind = width, length, angle_deg
+                number = self._numbers.get(kind)
+                if number is None:  # Threads that meet a kind at once draw a number each; the first one holds.
+                    number = self._numbers.setdefault(kind, next(self._next_number))
                 across, along = divmod(number, self.per_width)
                 return 2 * (across + 1), 2 * (along + 1)
         return None

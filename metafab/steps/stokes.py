@@ -16,6 +16,7 @@ from metafab.core.polarisation import STATES
 from metafab.core.storage.files import write_json
 from metafab.spec.turned import require_turnable
 from metafab.steps.job import Job
+from metafab.steps.layout import FileFigures
 from metafab.steps.library import open_library
 from metafab.steps.optics import calibration_depths, lit_source, mask_source
 from metafab.steps.preflight import preflight
@@ -42,7 +43,7 @@ class StokesRun:
         extinction_ratio: shape (6,), efficiency over the share of the orthogonal state.
         ideal_efficiency: shape (6,), efficiency of perfect pillars.
         condition_number: of the instrument matrix.
-        files: name and bytes of each mask file.
+        files: the mask files.
         mask: provenance, counts and areas of the mask, as in ``layout.json``.
     """
 
@@ -58,7 +59,7 @@ class StokesRun:
     extinction_ratio: FloatArray
     ideal_efficiency: FloatArray
     condition_number: float
-    files: list[dict[str, Any]]
+    files: tuple[FileFigures, ...]
     mask: dict[str, Any]
 
     def to_json(self) -> dict[str, Any]:
@@ -121,7 +122,7 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
         extinction_ratio=psf.extinction_ratio,
         ideal_efficiency=ideal.efficiency,
         condition_number=float(np.linalg.cond(psf.instrument)),
-        files=[{"name": path.name, "bytes": path.stat().st_size} for path in files.values()],
+        files=tuple(FileFigures(path.name, path.stat().st_size) for path in files.values()),
         mask=sidecar(design, mask_figures, files),
     )
     write_json(job.folder / "stokes.json", run.to_json())
