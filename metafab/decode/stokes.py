@@ -8,7 +8,7 @@ times the four Stokes parameters. Regularised least squares invert it, cross-tal
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.fft
@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion, map_coordinates, uniform_filter
 
 from metafab.camera.stokes import StokesFrame, kernels_at
-from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.conventions import FloatArray
+from metafab.core.numeric.spectra import independent_samples, transfer_functions
 from metafab.core.polarisation import ORTHOGONAL
 from metafab.decode.matching.cost_volume import CostVolume, correlation
-from metafab.decode.matching.depth import PixelDepth, best_candidates, parabolic_peak, standard_error
-from metafab.decode.matching.levels import Levels, high_pass
+from metafab.decode.matching.depth import window_depth
+from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.planes import Cells, Plane, fit_plane
 from metafab.decode.segmentation.regions import LAYER_SHARE
@@ -42,6 +43,8 @@ _WINDOW_PX = 33
 _LEAST_CORRELATION = 0.5
 #: Share of the strongest frequency's power that regularises the filters: weaker frequencies hold noise.
 _FAINTEST = 1e-4
+#: Least weight of a frequency, so that all count equally in a dark frame.
+_DARK_WEIGHT = 1e-9
 #: Least brightness of a lit pixel, over the 99th percentile of the frame.
 _LIT = 0.2
 #: Pixels along outlines that do not count to an object's interior, and side of the windows of the rms error.
@@ -114,9 +117,11 @@ def _cost_volume(frame: StokesFrame, psf: StokesPsf) -> CostVolume:
     size = (scipy.fft.next_fast_len(n_y + margin, real=True), scipy.fft.next_fast_len(n_x + margin, real=True))
     spectra = scipy.fft.rfft2(frame.images, size)
     unpolarised = np.stack([kernels_at(psf, 1.0 / vergence)[:, 0] for vergence in vergences])
-    transfer = _transfer_functions(unpolarised / unpolarised.sum(axis=(-2, -1), keepdims=True), size)
+    transfer = transfer_functions(unpolarised / unpolarised.sum(axis=(-2, -1), keepdims=True), size)
     power = np.abs(transfer) ** 2
-    weight = _likelihood_weight(frame, power.mean(axis=(0, 1)), size)
+    frequency_squared = scipy.fft.fftfreq(size[0])[:, None] ** 2 + scipy.fft.rfftfreq(size[1]) ** 2
+    levels = Levels.of(frame.images, frame.read_noise_e)
+    weight = np.maximum(levels.likelihood_weight(power.mean(axis=(0, 1)), frequency_squared), _DARK_WEIGHT)
     parts = np.empty((3, _CANDIDATES, n_y, n_x), dtype=np.float32)
     for index, (of_images, powers) in enumerate(zip(transfer, power, strict=True)):
         of_pairs = np.repeat(powers[::2] + powers[1::2], 2, axis=0)
@@ -129,41 +134,16 @@ def _cost_volume(frame: StokesFrame, psf: StokesPsf) -> CostVolume:
         balance = np.sqrt(squares[1::2] / squares[::2])
         for part, product in enumerate((first * second, first * first * balance, second * second / balance)):
             parts[part, index] = product.sum(axis=0)
-    # Columns of the half spectrum that stand for two, all but the first and the last.
-    columns = np.full(weight.shape[1], 2.0)
-    columns[[0, -1]] = 1.0
-    power_sum, square_sum = float((weight**2 * columns).sum()), float((weight**4 * columns).sum())
-    pixels = size[0] * size[1]
-    return CostVolume(vergences, parts, 3.0 * power_sum**2 / (square_sum * pixels), 3.0 * power_sum / pixels)
-
-
-def _transfer_functions(kernels: FloatArray, size: tuple[int, int]) -> ComplexArray:
-    """Half spectra, on a larger grid, of kernels (..., n_y, n_x) whose origin is [n_y // 2, n_x // 2]."""
-    n_y, n_x = kernels.shape[-2:]
-    padded = np.zeros((*kernels.shape[:-2], *size))
-    padded[..., :n_y, :n_x] = kernels
-    return np.asarray(scipy.fft.rfft2(np.roll(padded, (-(n_y // 2), -(n_x // 2)), axis=(-2, -1))))
-
-
-def _likelihood_weight(frame: StokesFrame, power: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Root of each frequency's share in the likelihood, at most 1, for natural texture seen by a mean pair."""
-    levels = Levels.of(frame.images, frame.read_noise_e)
-    k2 = scipy.fft.fftfreq(size[0])[:, None] ** 2 + scipy.fft.rfftfreq(size[1]) ** 2
-    signal = power * levels.texture_spectrum(k2)
-    weight = high_pass(k2) * np.sqrt(2.0 * signal / (levels.noise_variance + 2.0 * signal))
-    return np.asarray(np.maximum(weight, 1e-9))  # equal weights for a dark frame
+    samples, gain = independent_samples(weight, size)
+    # Three pairs have three times the samples, and their products three times the noise.
+    return CostVolume(vergences, parts, 3.0 * samples, 3.0 * gain)
 
 
 def _segments(volume: CostVolume, lit: NDArray[np.bool_]) -> tuple[NDArray[np.int32], list[Plane]]:
     """Number of each lit pixel's segment from 1 (0 for none), and the plane of each segment."""
-    best, around, _ = best_candidates(volume.products, _WINDOW_PX)
-    last = volume.vergences_per_m.size - 1
-    peak = parabolic_peak(*around)
-    vergence = volume.vergences_per_m[np.clip(best, 1, last - 1)] + volume.step_per_m * np.clip(peak.place, -1.0, 1.0)
-    curvature = peak.curvature / volume.step_per_m**2
-    error = standard_error(peak.height, curvature, _WINDOW_PX**2 * volume.samples) / vergence
-    pixels = PixelDepth(vergence, error, lit & (peak.height >= _LEAST_CORRELATION) & (best > 0) & (best < last))
-
+    of_window = window_depth(volume, _WINDOW_PX)
+    claimed = of_window.pixels.claimed & lit & (of_window.correlation >= _LEAST_CORRELATION)
+    pixels = replace(of_window.pixels, claimed=claimed)
     separation = LAYER_SHARE * float(np.ptp(volume.vergences_per_m))
     layers = [Plane(vergence) for vergence in depth_layers(pixels, separation).tolist()]
     label, planes = np.zeros(lit.shape, dtype=np.int32), list[Plane]()
@@ -195,7 +175,7 @@ def _inverted(frame: StokesFrame, kernels: FloatArray) -> FloatArray:
     size = (scipy.fft.next_fast_len(n_y + 2 * margin, real=True), scipy.fft.next_fast_len(n_x + 2 * margin, real=True))
     around = ((0, 0), (margin, margin), (margin, margin))
     images = np.moveaxis(scipy.fft.rfft2(np.pad(frame.images, around), size), 0, -1)
-    transfer = np.moveaxis(_transfer_functions(kernels, size), (0, 1), (-2, -1))
+    transfer = np.moveaxis(transfer_functions(kernels, size), (0, 1), (-2, -1))
     mean = float(np.mean(frame.images))
     noise_to_signal = (mean + frame.read_noise_e**2) / _prior_power(size, mean, frame.images)
     adjoint = transfer.conj().swapaxes(-1, -2)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
+from metafab.core.numeric.spectra import transfer_functions
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.matching.levels import Levels
 from metafab.decode.registration.calibration import Calibration
@@ -185,13 +186,7 @@ class Deconvolver:
         share = self.calibration.depth_weights(low + step * (high - low) / _DEPTH_STEPS)
         nodes = self._kernels[tile]
         kernels = (share @ nodes.reshape(*nodes.shape[:2], -1)).reshape(2, *nodes.shape[-2:])
-        # Each quarter of the kernels goes to a corner: their middle is the origin.
-        padded = np.zeros((2, *self.tiling.size), dtype=np.float32)
-        (up, left), (n_y, n_x) = (n // 2 for n in kernels.shape[-2:]), kernels.shape[-2:]
-        for to_y, from_y in ((slice(n_y - up), slice(up, None)), (slice(-up, None), slice(up))):
-            for to_x, from_x in ((slice(n_x - left), slice(left, None)), (slice(-left, None), slice(left))):
-                padded[:, to_y, to_x] = kernels[:, from_y, from_x]
-        return np.asarray(scipy.fft.rfft2(padded), dtype=np.complex64)
+        return np.asarray(transfer_functions(kernels.astype(np.float32), self.tiling.size), dtype=np.complex64)
 
     @cached_property
     def _kernels(self) -> NDArray[np.float32]:

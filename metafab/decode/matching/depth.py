@@ -51,6 +51,21 @@ class PixelDepth:
 
 
 @dataclass(frozen=True)
+class WindowDepth:
+    """The depth of each pixel from windows of one size.
+
+    Attributes:
+        pixels: depths and their errors.
+        correlation: shape (n_y, n_x), largest correlation of the window.
+        largest_product: shape (n_y, n_x), largest mean product of the twins.
+    """
+
+    pixels: PixelDepth
+    correlation: FloatArray
+    largest_product: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
 class Peak:
     """A maximum of equally spaced values, interpolated between them.
 
@@ -79,9 +94,10 @@ def pixel_depth(volume: CostVolume, window: int, noise_variance: FloatArray) -> 
     first = int(window >= _WIDE_WINDOW and min(shape) > 2 * window)
     if first:
         volume, window = volume.halved(), window // 2 | 1
-    narrow, largest_product = _window_depth(volume, window)
+    of_window = window_depth(volume, window)
+    narrow = of_window.pixels
     noise = volume.noise_gain * np.sqrt(noise_variance[0] * noise_variance[1])[:: 1 + first, :: 1 + first]
-    significant = largest_product > _SIGNIFICANT * noise / np.sqrt(window**2 * volume.samples)
+    significant = of_window.largest_product > _SIGNIFICANT * noise / np.sqrt(window**2 * volume.samples)
     claimed = repeated(significant & narrow.claimed & (narrow.relative_error < LARGEST_ERROR), 1 + first, shape)
     vergence = enlarged(narrow.vergence_per_m, 1 + first, shape)
     error = enlarged(narrow.relative_error, 1 + first, shape)
@@ -90,7 +106,7 @@ def pixel_depth(volume: CostVolume, window: int, noise_variance: FloatArray) -> 
         if min(volume.shape) < 2 * window:
             break
         volume = volume.halved()
-        wide, _ = _window_depth(volume, window)
+        wide = window_depth(volume, window).pixels
         wide_vergence = enlarged(wide.vergence_per_m, 2**level, shape)
         wide_error = enlarged(wide.relative_error, 2**level, shape)
         inside = enlarged(wide.claimed.astype(np.float32), 2**level, shape) == 1.0
@@ -100,8 +116,13 @@ def pixel_depth(volume: CostVolume, window: int, noise_variance: FloatArray) -> 
     return PixelDepth(vergence, np.where(claimed, error, np.inf), claimed)
 
 
-def _window_depth(volume: CostVolume, window: int) -> tuple[PixelDepth, NDArray[np.float32]]:
-    """Depth at the parabolic peak of the correlation in the window about each pixel, and the largest mean product."""
+def window_depth(volume: CostVolume, window: int) -> WindowDepth:
+    """Depth at the parabolic peak of the correlation in the window about each pixel, claimed inside the range.
+
+    Args:
+        volume: cost volume of at least three candidates.
+        window: side of the window, in pixels of the volume; odd.
+    """
     count = volume.vergences_per_m.size
     best, around, largest_product = best_candidates(volume.products, window)
     peak = parabolic_peak(*around)
@@ -110,7 +131,8 @@ def _window_depth(volume: CostVolume, window: int) -> tuple[PixelDepth, NDArray[
     curvature = peak.curvature / volume.step_per_m**2
     error = standard_error(peak.height, curvature, window**2 * volume.samples) / np.abs(vergence)
     # At an end of the range the true depth may lie beyond it.
-    return PixelDepth(vergence, error, (best > 0) & (best < count - 1)), largest_product
+    pixels = PixelDepth(vergence, error, (best > 0) & (best < count - 1))
+    return WindowDepth(pixels, peak.height, largest_product)
 
 
 def parabolic_peak(below: FloatArray, at: FloatArray, above: FloatArray) -> Peak:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.spectra import transfer_functions
 from metafab.decode.matching.levels import LOWEST_FREQUENCY, high_pass
 from metafab.decode.registration.downsampling import Downsampling
 
@@ -130,7 +131,4 @@ def _on_grid(kernels: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.
     """Transforms of kernels, padded with zeros or cropped to ``size``."""
     n_y, n_x = (min(a, b) for a, b in zip(kernels.shape[-2:], size, strict=True))
     centred = np.roll(kernels, (n_y // 2, n_x // 2), axis=(-2, -1))[..., :n_y, :n_x]
-    padded = np.zeros((*kernels.shape[:-2], *size), dtype=np.float32)
-    padded[..., :n_y, :n_x] = centred
-    padded = np.roll(padded, (-(n_y // 2), -(n_x // 2)), axis=(-2, -1))
-    return np.asarray(scipy.fft.rfft2(padded), dtype=np.complex64)
+    return np.asarray(transfer_functions(centred, size), dtype=np.complex64)

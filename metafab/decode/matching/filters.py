@@ -19,6 +19,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.spectra import independent_samples
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import Progress
 from metafab.decode.matching.cost_volume import CostVolume
@@ -146,11 +147,8 @@ class CrossFilters:
 
     def _samples(self, weight: NDArray[np.float32]) -> tuple[float, float]:
         """Independent samples a pixel, and variance of a filtered image per variance of a pixel of the frame."""
-        share = weight.astype(np.float64) ** 2
-        share[:, 1:-1] *= 2.0  # the other half plane
-        total = math.prod(self.downsampling.size)
-        samples = float(share.sum() ** 2 / (weight.astype(np.float64) ** 2 * share).sum() / total)
-        return samples, float(share.sum() / total) * self.downsampling.variance_gain
+        samples, gain = independent_samples(weight, self.downsampling.size)
+        return samples, gain * self.downsampling.variance_gain
 
 
 def _likelihood_weight(levels: Levels, power: FloatArray, ky: FloatArray, kx: FloatArray) -> FloatArray:
@@ -159,9 +157,7 @@ def _likelihood_weight(levels: Levels, power: FloatArray, ky: FloatArray, kx: Fl
     It fades out towards the highest frequencies: with a sharp cut-off, filters would reach all over the picture.
     """
     k2 = ky[:, None] ** 2 + kx[None, :] ** 2
-    signal = power * levels.texture_spectrum(k2)
-    share = np.sqrt(2.0 * signal / (levels.noise_variance + 2.0 * signal))
-    return np.asarray(share * high_pass(k2) * _fade(ky)[:, None] * _fade(kx))
+    return np.asarray(levels.likelihood_weight(power, k2) * _fade(ky)[:, None] * _fade(kx))
 
 
 def _fade(frequency: FloatArray) -> FloatArray:

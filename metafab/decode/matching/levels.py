@@ -60,6 +60,20 @@ class Levels:
         low = LOWEST_FREQUENCY**2
         return np.asarray(self.texture_rms**2 / (math.pi * math.log(0.25 / low)) / (frequency_squared + low))
 
+    def likelihood_weight(self, power: FloatArray, frequency_squared: FloatArray) -> FloatArray:
+        """Root of each frequency's share in the likelihood of a pair's depth, high-passed: 0 to 1.
+
+        Args:
+            power: any shape, mean squared transfer function of the pair.
+            frequency_squared: the same shape, (cycles a pixel)^2.
+
+        Returns:
+            The same shape.
+        """
+        signal = power * self.texture_spectrum(frequency_squared)
+        share = np.sqrt(2.0 * signal / (self.noise_variance + 2.0 * signal))
+        return np.asarray(share * high_pass(frequency_squared))
+
 
 def high_pass(frequency_squared: FloatArray) -> FloatArray:
     """Amplitude of the high-pass at squared frequencies of any shape, (cycles a pixel)^2: 0 to 1, the same shape."""
