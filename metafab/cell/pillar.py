@@ -150,11 +150,8 @@ class PillarCell:
             return self.width_nm, self.length_nm
         stated = {"bottom": 0.0, "middle": 0.5, "top": 1.0}[self.sizes_at]
         grown = 2.0 * (stated - height_share) * self.height_nm / math.tan(math.radians(self.sidewall_angle_deg))
-        width, length = (
-            size if size == period else size + grown
-            for size, period in zip((self.width_nm, self.length_nm), self.period_nm, strict=True)
-        )
-        return width, length
+        width = self.width_nm if self.width_nm == self.period_nm[0] else self.width_nm + grown
+        return width, self.length_nm if self.length_nm == self.period_nm[1] else self.length_nm + grown
 
     def untreated(self, purpose: str, treated: Container[str] = (), remedy: str = "") -> list[Fault]:
         """Faults of a cell that is more than an upright rectangle under light along the axis.

@@ -42,10 +42,8 @@ def pillar_cell(
     spec, materials = unit_cell.cell, unit_cell.materials
     wavelength = unit_cell.illumination.wavelength_nm if wavelength_nm is None else wavelength_nm
     n_ambient = _isotropic_index(materials.ambient, wavelength, "materials.ambient")
-    films, caps = (
-        [(layer.height_nm, _isotropic_index(layer.material, wavelength, f"cell.{name}")) for layer in layers or ()]
-        for name, layers in (("film", spec.film), ("cap", spec.cap))
-    )
+    films = [(each.height_nm, _isotropic_index(each.material, wavelength, "cell.film")) for each in spec.film or ()]
+    caps = [(each.height_nm, _isotropic_index(each.material, wavelength, "cell.cap")) for each in spec.cap or ()]
     cell = PillarCell(
         period_nm=spec.period_nm,
         width_nm=float(width_nm),

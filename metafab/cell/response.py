@@ -68,12 +68,11 @@ class CellResponse:
     @property
     def transmittance(self) -> tuple[float, float]:
         """Zero-order power transmittance of x and y polarised light, summed over both outgoing polarisations."""
-        cell = self.cell
-        x, y = (
-            _power_across(cell, self.t[:, i], cell.far_side) / _power_across(cell, np.eye(2)[i], cell.side)
-            for i in (0, 1)
-        )
-        return x, y
+        return self._transmittance(0), self._transmittance(1)
+
+    def _transmittance(self, axis: int) -> float:
+        cell, incident = self.cell, np.eye(2)[axis]
+        return _power_across(cell, self.t[:, axis], cell.far_side) / _power_across(cell, incident, cell.side)
 
 
 class CellSolver(Protocol):

@@ -167,11 +167,9 @@ def plan(
     far = end + clearance + shift_nodes
     n_z = far + PLANE_NODES + absorber
     n_z += n_z % 2
-    sizes = zip(grids.inside, (cell.width_nm, cell.length_nm), cell.period_nm, (n_x, n_y), strict=True)
-    x, y = (
-        lateral_axis(count, 2 * member * inside, size * 1e-3, period * 1e-3, pixel)
-        for inside, size, period, count in sizes
-    )
+    in_x, in_y = (2 * member * inside for inside in grids.inside)
+    x = lateral_axis(n_x, in_x, cell.width_nm * 1e-3, cell.period_nm[0] * 1e-3, pixel)
+    y = lateral_axis(n_y, in_y, cell.length_nm * 1e-3, cell.period_nm[1] * 1e-3, pixel)
     z = Axis((0, begin, end, n_z), (1.0, height / ((end - begin) * pixel), 1.0), (0, 1, 2))
     axis, courant = POLARISATIONS.index(polarisation), _courant(cell, (x, y, z))
     job = Job(

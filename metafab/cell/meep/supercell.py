@@ -70,9 +70,8 @@ def estimate(supercell: Supercell, settings: SupercellSettings = SupercellSettin
     Raises:
         InputError: the grid does not fit.
     """
-    whole, *alone = (
-        plan(each, "x", settings).job for each in (supercell, *(_lone(cell) for cell in supercell.alone().values()))
-    )
+    whole = plan(supercell, "x", settings).job
+    alone = [plan(_lone(cell), "x", settings).job for cell in supercell.alone().values()]
     pixels = [job.n_x * job.n_y * job.n_z / 2 ** len(job.mirrors) for job in (whole, *alone)]
     steps = _USUAL_PERIODS * whole.wavelength_um / (_COURANT * whole.pixel_um)
     return Cost(round(pixels[0]), sum(pixels) * steps / _UPDATES_PER_S, pixels[0] * _BYTES_PER_PIXEL)

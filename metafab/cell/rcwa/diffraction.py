@@ -93,11 +93,9 @@ def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Di
             error = max(by_law, *(UNMEASURED * changes[count] for count in sorted(changes)[-2:])) + 2.0 * cut.error
         if error <= numerics.target_error:
             break
-    values = iter(solved[orders])
-    transmitted, reflected = (
-        tuple(DiffractedOrder(order, *_direction(cell, order, index[0]), *map(float, next(values))) for order in side)
-        for side, index in zip(sides, (cell.n_out, cell.n_in), strict=True)
-    )
+    count = len(sides[0])
+    transmitted = _diffracted(cell, sides[0], cell.n_out[0], solved[orders][:count])
+    reflected = _diffracted(cell, sides[1], cell.n_in[0], solved[orders][count:])
     return Diffraction(transmitted, reflected, error, error <= numerics.target_error, orders)
 
 
@@ -160,11 +158,20 @@ def _orders(axis: AxisParity, labels: IntArray) -> list[tuple[int, ...]]:
     return [(int(label), -int(label)) if label else (0,) for label in labels]
 
 
+def _diffracted(
+    cell: PillarCell, side: Sequence[Order], index: complex, efficiency: FloatArray
+) -> tuple[DiffractedOrder, ...]:
+    """Orders of one side from their efficiencies, shape (n_orders, 2)."""
+    return tuple(
+        DiffractedOrder(order, *_direction(cell, order, index), float(of_x), float(of_y))
+        for order, (of_x, of_y) in zip(side, efficiency, strict=True)
+    )
+
+
 def _direction(cell: PillarCell, order: Order, index: complex) -> tuple[float, float]:
     """Polar angle and azimuth of an order in a medium of ``index``, degrees."""
-    k_x, k_y = (
-        start + 2.0 * math.pi * number / period
-        for start, number, period in zip(in_plane_per_nm(cell), order, cell.period_nm, strict=True)
-    )
+    start_x, start_y = in_plane_per_nm(cell)
+    k_x = start_x + 2.0 * math.pi * order[0] / cell.period_nm[0]
+    k_y = start_y + 2.0 * math.pi * order[1] / cell.period_nm[1]
     across = math.hypot(k_x, k_y) * cell.wavelength_nm / (2.0 * math.pi * complex(index).real)
     return math.degrees(math.asin(min(across, 1.0))), math.degrees(math.atan2(k_y, k_x)) if across else 0.0

@@ -111,10 +111,10 @@ def solve_row(
     if np.any(order[:, 1] != 0):
         expected = "a y period without orders of its own behind the pillars"
         raise InputError.single("supercell", "period_nm", expected, f"{supercell.cell.period_nm[1]}")
-    coarse, fine = (
-        row_orders(supercell, polarisation, order[:, 0], *orders)
-        for orders in zip(numerics.orders_x, numerics.orders_y, strict=True)
-    )
+    coarse_x, fine_x = numerics.orders_x
+    coarse_y, fine_y = numerics.orders_y
+    coarse = row_orders(supercell, polarisation, order[:, 0], coarse_x, coarse_y)
+    fine = row_orders(supercell, polarisation, order[:, 0], fine_x, fine_y)
     axis = POLARISATIONS.index(polarisation)
     lone = {size: solve(cell, CellNumerics(_ALONE)).t[axis, axis] for size, cell in supercell.alone().items()}
     amplitude = np.zeros((len(order), 2), dtype=np.complex128)
@@ -152,9 +152,8 @@ def row_orders(
     with one_thread():
         basis, p, q = _matrices(along_x, bases, supercell, polarisation)
         incident = basis.zero_order()[:, axis : axis + 1]
-        incoming, outgoing = (
-            plane_waves(basis, cell.k0_per_nm, permittivity(n[axis])) for n in (cell.n_in, cell.n_out)
-        )
+        incoming = plane_waves(basis, cell.k0_per_nm, permittivity(cell.n_in[axis]))
+        outgoing = plane_waves(basis, cell.k0_per_nm, permittivity(cell.n_out[axis]))
         field = match_modes(layer_modes(p, q), cell.k0_per_nm * cell.height_nm, incoming, outgoing, incident)
     # Orders (m, 0) lie in the xz plane, so that (TM, TE) are E_x and E_y.
     n_v = basis.v.label_a.size if polarisation == "x" else basis.v.label_b.size

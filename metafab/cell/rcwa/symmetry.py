@@ -19,7 +19,7 @@ from metafab.cell.rcwa.layers.factorisation import layer_matrices
 from metafab.cell.rcwa.layers.nested import Rectangles, nested_matrices, rectangles
 from metafab.cell.rcwa.layers.staggered import staggered_matrices
 from metafab.cell.rcwa.scattering.half_space import Waves, plane_waves, tensor_waves
-from metafab.core.conventions import ComplexArray
+from metafab.core.conventions import ComplexArray, Side
 from metafab.core.errors import InputError
 
 
@@ -67,14 +67,13 @@ class SymmetryClass:
 
     def outer_waves(self) -> tuple[Waves, Waves]:
         """Plane waves of the half space that the light comes from, and of the half space behind."""
-        cell = self.cell
-        incoming, outgoing = (
-            plane_waves(self.basis, cell.k0_per_nm, permittivity(n))
-            if tensor is None
-            else tensor_waves(self.basis, cell.k0_per_nm, tensor)
-            for tensor, n in ((cell.tensor(cell.side), self.n_in), (cell.tensor(cell.far_side), self.n_out))
-        )
-        return incoming, outgoing
+        return self._waves(self.cell.side, self.n_in), self._waves(self.cell.far_side, self.n_out)
+
+    def _waves(self, side: Side, n: complex) -> Waves:
+        tensor, k0_per_nm = self.cell.tensor(side), self.cell.k0_per_nm
+        if tensor is None:
+            return plane_waves(self.basis, k0_per_nm, permittivity(n))
+        return tensor_waves(self.basis, k0_per_nm, tensor)
 
 
 def permittivity(n: complex) -> complex:
@@ -129,11 +128,10 @@ def symmetry_classes(
             or an absorbing one.
     """
     layers = layers_of(cell, steps)
-    x, y, counts = (
-        _staggered_axes(cell, orders, formulation)
-        if cell.is_staggered
-        else (_layered_axes(cell, layers, orders, formulation))
-    )
+    if cell.is_staggered:
+        x, y, counts = _staggered_axes(cell, orders, formulation)
+    else:
+        x, y, counts = _layered_axes(cell, layers, orders, formulation)
     if cell.angle_deg == 0.0:
         for i, even_first in enumerate((True, False)):
             u, v = ([symmetric_axis(each, even_first=even_first) for each in axis] for axis in (x, y))
@@ -157,10 +155,9 @@ def _layered_axes(cell: PillarCell, layers: tuple[Slice, ...], orders: int, form
     sizes = [size for outline in outlines for size in outline]
     # A sloped pillar's ends are always included, so that more steps do not change the coordinates.
     ends = [cell.sizes_nm(0.0), cell.sizes_nm(1.0)] if cell.is_sloped else []
-    x, y = (
-        outline_bases(cell.period_nm[axis], tuple(size[axis] for size in sizes + ends), orders, formulation)
-        for axis in (0, 1)
-    )
+    widths, lengths = zip(*sizes, *ends, strict=True)
+    x = outline_bases(cell.period_nm[0], widths, orders, formulation)
+    y = outline_bases(cell.period_nm[1], lengths, orders, formulation)
     return x[: len(sizes)], y[: len(sizes)], tuple(map(len, outlines))
 
 
@@ -174,11 +171,9 @@ def _outline(cell: PillarCell, layer: Slice, orders: int) -> Rectangles:
 
 def _staggered_axes(cell: PillarCell, orders: int, formulation: Formulation) -> _Axes:
     """Outlines of the pillar, and of the gap at its ends, in the centred cell of two rows of a hexagonal lattice."""
-    lengths = cell.period_nm[0], 2.0 * cell.period_nm[1]
-    x, y = (
-        outline_bases(length, (size, length - size), count, formulation)
-        for length, size, count in zip(lengths, (cell.width_nm, cell.length_nm), (orders, 2 * orders), strict=True)
-    )
+    period, rows = cell.period_nm[0], 2.0 * cell.period_nm[1]
+    x = outline_bases(period, (cell.width_nm, period - cell.width_nm), orders, formulation)
+    y = outline_bases(rows, (cell.length_nm, rows - cell.length_nm), 2 * orders, formulation)
     return x, y, (2,)
 
 

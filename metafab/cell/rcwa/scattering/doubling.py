@@ -81,10 +81,8 @@ def through_by_doubling(
         differences = p @ np.hstack([near_h, -far_h]) - 1j * (f @ np.hstack([incident, -far_e]))
         # With r and w the outgoing amplitudes, near and far:
         # (F^T H - i Q E) (r, w) = sums  and  (P H + i F E) (r, -w) = differences.
-        electric, magnetic = (
-            [first * waves.h + (1j * sign * waves.e) * second for waves in (incoming, outgoing)]
-            for first, second, sign in ((p, f, 1.0), (f.T, q, -1.0))
-        )
+        electric = [p * waves.h + (1j * waves.e) * f for waves in (incoming, outgoing)]
+        magnetic = [f.T * waves.h - (1j * waves.e) * q for waves in (incoming, outgoing)]
         response = _solve(electric[1], np.hstack([electric[0], differences]))
         if response is None:
             return None
