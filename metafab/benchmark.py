@@ -1,8 +1,10 @@
-"""Finds and runs the benchmarks of the repository's ``benchmarks`` folder: rows of error, seconds and memory."""
+"""Benchmarks of the repository's ``benchmarks`` folder: rows of error, seconds and memory."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -13,17 +15,58 @@ from metafab.core.parallel.progress import Progress, silent
 ROOMS = ("cell", "meep", "library", "phase", "layout", "drc", "psf", "decode", "end_to_end")
 
 
-def rows_of(room: str, *, quick: bool = False, progress: Progress = silent) -> list[dict[str, Any]]:
-    """Rows of one room's benchmark, or of all.
+@dataclass(frozen=True)
+class BenchmarkRow:
+    """One case of a benchmark.
+
+    Attributes:
+        name: name of the case.
+        room: room that it measures.
+        error: error, None where it is not known; likewise the following figures.
+        seconds: time.
+        peak_rss_mb: peak memory.
+        series: line to which the case belongs in plots.
+        bound: smallest possible error.
+        photons: mean signal of a pixel, electrons.
+        further: other columns of the table, by name.
+    """
+
+    name: str
+    room: str = ""
+    error: float | None = None
+    seconds: float | None = None
+    peak_rss_mb: float | None = None
+    series: str | None = None
+    bound: float | None = None
+    photons: float | None = None
+    further: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any]) -> BenchmarkRow:
+        """Make a row from a table; unknown keys become further columns."""
+        names = set(cls.__dataclass_fields__) - {"further"}
+        known = {name: value for name, value in table.items() if name in names}
+        return cls(**known, further={name: value for name, value in table.items() if name not in names})
+
+    def table(self) -> dict[str, Any]:
+        """Columns of the row by name; series, bound and photons only where they are known."""
+        columns = {name: value for name, value in vars(self).items() if name != "further"}
+        for name in ("series", "bound", "photons"):
+            if columns[name] is None:
+                del columns[name]
+        return columns | dict(self.further)
+
+
+def rows_of(room: str, *, quick: bool = False, progress: Progress = silent) -> list[BenchmarkRow]:
+    """Run the benchmark of one room, or of all.
 
     Args:
         room: one of :data:`ROOMS`, or "all".
-        quick: fewer and smaller cases.
-        progress: called once a room.
+        quick: run fewer and smaller cases.
+        progress: called once for each room.
 
     Returns:
-        One dict a case with at least ``room``, ``name``, ``error``, ``seconds``, ``peak_rss_mb``. Of all rooms, one
-        whose tools are not installed gives a row that says so.
+        One row for each case. With "all", a room whose tools are not installed gives a row with the reason.
 
     Raises:
         InputError: ``room`` is unknown.
@@ -32,23 +75,22 @@ def rows_of(room: str, *, quick: bool = False, progress: Progress = silent) -> l
     if room not in (*ROOMS, "all"):
         raise InputError.single("benchmark", "room", f"one of {', '.join(ROOMS)} or all", repr(room))
     chosen = ROOMS if room == "all" else (room,)
-    rows: list[dict[str, Any]] = []
+    rows: list[BenchmarkRow] = []
     for done, name in enumerate(chosen):
         progress("benchmark", done, len(chosen))
-        module = _load(name)
+        module = load_room(name)
         try:
-            found = module.rows(quick)
+            rows += [BenchmarkRow.of({"room": name, **row}) for row in module.rows(quick)]
         except MissingToolError as error:
             if room != "all":
                 raise
-            found = [{"name": f"not run: {error}", "error": None, "seconds": None, "peak_rss_mb": None}]
-        rows += [{"room": name, **row} for row in found]
+            rows.append(BenchmarkRow(f"not run: {error}", name))
     progress("benchmark", len(chosen), len(chosen))
     return rows
 
 
-def _load(room: str) -> Any:
-    """The module of a room in the ``benchmarks`` folder beside the package."""
+def load_room(room: str) -> Any:
+    """Import the benchmark of a room from the ``benchmarks`` folder beside the package."""
     repository = Path(__file__).parent.parent
     if not (repository / "benchmarks" / f"{room}.py").is_file():
         raise MissingToolError(

@@ -12,7 +12,7 @@ from metafab.decode.image import Image4D, SegmentFigures
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.library import Library
 from metafab.optics.point_spread import Psf, PsfField
-from metafab.report.run_folder import AperturePhases, RunFolder
+from metafab.report.run_folder import AperturePhases, DesignOutline, RunFolder
 from metafab.steps.images import DecodeFigures
 from metafab.steps.layout import DrcFigures, FileFigures, LayoutFigures
 from metafab.steps.library import LibraryFigures
@@ -152,12 +152,14 @@ def closed_form_run(folder: Path, library: Library) -> RunFolder:
     phase = np.stack([angle[:, None] + angle[None, :], angle[:, None] - angle[None, :]])
     return RunFolder(
         path=folder,
-        summary=run_summary().table(),
-        design_table={
-            "name": "closed_form",
-            "device": {"aperture_um": 35.0, "aperture_shape": "circle", "focal_length_mm": 20.0},
-            "phase": [{"term": "spiral_zones"}, {"term": "split_lens"}],
-        },
+        summary=run_summary(),
+        outline=DesignOutline(
+            "closed_form",
+            aperture_um=35.0,
+            aperture_shape="circle",
+            focal_length_mm=20.0,
+            terms=("spiral_zones", "split_lens"),
+        ),
         library=library,
         phases=AperturePhases(phase, 17.5),
         pillars=pillar_map(),
@@ -166,5 +168,5 @@ def closed_form_run(folder: Path, library: Library) -> RunFolder:
         ideal_psf=turning_psf(0.9),
         raw=raw_frame(),
         decoded=decoded_image(),
-        notes={"design_table": "made in memory"},
+        notes={"outline": "made in memory"},
     )

@@ -1,42 +1,36 @@
-"""Showing: figures, and one self-contained HTML page a run. Nothing here computes physics.
+"""Figures, and one self-contained HTML page for each run. No physics is computed here.
 
-- ``style``         palette, colour maps, panels, scales
-- ``render``        a figure -> PNG, SVG, or both in one drawing
-- ``figures``       figure functions: results and axes in, axes out
-- ``run_folder``    the files of a run, opened; notes for what is missing
+- ``run_folder``    files of a run, opened; notes for missing files
+- ``accounts``      loss chain, depth against truth
 - ``mask_picture``  a written mask as a grey map and rectangles, in one pass over its tiles
-- ``accounts``      loss chain, error budget, depth against truth, as rows
-- ``draw``          which figures a run has; PNG files and SVG
-- ``viewers``       data of the page's live views
+- ``style``         palette, colour maps, panels, scales
+- ``figures``       figure functions: results and axes in, axes out
+- ``render``        a figure as PNG, or as PNG and SVG in one drawing
+- ``draw``          all figures of a run
+- ``viewers``       data of the live views of the page
 - ``html``          tables, figures, sections as HTML
-- ``sections``      the page's sections
-- ``write``         run folder -> ``figures/*.png`` and ``report.html``
-- ``library_page``  one library -> one picture
-- ``proposal_page``  proposed helices -> one picture
-- ``comparison_page``  a design beside other cameras -> one picture
-- ``film``          a decoded film as a moving picture
-- ``stokes_page``   a decoded full-Stokes frame -> one picture
-- ``benchmark``     benchmark rows -> table, plots, JSON
-- ``page.html``, ``style.css``, ``page.js``  the page's template, style and script
+- ``sections``      sections of the page
+- ``assets``        template, style and script of the page
+- ``write``         figures and page of a run folder
+- ``pages``         pages, pictures and films of single results
+- ``cards``         small pictures of results for notebooks
 
-In: the files of a run folder, a Library, benchmark rows. Out: PNG, HTML, JSON.
+In: the files of a run folder, or a single result. Out: PNG, HTML, JSON, GIF, MP4.
 """
 
-from metafab.report.film import require_film_name, write_film
 from metafab.report.pages.benchmark import benchmark_page
-from metafab.report.pages.comparison import comparison_figure
-from metafab.report.pages.library import library_figure
-from metafab.report.pages.proposal import proposal_figure
+from metafab.report.pages.film import require_film_name, write_film
+from metafab.report.pages.pictures import comparison_figure, library_figure, proposal_figure
 from metafab.report.pages.stokes import stokes_figure
 from metafab.report.write import write
 
 __all__ = [
-    "benchmark_page",
-    "comparison_figure",
+    "write",
     "library_figure",
     "proposal_figure",
-    "require_film_name",
+    "comparison_figure",
     "stokes_figure",
-    "write",
     "write_film",
-]
+    "require_film_name",
+    "benchmark_page",
+]  # noqa: RUF022: most useful first

@@ -1,16 +1,20 @@
-"""The few pieces of HTML that the page is made of."""
+"""Pieces of HTML: numbers, text, figures, tables."""
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from typing import Any
 
+#: Drawn figures as SVG, by name.
+Drawn = Mapping[str, str]
+
 
 def number(value: Any, digits: int = 3) -> str:
-    """A value for reading: thin spaces in long integers, few digits in others, a dash for nothing."""
-    if value is None:
+    """Format a value: thin spaces in long integers, few digits in others, a dash for None and NaN."""
+    if value is None or (isinstance(value, float) and math.isnan(value)):
         return "–"
     if isinstance(value, bool):
         return "yes" if value else "no"
@@ -26,30 +30,41 @@ def number(value: Any, digits: int = 3) -> str:
 
 
 def section(identifier: str, title: str, *content: str) -> str:
-    """A titled section, empty pieces left out."""
+    """A section with a title; empty pieces are left out."""
     body = "\n".join(piece for piece in content if piece)
     return f'<section id="{identifier}">\n<h2>{escape(title)}</h2>\n{body}\n</section>'
 
 
 def paragraph(text: str, kind: str = "") -> str:
-    """A paragraph of ready HTML."""
+    """A paragraph of HTML."""
     return f'<p class="{kind}">{text}</p>' if kind else f"<p>{text}</p>"
 
 
 def prose(text: Any) -> str:
-    """A sentence as HTML: what stands in backticks is code."""
+    """A sentence as HTML; text in backticks becomes code."""
     return re.sub(r"`(.+?)`", r"<code>\1</code>", escape(str(text)))
 
 
 def note(text: str) -> str:
-    """A plain remark in place of something that is not there."""
+    """A remark in place of something missing."""
     return paragraph(prose(text) + ".", "note")
 
 
 def figure(svg: str, caption: str = "") -> str:
-    """A picture with its caption (ready HTML)."""
+    """A picture with a caption of HTML."""
     below = f"<figcaption>{caption}</figcaption>" if caption else ""
     return f"<figure>{svg}{below}</figure>"
+
+
+def figures(drawn: Drawn, *names: str) -> str:
+    """A grid of the drawn figures among ``names``."""
+    return grid(figure(drawn[name]) for name in names if name in drawn)
+
+
+def facts(values: Mapping[str, float | str | None]) -> str:
+    """Figures in a line, by their labels; None is left out."""
+    items = [f"<li><b>{number(v)}</b> {escape(label)}</li>" for label, v in values.items() if v is not None]
+    return f'<ul class="facts">{"".join(items)}</ul>' if items else ""
 
 
 def wide(content: str) -> str:

@@ -1,13 +1,12 @@
-"""A run folder, opened: whatever of its files is there and readable, and a note for each that is not."""
+"""Results in a run folder: every file that is present and readable, and a note for each other one."""
 
 from __future__ import annotations
 
-import json
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
@@ -23,11 +22,53 @@ from metafab.library.library import Library
 from metafab.optics.point_spread import Psf
 from metafab.phase.studies.study import PhaseStudy
 from metafab.spec import Design
+from metafab.steps import RunSummary
 
 Loaded = TypeVar("Loaded")
 
-#: Smallest first: a mask is read from the format that takes the least reading.
+#: Mask files, the smaller format first.
 _MASK_FILES = ("layout.oas", "layout.gds")
+
+
+@dataclass(frozen=True)
+class DesignOutline:
+    """Main features of ``design.toml``, readable also where files that it names are missing.
+
+    Attributes:
+        name: name of the design.
+        aperture_um: size of the aperture.
+        aperture_shape: shape of the aperture.
+        focal_length_mm: focal length.
+        wavelength_nm: vacuum wavelength.
+        terms: names of the phase terms.
+        has_mask: whether the design writes a mask; assumed if unknown.
+        has_scene: whether the design has a scene; assumed if unknown.
+    """
+
+    name: str = ""
+    aperture_um: float | None = None
+    aperture_shape: str = "aperture"
+    focal_length_mm: float | None = None
+    wavelength_nm: float | None = None
+    terms: tuple[str, ...] = ()
+    has_mask: bool = True
+    has_scene: bool = True
+
+    @classmethod
+    def load(cls, path: Path) -> DesignOutline:
+        """Read the outline of a ``design.toml``."""
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        device, cell = table.get("device", {}), table.get("unit_cell", {})
+        return cls(
+            name=str(table.get("name", "")),
+            aperture_um=device.get("aperture_um"),
+            aperture_shape=device.get("aperture_shape", "aperture"),
+            focal_length_mm=device.get("focal_length_mm"),
+            wavelength_nm=cell.get("illumination", {}).get("wavelength_nm"),
+            terms=tuple(str(term.get("term", "")) for term in table.get("phase", [])),
+            has_mask=bool(table.get("mask", {}).get("formats", ["oas"])),
+            has_scene="scene" in table,
+        )
 
 
 @dataclass(frozen=True)
@@ -36,7 +77,7 @@ class AperturePhases:
 
     Attributes:
         phase_rad: shape (2, n, n), NaN outside the aperture.
-        half_side_um: half the side of the square that the samples span.
+        half_side_um: half the side of the sampled square.
     """
 
     phase_rad: FloatArray
@@ -44,38 +85,38 @@ class AperturePhases:
 
     @property
     def vary(self) -> bool:
-        """Whether there is anything beside lens, split and gratings."""
+        """Whether the phases are more than whole turns: without lens, split and gratings, many designs are flat."""
         return bool(np.nanmax(np.abs(np.angle(np.exp(1j * self.phase_rad)))) > 1e-6)
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The results of a run, as its files hold them; None for what is missing.
+    """Results of a run; None for a file that is missing or unreadable.
 
     Attributes:
         path: the folder.
-        summary: content of ``summary.json``, {} when missing.
-        design: the validated ``design.toml``, None when it or what it names has gone.
-        design_table: the same file as plain TOML.
+        summary: ``summary.json``; empty when missing.
+        design: the validated ``design.toml``.
+        outline: main features of ``design.toml``.
         library: the library that the summary names.
-        phases: target phases sampled over the aperture.
-        study: what the phases are worth.
-        pillars: the pillars, read back from the written mask.
-        mask_file: name of the mask that ``pillars`` comes from.
-        psf: PSF pair of the written mask.
+        phases: target phases over the aperture.
+        study: study of the phases.
+        pillars: pillars of the written mask.
+        mask_file: name of the mask file that ``pillars`` were read from.
+        psf: PSF pair of the written mask, or of the target phases for a design without a mask.
         ideal_psf: PSF pair of the target phases.
         raw: raw frame.
         decoded: 4D image.
-        coupling: rows of one local period by full-wave solvers, where ``metafab coupling`` left them.
-        patch: fields of a patch of the mask by Meep, where ``metafab patch`` left them.
-        comparison: depth and sharpness beside other cameras, where ``metafab compare`` left them.
-        notes: section -> why it has nothing to show.
+        coupling: result of ``metafab coupling``.
+        patch: result of ``metafab patch``.
+        comparison: result of ``metafab compare``.
+        notes: reason for each missing result, by its name.
     """
 
     path: Path
-    summary: dict[str, Any] = field(default_factory=dict)
+    summary: RunSummary = field(default_factory=RunSummary)
     design: Design | None = None
-    design_table: dict[str, Any] = field(default_factory=dict)
+    outline: DesignOutline = field(default_factory=DesignOutline)
     library: Library | None = None
     phases: AperturePhases | None = None
     study: PhaseStudy | None = None
@@ -90,53 +131,42 @@ class RunFolder:
     comparison: Comparison | None = None
     notes: dict[str, str] = field(default_factory=dict)
 
-    def part(self, step: str) -> dict[str, Any]:
-        """A step's part of the summary, {} when missing."""
-        part = self.summary.get(step)
-        return part if isinstance(part, dict) else {}
-
-    @property
-    def has_mask(self) -> bool:
-        """Whether the design asks for a mask; one that is not known does."""
-        return bool(self.design_table.get("mask", {}).get("formats", ["oas"]))
-
     @property
     def psf_source(self) -> str:
-        """What the PSFs are of."""
-        return "written file" if self.has_mask else "target phases"
+        """Source of the PSFs: the written mask or the target phases."""
+        return "written file" if self.outline.has_mask else "target phases"
 
     @property
     def name(self) -> str:
-        """The design's name, or the folder's."""
-        return str(self.design_table.get("name") or self.summary.get("name") or self.path.resolve().name)
+        """Name of the design, or of the folder."""
+        return self.outline.name or self.summary.name or self.path.resolve().name
 
 
 def open_run(path: Path) -> RunFolder:
-    """Open the files of a run folder; one that is missing or damaged leaves a note in place of a result."""
+    """Open the files of a run folder; a missing or damaged file leaves a note."""
     from metafab import camera, comparison, decode, fullwave, library, mask, optics
     from metafab.phase.studies.study_store import load_study
     from metafab.spec import load_design
 
     notes: dict[str, str] = {}
-    summary = _attempt(notes, "summary", path / "summary.json", _read_object) or {}
+    summary = _attempt(notes, "summary", path / "summary.json", RunSummary.load) or RunSummary()
     design = _attempt(notes, "design", path / "design.toml", load_design)
-    built = summary.get("library")
-    library_file = built.get("file") if isinstance(built, dict) else None
+    library_file = None if summary.library is None else path / summary.library.file
     if library_file is None:
         notes["library"] = "summary.json does not name a library"
-    patch_file = path / "patch.h5"
     masks = [path / name for name in _MASK_FILES if (path / name).is_file()] or [path / _MASK_FILES[0]]
     pillars = None
     if design is not None:
         pillars = _attempt(notes, "mask", masks[0], lambda file: mask.read(file, design).pillars)
     else:
         notes["mask"] = "reading a mask needs design.toml"
+    patch_file = path / "patch.h5"
     return RunFolder(
         path=path,
         summary=summary,
         design=design,
-        design_table=_attempt(notes, "design_table", path / "design.toml", _read_toml) or {},
-        library=_attempt(notes, "library", path / library_file, library.load) if library_file else None,
+        outline=_attempt(notes, "outline", path / "design.toml", DesignOutline.load) or DesignOutline(),
+        library=None if library_file is None else _attempt(notes, "library", library_file, library.load),
         phases=_attempt(notes, "phases", path / "phase.h5", _read_phases),
         study=_attempt(notes, "study", path / "phase_study.h5", load_study),
         pillars=pillars,
@@ -145,7 +175,7 @@ def open_run(path: Path) -> RunFolder:
         ideal_psf=_attempt(notes, "ideal_psf", path / "ideal_psf.h5", optics.load),
         raw=_attempt(notes, "raw", path / "raw.h5", camera.load),
         decoded=_attempt(notes, "decoded", path / "decoded.h5", decode.load),
-        # No step's: their absence is nothing to tell.
+        # Files of other commands: no note where they are missing.
         coupling=fullwave.load_coupling(path / "coupling.json"),
         patch=_attempt(notes, "patch", patch_file, fullwave.load_patch) if patch_file.is_file() else None,
         comparison=comparison.load_comparison(path / "comparison.json"),
@@ -153,15 +183,15 @@ def open_run(path: Path) -> RunFolder:
     )
 
 
-def _attempt(notes: dict[str, str], section: str, file: Path, load: Callable[[Path], Loaded]) -> Loaded | None:
-    """What ``load`` makes of a file, or None and a note."""
+def _attempt(notes: dict[str, str], name: str, file: Path, load: Callable[[Path], Loaded]) -> Loaded | None:
+    """Load a file; return None and leave a note if that is not possible."""
     if not file.is_file():
-        notes[section] = f"{file.name} is not in the run folder"
+        notes[name] = f"{file.name} is not in the run folder"
         return None
     try:
         return load(file)
     except (MetafabError, OSError, ValueError, KeyError) as error:
-        notes[section] = f"{file.name} could not be used: {error}"
+        notes[name] = f"{file.name} could not be used: {error}"
         return None
 
 
@@ -170,14 +200,3 @@ def _read_phases(path: Path) -> AperturePhases:
 
     x_um, phase_rad = load(path)
     return AperturePhases(phase_rad, float(0.5 * (x_um[-1] - x_um[0])))
-
-
-def _read_object(path: Path) -> dict[str, Any]:
-    content = json.loads(path.read_text(encoding="utf-8"))
-    if not isinstance(content, dict):
-        raise ValueError("expected one JSON object")
-    return content
-
-
-def _read_toml(path: Path) -> dict[str, Any]:
-    return tomllib.loads(path.read_text(encoding="utf-8"))

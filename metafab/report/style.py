@@ -1,8 +1,8 @@
-"""One look for all pictures: palette, colour maps, panels, scales.
+"""Common style of all figures: palette, colour maps, panels, scales.
 
-Colours come in two kinds. Named inks (text, rules, the two polarisations) turn into CSS variables in the SVG form, so
-that the page can redraw them for dark rooms. Colour maps stay what they are: cyclic for phase, perceptually uniform
-for everything else, all readable without red-green vision.
+Named inks (text, rules, the two polarisations) become CSS variables in the SVG form, so that the page can change them
+for its dark theme. Colour maps are fixed: cyclic for phase, perceptually uniform otherwise. All can be read without
+red-green vision.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from matplotlib.image import AxesImage
 from matplotlib.ticker import LogFormatter
 from numpy.typing import ArrayLike
 
-#: Inks of figures, and the CSS variables that they become.
+#: Inks of the figures and their CSS variables.
 INK, MUTED, HAIRLINE = "#20242c", "#6a7280", "#d3d8e0"
 X_COLOUR, Y_COLOUR = "#c4511d", "#1d6fb3"
 IDEAL, GOOD = "#8b919c", "#2c7f62"
@@ -54,14 +54,14 @@ Extent = tuple[float, float, float, float]
 PLOT: Margins = (0.74, 0.22, 0.52, 0.36)
 MAP: Margins = (0.74, 0.98, 0.52, 0.36)
 PICTURE: Margins = (0.10, 0.86, 0.10, 0.36)
-#: Of bars under their names, with room for values at their ends.
+#: Margins of bars under their names, with room for values at their ends.
 BARS: Margins = (0.10, 1.15, 0.52, 0.42)
 
 
 def panel(size_in: tuple[float, float] = (4.0, 3.1), margins_in: Margins = PLOT) -> tuple[Figure, Axes]:
-    """An empty figure with one pair of axes, free of pyplot and its global state.
+    """An empty figure with one pair of axes, made without pyplot and its global state.
 
-    The place of the axes is fixed by margins: laying figures out by measuring their text takes longer than all else.
+    Fixed margins place the axes; a layout that measures text takes longer than the drawing.
     """
     width, height = size_in
     left, right, bottom, top = margins_in
@@ -71,7 +71,7 @@ def panel(size_in: tuple[float, float] = (4.0, 3.1), margins_in: Margins = PLOT)
 
 
 def dress(axes: Axes, x_label: str = "", y_label: str = "", title: str = "", title_ink: str = INK) -> Axes:
-    """Labels, spines and ticks in the house's hand; labels at fixed places, which need no measuring."""
+    """Set title, labels, spines and ticks; labels have fixed places, so that no text is measured."""
     width, height = _size_in(axes)
     axes.set_xlabel(x_label, fontsize=9, color=INK)
     axes.set_ylabel(y_label, fontsize=9, color=INK)
@@ -88,7 +88,7 @@ def dress(axes: Axes, x_label: str = "", y_label: str = "", title: str = "", tit
 
 
 def bare(axes: Axes, title: str = "", title_ink: str = INK) -> Axes:
-    """Axes of a picture that carries its own scale bar: no ticks, no spines."""
+    """Set the title, and remove ticks and spines: for a picture with a scale bar."""
     dress(axes, title=title, title_ink=title_ink)
     axes.set_xticks([])
     axes.set_yticks([])
@@ -98,7 +98,7 @@ def bare(axes: Axes, title: str = "", title_ink: str = INK) -> Axes:
 
 
 def show_map(axes: Axes, values: ArrayLike, extent: Extent, **options: Any) -> AxesImage:
-    """An array as pixels, first row lowest, over ``extent``; NaN stays blank."""
+    """Draw an array of shape (n_y, n_x) as pixels over ``extent``, first row lowest; NaN stays blank."""
     options = {"origin": "lower", "interpolation": "nearest", "aspect": "equal"} | options
     return axes.imshow(np.ma.masked_invalid(values), extent=extent, **options)
 
@@ -106,16 +106,16 @@ def show_map(axes: Axes, values: ArrayLike, extent: Extent, **options: Any) -> A
 def colour_bar(
     mappable: ScalarMappable, axes: Axes, label: str, ticks: Sequence[float] = (), names: Sequence[str] = ()
 ) -> Axes:
-    """A slim colour bar with its unit, beside the picture whatever its proportions, and as wide on every figure.
+    """Draw a colour bar to the right of a picture, with one width on all figures.
 
-    Drawn as a picture of the colours: matplotlib's own takes four times as long.
+    It is drawn as an image, four times faster than matplotlib's own.
 
     Args:
-        mappable: whose colours and limits it shows.
-        axes: of the picture.
-        label: what the colours stand for, with its unit.
-        ticks: where ticks stand; at round values if none is given.
-        names: a text for each of ``ticks``.
+        mappable: picture with the colours and limits.
+        axes: axes of the picture.
+        label: quantity and unit.
+        ticks: values with ticks; round values if empty.
+        names: text of each tick.
     """
     width, _ = _size_in(axes)
     bar = axes.inset_axes((1.0 + 0.10 / width, 0.0, 0.13 / width, 1.0))
@@ -129,7 +129,7 @@ def colour_bar(
     bar.imshow(shades, cmap=mappable.cmap, **across)
     if isinstance(mappable.norm, LogNorm):
         logarithmic(bar, "y")
-    # Room around a value that stands alone, for the picture as for the bar.
+    # A picture of one value gets a range about it.
     mappable.set_clim(*bar.yaxis.get_major_locator().nonsingular(*mappable.get_clim()))
     bar.set(xticks=(), ylim=mappable.get_clim())
     if ticks:
@@ -144,23 +144,23 @@ def colour_bar(
 
 
 def logarithmic(axes: Axes, which: str) -> None:
-    """Logarithmic scales along ``which`` ("x", "y" or "xy"), with ticks as plain text."""
+    """Set logarithmic scales along ``which`` ("x", "y" or "xy"), with ticks as plain text."""
     for letter in which:
         axes.set(**{f"{letter}scale": "log"})
         axis = axes.xaxis if letter == "x" else axes.yaxis
         axis.set_major_formatter(_Powers())
-        axis.set_minor_formatter(_Powers())  # silent where there are powers enough
+        axis.set_minor_formatter(_Powers())
 
 
 class _Powers(LogFormatter):
-    """0.01, 2, 10⁵: matplotlib's own calls for its typesetter of formulas, which takes longer to load than to draw."""
+    """Ticks such as 0.01, 2, 10⁵, without matplotlib's typesetter of formulas, which is slow to load."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         return power_text(x) if super().__call__(x, pos) else ""
 
 
 def power_text(value: float) -> str:
-    """A positive number of one or few digits as a tick's text."""
+    """Text of a tick at a positive number of few digits."""
     exponent = math.floor(math.log10(value) + 1e-9)
     if -4 <= exponent <= 4:
         return f"{value:g}"
@@ -170,12 +170,12 @@ def power_text(value: float) -> str:
 
 
 def legend(axes: Axes, **options: Any) -> None:
-    """A legend without a frame."""
+    """Draw a legend without a frame."""
     axes.legend(frameon=False, fontsize=8.5, labelcolor=INK, **options)
 
 
 def scale_bar(axes: Axes, extent_um: Extent, colour: str = "#ffffff") -> None:
-    """A bar of a round length near the lower left corner of a picture of ``extent_um`` (left, right, low, high)."""
+    """Draw a bar of a round length in the lower left corner of a picture of ``extent_um`` (left, right, low, high)."""
     left, right, low, high = extent_um
     width, height = right - left, high - low
     length = max(step * 10.0**power for power in range(-2, 5) for step in (1, 2, 5) if step * 10.0**power < width / 5)
@@ -195,14 +195,22 @@ def scale_bar(axes: Axes, extent_um: Extent, colour: str = "#ffffff") -> None:
 
 
 def depth_unit(depth_m: ArrayLike) -> tuple[float, str]:
-    """The unit that suits some depths, as (how many of it make a metre, its name)."""
+    """Number of units in a metre, and name of the unit, for depths of any shape."""
     depths = np.asarray(depth_m, dtype=np.float64)
     largest = float(np.max(depths[np.isfinite(depths)], initial=0.0))
     return (1e3, "mm") if largest < 0.02 else (1e2, "cm") if largest < 1.0 else (1.0, "m")
 
 
+def depth_text(depth_m: float) -> str:
+    """A depth with the unit that suits it."""
+    if depth_m == math.inf:
+        return "∞"
+    scale, unit = depth_unit(depth_m)
+    return f"{scale * depth_m:.4g} {unit}"
+
+
 def _size_in(axes: Axes) -> tuple[float, float]:
-    """Width and height of the axes' place in inches (of the root's, for axes inside axes)."""
+    """Width and height of the axes in inches."""
     width, height = axes.get_figure(root=True).get_size_inches()  # type: ignore[union-attr]
     place = axes.get_position(original=True)
     return float(width * place.width), float(height * place.height)

@@ -1,6 +1,6 @@
-"""Data of the two live views of the page: the PSF pair over depth, and the decoded image under the pointer.
+"""Data of the two live views of the page: PSF pair over depth, and decoded image with its values.
 
-Pictures travel as palette PNGs, values as deflated integers; the page needs nothing else.
+Pictures are palette PNGs, values deflated integers.
 """
 
 from __future__ import annotations
@@ -20,15 +20,17 @@ from metafab.core.conventions import FloatArray
 from metafab.decode.image import Image4D
 from metafab.optics.point_spread import Psf
 from metafab.report.figures.image import contrast_reach
-from metafab.report.figures.psf import depth_text, lit_half_px
-from metafab.report.style import CONTRAST_MAP, DEPTH_MAP, LIGHT_MAP
+from metafab.report.figures.psf import lit_half_px
+from metafab.report.style import CONTRAST_MAP, DEPTH_MAP, LIGHT_MAP, depth_text
 
-_BLANK = 255  # palette entry of pixels without a value: transparent
+#: Palette entry of pixels without a value, which is transparent.
+_BLANK = 255
+#: Integer that stands for NaN.
 _NO_VALUE = 65535
 
 
 def psf_view(psf: Psf, ideal: Psf | None, source: str = "written file") -> dict[str, Any]:
-    """The pair over depth: for each of file and target phases a strip of pictures and what to say about each."""
+    """Data of the PSF view: a strip of pictures over depth and their figures, for the pair and the target phases."""
     views = [_psf_strip(source, psf)]
     if ideal is not None:
         views.append(_psf_strip("target phases", ideal))
@@ -51,7 +53,7 @@ def _psf_strip(name: str, psf: Psf) -> dict[str, Any]:
         "pixel_um": psf.pixel_um,
         "brightest": brightest,
         "depth": [depth_text(float(depth)) for depth in psf.depth_m],
-        # A maximum on the image point has no direction from there.
+        # A maximum on the image point has no direction.
         "phi_deg": [
             round(float(phi), 2) if (at != (n_y // 2) * n_x + n_x // 2).any() else None
             for phi, at in zip(psf.phi_deg, peaks.T, strict=True)
@@ -63,7 +65,7 @@ def _psf_strip(name: str, psf: Psf) -> dict[str, Any]:
 
 
 def decoded_view(decoded: Image4D) -> dict[str, Any]:
-    """Four pictures of the decoded image, and the values that the pointer reads."""
+    """Data of the image view: four pictures of the decoded image, and the values at each pixel."""
     both = np.concatenate([decoded.intensity_x.ravel(), decoded.intensity_y.ravel()])
     both = both[np.isfinite(both)]
     top = float(np.percentile(both, 99.8)) if both.size else 1.0
@@ -98,7 +100,7 @@ def decoded_view(decoded: Image4D) -> dict[str, Any]:
 
 
 def _levels(share: FloatArray) -> NDArray[np.uint8]:
-    """0 to 1 as palette entries, first row on top; no value as the blank entry."""
+    """Palette entries of values from 0 to 1, first row on top; NaN becomes the blank entry."""
     entries = np.full(share.shape, _BLANK, dtype=np.uint8)
     known = np.isfinite(share)
     entries[known] = np.clip(np.rint(share[known] * 254.0), 0, 254)
@@ -115,7 +117,7 @@ def _palette_png(entries: NDArray[np.uint8], colours: Colormap) -> str:
 
 
 def _deflated(array: FloatArray) -> dict[str, Any]:
-    """An array as 16-bit steps between its extremes, first row lowest as everywhere; 65535 means no value."""
+    """An array as 16-bit steps between its extremes, first row lowest; 65535 stands for NaN."""
     known = np.isfinite(array)
     low, high = (float(array[known].min()), float(array[known].max())) if known.any() else (0.0, 1.0)
     step = (high - low) / (_NO_VALUE - 1) or 1.0

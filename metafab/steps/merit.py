@@ -98,7 +98,7 @@ class SpaceVarianceFigures:
         tangent_y: shape (n_y,), object directions y/z.
         defocus_dioptre: shape (2, n_y, n_x), defocus.
         astigmatism_dioptre: shape (2, n_y, n_x), astigmatism.
-        seen_bias_dioptre: shape (2, n_y, n_x), apparent increase of the object's vergence in the PSFs.
+        seen_bias_dioptre: shape (2, n_y, n_x), vergence of the most similar PSF on the axis minus that of the object.
         distortion_um: shape (2, n_y, n_x, 2), shift (x, y) of the image points from those of a pinhole.
     """
 
@@ -121,10 +121,10 @@ class MeritFigures:
         pinhole_efficiency_x: share of the light at the aperture through the pinhole, for each depth; likewise y.
         ideal_pinhole_efficiency_x: the same for the target phases; likewise y.
         strehl_x: peak relative to that of the target phases, for each depth; likewise y.
-        main_lobe_x_um: (x, y) full width at half maximum of the main lobe, for each depth; likewise y.
+        main_lobe_x_um: (x, y) of the main lobe of PSF_x from the image point, for each depth; likewise y.
         rotation_deg: rotation of the pair from the nearest to the farthest depth; ``ideal_rotation_deg``: that of the
             target phases.
-        depth_of_field_dioptre: range of vergence in which the peak stays above half its largest value, x and y.
+        depth_of_field_dioptre: range of vergence in which the peak exceeds 80 % of its maximum, x and y polarisation.
         extinction_ratio: wanted over unwanted power, for each depth.
         modulation: modulation transfer.
         loss_chain: losses from the aperture to the pinhole.

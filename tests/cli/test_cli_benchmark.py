@@ -28,7 +28,7 @@ def test_all_runs_every_room_and_writes_one_page(monkeypatch: pytest.MonkeyPatch
 
         return SimpleNamespace(rows=rows)
 
-    monkeypatch.setattr(benchmark, "_load", fake_room)
+    monkeypatch.setattr(benchmark, "load_room", fake_room)
     answer = CliRunner().invoke(app, ["benchmark", "all", "--quick", "--json", "-o", str(tmp_path)])
     assert answer.exit_code == 0, answer.output
     assert asked == [(room, True) for room in benchmark.ROOMS]
@@ -43,7 +43,7 @@ def test_all_runs_every_room_and_writes_one_page(monkeypatch: pytest.MonkeyPatch
 
 @pytest.mark.parametrize("room", benchmark.ROOMS)
 def test_every_room_has_a_benchmark(room: str) -> None:
-    assert callable(benchmark._load(room).rows)
+    assert callable(benchmark.load_room(room).rows)
 
 
 def test_a_room_without_its_tools_says_so_and_the_others_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -52,17 +52,17 @@ def test_a_room_without_its_tools_says_so_and_the_others_run(monkeypatch: pytest
 
     row = {"name": "one", "error": 1e-3, "seconds": 1.0, "peak_rss_mb": 1.0}
     rooms = {room: SimpleNamespace(rows=lambda quick: [row]) for room in benchmark.ROOMS}
-    monkeypatch.setattr(benchmark, "_load", (rooms | {"meep": SimpleNamespace(rows=rows)}).__getitem__)
+    monkeypatch.setattr(benchmark, "load_room", (rooms | {"meep": SimpleNamespace(rows=rows)}).__getitem__)
     table = benchmark.rows_of("all")
     assert len(table) == len(benchmark.ROOMS)
-    assert [row["name"] for row in table if row["seconds"] is None] == ["not run: no interpreter has Meep"]
+    assert [row.name for row in table if row.seconds is None] == ["not run: no interpreter has Meep"]
     with pytest.raises(MissingToolError):
         benchmark.rows_of("meep")
 
 
 def test_the_scaled_camera_turns_as_the_small_one() -> None:
     """Defocus over the rim, R^2 / lambda (1/z - 1/z0), keeps its value at every depth, and so do pixels."""
-    module = benchmark._load("end_to_end")
+    module = benchmark.load_room("end_to_end")
     small = load_design(SMALL)
     large = module.scaled(small, 2000.0)
     for before, after in zip(small.verify.depths_m, large.verify.depths_m, strict=True):
@@ -80,7 +80,7 @@ def test_the_scaled_camera_turns_as_the_small_one() -> None:
 @pytest.mark.parametrize("count", [2, 8, 16])
 def test_the_deeper_camera_sees_the_same_range(count: int) -> None:
     small = load_design(SMALL)
-    depths_m = benchmark._load("end_to_end").deeper(small, count).verify.depths_m
+    depths_m = benchmark.load_room("end_to_end").deeper(small, count).verify.depths_m
     assert (depths_m[0], depths_m[-1], len(depths_m)) == (small.verify.depths_m[0], small.verify.depths_m[-1], count)
     steps = np.diff(1.0 / np.array(depths_m))
     assert np.all(steps < 0.0)
@@ -90,7 +90,7 @@ def test_the_deeper_camera_sees_the_same_range(count: int) -> None:
 @pytest.mark.parametrize("share", [0.5, 2.0])
 def test_the_finer_camera_sees_the_same_field(share: float) -> None:
     small = load_design(SMALL)
-    fine = benchmark._load("end_to_end").finer(small, share)
+    fine = benchmark.load_room("end_to_end").finer(small, share)
     assert fine.scene is not None and small.scene is not None
     for before, after in zip(small.scene.field_px, fine.scene.field_px, strict=True):
         assert after == share * before

@@ -37,7 +37,7 @@ def benchmark_command(
     with progress_bars() as progress:
         rows = rows_of(room, quick=quick, progress=progress)
     page = report.benchmark_page(rows, output or Path("runs") / "benchmark" / room)
-    show({"rows": rows, "files": page}, json_)
+    show({"rows": [row.table() for row in rows], "files": page}, json_)
 
 
 @app.command("doctor")

@@ -9,6 +9,7 @@ from matplotlib.colors import LogNorm
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray, Polarisation
 from metafab.decode.image import Image4D
+from metafab.report.accounts import DepthPairs
 from metafab.report.style import (
     CONTRAST_MAP,
     DEPTH_MAP,
@@ -26,13 +27,13 @@ from metafab.report.style import (
 
 
 def _few_ticks(axes: Axes) -> Axes:
-    """Four-figure coordinates need room along x."""
+    """Set few ticks along x, as coordinates of four digits need room."""
     axes.locator_params(axis="x", nbins=5)
     return axes
 
 
 def raw_frame(raw: RawFrame, axes: Axes) -> Axes:
-    """What the sensor saw: two images side by side, y polarisation and x polarisation."""
+    """Draw the frame of the sensor: the images of y and x polarisation side by side."""
     extent = extent_um(raw.frame.shape, raw.origin_um, raw.pixel_um)
     top = float(np.nanpercentile(raw.frame, 99.8)) or 1.0
     image = show_map(axes, raw.frame, extent, cmap="gray", vmin=0.0, vmax=top)
@@ -41,7 +42,7 @@ def raw_frame(raw: RawFrame, axes: Axes) -> Axes:
 
 
 def intensity(decoded: Image4D, axes: Axes, polarisation: Polarisation, top: float | None = None) -> Axes:
-    """All-in-focus intensity of one polarisation; ``top`` makes both share a scale."""
+    """Draw the all-in-focus intensity of one polarisation, on a scale up to ``top`` electrons."""
     values = decoded.intensity_x if polarisation == "x" else decoded.intensity_y
     image = show_map(axes, values, _extent(decoded), cmap="gray", vmin=0.0, vmax=top or _top(values))
     colour_bar(image, axes, "electrons")
@@ -51,7 +52,7 @@ def intensity(decoded: Image4D, axes: Axes, polarisation: Polarisation, top: flo
 
 
 def contrast(decoded: Image4D, axes: Axes) -> Axes:
-    """I_x / I_y on a logarithmic scale about 1."""
+    """Draw I_x / I_y on a logarithmic scale about 1."""
     reach = contrast_reach(decoded)
     norm = LogNorm(1.0 / reach, reach)
     image = show_map(axes, decoded.contrast, _extent(decoded), cmap=CONTRAST_MAP, norm=norm)
@@ -61,7 +62,7 @@ def contrast(decoded: Image4D, axes: Axes) -> Axes:
 
 
 def depth(decoded: Image4D, axes: Axes) -> Axes:
-    """Depth of every decoded pixel; blank where none is claimed."""
+    """Draw the depth of every decoded pixel; pixels without depth stay blank."""
     scale, unit = depth_unit(decoded.depth_m)
     image = show_map(axes, scale * decoded.depth_m, _extent(decoded), cmap=DEPTH_MAP)
     colour_bar(image, axes, f"depth / {unit}")
@@ -69,28 +70,21 @@ def depth(decoded: Image4D, axes: Axes) -> Axes:
 
 
 def confidence(decoded: Image4D, axes: Axes) -> Axes:
-    """How far the depth of each pixel can be trusted, 0 to 1; 0 where none is claimed."""
+    """Draw the confidence in the depth of each pixel, 0 to 1; 0 without depth."""
     image = show_map(axes, decoded.confidence, _extent(decoded), cmap=SHARE_MAP, vmin=0.0, vmax=1.0)
     colour_bar(image, axes, "confidence")
     return _few_ticks(dress(axes, "x / µm", "y / µm", "Confidence"))
 
 
-def depth_against_truth(true_m: FloatArray, decoded_m: FloatArray, axes: Axes, error_m: FloatArray) -> Axes:
-    """Decoded against true depth, one point a segment (Fig. 3f).
-
-    Args:
-        true_m: shape (n,), true depth.
-        decoded_m: shape (n,), decoded depth.
-        axes: where to draw.
-        error_m: shape (n,), standard error; 0 draws no bar.
-    """
-    scale, unit = depth_unit(true_m)
-    true, found, error = scale * true_m, scale * decoded_m, scale * error_m
-    low, high = (float(f([*true, *found])) for f in (min, max))
+def depth_against_truth(pairs: DepthPairs, axes: Axes) -> Axes:
+    """Draw decoded against true depth, a point for each segment (Fig. 3f of Shen 2023); an error of 0 has no bar."""
+    scale, unit = depth_unit(pairs.true_m)
+    true, decoded, error = scale * pairs.true_m, scale * pairs.decoded_m, scale * pairs.error_m
+    low, high = (float(f([*true, *decoded])) for f in (min, max))
     pad = 0.06 * (high - low) or 0.05 * high
     ends = (low - pad, high + pad)
     axes.plot(ends, ends, color=IDEAL, linewidth=3.0, alpha=0.5)
-    axes.errorbar(true, found, yerr=error, fmt="o", markersize=5, color=X_COLOUR, elinewidth=1.0, capsize=2)
+    axes.errorbar(true, decoded, yerr=error, fmt="o", markersize=5, color=X_COLOUR, elinewidth=1.0, capsize=2)
     dress(axes, f"true depth / {unit}", f"decoded depth / {unit}", "Depth against truth")
     axes.set(xlim=ends, ylim=ends, aspect="equal")
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
@@ -98,7 +92,7 @@ def depth_against_truth(true_m: FloatArray, decoded_m: FloatArray, axes: Axes, e
 
 
 def contrast_reach(decoded: Image4D) -> float:
-    """The largest ratio, either way, that the contrast scale shows: at least 2, at most 10."""
+    """Upper end of the contrast scale, from 2 to 10: 99 % of the ratios, or their inverse, lie below."""
     finite = decoded.contrast[np.isfinite(decoded.contrast) & (decoded.contrast > 0.0)]
     if not finite.size:
         return 2.0

@@ -1,4 +1,4 @@
-"""The library over pillar width and length, and the pairs of phases that it reaches."""
+"""Maps of the library over pillar width and length, and coverage of both phases."""
 
 from __future__ import annotations
 
@@ -29,11 +29,12 @@ from metafab.report.style import (
 
 _PI_TICKS = (-math.pi, -math.pi / 2, 0.0, math.pi / 2, math.pi)
 _PI_LABELS = ("−π", "−π/2", "0", "π/2", "π")
+#: Transmittance on the lines that enclose the guided-mode resonances.
 _RIDGE_TRANSMITTANCE = 0.5
 
 
 def phase_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
-    """Transmission phase over width and length; lines ring the resonances, where less than half passes."""
+    """Draw the transmission phase over width and length; lines enclose the resonances."""
     phase = np.angle(_t(library, polarisation))
     if not library.known.all():
         return _along_diameter(library, axes, phase, f"Phase of t, {polarisation} polarisation", "phase / rad")
@@ -44,7 +45,7 @@ def phase_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
 
 
 def transmittance_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
-    """Zero-order power transmittance over width and length; lines ring the resonances."""
+    """Draw the zero-order power transmittance over width and length; lines enclose the resonances."""
     share = transmittance(library, polarisation)
     if not library.known.all():
         title = f"Transmittance, {polarisation} polarisation"
@@ -56,7 +57,7 @@ def transmittance_map(library: Library, axes: Axes, polarisation: Polarisation) 
 
 
 def error_map(library: Library, axes: Axes) -> Axes:
-    """Error bound of |t| over width and length, on a logarithmic scale."""
+    """Draw the error of complex t over width and length, on a logarithmic scale."""
     error = library.error_of_sizes
     if not library.known.all():
         return _along_diameter(library, axes, error, "Error of every diameter", "absolute error of t")
@@ -70,7 +71,7 @@ def error_map(library: Library, axes: Axes) -> Axes:
 
 
 def sensitivity_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
-    """How far the phase turns when width and length grow together by 5 nm, to first order; clipped at pi."""
+    """Draw the phase change when width and length both grow by 5 nm, to first order; clipped at pi."""
     slope = phase_slope_per_nm(library)[..., 0 if polarisation == "x" else 1]
     turn = np.minimum(np.abs(CD_BIAS_NM * slope), math.pi)
     if not library.known.all():
@@ -82,7 +83,7 @@ def sensitivity_map(library: Library, axes: Axes, polarisation: Polarisation) ->
 
 
 def coverage(library: Library, axes: Axes) -> Axes:
-    """Every size as a point on the torus of both phases, coloured by the smaller transmittance; a ring at the hole."""
+    """Draw every size at its pair of phases, coloured by the smaller transmittance; a ring marks the largest hole."""
     phase_x, phase_y = (np.angle(_t(library, p)).ravel() for p in ("x", "y"))
     share = np.minimum(transmittance(library, "x"), transmittance(library, "y")).ravel()
     order = np.argsort(share)  # well transmitting sizes on top
@@ -93,7 +94,7 @@ def coverage(library: Library, axes: Axes) -> Axes:
     reached = quality(library)
     hole = (reached.worst_hole_phase_x_rad, reached.worst_hole_phase_y_rad)
     axes.plot(*hole, "o", mfc="none", mec=X_COLOUR, mew=1.4, ms=11)
-    dress(axes, "phase of x / rad", "phase of y / rad", "Reach, and its worst hole")
+    dress(axes, "phase of x / rad", "phase of y / rad", "Coverage, and its largest hole")
     axes.set_xticks(_PI_TICKS, _PI_LABELS)
     axes.set_yticks(_PI_TICKS, _PI_LABELS)
     axes.set(xlim=(-math.pi, math.pi), ylim=(-math.pi, math.pi), aspect="equal")
@@ -120,7 +121,7 @@ def _t(library: Library, polarisation: Polarisation) -> ComplexArray:
 
 
 def _extent(library: Library) -> Extent:
-    """Where the map's pixels lie: centred on the sizes."""
+    """Extent of a map whose pixels are centred on the sizes."""
     width, length = library.width_nm, library.length_nm
     half_w, half_l = (0.5 * (g[1] - g[0]) if g.size > 1 else 1.0 for g in (width, length))
     return (width[0] - half_w, width[-1] + half_w, length[0] - half_l, length[-1] + half_l)
@@ -135,7 +136,7 @@ def _ridges(library: Library, axes: Axes, polarisation: Polarisation, colour: st
 
 
 def _along_diameter(library: Library, axes: Axes, values: FloatArray, title: str, label: str) -> Axes:
-    """What a library of circles has, along its one size."""
+    """Draw a quantity of a library of circles over the diameter."""
     axes.plot(library.width_nm, values.diagonal(), ".-", color=INK, lw=1.0, ms=4)
     return dress(axes, "diameter / nm", label, title)
 

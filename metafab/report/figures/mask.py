@@ -1,34 +1,49 @@
-"""The written pillars at three zooms: the lens as a grey map, then outlines."""
+"""The written mask at three zooms, and fields of a simulated patch of it."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.layout.outlines import RECTANGLE, Outline
-from metafab.report.style import GOOD, HAIRLINE, INK, SHARE_MAP, X_COLOUR, bare, colour_bar, dress, scale_bar, show_map
+from metafab.report.style import (
+    GOOD,
+    HAIRLINE,
+    INK,
+    PHASE_MAP,
+    SHARE_MAP,
+    X_COLOUR,
+    Extent,
+    bare,
+    colour_bar,
+    dress,
+    scale_bar,
+    show_map,
+)
 
 
 def fill_map(fill: FloatArray, half_side_um: tuple[float, float], axes: Axes, marks_um: list[FloatArray]) -> Axes:
-    """Share of the surface that pillars cover, over the whole lens; frames show where the other zooms lie.
+    """Draw the share of the surface that pillars cover, with frames at the places of the closer zooms.
 
     Args:
-        fill: shape (n_y, n_x), 0 to 1; NaN where there is no pillar.
+        fill: shape (n_y, n_x), 0 to 1; NaN without pillars.
         half_side_um: half the width and half the height of the map.
-        axes: where to draw.
-        marks_um: (left, right, low, high) of each closer zoom.
+        axes: axes to draw on.
+        marks_um: one array for each closer zoom, shape (4,): left, right, low, high.
     """
     half_x, half_y = half_side_um
     extent = (-half_x, half_x, -half_y, half_y)
-    # Blocks on the rim are partly outside the lens: they do not set the scale.
+    # Blocks on the rim lie partly outside the lens and do not set the scale.
     low, high = np.nanpercentile(fill, (2.0, 98.0)) if np.isfinite(fill).any() else (0.0, 1.0)
     image = show_map(axes, fill, extent, cmap=SHARE_MAP, vmin=low, vmax=high)
     colour_bar(image, axes, "share covered by pillars")
     for left, right, low, high in marks_um:
-        pad = max(0.0, 0.012 * 2 * half_x - (right - left) / 2)  # a frame that can be seen
+        pad = max(0.0, 0.012 * 2 * half_x - (right - left) / 2)  # visible size of the frame
         corners_x = [left - pad, right + pad, right + pad, left - pad, left - pad]
         corners_y = [low - pad, low - pad, high + pad, high + pad, low - pad]
         axes.plot(corners_x, corners_y, color="#ffffff", linewidth=1.1)
@@ -40,11 +55,11 @@ def fill_map(fill: FloatArray, half_side_um: tuple[float, float], axes: Axes, ma
 def pillar_outlines(
     rectangles_um: FloatArray, axes: Axes, title: str, *, outline: Outline = RECTANGLE, label_nearest: bool = False
 ) -> Axes:
-    """Pillars as the rectangles or polygons of the file.
+    """Draw pillars with the outlines of the file.
 
     Args:
         rectangles_um: shape (n, 4), (x, y) of each centre, width and length.
-        axes: where to draw.
+        axes: axes to draw on.
         title: what is shown.
         outline: what sizes are drawn as.
         label_nearest: mark the pillar nearest to the middle and write its width x length above.
@@ -55,7 +70,7 @@ def pillar_outlines(
         Path(np.array([place]) + outline.vertices(*size) * unit_um, closed=False)
         for place, size in zip(rectangles_um[:, :2], np.rint(rectangles_um[:, 2:] / unit_um).astype(int), strict=True)
     ]
-    # One outline for all: as fast as a picture, and it follows the page's theme.
+    # A single path is drawn as fast as a picture, and it follows the theme of the page.
     axes.add_patch(PathPatch(Path.make_compound_path(*paths), facecolor=GOOD, linewidth=0.0))
     dress(axes, "x / µm", "y / µm", title)
     axes.set(xlim=(x.min() - 0.2, x.max() + 0.2), ylim=(y.min() - 0.2, y.max() + 0.2), aspect="equal")
@@ -68,3 +83,48 @@ def pillar_outlines(
         axes.add_patch(PathPatch(paths[nearest], color=X_COLOUR, lw=0))
         axes.set_title(text, fontsize=9, color=X_COLOUR, loc="right", pad=7)
     return axes
+
+
+def patch_phase(field: ComplexArray, x_um: FloatArray, y_um: FloatArray, axes: Axes, title: str) -> Axes:
+    """Draw the phase of a field at the sites of a patch on a cyclic scale.
+
+    Args:
+        field: shape (n_y, n_x).
+        x_um: shape (n_x,), sites along x.
+        y_um: shape (n_y,), sites along y.
+        axes: axes to draw on.
+        title: source of the field.
+    """
+    extent = _extent(x_um, y_um)
+    image = show_map(axes, np.angle(field), extent, cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
+    colour_bar(image, axes, "phase / rad", (-math.pi, 0.0, math.pi), ("−π", "0", "π"))
+    bare(axes, title)
+    scale_bar(axes, extent, INK)
+    return axes
+
+
+def patch_amplitude(
+    field: ComplexArray, x_um: FloatArray, y_um: FloatArray, axes: Axes, title: str, largest: float
+) -> Axes:
+    """Draw the amplitude of a field at the sites of a patch.
+
+    Args:
+        field: shape (n_y, n_x).
+        x_um: shape (n_x,), sites along x.
+        y_um: shape (n_y,), sites along y.
+        axes: axes to draw on.
+        title: source of the field.
+        largest: upper end of the scale.
+    """
+    extent = _extent(x_um, y_um)
+    image = show_map(axes, np.abs(field), extent, cmap=SHARE_MAP, vmin=0.0, vmax=largest)
+    colour_bar(image, axes, "field over incident field")
+    bare(axes, title)
+    scale_bar(axes, extent, "#ffffff")
+    return axes
+
+
+def _extent(x_um: FloatArray, y_um: FloatArray) -> Extent:
+    """Extent of the patch, half a period beyond the outermost sites."""
+    half_x, half_y = (0.5 * (axis[-1] - axis[0]) / max(1, axis.size - 1) for axis in (x_um, y_um))
+    return (x_um[0] - half_x, x_um[-1] + half_x, y_um[0] - half_y, y_um[-1] + half_y)

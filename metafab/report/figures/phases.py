@@ -1,4 +1,4 @@
-"""Phases over the aperture."""
+"""Target phases over the aperture, and the picture of a hologram."""
 
 from __future__ import annotations
 
@@ -7,25 +7,71 @@ import math
 import numpy as np
 from matplotlib.axes import Axes
 
-from metafab.core.conventions import FloatArray, Polarisation, wrap_phase
-from metafab.report.style import INK, PHASE_MAP, POLARISATION_COLOUR, bare, colour_bar, scale_bar, show_map
+from metafab.core.conventions import POLARISATIONS, FloatArray, Polarisation, wrap_phase
+from metafab.optics.point_spread import Psf
+from metafab.report.style import (
+    INK,
+    LIGHT_MAP,
+    PHASE_MAP,
+    POLARISATION_COLOUR,
+    Extent,
+    bare,
+    colour_bar,
+    scale_bar,
+    show_map,
+)
 
 
 def aperture_phase(
     phase_rad: FloatArray, half_side_um: float, axes: Axes, polarisation: Polarisation, title: str
 ) -> Axes:
-    """A phase map of the lens, on a cyclic scale.
+    """Draw a phase over the aperture on a cyclic scale.
 
     Args:
-        phase_rad: shape (n, n), radians, wrapped here; NaN outside the aperture.
-        half_side_um: half the side of the square that the map spans.
-        axes: where to draw.
-        polarisation: whose phase it is.
-        title: what the map shows.
+        phase_rad: shape (n, n), rad, any number of turns; NaN outside the aperture.
+        half_side_um: half the side of the square map.
+        axes: axes to draw on.
+        polarisation: polarisation of the light.
+        title: title of the map.
     """
     extent = (-half_side_um, half_side_um, -half_side_um, half_side_um)
     image = show_map(axes, wrap_phase(phase_rad), extent, cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
     colour_bar(image, axes, "phase / rad", (-math.pi, 0.0, math.pi), ("−π", "0", "π"))
     bare(axes, title, POLARISATION_COLOUR[polarisation])
     scale_bar(axes, extent, "#ffffff" if np.isfinite(phase_rad[0, 0]) else INK)
+    return axes
+
+
+def wanted_picture(picture: FloatArray, width_um: float, reach_um: float, axes: Axes) -> Axes:
+    """Draw the target picture at its size on the sensor.
+
+    Args:
+        picture: shape (rows, columns), first row at the top.
+        width_um: width of the picture.
+        reach_um: half the side of the drawn square about the axis.
+        axes: axes to draw on.
+    """
+    half_x = 0.5 * width_um
+    half_y = half_x * picture.shape[0] / picture.shape[1]
+    brightest = float(picture.max()) or 1.0
+    return _light(picture[::-1] / brightest, (-half_x, half_x, -half_y, half_y), reach_um, axes, "Target picture")
+
+
+def painted_picture(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
+    """Draw the irradiance on the sensor at the farthest depth, relative to its 99.8th percentile."""
+    values = psf.psf[POLARISATIONS.index(polarisation), -1]
+    half_y, half_x = (0.5 * count * psf.pixel_um for count in values.shape)
+    top = float(np.percentile(values, 99.8)) or 1.0
+    extent = (-half_x, half_x, -half_y, half_y)
+    return _light(values / top, extent, max(half_x, half_y), axes, f"Written file, {polarisation} polarisation")
+
+
+def _light(share: FloatArray, extent: Extent, reach_um: float, axes: Axes, title: str) -> Axes:
+    whole = (-reach_um, reach_um, -reach_um, reach_um)
+    show_map(axes, np.zeros((1, 1)), whole, cmap=LIGHT_MAP, vmin=0.0, vmax=1.0)  # dark surroundings
+    image = show_map(axes, share, extent, cmap=LIGHT_MAP, vmin=0.0, vmax=1.0)
+    colour_bar(image, axes, "relative irradiance")
+    bare(axes, title)
+    axes.set(xlim=(-reach_um, reach_um), ylim=(-reach_um, reach_um))
+    scale_bar(axes, whole)
     return axes

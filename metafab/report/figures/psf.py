@@ -1,8 +1,7 @@
-"""The PSF pair: its pictures over depth, its orientation, its peak."""
+"""The PSF pair: pictures over depth and field, orientation, peak, modulation transfer, aberrations over the field."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,18 +19,20 @@ from metafab.report.style import (
     POLARISATION_COLOUR,
     X_COLOUR,
     bare,
+    depth_text,
     depth_unit,
     dress,
     legend,
     scale_bar,
     show_map,
 )
+from metafab.steps.merit import SpaceVarianceFigures
 
 _MOST_COLUMNS = 8
 
 
 def shown_depths(psf: Psf) -> NDArray[np.int64]:
-    """Indices of the depths that :func:`pair_over_depth` shows: all, or eight spread over the stack."""
+    """Indices, shape (n,), of the depths that :func:`pair_over_depth` draws: all, or eight spread over the stack."""
     count = psf.depth_m.size
     return np.unique(np.linspace(0, count - 1, min(count, _MOST_COLUMNS)).round().astype(np.int64))
 
@@ -48,9 +49,9 @@ def lit_half_px(psf: Psf) -> int:
 
 
 def pair_over_depth(psf: Psf, axes: Axes) -> Axes:
-    """Both PSFs over depth, one scale for all (Fig. 2h of Shen 2023), side by side on ``axes``.
+    """Draw both PSFs over depth on one scale (Fig. 2h of Shen 2023).
 
-    Crosshairs meet in the geometric image point; arrows run from there to the maximum.
+    Crosshairs mark the geometric image point; arrows point from it to the maximum.
     """
     chosen, half = shown_depths(psf), lit_half_px(psf)
     _, _, n_y, n_x = psf.psf.shape
@@ -82,7 +83,7 @@ def pair_over_depth(psf: Psf, axes: Axes) -> Axes:
 
 
 def orientation(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
-    """Orientation of the pair over depth, unwrapped (Fig. 2g): written file, and target phases where known."""
+    """Draw the unwrapped orientation of the pair over depth (Fig. 2g of Shen 2023), and that of the target phases."""
     scale, unit = depth_unit(psf.depth_m)
     if ideal is not None:
         line: dict[str, Any] = {"color": IDEAL, "linewidth": 3.5, "alpha": 0.6, "label": "target phases"}
@@ -90,7 +91,7 @@ def orientation(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
     line = {"color": X_COLOUR, "linewidth": 1.4, "marker": "o", "markersize": 4, "label": "written file"}
     axes.plot(scale * psf.depth_m, _unwrapped(psf), **line)
     dress(axes, f"object depth / {unit}", "orientation φ / °", "Orientation of the pair over depth")
-    # A pair that does not turn is a level line, not the last digits of one.
+    # A range of at least two degrees, so that a pair without rotation is a level line.
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, 0.5 * (low + high) - 1.0), max(high, 0.5 * (low + high) + 1.0))
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
@@ -100,7 +101,7 @@ def orientation(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
 
 
 def peak(psf: Psf, axes: Axes, ideal: Psf | None = None, source: str = "written file") -> Axes:
-    """Peak irradiance of both PSFs over depth: what the written pillars keep of the target phases' peak."""
+    """Draw the peak irradiance of both PSFs over depth, and that of the target phases."""
     scale, unit = depth_unit(psf.depth_m)
     for row, polarisation in enumerate(POLARISATIONS):
         colour = POLARISATION_COLOUR[polarisation]
@@ -121,7 +122,7 @@ def peak(psf: Psf, axes: Axes, ideal: Psf | None = None, source: str = "written 
 
 
 def over_field(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
-    """One PSF over the field of view at the middle depth, each about its own image point, one scale for all.
+    """Draw one PSF over the field of view at the middle depth, each about its image point, on one scale.
 
     Raises:
         ValueError: ``psf`` holds no field.
@@ -148,22 +149,22 @@ def over_field(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
 
 def modulation(
     frequency_per_mm: FloatArray,
-    curves: Sequence[tuple[str, FloatArray]],
+    curves: Mapping[str, FloatArray],
     axes: Axes,
     lens: Sequence[FloatArray] = (),
 ) -> Axes:
-    """Modulation transfer against spatial frequency, up to the sensor's Nyquist frequency or the lens' cut-off.
+    """Draw the modulation transfer over spatial frequency.
 
     Args:
-        frequency_per_mm: shape (n,), on the sensor.
-        curves: name and transfer, shape (n,), of each depth.
-        axes: where to draw.
-        lens: transfer of a standard lens at the same depths.
+        frequency_per_mm: shape (n,), spatial frequency on the sensor.
+        curves: shape (n,) each, transfer by the name of its depth.
+        axes: axes to draw on.
+        lens: shape (n,) each, transfer of a standard lens at these depths.
     """
     for transfer, style in zip(lens, ("-", "--", ":"), strict=False):
         label = "standard lens" if style == "-" else None
         axes.plot(frequency_per_mm, transfer, color=IDEAL, linewidth=1.2, linestyle=style, label=label)
-    for (name, transfer), style in zip(curves, ("-", "--", ":"), strict=False):
+    for (name, transfer), style in zip(curves.items(), ("-", "--", ":"), strict=False):
         axes.plot(frequency_per_mm, transfer, color=X_COLOUR, linewidth=1.5, linestyle=style, label=name)
     dress(axes, "spatial frequency / mm⁻¹", "modulation transfer", "MTF of x, mean over directions")
     axes.set(xlim=(0.0, float(frequency_per_mm[-1])), ylim=(0.0, 1.0))
@@ -172,50 +173,37 @@ def modulation(
     return axes
 
 
-def depth_bias(space: Mapping[str, Any], axes: Axes) -> Axes:
-    """Vergence by which objects along the split seem nearer, to either polarisation: from PSFs, and mere defocus."""
-    tangent = np.asarray(space["tangent_x"], dtype=np.float64)
-    row = len(space["tangent_y"]) // 2
-    degrees = np.degrees(np.arctan(tangent))
+def depth_bias(space: SpaceVarianceFigures, axes: Axes) -> Axes:
+    """Draw the depth bias along the split for both polarisations: apparent in the PSFs, and from defocus alone."""
+    row = space.tangent_y.size // 2
+    degrees = np.degrees(np.arctan(space.tangent_x))
     for index, p in enumerate(POLARISATIONS):
-        seen = np.array(space["seen_bias_dioptre"][index][row], dtype=np.float64)
-        defocus = np.array(space["defocus_dioptre"][index][row], dtype=np.float64)
         colour = POLARISATION_COLOUR[p]
-        axes.plot(degrees, seen, color=colour, marker="o", markersize=4, linewidth=1.4, label=f"{p}, as PSFs show it")
+        bias, defocus = space.seen_bias_dioptre[index, row], space.defocus_dioptre[index, row]
+        axes.plot(degrees, bias, color=colour, marker="o", markersize=4, linewidth=1.4, label=f"{p}, from the PSFs")
         axes.plot(degrees, defocus, color=colour, linewidth=1.0, linestyle=(0, (4, 3)), alpha=0.8)
     axes.plot([], [], color=INK, linewidth=1.0, linestyle=(0, (4, 3)), label="defocus alone")
-    dress(axes, "object direction along the split / °", "seems nearer by / dioptre", "Depth bias over the field")
+    dress(axes, "object direction along the split / °", "vergence bias / dioptre", "Depth bias over the field")
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
     legend(axes)
     return axes
 
 
-def distortion(space: Mapping[str, Any], axes: Axes) -> Axes:
-    """How far the geometric image points of both polarisations stand from a pinhole's, as arrows over the field."""
-    x, y = np.meshgrid(*(np.degrees(np.arctan(np.array(space[f"tangent_{u}"]))) for u in "xy"))
-    shift = np.array(space["distortion_um"], dtype=np.float64)
+def distortion(space: SpaceVarianceFigures, axes: Axes) -> Axes:
+    """Draw the shift of both image points from those of a pinhole, as arrows over the field."""
+    x, y = np.meshgrid(np.degrees(np.arctan(space.tangent_x)), np.degrees(np.arctan(space.tangent_y)))
+    shift = space.distortion_um
     largest = float(np.hypot(shift[..., 0], shift[..., 1]).max()) or 1.0
-    scale = largest / max(float(np.ptp(x)), 1e-9) * 4.0
+    arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "width": 0.006}
+    arrows["scale"] = largest / max(float(np.ptp(x)), 1e-9) * 4.0
     for index, p in enumerate(POLARISATIONS):
-        axes.quiver(
-            x, y, shift[index, ..., 0], shift[index, ..., 1], color=POLARISATION_COLOUR[p], angles="xy",
-            scale_units="xy", scale=scale, width=0.006, label=p,
-        )  # fmt: skip
+        axes.quiver(x, y, shift[index, ..., 0], shift[index, ..., 1], color=POLARISATION_COLOUR[p], label=p, **arrows)
     axes.margins(0.14)
     title = f"Distortion, at most {largest:.3g} µm"
     dress(axes, "object direction x / °", "object direction y / °", title)
-    # Beside the title: inside, it would lie over arrows.
+    # Above the axes: inside, the legend would cover arrows.
     legend(axes, loc="lower right", bbox_to_anchor=(1.04, 0.985), ncols=2, columnspacing=0.9, handlelength=1.0)
     return axes
-
-
-def depth_text(depth_m: float | str) -> str:
-    """A depth in the unit that suits it; summaries write one that is infinite as "inf"."""
-    depth_m = float(depth_m)
-    if depth_m == math.inf:
-        return "∞"
-    scale, unit = depth_unit(depth_m)
-    return f"{scale * depth_m:.4g} {unit}"
 
 
 def _degrees(tangents: FloatArray) -> list[str]:

@@ -1,4 +1,4 @@
-"""What the phases are worth: the lobe over a turn, bounds of depth for several masks, the cost of the colour filter."""
+"""Study of the phases, proposals and comparison: lobe over one turn, depth bounds, colour filter, other cameras."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from matplotlib.axes import Axes
 
+from metafab.comparison import Comparison
 from metafab.core.conventions import FloatArray
 from metafab.phase.studies.bandwidth import BandwidthBudget
 from metafab.phase.studies.compare import DepthBounds
@@ -32,7 +33,7 @@ _FOCUS = "vergence from the focus / dioptre"
 
 
 def lobe_peak(lobe: LobeOverDepth, axes: Axes) -> Axes:
-    """Peak of the main lobe over one turn, before and after the optimisation; the verified depths are shaded."""
+    """Draw the peak of the main lobe over one turn, before and after the optimisation; verified depths are shaded."""
     axes.axvspan(*lobe.range_per_m, color=HAIRLINE, alpha=0.6, linewidth=0.0)
     axes.plot(lobe.vergence_per_m, lobe.plain.peak, color=Y_COLOUR, linewidth=1.4, label="plain spiral, Eq. 2")
     axes.plot(lobe.vergence_per_m, lobe.design.peak, color=X_COLOUR, linewidth=1.6, label="this design")
@@ -42,7 +43,7 @@ def lobe_peak(lobe: LobeOverDepth, axes: Axes) -> Axes:
 
 
 def lobe_orientation(lobe: LobeOverDepth, axes: Axes) -> Axes:
-    """Orientation of the main lobe over one turn against the law of rotation; the verified depths are shaded."""
+    """Draw the orientation of the main lobe over one turn and the law of rotation; verified depths are shaded."""
     axes.axvspan(*lobe.range_per_m, color=HAIRLINE, alpha=0.6, linewidth=0.0)
     axes.plot(lobe.vergence_per_m, lobe.law_deg, color=IDEAL, linewidth=3.5, alpha=0.6, label="law of rotation")
     axes.plot(lobe.vergence_per_m, lobe.design.phi_deg, color=X_COLOUR, linewidth=1.4, label="this design")
@@ -51,12 +52,11 @@ def lobe_orientation(lobe: LobeOverDepth, axes: Axes) -> Axes:
 
 
 def depth_bounds(bounds: DepthBounds, axes: Axes, of: Literal["point", "texture"]) -> Axes:
-    """Smallest standard deviation of depth that a mask allows, over depth; masks that allow none are named."""
+    """Draw the Cramér-Rao bound of depth over depth for each mask; masks without depth information are named."""
     scale, unit = depth_unit(bounds.depth_m)
     curves = bounds.point_m if of == "point" else bounds.texture_m
     for name, curve, ink in zip(bounds.masks, curves, _INKS, strict=False):
-        told = bool(np.isfinite(curve).any())
-        label = name if told else f"{name}: nothing"
+        label = name if np.isfinite(curve).any() else f"{name}: nothing"
         axes.plot(scale * bounds.depth_m, 1e3 * curve, color=ink, linewidth=1.5, label=label)
     title = "Smallest error, known point source" if of == "point" else "Smallest error, unknown texture"
     dress(axes, f"object depth / {unit}", "σ of depth / mm", title)
@@ -68,7 +68,7 @@ def depth_bounds(bounds: DepthBounds, axes: Axes, of: Literal["point", "texture"
 
 
 def filter_tradeoff(budget: BandwidthBudget, axes: Axes) -> Axes:
-    """Error of depth against the width of the filter, for several angles of the split; the chosen ones are marked."""
+    """Draw the depth error over the filter width for several split angles; the design is marked."""
     curves = budget.tradeoff
     chosen = int(np.argmin(np.abs(curves.fwhm_nm - budget.fwhm_nm)))
     for angle, error, ink in zip(curves.angle_deg[::-1], curves.relative_error[::-1], _INKS, strict=False):
@@ -84,7 +84,7 @@ def filter_tradeoff(budget: BandwidthBudget, axes: Axes) -> Axes:
 
 
 def filter_orientation(budget: BandwidthBudget, axes: Axes) -> Axes:
-    """Information kept behind the filter against the direction of the split; 0 is the design's."""
+    """Draw the information kept behind the filter over the direction of the split; 0 is the design's."""
     closed = np.append(budget.azimuth_deg, 360.0)
     axes.plot(closed, np.append(budget.kept_by_azimuth, budget.kept_by_azimuth[0]), color=X_COLOUR, linewidth=1.5)
     axes.plot(0.0, budget.kept, "o", color=X_COLOUR, label="this design", clip_on=False)
@@ -93,30 +93,53 @@ def filter_orientation(budget: BandwidthBudget, axes: Axes) -> Axes:
     return _finished(axes)
 
 
-def proposals(found: Sequence[Proposal], axes: Axes) -> Axes:
-    """Smallest relative error over depth of several choices of [L, epsilon], the first one strongest."""
-    scale, unit = depth_unit(found[0].depth_m)
-    for rank, (proposal, ink) in enumerate(zip(found, _INKS, strict=False)):
+def proposed_bounds(choices: Sequence[Proposal], axes: Axes) -> Axes:
+    """Draw the bound of the relative depth error over depth for several choices of [L, epsilon], best first."""
+    scale, unit = depth_unit(choices[0].depth_m)
+    for rank, (proposal, ink) in enumerate(zip(choices, _INKS, strict=False)):
         line: dict[str, Any] = {"color": ink, "linewidth": 2.0 if rank == 0 else 1.2}
         label = f"L = {proposal.zones}, ε = {proposal.exponent:g}: turns {proposal.rotation_deg:.0f}°"
         axes.plot(scale * proposal.depth_m, 100.0 * proposal.crlb_m / proposal.depth_m, label=label, **line)
     dress(axes, f"object depth / {unit}", "σ of depth / depth, %", "Smallest error, unknown texture")
-    axes.set_ylim(0.0, 160.0 * max(float((p.crlb_m / p.depth_m).max()) for p in found[: len(_INKS)]))
+    axes.set_ylim(0.0, 160.0 * max(float((p.crlb_m / p.depth_m).max()) for p in choices[: len(_INKS)]))
     return _finished(axes)
 
 
-def proposed_orientation(found: Sequence[Proposal], axes: Axes) -> Axes:
-    """Turn of the main lobe from the nearest depth on, for the same choices."""
-    scale, unit = depth_unit(found[0].depth_m)
-    for rank, (proposal, ink) in enumerate(zip(found, _INKS, strict=False)):
+def proposed_orientation(choices: Sequence[Proposal], axes: Axes) -> Axes:
+    """Draw the rotation of the main lobe from the nearest depth on, for several choices of [L, epsilon]."""
+    scale, unit = depth_unit(choices[0].depth_m)
+    for rank, (proposal, ink) in enumerate(zip(choices, _INKS, strict=False)):
         line: dict[str, Any] = {"color": ink, "linewidth": 2.0 if rank == 0 else 1.2}
         axes.plot(scale * proposal.depth_m, proposal.phi_deg - proposal.phi_deg[0], **line)
     dress(axes, f"object depth / {unit}", "turn of the lobe / °", "The lobe turns once at most")
     return _finished(axes)
 
 
-def _within(value: float, range_of: FloatArray) -> bool:
-    return bool(range_of[0] <= value <= range_of[-1])
+def rival_depth_errors(comparison: Comparison, axes: Axes) -> Axes:
+    """Draw the rms error of depth over depth for each camera and estimate; its bound is dotted."""
+    scale, unit = depth_unit(comparison.depth_m)
+    for name, error, bound, ink in zip(comparison.methods, comparison.error, comparison.bound, _INKS, strict=True):
+        axes.plot(scale * comparison.depth_m, 100.0 * error, "o-", color=ink, linewidth=1.4, markersize=3, label=name)
+        axes.plot(scale * comparison.depth_m, 100.0 * bound, color=ink, linewidth=1.0, linestyle=":")
+    axes.plot([], [], color=MUTED, linewidth=1.0, linestyle=":", label="bound of each")
+    dress(axes, f"object depth / {unit}", "rms error of depth, %", "Depth of a textured plane")
+    logarithmic(axes, "y")
+    axes.set_ylim(top=20.0 * 100.0 * float(comparison.error.max()))
+    return _finished(axes)
+
+
+def rival_sharpness(comparison: Comparison, axes: Axes) -> Axes:
+    """Draw the rms error of the best linear restoration over depth for each camera; 0 is perfect."""
+    scale, unit = depth_unit(comparison.depth_m)
+    for name, left, ink in zip(comparison.cameras, comparison.restored, _INKS, strict=False):
+        axes.plot(scale * comparison.depth_m, left, "o-", color=ink, linewidth=1.4, markersize=3, label=name)
+    dress(axes, f"object depth / {unit}", "rms left over rms of the texture", "All in focus: error of the sharp image")
+    axes.set_ylim(0.0, 1.7 * float(comparison.restored.max()))
+    return _finished(axes)
+
+
+def _within(value: float, axis: FloatArray) -> bool:
+    return bool(axis[0] <= value <= axis[-1])
 
 
 def _finished(axes: Axes) -> Axes:

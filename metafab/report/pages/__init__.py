@@ -1,1 +1,7 @@
-"""Pages and pictures of single results."""
+"""Pages, pictures and films of single results.
+
+- ``benchmark``  page of benchmark rows
+- ``pictures``   a library, proposals, a comparison of cameras
+- ``stokes``     a decoded full-Stokes frame
+- ``film``       a decoded film
+"""

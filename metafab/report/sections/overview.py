@@ -1,52 +1,78 @@
-"""The head of the page: the device in a line, and the few figures that matter most."""
+"""Head of the page: the device in one line, the most important figures, loss chain and error budget."""
 
 from __future__ import annotations
 
 from html import escape
 
 from metafab.report import html
+from metafab.report.accounts import loss_chain
+from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
+
+#: Mean relative depth error below which the headline is marked as good.
+_GOOD_DEPTH_ERROR = 0.01
 
 
 def headlines(run: RunFolder) -> str:
-    """The few figures that matter most."""
+    """The most important figures, in large type."""
+    summary = run.summary
+    nmae = None if summary.decode is None else summary.decode.nmae
     items = []
-    nmae = run.part("decode").get("nmae")
     if nmae is not None:
-        items.append(html.headline(f"{100 * nmae:.2g}\u202f%", "mean depth error", "good" if nmae < 0.01 else "bad"))
-    rotation = run.part("phase").get("rotation_deg")
-    if rotation is not None:
-        items.append(html.headline(f"{abs(rotation):.0f}°", "turn of the pair over the design’s depths"))
-    painted = run.part("phase").get("hologram_efficiency")
-    if painted is not None:
-        items.append(html.headline(f"{100 * painted:.0f}\u202f%", "of the light in the picture"))
-    pillars = run.part("layout").get("pillars")
-    if pillars is not None:
-        items.append(html.headline(html.number(pillars), "pillars"))
-    violations = run.part("drc").get("violations")
-    if violations is not None:
-        broken = sum(violations.values())
+        tone = "good" if nmae < _GOOD_DEPTH_ERROR else "bad"
+        items.append(html.headline(f"{100 * nmae:.2g}\u202f%", "mean depth error", tone))
+    if summary.phase is not None:
+        rotation, painted = summary.phase.rotation_deg, summary.phase.hologram_efficiency
+        if rotation is not None:
+            items.append(html.headline(f"{abs(rotation):.0f}°", "rotation of the PSF pair over the depths"))
+        if painted is not None:
+            items.append(html.headline(f"{100 * painted:.0f}\u202f%", "of the light in the picture"))
+    if summary.layout is not None:
+        items.append(html.headline(html.number(summary.layout.pillars), "pillars"))
+    if summary.drc is not None:
+        broken = summary.violations
         items.append(html.headline(html.number(broken), "rules broken", "bad" if broken else "good"))
-    seconds = run.part("seconds")
-    if seconds:
-        first, last = "unit cell" if run.has_mask else "target phases", "PSF" if nmae is None else "depth map"
-        items.append(html.headline(f"{sum(seconds.values()):.3g}\u202fs", f"from {first} to {last}"))
+    if summary.seconds:
+        first = "unit cell" if run.outline.has_mask else "target phases"
+        last = "PSF" if nmae is None else "depth map"
+        items.append(html.headline(f"{sum(summary.seconds.values()):.3g}\u202fs", f"from {first} to {last}"))
     return f'<ul class="headlines">{"".join(items)}</ul>' if items else ""
 
 
 def subtitle(run: RunFolder) -> str:
-    """The device in a line."""
-    device = run.design_table.get("device", {})
-    cell = run.design_table.get("unit_cell", {})
-    wavelength = cell.get("illumination", {}).get("wavelength_nm")
-    parts = []
-    if "aperture_um" in device:
-        aperture = device["aperture_um"]
+    """The device in one line."""
+    outline, parts = run.outline, []
+    if outline.aperture_um is not None:
+        aperture = outline.aperture_um
         size = f"{aperture / 1000:g} mm" if aperture >= 1000 else f"{aperture:g} µm"
-        parts.append(f"{size} {device.get('aperture_shape', 'aperture')}")
-    if "focal_length_mm" in device:
-        parts.append(f"focal length {device['focal_length_mm']:g} mm")
-    if wavelength is not None:
-        parts.append(f"{wavelength:g} nm")
-    terms = [str(term.get("term", "")).replace("_", " ") for term in run.design_table.get("phase", [])]
-    return escape(" · ".join([*parts, " + ".join(terms)] if terms else parts))
+        parts.append(f"{size} {outline.aperture_shape}")
+    if outline.focal_length_mm is not None:
+        parts.append(f"focal length {outline.focal_length_mm:g} mm")
+    if outline.wavelength_nm is not None:
+        parts.append(f"{outline.wavelength_nm:g} nm")
+    if outline.terms:
+        parts.append(" + ".join(term.replace("_", " ") for term in outline.terms))
+    return escape(" · ".join(parts))
+
+
+def accounts(run: RunFolder, drawn: Drawn) -> str:
+    """Loss chain and error budget."""
+    rows = [
+        [
+            escape(line.source),
+            "not measured" if line.value is None else html.number(line.value),
+            escape(line.unit),
+            html.prose(line.how),
+        ]
+        for line in run.summary.error_budget
+    ]
+    figures = [name for name in drawn if name == "loss_chain" or name.startswith("error_budget")]
+    return html.section(
+        "accounts",
+        "Losses of light, and sources of error",
+        html.figures(drawn, *figures),
+        "" if loss_chain(run) else html.note(run.notes.get("psf", "the run holds no efficiencies: no loss chain")),
+        html.table(["source", "error", "unit", "measurement"], rows, ["", "n"], "stack")
+        if rows
+        else html.note("summary.json holds no error budget"),
+    )

@@ -18,10 +18,11 @@ from metafab.core.parallel.progress import silent
 from metafab.library.library import Library
 from metafab.optics.interpolation.stacks import without_depths
 from metafab.report.draw import draw
-from metafab.report.run_folder import AperturePhases, RunFolder
+from metafab.report.run_folder import AperturePhases, DesignOutline, RunFolder
 from metafab.report.style import CSS_VARIABLES
 from metafab.report.viewers import psf_view
 from metafab.report.write import compose, write
+from metafab.steps import RunSummary
 from tests.closed_form_run import SHAPE, closed_form_run, decoded_image, turning_psf
 
 
@@ -128,16 +129,16 @@ def test_same_results_same_bytes(full_run: RunFolder, page: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "missing", ["library", "phases", "pillars", "psf", "ideal_psf", "raw", "decoded", "summary", "design_table"]
+    "missing", ["library", "phases", "pillars", "psf", "ideal_psf", "raw", "decoded", "summary", "outline"]
 )
 def test_a_missing_result_leaves_a_note(full_run: RunFolder, tmp_path: Path, missing: str) -> None:
-    empty: dict[str, object] | None = {} if missing in {"summary", "design_table"} else None
+    empty = {"summary": RunSummary(), "outline": DesignOutline()}.get(missing)
     section = {"pillars": "mask"}.get(missing, missing)
     reason = f"{missing} went missing in a test"
     # Only what depends on the missing part is drawn again: the page must stand without it.
     run = replace(full_run, path=tmp_path, notes={**full_run.notes, section: reason}, **{missing: empty})
     text = compose(run, {})
-    if missing not in {"summary", "design_table"}:
+    if missing not in {"summary", "outline"}:
         assert reason in text
     assert text.rstrip().endswith("</html>")
 
@@ -178,7 +179,7 @@ def test_any_number_of_workers_draws_the_same(full_run: RunFolder, page: str) ->
 def test_a_device_without_a_scene_has_no_section_of_an_image(full_run: RunFolder) -> None:
     assert '<section id="image">' in compose(full_run, {})
     notes = {**full_run.notes, "raw": "no raw.h5"}
-    run = replace(full_run, raw=None, decoded=None, design_table={"name": "deflector"}, notes=notes)
+    run = replace(full_run, raw=None, decoded=None, outline=DesignOutline("deflector", has_scene=False), notes=notes)
     text = compose(run, {})
     assert '<section id="image">' not in text
     assert "no raw.h5" not in text

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -11,12 +14,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from metafab.report import benchmark_page, figures
+from metafab.benchmark import BenchmarkRow
+from metafab.report import benchmark_page
+from metafab.report.figures import accounts as figures
 from metafab.report.style import panel
 
 
-def _row(series: str, seconds: float | None, error: float | None) -> dict[str, Any]:
-    return {"room": "cell", "name": f"{series} {seconds}", "series": series, "error": error, "seconds": seconds}
+def _row(series: str, seconds: float | None, error: float | None, **further: Any) -> BenchmarkRow:
+    table = {"room": "cell", "name": f"{series} {seconds}", "series": series, "error": error, "seconds": seconds}
+    return BenchmarkRow.of(table | further)
 
 
 ROWS = [
@@ -24,7 +30,7 @@ ROWS = [
     _row("fast", 0.1, 1e-3),
     _row("slow", 1.0, 5e-2),
     _row("fast", 0.01, 2e-2),
-    _row("missing", None, None) | {"skipped": "not installed"},
+    _row("missing", None, None, skipped="not installed"),
     _row("exact", 1.0, 0.0),
 ]
 
@@ -52,7 +58,7 @@ def test_each_line_is_named_in_its_colour_and_no_name_covers_another() -> None:
 
 def test_the_least_possible_error_stands_below_its_row(tmp_path: Path) -> None:
     rows = [
-        _row("pair", seconds, error) | {"photons": photons, "bound": 0.25 * error}
+        _row("pair", seconds, error, photons=photons, bound=0.25 * error)
         for photons, seconds, error in ((3000.0, 0.1, 1e-3), (300.0, 0.2, 4e-3))
     ]
     _, axes = panel()
@@ -67,13 +73,13 @@ def test_the_least_possible_error_stands_below_its_row(tmp_path: Path) -> None:
     assert light.name == "benchmark_cell_photons.png"
     picture = np.asarray(Image.open(light).convert("L"))
     assert picture[:, -3:].min() == picture[-3:].min() == picture[:3].min() == 255
-    one_level = [row | {"photons": 300.0} for row in rows]
+    one_level = [replace(row, photons=300.0) for row in rows]
     assert len(benchmark_page(one_level, tmp_path)) == 3  # one level of light is no curve
 
 
 def test_rows_without_a_series_stay_points_in_a_legend() -> None:
     _, axes = panel()
-    figures.error_against_time([{"name": "a", "error": 0.1, "seconds": 1.0}], axes)
+    figures.error_against_time([BenchmarkRow("a", error=0.1, seconds=1.0)], axes)
     legend = axes.get_legend()
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == ["a"]
@@ -82,7 +88,7 @@ def test_rows_without_a_series_stay_points_in_a_legend() -> None:
 
 def test_a_skipped_row_reaches_table_and_json_with_its_reason(tmp_path: Path) -> None:
     page, data, _ = benchmark_page(ROWS, tmp_path)
-    assert json.loads(data.read_text())["rows"] == ROWS
+    assert json.loads(data.read_text())["rows"] == [row.table() for row in ROWS]
     text = page.read_text(encoding="utf-8")
     assert "not installed" in text
     assert text.count("<tr>") == 1 + len(ROWS)
@@ -94,8 +100,40 @@ def test_no_name_is_cut_at_the_rim(series: bool, name: str, tmp_path: Path) -> N
     """Ink of the last columns and rows of the picture would be text that goes on outside it."""
     rows = [_row(f"{name} {k}", 0.1 * (k + 1), 10.0**-k) for k in range(14)]
     if not series:
-        rows = [{key: value for key, value in row.items() if key != "series"} for row in rows]
+        rows = [replace(row, series=None) for row in rows]
     *_, plot = benchmark_page(rows, tmp_path)
     picture = np.asarray(Image.open(plot).convert("L"))
     assert picture[:, -3:].min() == 255
     assert picture[-3:].min() == picture[:3].min() == 255
+
+
+def test_benchmark_page_keeps_every_row(tmp_path: Path) -> None:
+    rows = [
+        BenchmarkRow("ours", "cell", 1e-3, 0.01, 120.0),
+        BenchmarkRow("a peer & <friends>", "cell", 1.3e-2, 2.5, 300.0),
+        BenchmarkRow("no error known", "layout", None, 0.3, 90.0),
+    ]
+    page, data, *plots = benchmark_page(rows, tmp_path / "out")
+    assert json.loads(data.read_text())["rows"] == [row.table() for row in rows]
+    assert [plot.name for plot in plots] == ["benchmark_cell.png", "benchmark_layout.png"]
+    assert all(plot.read_bytes().startswith(b"\x89PNG") for plot in plots)
+    text = page.read_text(encoding="utf-8")
+    assert "a peer &amp; &lt;friends&gt;" in text
+    assert "http" not in text.replace("http://www.w3.org", "")
+
+
+def test_global_state_stays_as_it_was(tmp_path: Path) -> None:
+    """In a fresh process: drawing neither imports pyplot nor chooses a backend nor changes a setting."""
+    code = (
+        "import sys, matplotlib\n"
+        "before = matplotlib.rcParams.copy()\n"
+        "from pathlib import Path\n"
+        "from metafab.benchmark import BenchmarkRow\n"
+        "from metafab.report import benchmark_page\n"
+        f"benchmark_page([BenchmarkRow('a', error=0.1, seconds=1.0)], Path({str(tmp_path)!r}))\n"
+        "assert 'matplotlib.pyplot' not in sys.modules\n"
+        "after = matplotlib.rcParams.copy()\n"
+        "assert all(dict.__getitem__(after, key) == dict.__getitem__(before, key) for key in before)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from metafab.cell import CellNumerics, pillar_cell, solve
 from metafab.library import build
-from metafab.report.figures.library import transmittance
+from metafab.library.library import Library
+from metafab.report.figures.library import phase_map, transmittance
+from metafab.report.style import panel
 from metafab.spec import load_unit_cell
 from tests.main_job import ROOT
 
@@ -27,3 +30,13 @@ def test_shown_transmittance_is_the_solvers(name: str) -> None:
         tolerance = 3.0 * (solved.error + float(library.error.reshape(-1, *library.t_xx.shape[1:])[0, row, column]))
         assert shown == pytest.approx(expected, abs=tolerance)
         assert tolerance < 0.05
+
+
+def test_phase_map_shows_the_angle_of_t(smooth_library: Library) -> None:
+    _, axes = panel()
+    phase_map(smooth_library, axes, "y")
+    (image,) = axes.images
+    np.testing.assert_allclose(image.get_array(), np.angle(smooth_library.t_yy[0]))
+    left, right, low, high = image.get_extent()
+    # Pixels are centred on the sizes, 2 nm apart.
+    assert (left, right, low, high) == (99.0, 251.0, 99.0, 251.0)

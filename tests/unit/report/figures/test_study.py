@@ -13,10 +13,14 @@ from metafab.phase.studies.bandwidth import BandwidthBudget, BandwidthTradeoff, 
 from metafab.phase.studies.compare import DepthBounds
 from metafab.phase.studies.propose import Proposal
 from metafab.phase.studies.study import LobeOverDepth, PhaseStudy
-from metafab.report import figures, proposal_figure, sections
+from metafab.report import proposal_figure
 from metafab.report.draw import draw
+from metafab.report.figures import study as figures
 from metafab.report.run_folder import RunFolder
+from metafab.report.sections.device import phases
 from metafab.report.style import panel
+from metafab.steps.phase import FilterFigures, RemedyFigures, StudyFigures
+from metafab.steps.summary import RunSummary
 
 DEPTH_M = np.linspace(0.25, 0.5, 6)
 
@@ -89,18 +93,18 @@ def test_the_filter_marks_the_design(study: PhaseStudy) -> None:
 
 
 def test_the_page_shows_what_is_there_and_no_more(study: PhaseStudy, tmp_path: Path) -> None:
-    budget = {"filter_fwhm_nm": 10.0, "remedies": [{"change": "a <split>", "information_kept": 0.9}]}
-    run = RunFolder(tmp_path, {"study": {"bandwidth": budget}}, study=study)
+    budget = FilterFigures(10.0, 3.8, 38.0, 0.25, 2.0, (RemedyFigures("a <split>", 0.9, 0.4),))
+    run = RunFolder(tmp_path, RunSummary(study=StudyFigures(budget)), study=study)
     drawn = draw(run, lambda step, done, total: None)
     assert {"lobe_peak", "bounds_point", "bounds_texture", "filter", "filter_orientation"} <= drawn.keys()
     assert all((tmp_path / "figures" / f"{name}.png").is_file() for name in drawn)
-    page = sections.phases(run, drawn)
+    page = phases(run, drawn)
     assert "Colour filter" in page
     assert "a &lt;split&gt;" in page
     bare = RunFolder(tmp_path, study=PhaseStudy(None, None, None))
     drawn = draw(bare, lambda step, done, total: None)
     assert drawn == {}
-    assert "Colour filter" not in sections.phases(bare, drawn)
+    assert "Colour filter" not in phases(bare, drawn)
 
 
 def test_proposals_are_drawn_best_first(tmp_path: Path) -> None:
@@ -109,7 +113,7 @@ def test_proposals_are_drawn_best_first(tmp_path: Path) -> None:
         for zones in range(2, 10)
     ]
     _, axes = panel()
-    figures.proposals(found, axes)
+    figures.proposed_bounds(found, axes)
     assert len(axes.lines) == 5, "more would hide each other"
     np.testing.assert_allclose(np.asarray(axes.lines[0].get_ydata(), dtype=float), 0.2)  # per cent
     assert proposal_figure(found, tmp_path / "p.png").read_bytes().startswith(b"\x89PNG")

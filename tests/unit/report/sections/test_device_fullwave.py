@@ -9,8 +9,10 @@ import pytest
 
 from metafab import fullwave, report
 from metafab.fullwave.coupling import CouplingRow
-from metafab.report import figures
+from metafab.report.figures import mask as figures
 from metafab.report.style import panel
+from metafab.steps.merit import CouplingFigures
+from metafab.steps.summary import RunSummary
 
 
 @pytest.fixture
@@ -56,7 +58,7 @@ def test_rows_are_shown_if_they_are_of_this_mask(tmp_path: Path) -> None:
     fullwave.save_coupling(fullwave.Coupling("abc", (row,)), tmp_path / "coupling.json")
     (tmp_path / "summary.json").write_text("{}")
     assert 'id="fullwave"' not in report.write(tmp_path).read_text(encoding="utf-8")
-    (tmp_path / "summary.json").write_text('{"coupling": {"coupling_error": 0.125}}')
+    RunSummary(coupling=CouplingFigures(0.125, 0.9, 1, ("rcwa",))).save(tmp_path / "summary.json")
     text = report.write(tmp_path).read_text(encoding="utf-8")
     for cell in ("600, -20 along x", "rcwa", "21", "0.812", "0.934", "0.125"):
         assert cell in text

@@ -1,6 +1,6 @@
-"""A decoded film as a moving picture: raw frame, both polarisations' sharp images, depth, and polarisation contrast.
+"""A decoded film as GIF or MP4: raw frame, all-in-focus images of both polarisations, depth, and contrast.
 
-The lens turns its images by half a turn; in a film they are turned back, so that the scene stands upright.
+The lens inverts its images; the film shows the scene upright.
 """
 
 from __future__ import annotations
@@ -43,11 +43,11 @@ _KINDS = (".gif", ".mp4")
 
 
 def require_film_name(path: Path) -> None:
-    """Refuse a file name that no film can have, before the film is computed.
+    """Check the file name of a film.
 
     Raises:
-        InputError: neither .gif nor .mp4.
-        MissingToolError: .mp4 without ffmpeg.
+        InputError: the name ends with neither .gif nor .mp4.
+        MissingToolError: the name ends with .mp4 and ffmpeg is not installed.
     """
     if path.suffix.lower() not in _KINDS:
         raise InputError.single("film", "output", "a name ending with .gif or .mp4", str(path))
@@ -56,12 +56,12 @@ def require_film_name(path: Path) -> None:
 
 
 def write_film(film: Sequence[tuple[RawFrame, Image4D]], path: Path, *, frame_interval_s: float) -> Path:
-    """Draw every frame and write them as one moving picture, in the time in which they were taken.
+    """Draw every frame and write the film, played in real time.
 
     Args:
         film: raw and decoded frames of one camera, at least one.
         path: the .gif (by Pillow) or .mp4 (by ffmpeg) to write.
-        frame_interval_s: from one frame to the next; a GIF's steps are hundredths of a second.
+        frame_interval_s: time between frames; a GIF rounds it to hundredths of a second.
 
     Returns:
         ``path``.
@@ -110,19 +110,19 @@ def _pictures(film: Sequence[tuple[RawFrame, Image4D]], frame_interval_s: float)
 
 
 def _caption(time_s: float, decoded: Image4D) -> str:
-    """When it was, how well it is known, and how much was decoded for it."""
-    told = [f"t = {time_s:.2f} s"]
+    """Time, depth errors, and share of the pixels that were decoded again."""
+    parts = [f"t = {time_s:.2f} s"]
     if decoded.nmae is not None:
-        told.append(f"depth within {100.0 * decoded.nmae:.2f} % over all pixels")
-    for name, words in (("worst_object_error", "{:.2f} % of each object"), ("changed_share", "{:.0f} % decoded anew")):
-        share = getattr(decoded.figures, name)
-        if share is not None:
-            told.append(words.format(100.0 * share))
-    return ", ".join(told)
+        parts.append(f"depth within {100.0 * decoded.nmae:.2f} % over all pixels")
+    if (worst := decoded.figures.worst_object_error) is not None:
+        parts.append(f"{100.0 * worst:.2f} % of each object")
+    if (changed := decoded.figures.changed_share) is not None:
+        parts.append(f"{100.0 * changed:.0f} % decoded again")
+    return ", ".join(parts)
 
 
 def _frame(raw: RawFrame, image: Image4D) -> tuple[Figure, list[Axes]]:
-    """The raw frame above; below it the two images, and under them depth and contrast: beside them if they are high."""
+    """Raw frame above the two images, with depth and contrast below them, or in one row for tall images."""
     title_in, gap_in, bar_in, foot_in = 0.3, 0.15, 0.8, 0.2
     n_y, n_x = image.depth_m.shape
     columns = 2 if n_x > 1.3 * n_y else 4
@@ -130,14 +130,14 @@ def _frame(raw: RawFrame, image: Image4D) -> tuple[Figure, list[Axes]]:
     wide_in = (_WIDTH_IN - (columns + 1) * gap_in - 2.0 * bar_in) / columns
     low_in = wide_in * n_y / n_x
     row_in, rows = low_in + title_in + gap_in, 4 // columns
-    # Video codecs want even numbers of pixels.
+    # Video codecs need even numbers of pixels.
     height_in = 0.02 * np.ceil(50.0 * (tall_in + rows * row_in + title_in + gap_in + foot_in))
     figure = Figure(figsize=(_WIDTH_IN, height_in), dpi=_DPI, facecolor="white")
 
     def place(left: float, bottom: float, width: float, height: float) -> Axes:
         return figure.add_axes((left / _WIDTH_IN, bottom / height_in, width / _WIDTH_IN, height / height_in))
 
-    # A bar stands beside depth and beside contrast, the last two.
+    # Depth and contrast, the last two panels, have a colour bar.
     lefts = [gap_in + k * (wide_in + gap_in) for k in range(columns)]
     lefts = [left + (bar_in if k == columns - 1 else 0.0) for k, left in enumerate(lefts)]
     return figure, [
@@ -169,7 +169,7 @@ def _write_gif(pictures: Sequence[NDArray[np.uint8]], path: Path, interval_s: fl
 
 
 def _palette() -> Image.Image:
-    """What the panels show, in 256 colours: greys, depths, contrasts, and the two inks down to white."""
+    """Palette of 256 colours: greys, depths, contrasts, and both inks with their tints."""
     share, white = np.linspace(0.0, 1.0, 80), np.ones(3)
     inks = [np.array(to_rgb(ink)) for ink in POLARISATION_COLOUR.values()]
     colours = [

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from metafab.comparison import Comparison, save_comparison
-from metafab.report import comparison_figure, figures, sections
+from metafab.report import comparison_figure
 from metafab.report.draw import draw
+from metafab.report.figures import study as figures
 from metafab.report.run_folder import RunFolder, open_run
+from metafab.report.sections import images
 from metafab.report.style import panel
 
 METHODS = ("this design", "standard lens", "lens, focused nearer", "double helix", "double helix, cepstrum")
@@ -42,11 +44,11 @@ def test_errors_are_drawn_in_per_cent_with_their_bounds(comparison: Comparison, 
 
 
 def test_the_page_shows_it_where_its_file_is(comparison: Comparison, tmp_path: Path) -> None:
-    assert sections.comparison(RunFolder(tmp_path), {}) == ""
+    assert images.comparison(RunFolder(tmp_path), {}) == ""
     save_comparison(comparison, tmp_path / "comparison.json")
     run = RunFolder(tmp_path, comparison=open_run(tmp_path).comparison)
     drawn = draw(run, lambda step, done, total: None, workers=1)
     assert set(drawn) == {"rival_depth", "rival_sharpness"}
-    page = sections.comparison(run, drawn)
+    page = images.comparison(run, drawn)
     assert "double helix, cepstrum" in page
     assert page.count("<svg") == 2

@@ -64,3 +64,21 @@ def test_empty_pieces_leave_no_trace() -> None:
 @pytest.mark.parametrize("tone", ["", "good", "bad"])
 def test_a_headline_is_a_figure_with_what_it_means(tone: str) -> None:
     assert html.headline("0", "rules broken", tone) == f'<li class="{tone}"><b>0</b><span>rules broken</span></li>'
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (None, "–"),
+        (True, "yes"),
+        (25600000, "25\u202f600\u202f000"),
+        (4501.0, "4\u202f501"),
+        (0.0017, "0.0017"),
+        (-160.04, "−160"),
+        (5.307e-6, "5.31\u202f×\u202f10<sup>−6</sup>"),
+        (2.5e12, "2\u202f500\u202f000\u202f000\u202f000"),
+        ("<b>", "&lt;b&gt;"),
+    ],
+)
+def test_numbers_are_for_reading(value: object, text: str) -> None:
+    assert html.number(value) == text

@@ -1,0 +1,215 @@
+"""Target phases, mask, full-wave simulations of its parts, and library."""
+
+from __future__ import annotations
+
+from html import escape
+
+from metafab.fullwave import Coupling, Patch
+from metafab.report import html
+from metafab.report.html import Drawn
+from metafab.report.run_folder import RunFolder
+from metafab.steps.layout import PillarFigures
+
+
+def phases(run: RunFolder, drawn: Drawn) -> str:
+    """Target phases over the aperture, their lobe and depth bounds, and the colour filter."""
+    figures = run.summary.phase
+    facts = (
+        {}
+        if figures is None
+        else {
+            "peak gain of the optimisation": figures.peak_gain,
+            "rotation / °": figures.rotation_deg,
+            "of the light in the picture": figures.hologram_efficiency,
+            "correlation with the picture": figures.hologram_correlation,
+        }
+    )
+    bounds = "Cramér-Rao bounds at equal aperture and equal light, by the paraxial pupil; no decoder does better."
+    return html.section(
+        "phases",
+        "Target phases",
+        html.facts(facts),
+        html.figures(drawn, "phase_x", "phase_y"),
+        _flat(run),
+        html.figures(drawn, "hologram_wanted", "hologram_found"),
+        html.figures(drawn, "lobe_peak", "lobe_orientation"),
+        html.figures(drawn, "bounds_point", "bounds_texture"),
+        html.paragraph(bounds, "caption")
+        if "bounds_point" in drawn
+        else html.note(run.notes.get("study", "a single depth has no bounds over depth")),
+        _filter(run, drawn),
+    )
+
+
+def _flat(run: RunFolder) -> str:
+    """Note where no phases are drawn."""
+    if run.phases is None:
+        return html.note(run.notes.get("phases", "no phases"))
+    return "" if run.phases.vary else html.note("lens, split and gratings only: without them the phase is flat")
+
+
+def _filter(run: RunFolder, drawn: Drawn) -> str:
+    """Cost of the colour filter, and changes that reduce it."""
+    figures = None if run.summary.study is None else run.summary.study.bandwidth
+    if figures is None:
+        return ""
+    facts = {
+        "nm filter": figures.filter_fwhm_nm,
+        "µm of dispersion a nanometre": figures.dispersion_um_per_nm,
+        "µm smear": figures.smear_um,
+        "of the information kept": figures.information_kept,
+        "times the depth error of one wavelength": figures.depth_error_factor,
+    }
+    rows = [
+        [escape(remedy.change), html.number(remedy.information_kept), html.number(remedy.depth_error_factor)]
+        for remedy in figures.remedies
+    ]
+    return (
+        "<h3>Colour filter</h3>"
+        + html.facts(facts)
+        + html.figures(drawn, "filter", "filter_orientation")
+        + html.table(["remedy", "information kept", "depth error relative to this design"], rows, ["", "n", "n"])
+    )
+
+
+def mask(run: RunFolder, drawn: Drawn) -> str:
+    """Written pillars, their files, and the design rules; empty for a design without a mask."""
+    if not run.outline.has_mask:
+        return ""
+    figures = run.summary.layout
+    facts, files = "", ""
+    if figures is not None:
+        counts = {"pillars": figures.pillars, "sizes": figures.distinct_sizes, "smallest gap / nm": figures.min_gap_nm}
+        facts = html.facts(counts | _mapping(figures))
+        if figures.gap_rule_each is not None:
+            facts += "<h3>With the gap rule kept by each pillar alone</h3>"
+            facts += html.facts(_mapping(figures.gap_rule_each))
+        rows = [[escape(file.name), html.number(file.bytes)] for file in figures.files]
+        files = f"<div><h3>Files</h3>{html.table(['file', 'bytes'], rows, ['', 'n'])}</div>"
+    return html.section(
+        "mask",
+        "Mask",
+        facts,
+        html.figures(drawn, "mask", "mask_wide", "mask_close"),
+        html.paragraph(f"Drawn from {escape(run.mask_file)}, the file for the mask writer.", "caption")
+        if run.pillars is not None
+        else html.note(run.notes.get("mask", "no mask")),
+        html.grid([_rules(run), files]),
+    )
+
+
+def _mapping(figures: PillarFigures) -> dict[str, float | None]:
+    return {
+        "phase error / rad rms": figures.phase_rms_error_rad,
+        "mean transmittance": figures.mean_transmittance,
+        "efficiency of the mapping": figures.efficiency,
+    }
+
+
+def _rules(run: RunFolder) -> str:
+    drc = run.summary.drc
+    if drc is None:
+        return html.note("no design-rule results in summary.json")
+    rows = [
+        [
+            escape(rule.replace("_", " ")),
+            html.number(count),
+            '<span class="good">kept</span>' if count == 0 else '<span class="bad">broken</span>',
+        ]
+        for rule, count in drc.violations.items()
+    ]
+    links = "".join(
+        f' <a href="{escape(path.name)}">{escape(path.name)}</a>' for path in sorted(run.path.glob("*.lyrdb"))
+    )
+    markers = f" Violations, for KLayout:{links}." if links else ""
+    checked = f"{html.number(drc.pillars)} pillars by the {escape(drc.engine)} engine"
+    return (
+        "<div><h3>Design rules</h3>"
+        + html.paragraph(f"Checked on the written file: {checked}.{markers}")
+        + html.table(["rule", "violations", ""], rows, ["", "n"])
+        + "</div>"
+    )
+
+
+def fullwave(run: RunFolder, drawn: Drawn) -> str:
+    """Full-wave simulations of rows and of a patch of the mask; empty without either."""
+    # The summary holds their figures only if they belong to this mask.
+    rows = _rows(run.coupling) if run.coupling is not None and run.summary.coupling is not None else ""
+    patch = _patch(run.patch, drawn) if run.patch is not None else ""
+    if not rows and not patch:
+        return ""
+    return html.section("fullwave", "Coupling of neighbours, by full-wave simulation", rows, patch)
+
+
+def _rows(coupling: Coupling) -> str:
+    head = ["place / µm", "light", "solver", "pillars", "efficiency", "local-period efficiency", "field error"]
+    rows = [
+        [
+            f"{row.x_um:g}, {row.y_um:g} along {row.axis}",
+            row.polarisation,
+            row.solver,
+            str(row.sites),
+            html.number(row.efficiency),
+            html.number(row.local_period_efficiency),
+            html.number(row.coupling_error),
+        ]
+        for row in coupling.rows
+    ]
+    text = "Rows of the mask over one turn of the phase: power in the focusing order; relative L2 error of the field."
+    return html.table(head, rows, ["", "", "", *["n"] * 4]) + html.paragraph(text, "caption")
+
+
+def _patch(patch: Patch, drawn: Drawn) -> str:
+    kinds = ("phase_meep", "phase_library", "amplitude_meep", "amplitude_library", "difference_library")
+    names = [f"patch_{kind}" for kind in (*kinds, "difference_coupling")]
+    rows = [
+        [
+            escape(text),
+            html.number(difference.amplitude_rms),
+            html.number(difference.phase_rms_rad),
+            html.number(difference.relative_l2),
+        ]
+        for text, difference in (
+            ("Meep against the library", patch.against_library),
+            ("Meep against single pillars on Meep's grid: coupling of neighbours", patch.coupling),
+            ("single pillars on Meep's grid against the library: error of the grid", patch.grid),
+        )
+    ]
+    caption = (
+        f"{patch.x_um.size} x {patch.y_um.size} pillars of the mask about ({patch.x_um.mean():.1f}, "
+        f"{patch.y_um.mean():.1f}) um, {patch.polarisation} polarisation, {patch.pixels_per_period} pixels a period, "
+        f"{patch.padding_sites} neighbours on each side. Propagating waves in the plane of the pillar tops."
+    )
+    return (
+        html.figures(drawn, *names)
+        + html.table(["", "amplitude rms", "phase rms / rad", "relative L2"], rows, ["", "n", "n", "n"])
+        + html.paragraph(escape(caption), "caption")
+    )
+
+
+def library(run: RunFolder, drawn: Drawn) -> str:
+    """Maps of the library; empty for a design without a mask."""
+    if not run.outline.has_mask:
+        return ""
+    figures = run.summary.library
+    facts = (
+        {}
+        if figures is None
+        else {
+            "sizes": figures.points_total,
+            "solved sizes": figures.points_solved,
+            "largest error of t": figures.max_error,
+            "phase reach / rad": figures.coverage_rad,
+        }
+    )
+    caption = "Lines enclose the guided-mode resonances, where less than half of the light is transmitted."
+    return html.section(
+        "library",
+        "Library: response of each pillar size",
+        html.facts(facts),
+        html.figures(drawn, "library_phase_x", "library_phase_y", "coverage"),
+        html.figures(drawn, "library_transmittance_x", "library_transmittance_y", "library_error"),
+        html.paragraph(caption, "caption")
+        if run.library is not None
+        else html.note(run.notes.get("library", "no library")),
+    )

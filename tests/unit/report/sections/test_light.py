@@ -1,0 +1,74 @@
+"""Figures of merit and corners on the page: in readers' words, and whatever a summary holds."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from metafab.core.storage.tables import typed
+from metafab.report.run_folder import RunFolder
+from metafab.report.sections.light import tolerances
+from metafab.steps.summary import RunSummary
+from metafab.steps.tolerance import CornerFigures, ToleranceFigures
+
+ROW = CornerFigures(
+    corner="cd_bias_nm -10",
+    change=0.2291,
+    peak_ratio=1.0,
+    efficiency=0.8569,
+    efficiency_change=0.0,
+    extinction_ratio=2396.35,
+    turn_deg=-0.4876,
+    depth_error_m=0.0005,
+    relative_error=0.0029,
+    draws=0,
+    solved=1,
+    below_error=False,
+)
+
+
+def _page(row: CornerFigures) -> str:
+    figures = ToleranceFigures((0.25, 0.34), 1e-3, 6, ROW, (row,))
+    # Through its file and back, as the page reads it.
+    table = json.loads(json.dumps(RunSummary(tolerance=figures).table()))
+    return tolerances(RunFolder(Path(), summary=RunSummary(tolerance=typed(ToleranceFigures, table["tolerance"]))))
+
+
+@pytest.mark.parametrize(
+    ("corner", "text"),
+    [
+        ("cd_bias_nm -10", "CD bias −10 nm"),
+        ("height_nm +10", "height +10 nm"),
+        ("sidewall_angle_deg -2", "sidewall −2°"),
+        ("pillar_n_shift +0.0135", "pillar index +0.0135"),
+        ("missing 1 per mille", "missing 1 per mille"),
+    ],
+)
+def test_corners_are_named_for_readers(corner: str, text: str) -> None:
+    assert f">{text}</td>" in _page(replace(ROW, corner=corner))
+
+
+def test_figures_of_corners_stand_in_line() -> None:
+    page = _page(ROW)
+    for cell in ("1.000", "0.857", "2\u202f396", "−0.49", "0.2", "0.29\u202f%"):
+        assert f">{cell}</td>" in page
+
+
+def test_what_is_no_number_is_shown_as_such() -> None:
+    """A summary has null where a pair does not turn, and "inf" where nothing is unwanted."""
+    page = _page(replace(ROW, extinction_ratio=math.inf, depth_error_m=math.nan))
+    assert ">inf</td>" in page
+    assert ">–</td>" in page
+
+
+def test_a_change_below_the_error_is_told_so() -> None:
+    page = _page(replace(ROW, below_error=True))
+    assert ">below error</td>" in page and ">0.29\u202f%</td>" not in page
+
+
+def test_nobody_asked_for_corners() -> None:
+    assert tolerances(RunFolder(Path())) == ""
