@@ -280,9 +280,9 @@ def _sweep(
             width, length = np.int64(size[i, 0]), np.int64(size[i, 1])
             while above < above_end and corner[above, 0] + widest + reach < left:
                 above += 1
-            for beside in range(2):
-                j = i + 1 if beside == 0 else above
-                end = start[one + 1] if beside == 0 else above_end
+            for in_row_above in range(2):
+                j = above if in_row_above else i + 1
+                end = above_end if in_row_above else start[one + 1]
                 while j < end and corner[j, 0] < left + width + reach:
                     x, y = np.int64(corner[j, 0]), np.int64(corner[j, 1])
                     gap_x = max(x - left - width, left - x - np.int64(size[j, 0]))

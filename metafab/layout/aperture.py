@@ -53,13 +53,9 @@ class Aperture:
         aperture = cls._of(lattice_of(design), design)
         if aperture.count == 0:
             periods = " x ".join(f"{period:g}" for period in design.unit_cell.cell.period_nm)
-            raise InputError.single(
-                design.name,
-                "device",
-                f"an aperture with room for a unit cell of {periods} nm",
-                f"a {design.device.aperture_shape} without any",
-                "make it larger, or its hole smaller",
-            )
+            expected = f"an aperture with room for a unit cell of {periods} nm"
+            got, remedy = f"a {design.device.aperture_shape} without any", "make it larger, or its hole smaller"
+            raise InputError.single(design.name, "device", expected, got, remedy)
         return aperture
 
     @classmethod

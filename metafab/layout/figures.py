@@ -18,7 +18,7 @@ from metafab.library import Library, SizeTable
 
 @dataclass(frozen=True)
 class MappingFigures:
-    """How well the pillars of a lens follow the target phases; ``_x`` and ``_y`` name the polarisation.
+    """How well the pillars of a lens follow the target phases; the fields in ``_x``, ``_y`` are of one polarisation.
 
     Attributes:
         pillars: number of pillars.
@@ -26,14 +26,8 @@ class MappingFigures:
         min_gap_nm: smallest gap between neighbours; None for a single pillar.
         phase_rms_error_rad: rms over both polarisations, after the constant phases of the mapping.
         mean_transmittance: power transmittance, mean over pillars and polarisations.
-        mean_transmittance_x: power transmittance of x polarisation.
-        mean_transmittance_y: power transmittance of y polarisation.
         field_overlap: |<target, t>|^2 / (<target, target> <t, t>), mean of both polarisations.
-        field_overlap_x: overlap of x polarisation.
-        field_overlap_y: overlap of y polarisation.
         efficiency: transmittance times overlap, the share of power in the wanted wave, mean of both polarisations.
-        efficiency_x: efficiency of x polarisation.
-        efficiency_y: efficiency of y polarisation.
     """
 
     pillars: int

@@ -45,13 +45,10 @@ def whole_dbu(length_nm: float, database_unit_nm: float, field: str, *, even: bo
     units = length_nm / database_unit_nm
     count = round(units)
     if abs(units - count) > 1e-6 or (even and count % 2):
-        raise InputError.single(
-            "mask.database_unit_nm",
-            field,
-            f"{'an even' if even else 'a whole'} number of database units of {database_unit_nm:g} nm",
-            f"{length_nm:g} nm, {units:g} units",
-            _remedy(length_nm, database_unit_nm, 2 if even else 1),
-        )
+        expected = f"{'an even' if even else 'a whole'} number of database units of {database_unit_nm:g} nm"
+        remedy = _remedy(length_nm, database_unit_nm, 2 if even else 1)
+        got = f"{length_nm:g} nm, {units:g} units"
+        raise InputError.single("mask.database_unit_nm", field, expected, got, remedy)
     return count
 
 
@@ -81,12 +78,8 @@ def lattice_of(design: Design) -> Lattice:
     aperture = aperture_dbu(design)
     columns, rows = aperture // p_x, aperture // p_y
     if aperture < max(whole_x, whole_y):
-        raise InputError.single(
-            design.name,
-            "device.aperture_um",
-            "at least one period",
-            f"{design.device.aperture_um:g} um for periods of {design.unit_cell.cell.period_nm} nm",
-        )
+        got = f"{design.device.aperture_um:g} um for periods of {design.unit_cell.cell.period_nm} nm"
+        raise InputError.single(design.name, "device.aperture_um", "at least one period", got)
     _require_coarse_unit(design, max(whole_x, whole_y), aperture)
     if hexagonal:  # Odd numbers make the lattice symmetric about both axes.
         columns, rows = columns // 2 * 2 + 1, (rows - 1) // 2 * 2 + 1
@@ -136,13 +129,10 @@ def field_sites(design: Design) -> tuple[int, int]:
         count = round(field_nm / period_nm)
         if count < 1 or abs(count * period_nm - field_nm) > 1e-3:
             below = max(1, math.floor(field_nm / period_nm))
-            raise InputError.single(
-                design.name,
-                "mask.write_field_um",
-                f"a whole number of periods of {period_nm:g} nm",
-                f"{design.mask.write_field_um:g} um, {field_nm / period_nm:.6g} periods",
-                f"use {below * period_nm * 1e-3:.6g} or {(below + 1) * period_nm * 1e-3:.6g} um",
-            )
+            expected = f"a whole number of periods of {period_nm:g} nm"
+            got = f"{design.mask.write_field_um:g} um, {field_nm / period_nm:.6g} periods"
+            remedy = f"use {below * period_nm * 1e-3:.6g} or {(below + 1) * period_nm * 1e-3:.6g} um"
+            raise InputError.single(design.name, "mask.write_field_um", expected, got, remedy)
         sites.append(count)
     if not hexagonal:
         return sites[0], sites[1]

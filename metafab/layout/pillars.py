@@ -45,13 +45,9 @@ class Lattice:
     def __post_init__(self) -> None:
         for axis, period, count in zip("xy", self.period_dbu, self.shape[::-1], strict=True):
             if period % 2 and count % 2 == 0:
-                raise InputError.single(
-                    "mask",
-                    "database_unit_nm",
-                    f"a unit in which half the {axis} period is a whole number",
-                    f"a period of {period} units",
-                    "halve the unit, so that the sites next to the axis stay exact",
-                )
+                expected = f"a unit in which half the {axis} period is a whole number"
+                remedy = "halve the unit, so that the sites next to the axis stay exact"
+                raise InputError.single("mask", "database_unit_nm", expected, f"a period of {period} units", remedy)
 
     @property
     def cell_dbu(self) -> tuple[int, int]:

@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
@@ -23,7 +22,7 @@ from metafab.mask.oasis.reader import MixedBlockError, OasisReader
 from metafab.mask.oasis.writer import MAGIC
 from metafab.mask.shapes.hierarchy import Chunk, Hierarchy, IntArray, Other, Part
 from metafab.mask.shapes.known import RECTANGLES, KnownShapes
-from metafab.mask.shapes.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, Recovery
+from metafab.mask.shapes.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, Leftover, Recovery
 from metafab.spec import Design
 
 Format = Literal["gds", "oas"]
@@ -32,19 +31,6 @@ _GDSII_BEGINNING = b"\x00\x06\x00\x02"
 
 # Parts of up to this many shapes are decoded ahead and held in memory.
 _AHEAD_SHAPES = 1 << 19
-
-
-@dataclass(frozen=True, eq=False)
-class Leftover:
-    """Shapes on the pillar layer that are not pillars of the lattice.
-
-    Attributes:
-        count: number of shapes.
-        boxes_nm: bounding boxes of the first of them, shape (m, 4), x, y of the lower left corner, width, height.
-    """
-
-    count: int
-    boxes_nm: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,20 +162,15 @@ def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, prog
     progress("reading", total, total)
     size_dbu = recovery.finish()
 
-    def leftover(kind: int) -> Leftover:
-        """Rectangles that were kept apart."""
-        strays = recovery.strays(kind)
-        return Leftover(strays.count, np.multiply(strays.rectangles, unit_nm, dtype=np.float64))
-
     return ReadBack(
         path=path,
         format=format_of(path),
         pillars=PillarMap.from_array(lattice, size_dbu, recovery.size_index, tile_sites(design)),
         at_nm=(place.x_dbu * design.mask.database_unit_nm, place.y_dbu * design.mask.database_unit_nm),
         other_copies=others.counts,
-        off_site=leftover(OFF_SITE),
-        off_grid=leftover(OFF_GRID),
-        duplicates=leftover(DUPLICATE),
+        off_site=recovery.leftover(OFF_SITE, unit_nm),
+        off_grid=recovery.leftover(OFF_GRID, unit_nm),
+        duplicates=recovery.leftover(DUPLICATE, unit_nm),
         foreign={
             kind: Leftover(count, np.array(boxes.get(kind, []), dtype=np.float64).reshape(-1, 4) * unit_nm)
             for kind, count in sorted(foreign.items())

@@ -88,7 +88,7 @@ class GdsiiEncoder(TileEncoder):
         cells = {}
         for size in np.unique(tile.size_index[tile.size_index > 0]).tolist():
             corners = stamp.corner_dbu[size] + stamp.polygons[size]
-            polygon = boundary(corners, stamp.layer, stamp.datatype).astype(">i4").tobytes()
+            polygon = boundary(corners, stamp.layer, stamp.datatype).byteswap().tobytes()
             name = _size_name(stamp, size)
             cells[name] = _structure(name) + polygon + record(records.ENDSTR)
         return cells
@@ -139,11 +139,9 @@ class GdsiiWriter(MaskWriter):
         reach = int(np.abs(rectangles).sum(axis=1).max(initial=0))
         if max(reach, layer << 16) >= 2**31:
             raise _out_of_range(reach, f"{layer}/0")
-        words = np.tile(boundary_template(layer, 0), (len(rectangles), 1))
-        low, high = rectangles[:, :2], rectangles[:, :2] + rectangles[:, 2:]
-        words[:, 5:15:2] = np.stack([low, high, high, low, low], axis=1)[:, :, 0]
-        words[:, 6:15:2] = np.stack([low, low, high, high, low], axis=1)[:, :, 1]
-        self._write(words.byteswap().tobytes())
+        for x, y, width, height in rectangles.tolist():
+            corners = np.array([[x, y], [x + width, y], [x + width, y + height], [x, y + height]])
+            self._write(boundary(corners, layer, 0).byteswap().tobytes())
 
     def _end_cell(self) -> None:
         self._write(record(records.ENDSTR))

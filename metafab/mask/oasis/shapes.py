@@ -23,20 +23,15 @@ class Modal:
 
     Attributes:
         relative: whether positions are relative to the record before.
-        placement: position of the last placement; ``geometry`` and ``text`` likewise.
+        placement: position of the last placement.
         geometry: position of the last shape.
         text: position of the last text.
         cell: name of the last placed cell.
-        layer: layer of shapes.
-        datatype: datatype of shapes.
         text_layer: layer and type of texts.
-        width: width of rectangles and trapezoids.
-        height: their height.
         half_width: half the width of paths.
         extension: extensions of both ends of paths.
         path: vertices of paths, shape (n, 2).
         polygon: vertices of polygons, shape (n, 2).
-        radius: radius of circles.
         trapezoid: type of compact trapezoids.
         repetition: offsets of the last repetition, shape (n, 2).
         unread: data, shape (n,), and position of a later repetition that a compiled run has skipped.

@@ -8,6 +8,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled
 from metafab.layout import Lattice
@@ -20,17 +21,18 @@ PLACED, OFF_SITE, DUPLICATE, OFF_GRID, TOO_MANY_SIZES = range(5)
 KEPT = 200_000
 
 
-@dataclass(frozen=True)
-class Strays:
-    """Rectangles of one kind that have no site.
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """Shapes on the pillar layer that are not pillars of the lattice.
 
     Attributes:
-        count: number of rectangles.
-        rectangles: up to :data:`KEPT` of them, shape (m, 4), x, y, width, height in file units.
+        count: number of shapes.
+        boxes_nm: bounding boxes of up to :data:`KEPT` of them, shape (m, 4), x, y of the lower left corner, width,
+            height.
     """
 
     count: int
-    rectangles: IntArray
+    boxes_nm: FloatArray
 
 
 class Recovery:
@@ -94,9 +96,9 @@ class Recovery:
                 kept.append(strays[:room] + np.concatenate([shift, [0, 0]]))
             self._counts[kind] += len(strays)
 
-    def strays(self, kind: int) -> Strays:
-        """Return the rectangles that were kept apart: ``OFF_SITE``, ``DUPLICATE`` or ``OFF_GRID``."""
-        return Strays(self._counts[kind], np.concatenate([np.empty((0, 4), dtype=np.int64), *self._kept[kind]]))
+    def leftover(self, kind: int, unit_nm: float) -> Leftover:
+        """Return the rectangles that were kept apart as ``OFF_SITE``, ``DUPLICATE`` or ``OFF_GRID``."""
+        return Leftover(self._counts[kind], np.concatenate([np.empty((0, 4)), *self._kept[kind]]) * unit_nm)
 
     def finish(self) -> NDArray[np.int32]:
         """Sort the sizes by width and length, renumber the sites, and return the sizes, shape (n_sizes + 1, 2)."""
