@@ -1,20 +1,21 @@
 """Calibration of a camera from photographs of a point on the axis at known depths (the procedure of Fig. 2g).
 
-The prediction from the mask is fitted to each image of the point: where it stands, and the vergence at which it looks
-like this. From all of them together follow the camera's misalignments:
+The prediction from the mask is fitted to each image of the point: its place on the sensor, and its vergence. All fits
+together give the misalignment of the camera:
 
-- the vergence offset, from a wrong distance of the sensor or another wavelength;
-- its difference between the two images, from a sensor that is tilted about the y axis;
+- the vergence offset, from an error of the sensor's distance or of the wavelength;
+- its difference between the two images, from a tilt of the sensor about the y axis;
 - rotation, magnification and shift of the sensor plane, from the places.
 
-Distance and wavelength are not told apart. The mask's phase is what it is, and from there to the sensor light depends
-on wavelength times distance alone (Fresnel): a wavelength longer by a share d and a sensor nearer by d leave the spots
-as they are. The split disperses by 3.8 um a nanometre for the paper's lens, in opposite senses, but a farther sensor
-moves the images apart alike: of their distance tan^2(theta) d is left, 0.15 um a nanometre, a twentieth of a pixel,
-which is what places are known to. Else it is the object's own 1/depth, seen as (1 - d) / depth: 0.004 per metre a
-nanometre at 30 cm, or 0.1 % of the depth. The offset has all of that in it, but for 0.02 % at the ends of 25 to 34 cm.
+Distance and wavelength cannot be separated. The phase of the mask is fixed, and behind it light depends on the product
+of wavelength and distance alone (Fresnel): a wavelength longer by a share d, with a sensor nearer by d, gives the same
+spots. The split of the paper's lens disperses by 3.8 um per nanometre, in opposite senses, but a farther sensor moves
+the images apart as well. Their distance keeps tan^2(theta) d: 0.15 um per nanometre, a twentieth of a pixel, which is
+the accuracy of the places. The only other difference is the object's 1/depth, seen as (1 - d) / depth: 0.004 per metre
+and nanometre at 30 cm, or 0.1 % of the depth. The offset contains all of it except 0.02 % at the ends of 25 to 34 cm.
 
-The calibrated stack is the prediction with these, so that it covers the field of view without a photograph of it.
+The calibrated stack is the prediction with this misalignment, so that it covers the field of view without photographs
+of all of it.
 """
 
 from __future__ import annotations
@@ -37,35 +38,37 @@ from metafab.decode.camera_fit.point import PointImage, find_point
 from metafab.decode.registration.calibration import stretched
 from metafab.optics.point_spread import Psf
 
+#: Rounds of fitting: each uses the rotation and magnification of the one before.
 _ROUNDS = 3
-#: Places of one image's points are wrong together by so much: the pair is interpolated, and pixels are squares.
+#: Systematic error common to the places of one image, pixels: the pair is interpolated, and pixels are squares.
 _COMMON_PX = 0.02
-#: No image of a point, by its camera, is explained worse: shares of its power.
+#: Share of an image's power that the prediction may leave unexplained; images of a point by its camera have less.
 _LARGEST_MISFIT = 0.3
-#: Nor do places fit worse to a sensor that is only turned, shifted and magnified, pixels.
+#: Residual of the places against a rotated, shifted and magnified sensor, from which they are no camera's, pixels.
 _LARGEST_PLACE_RMS_PX = 0.5
-#: Nor do depths differ more from the table's, as a share, where that is more than so many standard errors.
+#: Relative rms residual of depth above which the table of depths is doubted, if it also exceeds ``_SIGMAS`` standard
+#: errors.
 _LARGEST_DEPTH_RMS, _SIGMAS = 0.01, 5.0
 
 
 @dataclass(frozen=True)
 class CameraFit:
-    """A camera against the prediction from its mask.
+    """Misalignment of a camera against the prediction from its mask.
 
     Attributes:
-        vergence_offset_per_m: what the camera adds to 1/depth, mean of both images.
-        tilt_per_m: half the difference of the y and the x image's offset.
-        rotation_deg: of the pair in the frame, counter-clockwise.
+        vergence_offset_per_m: offset of the fitted 1/depth, mean of both images.
+        tilt_per_m: half the difference between the offsets of the y and the x image.
+        rotation_deg: rotation of the pair in the frame, counter-clockwise.
         magnification: of the sensor plane.
         shift_um: (x, y) of the axis in the frame.
-        place_rms_px: residual of the places of the point's images.
-        vergence_rms_per_m: residual of their vergences.
+        place_rms_px: rms residual of the places of the point's images.
+        vergence_rms_per_m: rms residual of their vergences.
         vergence_error_per_m: standard error of ``vergence_offset_per_m``, and of ``tilt_per_m``.
         rotation_error_deg: standard error of ``rotation_deg``.
         magnification_error: standard error of ``magnification``.
         shift_error_um: standard error of either coordinate of ``shift_um``.
-        chi_square: mean square of what the fit leaves of the photographs, in standard deviations of their noise.
-        misfit: largest share of an image's power that the prediction does not explain, noise taken off.
+        chi_square: mean square of the residual over that of the photographs' noise.
+        misfit: largest share of an image's power that neither the prediction nor noise explains.
     """
 
     vergence_offset_per_m: float
@@ -84,13 +87,13 @@ class CameraFit:
 
     @property
     def turn(self) -> FloatArray:
-        """Places in the frame from predicted ones, without the shift: shape (2, 2) over (x, y)."""
+        """Matrix from predicted places to places in the frame, without the shift: shape (2, 2) over (x, y)."""
         c, s = math.cos(math.radians(self.rotation_deg)), math.sin(math.radians(self.rotation_deg))
         return self.magnification * np.array([[c, -s], [s, c]])
 
     @property
     def back(self) -> FloatArray:
-        """The inverse of ``turn``."""
+        """The inverse of ``turn``: shape (2, 2)."""
         return np.asarray(np.linalg.inv(self.turn), dtype=np.float64)
 
     def offset_per_m(self, polarisation: int) -> float:
@@ -98,7 +101,7 @@ class CameraFit:
         return self.vergence_offset_per_m + (self.tilt_per_m if polarisation else -self.tilt_per_m)
 
 
-#: What a fit leaves together, and why.
+#: Parameters that no fit can separate, and the reason.
 NOT_SEPARATED = (
     "sensor distance and wavelength: a fixed mask's images depend on their product alone, "
     "but for 1/depth, whose change is part of the vergence offset"
@@ -108,7 +111,7 @@ _AS_PREDICTED = CameraFit(0.0, 0.0, 0.0, 1.0, (0.0, 0.0), 0.0, 0.0)
 
 
 def calibrate(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: Psf) -> tuple[Psf, CameraFit]:
-    """Fit a prediction to photographs of a point on the axis.
+    """Calibrate a camera from photographs of a point on the axis.
 
     Args:
         frames: at least two, each with both images of the point.
@@ -116,12 +119,12 @@ def calibrate(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: 
         predicted: the pair from the mask, of at least four depths.
 
     Returns:
-        The calibrated pair over the depths that the prediction covers with the fitted offsets, and the fit. The pair's
-        ``details`` hold the fit's figures; ``phi_deg`` is turned with it, and ``error`` stays the prediction's.
+        The calibrated pair, over the depths that the prediction covers with the fitted offsets, and the fit. The pair's
+        ``details`` hold the figures of the fit; ``phi_deg`` includes its rotation, and ``error`` is the prediction's.
 
     Raises:
-        InputError: too few frames, depths outside the range, another pixel, no image of a point in a frame, or images
-            that are no camera's: saturated, unlike the prediction, at its end, or at odds with each other.
+        InputError: too few frames, depths outside the range, another pixel pitch, no image of a point in a frame, or
+            images that are saturated, unlike the prediction, at an end of its range, or inconsistent.
     """
     _check(frames, depths_m, predicted)
     vergence = 1.0 / np.asarray(depths_m, dtype=np.float64)
@@ -139,7 +142,7 @@ def calibrate(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: 
 
 
 def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
-    """The depths of frames from a table of lines "file name, depth in m"; a line that starts with # is left out.
+    """Read the depths of frames from a table of lines "file name, depth in m"; lines that start with # are skipped.
 
     Raises:
         InputError: the table cannot be read, a depth is not a positive number, or a frame is not in it.
@@ -177,34 +180,32 @@ def _check(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: Psf
         )
     for frame, depth_m in zip(frames, depths_m, strict=True):
         if not low <= depth_m <= high:
-            raise InputError.single(
-                "calibration", "depth_m", f"a depth that the prediction covers, {low:g} to {high:g} m", f"{depth_m:g}",
-                "predict the pair over a wider range (`metafab psf --depths-m ...`)",
-            )  # fmt: skip
+            expected = f"a depth that the prediction covers, {low:g} to {high:g} m"
+            remedy = "predict the pair over a wider range (`metafab psf --depths-m ...`)"
+            raise InputError.single("calibration", "depth_m", expected, f"{depth_m:g}", remedy)
         if abs(frame.pixel_um / predicted.pixel_um - 1.0) > 1e-6:
-            raise InputError.single(
-                "calibration", "pixel_um", f"{predicted.pixel_um:g} um as the prediction", f"{frame.pixel_um:g} um",
-                "predict the pair on the camera's pixels (`metafab psf --pixel-um P`)",
-            )  # fmt: skip
+            expected = f"{predicted.pixel_um:g} um as the prediction"
+            remedy = "predict the pair on the camera's pixels (`metafab psf --pixel-um P`)"
+            raise InputError.single("calibration", "pixel_um", expected, f"{frame.pixel_um:g} um", remedy)
 
 
 def _turned(psf: Psf, fit: CameraFit) -> Psf:
-    """The stack on the axis with the sensor's rotation and magnification; neither places nor depths are moved."""
+    """The stack on the axis with the sensor's rotation and magnification, places and depths unchanged."""
     n_y, n_x = psf.psf.shape[-2:]
     flat = stretched(psf.psf.reshape(-1, n_y, n_x).astype(np.float32), fit.back)
     return dataclasses.replace(psf, psf=flat.reshape(psf.psf.shape).astype(np.float64), field=None)
 
 
 def _expected_um(predicted: Psf, polarisation: int, fit: CameraFit) -> FloatArray:
-    """Where an image of a point on the axis stands in the frame."""
+    """Expected place (x, y) in the frame of the image of a point on the axis."""
     middle = predicted.centre_um[polarisation, predicted.depth_m.size // 2]
     return np.asarray(fit.turn @ middle + np.array(fit.shift_um))
 
 
 def _fit(points: Sequence[Sequence[PointImage]], vergence: FloatArray, predicted: Psf) -> CameraFit:
-    """Misalignments from the images of each frame, x before y.
+    """Fit the misalignment to the images (x, y) of each frame.
 
-    Standard errors are of the photographs' noise or of what they disagree by, whichever is more.
+    Standard errors follow from the noise of the photographs, or from the residuals where these are larger.
     """
     found = np.array([[(p.vergence_per_m, *p.place_um, *p.variance) for p in pair] for pair in points])
     offset = found[..., 0] - vergence[:, None]
@@ -218,7 +219,7 @@ def _fit(points: Sequence[Sequence[PointImage]], vergence: FloatArray, predicted
     away_um = np.abs(factor * z + shift - w)
     place_variance = max(float(np.mean(found[..., 4:])), float(np.sum(away_um**2)) / (2.0 * z.size - 4.0))
     lever = float(np.sum(np.abs(z - z.mean()) ** 2))
-    # What one image's places have in common looks like a turn: photographs cannot disagree about it.
+    # The systematic error of one image's places looks like a rotation; residuals do not show it.
     common = z.size / 2.0 * (_COMMON_PX * predicted.pixel_um) ** 2
     turn_error = math.sqrt((place_variance + common) / lever)
     # A median's variance is pi / 2 times a mean's; both images' halves add up.
@@ -243,32 +244,19 @@ def _fit(points: Sequence[Sequence[PointImage]], vergence: FloatArray, predicted
 
 
 def _faults(points: Sequence[Sequence[PointImage]], depths_m: Sequence[float], fit: CameraFit) -> list[Fault]:
-    """Why the photographs are no calibration."""
-    full, unlike, at_end = {}, {}, {}
-    for pair, z in zip(points, depths_m, strict=True):
+    """Reasons why the photographs give no calibration."""
+    faults = []
+    for pair, depth_m in zip(points, depths_m, strict=True):
+        name, misfit = f"frame at {depth_m:g} m", max(p.misfit for p in pair)
         if pixels := sum(p.full_pixels for p in pair):
-            full[z] = f"{pixels} full pixels"
-        elif (misfit := max(p.misfit for p in pair)) > _LARGEST_MISFIT:
-            unlike[z] = f"{misfit:.0%} unlike it"
+            faults.append(Fault(name, "points that are not saturated", f"{pixels} full pixels", "expose shorter"))
+        elif misfit > _LARGEST_MISFIT:
+            expected = f"images of a point as predicted, but for {_LARGEST_MISFIT:.0%} of their power"
+            remedy = "is it a point, of this mask, the right way up and not mirrored, and is the noise stated?"
+            faults.append(Fault(name, expected, f"{misfit:.0%} unlike it", remedy))
         elif any(p.at_end for p in pair):
-            at_end[z] = "like an end of it"
-    faults = [
-        Fault(f"frame at {' and '.join(f'{z:g}' for z in got)} m", expected, ", ".join(got.values()), remedy)
-        for got, expected, remedy in (
-            (full, "points that are not saturated", "expose shorter"),
-            (
-                unlike,
-                f"images of a point as predicted, but for {_LARGEST_MISFIT:.0%} of their power",
-                "is it a point, of this mask, the right way up and not mirrored, and is the noise stated?",
-            ),
-            (
-                at_end,
-                "images like the prediction inside its range",
-                "check the depths, or predict the pair over a wider range (`metafab psf --depths-m ...`)",
-            ),
-        )
-        if got
-    ]
+            remedy = "check the depths, or predict the pair over a wider range (`metafab psf --depths-m ...`)"
+            faults.append(Fault(name, "images like the prediction inside its range", "like an end of it", remedy))
     if not faults and fit.place_rms_px > _LARGEST_PLACE_RMS_PX:
         expected = f"places of a sensor that is turned, shifted and magnified, within {_LARGEST_PLACE_RMS_PX:g} pixels"
         remedy = "was the point on the axis in each, and the camera left alone between them?"
@@ -283,7 +271,7 @@ def _faults(points: Sequence[Sequence[PointImage]], depths_m: Sequence[float], f
 
 
 def _calibrated(predicted: Psf, fit: CameraFit) -> Psf:
-    """The prediction as the fitted camera sees it, at those of its depths that stay inside its range."""
+    """The prediction with the misalignment, at the depths that stay inside its range."""
     nodes = 1.0 / predicted.depth_m
     offsets = [fit.offset_per_m(p) for p in (0, 1)]
     keep = np.all([(nodes + d >= nodes.min()) & (nodes + d <= nodes.max()) for d in offsets], axis=0)
@@ -291,7 +279,7 @@ def _calibrated(predicted: Psf, fit: CameraFit) -> Psf:
     weights = [spline_weights(nodes, nodes[keep] + d) for d in offsets]
 
     def moved(stack: NDArray[np.floating], centre: FloatArray) -> tuple[NDArray[np.float32], FloatArray]:
-        """Both with axes (polarisation, depth, ...)."""
+        """Interpolate and rotate a stack and its centres, both with axes (polarisation, depth, ...)."""
         new = np.stack([np.tensordot(weights[p], stack[p], axes=(1, 0)) for p in (0, 1)])
         n_y, n_x = new.shape[-2:]
         turned = stretched(new.reshape(-1, n_y, n_x).astype(np.float32), fit.back).reshape(new.shape)

@@ -1,4 +1,4 @@
-"""One image of a point in a photograph: where it stands, which depth it looks like, and how well the model fits."""
+"""Least-squares fit of the predicted PSF to one image of a point in a photograph."""
 
 from __future__ import annotations
 
@@ -16,28 +16,29 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.splines import spline_weights
 
-#: How far from its predicted place an image of the point may stand, pixels.
+#: Largest distance of an image from its predicted place, pixels.
 _SEARCH_PX = 64
-#: Vergences over the calibrated range that the search for the image tries.
+#: Trial vergences of the matched-filter search, over the calibrated range.
 _TRIALS = 9
-#: So near to an end of the calibrated range, as a share of it, a vergence was stopped by the end.
+#: Distance from an end of the calibrated range, as a share of it, at which a fit was stopped by the end.
 _AT_END = 1e-3
-#: A full pixel among others of this share of its light belongs to the point; alone in the dark, it is a hot one.
+#: Brightness of a saturated pixel's neighbours, as a share of it, from which it belongs to the point; in the dark it
+#: is a hot pixel.
 _LIT = 0.25
 
 
 @dataclass(frozen=True)
 class PointImage:
-    """What one image of the point says.
+    """Fit of the prediction to one image of the point.
 
     Attributes:
-        vergence_per_m: at which the prediction looks most like it.
+        vergence_per_m: 1/depth at which the prediction fits best.
         place_um: (x, y) on the sensor.
-        variance: of the vergence and of both coordinates of the place, by the photograph's noise; where the prediction
-            fits worse than that, by what is left.
-        chi_square: mean square of what is left, in standard deviations of photon and read noise; 1 for a perfect model.
-        misfit: share of the image's power that the model does not explain, noise taken off.
-        full_pixels: saturated ones in the image.
+        variance: of the vergence and of both coordinates of the place, from the photograph's noise, or from the
+            residual where that is larger.
+        chi_square: mean square of the residual over that of photon and read noise; 1 for a perfect model.
+        misfit: share of the image's power that neither the model nor noise explains.
+        full_pixels: number of saturated pixels in the image.
         at_end: whether the vergence was stopped by an end of the predicted range.
     """
 
@@ -53,17 +54,17 @@ class PointImage:
 def find_point(
     frame: RawFrame, depth_m: float, polarisation: int, kernels: PairKernels, place_um: FloatArray
 ) -> PointImage:
-    """Look for the image of a point and fit it.
+    """Find the image of a point and fit the prediction to it.
 
     Args:
         frame: the photograph.
-        depth_m: the point's, for messages.
+        depth_m: depth of the point, for messages.
         polarisation: 0 for x, 1 for y.
         kernels: the prediction on the axis.
-        place_um: (x, y), about where the image is looked for.
+        place_um: shape (2,), predicted place (x, y) on the sensor.
 
     Raises:
-        InputError: there is none.
+        InputError: there is no image of a point near the predicted place.
     """
     n_y, n_x = kernels.shape
     column, row = (round((place_um[axis] - frame.origin_um[axis]) / frame.pixel_um) for axis in (0, 1))
@@ -72,49 +73,50 @@ def find_point(
     part = np.asarray(frame.frame, dtype=np.float64)[top : row + half_y, left : column + half_x]
     if part.shape[0] < n_y or part.shape[1] < n_x or not np.isfinite(part).all():
         raise _no_point(depth_m, polarisation)
-    part, full = _without_hot(part, frame.saturation_e)
+    part, full = _without_hot_pixels(part, frame.saturation_e)
     part = part - np.median(part)
-    start, at = _coarse(part, kernels, polarisation, 1.0 / kernels.psf.depth_m)
+    start, at = _matched_place(part, kernels, polarisation, 1.0 / kernels.psf.depth_m)
     window = slice(at[0], at[0] + n_y), slice(at[1], at[1] + n_x)
     cut = part[window]
     if cut.max() <= 6.0 * (frame.read_noise_e + np.median(np.abs(part))):
         raise _no_point(depth_m, polarisation)
     solved, explained = _fitted(cut, kernels, polarisation, start, frame.read_noise_e)
-    found, range_per_m = solved.x, float(np.ptp(1.0 / kernels.psf.depth_m))
-    freedom = cut.size - found.size - 2
+    solution, range_per_m = solved.x, float(np.ptp(1.0 / kernels.psf.depth_m))
+    freedom = cut.size - solution.size - 2
     chi_square = 2.0 * float(solved.cost) / freedom
     slopes = np.asarray(solved.jac, dtype=np.float64)
     variance = max(1.0, chi_square) * np.diag(np.linalg.pinv(slopes.T @ slopes))
     variance = variance * np.array([range_per_m, frame.pixel_um, frame.pixel_um]) ** 2
-    x_um = frame.origin_um[0] + frame.pixel_um * (left + at[1] + n_x // 2 + float(found[2]))
-    y_um = frame.origin_um[1] + frame.pixel_um * (top + at[0] + n_y // 2 + float(found[1]))
-    left_over = max(0.0, 2.0 * float(solved.cost) - freedom)
+    x_um = frame.origin_um[0] + frame.pixel_um * (left + at[1] + n_x // 2 + float(solution[2]))
+    y_um = frame.origin_um[1] + frame.pixel_um * (top + at[0] + n_y // 2 + float(solution[1]))
+    unexplained = max(0.0, 2.0 * float(solved.cost) - freedom)
     return PointImage(
-        float(1.0 / kernels.psf.depth_m.max() + found[0] * range_per_m),
+        float(1.0 / kernels.psf.depth_m.max() + solution[0] * range_per_m),
         (x_um, y_um),
         (float(variance[0]), float(variance[1]), float(variance[2])),
         chi_square,
-        left_over / max(left_over + explained, 1e-300),
+        unexplained / max(unexplained + explained, 1e-300),
         int(full[window].sum()),
-        bool(min(found[0], 1.0 - found[0]) < _AT_END),
+        bool(min(solution[0], 1.0 - solution[0]) < _AT_END),
     )
 
 
-def _without_hot(part: FloatArray, saturation_e: float | None) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """The picture with hot pixels mended from those about them, and which of the others are full."""
+def _without_hot_pixels(part: FloatArray, saturation_e: float | None) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """The picture with hot pixels replaced by the median about them, and whether each other pixel is saturated."""
     if saturation_e is None or not (full := part >= saturation_e).any():
         return part, np.zeros(part.shape, dtype=np.bool_)
-    about = median_filter(part, 3)
-    lit = about > _LIT * saturation_e
-    return np.where(full & ~lit, about, part), full & lit
+    median = median_filter(part, 3)
+    lit = median > _LIT * saturation_e
+    return np.where(full & ~lit, median, part), full & lit
 
 
 def _fitted(
     cut: FloatArray, kernels: PairKernels, polarisation: int, start_per_m: float, read_noise_e: float
 ) -> tuple[OptimizeResult, float]:
-    """Vergence (as a share of the range) and place (row, column, from the middle) of a point in a window.
+    """Fit vergence (as a share of the range) and place (row, column, from the middle) of a point in a window.
 
-    Also the power that the model explains, in the same units as the cost: standard deviations of the noise, squared.
+    Returns:
+        The solution, and the power that the model explains, in variances of the noise like the cost.
     """
     n_y, n_x = cut.shape
     nodes = 1.0 / kernels.psf.depth_m
@@ -124,7 +126,7 @@ def _fitted(
     data, one = (cut / deviation).ravel(), (1.0 / deviation).ravel()
 
     def model(unknown: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The point's image and the whole model. Brightness and background follow from the rest."""
+        """The point's image and the whole model; brightness and background are solved linearly."""
         kernel = np.tensordot(spline_weights(nodes, nodes.min() + unknown[0] * np.ptp(nodes)), basis, axes=(0, 0))
         moved = scipy.fft.rfft2(kernel) * np.exp(-2j * np.pi * (ky * unknown[1] + kx * unknown[2]))
         image = (scipy.fft.irfft2(moved, (n_y, n_x)) / deviation).ravel()
@@ -141,10 +143,10 @@ def _fitted(
     return solved, float((model(solved.x)[0] ** 2).sum())
 
 
-def _coarse(
+def _matched_place(
     part: FloatArray, kernels: PairKernels, polarisation: int, nodes: FloatArray
 ) -> tuple[float, tuple[int, int]]:
-    """The trial vergence and the whole pixel (first of the window) whose kernel the picture is most like."""
+    """Trial vergence and first pixel (row, column) of the window with the largest matched-filter response."""
     n_y, n_x = kernels.shape
     spectrum = scipy.fft.rfft2(part)
     best: tuple[float, float, tuple[int, int]] = (-np.inf, 0.0, (0, 0))

@@ -69,7 +69,7 @@ class SharpImages:
 
 @dataclass(frozen=True)
 class Deconvolver:
-    """Wiener deconvolution with one calibration, and the transfer functions last used.
+    """Wiener deconvolution with one calibration; the transfer functions last used are kept.
 
     Attributes:
         calibration: kernels on the grid.

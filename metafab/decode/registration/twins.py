@@ -197,7 +197,17 @@ def extract(frame: RawFrame, grid: TwinGrid) -> Twins:
 def extract_part(
     frame: RawFrame, grid: TwinGrid, rows: slice, columns: slice
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Register a part of the window: ``image`` and ``bad`` of its :class:`Twins`, shaped as documented there."""
+    """Register a part of the window.
+
+    Args:
+        frame: of the grid's shape.
+        grid: place of the twins.
+        rows: rows of the part in the window, n_y of them.
+        columns: columns of the part, n_x of them.
+
+    Returns:
+        ``image`` and ``bad`` of :class:`Twins`, shapes (2, n_y + 2 margin, n_x + 2 margin) and (n_y, n_x).
+    """
     m = grid.margin
     wide = slice(rows.start, rows.stop + 2 * m), slice(columns.start, columns.stop + 2 * m)
     whole = (rows.stop - rows.start, columns.stop - columns.start) == grid.shape
