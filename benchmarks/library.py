@@ -114,7 +114,7 @@ def _evaluation_row(built: Library, quick: bool) -> dict[str, Any]:
         "cpu_seconds": spent.cpu_seconds,
         "sizes_per_second": REPEATS * count / spent.seconds,
         "sizes_per_cpu_second": REPEATS * count / spent.cpu_seconds,
-        "table_mb": built.surface.nbytes / 1e6,
+        "table_mb": built.surface.tiles.nbytes / 1e6,
     }
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from metafab.cell.meep import Pool, SupercellSettings, estimate, solve_supercell
+from metafab.cell.meep.supercell import Cost
 from metafab.cell.supercell import IntArray, Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
@@ -44,9 +45,7 @@ class PatchPlan:
         y_um: shape (n_y,), y of the sites of the supercell.
         padding_sites: width of the frame.
         settings: grid and decay.
-        pixels: pixels of the simulated part.
-        seconds: expected time on one core, for one polarisation.
-        memory_mb: expected memory.
+        cost: expected cost on one core, for one polarisation.
     """
 
     supercell: Supercell
@@ -54,9 +53,7 @@ class PatchPlan:
     y_um: FloatArray
     padding_sites: int
     settings: SupercellSettings
-    pixels: int
-    seconds: float
-    memory_mb: float
+    cost: Cost
 
 
 @dataclass(frozen=True)
@@ -170,8 +167,7 @@ def plan_patch(
     inner = _inside(supercell.size_nm, padding_sites)
     if not np.any(inner > 0.0):
         raise InputError.single("patch", "at_um", "a place with pillars", f"none about {at_um[0]:g}, {at_um[1]:g} um")
-    cost = estimate(supercell, settings)
-    return PatchPlan(supercell, x, y, padding_sites, settings, cost.pixels, cost.seconds, cost.bytes / 2**20)
+    return PatchPlan(supercell, x, y, padding_sites, settings, estimate(supercell, settings))
 
 
 def solve_patch(

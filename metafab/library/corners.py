@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.conventions import FloatArray
 from metafab.library.axes import Corner, CornerBox
 from metafab.library.fit.certificate import NEIGHBOURS, disagreement_estimate, steepness
 from metafab.library.fit.models import RankedModels
@@ -45,23 +45,6 @@ class CornerStatistics:
 
 
 @dataclass(frozen=True)
-class CornerResponse:
-    """Amplitudes and errors of all sizes at one corner.
-
-    Attributes:
-        model: amplitudes as functions of the drawn sizes.
-        amplitudes: shape (4, n_length, n_width), t_xx, t_yy, r_xx, r_yy.
-        error: shape (n_length, n_width), error at each size.
-        model_error: shape (n_length, n_width), error around each size.
-    """
-
-    model: RationalModel
-    amplitudes: ComplexArray
-    error: FloatArray
-    model_error: FloatArray
-
-
-@dataclass(frozen=True)
 class Corners:
     """Models over sizes and axes with what is needed to bound their error.
 
@@ -83,8 +66,8 @@ class Corners:
 
     def at(
         self, box: CornerBox, corner: Corner, width_nm: FloatArray, length_nm: FloatArray, exchange: bool
-    ) -> CornerResponse:
-        """Evaluate a corner on a grid of sizes.
+    ) -> tuple[RationalModel, FloatArray, FloatArray]:
+        """Return the model of a corner and its error bounds on a grid of sizes.
 
         Args:
             box: axes of the library.
@@ -92,6 +75,9 @@ class Corners:
             width_nm: shape (n_width,).
             length_nm: shape (n_length,).
             exchange: whether t_xx(W, L) = t_yy(L, W) at this corner.
+
+        Returns:
+            Model of the drawn sizes, error at each size, and error around each size, shape (n_length, n_width) each.
         """
         bias_nm, axes = corner.get("cd_bias_nm", 0.0), box.to_variables(corner)
         models = self.models.at(axes, bias_nm)
@@ -102,14 +88,9 @@ class Corners:
             return np.asarray(np.maximum(self.safety_factor * estimate, self.floor), dtype=np.float64)
 
         on_grid = model_error(models.disagreement(width_nm, length_nm))
-        around = model_error(models.disagreement_around(width_nm, length_nm))
+        around = model_error(models.disagreement(width_nm, length_nm, around=True))
         certificate = self._certificate(box, width_nm + bias_nm, length_nm + bias_nm, axes)
-        return CornerResponse(
-            model=best,
-            amplitudes=best.on_grid(width_nm, length_nm),
-            error=certificate + on_grid,
-            model_error=certificate * steepness(best, width_nm, length_nm) + around,
-        )
+        return best, certificate + on_grid, certificate * steepness(best, width_nm, length_nm) + around
 
     def _certificate(self, box: CornerBox, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray) -> FloatArray:
         """The solver's error at each size: the largest of the nearest solved cells, shape (n_length, n_width)."""

@@ -160,8 +160,8 @@ class Library:
         if corner == box.nominal:
             return self
         exchange = box.exchanges and is_square(self.unit_cell) and np.array_equal(self.width_nm, self.length_nm)
-        response = self.corners.at(box, corner, self.width_nm, self.length_nm, exchange)
-        t_xx, t_yy, r_xx, r_yy = response.amplitudes[:, None]
+        model, error, model_error = self.corners.at(box, corner, self.width_nm, self.length_nm, exchange)
+        t_xx, t_yy, r_xx, r_yy = model.on_grid(self.width_nm, self.length_nm)[:, None]
         unit_cell = corner_unit_cell(self.unit_cell, corner)
         return replace(
             self,
@@ -171,11 +171,11 @@ class Library:
             t_yy=t_yy,
             r_xx=r_xx,
             r_yy=r_yy,
-            error=response.error[None],
+            error=error[None],
             inputs_sha256=fingerprint(self.inputs_sha256, sorted(corner.items())),
-            statistics=BuildStatistics(max_error=float(response.error.max())),
-            model=response.model,
-            model_error=response.model_error,
+            statistics=BuildStatistics(max_error=float(error.max())),
+            model=model,
+            model_error=model_error,
             corners=None,
             corner=corner,
         )
@@ -224,10 +224,7 @@ class Library:
 
 
 def evaluate(library: Library, width_nm: ArrayLike, length_nm: ArrayLike, **axes: float) -> SizeResponse:
-    """Evaluate a library between its sizes.
-
-    The surface behind is built at the first call and kept with the library. To evaluate a corner often, keep
-    ``library.at(...)``.
+    """Evaluate a library between its sizes; to evaluate a corner often, keep ``library.at(...).surface``.
 
     Args:
         library: library to evaluate.

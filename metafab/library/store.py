@@ -29,11 +29,7 @@ from metafab.spec.toml import validate
 Statistics = TypeVar("Statistics", BuildStatistics, CornerStatistics)
 
 _REMEDY = "build it with `metafab library build UNITCELL.toml`"
-_AXES = {
-    "wavelength_nm": "vacuum wavelength",
-    "length_nm": "pillar size along y",
-    "width_nm": "pillar size along x",
-}
+_AXES = {"wavelength_nm": "vacuum wavelength", "length_nm": "pillar size along y", "width_nm": "pillar size along x"}
 _AMPLITUDES = {
     "t_xx": "zero-order transmission of x polarised light",
     "t_yy": "zero-order transmission of y polarised light",

@@ -96,11 +96,6 @@ class Surface:
         spline_error, allowed = _cells(node_error, 1), SPLINE_SHARE * target_error
         return _tiled(fine_width, fine_length, coefficients, spline_error, cell_error, model, allowed)
 
-    @property
-    def nbytes(self) -> int:
-        """Memory of the tables."""
-        return self.tiles.nbytes
-
     def __call__(self, width_nm: ArrayLike, length_nm: ArrayLike) -> SizeResponse:
         """Evaluate at any sizes within the sweep.
 

@@ -171,17 +171,18 @@ def patch_command(
             settings=SupercellSettings(pixels_per_period, decay=PATCH_DECAY),
         )
         rows, columns = plan.supercell.shape
-        cost = f"about {plan.seconds / 60.0:.2g} min and {plan.memory_mb:.2g} MB"
-        print(f"metafab: {columns} x {rows} pillars, {plan.pixels:.2g} pixels, {cost}", file=sys.stderr)
-        if not force and (plan.seconds > 60.0 * limit_min or plan.memory_mb > limit_mb):
+        memory_mb = plan.cost.bytes / 2**20
+        cost = f"about {plan.cost.seconds / 60.0:.2g} min and {memory_mb:.2g} MB"
+        print(f"metafab: {columns} x {rows} pillars, {plan.cost.pixels:.2g} pixels, {cost}", file=sys.stderr)
+        if not force and (plan.cost.seconds > 60.0 * limit_min or memory_mb > limit_mb):
             raise InputError.single(
                 "patch", "size_um", f"at most {limit_min:g} min and {limit_mb:g} MB", cost,
                 "make it smaller or its grid coarser, raise the limits, or give --force",
             )  # fmt: skip
-        with Pool(1, limit_s=max(3600.0, _PATIENCE * plan.seconds), keep=own_folder()) as pool:
+        with Pool(1, limit_s=max(3600.0, _PATIENCE * plan.cost.seconds), keep=own_folder()) as pool:
             patch = fullwave.solve_patch(plan, opened, polarisation, pool, work.progress)
     fullwave.save_patch(patch, path, inputs_sha256=fingerprint(file_sha256(layout), at_um, size_um, polarisation))
-    estimate = PatchEstimate(plan.pixels, plan.seconds, plan.memory_mb)
+    estimate = PatchEstimate(plan.cost.pixels, plan.cost.seconds, memory_mb)
     numerics = PatchNumerics(pixels_per_period, padding_sites)
     answer = PatchAnswer(patch.full_wave.size, polarisation, patch.decay, patch.seconds, estimate, numerics, path)
     differences = asdict(patch.against_library)

@@ -43,34 +43,23 @@ class RankedModels:
     best: RationalModel
     rivals: tuple[RationalModel, ...]
 
-    def disagreement(self, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
+    def disagreement(self, width_nm: FloatArray, length_nm: FloatArray, *, around: bool = False) -> FloatArray:
         """Return the largest difference of any amplitude between the best model and a rival on a grid of sizes.
 
         Args:
             width_nm: shape (n_width,).
             length_nm: shape (n_length,).
+            around: take the largest difference up to half a step around each size, where a false pole may hide.
 
         Returns:
             Shape (n_length, n_width).
         """
+        if around:
+            fine = self.disagreement(refined_axis(width_nm, 2), refined_axis(length_nm, 2))
+            return np.asarray(maximum_filter(fine, size=3, mode="nearest")[::2, ::2], dtype=np.float64)
         best = self.best.on_grid(width_nm, length_nm)
         differences = [np.abs(best - rival.on_grid(width_nm, length_nm)).max(axis=0) for rival in self.rivals]
         return np.asarray(np.max(differences, axis=0), dtype=np.float64)
-
-    def disagreement_around(self, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
-        """Return the largest difference of any amplitude up to half a step around each point of a grid.
-
-        A false pole may hide between the sizes.
-
-        Args:
-            width_nm: shape (n_width,).
-            length_nm: shape (n_length,).
-
-        Returns:
-            Shape (n_length, n_width).
-        """
-        fine = self.disagreement(refined_axis(width_nm, 2), refined_axis(length_nm, 2))
-        return np.asarray(maximum_filter(fine, size=3, mode="nearest")[::2, ::2], dtype=np.float64)
 
     def at(self, axes: FloatArray, bias_nm: float) -> RankedModels:
         """Return the models of one corner.

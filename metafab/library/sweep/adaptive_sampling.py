@@ -240,7 +240,7 @@ def error_ratio(miss: FloatArray, certificate: FloatArray, disagreement: FloatAr
 
 
 def amplitudes_of(points: Sequence[SolvedPoint]) -> ComplexArray:
-    """Return t_xx, t_yy, r_xx, r_yy of answers: shape (n, 4)."""
+    """Return t_xx, t_yy, r_xx, r_yy of answers, shape (n, 4)."""
     return np.array([point.amplitudes for point in points], dtype=np.complex128).reshape(-1, 4)
 
 

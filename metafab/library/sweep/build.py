@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from metafab.cell import CellNumerics, CellSolver, pillar_cell, rcwa, solve
-from metafab.core.conventions import ComplexArray
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.executor import SerialExecutor
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.axes import CornerBox, corner_cell, corner_unit_cell
@@ -25,14 +25,7 @@ from metafab.library.store import is_current, load, save
 from metafab.library.sweep.adaptive_sampling import GridSampling, PointSolver, amplitudes_of, sample_grid
 from metafab.library.sweep.checkpoint import Checkpoint
 from metafab.library.sweep.corner_sampling import CornerNumerics, CornerSequence, sample_corners
-from metafab.library.sweep.off_grid import (
-    FineGrid,
-    OffGridSampling,
-    RoundLimits,
-    certified_errors,
-    sample_disagreement,
-    sample_steep_places,
-)
+from metafab.library.sweep.off_grid import OffGridSampler, OffGridSampling, RoundLimits
 from metafab.library.use.quality import coverage_rad
 from metafab.spec import UnitCell
 from metafab.spec.cell import Axes
@@ -195,39 +188,39 @@ def _build(
     for wavelength_nm in dict((unit_cell.sweep.axes or Axes()).asked).get("wavelength_nm", ()):
         grid.cell(corner_unit_cell(unit_cell, {"wavelength_nm": wavelength_nm}), 0)  # refused before any work
     target = unit_cell.sweep.target_error
-    tolerance = MODEL_SHARE * target
-    fine, corners = FineGrid.of(grid), None
+    tolerance, corners = MODEL_SHARE * target, None
     # One thread for the fits: their rounding decides which sizes are solved and must not depend on the machine.
     with threadpool_limits(1):
         cell_numerics = CellNumerics(SOLVER_SHARE * target, unit_cell.solver.name)
         sizes = PointSolver(partial(grid.cell, unit_cell), cell_numerics, solver, executor, record, progress)
         sampling = sample_grid(grid, sizes, tolerance)
-        points = replace(sizes, cell_of=partial(fine.cell, unit_cell))
-        off_grid = sample_disagreement(grid, fine, sampling, points, tolerance, numerics.off_grid)
-        bound = (SOLVER_SHARE + MODEL_SHARE) * target
-        off_grid = sample_steep_places(grid, fine, sampling, off_grid, points, bound, numerics.off_grid)
+        sampler = OffGridSampler(unit_cell, sampling, sizes, numerics.off_grid)
+        off_grid = sampler.sample_disagreement(tolerance)
+        off_grid = sampler.sample_steep_places(off_grid, (SOLVER_SHARE + MODEL_SHARE) * target)
         if (box := CornerBox.of(unit_cell)) is not None:
-            sequence = CornerSequence(unit_cell, box, fine.end_number, numerics.corners.sequence)
+            sequence = CornerSequence(unit_cell, box, sampler.end_number, numerics.corners.sequence)
             points = replace(sizes, cell_of=sequence.cell)
             corners = sample_corners(grid, box, sequence, sampling.solved, points, tolerance, numerics.corners)
     progress("library", len(record.points), len(record.points))
-    library = _library(unit_cell, grid, fine, sampling, off_grid, corners)
+    library = _library(unit_cell, sampling, off_grid, sampler.certified_errors(off_grid), corners)
     solver_seconds = [point.seconds for point in (*sampling.solved.values(), *off_grid.solved.values())]
     return replace(library, time=BuildTime(perf_counter() - started, float(1e3 * np.mean(solver_seconds))))
 
 
 def _library(
     unit_cell: UnitCell,
-    grid: SizeGrid,
-    fine: FineGrid,
     sampling: GridSampling,
     off_grid: OffGridSampling,
+    certified: tuple[FloatArray, FloatArray],
     corners: Corners | None,
 ) -> Library:
-    """Amplitudes of all sizes: the solver's where solved, the model's elsewhere; NaN where there is neither."""
+    """Amplitudes of all sizes: the solver's where solved, the model's elsewhere; NaN where there is neither.
+
+    ``certified`` is the solver's error at the sizes and around them, shape (n_length, n_width) each.
+    """
+    grid, (certificate, certificate_around) = SizeGrid.of(unit_cell), certified
     model = None if off_grid.models is None else off_grid.models.best
     amplitudes, is_solved = _on_grid(grid, sampling)
-    certificate, certificate_around = certified_errors(grid, fine, sampling, off_grid)
     if model is not None:
         amplitudes = np.where(is_solved, amplitudes, model.on_grid(grid.width_nm, grid.length_nm))
     amplitudes = np.where(np.isnan(certificate), np.nan, amplitudes)

@@ -3,7 +3,7 @@
 - ``lookup``      target phases -> size index, by the largest field overlap
 - ``quality``     phase coverage, transmittance, sensitivity to a bias of sizes
 - ``check``       held-out sizes against a finer or another solver
-- ``amplitudes``  amplitudes normalised to power, and Jones matrices of turned pillars
+- ``amplitudes``  power transmittance, amplitudes normalised to power, Jones matrices of turned pillars
 - ``index_error`` phase error by the uncertainty of the pillar's index
 
 In: a :class:`~metafab.library.library.Library`. Out: a :class:`~metafab.library.use.lookup.SizeTable` for the layout,

@@ -1,12 +1,46 @@
-"""Transmission amplitudes normalised to power: |a|^2 is the transmitted flux per incident flux."""
+"""Transmission between the half spaces: power transmittance, amplitudes normalised to power, turned pillars."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.library.library import Library
 from metafab.materials import refractive_index
+from metafab.spec import UnitCell
+
+
+def half_space_indices(unit_cell: UnitCell) -> tuple[ComplexArray, ComplexArray]:
+    """Return the indices of the incident and of the outgoing half space, shape (2,) each: x and y polarisation."""
+    materials, light = unit_cell.materials, unit_cell.illumination
+    substrate = np.array(refractive_index(materials.substrate, light.wavelength_nm))
+    ambient = np.array(refractive_index(materials.ambient, light.wavelength_nm))
+    return (substrate, ambient) if light.side == "substrate" else (ambient, substrate)
+
+
+def power_transmittance(library: Library) -> FloatArray:
+    """Return the zero-order power transmittance |t|^2 n_out / n_in of every size.
+
+    Returns:
+        Shape (n_length, n_width, 2), for x and y polarisation.
+    """
+    n_in, n_out = half_space_indices(library.unit_cell)
+    return np.asarray(np.abs(library.t) ** 2 * (n_out.real / n_in.real), dtype=np.float64)
+
+
+def empty_cell_t(unit_cell: UnitCell) -> ComplexArray:
+    """Return the transmission of a cell without a pillar: Fresnel's t and a path of one pillar height in the ambient.
+
+    Returns:
+        Shape (2,), x and y polarisation.
+    """
+    n_in, n_out = half_space_indices(unit_cell)
+    light = unit_cell.illumination
+    n_ambient = n_out if light.side == "substrate" else n_in
+    path = 2.0 * math.pi * n_ambient * unit_cell.cell.height_nm / light.wavelength_nm
+    return np.asarray(2.0 * n_in / (n_in + n_out) * np.exp(1j * path), dtype=np.complex128)
 
 
 def power_amplitudes(library: Library, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
@@ -23,14 +57,9 @@ def power_amplitudes(library: Library, width_nm: FloatArray, length_nm: FloatArr
     Raises:
         InputError: the library does not hold a size.
     """
-    cell = library.unit_cell
-    wavelength_nm = cell.illumination.wavelength_nm
-    substrate = refractive_index(cell.materials.substrate, wavelength_nm)
-    ambient = refractive_index(cell.materials.ambient, wavelength_nm)
-    n_in, n_out = (substrate, ambient) if cell.illumination.side == "substrate" else (ambient, substrate)
+    n_in, n_out = half_space_indices(library.unit_cell)
     response = library.at_sizes(width_nm, length_nm)
-    axes = enumerate((response.t_xx, response.t_yy))
-    return np.stack([t * np.sqrt(n_out[axis].real / n_in[axis].real) for axis, t in axes], axis=-1)
+    return np.stack([response.t_xx, response.t_yy], axis=-1) * np.sqrt(n_out.real / n_in.real)
 
 
 def turned_jones(amplitudes: ComplexArray, angle_deg: FloatArray) -> ComplexArray:

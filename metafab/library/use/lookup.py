@@ -22,8 +22,7 @@ from metafab.core.errors import Fault, InputError
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import default_workers
 from metafab.library.library import Library
-from metafab.materials import refractive_index
-from metafab.spec.cell import UnitCell
+from metafab.library.use.amplitudes import empty_cell_t
 
 _LARGEST_INDEX = np.iinfo(np.uint16).max
 
@@ -245,20 +244,6 @@ def phase_slope_per_nm(library: Library) -> FloatArray:
 def _phase_change(change: ComplexArray, t: ComplexArray) -> FloatArray:
     """Im(t' / t)."""
     return np.asarray((change * np.conj(t)).imag / np.maximum(np.abs(t) ** 2, 1e-12))
-
-
-def empty_cell_t(unit_cell: UnitCell) -> ComplexArray:
-    """Return the transmission of a cell without a pillar: Fresnel's t and a path of one pillar height in the ambient.
-
-    Returns:
-        Shape (2,), x and y polarisation.
-    """
-    light = unit_cell.illumination
-    n_substrate = np.array(refractive_index(unit_cell.materials.substrate, light.wavelength_nm))
-    n_ambient = np.array(refractive_index(unit_cell.materials.ambient, light.wavelength_nm))
-    n_in, n_out = (n_substrate, n_ambient) if light.side == "substrate" else (n_ambient, n_substrate)
-    path = 2.0 * math.pi * n_ambient * unit_cell.cell.height_nm / light.wavelength_nm
-    return np.asarray(2.0 * n_in / (n_in + n_out) * np.exp(1j * path), dtype=np.complex128)
 
 
 def _gradient(t: ComplexArray, size_nm: FloatArray, axis: int) -> ComplexArray:

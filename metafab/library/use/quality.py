@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from metafab.core.conventions import ComplexArray, FloatArray, power_transmittance, wrap_phase
+from metafab.core.conventions import ComplexArray, FloatArray, wrap_phase
 from metafab.library.library import Library
+from metafab.library.use.amplitudes import power_transmittance
 from metafab.library.use.lookup import best_overlap, phase_slope_per_nm
-from metafab.materials import refractive_index
 
 #: Cells of the (phi_x, phi_y) torus along each phase: steps of 0.049 rad.
 CELLS = 128
@@ -67,10 +67,10 @@ def quality(library: Library) -> Quality:
     targets = np.stack(np.broadcast_arrays(phase[None, :], phase[:, None]), axis=-1)
     error_rad = wrap_phase(np.angle(t[chosen]) - targets)
     slope = phase_slope_per_nm(library)[library.known][chosen]
-    transmittance = _transmittance(library, t)
+    passed = power_transmittance(library)[library.known]
     hole_rad, hole = _worst_hole(_transparent(library), targets)
     # A pillar without loss has |t| != 1, because the half spaces have different impedances.
-    lossless = float(np.sqrt(transmittance / np.maximum(np.abs(t) ** 2, 1e-300)).mean())
+    lossless = float(np.sqrt(passed / np.maximum(np.abs(t) ** 2, 1e-300)).mean())
     return Quality(
         coverage_rad=coverage_rad(library),
         torus_coverage=float(np.mean(hole_rad <= REACH_RAD)),
@@ -79,26 +79,15 @@ def quality(library: Library) -> Quality:
         worst_hole_phase_y_rad=float(wrap_phase(hole[1])),
         phase_rms_error_rad=float(np.sqrt(np.mean(error_rad**2))),
         phase_max_error_rad=float(np.abs(error_rad).max()),
-        mean_transmittance=float(transmittance[chosen].mean()),
+        mean_transmittance=float(passed[chosen].mean()),
         mean_overlap=float(overlap.mean() * lossless / 2.0),
         cd_phase_rms_rad=float(CD_BIAS_NM * np.sqrt(np.mean(slope**2))),
     )
 
 
-def _transmittance(library: Library, t: ComplexArray) -> FloatArray:
-    """Zero-order power transmittance, shape of ``t``; last axis x and y polarisation."""
-    materials, light = library.unit_cell.materials, library.unit_cell.illumination
-    n_substrate, n_ambient = (
-        refractive_index(m, light.wavelength_nm) for m in (materials.substrate, materials.ambient)
-    )
-    n_in, n_out = (n_substrate, n_ambient) if light.side == "substrate" else (n_ambient, n_substrate)
-    return np.stack([power_transmittance(t[..., axis], n_in[axis], n_out[axis]) for axis in (0, 1)], axis=-1)
-
-
 def _transparent(library: Library) -> ComplexArray:
     """Transmission of the sizes with high transmittance in both polarisations: shape (n, 2)."""
-    t = library.t[library.known]
-    return t[np.all(_transmittance(library, t) >= LEAST_TRANSMITTANCE, axis=-1)]
+    return library.t[library.known & np.all(power_transmittance(library) >= LEAST_TRANSMITTANCE, axis=-1)]
 
 
 def _covered_rad(phase_rad: FloatArray) -> float:

@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
-from metafab.core.conventions import ComplexArray, FloatArray, Polarisation, power_transmittance
+from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.library.library import Library
+from metafab.library.use.amplitudes import power_transmittance
 from metafab.library.use.lookup import phase_slope_per_nm
 from metafab.library.use.quality import CD_BIAS_NM, quality
-from metafab.materials import refractive_index
 from metafab.report.style import (
     ERROR_MAP,
     INK,
@@ -104,15 +104,7 @@ def coverage(library: Library, axes: Axes) -> Axes:
 
 def transmittance(library: Library, polarisation: Polarisation) -> FloatArray:
     """Zero-order power transmittance at the design wavelength, shape (n_length, n_width)."""
-    spec = library.unit_cell
-    wavelength_nm = spec.illumination.wavelength_nm
-    n_substrate, n_ambient = (
-        refractive_index(material, wavelength_nm)[0 if polarisation == "x" else 1]
-        for material in (spec.materials.substrate, spec.materials.ambient)
-    )
-    from_substrate = spec.illumination.side == "substrate"
-    n_in, n_out = (n_substrate, n_ambient) if from_substrate else (n_ambient, n_substrate)
-    return power_transmittance(_t(library, polarisation), n_in, n_out)
+    return power_transmittance(library)[..., 0 if polarisation == "x" else 1]
 
 
 def _t(library: Library, polarisation: Polarisation) -> ComplexArray:

@@ -79,10 +79,10 @@ def test_a_larger_or_finer_patch_is_foreseen_to_take_more(pillars: PillarMap, ra
         fullwave.plan_patch(pillars, ramp_library, (0.0, 0.0), size, settings=SupercellSettings(pixels))
         for size, pixels in ((1.05, 8), (2.1, 8), (1.05, 16))
     )
-    assert large.pixels == pytest.approx(small.pixels * (12 / 9) ** 2, rel=1e-6)
-    assert large.memory_mb > small.memory_mb
+    assert large.cost.pixels == pytest.approx(small.cost.pixels * (12 / 9) ** 2, rel=1e-6)
+    assert large.cost.bytes > small.cost.bytes
     # Eight times the pixels (absorbers are counted in wavelengths), twice the steps.
-    assert 10.0 < fine.seconds / small.seconds < 20.0
+    assert 10.0 < fine.cost.seconds / small.cost.seconds < 20.0
 
 
 @pytest.mark.parametrize(("at_um", "size_um", "field"), [((0.0, 0.0), 0.1, "size_um"), ((0.0, 99.0), 1.0, "y_um")])

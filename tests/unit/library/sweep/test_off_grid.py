@@ -13,12 +13,15 @@ import pytest
 from metafab import library
 from metafab.cell import CellNumerics, CellResponse, PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.parallel.executor import SerialExecutor
+from metafab.core.parallel.progress import silent
 from metafab.library.fit.models import RankedModels
 from metafab.library.fit.rational import RationalModel
 from metafab.library.fit.size_grid import SizeGrid
-from metafab.library.sweep.adaptive_sampling import GridSampling, sample_grid
+from metafab.library.sweep.adaptive_sampling import GridSampling, PointSolver, sample_grid
 from metafab.library.sweep.build import BuildNumerics
-from metafab.library.sweep.off_grid import PARTS, FineGrid, OffGridSampling, RoundLimits, sample_disagreement
+from metafab.library.sweep.checkpoint import Checkpoint
+from metafab.library.sweep.off_grid import PARTS, OffGridSampler, OffGridSampling, RoundLimits
 from metafab.spec import UnitCell
 from tests import library_ridges as ridges
 from tests.unit.library.sweep.conftest import Solving
@@ -57,8 +60,8 @@ def refined(cell: UnitCell, grid: SizeGrid, solving: Solving) -> Refined:
     """Samples the disagreement of models off the grid by the closed form."""
 
     def refined(sampling: GridSampling, **options: Any) -> OffGridSampling:
-        fine = FineGrid.of(grid)
-        return sample_disagreement(grid, fine, sampling, solving(partial(fine.cell, cell)), TOLERANCE, **options)
+        sampler = OffGridSampler(cell, sampling, solving(partial(grid.cell, cell)), **options)
+        return sampler.sample_disagreement(TOLERANCE)
 
     return refined
 
@@ -79,7 +82,7 @@ def test_a_false_resonance_between_the_sizes_is_solved_away(
     assert abs(best(*place)[0, 0] - true) > 0.04
     assert abs(after.models.best(*place)[0, 0] - true) < TOLERANCE
     assert after.between_error[row, column] <= TOLERANCE
-    sizes_nm = np.stack(FineGrid.of(grid).grid.sizes_nm(np.array(list(after.solved))), axis=-1)
+    sizes_nm = np.stack(grid.refined(PARTS).sizes_nm(np.array(list(after.solved))), axis=-1)
     sizes_nm = np.concatenate([sizes_nm, sizes_nm[:, ::-1]])  # a square cell: its mirror image serves as well
     assert np.hypot(*(sizes_nm - at_nm).T).min() < 1.0
     before = refined(planted, limits=RoundLimits(disagreement_rounds=0))
@@ -111,14 +114,29 @@ def test_what_the_fit_misses_at_solved_sizes_is_stated(
     assert after.between_error[row, column] == pytest.approx(0.01, abs=1e-5)
 
 
-def test_the_finer_grid_holds_the_sizes_and_numbers_of_its_own(cell: UnitCell, grid: SizeGrid) -> None:
-    fine = FineGrid.of(grid)
-    parts = PARTS
-    assert np.allclose(fine.grid.width_nm[::parts], grid.width_nm, rtol=0.0, atol=1e-12)
-    assert fine.grid.exchange == grid.exchange
-    assert (fine.first_number, fine.end_number) == (grid.size, grid.size + fine.grid.size)
-    pillar = fine.cell(cell, fine.first_number + fine.grid.width_nm.size + 2)
-    assert (pillar.width_nm, pillar.length_nm) == pytest.approx((101.25, 100.625))
+def test_the_finer_grid_holds_the_sizes_and_numbers_of_its_own(cell: UnitCell, sampling: GridSampling) -> None:
+    """Two rows and columns off the first size; the checkpoint's numbers follow those of the sizes."""
+    asked: list[PillarCell] = []
+
+    def solve(pillar: PillarCell, numerics: CellNumerics) -> CellResponse:
+        asked.append(pillar)
+        return ridges.solve(pillar, numerics)
+
+    record = Checkpoint(None, "")
+    points = PointSolver(
+        lambda _: pytest.fail("not a size"), CellNumerics(1e-3), solve, SerialExecutor(), record, silent
+    )
+    assert sampling.models is not None
+    spiked = replace(sampling.models, best=cast(RationalModel, Spiked(sampling.models.best, (122.5, 227.5))))
+    sampler = OffGridSampler(cell, replace(sampling, models=spiked), points)
+    grid, fine = sampler.grid, sampler.fine
+    assert np.allclose(fine.width_nm[::PARTS], grid.width_nm, rtol=0.0, atol=1e-12)
+    assert fine.exchange == grid.exchange
+    after = sampler.sample_disagreement(TOLERANCE)
+    assert [point.number for point in record.points] == [number + grid.size for number in after.solved]
+    assert all(grid.size <= point.number < sampler.end_number for point in record.points)
+    sizes_nm = np.stack(fine.sizes_nm(np.array(list(after.solved))), axis=-1)
+    np.testing.assert_allclose([(pillar.width_nm, pillar.length_nm) for pillar in asked], sizes_nm)
 
 
 def test_steep_places_are_solved_until_the_target_holds_between_the_sizes(

@@ -13,7 +13,8 @@ from hypothesis.extra.numpy import arrays
 
 from metafab.core.errors import InputError
 from metafab.library import Library, SizeTable, build_size_table
-from metafab.library.use.lookup import empty_cell_t, global_offsets, phase_slope_per_nm
+from metafab.library.use.amplitudes import empty_cell_t
+from metafab.library.use.lookup import global_offsets, phase_slope_per_nm
 
 CELLS = 64
 
