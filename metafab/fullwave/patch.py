@@ -193,18 +193,17 @@ def solve_patch(
     supercell, padding = plan.supercell, plan.padding_sites
     answer = solve_supercell(supercell, polarisation, plan.settings, pool, progress)
     stored = library_responses(supercell, library)[POLARISATIONS.index(polarisation)]
-    stitched = supercell.local_period(answer.order, stored)
-    full_wave, from_library, alone = (
-        _inside(at_sites(supercell, answer.order, amplitude), padding)
-        for amplitude in (answer.co_polarised, stitched, answer.local_period)
-    )
+
+    def field(amplitude: ComplexArray) -> ComplexArray:
+        return _inside(at_sites(supercell, answer.order, amplitude), padding)
+
     return Patch(
         x_um=plan.x_um[padding : plan.x_um.size - padding],
         y_um=plan.y_um[padding : plan.y_um.size - padding],
         polarisation=polarisation,
-        full_wave=full_wave,
-        library=from_library,
-        alone=alone,
+        full_wave=field(answer.co_polarised),
+        library=field(supercell.local_period(answer.order, stored)),
+        alone=field(answer.local_period),
         decay=answer.error,
         seconds=answer.seconds,
         pixels_per_period=plan.settings.pixels_per_period,

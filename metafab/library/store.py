@@ -154,9 +154,8 @@ def _put_model(file: h5py.File, model: RationalModel) -> None:
 
 
 def _model(file: h5py.File) -> RationalModel:
-    numerator, denominator = (
-        np.stack([_complex(file, f"model/{axis}/{name}") for axis in "xy"]) for name in ("numerator", "denominator")
-    )
+    numerator = np.stack([_complex(file, f"model/{axis}/numerator") for axis in "xy"])
+    denominator = np.stack([_complex(file, f"model/{axis}/denominator") for axis in "xy"])
     return _checked(file["model/x"], 1, 0, numerator, denominator)
 
 

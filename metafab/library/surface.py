@@ -106,18 +106,16 @@ class Surface:
         Raises:
             InputError: a size lies outside the sweep (nothing is extrapolated).
         """
-        width, length = np.broadcast_arrays(
-            np.asarray(width_nm, dtype=np.float64), np.asarray(length_nm, dtype=np.float64)
-        )
-        sizes_nm = width.ravel(), length.ravel()
-        self._check(*sizes_nm)
+        widths, lengths = np.asarray(width_nm, dtype=np.float64), np.asarray(length_nm, dtype=np.float64)
+        widths, lengths = np.broadcast_arrays(widths, lengths)
+        shape, width, length = widths.shape, widths.ravel(), lengths.ravel()
+        self._check(width, length)
         t, error = np.empty((width.size, 2), dtype=np.complex128), np.empty(width.size)
 
         def evaluate_block(start: int) -> None:
             block = slice(start, start + BLOCK)
-            x, y = (
-                (size[block] - low) / step for size, low, step in zip(sizes_nm, self.low_nm, self.step_nm, strict=True)
-            )
+            x = (width[block] - self.low_nm[0]) / self.step_nm[0]
+            y = (length[block] - self.low_nm[1]) / self.step_nm[1]
             self.tiles.evaluate(x, y, t[block], error[block])
 
         starts = range(0, width.size, BLOCK)
@@ -126,7 +124,7 @@ class Surface:
                 list(threads.map(evaluate_block, starts))
         else:
             evaluate_block(0)
-        return SizeResponse(t[:, 0].reshape(width.shape), t[:, 1].reshape(width.shape), error.reshape(width.shape))
+        return SizeResponse(t[:, 0].reshape(shape), t[:, 1].reshape(shape), error.reshape(shape))
 
     def _check(self, width_nm: FloatArray, length_nm: FloatArray) -> None:
         """Refuse sizes outside the sweep, NaN included."""

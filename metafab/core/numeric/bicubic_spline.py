@@ -62,10 +62,9 @@ class SplineTiles:
             values: shape (n, 2), receives the values of both functions.
             error: shape (n,), receives the error of the cell.
         """
-        _evaluate(
-            *self.cells, self.row, self.column, self.first_row, self.first_column, self.parts, self.start,
-            self.coefficients.view(np.float64), self.error, x, y, values, error,
-        )  # fmt: skip
+        tiles = self.row, self.column, self.first_row, self.first_column, self.parts, self.start
+        coefficients = self.coefficients.view(np.float64)  # real and imaginary parts side by side
+        _evaluate(*self.cells, *tiles, coefficients, self.error, x, y, values, error)
 
 
 def bicubic_coefficients(values: ComplexArray) -> ComplexArray:

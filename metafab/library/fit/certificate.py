@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from metafab.core.conventions import FloatArray
 from metafab.library.fit.rational import RationalModel
-from metafab.library.fit.size_grid import SizeGrid, refined_axis
+from metafab.library.fit.size_grid import IndexArray, SizeGrid, refined_axis
 
 #: The solver's error at an unsolved size is the largest among this number of nearest solved sizes.
 NEIGHBOURS = 4
@@ -66,10 +66,8 @@ def solver_errors(
         return certified.reshape(grid.shape), certified.reshape(grid.shape)
     slope = amplitude_slopes(model, grid.width_nm, grid.length_nm)
     slope = np.maximum(slope, np.median(slope))
-    column, row = (
-        np.rint((size - axis[0]) / max(axis[-1] - axis[0], _SAME_NM) * (count - 1)).astype(np.intp)
-        for size, axis, count in zip(sizes_nm, (grid.width_nm, grid.length_nm), slope.shape[::-1], strict=True)
-    )
+    column = _nearest(grid.width_nm, slope.shape[1], sizes_nm[0])
+    row = _nearest(grid.length_nm, slope.shape[0], sizes_nm[1])
     solved_slope = slope[row, column]
     tree = cKDTree(_features(sizes_nm.T, solved_slope))
 
@@ -124,6 +122,11 @@ def amplitude_slopes(model: RationalModel, width_nm: FloatArray, length_nm: Floa
         if values.shape[axis] > 1:
             slope = np.hypot(slope, np.abs(np.gradient(values, axis=axis)).max(axis=0))
     return slope
+
+
+def _nearest(axis_nm: FloatArray, count: int, size_nm: FloatArray) -> IndexArray:
+    """Nearest of ``count`` nodes that divide an axis evenly."""
+    return np.asarray(np.rint((size_nm - axis_nm[0]) / max(axis_nm[-1] - axis_nm[0], _SAME_NM) * (count - 1)), np.intp)
 
 
 def _features(sizes_nm: FloatArray, slope: FloatArray) -> FloatArray:

@@ -146,10 +146,8 @@ class RationalModel:
         """
         u, v = scaled(width_nm, self.width_nm), scaled(length_nm, self.length_nm)
         above, below = self.shape.degrees
-        x, y = (
-            _tensor(u, v, above, n) / _tensor(u, v, below, d[:, None])
-            for n, d in zip(self.numerator, self.denominator, strict=True)
-        )
+        coefficients = zip(self.numerator, self.denominator, strict=True)
+        x, y = (_tensor(u, v, above, n) / _tensor(u, v, below, d[:, None]) for n, d in coefficients)
         return np.stack([x[0], y[0], x[1], y[1]])
 
     def at(self, axes: FloatArray, bias_nm: float = 0.0) -> RationalModel:

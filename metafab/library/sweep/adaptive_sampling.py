@@ -92,26 +92,6 @@ class PointSolver:
             self.progress("library", len(self.record.points), max(expected_total, len(self.record.points)))
         return {int(number): known[int(number)] for number in numbers}
 
-    def while_calling(
-        self, work: Callable[[], Result], numbers: IndexArray, expected_total: int
-    ) -> tuple[Result, dict[int, SolvedPoint]]:
-        """Call ``work`` in this process while other processes solve cells.
-
-        Args:
-            work: function without arguments.
-            numbers: shape (n,), numbers of the cells.
-            expected_total: cells that the whole build may need.
-
-        Returns:
-            Result of ``work``, and the answers by number.
-        """
-        if isinstance(self.executor, SerialExecutor):
-            return work(), self(numbers, expected_total)
-        with ThreadPoolExecutor(1) as thread:
-            result = thread.submit(work)
-            answers = self(numbers, expected_total)
-            return result.result(), answers
-
 
 def _solve_chunk(
     solver: CellSolver, numerics: CellNumerics, cells: Sequence[tuple[int, PillarCell]]
@@ -122,6 +102,18 @@ def _solve_chunk(
         t_xx, t_yy, r_xx, r_yy = (complex(matrix[axis, axis]) for matrix in (answer.t, answer.r) for axis in (0, 1))
         points.append(SolvedPoint(number, (t_xx, t_yy, r_xx, r_yy), answer.error, answer.seconds))
     return points
+
+
+def _solve_while(
+    work: Callable[[], Result], solve_sizes: PointSolver, numbers: IndexArray, expected_total: int
+) -> tuple[Result, dict[int, SolvedPoint]]:
+    """Result of ``work``, called in this process while other processes solve sizes, and their answers."""
+    if isinstance(solve_sizes.executor, SerialExecutor):
+        return work(), solve_sizes(numbers, expected_total)
+    with ThreadPoolExecutor(1) as thread:
+        result = thread.submit(work)
+        answers = solve_sizes(numbers, expected_total)
+        return result.result(), answers
 
 
 @dataclass(frozen=True)
@@ -186,7 +178,7 @@ def sample_grid(
         # The build may need this round's sizes, and as many again while some sizes are not known well enough.
         expected_total = min(len(solved) + even.size + min(left, even.size), grid.distinct.size)
         fit_now = partial(fit, grid, dict(solved), ranking, None)
-        models, new = solve_sizes.while_calling(fit_now, even, expected_total)
+        models, new = _solve_while(fit_now, solve_sizes, even, expected_total)
         disagreement = disagreement_estimate(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
         miss, certificate = prediction_errors(models.best, grid, new)
         # The worst sizes of the last round tested the previous models; their factor still counts.

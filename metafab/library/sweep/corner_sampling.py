@@ -23,7 +23,7 @@ from metafab.core.conventions import FloatArray
 from metafab.library.axes import CornerBox, corner_cell
 from metafab.library.corners import Corners, CornerStatistics
 from metafab.library.fit.models import RankedModels, fit_corner_models
-from metafab.library.fit.rational import RationalModel, Samples
+from metafab.library.fit.rational import Range, RationalModel, Samples
 from metafab.library.fit.size_grid import IndexArray, SizeGrid
 from metafab.library.sweep.adaptive_sampling import PointSolver, amplitudes_of, samples_at
 from metafab.library.sweep.checkpoint import SolvedPoint
@@ -80,10 +80,8 @@ class CornerSequence:
         inner = -np.cos(math.pi * np.mod(0.5 + np.arange(count)[:, None] * steps, 1.0))
         self.place: FloatArray = np.concatenate([corners, inner])
         self.axes: FloatArray = self.place[:, 2:]
-        self.width_nm, self.length_nm = (
-            0.5 * (low + high) + 0.5 * (high - low) * column
-            for column, (low, high) in zip(self.place.T, (box.width_nm, box.length_nm), strict=False)
-        )
+        self.width_nm = _unscaled(self.place[:, 0], box.width_nm)
+        self.length_nm = _unscaled(self.place[:, 1], box.length_nm)
 
     def cell(self, number: int) -> PillarCell:
         """Return the cell of a checkpoint number."""
@@ -222,6 +220,12 @@ class _SolvedCells:
         nominal = self.samples.width_nm.size - self.taken.size
         ranking = np.concatenate([np.zeros(nominal, dtype=bool), np.isin(self.taken, held_out)])
         return fit_corner_models(self.samples, ranking, (box.width_nm, box.length_nm), exchange)
+
+
+def _unscaled(place: FloatArray, span_nm: Range) -> FloatArray:
+    """Sizes of places in -1..1 of a span."""
+    low, high = span_nm
+    return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * place, dtype=np.float64)
 
 
 def _estimate(sequence: CornerSequence, models: RankedModels) -> FloatArray:

@@ -87,7 +87,8 @@ def quality(library: Library) -> Quality:
 
 def _transparent(library: Library) -> ComplexArray:
     """Transmission of the sizes with high transmittance in both polarisations: shape (n, 2)."""
-    return library.t[library.known & np.all(power_transmittance(library) >= LEAST_TRANSMITTANCE, axis=-1)]
+    transparent = np.all(power_transmittance(library) >= LEAST_TRANSMITTANCE, axis=-1)
+    return np.asarray(library.t[library.known & transparent])
 
 
 def _covered_rad(phase_rad: FloatArray) -> float:

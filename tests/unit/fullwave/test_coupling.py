@@ -24,8 +24,11 @@ def test_pillars_that_do_not_couple_are_found_not_to(pillars: PillarMap, ramp_li
     pool = UncoupledPillars()
     found = fullwave.measure_coupling(pillars, ramp_library, [(0.0, 0.0), (3.0, 2.0)], "mask", numerics=MEEP, pool=pool)
     assert [(row.x_um, row.polarisation, row.sites, row.order) for row in found.rows] == [
-        (0.0, "x", 7, 1), (0.0, "y", 7, -1), (3.0, "x", 7, 1), (3.0, "y", 7, -1)
-    ]  # fmt: skip
+        (0.0, "x", 7, 1),
+        (0.0, "y", 7, -1),
+        (3.0, "x", 7, 1),
+        (3.0, "y", 7, -1),
+    ]
     for row in found.rows:
         assert row.coupling_error < 1e-12
         assert row.efficiency == pytest.approx(row.local_period_efficiency)

@@ -10,6 +10,7 @@ import pytest
 
 from metafab import fullwave
 from metafab.cell.meep import SupercellSettings
+from metafab.cell.meep.supercell import Cost
 from metafab.core.errors import InputError, SolverError
 from metafab.fullwave.patch import field_difference
 from metafab.fullwave.written import library_responses
@@ -75,14 +76,16 @@ def test_differences_of_fields_are_what_they_say() -> None:
 
 
 def test_a_larger_or_finer_patch_is_foreseen_to_take_more(pillars: PillarMap, ramp_library: Library) -> None:
-    small, large, fine = (
-        fullwave.plan_patch(pillars, ramp_library, (0.0, 0.0), size, settings=SupercellSettings(pixels))
-        for size, pixels in ((1.05, 8), (2.1, 8), (1.05, 16))
-    )
-    assert large.cost.pixels == pytest.approx(small.cost.pixels * (12 / 9) ** 2, rel=1e-6)
-    assert large.cost.bytes > small.cost.bytes
+
+    def cost(size_um: float, pixels: int) -> Cost:
+        settings = SupercellSettings(pixels)
+        return fullwave.plan_patch(pillars, ramp_library, (0.0, 0.0), size_um, settings=settings).cost
+
+    small, large, fine = cost(1.05, 8), cost(2.1, 8), cost(1.05, 16)
+    assert large.pixels == pytest.approx(small.pixels * (12 / 9) ** 2, rel=1e-6)
+    assert large.bytes > small.bytes
     # Eight times the pixels (absorbers are counted in wavelengths), twice the steps.
-    assert 10.0 < fine.cost.seconds / small.cost.seconds < 20.0
+    assert 10.0 < fine.seconds / small.seconds < 20.0
 
 
 @pytest.mark.parametrize(("at_um", "size_um", "field"), [((0.0, 0.0), 0.1, "size_um"), ((0.0, 99.0), 1.0, "y_um")])

@@ -50,9 +50,17 @@ def sharp_library(smooth_library: Library, edge: float, depth: float) -> tuple[L
     t_xx, t_yy, r_xx, r_yy = sharp.on_grid(side, side)[:, None]
     known = np.full((31, 31), 1e-9)
     library_of = replace(
-        smooth_library, width_nm=side, length_nm=side, t_xx=t_xx, t_yy=t_yy, r_xx=r_xx, r_yy=r_yy,
-        error=known, model=sharp, model_error=known,
-    )  # fmt: skip
+        smooth_library,
+        width_nm=side,
+        length_nm=side,
+        t_xx=t_xx,
+        t_yy=t_yy,
+        r_xx=r_xx,
+        r_yy=r_yy,
+        error=known,
+        model=sharp,
+        model_error=known,
+    )
     return library_of, sharp
 
 

@@ -23,10 +23,8 @@ def tiles_of(values: ComplexArray, cells: tuple[int, int]) -> SplineTiles:
             table = rng.normal(size=((2 * cells[0] + 3) * (2 * cells[1] + 3), 4)).view(np.complex128)
         start[a, b], end = end, end + len(table)
         tables.append(table)
-    row, column = (
-        np.minimum(np.arange(n) // k, first.size - 1)
-        for n, k, first in zip((n_y, n_x), cells, (first_row, first_column), strict=True)
-    )
+    row = np.minimum(np.arange(n_y) // cells[0], first_row.size - 1)
+    column = np.minimum(np.arange(n_x) // cells[1], first_column.size - 1)
     error = rng.uniform(size=(n_y, n_x))
     return SplineTiles(
         cells, row, column, first_row, first_column, parts.astype(np.int64), start, np.concatenate(tables), error
