@@ -54,7 +54,7 @@ class PairKernels:
         offset_px = (centre - centre[:, middle : middle + 1]) / psf.pixel_um
         n_y, n_x = nodes.shape[-2:]
         ky, kx = scipy.fft.fftfreq(n_y)[:, None], scipy.fft.rfftfreq(n_x)[None, :]
-        transfer = scipy.fft.rfft2(nodes) * (np.sinc(ky) * np.sinc(kx))
+        transfer = scipy.fft.rfft2(nodes) * pixel_transfer((n_y, n_x))
         if np.abs(offset_px).max() > 1e-6:
             turns = ky * offset_px[..., 1, None, None] + kx * offset_px[..., 0, None, None]
             transfer = transfer * np.exp(-2j * np.pi * turns)
@@ -98,3 +98,15 @@ class PairKernels:
         """
         along_y, along_x = spline_weights(self.tangent_y, tangent_y), spline_weights(self.tangent_x, tangent_x)
         return along_y[..., :, None] * along_x[..., None, :]
+
+
+def pixel_transfer(shape: tuple[int, int]) -> FloatArray:
+    """Return the transfer function of a square pixel on the half plane of a real transform.
+
+    Args:
+        shape: (n_y, n_x) of the transformed picture.
+
+    Returns:
+        Shape (n_y, n_x // 2 + 1).
+    """
+    return np.asarray(np.sinc(scipy.fft.fftfreq(shape[0]))[:, None] * np.sinc(scipy.fft.rfftfreq(shape[1])))

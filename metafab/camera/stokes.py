@@ -9,6 +9,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
+from metafab.camera.kernels import pixel_transfer
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
@@ -43,9 +44,8 @@ def kernels_at(psf: StokesPsf, depth_m: float) -> FloatArray:
     """
     weights = spline_weights(1.0 / psf.depth_m, 1.0 / depth_m)
     sampled = np.einsum("kjdyx,d->kjyx", psf.psf, weights)
-    n = sampled.shape[-1]
-    pixel = np.sinc(scipy.fft.fftfreq(n))[:, None] * np.sinc(scipy.fft.rfftfreq(n))
-    kernels = scipy.fft.irfft2(scipy.fft.rfft2(sampled) * pixel, (n, n))
+    window = psf.psf.shape[-2:]
+    kernels = scipy.fft.irfft2(scipy.fft.rfft2(sampled) * pixel_transfer((window[0], window[1])), window)
     return np.asarray(kernels * psf.pixel_um**2 / psf.instrument[:, 0].mean())
 
 

@@ -12,10 +12,10 @@ from metafab.core.parallel.work import Work
 from metafab.core.polarisation import JONES, ORTHOGONAL, stokes_of, stokes_response
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.geometry.path import Ray, power_at_aperture
+from metafab.optics.propagation.image import bounding_box
 from metafab.optics.propagation.kernel import WindowKernel
 from metafab.optics.propagation.pupil import Carrier, reduce_field
-from metafab.optics.propagation.refocus import refocus
-from metafab.optics.propagation.window import WindowTransform
+from metafab.optics.propagation.window import window_fields
 from metafab.optics.sources.source import Source
 from metafab.phase.jones_target import JonesTarget
 
@@ -80,26 +80,19 @@ def stokes_psf(
         window_px: points along a side of each window.
         work: threads, and progress over tiles and places.
     """
-    depth_m = np.asarray(depths_m, dtype=np.float64)
+    depth_m, focus = np.asarray(depths_m, dtype=np.float64), 1e-6 / target.focus_depth_m
     targets_um = [(x, y, imaging.sensor_distance_um) for x, y in target.places_um.tolist()]
-    focus = 1e-6 / target.focus_depth_m
     focused = [Ray(focus, (0.0, 0.0), target_um) for target_um in targets_um]
     carriers = [Carrier(entry, ray, _BLOCK_SITES) for ray in focused for entry in range(3)]
     pupils = reduce_field(source, carriers, imaging.wavenumber, work)
+    k, lens_um = imaging.wavenumber, bounding_box(pupils)
     psf = np.empty((len(targets_um), 4, depth_m.size, window_px, window_px))
     for place, target_um in enumerate(targets_um):
-        entries = pupils[3 * place : 3 * place + 3]
-        lens_um = tuple((float(axis[0]), float(axis[-1])) for axis in (entries[0].x_um, entries[0].y_um))
-        kernel = WindowKernel.build(
-            imaging.wavenumber, target_um, (lens_um[0], lens_um[1]), window_px, imaging.pixel_um, _KERNEL_TOLERANCE
-        )
-        transforms = [WindowTransform.build(pupil, kernel) for pupil in entries]
-        for index, depth in enumerate(depth_m.tolist()):
-            ray = Ray(1e-6 / depth, (0.0, 0.0), target_um)
-            blocks = [refocus(pupil, ray, imaging.wavenumber) for pupil in entries]
-            fields = [transform.field(block) for transform, block in zip(transforms, blocks, strict=True)]
-            xx, xy, yy = np.array(fields, dtype=np.complex128)
-            per_unit_power = entries[0].cell_um2 ** 2 / power_at_aperture(imaging, ray)
+        kernel = WindowKernel.build(k, target_um, lens_um, window_px, imaging.pixel_um, _KERNEL_TOLERANCE)
+        rays = [Ray(1e-6 / depth, (0.0, 0.0), target_um) for depth in depth_m.tolist()]
+        entries = [window_fields(pupil, kernel, rays) for pupil in pupils[3 * place : 3 * place + 3]]
+        for index, (ray, xx, xy, yy) in enumerate(zip(rays, *entries, strict=True)):
+            per_unit_power = pupils[0].cell_um2 ** 2 / power_at_aperture(imaging, ray)
             psf[place, :, index] = stokes_response(xx, xy, xy, yy) * per_unit_power
         work.progress("psf", place + 1, len(targets_um))
     return StokesPsf(depth_m, imaging.pixel_um, psf, target.places_um, imaging.sensor_distance_um)

@@ -21,8 +21,7 @@ from metafab.optics.propagation.band import band_ends, band_irradiance, padded_p
 from metafab.optics.propagation.chebyshev import Span, points_needed
 from metafab.optics.propagation.kernel import WindowKernel, largest_changes_rad
 from metafab.optics.propagation.pupil import Pupil
-from metafab.optics.propagation.refocus import refocus
-from metafab.optics.propagation.window import WindowTransform
+from metafab.optics.propagation.window import window_fields
 
 #: Depths whose error is estimated: all, the first and the last one, or none.
 Judged = Literal["all", "ends", "none"]
@@ -195,7 +194,7 @@ class Window:
         """Return the expected time on one core for one depth in ``panels`` x ``panels`` panels."""
         side = -(-self.window_px // panels)
         half = 0.5 * side * self.imaging.pixel_um
-        changes = largest_changes_rad(self.imaging.wavenumber, target_um, _bounding_box([pupil]), (-half, half))
+        changes = largest_changes_rad(self.imaging.wavenumber, target_um, bounding_box([pupil]), (-half, half))
         q_x, q_y, rest = (points_needed(change, self.tolerance) for change in changes)
         n_y, n_x = pupil.power.shape
         terms = 4.0 + rest * rest / 16.0
@@ -208,16 +207,14 @@ class Window:
     def _squared_fields(self, ways: Sequence[tuple[Pupil, Sequence[Ray]]]) -> list[FloatArray]:
         """Squared fields of each pupil behind its rays, shapes (n_ray, n, n). Each panel's kernel is built once."""
         (pupil, rays), n, pixel_um = ways[0], self.window_px, self.imaging.pixel_um
-        k, box = self.imaging.wavenumber, _bounding_box([blocks for blocks, _ in ways])
+        k, box = self.imaging.wavenumber, bounding_box([blocks for blocks, _ in ways])
         squares = [np.empty((len(its_rays), n, n)) for _, its_rays in ways]
         for panel in _panels(n, self.panels_per_side(pupil, rays[0].target_um)):
             target = panel.target_um(rays[0].target_um, n, pixel_um)
             kernel = WindowKernel.build(k, target, box, panel.side_px, pixel_um, self.tolerance)
             rows, columns = panel.inside(n)
             for (blocks, its_rays), square in zip(ways, squares, strict=True):
-                transform = WindowTransform.build(blocks, kernel)
-                for index, ray in enumerate(its_rays):
-                    field = transform.field(refocus(blocks, replace(ray, target_um=target), k)).astype(np.complex128)
+                for index, field in enumerate(window_fields(blocks, kernel, its_rays)):
                     part = field.real**2 + field.imag**2
                     square[index, rows, columns] = part[: rows.stop - rows.start, : columns.stop - columns.start]
         return squares
@@ -230,8 +227,8 @@ def relative_l2(value: FloatArray, reference: FloatArray) -> float:
     return difference / norm if norm > 0.0 else (0.0 if difference == 0.0 else float("inf"))
 
 
-def _bounding_box(pupils: Sequence[Pupil]) -> tuple[Span, Span]:
-    """Box around the block centres of all pupils."""
+def bounding_box(pupils: Sequence[Pupil]) -> tuple[Span, Span]:
+    """Return the spans of x and y, um, that hold the block centres of all pupils."""
     x = min(float(p.x_um[0]) for p in pupils), max(float(p.x_um[-1]) for p in pupils)
     y = min(float(p.y_um[0]) for p in pupils), max(float(p.y_um[-1]) for p in pupils)
     return x, y

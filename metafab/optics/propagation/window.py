@@ -7,15 +7,18 @@ transforms them to the window by two matrices, and weights the result on the win
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.optics.geometry.path import Ray
 from metafab.optics.propagation import chebyshev
 from metafab.optics.propagation.kernel import SingleComplexArray, WindowKernel
 from metafab.optics.propagation.pupil import Pupil
+from metafab.optics.propagation.refocus import refocus
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,14 @@ class WindowTransform:
             total = np.einsum("mvu,mvu->vu", kernel.over_lens[terms].conj(), weights)
             blocks.append(self.gather_y.T @ total @ self.gather_x.T)
         return np.array(blocks, dtype=np.complex64)
+
+
+def window_fields(pupil: Pupil, kernel: WindowKernel, rays: Sequence[Ray]) -> Iterator[ComplexArray]:
+    """Yield the field behind each ray, moved to the centre of the kernel's window, on that window, shape (n, n)."""
+    transform = WindowTransform.build(pupil, kernel)
+    for ray in rays:
+        blocks = refocus(pupil, replace(ray, target_um=kernel.target_um), kernel.wavenumber)
+        yield transform.field(blocks).astype(np.complex128)
 
 
 def _dirichlet(phase_per_site: FloatArray, sites: int) -> FloatArray:
