@@ -5,13 +5,18 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
 from metafab.cell.fresnel import admittance
 from metafab.cell.pillar import PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray, Side
+from metafab.core.display import Displayed
+from metafab.core.labelled import dataset
+
+if TYPE_CHECKING:
+    import xarray
 
 
 @dataclass(frozen=True)
@@ -38,8 +43,8 @@ class SolverDetails:
     """Base of the figures that one solver adds to a response."""
 
 
-@dataclass(frozen=True)
-class CellResponse:
+@dataclass(frozen=True, repr=False)
+class CellResponse(Displayed):
     """Zero-order Jones matrices of a unit cell, in the reference planes of the conventions for every solver.
 
     Attributes:
@@ -73,6 +78,28 @@ class CellResponse:
     def _transmittance(self, axis: int) -> float:
         cell, incident = self.cell, np.eye(2)[axis]
         return _power_across(cell, self.t[:, axis], cell.far_side) / _power_across(cell, incident, cell.side)
+
+    def key_figures(self) -> dict[str, str]:
+        """Transmission of both polarisations and the error bound."""
+        phases, powers = np.angle(np.diag(self.t)), self.transmittance
+        return {
+            **{
+                f"{p} polarisation": f"transmittance {power:.4f}, phase {phase:.4f} rad"
+                for p, power, phase in zip("xy", powers, phases, strict=True)
+            },
+            "error": f"{self.error:.1e}",
+            "orders" if self.numerics.solver == "rcwa" else "pixels per um": str(self.resolution),
+        }
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Jones matrices over (outgoing, incident) polarisation.
+
+        Raises:
+            MissingToolError: xarray is not installed.
+        """
+        axes = ("outgoing", "incident")
+        matrices = {"t": (axes, self.t, ""), "r": (axes, self.r, "")}
+        return dataset(matrices, {axis: ["x", "y"] for axis in axes}, error=self.error)
 
 
 class CellSolver(Protocol):

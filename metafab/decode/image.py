@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.display import Displayed
+from metafab.core.labelled import dataset
+
+if TYPE_CHECKING:
+    import xarray
 
 
 @dataclass(frozen=True)
@@ -94,8 +100,8 @@ class DecodeFigures:
         return {name: value for name, value in asdict(self).items() if value is not None}
 
 
-@dataclass(frozen=True)
-class Image4D:
+@dataclass(frozen=True, repr=False)
+class Image4D(Displayed):
     """All-in-focus polarisation images and depth on the geometric image grid of the x polarisation.
 
     Attributes:
@@ -128,3 +134,28 @@ class Image4D:
     contrast_error: FloatArray | None = None
     nmae: float | None = None
     figures: DecodeFigures = field(default_factory=DecodeFigures)
+
+    def key_figures(self) -> dict[str, str]:
+        """Size, segments, depths and share of decoded pixels."""
+        known = np.isfinite(self.depth_m)
+        depths = f"{self.depth_m[known].min():g} to {self.depth_m[known].max():g} m" if known.any() else "none"
+        return {
+            "pixels": " x ".join(str(count) for count in self.depth_m.shape),
+            "segments": str(len(self.segments)),
+            "depths": depths,
+            "decoded": f"{100.0 * known.mean():.1f} % of the pixels",
+        }
+
+    def to_xarray(self) -> xarray.Dataset:
+        """All maps over (y_um, x_um).
+
+        Raises:
+            MissingToolError: xarray is not installed.
+        """
+        axes, (n_y, n_x) = ("y_um", "x_um"), self.depth_m.shape
+        units = {"intensity_x": "electron", "intensity_y": "electron", "contrast": "", "depth_m": "m", "confidence": ""}
+        variables = {name: (axes, getattr(self, name), unit) for name, unit in units.items()}
+        x_um, y_um = (
+            origin + np.arange(count) * self.pixel_um for origin, count in zip(self.origin_um, (n_x, n_y), strict=True)
+        )
+        return dataset({**variables, "segment": (axes, self.segment, "")}, {"y_um": y_um, "x_um": x_um})

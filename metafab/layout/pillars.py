@@ -9,12 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.display import Displayed
 from metafab.core.errors import InputError
+from metafab.core.labelled import dataset
+
+if TYPE_CHECKING:
+    import xarray
 
 SizeIndexArray = NDArray[np.uint16]
 
@@ -132,8 +138,8 @@ class PillarTile:
         return slice(self.row, self.row + n_y), slice(self.column, self.column + n_x)
 
 
-@dataclass(frozen=True)
-class PillarMap:
+@dataclass(frozen=True, repr=False)
+class PillarMap(Displayed):
     """All pillars of a lens, as a stream of tiles that can be read repeatedly.
 
     Attributes:
@@ -196,3 +202,24 @@ class PillarMap:
     def size_nm(self) -> FloatArray:
         """Width and length of each size in nanometres, shape (n_sizes + 1, 2)."""
         return np.multiply(self.size_dbu, self.lattice.database_unit_nm, dtype=np.float64)
+
+    def key_figures(self) -> dict[str, str]:
+        """Sites, period and sizes."""
+        unit_nm = self.lattice.database_unit_nm
+        period = " x ".join(f"{side * unit_nm:g}" for side in self.lattice.cell_dbu)
+        return {
+            "sites": " x ".join(str(count) for count in self.lattice.shape),
+            "period": f"{period} nm",
+            "sizes": str(len(self.size_dbu) - 1),
+        }
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Width and length of every pillar over (y_um, x_um), NaN where none stands; 8 bytes per site.
+
+        Raises:
+            MissingToolError: xarray is not installed.
+        """
+        axes, index = ("y_um", "x_um"), self.to_array()
+        sizes = np.where(self.size_dbu > 0, self.size_nm(), np.nan).astype(np.float32)
+        variables = {name: (axes, sizes[index, k], "nm") for k, name in enumerate(("width_nm", "length_nm"))}
+        return dataset(variables, {"y_um": self.lattice.y_um(), "x_um": self.lattice.x_um()})

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from metafab.cell import PillarCell, is_square
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.display import Displayed
 from metafab.core.errors import InputError
+from metafab.core.labelled import dataset
 from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import contents_sha256, sources_sha256
 from metafab.library.axes import Corner, CornerBox, corner_cell, corner_unit_cell
@@ -20,6 +23,9 @@ from metafab.library.fit.rational import RationalModel
 from metafab.library.surface import SMALLEST_SURFACE, SizeResponse, Surface
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.embedded import LIBRARY_FORMAT
+
+if TYPE_CHECKING:
+    import xarray
 
 #: Modules whose source, with that of all their imports, decides a library's numbers; the FDTD program is started, not
 #: imported.
@@ -78,8 +84,8 @@ class BuildTime:
     solver_ms_per_point: float
 
 
-@dataclass(frozen=True)
-class Library:
+@dataclass(frozen=True, repr=False)
+class Library(Displayed):
     """Zero-order response against pillar size, on the grid of manufacturable sizes.
 
     Attributes:
@@ -221,6 +227,26 @@ class Library:
             got = "a width that is not the length"
             raise InputError.single("library", "width_nm, length_nm", "diameters of circles", got)
         return SizeResponse(self.t_xx[0, row, column], self.t_yy[0, row, column], self.error_of_sizes[row, column])
+
+    def key_figures(self) -> dict[str, str]:
+        """Sizes, wavelength and error."""
+        width, length = self.width_nm, self.length_nm
+        return {
+            "sizes": f"{int(self.known.sum())}, {width[0]:g} to {width[-1]:g} x {length[0]:g} to {length[-1]:g} nm",
+            "wavelength": f"{self.wavelength_nm[0]:g} nm",
+            "largest error of t": f"{np.nanmax(self.error_of_sizes):.1e}",
+        }
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Amplitudes and errors over (wavelength_nm, length_nm, width_nm).
+
+        Raises:
+            MissingToolError: xarray is not installed.
+        """
+        axes = ("wavelength_nm", "length_nm", "width_nm")
+        amplitudes = {name: (axes, getattr(self, name), "") for name in ("t_xx", "t_yy", "r_xx", "r_yy")}
+        error = np.broadcast_to(self.error, self.t_xx.shape)
+        return dataset({**amplitudes, "error": (axes, error, "")}, {name: getattr(self, name) for name in axes})
 
 
 def evaluate(library: Library, width_nm: ArrayLike, length_nm: ArrayLike, **axes: float) -> SizeResponse:

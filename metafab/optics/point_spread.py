@@ -5,11 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import POLARISATIONS, FloatArray
+from metafab.core.display import Displayed
+from metafab.core.labelled import dataset
+
+if TYPE_CHECKING:
+    import xarray
 
 _SHARES = ("transmitted", "stray", "lost")
 
@@ -99,8 +105,8 @@ class PsfDetails:
         )
 
 
-@dataclass(frozen=True)
-class Psf:
+@dataclass(frozen=True, repr=False)
+class Psf(Displayed):
     """Point-spread functions of both polarisations over depth, for objects on the axis or in one direction.
 
     Attributes:
@@ -130,3 +136,37 @@ class Psf:
     sensor_distance_um: float
     field: PsfField | None = None
     details: PsfDetails = PsfDetails()
+
+    def key_figures(self) -> dict[str, str]:
+        """Depths, window, orientation, efficiency and error."""
+        phi, efficiency = self.phi_deg, 100.0 * self.efficiency.mean(axis=1)
+        return {
+            "depths": f"{self.depth_m.size}, {self.depth_m[0]:g} to {self.depth_m[-1]:g} m",
+            "window": f"{self.psf.shape[-1]} pixels of {self.pixel_um:g} um",
+            "orientation": f"{phi[0]:.1f} to {phi[-1]:.1f} degrees",
+            "efficiency x, y": ", ".join(f"{share:.1f} %" for share in efficiency),
+            "relative error": f"{self.error.max():.1e}",
+        }
+
+    def to_xarray(self) -> xarray.Dataset:
+        """PSFs over (polarisation, depth_m, y_um, x_um); places are relative to the geometric image point.
+
+        Raises:
+            MissingToolError: xarray is not installed.
+        """
+        n_y, n_x = self.psf.shape[-2:]
+        image = ("polarisation", "depth_m", "y_um", "x_um")
+        variables = {
+            "psf": (image, self.psf, "1/um^2"),
+            "efficiency": (image[:2], self.efficiency, ""),
+            "phi_deg": (("depth_m",), self.phi_deg, "degree"),
+            "error": (("depth_m",), self.error, ""),
+            "extinction_ratio": (("depth_m",), self.extinction_ratio, ""),
+        }
+        coordinates = {
+            "polarisation": list(POLARISATIONS),
+            "depth_m": self.depth_m,
+            "y_um": (np.arange(n_y) - n_y // 2) * self.pixel_um,
+            "x_um": (np.arange(n_x) - n_x // 2) * self.pixel_um,
+        }
+        return dataset(variables, coordinates)

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.display import Displayed
+from metafab.core.labelled import dataset
+
+if TYPE_CHECKING:
+    import xarray
 
 
 @dataclass(frozen=True)
@@ -27,8 +33,8 @@ class Truth:
     label: NDArray[np.int32]
 
 
-@dataclass(frozen=True)
-class RawFrame:
+@dataclass(frozen=True, repr=False)
+class RawFrame(Displayed):
     """One exposure.
 
     Attributes:
@@ -61,3 +67,21 @@ class RawFrame:
         row, column, rows, columns = self.x_window
         n_y, n_x = self.frame.shape
         return min(row, column) >= 0 and min(rows, columns) > 0 and row + rows <= n_y and column + columns <= n_x
+
+    def key_figures(self) -> dict[str, str]:
+        """Size, pixel and mean signal."""
+        return {
+            "pixels": " x ".join(str(count) for count in self.frame.shape),
+            "pixel": f"{self.pixel_um:g} um",
+            "mean": f"{self.frame.mean():.4g} electrons",
+        }
+
+    def to_xarray(self) -> xarray.Dataset:
+        """The frame over (y_um, x_um) on the sensor.
+
+        Raises:
+            MissingToolError: xarray is not installed.
+        """
+        (x, y), (n_y, n_x) = self.origin_um, self.frame.shape
+        coordinates = {"y_um": y + np.arange(n_y) * self.pixel_um, "x_um": x + np.arange(n_x) * self.pixel_um}
+        return dataset({"frame": (("y_um", "x_um"), self.frame, "electron")}, coordinates)

@@ -58,7 +58,7 @@ def test_names_lead_to_the_module_that_defines_them() -> None:
 
 def test_a_library_hangs_on_solver_materials_and_its_own_spec(of_a_library: set[str]) -> None:
     needed = {
-        "cell/rcwa/scattering/eigenmodes.py",
+        "cell/rcwa/scattering/modes.py",
         "cell/meep_worker.py",
         "core/storage/hdf5.py",
         "library/fit/rational.py",
