@@ -1,8 +1,8 @@
-"""The main job from design file to report: seconds and peak memory of each step, as aperture, depths and pixels grow.
+"""Seconds and peak memory of each step of a run, for several apertures, numbers of depths and numbers of pixels.
 
-The small camera scaled: the focal length grows with the aperture and the depths with its square, so that the zones
-turn by the same angle, the images keep their pixels, and only the number of pillars changes. Depths and pixels grow at
-0.2 mm, over the same range and the same field of view.
+The small camera is scaled: the focal length grows with the aperture, the depths with its square. The lobe then rotates
+by the same angle, the images keep their pixels, and only the number of pillars changes. Depths and pixels are varied
+for an aperture of 0.2 mm, over the same range and the same field of view.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from metafab.spec import Design, load_design
 SMALL = Path(__file__).parent.parent / "layouts" / "helix_small.toml"
 QUICK_UM, FULL_UM = (100.0, 200.0), (100.0, 200.0, 500.0, 1000.0, 2000.0)
 DEPTHS = (2, 8, 16)
-#: Pixels along a line, over the small camera's; it has 128.
+#: Pixels along a line, relative to the 128 pixels of the small camera.
 FINER = (0.5, 2.0)
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
-    """A row a step and one for the whole: ``error`` of the whole is the decoded depths' mean |dz| / z.
+    """Rows of every step, and one for the whole run, whose ``error`` is the mean |dz| / z of the decoded depths.
 
     Args:
-        quick: apertures to 0.2 mm only.
+        quick: only apertures up to 0.2 mm.
     """
     small = load_design(SMALL)
     found = []
@@ -43,7 +43,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
 
 
 def deeper(design: Design, count: int) -> Design:
-    """The same camera verified at more depths of the same range, evenly in vergence."""
+    """The camera verified at ``count`` depths of the same range, evenly in vergence."""
     near_m, *_, far_m = design.verify.depths_m
     step = (1.0 / near_m - 1.0 / far_m) / (count - 1)
     depths_m = (near_m, *(1.0 / (1.0 / near_m - k * step) for k in range(1, count - 1)), far_m)
@@ -51,7 +51,7 @@ def deeper(design: Design, count: int) -> Design:
 
 
 def finer(design: Design, share: float) -> Design:
-    """The same camera with ``share`` as many pixels along each line, over the same field and the same windows."""
+    """The camera with ``share`` times the pixels along each line, over the same field and the same windows."""
     scene = design.scene
     assert scene is not None  # the small camera has one
     field_px = (round(share * scene.field_px[0]), round(share * scene.field_px[1]))
@@ -66,7 +66,7 @@ def finer(design: Design, share: float) -> Design:
 
 
 def scaled(design: Design, aperture_um: float) -> Design:
-    """The same camera at another aperture."""
+    """The camera scaled to another aperture."""
     share = aperture_um / design.device.aperture_um
     depth, angle = share**2, 1.0 / share
     scene = design.scene
@@ -92,20 +92,20 @@ def scaled(design: Design, aperture_um: float) -> Design:
 
 def _job(design: Design, title: str) -> Iterator[dict[str, Any]]:
     with TemporaryDirectory() as folder:
-        summary = run(design, Path(folder)).summary
+        summary = run(design, Path(folder))
     shared = {
         "aperture_um": design.device.aperture_um,
-        "pillars": summary["layout"]["pillars"],
+        "pillars": None if summary.layout is None else summary.layout.pillars,
         "depths": len(design.verify.depths_m),
         "field_px": list(design.scene.field_px) if design.scene else None,
     }
-    for step, seconds in summary["seconds"].items():
-        memory = summary["peak_rss_mb"][step]
+    for step, seconds in summary.seconds.items():
+        memory = summary.peak_rss_mb[step]
         yield {"name": f"{title}: {step}", "error": None, "seconds": seconds, "peak_rss_mb": memory, **shared}
     yield {
         "name": f"{title}: whole",
-        "error": summary["decode"]["nmae"],
-        "seconds": sum(summary["seconds"].values()),
-        "peak_rss_mb": max(summary["peak_rss_mb"].values()),
+        "error": None if summary.decode is None else summary.decode.nmae,
+        "seconds": sum(summary.seconds.values()),
+        "peak_rss_mb": max(summary.peak_rss_mb.values()),
         **shared,
     }

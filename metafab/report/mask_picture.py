@@ -1,6 +1,6 @@
-"""A mask as pictures: one pass over the tiles of the file gives the whole lens in grey and rectangles at two zooms.
+"""Pictures of a mask, in one pass over its tiles: the whole lens as a grey map, and rectangles at two zooms.
 
-Memory does not grow with the lens: the grey map has a fixed number of pixels, the zooms a fixed number of sites.
+Memory does not grow with the lens: the grey map has a limited number of pixels, the zooms a fixed number of sites.
 """
 
 from __future__ import annotations
@@ -14,21 +14,23 @@ from metafab.core.conventions import FloatArray
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import PillarMap, PillarTile
 
+#: Largest number of pixels along a side of the grey map.
 _MAP_PIXELS = 360
-#: Where the zooms look, as a share of the half side from the centre: off the axis, off the diagonals.
+#: Centre of the zooms as a share of the half side: off the axis and off the diagonals.
 _LOOK_AT = (0.42, 0.23)
+#: Sites along a side of each zoom.
 _ZOOM_SITES = (40, 10)
 
 
 @dataclass(frozen=True)
 class MaskPicture:
-    """What the mask figures show.
+    """Data of the mask figures.
 
     Attributes:
-        fill: shape (n_y, n_x), share of each block of sites that pillars cover; NaN where there are none.
-        half_side_um: half the width and height that ``fill`` spans.
-        zooms: rectangles of each closer zoom, wider first; shape (n, 4): x, y, width, length in um.
-        sites_a_pixel: sites a side of one pixel of ``fill``.
+        fill: shape (n_y, n_x), share of each block of sites that pillars cover; NaN without pillars.
+        half_side_um: half the width and half the height of ``fill``.
+        zooms: rectangles of each zoom, the wider zoom first; shape (n, 4): x, y, width, length in um.
+        sites_a_pixel: sites along a side of one pixel of ``fill``.
     """
 
     fill: FloatArray
@@ -37,15 +39,15 @@ class MaskPicture:
     sites_a_pixel: int
 
     def frames_um(self) -> list[FloatArray]:
-        """(left, right, low, high) of each zoom that shows a pillar."""
+        """Frame of each zoom with pillars, shape (4,): left, right, low, high."""
         return [np.array([z[:, 0].min(), z[:, 0].max(), z[:, 1].min(), z[:, 1].max()]) for z in self.zooms if z.size]
 
 
 def picture_of(pillars: PillarMap, outline: Outline = RECTANGLE) -> MaskPicture:
-    """Draw a pillar map from its tiles, in one pass; ``outline`` tells how much each size covers."""
+    """Make the pictures of a pillar map; ``outline`` gives the area of each size."""
     lattice = pillars.lattice
     n_y, n_x = lattice.shape
-    across = 2 if lattice.hexagonal else 1  # columns a pillar: a row of a hexagonal lattice fills every other one
+    across = 2 if lattice.hexagonal else 1  # A row of a hexagonal lattice fills every other column.
     block = across * max(1, math.ceil(max(n_y, n_x) / (across * _MAP_PIXELS)))
     area = outline.area(pillars.size_dbu) * lattice.database_unit_nm**2
     covered = np.zeros((math.ceil(n_y / block), math.ceil(n_x / block)))
@@ -64,7 +66,7 @@ def picture_of(pillars: PillarMap, outline: Outline = RECTANGLE) -> MaskPicture:
 
 
 def _window(shape: tuple[int, int], sites: tuple[int, int]) -> tuple[slice, slice]:
-    """So many rows and columns at the place where all zooms look."""
+    """Rows and columns of a zoom of ``sites`` sites."""
     slices = []
     for count, wanted, place in zip(shape, sites, reversed(_LOOK_AT), strict=True):
         start = round(0.5 * count * (1.0 + place)) - wanted // 2

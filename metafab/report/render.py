@@ -1,7 +1,7 @@
-"""A figure -> a PNG for papers and slides, an SVG element for the page, or both in one drawing.
+"""A figure as PNG, or as PNG and SVG in one drawing.
 
-Most of the time that a drawing takes goes into laying it out: which ticks there are, how wide each text is, where all
-of it stands. For two forms it is done once, and every stroke goes to both.
+Most of the time of a drawing goes into its layout: ticks, widths of texts, positions. For two forms, the layout is done
+once, and every stroke goes to both.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from metafab.report.style import CSS_VARIABLES
 
 _DPI = 160
 _COMPRESS_LEVEL = 1
-#: Units of an SVG drawing in an inch: matplotlib's own, in which a point is 1.
+#: Units of an SVG drawing in an inch: one unit is a point, as in matplotlib.
 _SVG_DPI = 72
 
 
 def save_png(figure: Figure, path: Path) -> Path:
-    """The figure as a PNG on white, whole or not at all; the same figure gives the same bytes."""
+    """Write a figure as PNG on white; equal figures give equal bytes."""
     figure.set_dpi(_DPI)
     figure.set_facecolor("white")
     canvas: Any = FigureCanvasAgg(figure)
@@ -44,14 +44,14 @@ def save_png(figure: Figure, path: Path) -> Path:
 
 
 def save_both(figure: Figure, path: Path, label: str) -> str:
-    """The figure as a PNG on white at ``path``, and as an SVG element to stand inside a page.
+    """Write a figure as PNG on white, and return it as SVG element for a page.
 
-    In the SVG, inks follow the page's theme and text its typeface; all its identifiers begin with the file's name.
+    The SVG follows the theme and the typeface of the page; its identifiers begin with the name of the file.
 
     Args:
-        figure: what to show.
-        path: where the PNG goes; names of one page differ.
-        label: what a screen reader says.
+        figure: the figure.
+        path: PNG to write; its name is unique on a page.
+        label: text for screen readers.
 
     Returns:
         The SVG element.
@@ -70,7 +70,7 @@ def save_both(figure: Figure, path: Path, label: str) -> str:
 
 
 class _Both(RendererSVG):
-    """Writes every stroke as SVG, and draws it on pixels."""
+    """Renderer that writes every stroke as SVG and draws it on pixels."""
 
     def __init__(self, width_in: float, height_in: float, stream: io.StringIO) -> None:
         silent = {"Date": None, "Creator": None, "Format": None, "Type": None}
@@ -82,7 +82,7 @@ class _Both(RendererSVG):
         self._pixels.draw_path(paper, Outline.unit_rectangle(), whole, (1.0, 1.0, 1.0, 1.0))
 
     def picture(self) -> NDArray[np.uint8]:
-        """What was drawn on pixels, on white; shape (n_y, n_x, 3)."""
+        """The drawn pixels on white, shape (n_y, n_x, 3)."""
         rgba = np.asarray(self._pixels.buffer_rgba())
         return np.asarray(Image.fromarray(rgba).convert("RGB"))
 
@@ -98,11 +98,11 @@ class _Both(RendererSVG):
         self._pixels.draw_markers(self._on_pixels(gc), *larger, rgbFace)
 
     def draw_path_collection(self, *args: Any, **options: Any) -> None:
-        # One by one, each by `draw_path`: what RendererSVG does of its own would miss the pixels.
+        # Each path by `draw_path`: the method of RendererSVG would draw no pixels.
         RendererBase.draw_path_collection(self, *args, **options)
 
     def draw_image(self, gc: Any, x: float, y: float, im: Any, transform: Any = None) -> None:
-        # It comes in the pixels' resolution, first row lowest, and takes longer to compress than to draw.
+        # The image has the resolution of the pixels, first row lowest; strong compression takes longer than drawing.
         self._pixels.draw_image(self._on_pixels(gc), *self._enlarge.transform((x, y)), im)
         stream = io.BytesIO()
         Image.fromarray(np.flipud(im)).save(stream, format="PNG", compress_level=_COMPRESS_LEVEL)
@@ -125,7 +125,7 @@ class _Both(RendererSVG):
         self._pixels.draw_text(self._on_pixels(gc), *at, s, prop, angle, ismath, mtext)
 
     def _on_pixels(self, gc: Any) -> Any:
-        """The graphics context of a stroke on pixels; widths and dashes are in points there, too."""
+        """Graphics context of a stroke on pixels."""
         own = self._pixels.new_gc()
         own.copy_properties(gc)
         if (rectangle := gc.get_clip_rectangle()) is not None:
@@ -144,7 +144,7 @@ def _write_png(pixels: NDArray[np.uint8], path: Path) -> Path:
 
 
 def _element(text: str, name: str, label: str, width_in: float) -> str:
-    """The SVG element of a drawing, its identifiers prefixed, its inks and typeface the page's."""
+    """The SVG element of a drawing, with prefixed identifiers, and with inks and typeface of the page."""
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
     text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
@@ -155,7 +155,7 @@ def _element(text: str, name: str, label: str, width_in: float) -> str:
     text = re.sub(r"font: ([\d.]+px) [^;\"]*", r"font-size: \1; font-family: inherit", text)
     for colour, variable in CSS_VARIABLES.items():
         text = text.replace(colour, f"var({variable})")
-    # The page sets the size, for which it has the width in inches; the view box keeps the proportions.
+    # The page sets the size from the width in inches; the view box keeps the proportions.
     head, body = text.split(">", 1)
     head = re.sub(r' (?:width|height|version)="[^"]*"', "", head)
     body = re.sub(r"\n\s*", " ", body).strip()

@@ -53,26 +53,11 @@ class SegmentRow:
 
 @dataclass(frozen=True)
 class DecodeFigures:
-    """Figures of a decoded image; those below ``reason`` are None where the decoder does not give them.
+    """Fields of :class:`metafab.decode.image.DecodeFigures`, whose room a current run does not import.
 
     Attributes:
         nmae: mean |depth error| / depth over pixels, with the depths of their segments; None without truth.
         segments: depth and contrast of each segment.
-        reason: reason why the image is empty; None for a decoded image.
-        warning: doubt about the frame or the calibration.
-        layers: depth layers; ``basis_images``: images that the deconvolution combines.
-        step_px: frame pixels per compared pixel.
-        pixels: pixels of the image; ``pixels_without_signal``, ``pixels_without_texture`` and ``pixels_broken`` have
-            no depth.
-        contrast_standard_error: median relative standard error of a pixel's contrast.
-        twin_mismatch: share of the twin images' power that neither noise nor depth explains.
-        seconds: time of decoding.
-        share_decoded: share of the objects' pixels with a depth; this and the following compare with the truth.
-        nmae_pixel: mean |depth error| / depth over pixels, each with its own depth.
-        psnr_x_db: peak signal-to-noise ratio of I_x; ``ssim_x``: structural similarity. Likewise for y.
-        object_error: mean over objects of |depth error| / depth; ``worst_object_error``: the largest.
-        contrast_error: mean relative error of the objects' contrast.
-        changed_share: share of the pixels that were decoded again in this frame of a film.
     """
 
     nmae: float | None

@@ -22,23 +22,15 @@ _OPENED: Latest[Library] = Latest()
 
 @dataclass(frozen=True)
 class LibraryFigures:
-    """Quality of a library, and figures of its build as far as its file holds them.
+    """Quality of a library and figures of its build, which are None where its file does not hold them.
+
+    The fields are those of :func:`metafab.library.quality`, of :class:`metafab.library.library.BuildStatistics` and,
+    with the prefix ``corner_``, of :class:`metafab.library.corners.CornerStatistics`. A current run imports none of
+    them.
 
     Attributes:
         file: path of the library.
-        coverage_rad: covered part of the phase circle, worse polarisation; this and the figures down to
-            ``cd_phase_rms_rad`` are those of :func:`metafab.library.quality`.
-        index_phase_error_rad: rms phase change for an index that is larger by its standard uncertainty; None where the
-            material has no stated uncertainty.
-        points_solved: sizes that were solved; ``points_between``: solved between the sizes of the grid.
-        points_total: sizes of the library; ``sizes_beyond_target``: those whose error exceeds the target.
-        max_error: largest error of complex t over all sizes.
-        max_solver_error: largest truncation error of a solved size; ``max_model_error``: largest error of the fitted
-            model at a size that was not solved; ``max_between_error``: the same between the sizes.
-        held_out_error: largest error of the model at ``held_out`` sizes kept for validation.
-        rounds: rounds of adaptive sampling; ``numerator_degree``, ``denominator_degree``: of the rational model.
-        corner_points_solved: figures whose names begin with ``corner_`` are those of the model over fabrication
-            corners.
+        index_phase_error_rad: see :func:`metafab.library.index_phase_error_rad`.
     """
 
     file: str

@@ -42,14 +42,7 @@ class ModulationFigures:
 
 @dataclass(frozen=True)
 class WavefrontFigures:
-    """Overlap of the written field with the target wave, x and y polarisation.
-
-    Attributes:
-        overlap: share of the transmitted power in the target wave; ``error``: its standard error.
-        best_overlap: the same for sizes off the size grid.
-        filled: share of the sites in the aperture that carry a pillar.
-        sites: sites with a pillar that were sampled.
-    """
+    """Fields of :class:`metafab.optics.measures.chain.Wavefront`, whose room a current run does not import."""
 
     overlap: tuple[float, ...]
     error: tuple[float, ...]
@@ -60,12 +53,7 @@ class WavefrontFigures:
 
 @dataclass(frozen=True)
 class LossFigures:
-    """One factor of the loss chain.
-
-    Attributes:
-        stage: place or cause of the loss.
-        factor: remaining share, x and y polarisation; None where it was not measured.
-    """
+    """Fields of :class:`metafab.optics.measures.chain.Loss`, whose room a current run does not import."""
 
     stage: str
     factor: tuple[float, ...] | None

@@ -31,11 +31,14 @@ def typed(kind: type[Figures], table: Mapping[str, Any]) -> Figures:
     if not isinstance(table, Mapping):
         raise TypeError(f"expected a table of {kind.__name__}, got {type(table).__name__}")
     hints = get_type_hints(kind)
-    values = {
-        item.name: _value(hints[item.name], table[item.name])
-        for item in fields(kind)  # type: ignore[arg-type]
-        if item.name in table
-    }
+    values: dict[str, Any] = {}
+    for item in fields(kind):  # type: ignore[arg-type]
+        if item.name not in table:
+            continue
+        value = table[item.name]
+        # An optional field that is None has no entry: null stands for NaN.
+        missing = value is None and "optional" in item.metadata
+        values[item.name] = math.nan if missing else _value(hints[item.name], value)
     return kind(**values)
 
 
