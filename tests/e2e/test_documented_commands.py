@@ -24,7 +24,7 @@ NOT_RUN = {
     ".ci/run": "runs the tests, this one among them",
     "pip install": "fetches packages",
     "python3 -m venv": "is there to fetch packages",
-    "benchmark": "measures for minutes; tests/cli/test_cli_benchmark.py runs a room",
+    "benchmark": "measures for minutes; tests/cli/test_benchmark.py runs a room",
     "dask": "starts a cluster; tests/files/test_library_build_file.py has one",
     "--cluster": "needs the cluster",
 }
