@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from metafab.library.use.amplitudes import power_amplitudes, turned_jones
 from metafab.phase.jones_target import JonesTarget
 from metafab.spec import Design
 from metafab.spec.outline import encloses
+from metafab.spec.turned import require_turnable
 
 #: Rows of sites that are assigned at a time.
 _ROWS = 16
@@ -48,20 +50,36 @@ class TurnedRectangles(Outline):
         return False
 
     def polygons(self, size_dbu: NDArray[np.int64]) -> tuple[IntArray, ...]:
-        """Vertices of each size index about its centre, counter-clockwise, shape (4, 2) each."""
-        sizes = zip(size_dbu.tolist(), self.angle_deg.tolist(), strict=True)
-        return tuple(turned_rectangle(width, length, angle_deg) for (width, length), angle_deg in sizes)
+        """Vertices of each size index about its centre, shape (4, 2) each.
+
+        Args:
+            size_dbu: shape (n_sizes + 1, 2), width and length.
+        """
+        return tuple(turned_rectangles(size_dbu, self.angle_deg))
 
     def area(self, size_dbu: NDArray[np.int32]) -> FloatArray:
-        """Area of each polygon, shape (n_sizes + 1,), squared database units."""
-        return np.array([polygon_area(polygon) for polygon in self.polygons(size_dbu.astype(np.int64))])
+        """Area of each polygon, shape (n_sizes + 1,), squared database units.
+
+        Args:
+            size_dbu: shape (n_sizes + 1, 2), width and length.
+        """
+        return np.array([polygon_area(polygon) for polygon in turned_rectangles(size_dbu, self.angle_deg)])
 
 
-def turned_rectangle(width_dbu: int, length_dbu: int, angle_deg: float) -> IntArray:
-    """Return the vertices of a turned rectangle about its centre, shape (4, 2), rounded to whole database units."""
-    cosine, sine = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
-    corners = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (width_dbu, length_dbu)
-    return np.asarray(np.rint(corners @ np.array([[cosine, sine], [-sine, cosine]])), dtype=np.int64)
+def turned_rectangles(size_dbu: NDArray[np.integer[Any]], angle_deg: FloatArray) -> IntArray:
+    """Return the vertices of turned rectangles about their centres, rounded to whole database units.
+
+    Args:
+        size_dbu: shape (n, 2), width and length.
+        angle_deg: shape (n,), counter-clockwise, 0 to below 90.
+
+    Returns:
+        Shape (n, 4, 2), counter-clockwise from the lowest vertex; of two that are as low, from the left one.
+    """
+    cosine, sine = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
+    corners = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size_dbu[:, None]
+    turn = np.moveaxis(np.array([[cosine, sine], [-sine, cosine]]), -1, 0)
+    return np.asarray(np.rint(corners @ turn), dtype=np.int64)
 
 
 def outline_of(pillars: PillarMap, design: Design) -> Outline:
@@ -106,8 +124,9 @@ def assign_turned(
     Raises:
         InputError: the gap leaves no room for any pillar, or sizes lie off the mask's grid.
     """
+    require_turnable(design)
     lattice = lattice_of(design)
-    size_dbu, angle_deg = _allowed_sizes(library, design, angles, size_step_nm)
+    size_dbu, angle_deg = turned_sizes(design, angles, size_step_nm)
     width_nm, length_nm = size_dbu[1:].T * lattice.database_unit_nm
     jones = turned_jones(power_amplitudes(library, width_nm, length_nm), angle_deg[1:]) * _NORM_WEIGHT
     x_um, y_um = lattice.x_um(), lattice.y_um()
@@ -134,13 +153,23 @@ def assign_turned(
     return TurnedAssignment(pillars, common**2 / (target_power * power))
 
 
-def _allowed_sizes(
-    library: Library, design: Design, angles: int, size_step_nm: float
-) -> tuple[NDArray[np.int32], FloatArray]:
-    """Sizes, shape (n + 1, 2), and angles, shape (n + 1,), of turned pillars that keep the rules; index 0 is none."""
-    unit_nm, grid_nm = design.mask.database_unit_nm, design.unit_cell.sweep.size_grid_nm
-    step_nm = math.ceil(size_step_nm / grid_nm - 1e-6) * grid_nm
-    sides = [np.arange(axis[0], axis[-1] + 1e-6, step_nm) for axis in (library.width_nm, library.length_nm)]
+def turned_sizes(design: Design, angles: int, size_step_nm: float) -> tuple[NDArray[np.int32], FloatArray]:
+    """Return the sizes and angles of turned pillars that keep the rules; index 0 is no pillar.
+
+    Args:
+        design: size grid of the library, period and rules.
+        angles: angles in half a turn.
+        size_step_nm: step of widths and lengths, rounded up to a multiple of ``sweep.size_grid_nm``.
+
+    Returns:
+        Width and length, shape (n_sizes + 1, 2), database units, and angles, shape (n_sizes + 1,), 0 to below 90.
+
+    Raises:
+        InputError: the gap leaves no room for any pillar, or sizes lie off the mask's grid.
+    """
+    sweep, unit_nm = design.unit_cell.sweep, design.mask.database_unit_nm
+    step_nm = math.ceil(size_step_nm / sweep.size_grid_nm - 1e-6) * sweep.size_grid_nm
+    sides = [np.arange(smallest, largest + 1e-6, step_nm) for smallest, largest in (sweep.width_nm, sweep.length_nm)]
     # A quarter turn exchanges width and length: angles below it list each pillar once.
     angle_deg = np.arange(angles // 2) * 180.0 / angles
     width, length, angle = (axis.ravel() for axis in np.meshgrid(*sides, angle_deg, indexing="ij"))
@@ -151,7 +180,7 @@ def _allowed_sizes(
     if not kept.any():
         expected, got = "a gap that leaves room for turned pillars", f"{design.rules.min_gap_nm:g} nm"
         raise InputError.single(design.name, "rules.min_gap_nm", expected, got, "make it smaller")
-    for side_nm in (float(sides[0][0]), float(sides[1][0]), step_nm):
+    for side_nm in (sweep.width_nm[0], sweep.length_nm[0], step_nm):
         whole_dbu(side_nm, unit_nm, "sweep", even=True)
     size_dbu = np.rint(np.stack([width, length], axis=1)[kept] / unit_nm).astype(np.int32)
     return np.concatenate([np.zeros((1, 2), dtype=np.int32), size_dbu]), np.append(0.0, angle[kept])

@@ -10,7 +10,7 @@ import pytest
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.layout.turned import TurnedAssignment, TurnedRectangles, assign_turned, turned_rectangle
+from metafab.layout.turned import TurnedAssignment, TurnedRectangles, assign_turned, turned_rectangles
 from metafab.library.library import Library
 from metafab.phase.jones_target import JonesTarget
 from metafab.spec import Design
@@ -83,7 +83,7 @@ def test_sizes_lie_on_the_grid_of_the_library(smooth_library: Library) -> None:
 
 def test_vertices_are_those_of_the_turned_rectangle() -> None:
     for angle_deg in (0.0, 11.25, 45.0, 78.75):
-        ring = turned_rectangle(400, 250, angle_deg)
+        ring = turned_rectangles(np.array([[400, 250]]), np.array([angle_deg]))[0]
         turn = np.exp(1j * math.radians(angle_deg))
         corners = turn * np.array([-200 - 125j, 200 - 125j, 200 + 125j, -200 + 125j])
         assert np.abs(ring - np.stack([corners.real, corners.imag], axis=1)).max() <= 0.5
