@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from metafab.cell.meep import finding
-from metafab.cell.meep.protocol import Job, Reply, Worker
+from metafab.cell.meep.protocol import Job, Reply, Worker, load_reply
 from metafab.core.errors import InputError, SolverError
 from metafab.core.parallel.executor import default_workers
 from metafab.core.storage.files import file_sha256, fingerprint, whole_file
@@ -157,8 +157,7 @@ class Pool:
 def _finished(path: Path) -> Reply | None:
     """The reply in a file; None where there is none, or a damaged one, which is then replaced."""
     try:
-        with np.load(path, allow_pickle=False) as content:
-            return {name: np.array(content[name]) for name in content.files}
+        return load_reply(path)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile):
         return None
 

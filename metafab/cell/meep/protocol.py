@@ -31,6 +31,8 @@ Reply = dict[str, NDArray[Any]]
 _STDERR_LINES = 12
 #: Time that a worker has to end by itself.
 _GRACE_SECONDS = 2.0
+#: NumPy reads headers with ``ast``, whose parser is not safe in several threads of Python 3.11.
+_LOADING = threading.Lock()
 
 
 @dataclass(frozen=True)
@@ -150,8 +152,7 @@ class Worker:
         try:
             self._send({"id": name, "job": plain(job), "arrays": str(arrays)})
             self._await(name, time.monotonic() + limit_s, limit_s, report)
-            with np.load(arrays, allow_pickle=False) as content:
-                reply = {key: np.array(content[key]) for key in content.files}
+            reply = load_reply(arrays)
         except (OSError, ValueError) as error:
             failure = self._failure(f"its arrays cannot be read ({error})")
             self.close()
@@ -235,6 +236,16 @@ class Worker:
             for line in self._process.stdout:
                 self._lines.put(line)
         self._lines.put(None)
+
+
+def load_reply(path: Path) -> Reply:
+    """Read the arrays of an .npz file.
+
+    Raises:
+        OSError, ValueError, EOFError, zipfile.BadZipFile: there is no file, or it is damaged.
+    """
+    with _LOADING, np.load(path, allow_pickle=False) as content:
+        return {name: np.array(content[name]) for name in content.files}
 
 
 def _parse(line: str) -> dict[str, Any]:
