@@ -1,6 +1,7 @@
 """Foundations of every room.
 
 - ``conventions``  signs, axes, units and reference planes, with the array types
+- ``polarisation`` six states of polarisation, Stokes vectors
 - ``errors``       faults, errors and their exit codes
 - ``numeric``      compilation by numba, and numerics that several rooms share
 - ``parallel``     executors, worker processes, interrupts, progress, cost of a block

@@ -7,6 +7,7 @@
 - ``confidence``     the definition of a depth's confidence
 - ``image``          Image4D, and the figures of its segments and of the decoding
 - ``decoder``        ``decode`` for one frame, ``Decoder`` for many of one shape
+- ``stokes``         depth and Stokes vectors from six images: StokesFrame and StokesPsf -> StokesImage
 - ``film/``          change detection and tracking: a decoder of films that decodes only what changed
 - ``camera_fit/``    calibration of a camera from photographs of a point
 - ``evaluation/``    errors against the truth, and the Cramer-Rao bound of depth
