@@ -9,7 +9,7 @@ one solver, one target error and the exchange of x and y, and solve every distin
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import replace
@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.interpolate import RegularGridInterpolator
 
 from metafab import library
 from metafab.cell import CellNumerics, pillar_cell, solve_many
@@ -33,8 +34,6 @@ FINER = 0.1
 SOLVER_SHARE = 0.5
 #: Sizes of one timed call of the evaluation, and number of calls.
 SIZES, REPEATS = 1_000_000, 5
-
-Interpolation = Callable[[FloatArray, FloatArray], ComplexArray]
 
 
 class Spent(Cost):
@@ -86,14 +85,12 @@ def _grid_rows(cell: UnitCell, step_nm: float, sizes_nm: FloatArray, reference: 
         )
     t = np.empty((axis.size, axis.size, 2), dtype=np.complex128)
     t[row, column], t[column, row] = answers, answers[:, ::-1]
-    methods: dict[str, Interpolation] = {
-        "bilinear in phase and amplitude": lambda w, h: _polar(axis, t, w, h),
-        "bilinear in complex t": lambda w, h: _bilinear(axis, t, w, h),
-    }
-    return [
-        _row(f"{step_nm:g} nm grid, {name}", np.abs(method(*sizes_nm) - reference).max(axis=-1), spent, row.size)
-        for name, method in methods.items()
-    ]
+    methods = {"bilinear in phase and amplitude": _polar, "bilinear in complex t": _bilinear}
+    table = []
+    for name, method in methods.items():
+        miss = np.abs(method(axis, t, sizes_nm) - reference).max(axis=-1)
+        table.append(_row(f"{step_nm:g} nm grid, {name}", miss, spent, row.size))
+    return table
 
 
 def _evaluation_row(built: Library, quick: bool) -> dict[str, Any]:
@@ -128,20 +125,14 @@ def _transmission(cell: UnitCell, sizes_nm: FloatArray, target: float, executor:
     return t
 
 
-def _polar(axis: FloatArray, t: ComplexArray, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
+def _polar(axis: FloatArray, t: ComplexArray, sizes_nm: FloatArray) -> ComplexArray:
     phase = np.unwrap(np.unwrap(np.angle(t), axis=0), axis=1)
-    amplitude = _bilinear(axis, np.abs(t), width_nm, length_nm)
-    return np.asarray(amplitude * np.exp(1j * _bilinear(axis, phase, width_nm, length_nm)), dtype=np.complex128)
+    return np.asarray(_bilinear(axis, np.abs(t), sizes_nm) * np.exp(1j * _bilinear(axis, phase, sizes_nm)))
 
 
-def _bilinear(axis: FloatArray, values: Any, width_nm: FloatArray, length_nm: FloatArray) -> Any:
-    """Values on the grid [length, width, polarisation] at scattered sizes: shape (n, 2)."""
-    place = [(size_nm - axis[0]) / (axis[1] - axis[0]) for size_nm in (length_nm, width_nm)]
-    (i, j) = (np.minimum(at.astype(int), axis.size - 2) for at in place)
-    f, g = ((at - low)[:, None] for at, low in zip(place, (i, j), strict=True))
-    upper = (1.0 - g) * values[i, j] + g * values[i, j + 1]
-    lower = (1.0 - g) * values[i + 1, j] + g * values[i + 1, j + 1]
-    return (1.0 - f) * upper + f * lower
+def _bilinear(axis: FloatArray, values: Any, sizes_nm: FloatArray) -> Any:
+    """Values on the grid [length, width, polarisation] at scattered widths and lengths (2, n): shape (n, 2)."""
+    return RegularGridInterpolator((axis, axis), values)(sizes_nm[::-1].T)
 
 
 @contextmanager
