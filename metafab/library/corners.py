@@ -46,7 +46,7 @@ class CornerStatistics:
 
 @dataclass(frozen=True)
 class Corners:
-    """Models over sizes and axes with what is needed to bound their error.
+    """Models over sizes and axes, with the solved cells that bound their error.
 
     Attributes:
         models: the model that is used, and its rivals of other degrees.

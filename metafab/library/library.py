@@ -150,8 +150,8 @@ class Library(Displayed):
         """Return the library at other values of its axes: ``library.at(wavelength_nm=803.0, cd_bias_nm=2.0)``.
 
         Returns:
-            A library of the same sizes with the amplitudes and errors of that corner; the library itself if all values
-            are the unit cell's own.
+            A library with the amplitudes and errors of that corner; the library itself if all values are the unit
+            cell's own.
 
         Raises:
             InputError: an axis is not in ``unit_cell.sweep.axes``, or a value lies outside its span.

@@ -195,7 +195,7 @@ def _finer_tile(
     Args:
         model: amplitudes; the spline's margin ends where its ranges end.
         width_nm: shape (n_width,), nodes of the uniform grid from edge to edge of the tile.
-        length_nm: shape (n_length,), likewise.
+        length_nm: shape (n_length,), nodes of the uniform grid from edge to edge of the tile.
         parts: steps of the tile's grid for each cell.
     """
     columns, left = _with_margin(refined_axis(width_nm, parts), model.width_nm)

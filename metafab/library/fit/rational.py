@@ -230,7 +230,7 @@ def _fit_coefficients(
         q = np.linalg.qr(above * weight[:, None])[0]
         columns = (weight[:, None] * values).T[:, :, None] * below
         rest = columns - q @ (q.T @ columns)
-        # A tall matrix and its triangular factor have the same right singular vectors.
+        # A tall matrix and its triangular factor have equal right singular vectors.
         triangle = np.linalg.qr(rest.reshape(-1, below.shape[1]), mode="r")
         norm = float(np.linalg.norm(weight[:, None] * values))
         denominator = np.conj(np.linalg.svd(np.concatenate([triangle, np.diag(norm * penalty)]))[2][-1])

@@ -1,7 +1,7 @@
 """Adaptive sampling over the grid of sizes: solve a few sizes, model the rest, repeat until the error is small.
 
 Each round fits two rational models of different degrees to all solved sizes. Meanwhile the workers solve the next sizes
-of a space-filling sequence, which the models have not seen: a held-out test. The ratio of held-out errors to the
+of a space-filling sequence, which test the models as held-out samples. The ratio of held-out errors to the
 models' disagreement scales the disagreement to an error estimate. The sizes with the largest estimate, on the ridges of
 guided modes, are solved next and test the models as well. Sampling ends when the estimate at every unsolved size and
 the held-out errors are within the tolerance, or when every size is solved. ``off_grid`` then samples between the sizes.

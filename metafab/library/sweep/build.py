@@ -111,7 +111,7 @@ def build_file(
 ) -> Library:
     """Build a library and save it; a killed build continues where it stopped.
 
-    Until the library is saved, solved sizes are kept in a checkpoint beside the file, whose name holds the fingerprint
+    Until the library is saved, a checkpoint in the file's folder keeps the solved sizes. Its name holds the fingerprint
     of the build's inputs. Of two processes that build one library, the later waits and loads the other's file.
 
     Args:

@@ -106,13 +106,13 @@ def check(
     if library.is_continuous:
         width_nm = rng.uniform(library.width_nm[0], library.width_nm[-1], samples)
         length_nm = rng.uniform(library.length_nm[0], library.length_nm[-1], samples)
-        stated = library.surface(width_nm, length_nm)
+        response = library.surface(width_nm, length_nm)
     else:
         row, column = np.nonzero(library.known)
         samples = min(samples, row.size)
         drawn = rng.choice(row.size, samples, replace=False)
         width_nm, length_nm = library.width_nm[column[drawn]], library.length_nm[row[drawn]]
-        stated = library.at_sizes(width_nm, length_nm)
+        response = library.at_sizes(width_nm, length_nm)
     target = library.unit_cell.sweep.target_error
     numerics = CellNumerics(FINER * target if against == "rcwa" else max(target, MEEP_ERROR), against)
     cells = [library.pillar(float(width), float(length)) for width, length in zip(width_nm, length_nm, strict=True)]
@@ -120,14 +120,14 @@ def check(
     for answer in in_order(executor or SerialExecutor(), partial(solver, numerics=numerics), cells):
         answers.append(answer)
         progress("library check", len(answers), samples)
-    solved = np.array([[answer.t[0, 0], answer.t[1, 1]] for answer in answers])
+    reference = np.array([[answer.t[0, 0], answer.t[1, 1]] for answer in answers])
     solver_error = np.array([answer.error for answer in answers])
-    held = np.stack([stated.t_xx, stated.t_yy], axis=-1)
-    error = np.abs(held - solved).max(axis=-1)
-    beyond = int(np.count_nonzero(error > stated.error + solver_error))
+    t = np.stack([response.t_xx, response.t_yy], axis=-1)
+    error = np.abs(t - reference).max(axis=-1)
+    beyond = int(np.count_nonzero(error > response.error + solver_error))
     worst = int(np.argmax(error))
-    phase_error = np.abs(np.angle(held / solved))[np.abs(solved) >= LEAST_AMPLITUDE]
-    rows = np.stack([width_nm, length_nm, error, stated.error, solver_error], axis=-1)
+    phase_error = np.abs(np.angle(t / reference))[np.abs(reference) >= LEAST_AMPLITUDE]
+    rows = np.stack([width_nm, length_nm, error, response.error, solver_error], axis=-1)
     return LibraryCheck(
         against=against,
         samples=samples,
@@ -135,7 +135,7 @@ def check(
         mean_abs_error=float(error.mean()),
         max_phase_error_rad=float(phase_error.max(initial=0.0)),
         mean_phase_error_rad=float(phase_error.mean()) if phase_error.size else 0.0,
-        max_stated_error=float(stated.error.max()),
+        max_stated_error=float(response.error.max()),
         max_solver_error=float(solver_error.max()),
         beyond_stated=beyond,
         worst_width_nm=float(width_nm[worst]),
