@@ -91,7 +91,7 @@ def test_answers_become_errors_and_ratios(
 
 @pytest.mark.parametrize("name", ["fmmax", "meent", "grcwa", "torcwa", "inkstone", "nannos"])
 def test_installed_peers_share_our_conventions(benchmark: dict[str, Any], name: str) -> None:
-    """A film that fills the cell: every code is exact, and ours equals the closed form (physics/cell/rcwa/test_jones.py)."""
+    """A film that fills the cell: every code is exact, and ours equals the closed form."""
     answers, complaint = benchmark["ask_peer"](name, [FILM], 0.0)
     if not answers:
         pytest.skip(f"{name}: {complaint}")
