@@ -8,8 +8,6 @@ from dataclasses import field, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
-import numpy as np
-
 Figures = TypeVar("Figures")
 
 
@@ -53,8 +51,10 @@ def _value(hint: Any, value: Any) -> Any:
         return tuple(_value(kind, item) for kind, item in zip(kinds, value, strict=True))
     if origin is dict:
         return {key: _value(arguments[1], item) for key, item in value.items()}
-    if origin is np.ndarray:
-        return np.array(value, dtype=np.float64)
+    if getattr(origin, "__name__", "") == "ndarray":
+        from numpy import array  # The command line sets the threads of linear algebra before NumPy is loaded.
+
+        return array(value, dtype="float64")
     if is_dataclass(hint) and isinstance(hint, type):
         return value if isinstance(value, hint) else typed(hint, value)
     if hint is float:
