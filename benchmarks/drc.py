@@ -15,7 +15,7 @@ _lens = runpy.run_path(str(Path(__file__).with_name("lens.py")))
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
-    """One row a file and engine; the small lens if ``quick``, else 25.6 million pillars."""
+    """One row per file and engine; the small lens if ``quick``, else 25.6 million pillars."""
     design = _lens["lens_design"](quick)
     profile, library = _lens["lens_profile"](design), _lens["closed_form_library"](design.unit_cell)
     small = replace(design, device=replace(design.device, aperture_um=20.0))

@@ -1,8 +1,7 @@
-"""From phases to mask files and back: seconds and peak memory beside a raw write of the same bytes, gdstk, KLayout.
+"""From phases to mask files and back: seconds and peak memory, compared with a raw write, gdstk and KLayout.
 
-``error`` is the phase rms in radians for the mapping and, for files, the number of pillars, or of polygons of an
-exclusive or, that differ. The last rows tell what sizes gain that are chosen jointly under a rule for gaps
-(``efficiency``, ``mean_transmittance``).
+``error`` is the phase rms in radians for the mapping; for files it is the number of pillars that differ, or of polygons
+of an exclusive or. The last rows compare both gap rules (``efficiency``, ``mean_transmittance``).
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ _lens = runpy.run_path(str(Path(__file__).with_name("lens.py")))
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
-    """One row a step or peer; the small lens if ``quick``, else 25.6 million pillars."""
+    """One row per step or peer; the small lens if ``quick``, else 25.6 million pillars."""
     design = _lens["lens_design"](quick)
     profile, library = _lens["lens_profile"](design), _lens["closed_form_library"](design.unit_cell)
     _warm_up(design, profile, library)
@@ -38,14 +37,15 @@ def rows(quick: bool) -> list[dict[str, Any]]:
     table.append(_row("mapping, phases included", assignment.figures.phase_rms_error_rad, cost, pillars))
     with TemporaryDirectory() as folder:
         for suffix in ("oas", "gds"):
-            table += _own(suffix, assignment.pillars, design, Path(folder), pillars)
-            table += _peers(suffix, Path(folder), pillars, quick)
+            # One folder per format: writing one format removes a file of the other.
+            table += _own(suffix, assignment.pillars, design, Path(folder, suffix), pillars)
+            table += _peers(suffix, Path(folder, suffix), pillars, quick)
         table += _exclusive_or(Path(folder), pillars)
     return table + _lens["gap_rows"](quick)
 
 
 def _own(suffix: str, pillars: PillarMap, design: Design, folder: Path, count: int) -> list[dict[str, Any]]:
-    """Write, raw write of as many bytes, and read back."""
+    """Rows of metafab: write a format, write as many raw bytes, read back."""
     only = replace(design, mask=replace(design.mask, formats=(suffix,)))
     with measured() as cost:
         written = mask.write(pillars, folder, only)[0]
@@ -64,7 +64,7 @@ def _own(suffix: str, pillars: PillarMap, design: Design, folder: Path, count: i
 
 
 def _peers(suffix: str, folder: Path, count: int, quick: bool) -> list[dict[str, Any]]:
-    """Other readers on our file; in full size only where they take less than half a minute."""
+    """Rows of other readers on the written file; in full size only those that take less than half a minute."""
     path = str(folder / f"layout.{suffix}")
     readers: dict[str, Callable[[], int]] = {}
     if quick or suffix == "oas":
@@ -91,7 +91,7 @@ def _peers(suffix: str, folder: Path, count: int, quick: bool) -> list[dict[str,
 
 
 def _exclusive_or(folder: Path, count: int) -> list[dict[str, Any]]:
-    """What KLayout finds in one format's tile and not in the other's; every sixteenth tile."""
+    """Row of KLayout's exclusive or of both formats, on every sixteenth tile."""
     try:
         import klayout.db as kdb
     except ImportError:
@@ -99,16 +99,16 @@ def _exclusive_or(folder: Path, count: int) -> list[dict[str, Any]]:
     with measured() as cost:
         opened = [kdb.Layout(False) for _ in range(2)]
         for layout_, suffix in zip(opened, ("oas", "gds"), strict=True):
-            layout_.read(str(folder / f"layout.{suffix}"))
+            layout_.read(str(folder / suffix / f"layout.{suffix}"))
         names = sorted(cell.name for cell in opened[0].each_cell() if cell.name.startswith("TILE"))[::16]
         tiles = [[kdb.Region(one.cell(name).shapes(one.layer(1, 0))) for one in opened] for name in names]
         differ = sum((oas ^ gds).count() for oas, gds in tiles)
-        seen = sum(oas.count() for oas, _ in tiles)
-    return [_row(f"KLayout: oas XOR gds, {len(names)} tiles of {seen} pillars", float(differ), cost, count)]
+        compared = sum(oas.count() for oas, _ in tiles)
+    return [_row(f"KLayout: oas XOR gds, {len(names)} tiles of {compared} pillars", float(differ), cost, count)]
 
 
 def _gdstk_count(library: gdstk.Library) -> int:
-    """Pillars without making a polygon object of each."""
+    """Number of pillars; makes no polygon object for each."""
     polygons = (polygon for cell in library.cells for polygon in cell.polygons)
     return sum(max(1, polygon.repetition.size) for polygon in polygons)
 

@@ -8,8 +8,8 @@ file, by whatever software. Out: a :class:`ReadBack` with the pillars and every 
 - ``plan``: seconds, bytes and core-hours of a layout, from a sample of tiles
 - ``read``: a file -> pillars at lattice sites, or its bare shapes
 - ``turned``: turned pillars of a file
-- ``drawing``: what both formats draw: cells, copies, dose classes, the inverted field, chip features
-- ``shapes``: what both readers return: cells, references, shapes; pillars among them
+- ``drawing``: independent of the format: cells, copies, dose classes, the inverted field, chip features
+- ``shapes``: cells, references and shapes of a file, and the pillars among them
 - ``gdsii``, ``oasis``: the two formats
 """
 

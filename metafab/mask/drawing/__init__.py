@@ -1,4 +1,4 @@
-"""What both formats draw: PillarMap and Design -> cells, stamps and rectangles in database units.
+"""Drawing, independent of the format: PillarMap and Design -> cells, stamps, rectangles in database units.
 
 - ``scan``: pillars of a tile sorted by size
 - ``cells``: cells of tiles, and the shapes that are stamped on their sites

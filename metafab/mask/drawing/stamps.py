@@ -52,7 +52,7 @@ class Stamps:
             yield from self._field.of(tile)
 
     def _pillar_stamp(self, dose_class: int, bias_dbu: int) -> Stamp:
-        """Stamp of a dose class and a bias; two threads may compute the same one twice."""
+        """Stamp of a dose class and a bias; two threads may each compute it."""
         key = dose_class, bias_dbu
         if key not in self._pillars:
             mask = self._mask

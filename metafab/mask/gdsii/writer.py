@@ -33,7 +33,7 @@ _BOUNDARY_XY, _REFERENCE_XY = 5, 7
 # Polygons of a size are listed row by row.
 _ROWS = Scan(along_y=False, strip_sites=1 << 16)
 
-# A fixed date in every header, so that the same layout gives the same bytes: 2000-01-01 00:00:00, twice.
+# A fixed date in every header, so that equal layouts give equal bytes: 2000-01-01 00:00:00, twice.
 _DATE = struct.pack(">12h", *(2000, 1, 1, 0, 0, 0) * 2)
 
 
