@@ -16,7 +16,7 @@ author = "The metafab founders"
 copyright = "2026, the metafab founders"  # noqa: A001 (the name that Sphinx asks for)
 release = version = __version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "device_gallery"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "device_gallery"]
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "_gallery"]
@@ -38,6 +38,11 @@ autodoc_typehints = "description"
 autodoc_member_order = "bysource"
 napoleon_use_ivar = True
 nitpicky = False
+
+#: Notebooks are run when they have changed; `-D nb_execution_mode=off` leaves their outputs out.
+nb_execution_mode = "cache"
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
 
 _VERBATIM = re.compile(r"(``.*?``|`[^`]+`_?)", re.DOTALL)
 

@@ -13,7 +13,6 @@ from metafab.core.errors import InputError
 from metafab.layout.pillars import Lattice
 from metafab.phase import PhaseProfile
 from metafab.spec import Design
-from metafab.spec.outline import encloses
 
 #: GDSII and most readers hold coordinates as 32-bit integers; the centre of the lens is 0.
 MAX_APERTURE_DBU = 2**31
@@ -180,7 +179,7 @@ def _steepest_turn_rad(profile: PhaseProfile, design: Design, step_um: float) ->
     half_um = 0.5 * design.device.aperture_um - step_um
     places_um = np.linspace(-half_um, half_um, _SLOPE_PLACES)
     pairs_um = np.stack([places_um, places_um + step_um], axis=1).ravel()
-    inside = encloses(design.device, places_um, places_um)
+    inside = design.device.encloses(places_um, places_um)
     along_x = np.diff(profile(pairs_um, places_um).reshape(2, _SLOPE_PLACES, _SLOPE_PLACES, 2), axis=3)[..., 0]
     along_y = np.diff(profile(places_um, pairs_um).reshape(2, _SLOPE_PLACES, 2, _SLOPE_PLACES), axis=2)[:, :, 0]
     turns_rad = np.abs(np.angle(np.exp(1j * np.stack([along_x, along_y]))))[..., inside]

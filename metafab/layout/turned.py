@@ -19,7 +19,6 @@ from metafab.library import Library
 from metafab.library.use.amplitudes import power_amplitudes, turned_jones
 from metafab.phase.jones_target import JonesTarget
 from metafab.spec import Design
-from metafab.spec.outline import encloses
 from metafab.spec.turned import require_turnable
 
 #: Rows of sites that are assigned at a time.
@@ -138,7 +137,7 @@ def assign_turned(
     common = target_power = power = 0.0
     for row in range(0, y_um.size, _ROWS):
         block = slice(row, min(row + _ROWS, y_um.size))
-        inside = encloses(design.device, x_um, y_um[block])
+        inside = design.device.encloses(x_um, y_um[block])
         inside &= lattice.carries(np.arange(block.start, block.stop), np.arange(x_um.size))
         wanted = target(x_um, y_um[block])[:, inside].T * scale
         if wanted.size:

@@ -12,7 +12,6 @@ from metafab.core.storage.files import fingerprint
 from metafab.phase.terms.carriers import without_carriers
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
-from metafab.spec.outline import encloses
 
 KIND = "metafab phase"
 FORMAT = 1
@@ -26,7 +25,7 @@ def save(profile: PhaseProfile, design: Design, path: Path, *, samples: int = 40
     """
     half_side_um = 0.5 * design.device.aperture_um
     axis_um = np.linspace(-half_side_um, half_side_um, samples)
-    inside = encloses(design.device, axis_um, axis_um)
+    inside = design.device.encloses(axis_um, axis_um)
     inputs = fingerprint(design.phase, design.device, design.unit_cell.illumination, design.numerics.seed)
     with hdf5.create(path, kind=KIND, format_version=FORMAT, inputs_sha256=inputs) as file:
         hdf5.put(file, "x_um", axis_um, units="um", description="position from the axis", dims=("x_um",))

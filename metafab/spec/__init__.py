@@ -4,7 +4,6 @@
 - ``cell``     UnitCell: geometry, materials and illumination of one cell, and the sweep of a library
 - ``design``   Design: device, rules, sensor, verification
 - ``terms``    phase terms of a design
-- ``outline``  points enclosed by an aperture
 - ``embedded`` unit cell stored in a built library
 - ``mask``     Mask: formats, layers, bias, tone, dose classes, chip, copies, exposure
 - ``scene``    Scene: objects at depths, photons, noise

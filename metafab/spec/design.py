@@ -5,10 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import shapely
+from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 from pydantic.dataclasses import dataclass
 
+from metafab.core.conventions import FloatArray
 from metafab.spec.cell import UnitCell
 from metafab.spec.fields import CONFIG, DepthOrInfinity, Name, NonNegative, Positive, Real, TargetError
 from metafab.spec.mask import Mask
@@ -52,6 +55,28 @@ class Device:
         if max(abs(u) for vertex in self.outline_um for u in vertex) > 0.5 * self.aperture_um:
             raise ValueError("`outline_um` must lie within the square of side `aperture_um` about the axis")
         return self
+
+    def encloses(self, x_um: FloatArray, y_um: FloatArray) -> NDArray[np.bool_]:
+        """Mask of the grid points within the aperture, its rim included.
+
+        Args:
+            x_um: shape (n_x,), from the axis.
+            y_um: shape (n_y,), from the axis.
+
+        Returns:
+            Shape (n_y, n_x).
+        """
+        half = 0.5 * self.aperture_um
+        if self.aperture_shape == "square":
+            return np.asarray((np.abs(y_um) <= half)[:, None] & (np.abs(x_um) <= half))
+        if self.aperture_shape == "polygon":
+            x, y = np.meshgrid(x_um, y_um)
+            return np.asarray(shapely.intersects_xy(shapely.Polygon(self.outline_um), x, y))
+        square = y_um[:, None] ** 2 + x_um**2
+        within: NDArray[np.bool_] = square <= half * half
+        if self.aperture_shape == "ring":
+            within &= square >= (0.5 * self.inner_um) ** 2
+        return within
 
 
 @dataclass(frozen=True, config=CONFIG)

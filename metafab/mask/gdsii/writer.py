@@ -42,7 +42,7 @@ class GdsiiEncoder(TileEncoder):
     """Encodes tiles as boundaries.
 
     Attributes:
-        spare: memory of tiles already written; fresh pages from the system cost as much time as the file.
+        spare: memory of tiles already written, of any shape; fresh pages from the system cost as much time as the file.
     """
 
     spare: list[NDArray[np.int32]] = field(default_factory=list)

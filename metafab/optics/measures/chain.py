@@ -21,7 +21,6 @@ from metafab.library.library import Library
 from metafab.optics.sources.source import WrittenField
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Device
-from metafab.spec.outline import encloses
 
 #: Largest number of sites, in evenly spaced rows, and of target phases that are mapped to continuous sizes.
 _MOST_SITES, _TARGETS = 3_000_000, 20_000
@@ -148,7 +147,7 @@ def _rows(
         if not chosen.size:
             continue
         columns, rows = x_um[tile.column : tile.column + n_x], y_um[tile.row + chosen]
-        inside = encloses(device, columns, rows)
+        inside = device.encloses(columns, rows)
         if lattice.hexagonal:
             inside &= lattice.carries(tile.row + chosen, tile.column + np.arange(n_x))
         target_rad = profile(columns, rows)

@@ -10,7 +10,6 @@ from metafab.core.conventions import FloatArray
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.point_spread import Psf
 from metafab.spec import Device
-from metafab.spec.outline import encloses
 
 #: Samples across a standard lens: minimum, increment per radian of rim defocus, and maximum.
 _SAMPLES, _SAMPLES_PER_RAD, _MOST_SAMPLES = 192, 6.0, 1024
@@ -57,7 +56,7 @@ def lens_modulation(
     square = axis[None, :] ** 2 + axis[:, None] ** 2
     # sqrt(r^2 + z^2) - z without cancellation, infinity included.
     path = [w * square / (1.0 + np.sqrt(1.0 + w * w * square)) for w in (far, sharp)]
-    pupil = encloses(device, axis, axis) * np.exp(1j * imaging.wavenumber * (path[0] - path[1]))
+    pupil = device.encloses(axis, axis) * np.exp(1j * imaging.wavenumber * (path[0] - path[1]))
     transfer = np.abs(np.fft.ifft2(np.abs(np.fft.fft2(pupil, (2 * count, 2 * count))) ** 2))
     image_um = imaging.sensor_distance_um / math.cos(math.radians(imaging.split_angle_deg))
     lag = step_um / (imaging.wavelength_um * image_um)

@@ -18,7 +18,6 @@ from metafab.layout.pillars import Lattice, PillarMap, SizeIndexArray
 from metafab.library.library import Library
 from metafab.library.use.amplitudes import power_amplitudes, turned_jones
 from metafab.spec import Device
-from metafab.spec.outline import encloses
 
 _IDEAL_TILE_SITES = 256
 
@@ -128,7 +127,7 @@ class IdealField:
         for row in range(0, y.size, _IDEAL_TILE_SITES):
             for column in range(0, x.size, _IDEAL_TILE_SITES):
                 tile_x, tile_y = x[column : column + _IDEAL_TILE_SITES], y[row : row + _IDEAL_TILE_SITES]
-                inside = encloses(self.device, tile_x, tile_y)
+                inside = self.device.encloses(tile_x, tile_y)
                 if self.lattice.hexagonal:
                     inside &= self.lattice.carries(row + np.arange(tile_y.size), column + np.arange(tile_x.size))
                 if inside.any():

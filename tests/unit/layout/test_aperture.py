@@ -16,7 +16,6 @@ from pydantic import ValidationError
 from metafab.core.errors import InputError
 from metafab.layout import Aperture, Lattice, lattice_of
 from metafab.spec import Design
-from metafab.spec.outline import encloses
 from metafab.steps.preflight import preflight
 
 
@@ -108,7 +107,7 @@ def test_counts_are_areas_less_the_rim(
     assert area_um2 - rim_um * math.sqrt(2.0) * 0.35 < covered_um2 <= area_um2
     # Cell centres inside the aperture are at least as many as whole cells.
     lattice = Aperture.of(design).lattice
-    assert np.count_nonzero(encloses(design.device, lattice.x_um(), lattice.y_um())) >= Aperture.of(design).count
+    assert np.count_nonzero(design.device.encloses(lattice.x_um(), lattice.y_um())) >= Aperture.of(design).count
 
 
 @given(row=st.integers(0, 50), column=st.integers(0, 50), sites=st.integers(1, 9))
