@@ -1,15 +1,19 @@
-"""Depth error against photons and time: the small design's scene, from its target phases to decoded depth.
+"""Depth error of the decoder against photons and time: frames of the small design's scene, from its target phases.
 
-``error`` is the NMAE of the segments' depths over all decoded pixels, ``seconds`` the decoding of a frame by a decoder
-that is already set up, ``depth_map_seconds`` that of the depth map alone. ``bound`` is the least NMAE that any unbiased
-decoder can have (Cramer-Rao, unknown textures of the scene's spectrum, whole objects, the pair at each place of the
-field); ``bound_known_texture`` that of one which knows the textures. The pair is that of Eq. 2 without optimisation,
-propagated exactly; the full benchmark lets it vary over the field. The row of windows of one plane has the rms of their
-relative errors, ``ratio_to_bound`` the rms of each window's error over its own bound.
+- ``error`` is the NMAE of the segments' depths over all decoded pixels, a mean over several exposures.
+- ``seconds`` is the time of decoding a frame with a decoder that is already set up, ``depth_map_seconds`` that of the
+  pixels' depths alone.
+- ``bound`` is the smallest NMAE of any unbiased decoder: Cramer-Rao, whole objects, unknown textures of the scene's
+  spectrum, the pair at each place of the field. ``bound_known_texture`` is that for known textures.
 
-The full benchmark ends with the paper's lens in the light of a 10 nm filter: frames of the exact camera, whose pairs
-are computed at the scene's own depths and refined over its field, decoded with a calibration that shares none of them;
-beside them frames that were made with the calibration itself, which tell what its gaps cost.
+The pair is that of Eq. 2 without optimisation, propagated exactly; in the full benchmark it varies over the field. In
+the rows of windows of one plane, ``error`` is the rms of their relative errors, and ``ratio_to_bound`` the rms of each
+window's error over its own bound.
+
+The full benchmark has two rows of the paper's lens in the light of a 10 nm filter. In one, the frames are those of the
+exact camera, whose pairs are computed at the scene's own depths and refined over its field, so that the calibration
+shares none of them. In the other, they are made with the calibration itself. The difference is the error of the
+calibration's interpolation.
 """
 
 from __future__ import annotations
@@ -43,7 +47,7 @@ WINDOW_PX = 60
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
-    """One row a number of photons; errors are means over several exposures."""
+    """One row per number of photons; errors are means over several exposures."""
     design = load_design(DESIGN)
     table = []
     for name, psf in _pairs(design, quick):
@@ -87,7 +91,7 @@ def _optics(design: Design) -> tuple[optics.Source, optics.Imaging, FloatArray]:
 
 
 def _realism_rows() -> list[dict[str, Any]]:
-    """The paper's lens over its field in a filter's light: frames by the calibration, and by the exact camera."""
+    """The paper's lens over its field in a filter's light: frames of the calibration, and of the exact camera."""
     design = load_design(PAPER_DESIGN)
     source, imaging, depth_m = _optics(design)
     tangents = optics.field_tangents(design, imaging)
@@ -104,7 +108,7 @@ def _realism_rows() -> list[dict[str, Any]]:
 
 
 def _row(name: str, design: Design, shown: optics.Psf, psf: optics.Psf, photons: float) -> dict[str, Any]:
-    """Frames that ``shown`` makes, decoded with ``psf``."""
+    """Row of frames that are made with ``shown`` and decoded with ``psf``."""
     scene = dataclasses.replace(design.scene, photons_per_pixel=photons)
     frames = [camera.capture(scene, shown, seed=seed) for seed in range(1, SEEDS + 1)]
     first = frames[0]
@@ -121,7 +125,7 @@ def _row(name: str, design: Design, shown: optics.Psf, psf: optics.Psf, photons:
     mean = {key: float(np.mean([getattr(image.figures, key) for image in images])) for key in keys}
     error = float(np.mean([image.nmae if image.nmae is not None else math.nan for image in images]))
     bound, bound_known = smallest_nmae(scene, decoder, first)
-    # Of the decoding alone, without the judging against the truth.
+    # Decoding alone, without the comparison with the truth.
     seconds = float(np.mean([image.figures.seconds for image in images]))
     return {
         "name": name,
@@ -138,10 +142,10 @@ def _row(name: str, design: Design, shown: optics.Psf, psf: optics.Psf, photons:
 
 
 def _video_row() -> dict[str, Any]:
-    """The outdoor design's film of 480 x 960 pixels, from the second frame on: a car drives past a wall and a post.
+    """Row of the outdoor design's film, 480 x 960 pixels, from the second frame on: a car passes a wall and a post.
 
-    ``worst_object_error`` is the largest of all objects in all frames, ``worst_object_error_alone`` the same of frames
-    that are each decoded anew; ``seconds_unchanged`` a frame's in which nothing has moved.
+    ``worst_object_error`` is the largest error of all objects in all frames, ``worst_object_error_alone`` that of frames
+    that are each decoded anew. ``seconds_unchanged`` is the time of a frame without motion.
     """
     design = load_design(OUTDOOR_DESIGN)
     source, imaging, depth_m = _optics(design)
@@ -151,7 +155,7 @@ def _video_row() -> dict[str, Any]:
     if first is None:
         raise ValueError("the frame does not hold both images")
     rehearsal, decoder = decode.VideoDecoder(first), decode.VideoDecoder(first)
-    for frame in frames[:2]:  # loops for a part of the window are compiled with the second one
+    for frame in frames[:2]:  # the second frame compiles the loops for a part of the window
         rehearsal(frame)
     decoder(frames[0])
     with measured() as cost:
@@ -175,7 +179,7 @@ def _video_row() -> dict[str, Any]:
 
 
 def _window_row(lens: str, path: Path, plane: SceneObject) -> dict[str, Any]:
-    """Windows of one plane all over a lens' field, at one wavelength, each with a depth of its own."""
+    """Row of windows of one plane all over a lens' field, at one wavelength, each measured separately."""
     design = load_design(path)
     source, imaging, depth_m = _optics(design)
     psf = optics.psf(source, imaging, depth_m, field_tangents=optics.field_tangents(design, imaging))
@@ -206,7 +210,7 @@ def window_errors(
 ) -> tuple[FloatArray, FloatArray]:
     """Relative errors of the depths of windows in frames of one plane, and their bounds: shapes (n,).
 
-    Those along the rim are left out: beyond it the plane goes on unseen, and its outline is no texture.
+    Windows along the rim are left out: the plane continues beyond it.
     """
     errors = []
     for frame in frames:
@@ -221,7 +225,7 @@ def window_errors(
 def window_bounds(
     bound: decode.DepthBound, decoder: decode.Decoder, side_px: int, *, known: bool = False
 ) -> FloatArray:
-    """Least relative error of each window, in the order of :func:`window_errors`."""
+    """Smallest relative error of each window, in the order of :func:`window_errors`: shape (n,)."""
     step = decoder.filters.downsampling.step
     rows, columns = _counts(decoder, side_px)
     span = step * (side_px // step)
@@ -241,7 +245,7 @@ def _counts(decoder: decode.Decoder, side_px: int) -> tuple[int, int]:
 
 
 def _inside(values: FloatArray, decoder: decode.Decoder, side_px: int) -> FloatArray:
-    """Of all whole windows, those with others all around."""
+    """Values of the whole windows that have neighbours on all sides."""
     return values.reshape(_counts(decoder, side_px))[1:-1, 1:-1].ravel()
 
 
@@ -254,17 +258,17 @@ def _whole(cells: Cells) -> NDArray[np.bool_]:
 
 
 def smallest_nmae(scene: Scene, decoder: decode.Decoder, frame: camera.RawFrame) -> tuple[float, float]:
-    """Mean of |error| / depth over a scene's pixels at the Cramer-Rao bound, if all errors are Gaussian.
+    """Mean of |error| / depth over a scene's pixels at the Cramer-Rao bound, for Gaussian errors.
 
-    Each object is one piece of the pixels that show it; one that polarises is taken as one that does not.
+    Each object is one segment of its visible pixels, and is taken as unpolarised.
 
     Args:
-        scene: what the frame shows.
-        decoder: for such frames.
+        scene: the photographed scene.
+        decoder: a decoder of the frame.
         frame: with its truth.
 
     Returns:
-        With unknown textures, and if they were known.
+        The mean with unknown textures, and with known ones.
     """
     if frame.truth is None:
         raise ValueError("the frame's truth is not known")
@@ -282,12 +286,12 @@ def smallest_nmae(scene: Scene, decoder: decode.Decoder, frame: camera.RawFrame)
 
 
 def texture_of(scene: Scene, piece: SceneObject) -> Texture:
-    """Of a piece in the light of a scene."""
+    """Texture of an object in the light of a scene."""
     electrons = scene.photons_per_pixel * scene.quantum_efficiency * piece.brightness
     return Texture(electrons, piece.texture_contrast, read_noise_e=scene.read_noise_e)
 
 
 def sides_px(piece: SceneObject, psf: optics.Psf) -> tuple[int, int]:
-    """(n_y, n_x) pixels of a piece."""
+    """(n_y, n_x) pixels of an object."""
     rows, columns = (max(2, round(side * psf.sensor_distance_um / psf.pixel_um)) for side in reversed(piece.size))
     return rows, columns
