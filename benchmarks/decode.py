@@ -144,8 +144,8 @@ def _row(name: str, design: Design, shown: optics.Psf, psf: optics.Psf, photons:
 def _video_row() -> dict[str, Any]:
     """Row of the outdoor design's film, 480 x 960 pixels, from the second frame on: a car passes a wall and a post.
 
-    ``worst_object_error`` is the largest error of all objects in all frames, ``worst_object_error_alone`` that of frames
-    that are each decoded anew. ``seconds_unchanged`` is the time of a frame without motion.
+    ``worst_object_error`` is the largest error of all objects in all frames, ``worst_object_error_alone`` that of
+    frames that are each decoded anew. ``seconds_unchanged`` is the time of a frame without motion.
     """
     design = load_design(OUTDOOR_DESIGN)
     source, imaging, depth_m = _optics(design)

@@ -120,7 +120,8 @@ def calibrate(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: 
 
     Returns:
         The calibrated pair, over the depths that the prediction covers with the fitted offsets, and the fit. The pair's
-        ``details.camera_fit`` holds the figures of the fit; ``phi_deg`` includes its rotation, and ``error`` is the prediction's.
+        ``details.camera_fit`` holds the figures of the fit; ``phi_deg`` includes its rotation, and ``error`` is that
+        of the prediction.
 
     Raises:
         InputError: too few frames, depths outside the range, another pixel pitch, no image of a point in a frame, or
