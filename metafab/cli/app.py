@@ -81,12 +81,12 @@ def open_job(design: Path, folder: Path | None, work: Work) -> Job:
 
 
 def require_positive(option: str, *values: float) -> None:
-    """Refuse zero, negative, NaN and infinite values of an option."""
+    """Check that all values of an option are finite and above zero."""
     _require(option, "a number above zero", [value for value in values if not 0.0 < value < math.inf])
 
 
 def require_finite(option: str, *values: float) -> None:
-    """Refuse NaN and infinite values of an option."""
+    """Check that all values of an option are finite."""
     _require(option, "a finite number", [value for value in values if not math.isfinite(value)])
 
 

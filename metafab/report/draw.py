@@ -152,8 +152,8 @@ def _hologram(run: RunFolder) -> Iterator[Plan]:
             reach_um = 0.5 * max(run.psf.psf.shape[2:]) * run.psf.pixel_um
             wanted = partial(phases.wanted_picture, read_grey(term.file), term.width_um, reach_um)
             yield Plan("hologram_wanted", "Target picture", wanted, (4.0, 3.4), PICTURE)
-            found = partial(phases.painted_picture, run.psf, polarisation=term.polarisation or "x")
-            yield Plan("hologram_found", "Picture of the written file", found, (4.0, 3.4), PICTURE)
+            painted = partial(phases.painted_picture, run.psf, polarisation=term.polarisation or "x")
+            yield Plan("hologram_found", "Picture of the written file", painted, (4.0, 3.4), PICTURE)
             return
 
 

@@ -68,26 +68,26 @@ def facts(values: Mapping[str, float | str | None]) -> str:
 
 
 def wide(content: str) -> str:
-    """Content that needs room: on a narrow screen it scrolls sideways."""
+    """Wide content, which scrolls sideways on a narrow screen."""
     return f'<div class="scroll wide">{content}</div>'
 
 
 def fitting(content: str) -> str:
-    """A wide picture that shrinks to a narrow screen."""
+    """A wide picture, which shrinks on a narrow screen."""
     return f'<div class="fit">{content}</div>'
 
 
 def grid(figures: Iterable[str]) -> str:
-    """Pictures side by side where there is room."""
+    """Pictures side by side, as many as fit."""
     return f'<div class="grid">{"".join(figures)}</div>'
 
 
-#: Units that end a key, as readers write them.
+#: Units at the end of a key, and their symbols.
 _UNITS = {"m": "m", "mm": "mm", "um": "µm", "nm": "nm", "rad": "rad", "deg": "°", "db": "dB", "px": "px", "mb": "MB"}
 
 
 def column(key: str) -> str:
-    """A key as a column's head: ``depth_error_m`` is depth error / m, ``slope_x_per_m`` is slope x / m⁻¹."""
+    """Head of a column from its key: ``depth_error_m`` gives depth error / m, ``slope_x_per_m`` gives slope x / m⁻¹."""
     *words, last = key.split("_")
     if words[-1:] == ["per"] and last in _UNITS:
         return escape(f"{' '.join(words[:-1])} / {_UNITS[last]}⁻¹")
@@ -95,13 +95,13 @@ def column(key: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], kinds: Sequence[str] = (), kind: str = "") -> str:
-    """A table of ready cells.
+    """A table of HTML cells.
 
     Args:
-        head: one cell a column.
+        head: cell of each column.
         rows: cells of each row.
         kinds: class of each column ("n" for numbers).
-        kind: class of the table ("stack": on narrow screens the last cell goes below the others).
+        kind: class of the table ("stack" puts the last cell below the others on narrow screens).
     """
     classes = [*kinds, *[""] * (len(head) - len(kinds))]
 
@@ -115,5 +115,5 @@ def _cells(row: Sequence[str], classes: Sequence[str], tag: str) -> str:
 
 
 def headline(value: str, label: str, tone: str = "") -> str:
-    """A large figure with what it means; ``tone`` is "good" or "bad" where that can be said."""
+    """A figure in large type with its label; ``tone`` is "good", "bad" or empty."""
     return f'<li class="{tone}"><b>{value}</b><span>{label}</span></li>'

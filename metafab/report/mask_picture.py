@@ -52,16 +52,16 @@ def picture_of(pillars: PillarMap, outline: Outline = RECTANGLE) -> MaskPicture:
     area = outline.area(pillars.size_dbu) * lattice.database_unit_nm**2
     covered = np.zeros((math.ceil(n_y / block), math.ceil(n_x / block)))
     windows = [_window(lattice.shape, (sites, across * sites)) for sites in _ZOOM_SITES]
-    found: list[list[FloatArray]] = [[] for _ in windows]
+    pillars_of: list[list[FloatArray]] = [[] for _ in windows]
     for tile in pillars.tiles():
         _add_blocks(covered, tile, area, block)
-        for window, rectangles in zip(windows, found, strict=True):
+        for window, rectangles in zip(windows, pillars_of, strict=True):
             rectangles.append(_rectangles(pillars, tile, window))
     period_nm = np.multiply(lattice.period_dbu, lattice.database_unit_nm)
     covered /= float(np.prod(period_nm)) * block**2
     covered[covered == 0.0] = np.nan
     half_x, half_y = (0.5e-3 * block * count * period_nm[axis] for axis, count in enumerate(covered.shape[::-1]))
-    zooms = tuple(np.concatenate([np.empty((0, 4)), *rectangles]) for rectangles in found)
+    zooms = tuple(np.concatenate([np.empty((0, 4)), *rectangles]) for rectangles in pillars_of)
     return MaskPicture(covered, (float(half_x), float(half_y)), zooms, block)
 
 

@@ -60,8 +60,8 @@ def pillar_outlines(
     Args:
         rectangles_um: shape (n, 4), (x, y) of each centre, width and length.
         axes: axes to draw on.
-        title: what is shown.
-        outline: what sizes are drawn as.
+        title: title of the figure.
+        outline: shape of the pillars.
         label_nearest: mark the pillar nearest to the middle and write its width x length above.
     """
     x, y = rectangles_um[:, 0], rectangles_um[:, 1]
