@@ -7,7 +7,7 @@
 - ``embedded`` unit cell stored in a built library
 - ``mask``     Mask: formats, layers, bias, tone, dose classes, chip, copies, exposure
 - ``scene``    Scene: objects at depths, photons, noise
-- ``turned``     keys that turned pillars and full-Stokes imaging do not support
+- ``turned``   keys that turned pillars and full-Stokes imaging do not support
 - ``construct``  unit cells and designs made in Python, without files
 - ``new``      sample design file of each kind of device (``kinds/``)
 - ``toml``     TOML -> spec, reporting all faults of a file; spec -> canonical TOML
