@@ -20,11 +20,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.direct_sum import direct_irradiance
+from benchmarks.psf_basis import PsfBasis
 from benchmarks.psf_comparison import APERTURES_UM, peer_rows
 from benchmarks.psf_lens import lens_design, lens_field
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.work import Work
-from metafab.optics import Imaging, PsfBasis, PsfNumerics, WrittenField, psf, relative_l2
+from metafab.optics import Imaging, PsfNumerics, WrittenField, psf, relative_l2
 from metafab.optics.geometry.imaging import Tangent
 from metafab.optics.propagation.blocks import reduce_to_target
 from metafab.optics.propagation.image import Window

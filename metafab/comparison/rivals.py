@@ -13,7 +13,7 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.core.parallel.work import Work
 from metafab.layout import lattice_of
 from metafab.optics import Imaging, Psf, PsfNumerics, depth_nodes, ideal_field, psf
-from metafab.optics.interpolation.stacks import without_depths
+from metafab.optics.interpolation import without_depths
 from metafab.phase import profile_of
 from metafab.spec import Design
 from metafab.spec.terms import DoubleHelix, Grating, Lens, PhaseTerm, SplitLens

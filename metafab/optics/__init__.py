@@ -8,7 +8,7 @@
 - ``geometry``             lens and sensor, substrate, path lengths
 - ``sources``              the field behind the metasurface, apodisation
 - ``propagation``          block sums of the pillars, and their propagation to the sensor
-- ``interpolation``        between depths and directions, low-rank basis
+- ``interpolation``        between depths and directions; join stacks, select depths
 - ``measures``             main lobe, efficiency, modulation transfer, loss chain, aberrations over the field
 
 In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.library.library.Library`, or a
@@ -17,8 +17,7 @@ In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.libra
 
 from metafab.optics.geometry.imaging import Imaging, depth_nodes, field_tangents
 from metafab.optics.geometry.plate import Plate
-from metafab.optics.interpolation.basis import PsfBasis
-from metafab.optics.interpolation.stacks import at_depths, at_tangent
+from metafab.optics.interpolation import at_depths, at_tangent
 from metafab.optics.numerics import PsfNumerics
 from metafab.optics.point_spread import Psf
 from metafab.optics.propagation.image import relative_l2
@@ -32,7 +31,6 @@ __all__ = [
     "Imaging",
     "Plate",
     "Psf",
-    "PsfBasis",
     "PsfNumerics",
     "Source",
     "WrittenField",

@@ -13,7 +13,7 @@ from metafab.core.polarisation import JONES, ORTHOGONAL, stokes_of, stokes_respo
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.geometry.path import Ray, power_at_aperture
 from metafab.optics.propagation.image import bounding_box
-from metafab.optics.propagation.kernel import WindowKernel
+from metafab.optics.propagation.kernel import KernelSpec, WindowKernel
 from metafab.optics.propagation.pupil import Carrier, reduce_field
 from metafab.optics.propagation.window import window_fields
 from metafab.optics.sources.source import Source
@@ -88,7 +88,8 @@ def stokes_psf(
     k, lens_um = imaging.wavenumber, bounding_box(pupils)
     psf = np.empty((len(targets_um), 4, depth_m.size, window_px, window_px))
     for place, target_um in enumerate(targets_um):
-        kernel = WindowKernel.build(k, target_um, lens_um, window_px, imaging.pixel_um, _KERNEL_TOLERANCE)
+        spec = KernelSpec(k, target_um, lens_um, window_px, imaging.pixel_um, _KERNEL_TOLERANCE)
+        kernel = WindowKernel.build(spec)
         rays = [Ray(1e-6 / depth, (0.0, 0.0), target_um) for depth in depth_m.tolist()]
         entries = [window_fields(pupil, kernel, rays) for pupil in pupils[3 * place : 3 * place + 3]]
         for index, (ray, xx, xy, yy) in enumerate(zip(rays, *entries, strict=True)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from typing import TypeAlias
 
 import h5py
 import numpy as np
@@ -14,10 +15,36 @@ from metafab.core.storage import hdf5
 from metafab.core.storage.files import plain, untimed
 from metafab.optics.point_spread import Psf, PsfDetails, PsfField
 
+#: Units, description and dimensions of datasets by name.
+Datasets: TypeAlias = dict[str, tuple[str, str, tuple[str, ...]]]
+
 PSF_KIND = "metafab psf"
 PSF_FORMAT = 1
 
 _REMEDY = "write it with `metafab psf LAYOUT --design DESIGN.toml -o PSF.h5`"
+_IRRADIANCE = "irradiance at pixel centres per unit power of that polarisation at the aperture"
+_CENTRE = "(x, y) on the sensor of each centre pixel"
+_TANGENT = "object direction, tangent to the axis"
+_STACK = ("polarisation", "depth_m")
+_FIELD = (*_STACK, "tangent_y", "tangent_x")
+
+#: Datasets by their attributes in :class:`Psf`: units, description, dimensions.
+_DATASETS = {
+    "depth_m": ("m", "object distance along the axis", ("depth_m",)),
+    "psf": ("1/um^2", _IRRADIANCE, (*_STACK, "y_um", "x_um")),
+    "centre_um": ("um", _CENTRE, (*_STACK, "axis")),
+    "phi_deg": ("degree", "orientation of the main lobe of PSF_x", ("depth_m",)),
+    "error": ("1", "relative L2 error of the irradiance", ("depth_m",)),
+    "efficiency": ("1", "share of the power that falls into the window", _STACK),
+    "extinction_ratio": ("1", "wanted over unwanted power in x's window", ("depth_m",)),
+}
+#: Datasets of the group ``field`` by their attributes in :class:`PsfField`.
+_FIELD_DATASETS = {
+    "tangent_x": ("1", _TANGENT, ("tangent_x",)),
+    "tangent_y": ("1", _TANGENT, ("tangent_y",)),
+    "psf": ("1/um^2", "irradiance at pixel centres over the field of view", (*_FIELD, "y_um", "x_um")),
+    "centre_um": ("um", _CENTRE, (*_FIELD, "axis")),
+}
 
 
 def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
@@ -28,29 +55,18 @@ def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
         hdf5.put(file, "pixel_um", psf.pixel_um, units="um", description="sampling step on the sensor plane")
         hdf5.put(file, "polarisation", [b"x", b"y"], units="1", description="polarisation", dims=("polarisation",))
         hdf5.put(file, "axis", [b"x", b"y"], units="1", description="coordinate on the sensor", dims=("axis",))
-        hdf5.put(
-            file, "depth_m", psf.depth_m, units="m", description="object distance along the axis", dims=("depth_m",)
-        )
-        _put_offsets(file, "y_um", psf.psf.shape[2], psf.pixel_um)
-        _put_offsets(file, "x_um", psf.psf.shape[3], psf.pixel_um)
-        hdf5.put(
-            file, "psf", psf.psf, units="1/um^2", compress=True,
-            description="irradiance at pixel centres per unit power of that polarisation at the aperture",
-            dims=("polarisation", "depth_m", "y_um", "x_um"),
-        )  # fmt: skip
-        hdf5.put(
-            file, "centre_um", psf.centre_um, units="um", description="(x, y) on the sensor of each centre pixel",
-            dims=("polarisation", "depth_m", "axis"),
-        )  # fmt: skip
-        for name, units, description, dims in (
-            ("phi_deg", "degree", "orientation of the main lobe of PSF_x", ("depth_m",)),
-            ("error", "1", "relative L2 error of the irradiance", ("depth_m",)),
-            ("efficiency", "1", "share of the power that falls into the window", ("polarisation", "depth_m")),
-            ("extinction_ratio", "1", "wanted over unwanted power in x's window", ("depth_m",)),
-        ):
-            hdf5.put(file, name, getattr(psf, name), units=units, description=description, dims=dims)
+        for name, count in zip(("y_um", "x_um"), psf.psf.shape[2:], strict=True):
+            offsets = (np.arange(count) - count // 2) * psf.pixel_um
+            hdf5.put(file, name, offsets, units="um", description="from the window's centre pixel", dims=(name,))
+        _put_all(file, psf, _DATASETS)
         if psf.field is not None:
-            _put_field(file.create_group("field"), psf.field)
+            _put_all(file.create_group("field"), psf.field, _FIELD_DATASETS)
+
+
+def _put_all(group: h5py.Group, result: Psf | PsfField, datasets: Datasets) -> None:
+    for name, (units, description, dims) in datasets.items():
+        data, compress = getattr(result, name), name == "psf"
+        hdf5.put(group, name, data, units=units, description=description, dims=dims, compress=compress)
 
 
 def load(path: Path | str) -> Psf:
@@ -70,7 +86,7 @@ def load(path: Path | str) -> Psf:
             efficiency=file["efficiency"][...],
             extinction_ratio=file["extinction_ratio"][...],
             sensor_distance_um=float(file.attrs["sensor_distance_um"]),
-            field=_field(file["field"]) if "field" in file else None,
+            field=PsfField(**{name: file["field"][name][...] for name in _FIELD_DATASETS}) if "field" in file else None,
             details=_details(str(file.attrs["details"])),
         )
     _check(psf, Path(path))
@@ -84,60 +100,26 @@ def _details(text: str) -> PsfDetails:
     return PsfDetails.of_figures(numbers)
 
 
-def _put_offsets(file: h5py.File, name: str, count: int, pixel_um: float) -> None:
-    offsets = (np.arange(count) - count // 2) * pixel_um
-    hdf5.put(file, name, offsets, units="um", description="from the window's centre pixel", dims=(name,))
-
-
-def _put_field(group: h5py.Group, field: PsfField) -> None:
-    for name in ("tangent_x", "tangent_y"):
-        hdf5.put(
-            group,
-            name,
-            getattr(field, name),
-            units="1",
-            description="object direction, tangent to the axis",
-            dims=(name,),
-        )
-    dims = ("polarisation", "depth_m", "tangent_y", "tangent_x")
-    hdf5.put(
-        group, "psf", field.psf, units="1/um^2", compress=True,
-        description="irradiance at pixel centres over the field of view", dims=(*dims, "y_um", "x_um"),
-    )  # fmt: skip
-    hdf5.put(
-        group, "centre_um", field.centre_um, units="um", description="(x, y) on the sensor of each centre pixel",
-        dims=(*dims, "axis"),
-    )  # fmt: skip
-
-
-def _field(group: h5py.Group) -> PsfField:
-    return PsfField(group["tangent_x"][...], group["tangent_y"][...], group["psf"][...], group["centre_um"][...])
-
-
 def _check(psf: Psf, path: Path) -> None:
-    shape, n_depth = psf.psf.shape, psf.depth_m.size
-    faults = []
-    if len(shape) != 4 or shape[:2] != (2, n_depth):
-        faults.append(Fault("psf", f"shape (2, {n_depth}, n_y, n_x)", str(shape)))
-    for name, expected in (
-        ("centre_um", (2, n_depth, 2)),
-        ("phi_deg", (n_depth,)),
-        ("error", (n_depth,)),
-        ("efficiency", (2, n_depth)),
-        ("extinction_ratio", (n_depth,)),
-    ):
-        got = getattr(psf, name).shape
-        if got != expected:
-            faults.append(Fault(name, f"shape {expected}", str(got)))
+    """Refuse arrays that do not fit together, all faults at once."""
+    size = {"polarisation": 2, "axis": 2, "depth_m": psf.depth_m.size}
+    size |= dict(zip(("y_um", "x_um"), psf.psf.shape[2:], strict=False))
+    faults = _shape_faults("", psf, _DATASETS, size)
     if psf.field is not None:
-        grid = (2, n_depth, psf.field.tangent_y.size, psf.field.tangent_x.size)
-        if psf.field.psf.shape != (*grid, *shape[2:]):
-            faults.append(Fault("field/psf", f"shape {(*grid, *shape[2:])}", str(psf.field.psf.shape)))
-        if psf.field.centre_um.shape != (*grid, 2):
-            faults.append(Fault("field/centre_um", f"shape {(*grid, 2)}", str(psf.field.centre_um.shape)))
-    if n_depth == 0 or np.any(np.diff(psf.depth_m) <= 0.0):
+        size |= {"tangent_x": psf.field.tangent_x.size, "tangent_y": psf.field.tangent_y.size}
+        faults += _shape_faults("field/", psf.field, _FIELD_DATASETS, size)
+    if psf.depth_m.size == 0 or np.any(np.diff(psf.depth_m) <= 0.0):
         faults.append(Fault("depth_m", "ascending depths", str(psf.depth_m)))
     if not np.all(np.isfinite(psf.psf)):
         faults.append(Fault("psf", "finite irradiance", "NaN or infinity", _REMEDY))
     if faults:
         raise InputError(str(path), faults)
+
+
+def _shape_faults(prefix: str, result: Psf | PsfField, datasets: Datasets, size: dict[str, int]) -> list[Fault]:
+    faults = []
+    for name, (_, _, dims) in datasets.items():
+        expected, shape = tuple(size.get(dim, 0) for dim in dims), getattr(result, name).shape
+        if shape != expected:
+            faults.append(Fault(f"{prefix}{name}", f"shape {expected}", str(shape)))
+    return faults

@@ -172,7 +172,7 @@ def recorded_coupling(job: Job) -> CouplingFigures | None:
 
 def _merit(job: Job) -> MeritFigures:
     from metafab import optics
-    from metafab.optics.interpolation.stacks import without_depths
+    from metafab.optics.interpolation import without_depths
     from metafab.optics.measures import metrics
 
     whole, ideal = (optics.load(job.folder / name) for name in ("psf.h5", "ideal_psf.h5"))

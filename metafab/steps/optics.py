@@ -258,7 +258,7 @@ def point_spread(
         InputError: the file cannot be used, or an object at infinity has a position.
     """
     from metafab import optics
-    from metafab.optics.interpolation.stacks import concatenate
+    from metafab.optics.interpolation import concatenate
 
     imaging = optics.Imaging.of(job.design)
     if pixel_um is not None:
@@ -366,7 +366,7 @@ def _calibration(job: Job, source: Source) -> Psf:
 def _depth_interpolation_error(written: Psf, verified: NDArray[np.bool_]) -> float | None:
     """Relative L2 error at the verified depths of PSFs interpolated from the other depths."""
     from metafab import optics
-    from metafab.optics.interpolation.stacks import without_depths
+    from metafab.optics.interpolation import without_depths
 
     others = written.depth_m[~verified]
     between = verified & (written.depth_m > others.min(initial=math.inf)) & (written.depth_m < others.max(initial=0.0))

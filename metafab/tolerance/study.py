@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -39,8 +39,9 @@ from metafab.tolerance.table import ToleranceRow, ToleranceTable
 #: Trial depths of the decoder: their margin beyond the table's depths, as a share of the range of vergence, and their
 #: number per depth of the calibration.
 _MARGIN, _TRIALS = 0.25, 6
-#: Figures with a systematic shift, which are averaged over draws; the others have both signs and are given as rms.
+#: Over draws, figures with a systematic shift are averaged; the others have both signs and are given as rms.
 _MEAN_OVER_DRAWS = ("peak_ratio", "efficiency", "efficiency_change", "extinction_ratio")
+_RMS_OVER_DRAWS = ("change", "turn_deg", "depth_error_m")
 _AXIS = (0.0, 0.0)
 
 
@@ -184,19 +185,6 @@ def _inner(a: ComplexArray, b: ComplexArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Figures:
-    """Figures of one mask in comparison with the nominal one, as in :class:`ToleranceRow`."""
-
-    change: float
-    peak_ratio: float
-    efficiency: float
-    efficiency_change: float
-    extinction_ratio: float
-    turn_deg: float
-    depth_error_m: float
-
-
-@dataclass(frozen=True)
 class Reference:
     """Light and decoded depths of the nominal mask, with which other masks are compared.
 
@@ -222,30 +210,30 @@ class Reference:
 
     def row(self, name: str, lights: Sequence[Light], relative_error: float) -> ToleranceRow:
         """Return the row of one mask, or of several draws of a random fault (rms or mean over the draws)."""
-        figures = [asdict(self._figures(light)) for light in lights]
-        pooled = {}
-        for key in figures[0]:
-            values = np.array([figure[key] for figure in figures])
-            if len(lights) == 1 or key in _MEAN_OVER_DRAWS:
-                pooled[key] = float(values.mean())
-            else:
-                pooled[key] = float(np.sqrt(np.mean(values**2)))
-        below_error = pooled["change"] <= self.error
-        return ToleranceRow(name, **pooled, relative_error=relative_error, below_error=below_error)  # type: ignore[arg-type]
+        rows = [self._row(name, light, relative_error) for light in lights]
+        if len(rows) == 1:
+            return rows[0]
+        mean = {key: float(np.mean([getattr(row, key) for row in rows])) for key in _MEAN_OVER_DRAWS}
+        rms = {key: float(np.sqrt(np.mean([getattr(row, key) ** 2 for row in rows]))) for key in _RMS_OVER_DRAWS}
+        return replace(rows[0], **mean, **rms, below_error=rms["change"] <= self.error)  # type: ignore[arg-type]
 
-    def _figures(self, light: Light) -> Figures:
+    def _row(self, name: str, light: Light, relative_error: float) -> ToleranceRow:
         before, after = self.nominal, light
         n_depth, finite = len(self.depths_m), np.isfinite(self.depths_m)
         depth_error_m = self.decoder.depth_m(after.pair) - self.decoded_m
         turn = (orientation_deg(after.pair[0]) - orientation_deg(before.pair[0]) + 180.0) % 360.0 - 180.0
-        return Figures(
-            change=max(relative_l2(after.pair[p, d], before.pair[p, d]) for p in (0, 1) for d in range(n_depth)),
+        change = max(relative_l2(after.pair[p, d], before.pair[p, d]) for p in (0, 1) for d in range(n_depth))
+        return ToleranceRow(
+            name,
+            change,
             peak_ratio=float((_peaks(after.pair) / _peaks(before.pair)).min()),
             efficiency=float(after.efficiency.min()),
             efficiency_change=_largest(after.efficiency - before.efficiency),
             extinction_ratio=float(after.extinction.min()),
             turn_deg=_largest(turn),
             depth_error_m=_largest(depth_error_m[finite]) if finite.any() else math.nan,
+            relative_error=relative_error,
+            below_error=change <= self.error,
         )
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -19,7 +20,7 @@ from metafab.optics.geometry.path import Ray, power_at_aperture
 from metafab.optics.numerics import PsfNumerics
 from metafab.optics.propagation.band import band_ends, band_irradiance, padded_px
 from metafab.optics.propagation.chebyshev import Span, points_needed
-from metafab.optics.propagation.kernel import WindowKernel, largest_changes_rad
+from metafab.optics.propagation.kernel import KernelSpec, WindowKernel, largest_changes_rad
 from metafab.optics.propagation.pupil import Pupil
 from metafab.optics.propagation.window import window_fields
 
@@ -42,35 +43,6 @@ _PANELS_PER_SIDE = (1, 3, 5, 7, 9, 13, 17, 25, 33, 49, 65)
 _SMALLEST_PANEL_PX = 16
 #: Number of depths that share a panel's kernel in the cost model; fixed, so that errors do not depend on the stack.
 _USUAL_DEPTHS = 8
-
-
-@dataclass(frozen=True)
-class Panel:
-    """Square part of a window.
-
-    Attributes:
-        row: first row in the window.
-        column: first column in the window.
-        side_px: points along a side; the panel may reach beyond the window.
-    """
-
-    row: int
-    column: int
-    side_px: int
-
-    def target_um(
-        self, centre_um: tuple[float, float, float], window_px: int, pixel_um: float
-    ) -> tuple[float, float, float]:
-        """Return the panel's centre point; ``centre_um`` is the window's."""
-        offset = self.side_px // 2 - window_px // 2
-        x = centre_um[0] + (self.column + offset) * pixel_um
-        y = centre_um[1] + (self.row + offset) * pixel_um
-        return x, y, centre_um[2]
-
-    def inside(self, window_px: int) -> tuple[slice, slice]:
-        """Return the rows and columns of the window that the panel covers."""
-        rows, columns = (slice(first, min(first + self.side_px, window_px)) for first in (self.row, self.column))
-        return rows, columns
 
 
 @dataclass(frozen=True)
@@ -208,15 +180,19 @@ class Window:
         """Squared fields of each pupil behind its rays, shapes (n_ray, n, n). Each panel's kernel is built once."""
         (pupil, rays), n, pixel_um = ways[0], self.window_px, self.imaging.pixel_um
         k, box = self.imaging.wavenumber, bounding_box([blocks for blocks, _ in ways])
+        centre_x, centre_y, distance_um = rays[0].target_um
+        side = -(-n // self.panels_per_side(pupil, rays[0].target_um))
         squares = [np.empty((len(its_rays), n, n)) for _, its_rays in ways]
-        for panel in _panels(n, self.panels_per_side(pupil, rays[0].target_um)):
-            target = panel.target_um(rays[0].target_um, n, pixel_um)
-            kernel = WindowKernel.build(k, target, box, panel.side_px, pixel_um, self.tolerance)
-            rows, columns = panel.inside(n)
+        for row, column in product(range(0, n, side), repeat=2):
+            offset = side // 2 - n // 2
+            target = (centre_x + (column + offset) * pixel_um, centre_y + (row + offset) * pixel_um, distance_um)
+            kernel = WindowKernel.build(KernelSpec(k, target, box, side, pixel_um, self.tolerance))
+            # The last panels may reach beyond the window.
+            rows, columns = min(side, n - row), min(side, n - column)
             for (blocks, its_rays), square in zip(ways, squares, strict=True):
                 for index, field in enumerate(window_fields(blocks, kernel, its_rays)):
                     part = field.real**2 + field.imag**2
-                    square[index, rows, columns] = part[: rows.stop - rows.start, : columns.stop - columns.start]
+                    square[index, row : row + rows, column : column + columns] = part[:rows, :columns]
         return squares
 
 
@@ -232,9 +208,3 @@ def bounding_box(pupils: Sequence[Pupil]) -> tuple[Span, Span]:
     x = min(float(p.x_um[0]) for p in pupils), max(float(p.x_um[-1]) for p in pupils)
     y = min(float(p.y_um[0]) for p in pupils), max(float(p.y_um[-1]) for p in pupils)
     return x, y
-
-
-def _panels(window_px: int, count: int) -> list[Panel]:
-    side = -(-window_px // count)
-    starts = range(0, window_px, side)
-    return [Panel(row, column, side) for row in starts for column in starts]

@@ -33,51 +33,53 @@ _KERNELS_KEPT, _LARGEST_KEPT_PX = 16, 128
 
 
 @dataclass(frozen=True)
+class KernelSpec:
+    """Lens, window and accuracy of a kernel.
+
+    Attributes:
+        wavenumber: k, rad/um, of the blocks or of another wavelength.
+        target_um: (x, y, z) of the window's centre, point ``window_px // 2`` along either side.
+        lens_um: ((lowest, highest) x, (lowest, highest) y) of the block centres.
+        window_px: points along a side.
+        pixel_um: distance of points.
+        tolerance: relative error of the low-rank rest, 1e-7 or more.
+    """
+
+    wavenumber: float
+    target_um: tuple[float, float, float]
+    lens_um: tuple[Span, Span]
+    window_px: int
+    pixel_um: float
+    tolerance: float
+
+    @property
+    def offsets_um(self) -> FloatArray:
+        """Window points along x and y from the centre, shape (window_px,)."""
+        return np.multiply(np.arange(self.window_px) - self.window_px // 2, self.pixel_um, dtype=np.float64)
+
+
+@dataclass(frozen=True)
 class WindowKernel:
     """Propagation from Chebyshev points of the lens to one window, for blocks of any size.
 
     Attributes:
-        wavenumber: k, rad/um, of the blocks or of another wavelength.
-        target_um: (x, y, z) of the window's centre point.
-        offsets_um: shape (n,), window points along x and y from the centre.
-        lens_um: ((lowest, highest) x, (lowest, highest) y) of the lens points.
+        spec: lens, window and accuracy.
         left: shape (n, q_y), exp(ik Y).
         right: shape (q_x, n), exp(ik X).
         over_window: shape (rank, n, n), A_m.
         over_lens: shape (rank, q_y, q_x), B_m.
     """
 
-    wavenumber: float
-    target_um: tuple[float, float, float]
-    offsets_um: FloatArray
-    lens_um: tuple[Span, Span]
+    spec: KernelSpec
     left: SingleComplexArray
     right: SingleComplexArray
     over_window: SingleComplexArray
     over_lens: SingleComplexArray
 
     @classmethod
-    def build(
-        cls,
-        wavenumber: float,
-        target_um: tuple[float, float, float],
-        lens_um: tuple[Span, Span],
-        window_px: int,
-        pixel_um: float,
-        tolerance: float,
-    ) -> WindowKernel:
-        """Sample and split the kernel; windows up to 128 points a side are cached for other depths, masks and blocks.
-
-        Args:
-            wavenumber: k, rad/um.
-            target_um: centre of the window, point ``window_px // 2`` along either side.
-            lens_um: bounding box of the block centres.
-            window_px: points along a side.
-            pixel_um: distance of points.
-            tolerance: relative error of the low-rank rest, 1e-7 or more.
-        """
-        build = _build if window_px <= _LARGEST_KEPT_PX else _build.__wrapped__
-        return build(wavenumber, target_um, lens_um, window_px, pixel_um, tolerance)
+    def build(cls, spec: KernelSpec) -> WindowKernel:
+        """Sample and split the kernel; kernels of up to 128 points a side are cached for other depths and masks."""
+        return _build(spec) if spec.window_px <= _LARGEST_KEPT_PX else _build.__wrapped__(spec)
 
     @staticmethod
     def clear_cache() -> None:
@@ -103,31 +105,20 @@ def largest_changes_rad(
 
 
 @lru_cache(maxsize=_KERNELS_KEPT)
-def _build(
-    k: float,
-    target_um: tuple[float, float, float],
-    lens_um: tuple[Span, Span],
-    window_px: int,
-    pixel_um: float,
-    tolerance: float,
-) -> WindowKernel:
-    offsets = np.multiply(np.arange(window_px) - window_px // 2, pixel_um, dtype=np.float64)
+def _build(spec: KernelSpec) -> WindowKernel:
+    k, target_um, lens_um, offsets = spec.wavenumber, spec.target_um, spec.lens_um, spec.offsets_um
     span = (float(offsets[0]), float(offsets[-1]))
-    changes_rad = largest_changes_rad(k, target_um, lens_um, span)
-    x, y = (
-        chebyshev.points(s, chebyshev.points_needed(c, tolerance))
-        for s, c in zip(lens_um, changes_rad[:2], strict=True)
-    )
-    over_window, over_lens = _split_rest(k, target_um, lens_um, span, changes_rad[2], tolerance)
+    x_rad, y_rad, rest_rad = largest_changes_rad(k, target_um, lens_um, span)
+    x = chebyshev.points(lens_um[0], chebyshev.points_needed(x_rad, spec.tolerance))
+    y = chebyshev.points(lens_um[1], chebyshev.points_needed(y_rad, spec.tolerance))
+    over_window, over_lens = _split_rest(spec, span, rest_rad)
     to_window = chebyshev.interpolation(span, over_window.shape[1], offsets)
-    to_x, to_y = (chebyshev.interpolation(s, over_lens.shape[1], at) for s, at in zip(lens_um, (x, y), strict=True))
+    to_x = chebyshev.interpolation(lens_um[0], over_lens.shape[1], x)
+    to_y = chebyshev.interpolation(lens_um[1], over_lens.shape[1], y)
     along_x, _, _ = _changes_um(target_um, x[:, None], 0.0, offsets[None, :], 0.0)
     _, along_y, _ = _changes_um(target_um, 0.0, y[None, :], 0.0, offsets[:, None])
     return WindowKernel(
-        k,
-        target_um,
-        offsets,
-        lens_um,
+        spec,
         np.exp(1j * k * along_y).astype(np.complex64),
         np.exp(1j * k * along_x).astype(np.complex64),
         (to_window @ over_window @ to_window.T).astype(np.complex64),
@@ -135,30 +126,24 @@ def _build(
     )
 
 
-def _split_rest(
-    k: float,
-    target_um: tuple[float, float, float],
-    lens_um: tuple[Span, Span],
-    window_um: Span,
-    rest_rad: float,
-    tolerance: float,
-) -> tuple[ComplexArray, ComplexArray]:
+def _split_rest(spec: KernelSpec, window_um: Span, rest_rad: float) -> tuple[ComplexArray, ComplexArray]:
     """A_m and B_m, each of shape (rank, count, count), on Chebyshev points of the window and of the lens.
 
     The right singular vectors are the eigenvectors of the Gram matrix. Squared singular values below 1e-14 of the
     largest are lost in rounding, hence the smallest tolerance of 1e-7.
     """
-    count = chebyshev.points_needed(rest_rad, tolerance)
-    x, y = np.meshgrid(*(chebyshev.points(span, count) for span in lens_um))
+    count = chebyshev.points_needed(rest_rad, spec.tolerance)
+    x, y = np.meshgrid(*(chebyshev.points(span, count) for span in spec.lens_um))
     u, v = np.meshgrid(*(chebyshev.points(span, count) for span in (window_um, window_um)))
     x, y, u, v = x.reshape(-1, 1), y.reshape(-1, 1), u.reshape(1, -1), v.reshape(1, -1)
-    _, _, rest = _changes_um(target_um, x, y, u, v)
-    distance = np.sqrt((target_um[0] + u - x) ** 2 + (target_um[1] + v - y) ** 2 + target_um[2] ** 2)
-    spreading = target_um[2] / (2.0 * np.pi * distance**2) * (1.0 / distance - 1j * k)
-    kernel = spreading * np.exp(1j * k * rest)
+    _, _, rest = _changes_um(spec.target_um, x, y, u, v)
+    c_x, c_y, c_z = spec.target_um
+    distance = np.sqrt((c_x + u - x) ** 2 + (c_y + v - y) ** 2 + c_z**2)
+    spreading = c_z / (2.0 * np.pi * distance**2) * (1.0 / distance - 1j * spec.wavenumber)
+    kernel = spreading * np.exp(1j * spec.wavenumber * rest)
     squares, vectors = np.linalg.eigh(kernel.conj().T @ kernel)
     lost = np.cumsum(np.maximum(squares, 0.0))
-    first = min(int(np.searchsorted(lost, tolerance**2 * lost[-1])), squares.size - 1)
+    first = min(int(np.searchsorted(lost, spec.tolerance**2 * lost[-1])), squares.size - 1)
     kept = vectors[:, first:]
     shape = (-1, count, count)
     return kept.conj().T.reshape(shape), (kernel @ kept).T.reshape(shape)

@@ -42,19 +42,18 @@ class WindowTransform:
     def build(cls, pupil: Pupil, kernel: WindowKernel) -> WindowTransform:
         """Return the transform from the blocks of ``pupil`` to the window of ``kernel``."""
         q_y, q_x = kernel.over_lens.shape[1:]
-        (x, y, z), block, n = kernel.target_um, pupil.carrier.block_sites, kernel.offsets_um.size
+        spec, block = kernel.spec, pupil.carrier.block_sites
+        (x, y, z), offsets_um, n = spec.target_um, spec.offsets_um, spec.window_px
         distance = math.hypot(x, y, z)
-        slope_x, slope_y = (
-            -kernel.wavenumber * (1.0 - (c / distance) ** 2) / distance * kernel.offsets_um for c in (x, y)
-        )
+        slope_x, slope_y = (-spec.wavenumber * (1.0 - (c / distance) ** 2) / distance * offsets_um for c in (x, y))
         diffraction = np.outer(
             _dirichlet(slope_y * pupil.pitch_um[1], block), _dirichlet(slope_x * pupil.pitch_um[0], block)
         )
         orders = [diffraction, 1j * np.tile(slope_x, (n, 1)), 1j * np.tile(slope_y, (n, 1)).T]
         return cls(
             kernel,
-            chebyshev.interpolation(kernel.lens_um[1], q_y, pupil.y_um).T.astype(np.float32, order="C"),
-            chebyshev.interpolation(kernel.lens_um[0], q_x, pupil.x_um).astype(np.float32, order="C"),
+            chebyshev.interpolation(spec.lens_um[1], q_y, pupil.y_um).T.astype(np.float32, order="C"),
+            chebyshev.interpolation(spec.lens_um[0], q_x, pupil.x_um).astype(np.float32, order="C"),
             np.array(orders[: 1 if block == 1 else 3], dtype=np.complex64),
         )
 
@@ -90,7 +89,7 @@ def window_fields(pupil: Pupil, kernel: WindowKernel, rays: Sequence[Ray]) -> It
     """Yield the field behind each ray, moved to the centre of the kernel's window, on that window, shape (n, n)."""
     transform = WindowTransform.build(pupil, kernel)
     for ray in rays:
-        blocks = refocus(pupil, replace(ray, target_um=kernel.target_um), kernel.wavenumber)
+        blocks = refocus(pupil, replace(ray, target_um=kernel.spec.target_um), kernel.spec.wavenumber)
         yield transform.field(blocks).astype(np.complex128)
 
 

@@ -16,7 +16,7 @@ import pytest
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import silent
 from metafab.library.library import Library
-from metafab.optics.interpolation.stacks import without_depths
+from metafab.optics.interpolation import without_depths
 from metafab.report.draw import draw
 from metafab.report.run_folder import AperturePhases, DesignOutline, RunFolder
 from metafab.report.style import CSS_VARIABLES

@@ -7,7 +7,7 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.optics import Psf, at_depths
-from metafab.optics.interpolation.stacks import concatenate, without_depths
+from metafab.optics.interpolation import concatenate, without_depths
 from tests.conjugate_pair import helix_psf
 
 DEPTHS = 1.0 / np.linspace(1e3 / 2.5, 1e3 / 3.4, 8)

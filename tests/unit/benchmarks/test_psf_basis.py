@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.psf_basis import PsfBasis
 from metafab.core.errors import InputError
-from metafab.optics import Psf, PsfBasis, PsfNumerics, at_depths, at_tangent, psf, relative_l2
+from metafab.optics import Psf, PsfNumerics, at_depths, at_tangent, psf, relative_l2
 from metafab.optics.geometry.imaging import depth_nodes
 from tests import optics_lens as lens
 

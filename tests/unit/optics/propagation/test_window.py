@@ -7,7 +7,7 @@ import pytest
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.optics.geometry.path import Ray, path_and_slopes
-from metafab.optics.propagation.kernel import WindowKernel
+from metafab.optics.propagation.kernel import KernelSpec, WindowKernel
 from metafab.optics.propagation.pupil import Carrier, Pupil
 from metafab.optics.propagation.refocus import refocus
 from metafab.optics.propagation.window import WindowTransform
@@ -28,7 +28,8 @@ def _random_pupil(block: int = 1) -> Pupil:
 
 def _transform(pupil: Pupil, tolerance: float) -> WindowTransform:
     box = ((pupil.x_um[0], pupil.x_um[-1]), (pupil.y_um[0], pupil.y_um[-1]))
-    kernel = WindowKernel.build(K, pupil.carrier.ray.target_um, box, COUNT, OPTICS.pixel_um, tolerance)
+    spec = KernelSpec(K, pupil.carrier.ray.target_um, box, COUNT, OPTICS.pixel_um, tolerance)
+    kernel = WindowKernel.build(spec)
     return WindowTransform.build(pupil, kernel)
 
 
@@ -109,7 +110,7 @@ def test_kernels_of_usual_windows_are_kept_until_forgotten() -> None:
     box, target_um = ((-20.0, 20.0), (-20.0, 20.0)), OPTICS.image_point_um(0, (0.0, 0.0))
 
     def kernel(side_px: int) -> WindowKernel:
-        return WindowKernel.build(K, (*target_um, OPTICS.sensor_distance_um), box, side_px, 0.3, 1e-3)
+        return WindowKernel.build(KernelSpec(K, (*target_um, OPTICS.sensor_distance_um), box, side_px, 0.3, 1e-3))
 
     first = kernel(COUNT)
     assert kernel(COUNT) is first
