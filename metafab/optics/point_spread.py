@@ -17,8 +17,6 @@ from metafab.core.labelled import dataset
 if TYPE_CHECKING:
     import xarray
 
-_SHARES = ("transmitted", "stray", "lost")
-
 
 @dataclass(frozen=True)
 class PsfField:
@@ -46,7 +44,6 @@ class PsfDetails:
         blocks: number of pupil blocks.
         transmitted: shape (2,), share of the power at the aperture that the pillars transmit, at the middle depth.
         stray: shape (2,), share that is transmitted but misses the window.
-        lost: shape (2,), share that is not transmitted.
         field_error: largest relative L2 error over the field points; NaN without a field.
         field_interpolation_error: largest relative L2 error between field points, where it was measured; else NaN.
         filter_fwhm_nm: full width of the filter; None for one wavelength.
@@ -58,19 +55,24 @@ class PsfDetails:
     blocks: int = 0
     transmitted: tuple[float, ...] = ()
     stray: tuple[float, ...] = ()
-    lost: tuple[float, ...] = ()
     field_error: float = math.nan
     field_interpolation_error: float = math.nan
     filter_fwhm_nm: float | None = None
     seconds: float = 0.0
     camera_fit: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def lost(self) -> tuple[float, ...]:
+        """Share of the power at the aperture that is not transmitted, shape (2,)."""
+        return tuple(1.0 - share for share in self.transmitted)
+
     def power_figures(self) -> dict[str, float]:
         """Return the power budget by its names in summaries: ``transmitted_x``, ``stray_x``, ``lost_x``, ..."""
         figures = {}
-        for name, *shares in zip(POLARISATIONS, self.transmitted, self.stray, self.lost, strict=False):
-            for share, value in zip(_SHARES, shares, strict=True):
-                figures[f"{share}_{name}"] = value
+        for index, name in enumerate(POLARISATIONS[: len(self.transmitted)]):
+            figures[f"transmitted_{name}"] = self.transmitted[index]
+            figures[f"stray_{name}"] = self.stray[index]
+            figures[f"lost_{name}"] = self.lost[index]
         return figures
 
     def figures(self) -> dict[str, float]:
@@ -92,11 +94,16 @@ class PsfDetails:
     def of_figures(cls, figures: Mapping[str, float]) -> PsfDetails:
         """Inverse of :meth:`figures`; unknown names are parameters of a camera fit."""
         rest = dict(figures)
-        shares = {s: tuple(rest.pop(f"{s}_{p}") for p in POLARISATIONS if f"{s}_{p}" in rest) for s in _SHARES}
+        known = [name for name in POLARISATIONS if f"transmitted_{name}" in rest]
+        transmitted = tuple(rest.pop(f"transmitted_{name}") for name in known)
+        stray = tuple(rest.pop(f"stray_{name}") for name in known)
+        for name in known:
+            del rest[f"lost_{name}"]
         return cls(
             block_sites=int(rest.pop("block_sites", 0)),
             blocks=int(rest.pop("blocks", 0)),
-            **shares,
+            transmitted=transmitted,
+            stray=stray,
             field_error=rest.pop("field_error", math.nan),
             field_interpolation_error=rest.pop("field_interpolation_error", math.nan),
             filter_fwhm_nm=rest.pop("filter_fwhm_nm", None),

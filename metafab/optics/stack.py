@@ -13,7 +13,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.parallel.work import Work
 from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.path import Ray, power_at_aperture
-from metafab.optics.measures.lobe import orientation_deg
+from metafab.optics.measures.metrics import orientation_deg
 from metafab.optics.numerics import PsfNumerics, require_valid
 from metafab.optics.point_spread import Psf, PsfDetails, PsfField
 from metafab.optics.propagation.blocks import reduce_to_target
@@ -103,7 +103,6 @@ def psf(
             blocks=pyramids[0][0].power.size,
             transmitted=tuple(transmitted),
             stray=tuple(share - float(efficiency[p, middle]) for p, share in enumerate(transmitted)),
-            lost=tuple(1.0 - share for share in transmitted),
             field_error=float("nan") if grid is None else float(max(error.max() for error in errors[2:])),
             filter_fwhm_nm=numerics.filter_fwhm_nm,
             seconds=time.perf_counter() - begun,

@@ -7,9 +7,9 @@ such that the variances add up to those of the sites. Moments scatter likewise, 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -20,22 +20,25 @@ from metafab.optics.geometry.path import path_and_slopes
 from metafab.optics.propagation.pupil import Pupil
 
 
-class Fault(Protocol):
+class Fault(ABC):
     """Random fault of fabrication."""
 
     @property
+    @abstractmethod
     def name(self) -> str:
         """Kind and size of the fault."""
 
     def block_sites(self, largest: int) -> int:
         """Return the largest valid number of sites along a side of a block, ``largest`` at most."""
+        return largest
 
+    @abstractmethod
     def __call__(self, pupils: Sequence[Pupil], random: np.random.Generator) -> list[Pupil]:
         """Return the blocks of one faulty mask; the blocks of all carriers belong to the same mask."""
 
 
 @dataclass(frozen=True)
-class Misplaced:
+class Misplaced(Fault):
     """Each pillar displaced independently, normal distribution.
 
     Attributes:
@@ -50,10 +53,6 @@ class Misplaced:
     def name(self) -> str:
         """Kind and size of the fault."""
         return f"misplacement {self.rms_nm:g} nm rms"
-
-    def block_sites(self, largest: int) -> int:
-        """Return ``largest``: any block is valid."""
-        return largest
 
     def __call__(self, pupils: Sequence[Pupil], random: np.random.Generator) -> list[Pupil]:
         """Return the blocks of displaced pillars."""
@@ -71,7 +70,7 @@ class Misplaced:
 
 
 @dataclass(frozen=True)
-class Missing:
+class Missing(Fault):
     """A random share of the pillars is missing.
 
     Attributes:
@@ -84,10 +83,6 @@ class Missing:
     def name(self) -> str:
         """Kind and size of the fault."""
         return f"missing {1e3 * self.share:g} per mille"
-
-    def block_sites(self, largest: int) -> int:
-        """Return ``largest``: any block is valid."""
-        return largest
 
     def __call__(self, pupils: Sequence[Pupil], random: np.random.Generator) -> list[Pupil]:
         """Return the blocks without the missing pillars."""
@@ -102,7 +97,7 @@ class Missing:
 
 
 @dataclass(frozen=True)
-class Stitched:
+class Stitched(Fault):
     """Each write field displaced as a whole, normal distribution.
 
     Attributes:

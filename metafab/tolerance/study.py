@@ -24,7 +24,7 @@ from metafab.core.parallel.work import Work
 from metafab.decode.matching.cost_volume import correlation
 from metafab.library.library import Library
 from metafab.optics.geometry.imaging import Imaging, depth_nodes
-from metafab.optics.measures.lobe import main_lobe_px, orientation_deg
+from metafab.optics.measures.metrics import main_lobe_px, orientation_deg
 from metafab.optics.numerics import PsfNumerics, require_valid
 from metafab.optics.propagation.blocks import MOST_BLOCKS, reduce_to_target, require_memory
 from metafab.optics.propagation.image import Window, relative_l2

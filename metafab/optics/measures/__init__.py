@@ -1,7 +1,6 @@
 """Figures of merit of a PSF stack and of a written mask.
 
-- ``lobe``            position, height and orientation of the main lobe
-- ``metrics``         efficiency through a pinhole, peaks, rotation, depth of field
+- ``metrics``         main lobe, efficiency through a pinhole, rotation, depth of field
 - ``mtf``             modulation transfer of the pair and of a standard lens
 - ``chain``           losses from the aperture to the pinhole, factor by factor
 - ``space_variance``  image points, aberrations and depth bias over the field of view

@@ -15,11 +15,11 @@ from typing import Literal
 import numpy as np
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.chebyshev import Span, points_needed
 from metafab.optics.geometry.imaging import Imaging, Tangent
 from metafab.optics.geometry.path import Ray, power_at_aperture
 from metafab.optics.numerics import PsfNumerics
 from metafab.optics.propagation.band import band_ends, band_irradiance, padded_px
-from metafab.optics.propagation.chebyshev import Span, points_needed
 from metafab.optics.propagation.kernel import KernelSpec, WindowKernel, largest_changes_rad
 from metafab.optics.propagation.pupil import Pupil
 from metafab.optics.propagation.window import window_fields

@@ -21,8 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.optics.propagation import chebyshev
-from metafab.optics.propagation.chebyshev import Span
+from metafab.core.numeric import chebyshev
+from metafab.core.numeric.chebyshev import Span
 
 #: Block phases are reduced in double precision. The rest fits single precision, with errors of at most 1e-6 of the
 #: field.

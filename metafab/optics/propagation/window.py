@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.numeric import chebyshev
 from metafab.optics.geometry.path import Ray
-from metafab.optics.propagation import chebyshev
 from metafab.optics.propagation.kernel import SingleComplexArray, WindowKernel
 from metafab.optics.propagation.pupil import Pupil
 from metafab.optics.propagation.refocus import refocus

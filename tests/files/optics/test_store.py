@@ -25,7 +25,7 @@ def stack() -> Psf:
 
 def test_a_file_gives_back_the_stack(stack: Psf, tmp_path: Path) -> None:
     fit = {"nothing": float("nan"), "all": float("inf")}
-    details = PsfDetails(4, 9, (0.9, 0.8), (0.2, 0.1), (0.1, 0.2), field_error=1e-4, seconds=1.5, camera_fit=fit)
+    details = PsfDetails(4, 9, (0.9, 0.8), (0.2, 0.1), field_error=1e-4, seconds=1.5, camera_fit=fit)
     stack = replace(stack, details=details)
     save(stack, tmp_path / "psf.h5")
     back = load(tmp_path / "psf.h5")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,8 @@ from metafab import phase
 from metafab.layout.pillars import Lattice
 from metafab.optics import Imaging, Psf, PsfNumerics, depth_nodes, ideal_field, psf, relative_l2
 from metafab.spec import load_design
+from tests.main_job import ROOT
 
-ROOT = Path(__file__).parents[2]
 #: Sampling of the target phases: a phase is a function, so a coarse lattice serves where Eq. 3 stays well sampled.
 PERIOD_NM = {"helix_small": 350.0, "helix_2mm": 1750.0}
 

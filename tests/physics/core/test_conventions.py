@@ -14,7 +14,7 @@ from benchmarks.direct_sum import direct_irradiance
 from metafab.core.conventions import FloatArray, image_distance_mm, sensor_distance_um, wrap_phase
 from metafab.optics import Imaging, PsfNumerics, psf, relative_l2
 from metafab.optics.geometry.path import Ray
-from metafab.optics.measures.lobe import main_lobe_px
+from metafab.optics.measures.metrics import main_lobe_px
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()

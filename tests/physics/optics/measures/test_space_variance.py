@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,8 +16,9 @@ from metafab.optics import Imaging, Psf, PsfNumerics, depth_nodes, ideal_field, 
 from metafab.optics.measures.space_variance import aberration_dioptre, depth_bias_dioptre, space_variance
 from metafab.optics.sources.source import IdealField
 from metafab.spec import load_design
+from tests.main_job import ROOT
 
-DESIGN = load_design(Path(__file__).parents[2] / "layouts" / "helix_2mm.toml")
+DESIGN = load_design(ROOT / "layouts" / "helix_2mm.toml")
 IMAGING = Imaging.of(DESIGN)
 DEGREE = math.tan(math.radians(1.0))
 #: A phase is a function: on every fifth site of the mask, 1.75 um, Eq. 3 is still well sampled.

@@ -140,8 +140,8 @@ def test_wrong_amplitudes_are_refused(small_design: Design, tmp_path: Path, samp
     [
         ("stop_um = 300.0", "must be at most `device.aperture_um`"),
         ("substrate_um = 3e4", "20000"),
-        ('amplitude_file = "filter.npy"', "go together"),
-        ("amplitude_pitch_um = 2.0", "go together"),
+        ('amplitude_file = "filter.npy"', "given together"),
+        ("amplitude_pitch_um = 2.0", "given together"),
         ("stop_mm = 0.1", "stop_mm"),
     ],
 )

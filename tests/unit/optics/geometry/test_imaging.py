@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,7 @@ from hypothesis import strategies as st
 from metafab.core.errors import InputError
 from metafab.optics import Imaging, depth_nodes, field_tangents
 from metafab.spec import Design, load_design
-
-ROOT = Path(__file__).parents[2]
+from tests.main_job import ROOT
 
 
 def test_the_papers_sensor_plane_and_image_points() -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from metafab.optics.measures.lobe import main_lobe_px, orientation_deg
+from metafab.optics.measures.metrics import main_lobe_px, orientation_deg
 
 
 def _airy_like(x: float, y: float, count: int = 48) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Interpolation between Chebyshev points, which compresses the smooth factors of the propagation."""
+"""Interpolation between Chebyshev points."""
 
 from __future__ import annotations
 
