@@ -69,7 +69,9 @@ class SharpImages:
 
 @dataclass(frozen=True)
 class Deconvolver:
-    """Wiener deconvolution with one calibration; the transfer functions last used are kept.
+    """Wiener deconvolution with one calibration.
+
+    The transfer functions last used, each of shape (2, n_ky, n_kx), are kept.
 
     Attributes:
         calibration: kernels on the grid.
