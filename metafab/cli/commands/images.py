@@ -160,7 +160,7 @@ def decode_command(
     json_: Json = False,
 ) -> None:
     """Decode a raw frame to a 4D image: both intensities, contrast and depth."""
-    from metafab.core.storage.files import require_hdf5_name
+    from metafab.core.storage.files import plain, require_hdf5_name
     from metafab.steps.images import DecodeFigures, decode_file
 
     path = output or Path("decoded.h5")
@@ -172,7 +172,10 @@ def decode_command(
         announce([f"{raw}: {figures.reason}; the image is empty"])
     if figures.warning is not None:
         announce([f"{raw}: {figures.warning}"])
-    show(figures, json_, file=path)
+    table = plain(figures)
+    if figures.nmae is None:
+        del table["nmae"]  # Without truth, the answer has no error.
+    show(table, json_, file=path)
 
 
 @app.command("calibrate")
