@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from metafab import __version__
+from metafab.core.errors import noted
 from metafab.core.parallel.measure import measured
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, whole_file, write_json
@@ -178,7 +179,7 @@ class _State:
         if self.is_current(step):
             self.skipped.append(SkippedStep(step.name, "its inputs and its files are unchanged"))
         else:
-            with measured() as cost:
+            with noted(f"step `{step.name}`"), measured() as cost:
                 figures = step.work(self.job)
             folder = self.job.folder
             marks = {

@@ -1,9 +1,10 @@
 """The command line: one thin function for each command.
 
-Exit codes: 0 done; 1 failed; 2 bad input or violated rules. With ``--json``, stdout holds one JSON object and nothing
-else. Progress bars go to stderr, and only on a terminal.
+Exit codes: 0 done; 1 failed; 2 bad input or violated rules; 130 Ctrl-C; 143 SIGTERM. With ``--json``, stdout holds one
+JSON object and nothing else. Progress bars go to stderr, and only on a terminal.
 
 - ``entry``      entry point: errors and interrupts become a message and an exit code
+- ``failures``   failures from outside as one message
 - ``app``        the program, and the options shared by several commands
 - ``console``    bars, tables, JSON
 - ``commands``   the commands:

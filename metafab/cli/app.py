@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +12,8 @@ import typer
 from typer.core import TyperCommand
 from typer.models import CommandFunctionType
 
-from metafab.core.errors import InputError
+from metafab.cli.failures import DEBUG_VARIABLE
+from metafab.core.errors import InputError, noted
 
 if TYPE_CHECKING:
     from metafab.core.parallel.work import Work
@@ -30,7 +32,13 @@ class _Command(TyperCommand):
             raise InputError.single(
                 "--output", "output", "a file of its own", f"{output}, which is read", "name another"
             )
-        return super().invoke(ctx)
+        with noted(f"`{' '.join([_called(ctx), *map(str, read)])}`"):
+            return super().invoke(ctx)
+
+
+def _called(ctx: Any) -> str:
+    """The command with its parents, such as ``metafab library build``."""
+    return f"{_called(ctx.parent)} {ctx.info_name}" if ctx.parent else "metafab"
 
 
 class _Program(typer.Typer):
@@ -50,6 +58,18 @@ library_app = _Program(
     help="Build, check and show phase libraries.", context_settings=HELP, no_args_is_help=True, rich_markup_mode=None
 )
 app.add_typer(library_app, name="library")
+
+
+@app.callback()
+def program_options(
+    debug: Annotated[
+        bool, typer.Option("--debug", help=f"Show the traceback of a failure (also {DEBUG_VARIABLE}=1).")
+    ] = False,
+) -> None:
+    """Options of all commands."""
+    if debug:
+        os.environ[DEBUG_VARIABLE] = "1"
+
 
 DesignFile = Annotated[Path, typer.Argument(metavar="DESIGN.toml", help="Design file.")]
 DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN.toml", help="Design file.")]

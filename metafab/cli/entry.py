@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
+import traceback
 from collections import deque
+from typing import NoReturn
 
 from metafab.cli.app import app
+from metafab.cli.failures import FAILURES, is_debugging, message_of
 from metafab.core.errors import InputError, MetafabError
 from metafab.core.parallel.interrupts import InterruptedRunError, raised_interrupts
 
@@ -40,14 +43,20 @@ def main() -> None:
         with raised_interrupts():
             app(spread_depths(sys.argv[1:]))
     except MetafabError as error:
-        print(f"metafab: {error}", file=sys.stderr)
-        sys.exit(error.exit_code)
-    except InterruptedRunError:
-        print("metafab: interrupted; nothing half-written was left behind", file=sys.stderr)
-        sys.exit(1)
-    except (OSError, MemoryError) as error:
-        print(f"metafab: {type(error).__name__}: {error}", file=sys.stderr)
-        sys.exit(1)
+        _end(error, str(error), error.exit_code)
+    except InterruptedRunError as error:
+        text = "interrupted; nothing half-written was left behind; run it again to go on from here"
+        _end(error, text, 128 + error.number)
+    except FAILURES as error:
+        _end(error, message_of(error), 1)
+
+
+def _end(error: BaseException, message: str, exit_code: int) -> NoReturn:
+    """Print a message, with ``--debug`` after the traceback, and exit."""
+    if is_debugging():
+        traceback.print_exception(error)
+    print(f"metafab: {message}", file=sys.stderr)
+    sys.exit(exit_code)
 
 
 def spread_depths(arguments: list[str]) -> list[str]:

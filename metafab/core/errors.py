@@ -5,7 +5,8 @@ A fault names the field, the expected value, the value found, and the remedy. On
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 
@@ -72,3 +73,13 @@ class SolverError(MetafabError):
 
 class MissingToolError(MetafabError):
     """A missing optional program or package; the message says how to install it."""
+
+
+@contextmanager
+def noted(work: str) -> Iterator[None]:
+    """Add to every exception of the block a note of the work that it ended, such as "step `layout`"."""
+    try:
+        yield
+    except Exception as error:
+        error.add_note(work)
+        raise

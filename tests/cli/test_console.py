@@ -10,6 +10,8 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from concurrent.futures import CancelledError
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
 
@@ -95,6 +97,11 @@ ERRORS = [
     (OSError(28, "No space left on device"), 1),
     (PermissionError(13, "Permission denied"), 1),
     (MemoryError("12 GB"), 1),
+    (RecursionError("maximum recursion depth exceeded"), 1),
+    (OverflowError("int too large to convert"), 1),
+    (ValueError("cannot convert float NaN to integer"), 1),
+    (BrokenProcessPool("a child process terminated abruptly"), 1),
+    (CancelledError("lost"), 1),
 ]
 
 
@@ -114,6 +121,43 @@ def test_an_error_is_one_message_and_its_code(
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
+@pytest.mark.parametrize("error", [error for error, _ in ERRORS], ids=lambda value: type(value).__name__)
+def test_debug_shows_the_traceback_before_the_message(
+    error: BaseException, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(entry, "app", _raise(error))
+    monkeypatch.setenv("METAFAB_DEBUG", "1")
+    with pytest.raises(SystemExit):
+        entry.main()
+    said = capsys.readouterr().err
+    assert type(error).__name__ in said.partition("\nmetafab: ")[0]
+    assert "\nmetafab: " in said
+
+
+def test_a_failure_names_the_work_the_file_and_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    taken = tmp_path / "taken"
+    taken.write_text("a file")
+    monkeypatch.setattr(sys, "argv", ["metafab", "new", "lens", "--kind", "metalens", "-o", str(taken / "out")])
+    with pytest.raises(SystemExit) as ended:
+        entry.main()
+    said = capsys.readouterr().err
+    assert ended.value.code == 1
+    assert len(said.strip().splitlines()) == 1
+    for part in ("NotADirectoryError", str(taken), "`metafab new`", "name another path with `-o`"):
+        assert part in said
+
+
+def test_debug_is_an_option_of_the_program(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("a file")
+    call = ["new", "lens", "--kind", "metalens", "-o", str(tmp_path / "taken" / "out")]
+    for options, begins in (([], "metafab: NotADirectoryError"), (["--debug"], "Traceback")):
+        answer = metafab(*options, *call, cwd=tmp_path)
+        assert answer.code == 1
+        assert answer.stderr.startswith(begins)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupt_is_one_message_that_nothing_swallows(
     number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -128,8 +172,8 @@ def test_an_interrupt_is_one_message_that_nothing_swallows(
     monkeypatch.setattr(entry, "app", app)
     with pytest.raises(SystemExit) as ended:
         entry.main()
-    assert ended.value.code == 1
-    assert "interrupted" in capsys.readouterr().err
+    assert ended.value.code == 128 + number
+    assert "run it again to go on from here" in capsys.readouterr().err
 
 
 def test_a_fault_of_ours_is_not_dressed_as_the_users(monkeypatch: pytest.MonkeyPatch) -> None:

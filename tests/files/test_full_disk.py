@@ -47,7 +47,8 @@ def test_an_earlier_file_outlives_a_full_disk(suffix: str, tmp_path: Path) -> No
         cwd=ROOT, env=ENVIRONMENT, preexec_fn=_limited, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr
-    assert done.stderr.strip().splitlines()[-1].startswith("OSError: [Errno 27]")
+    assert "\nOSError: [Errno 27]" in done.stderr
+    assert done.stderr.strip().splitlines()[-1] == f"writing {path}"
     assert path.read_bytes() == b"earlier"
     assert [each.name for each in tmp_path.iterdir()] == [path.name]
 

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from metafab.core.errors import InputError
+from metafab.core.errors import InputError, noted
 
 Made = TypeVar("Made")
 
@@ -32,8 +32,9 @@ def whole_file(path: Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(3)}.part")
     try:
-        yield beside
-        beside.replace(path)
+        with noted(f"writing {path}"):
+            yield beside
+            beside.replace(path)
     finally:
         beside.unlink(missing_ok=True)
 
