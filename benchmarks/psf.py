@@ -157,18 +157,44 @@ def _parts(
     whole_s = over_pillars["seconds"] + many["seconds"]
     goal_s = (WINDOW_GOAL_S.get(name, WINDOW_GOAL_OFF_AXIS_S)) if target == 1e-3 else None
     table = [
-        {**over_pillars, "name": f"pass over the pillars, {case}", "series": "metafab, pass",
-         "error": stated, "traced_mb": traced_mb, "goal_s": PASS_GOAL_S, "goal_mb": PASS_GOAL_MB},
-        {**bare, "name": f"one window from blocks, {case}", "series": "metafab, one window",
-         "error": stated, "goal_s": goal_s},
-        {**first, "name": f"one window from blocks with its kernel, {case}",
-         "series": "metafab, first window", "error": stated, "goal_s": goal_s},
-        {**one, "name": f"one window from blocks with its error, {case}",
-         "series": "metafab, one window and its error", "error": stated},
-        {**many, "name": f"pass and {len(stack_m)} depths with their errors, {case}",
-         "series": f"metafab, pass and {len(stack_m)} depths", "error": worst,
-         "seconds": whole_s, "goal_s": STACK_GOAL_S.get(target)},
-    ]  # fmt: skip
+        {
+            **over_pillars,
+            "name": f"pass over the pillars, {case}",
+            "series": "metafab, pass",
+            "error": stated,
+            "traced_mb": traced_mb,
+            "goal_s": PASS_GOAL_S,
+            "goal_mb": PASS_GOAL_MB,
+        },
+        {
+            **bare,
+            "name": f"one window from blocks, {case}",
+            "series": "metafab, one window",
+            "error": stated,
+            "goal_s": goal_s,
+        },
+        {
+            **first,
+            "name": f"one window from blocks with its kernel, {case}",
+            "series": "metafab, first window",
+            "error": stated,
+            "goal_s": goal_s,
+        },
+        {
+            **one,
+            "name": f"one window from blocks with its error, {case}",
+            "series": "metafab, one window and its error",
+            "error": stated,
+        },
+        {
+            **many,
+            "name": f"pass and {len(stack_m)} depths with their errors, {case}",
+            "series": f"metafab, pass and {len(stack_m)} depths",
+            "error": worst,
+            "seconds": whole_s,
+            "goal_s": STACK_GOAL_S.get(target),
+        },
+    ]
     seconds = {"window": bare["seconds"], "pass": over_pillars["seconds"], "stack": many["seconds"]}
     table[-1] |= {f"seconds_{part}": value for part, value in seconds.items()} | {"target": target, "direction": name}
     return table
@@ -222,10 +248,18 @@ def _library(source: WrittenField, imaging: Imaging, stack_m: FloatArray, points
     wall_s = time.perf_counter() - start
     name = f"library of {points} x {points} directions, {len(stack_m)} depths, pair, and its basis at 1e-2"
     return [
-        {**cost, "name": name, "series": "metafab, library", "error": basis.error,
-         "cpu_seconds": time.process_time() - begun,
-         "seconds": wall_s, "goal_s": LIBRARY_GOAL_S, "rank": basis.rank, "goal_rank": LIBRARY_GOAL_RANK}
-    ]  # fmt: skip
+        {
+            **cost,
+            "name": name,
+            "series": "metafab, library",
+            "error": basis.error,
+            "cpu_seconds": time.process_time() - begun,
+            "seconds": wall_s,
+            "goal_s": LIBRARY_GOAL_S,
+            "rank": basis.rank,
+            "goal_rank": LIBRARY_GOAL_RANK,
+        }
+    ]
 
 
 def _own_results(table: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -220,14 +220,19 @@ def torchoptics_integral(lens: Lens) -> Callable[[], Any]:
 
     def run() -> Any:
         light = Field(
-            data, torch.tensor(lens.wavelength_um * metre, **double), torch.tensor(0.0, **double),
+            data,
+            torch.tensor(lens.wavelength_um * metre, **double),
+            torch.tensor(0.0, **double),
             spacing=torch.tensor(lens.pitch_um * metre, **double),
-        )  # fmt: skip
+        )
         there = light.propagate(
-            (reach, reach), torch.tensor(lens.distance_um * metre, **double),
-            spacing=torch.tensor(lens.pitch_um * metre, **double), offset=torch.tensor(offset, **double),
-            propagation_method="DIM", interpolation_mode="none",
-        )  # fmt: skip
+            (reach, reach),
+            torch.tensor(lens.distance_um * metre, **double),
+            spacing=torch.tensor(lens.pitch_um * metre, **double),
+            offset=torch.tensor(offset, **double),
+            propagation_method="DIM",
+            interpolation_mode="none",
+        )
         return there.data.numpy()[:: lens.stride, :: lens.stride]
 
     return run

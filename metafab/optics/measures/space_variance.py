@@ -1,6 +1,6 @@
 """Variation of the pair over the field of view: image points, aberrations and depth bias.
 
-The phases of a mask are fixed, so that an object beside the axis changes only the path over the lens to its geometric
+The phases of a mask are fixed, so that an object off the axis changes only the path over the lens to its geometric
 image point. The second order of this change is a defocus and an astigmatism of the same size: along the split the
 curvature changes three times as much as across. To first order in the direction, both have opposite signs for the two
 polarisations, which the carriers deflect to opposite sides. The resulting depth bias depends on the mask: the helix
@@ -69,7 +69,7 @@ def space_variance(imaging: Imaging, tangent_x: FloatArray, tangent_y: FloatArra
 def aberration_dioptre(
     imaging: Imaging, polarisation: int, tangent: tuple[float, float], depth_m: float
 ) -> tuple[float, float]:
-    """Return defocus and astigmatism of an object beside the axis for one polarisation.
+    """Return defocus and astigmatism of an object off the axis for one polarisation.
 
     They are the coefficients of (x^2 + y^2) / 2 and (x^2 - y^2) / 2 in a least-squares fit, with tilt, skew and coma,
     to the change of path from the axis to the direction of the object, over the circle around the aperture.
