@@ -8,6 +8,7 @@
 - ``slicing``      a sloped pillar as the limit of thin steps
 - ``certificate``  adaptive truncation, and the bound on the error
 - ``diffraction``  efficiencies of single orders
+- ``derivatives``  derivatives by sizes, height and index
 - ``row``          a row of unlike pillars
 - ``cost``         processor time of a solution, by a measured curve
 """

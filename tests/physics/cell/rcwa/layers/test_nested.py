@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.special import j1
 
 from benchmarks.fourier_limit import fourier_limit
-from benchmarks.rcwa_derivatives import derivatives
 from metafab.cell import CellNumerics, PillarCell, solve
+from metafab.cell.rcwa.derivatives import derivatives
 from metafab.cell.rcwa.jones import distance, zero_order
 from metafab.cell.rcwa.layers.nested import rectangles
 from metafab.core.errors import InputError

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.rcwa_derivatives import derivatives
 from metafab.cell import CellNumerics, PillarCell, pillar_cell, solve
 from metafab.cell.fresnel import admittance, film_jones
 from metafab.cell.rcwa import efficiencies, zero_order
 from metafab.cell.rcwa.basis.coordinates import Formulation
+from metafab.cell.rcwa.derivatives import derivatives
 from metafab.cell.rcwa.jones import distance
 from metafab.core.conventions import ComplexArray, Side
 from metafab.core.errors import InputError

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.rcwa_derivatives import derivatives
 from metafab.cell import CellNumerics, Slice, solve
 from metafab.cell.fresnel import film_jones
 from metafab.cell.rcwa import zero_order
+from metafab.cell.rcwa.derivatives import derivatives
 from metafab.cell.rcwa.scattering import doubling, stack
 from metafab.core.conventions import Side
 from metafab.core.errors import InputError

@@ -10,7 +10,7 @@ exactly, for the change dP, dQ of the truncated matrices, the stretched coordina
 second field has the same wave vectors, and stands for light that returns along the first. Modes make the integral a
 closed form, so that each derivative costs a few matrix products besides the eigenvalue problem. In the half spaces only
 the evanescent waves of the stretched basis change; the zero order does not. A taller layer has one more sheet of P and
-Q at its far face, where the integrand is known without an integral. Nothing in the product needs them yet.
+Q at its far face, where the integrand is known without an integral.
 """
 
 from __future__ import annotations

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.rcwa_derivatives import derivatives
 from metafab.cell import PillarCell
 from metafab.cell.rcwa import zero_order
 from metafab.cell.rcwa.basis.coordinates import Formulation
+from metafab.cell.rcwa.derivatives import derivatives
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
 from tests.paper_cell import SILICON
