@@ -178,7 +178,7 @@ def _layer_field(
     e_far, h_far = faces.transmitted, _admittance(outgoing)[:, None] * faces.transmitted
     forward = 0.5 * (np.linalg.solve(modes.e, e_near) + np.linalg.solve(modes.h, h_near))
     backward = 0.5 * (np.linalg.solve(modes.e, e_far) - np.linalg.solve(modes.h, h_far))
-    return _LayerField(forward, backward, faces)
+    return _LayerField(np.asarray(forward, np.complex128), np.asarray(backward, np.complex128), faces)
 
 
 def _like(axis: AxisParity, tangent: AxisBasis) -> AxisParity:
