@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import stat
 import tomllib
 from collections.abc import Callable
@@ -21,7 +22,11 @@ Spec = TypeVar("Spec")
 _FILE_KEYS = {"file", "texture_file", "amplitude_file"}
 
 #: Largest accepted file (bytes); an outline of 100 000 vertices is smaller.
-_LARGEST_BYTES = 8 * 10**6
+_LARGEST_BYTES = 4 * 10**6
+
+#: A key of more than 32 dotted parts, whose parsing takes time quadratic in their number; keys of a design have 5.
+_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
+_LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}\.[ \t]*+){{32}}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -37,7 +42,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         got, remedy = "no file at that path", "check the path"
     except (OSError, UnicodeDecodeError) as error:
         got, remedy = f"an unreadable file ({error})", "is it a text file in UTF-8?"
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError:
+        got, remedy = "tables or lists that are nested too deeply", "remove the inner ones"
+    except ValueError as error:  # TOML's own error is one, as is that of a number with thousands of digits
         got, remedy = f"invalid TOML: {error}", "correct the syntax at that place"
     raise InputError.single(str(path), "file", "a TOML file", got, remedy)
 
@@ -49,7 +56,10 @@ def _text(path: Path) -> str:
     if (size := path.stat().st_size) > _LARGEST_BYTES:
         expected = f"a TOML file of at most {_LARGEST_BYTES // 10**6} MB"
         raise InputError.single(str(path), "file", expected, f"{size} bytes", "check the path")
-    return path.read_text(encoding="utf-8")
+    text = path.read_text(encoding="utf-8-sig")  # Editors on Windows write a byte-order mark.
+    if _LONG_KEY.search(text):
+        raise ValueError("a key of more than 32 dotted parts")
+    return text
 
 
 def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
@@ -101,6 +111,8 @@ def _resolved(value: Any, folder: Path, key: str = "") -> Any:
         return {name: _resolved(item, folder, name) for name, item in value.items()}
     if isinstance(value, list):
         return [_resolved(item, folder, key) for item in value]
+    if isinstance(value, str) and "\0" in value:
+        raise ValueError(f"a character \\u0000 in the value of `{key}`")
     if isinstance(value, str) and (key in _FILE_KEYS or value.lower().endswith(".csv")):
         return str((folder / value).resolve())
     return value
