@@ -7,11 +7,12 @@ files without one are opened without the test.
 
 from __future__ import annotations
 
+import math
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import h5py
 import numpy as np
@@ -95,7 +96,8 @@ def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) 
     """Open an existing file of a kind for reading.
 
     Raises:
-        InputError: the file is missing, truncated, not HDF5, of another kind, or of a newer format.
+        InputError: the file is missing, truncated, not HDF5, of another kind, of a newer format, or refused by
+            :func:`require_modest`.
     """
     path, expected = Path(path), f"a {kind} file (HDF5, format {format_version} or older)"
     if not path.is_file():
@@ -110,6 +112,7 @@ def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) 
         raise InputError.single(str(path), "file", expected, f"{reason} ({error})", remedy) from error
     with file:
         try:
+            require_modest(file, path)
             found = file.attrs.get("kind")
             if not isinstance(found, str) or found != kind:
                 got = f"an HDF5 file of kind {found!r}" if found else "an HDF5 file that metafab did not write"
@@ -126,6 +129,70 @@ def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) 
             ) from error
 
 
+def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None = None) -> None:
+    """Check links, types and sizes of a file before any array is read.
+
+    A small file can claim large arrays that were never written or that deflate to almost nothing. A file of up to
+    10 MB may hold 768 MiB of arrays, a larger file 64 more bytes for each of its own.
+
+    Args:
+        file: an open file.
+        path: its path, for the message.
+        names: absolute names of the datasets that will be read; None for all of the file.
+
+    Raises:
+        InputError: a link or dataset whose content lies outside the file or is computed, an array that is no array of
+            numbers or bytes, more bytes than the budget, or hostile chunks.
+    """
+    file_bytes = path.stat().st_size
+    left = _BUDGET_BYTES + _EXPANSION * max(0, file_bytes - _SMALL_FILE_BYTES)
+    most_chunks = _MOST_CHUNKS + file_bytes // 1024
+
+    def refuse(name: str, expected: str, got: str) -> NoReturn:
+        raise InputError.single(str(path), name, expected, got, "is the file from a source that you trust?")
+
+    objects = 0
+    visited, waiting = set[int](), [file["/"]]
+    while waiting:
+        group = waiting.pop()
+        for key in group:
+            name = f"{group.name.rstrip('/')}/{key}"
+            objects += 1
+            if objects > _MOST_OBJECTS:
+                refuse(name, f"at most {_MOST_OBJECTS} groups and datasets", "more")
+            if not isinstance(group.get(key, getlink=True), h5py.HardLink):
+                refuse(name, "content of the file itself", "a soft or external link")
+            item = group[key]
+            address = h5py.h5o.get_info(item.id).addr
+            if address in visited:
+                continue
+            visited.add(address)
+            if isinstance(item, h5py.Group):
+                waiting.append(item)
+                continue
+            if not isinstance(item, h5py.Dataset) or (names is not None and name not in names):
+                continue
+            if item.external or item.is_virtual:
+                refuse(name, "content of the file itself", "an external or virtual dataset")
+            if item.dtype.kind not in "biufcS" or item.shape is None:
+                refuse(name, "an array of numbers or bytes", f"{item.dtype} of shape {item.shape}")
+            chunk = item.chunks or (1,) * item.ndim
+            chunks = math.prod(-(-side // part) for side, part in zip(item.shape, chunk, strict=True))
+            if item.chunks and chunks > most_chunks:
+                refuse(name, f"at most {most_chunks} chunks", f"{chunks} chunks of shape {chunk}")
+            left -= max(item.size, math.prod(chunk)) * max(item.dtype.itemsize, 1)
+            if left < 0:
+                refuse(name, "arrays that fit the size of the file", f"shape {item.shape} in chunks of {item.chunks}")
+
+
+#: Bytes of all arrays in a file of up to ``_SMALL_FILE_BYTES``, and bytes more for each byte of a larger file.
+_BUDGET_BYTES = 768 << 20
+_SMALL_FILE_BYTES = 10 * 10**6
+_EXPANSION = 64
+#: Chunks of one array, besides one for each KiB of the file; each costs a search of a microsecond.
+_MOST_CHUNKS = 1 << 17
+#: Groups and datasets of a file; metafab writes fewer than a hundred.
+_MOST_OBJECTS = 4096
 #: What h5py, NumPy and JSON raise on content that is not what its place promises.
 _UNREADABLE = (LookupError, OSError, ValueError, TypeError, AttributeError, RuntimeError, MemoryError)
 _SEAL = b"\nmetafab crc32 "

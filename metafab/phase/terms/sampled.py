@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
 from metafab.core.numeric.bilinear import bilinear_on_grid
+from metafab.core.storage import hdf5
 from metafab.phase.pupil import Pupil, phasor
 from metafab.phase.terms.angles import angle
 from metafab.phase.terms.profile import PolarisedTerm
@@ -121,6 +122,9 @@ def read_array(file: Path, dataset: str) -> NDArray[np.generic]:
         if file.suffix == ".csv":
             return np.loadtxt(file, delimiter=",", ndmin=2)
         with h5py.File(file, "r") as source:
+            hdf5.require_modest(source, file, names=["/" + dataset.strip("/")])
             return np.asarray(source[dataset])
+    except InputError:
+        raise
     except Exception as error:  # the readers raise many types for a broken file
         raise InputError.single(str(file), "file", expected, f"an unreadable one ({error})") from error
