@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import math
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +14,8 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 
 _SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy"}
+#: Most pixels of a picture, times its colours or pages; as floats they take 512 MiB.
+_MOST_SAMPLES = 1 << 26
 #: Longest side of a picture (pixels); no image sensor has more.
 _LONGEST_SIDE_PX = 1 << 16
 _REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
@@ -71,20 +75,33 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
             # A damaged size field may claim billions of strips.
             if max(page.imagewidth, page.imagelength) > _LONGEST_SIDE_PX:
                 raise ValueError(f"{page.imagelength} x {page.imagewidth} pixels, more than {_LONGEST_SIDE_PX} a side")
+            _require_few(*file.series[0].shape)
             return np.asarray(file.asarray())
 
     def png(path: Path) -> np.ndarray:
         from PIL import Image
 
-        with Image.open(path) as image:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            image = Image.open(path)
+        with image:
+            _require_few(*image.size)
             image.load()
             grey = image.convert("RGB") if image.mode in {"P", "RGBA", "LA", "PA"} else image
             return np.asarray(grey)
 
     def npy(path: Path) -> np.ndarray:
-        return np.asarray(np.load(path, allow_pickle=False))
+        mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+        _require_few(*mapped.shape)
+        return np.array(mapped)
 
     return {"tiff": tiff, "png": png, "npy": npy}
+
+
+def _require_few(*shape: int) -> None:
+    """Refuse a picture by the size in its header, before it is decoded."""
+    if math.prod(shape) > _MOST_SAMPLES:
+        raise ValueError(f"{' x '.join(map(str, shape))} pixels, more than {_MOST_SAMPLES} in all")
 
 
 def _saturation(values: np.ndarray) -> float | None:

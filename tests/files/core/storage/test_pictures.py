@@ -1,0 +1,77 @@
+"""Pictures that are too large are refused by their header, before they are decoded."""
+
+from __future__ import annotations
+
+import resource
+import struct
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.core.storage.pictures import read_counts
+
+SIDE = 30_720
+
+
+def _png() -> bytes:
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    packer = zlib.compressobj(9)
+    rows = b"".join(packer.compress(bytes(1 + SIDE)) for _ in range(SIDE)) + packer.flush()
+    head = struct.pack(">IIBBBBB", SIDE, SIDE, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + b"".join([chunk(b"IHDR", head), chunk(b"IDAT", rows), chunk(b"IEND", b"")])
+
+
+def _tiff() -> bytes:
+    """A whole grey picture in strips of 16 rows, all of which share one deflated strip of zeros."""
+    strip = zlib.compress(bytes(2 * SIDE * 16), 9)
+    strips = SIDE // 16
+    after = 8 + 2 + 12 * 9 + 4
+    tags = [
+        (256, 4, 1, SIDE), (257, 4, 1, SIDE), (258, 3, 1, 16), (259, 3, 1, 8), (262, 3, 1, 1),
+        (273, 4, strips, after), (277, 3, 1, 1), (278, 4, 1, 16), (279, 4, strips, after + 4 * strips),
+    ]  # fmt: skip
+    table = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags) + bytes(4)
+    offsets = struct.pack("<I", after + 8 * strips) * strips + struct.pack("<I", len(strip)) * strips
+    return b"II*\0" + struct.pack("<I", 8) + table + offsets + strip
+
+
+def _npy() -> bytes:
+    return b"\x93NUMPY\x01\x00v\x00" + (
+        f"{{'descr': '|u1', 'fortran_order': False, 'shape': ({SIDE}, {SIDE}), }}".ljust(117).encode() + b"\n"
+    )
+
+
+@pytest.mark.parametrize(("name", "make"), [("large.png", _png), ("large.tif", _tiff), ("large.npy", _npy)])
+def test_a_picture_of_a_thousand_million_pixels_is_refused_by_its_header(
+    name: str, make: object, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(make())  # type: ignore[operator]
+    if name.endswith(".npy"):
+        with path.open("r+b") as stream:
+            stream.truncate(stream.seek(0, 2) + SIDE * SIDE)  # a sparse file, which holds all that it claims
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.process_time()
+    with pytest.raises(InputError, match="pixels"):
+        read_counts(path)
+    assert time.process_time() - start < 5.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 100 * 1024
+
+
+def test_a_picture_within_the_budget_is_read(tmp_path: Path) -> None:
+    values = np.arange(20, dtype=np.uint16).reshape(4, 5)
+    np.save(tmp_path / "small.npy", values)
+    assert read_counts(tmp_path / "small.npy")[0].tolist() == values.tolist()
+
+
+def test_the_budget_is_a_number_of_pixels_whatever_the_sides(tmp_path: Path) -> None:
+    values = np.lib.format.open_memmap(tmp_path / "wide.npy", "w+", np.uint8, (2049, 32_768))
+    del values
+    with pytest.raises(InputError, match="2049 x 32768 pixels, more than 67108864 in all"):
+        read_counts(tmp_path / "wide.npy")
