@@ -21,7 +21,7 @@ from metafab.core.parallel.measure import measured
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, whole_file, write_json
 from metafab.core.storage.provenance import code_sha256, contents_sha256
-from metafab.core.storage.tables import typed
+from metafab.core.storage.tables import DAMAGED, typed
 from metafab.spec import Design, canonical_toml
 from metafab.steps import RESULT_STEPS
 from metafab.steps.job import Job, Step
@@ -195,7 +195,10 @@ class _State:
         record = self.records.pop(step.name, None)
         if record is not None:
             for name in record.outputs:
-                (self.job.folder / name).unlink(missing_ok=True)
+                path = self.job.folder / name
+                # A file elsewhere, such as a library, may serve other runs.
+                if path.is_file() and path.resolve().is_relative_to(self.job.folder.resolve()):
+                    path.unlink()
             self.save_records()
 
     def save_records(self) -> None:
@@ -248,13 +251,13 @@ def _read_records(folder: Path, steps: Sequence[Step]) -> dict[str, Record]:
     """Read the records of earlier runs; a record that is missing or damaged is left out."""
     try:
         tables = json.loads((folder / STEPS_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, *DAMAGED):
         return {}
     records = {}
     for step in steps:
         try:
             record = typed(Record, tables[step.name])
-        except (KeyError, ValueError, TypeError, AttributeError):
+        except DAMAGED:
             continue
         records[step.name] = replace(record, summary=_figures(step, record.summary))
     return records
@@ -264,5 +267,5 @@ def _figures(step: Step, table: Any) -> Any:
     """Figures of a step, None if the table has another form."""
     try:
         return typed(step.figures, table)
-    except (ValueError, TypeError, AttributeError):
+    except DAMAGED:
         return None

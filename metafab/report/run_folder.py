@@ -14,6 +14,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.comparison import Comparison
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import MetafabError
+from metafab.core.storage.tables import DAMAGED
 from metafab.decode.image import Image4D
 from metafab.fullwave.coupling import Coupling
 from metafab.fullwave.patch import Patch
@@ -190,7 +191,7 @@ def _attempt(notes: dict[str, str], name: str, file: Path, load: Callable[[Path]
         return None
     try:
         return load(file)
-    except (MetafabError, OSError, ValueError, KeyError) as error:
+    except (MetafabError, OSError, *DAMAGED) as error:
         notes[name] = f"{file.name} could not be used: {error}"
         return None
 

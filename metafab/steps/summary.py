@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from metafab.core.storage.files import plain, write_json
-from metafab.core.storage.tables import typed
+from metafab.core.storage.tables import DAMAGED, typed
 from metafab.steps.images import CaptureFigures, DecodeFigures
 from metafab.steps.layout import DrcFigures, LayoutFigures
 from metafab.steps.library import LibraryFigures
@@ -111,7 +111,7 @@ class RunSummary:
         for name in (item.name for item in fields(cls) if table.get(item.name)):
             try:
                 known[name] = getattr(typed(cls, {name: table[name]}), name)
-            except (ValueError, TypeError, AttributeError):
+            except DAMAGED:
                 continue
         return cls(**known)
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -257,3 +260,52 @@ def test_the_page_comes_last_and_after_every_step() -> None:
     assert REPORT.after == tuple(step.name for step in RESULT_STEPS)
     assert REPORT.reads == ("coupling.json", "patch.h5", "tolerance.json")
     assert {step.name for step in RESULT_STEPS} <= set(RunSummary.__dataclass_fields__)
+
+
+def _deep(text: str) -> str:
+    return "[" * 100_000
+
+
+DAMAGES: dict[str, Callable[[str], str]] = {
+    "empty": lambda text: "",
+    "cut": lambda text: text[: len(text) // 2],
+    "nested deeply": _deep,
+    "a list": lambda text: "[1]",
+    "a number": lambda text: "3",
+    "null": lambda text: "null",
+    "records are numbers": lambda text: json.dumps(dict.fromkeys(json.loads(text), 3)),
+    "figures are texts": lambda text: re.sub(r": -?[0-9.]+(?=[,\n])", r': "x"', text),
+    "figures are lists": lambda text: re.sub(r": -?[0-9.]+(?=[,\n])", ": [1]", text),
+    "texts are numbers": lambda text: re.sub(r': "[^"]*"', ": 3", text),
+    "huge numbers": lambda text: re.sub(r": -?[0-9.]+(?=[,\n])", ": " + "9" * 400, text),
+    "NUL in names": lambda text: text.replace(".txt", r"\u0000.txt"),
+    "half a surrogate": lambda text: text.replace("lattice", r"\ud800"),
+    "not UTF-8": lambda text: text.replace("lattice", "\udcff"),
+}
+
+
+@pytest.mark.parametrize("name", ["steps.json", "summary.json"])
+@pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES.keys())
+def test_a_damaged_record_is_computed_again(
+    tmp_path: Path, small_design: Design, chain: Chain, name: str, damage: Callable[[str], str]
+) -> None:
+    whole = run(small_design, tmp_path, steps=chain.steps)
+    path = tmp_path / name
+    path.write_bytes(damage(path.read_text(encoding="utf-8")).encode(errors="surrogateescape"))
+    with suppress(ValueError, RecursionError):
+        RunSummary.load(tmp_path / "summary.json")
+    again = run(small_design, tmp_path, steps=chain.steps)
+    assert (again.phase, again.drc, again.capture) == (whole.phase, whole.drc, whole.capture)
+    assert RunSummary.load(tmp_path / "summary.json").drc == whole.drc
+
+
+def test_a_step_that_is_no_longer_needed_removes_nothing_outside_its_folder(
+    tmp_path: Path, small_design: Design, chain: Chain
+) -> None:
+    folder, precious = tmp_path / "run", tmp_path / "precious.txt"
+    run(small_design, folder, steps=chain.steps)
+    precious.write_text("a user's")
+    records = folder / "steps.json"
+    records.write_text(records.read_text().replace("capture.txt", "../precious.txt"))
+    run(small_design, folder, steps=chain.changed("capture", not_needed=lambda design: "nothing to see"))
+    assert precious.read_text() == "a user's"

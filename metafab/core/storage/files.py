@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from metafab.core.errors import InputError, noted
+from metafab.core.storage.tables import DAMAGED
 
 Made = TypeVar("Made")
 
@@ -114,14 +115,14 @@ def read_json(path: Path, kind: str, format_version: int, make: Callable[[dict[s
         path: a file written by :func:`write_json`, with ``kind`` and ``format_version`` among its keys.
         kind: expected kind.
         format_version: newest readable format.
-        make: builds the result from the other keys; a KeyError, TypeError or ValueError counts as unreadable.
+        make: builds the result from the other keys; an error that it raises on a damaged table counts as unreadable.
     """
     try:
         table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if table["kind"] != kind or table["format_version"] > format_version:
             return None
         return make({key: value for key, value in table.items() if key not in {"kind", "format_version"}})
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, *DAMAGED):
         return None
 
 

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import field, fields, is_dataclass
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 Figures = TypeVar("Figures")
+
+#: What reading a damaged table raises: JSON that is none or nested too deeply, keys that are missing, other types.
+DAMAGED = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
 
 
 def optional() -> Any:
@@ -24,7 +28,7 @@ def typed(kind: type[Figures], table: Mapping[str, Any]) -> Figures:
         table: its fields by name; null stands for NaN, "inf" for infinity.
 
     Raises:
-        ValueError, TypeError: a field is missing or does not fit its type.
+        ValueError, TypeError, ArithmeticError: a field is missing or does not fit its type.
     """
     if not isinstance(table, Mapping):
         raise TypeError(f"expected a table of {kind.__name__}, got {type(table).__name__}")
@@ -45,11 +49,15 @@ def _value(hint: Any, value: Any) -> Any:
     if origin in (Union, UnionType):
         if value is None and NoneType in arguments:
             return None
-        return _value(next(kind for kind in arguments if kind is not NoneType), value)
+        return _first_fit([kind for kind in arguments if kind is not NoneType], value)
     if origin is tuple:
+        if not isinstance(value, list | tuple):
+            raise TypeError(f"expected a list, got {type(value).__name__}")
         kinds = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
         return tuple(_value(kind, item) for kind, item in zip(kinds, value, strict=True))
     if origin is dict:
+        if not isinstance(value, Mapping):
+            raise TypeError(f"expected a table, got {type(value).__name__}")
         return {key: _value(arguments[1], item) for key, item in value.items()}
     if getattr(origin, "__name__", "") == "ndarray":
         from numpy import array  # The command line sets the threads of linear algebra before NumPy is loaded.
@@ -59,4 +67,16 @@ def _value(hint: Any, value: Any) -> Any:
         return value if isinstance(value, hint) else typed(hint, value)
     if hint is float:
         return math.nan if value is None else float(value)
+    if hint in (bool, int, str) and not isinstance(value, hint):
+        raise TypeError(f"expected {hint.__name__}, got {type(value).__name__}")
+    if isinstance(value, str):
+        value.encode()  # Half of a surrogate pair could not be written again.
     return value
+
+
+def _first_fit(kinds: Sequence[Any], value: Any) -> Any:
+    """The value as the first of several types that it fits."""
+    for kind in kinds[:-1]:
+        with suppress(*DAMAGED):
+            return _value(kind, value)
+    return _value(kinds[-1], value)
