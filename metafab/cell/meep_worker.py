@@ -17,6 +17,7 @@ import json
 import math
 import os
 import sys
+import threading
 import time
 from typing import Any
 
@@ -282,6 +283,13 @@ def probe() -> Json:
 def serve(stream: Any) -> None:
     """Answer jobs until stdin ends, or the parent process is gone."""
     parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(0.5)
+        os._exit(3)
+
+    threading.Thread(target=watch, daemon=True).start()
 
     def say(message: Json) -> None:
         stream.write(json.dumps(message) + "\n")

@@ -15,9 +15,10 @@ from typing import Any
 import pytest
 
 from metafab.core.errors import InputError
+from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import contents_sha256
 from metafab.run import REPORT, STEPS, Record, ReportFigures, run
-from metafab.spec import Design
+from metafab.spec import Design, load_design
 from metafab.steps import RESULT_STEPS
 from metafab.steps.images import CaptureFigures
 from metafab.steps.job import Job, Step
@@ -309,3 +310,30 @@ def test_a_step_that_is_no_longer_needed_removes_nothing_outside_its_folder(
     records.write_text(records.read_text().replace("capture.txt", "../precious.txt"))
     run(small_design, folder, steps=chain.changed("capture", not_needed=lambda design: "nothing to see"))
     assert precious.read_text() == "a user's"
+
+
+def test_a_second_run_in_one_folder_is_told_of_the_first(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    def again(job: Job) -> Any:
+        with pytest.raises(InputError, match=f"process {os.getpid()} on host"):
+            run(small_design, tmp_path, steps=chain.steps)
+        return PhaseFigures(peak_gain=1.4)
+
+    run(small_design, tmp_path, steps=chain.changed("phase", work=again, outputs=lambda job: ()))
+    assert "phase" not in chain.done
+    assert list(tmp_path.glob(".*")) == []
+
+
+def test_a_run_folder_names_no_folder_of_the_machine(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    """A design and its run, moved together, give the same files; paths are relative to the run folder."""
+    texts = []
+    for place in ("here", "elsewhere"):
+        cell = tmp_path / place / "cells" / small_design.library.name
+        cell.parent.mkdir(parents=True)
+        shutil.copy(small_design.library, cell)
+        folder = tmp_path / place / "runs" / "lens"
+        run(replace(small_design, library=cell), folder, steps=chain.steps)
+        texts.append((folder / "design.toml").read_text())
+        assert load_design(folder / "design.toml").library == cell
+        assert fingerprint(replace(small_design, library=cell)) == fingerprint(small_design)
+    assert texts[0] == texts[1]
+    assert str(tmp_path) not in texts[0]

@@ -19,6 +19,7 @@ from typing import Any, TypeVar, cast
 
 from metafab.core.errors import InputError, MissingToolError
 from metafab.core.parallel.interrupts import held_interrupts
+from metafab.core.parallel.orphans import end_with_parent
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -93,7 +94,8 @@ def default_workers() -> int:
 
 
 def _single_threaded() -> None:
-    """Initialise a worker process: one BLAS thread, and Ctrl-C is left to the parent."""
+    """Initialise a worker process: one BLAS thread, Ctrl-C is left to the parent, and no life without it."""
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     from threadpoolctl import threadpool_limits
 

@@ -12,6 +12,7 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Any, TypeVar
 
 from metafab.core.parallel.executor import default_workers
+from metafab.core.parallel.orphans import end_with_forking_thread
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -43,6 +44,7 @@ def shared(function: Callable[[Item], Result], items: Sequence[Item], workers: i
 
 
 def _inherit(function: Callable[[Any], Any], items: Sequence[Any]) -> None:
+    end_with_forking_thread()
     _inherited[:] = function, items
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to the whole group; the parent handles it
     signal.signal(signal.SIGTERM, signal.SIG_DFL)

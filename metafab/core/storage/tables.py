@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import field, fields, is_dataclass
+from numbers import Integral
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -51,7 +52,7 @@ def _value(hint: Any, value: Any) -> Any:
             return None
         return _first_fit([kind for kind in arguments if kind is not NoneType], value)
     if origin is tuple:
-        if not isinstance(value, list | tuple):
+        if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
             raise TypeError(f"expected a list, got {type(value).__name__}")
         kinds = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
         return tuple(_value(kind, item) for kind, item in zip(kinds, value, strict=True))
@@ -67,7 +68,7 @@ def _value(hint: Any, value: Any) -> Any:
         return value if isinstance(value, hint) else typed(hint, value)
     if hint is float:
         return math.nan if value is None else float(value)
-    if hint in (bool, int, str) and not isinstance(value, hint):
+    if (hint is int and not isinstance(value, Integral)) or (hint is str and not isinstance(value, str)):
         raise TypeError(f"expected {hint.__name__}, got {type(value).__name__}")
     if isinstance(value, str):
         value.encode()  # Half of a surrogate pair could not be written again.

@@ -1,0 +1,77 @@
+"""No worker outlives a parent that was killed by more than two seconds."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.main_job import ROOT
+
+_SPAWNED = """
+import time
+from metafab.core.parallel.executor import open_executor
+if __name__ == "__main__":
+    with open_executor(2) as executor:
+        waits = [executor.submit(time.sleep, 0.01) for _ in range(8)]
+        print([wait.result() for wait in waits], flush=True)
+        {then}
+"""
+_FORKED = """
+import time
+from metafab.core.parallel.forked import shared
+def work(item):
+    print(item, flush=True)
+    time.sleep(60)
+if __name__ == "__main__":
+    list(shared(work, [1, 2], 2))
+"""
+PROGRAMS = {
+    "spawned, idle": _SPAWNED.format(then="time.sleep(60)"),
+    "spawned, at work": _SPAWNED.format(then="[wait.result() for wait in [executor.submit(time.sleep, 60)] * 2]"),
+    "forked": _FORKED,
+}
+
+
+def _of_session(session: int) -> list[int]:
+    """Processes of a session that are no zombies."""
+    alive = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            state, _, _, of_session = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
+        except OSError:
+            continue
+        if int(of_session) == session and state != "Z":
+            alive.append(int(folder.name))
+    return alive
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+@pytest.mark.parametrize("program", PROGRAMS.values(), ids=PROGRAMS.keys())
+def test_no_process_outlives_its_killed_parent(program: str, tmp_path: Path) -> None:
+    script = tmp_path / "program.py"
+    script.write_text(program)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(
+        [sys.executable, str(script)], stdout=subprocess.PIPE, env=environment, start_new_session=True
+    )
+    assert process.stdout is not None
+    process.stdout.readline()
+    time.sleep(0.3)
+    try:
+        assert len(_of_session(process.pid)) > 2
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        end = time.monotonic() + 2.0
+        while (left := _of_session(process.pid)) and time.monotonic() < end:
+            time.sleep(0.05)
+        assert left == []
+    finally:
+        for pid in _of_session(process.pid):
+            os.kill(pid, signal.SIGKILL)
+        process.stdout.close()
