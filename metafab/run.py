@@ -20,6 +20,7 @@ from metafab.core.errors import noted
 from metafab.core.parallel.measure import measured
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, whole_file, write_json
+from metafab.core.storage.lock import alone_in
 from metafab.core.storage.provenance import code_sha256, contents_sha256
 from metafab.core.storage.tables import DAMAGED, typed
 from metafab.spec import Design, canonical_toml
@@ -138,6 +139,9 @@ def run(
 
     Returns:
         The summary, as in ``folder/summary.json``.
+
+    Raises:
+        InputError: another process runs in this folder.
     """
     job = Job(design, folder, work)
     state = _State(job, _read_records(folder, (check, *steps)))
@@ -146,19 +150,20 @@ def run(
         say(figures.announcements)
         state.records[check.name] = Record(state.fingerprint(check), {}, figures, 0.0, 0.0)
     folder.mkdir(parents=True, exist_ok=True)
-    for place in (folder, folder / "figures"):
-        clear_parts(place)
-    with whole_file(folder / "design.toml") as part:
-        part.write_text(canonical_toml(design), encoding="utf-8")
+    with alone_in(folder):
+        for place in (folder, folder / "figures"):
+            clear_parts(place)
+        with whole_file(folder / "design.toml") as part:
+            part.write_text(canonical_toml(design, folder), encoding="utf-8")
 
-    for step in steps:
-        # The page shows the summary, which is written before the page and again with the cost of the page.
-        if step.shows_summary and not state.is_current(step):
-            state.summary().save(folder / "summary.json")
-        state.bring_up_to_date(step)
-    summary = state.summary()
-    summary.save(folder / "summary.json")
-    return summary
+        for step in steps:
+            # The page shows the summary, which is written before the page and again with the cost of the page.
+            if step.shows_summary and not state.is_current(step):
+                state.summary().save(folder / "summary.json")
+            state.bring_up_to_date(step)
+        summary = state.summary()
+        summary.save(folder / "summary.json")
+        return summary
 
 
 @dataclass

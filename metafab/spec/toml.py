@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import stat
 import tomllib
@@ -75,9 +76,14 @@ def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
     return checked
 
 
-def canonical_toml(spec: Any) -> str:
-    """A spec as TOML text with every default written out, in the order of its fields."""
-    return tomli_w.dumps(_toml_table(spec))
+def canonical_toml(spec: Any, folder: Path | None = None) -> str:
+    """A spec as TOML text with every default written out, in the order of its fields.
+
+    Args:
+        spec: a spec.
+        folder: the folder of the text's file, to which absolute paths become relative; None keeps them.
+    """
+    return tomli_w.dumps(_toml_table(spec, folder))
 
 
 @cache
@@ -126,20 +132,23 @@ def _path(location: tuple[int | str, ...]) -> str:
     return text
 
 
-def _toml_table(spec: Any) -> dict[str, Any]:
+def _toml_table(spec: Any, folder: Path | None) -> dict[str, Any]:
     table = {}
     for item in fields(spec):
-        value = _toml_value(getattr(spec, item.name))
+        value = _toml_value(getattr(spec, item.name), folder)
         if value is not None:
             table[item.name] = value
     return table
 
 
-def _toml_value(value: Any) -> Any:
+def _toml_value(value: Any, folder: Path | None) -> Any:
     if is_dataclass(value):
-        return _toml_table(value)
+        return _toml_table(value, folder)
     if isinstance(value, tuple):
-        return [_toml_value(item) for item in value]
-    if isinstance(value, Path):
-        return value.as_posix()
+        return [_toml_value(item, folder) for item in value]
+    if isinstance(value, Path) or (isinstance(value, str) and value.lower().endswith(".csv")):
+        path = Path(value)
+        if folder is not None and path.is_absolute():
+            path = Path(os.path.relpath(path, folder.resolve()))
+        return path.as_posix() if isinstance(value, Path) or folder is not None else value
     return value

@@ -20,8 +20,8 @@ from metafab.spec import write_new
 from tests.main_job import ROOT, metafab
 
 KILLS = 3
-#: What tells time, and so differs between any two runs.
-TIMED = {"drc.json", "report.html", "steps.json", "summary.json", "figures/seconds.png"}
+#: Files that hold times, and so differ between any two runs, and the lock of a killed one.
+TIMED = {".run.lock", "drc.json", "report.html", "steps.json", "summary.json", "figures/seconds.png"}
 
 
 @pytest.fixture(scope="module")

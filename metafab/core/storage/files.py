@@ -10,6 +10,7 @@ import secrets
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -77,28 +78,35 @@ def untimed(details: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in details.items() if name != "seconds"}
 
 
-def plain(value: Any) -> Any:
+def plain(value: Any, *, full_paths: bool = True) -> Any:
     """Convert ``value`` to JSON types: dataclasses to dicts, arrays to lists, complex numbers to [re, im] pairs.
 
     A field made by :func:`metafab.core.storage.tables.optional` is left out where it is None.
+
+    Args:
+        value: any of these, nested.
+        full_paths: whether paths, and texts that name a table of an index (.csv), keep their folder.
     """
+    convert = partial(plain, full_paths=full_paths)
     if is_dataclass(value) and not isinstance(value, type):
         items = [(item, getattr(value, item.name)) for item in fields(value)]
-        return {k.name: plain(v) for k, v in items if not (v is None and "optional" in k.metadata)}
+        return {k.name: convert(v) for k, v in items if not (v is None and "optional" in k.metadata)}
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): convert(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
-        return [plain(item) for item in value]
+        return [convert(item) for item in value]
     if isinstance(value, np.ndarray):
-        return plain(value.tolist())
+        return convert(value.tolist())
     if isinstance(value, np.generic):
-        return plain(value.item())
+        return convert(value.item())
     if isinstance(value, complex):
         return [value.real, value.imag]
     if isinstance(value, float) and not np.isfinite(value):
         return None if np.isnan(value) else ("inf" if value > 0 else "-inf")
     if isinstance(value, Path):
-        return value.as_posix()
+        return value.as_posix() if full_paths else value.name
+    if isinstance(value, str) and not full_paths and value.lower().endswith(".csv"):
+        return Path(value).name
     return value
 
 
@@ -127,8 +135,11 @@ def read_json(path: Path, kind: str, format_version: int, make: Callable[[dict[s
 
 
 def fingerprint(*parts: Any) -> str:
-    """Hexadecimal SHA-256 of the canonical JSON of ``parts``; the same on every machine."""
-    text = json.dumps(plain(parts), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    """Hexadecimal SHA-256 of the canonical JSON of ``parts``; the same on every machine.
+
+    Of a path only the name counts, so that a design gives one fingerprint in every folder.
+    """
+    text = json.dumps(plain(parts, full_paths=False), sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
 

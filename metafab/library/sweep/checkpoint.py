@@ -2,12 +2,14 @@
 
 The file is JSON lines: a header with the fingerprint of the build's inputs, then one record per point. Numbers read
 back exactly. A line that a kill cut short is dropped at the next start. The process that has the file open holds a
-lock, which ends with the process; a second build of one library waits for it.
+lock, which ends with the process, and a hidden file beside names the process and its host. A second build of one
+library says so and waits.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import multiprocessing
 import os
 from collections.abc import Sequence
@@ -18,12 +20,14 @@ from types import TracebackType
 from typing import IO
 
 from metafab.core.errors import InputError
+from metafab.core.storage.lock import owner_in, write_owner
 
 try:
     import fcntl
 except ImportError:  # Windows, where an open file cannot be removed under another process either
     fcntl = None  # type: ignore[assignment]
 
+_LOG = logging.getLogger(__name__)
 _KIND = "metafab library checkpoint"
 
 
@@ -72,11 +76,14 @@ class Checkpoint:
         self._path.parent.mkdir(parents=True, exist_ok=True)
         self._stream = self._open_alone(self._path)
         try:
+            with _owner_file(self._path).open("w", encoding="utf-8") as owner:
+                write_owner(owner)
             whole = self._read(self._path)
             self._stream.truncate(whole)
             if whole == 0:
                 self._write({"kind": _KIND, "inputs_sha256": self._inputs})
         except BaseException:
+            _owner_file(self._path).unlink(missing_ok=True)
             self._stream.close()
             raise
         return self
@@ -84,7 +91,8 @@ class Checkpoint:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._stream is not None:
+        if self._stream is not None and self._path is not None:
+            _owner_file(self._path).unlink(missing_ok=True)
             self._stream.close()
 
     def add(self, points: Sequence[SolvedPoint]) -> None:
@@ -115,6 +123,7 @@ class Checkpoint:
                     stream.close()
                     raise _unguarded(path) from None
                 self.waited = True
+                _LOG.warning("metafab: waiting for %s, which builds %s", owner_in(_owner_file(path)), path.name)
                 fcntl.flock(stream, fcntl.LOCK_EX)
             except OSError:  # a file system without locks
                 return stream
@@ -144,6 +153,11 @@ class Checkpoint:
         if build != (_KIND, self._inputs):
             raise _refused(path, "one of another unit cell, target error or version")
         return sum(len(line) + 1 for line in lines)
+
+
+def _owner_file(path: Path) -> Path:
+    """File that names the process which holds the lock."""
+    return path.with_name(f".{path.name}.owner")
 
 
 def _point(record: list[float]) -> SolvedPoint:
