@@ -54,8 +54,9 @@ def _value(hint: Any, value: Any) -> Any:
     if origin is tuple:
         if isinstance(value, str | Mapping) or not isinstance(value, Iterable):
             raise TypeError(f"expected a list, got {type(value).__name__}")
-        kinds = arguments[:1] * len(value) if arguments[-1] is Ellipsis else arguments
-        return tuple(_value(kind, item) for kind, item in zip(kinds, value, strict=True))
+        items = list(value)
+        kinds = arguments[:1] * len(items) if arguments[-1] is Ellipsis else arguments
+        return tuple(_value(kind, item) for kind, item in zip(kinds, items, strict=True))
     if origin is dict:
         if not isinstance(value, Mapping):
             raise TypeError(f"expected a table, got {type(value).__name__}")
