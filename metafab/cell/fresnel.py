@@ -1,4 +1,4 @@
-"""Closed forms in the planes and the basis of every other solver: an interface, a film, a birefringent half space.
+"""Exact t and r of an interface, a film and a birefringent half space, in the conventions of the other solvers.
 
 With tangential fields, s and p light differ only in the admittance of a medium, Y_s = q and Y_p = eps / q, where
 q = sqrt(eps - k^2) is the wave number across the layers over k0. An interface has r = (Y1 - Y2) / (Y1 + Y2) and
@@ -10,7 +10,7 @@ In a birefringent half space with principal axes x, y and z, e = (E_x, E_y) and 
 
 with k the wave vector in the plane over k0 and lengths in units of 1/k0. These are Berreman's four equations
 (J. Opt. Soc. Am. 62, 502, 1972), in two pairs because no principal axis is oblique. The eigenvectors of P Q are the
-two outgoing waves.
+two eigenpolarisations.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def interface(admittance_in: complex, admittance_out: complex) -> tuple[complex,
 
 
 def film(
-    admittance_in: complex, admittance_film: complex, admittance_out: complex, turn: complex
+    admittance_in: complex, admittance_film: complex, admittance_out: complex, propagation: complex
 ) -> tuple[complex, complex]:
     """(t, r) of the tangential electric field through a film.
 
@@ -38,15 +38,15 @@ def film(
         admittance_in: admittance of the medium that the light comes from.
         admittance_film: admittance of the film.
         admittance_out: admittance of the medium behind the film.
-        turn: exp(i q k0 d), one pass through the film.
+        propagation: exp(i q k0 d), one pass through the film.
 
     Returns:
-        t, the field where the film ends over the incident field where it begins; r, both where it begins.
+        t, the field at the film's end over the incident field at its beginning; r, with both fields at its beginning.
     """
     t_near, r_near = interface(admittance_in, admittance_film)
     t_far, r_far = interface(admittance_film, admittance_out)
-    echoes = 1.0 + r_near * r_far * turn**2
-    return t_near * t_far * turn / echoes, (r_near + r_far * turn**2) / echoes
+    echoes = 1.0 + r_near * r_far * propagation**2
+    return t_near * t_far * propagation / echoes, (r_near + r_far * propagation**2) / echoes
 
 
 def film_jones(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, ComplexArray]:
@@ -60,7 +60,7 @@ def film_jones(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, Complex
         t and r, each of shape (2, 2), of the tangential field in the basis (x, y).
     """
     if cell.is_birefringent:
-        return _film_on_tensor(cell, n_film)
+        return _film_on_birefringent(cell, n_film)
     jones_t, jones_r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     polar, azimuth = math.radians(cell.angle_deg), math.radians(cell.azimuth_deg)
     along = np.array([math.cos(azimuth), math.sin(azimuth)])
@@ -69,9 +69,9 @@ def film_jones(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, Complex
         k_squared = (cell.n_in[i] * math.sin(polar)) ** 2
         eps = np.array([cell.n_in[i], n_film, cell.n_out[i]], dtype=np.complex128) ** 2
         q = np.sqrt(eps - k_squared)
-        turn = complex(np.exp(2j * math.pi * q[1] * cell.height_nm / cell.wavelength_nm))
-        t_s, r_s = film(q[0], q[1], q[2], turn)
-        t_p, r_p = film(eps[0] / q[0], eps[1] / q[1], eps[2] / q[2], turn)
+        propagation = complex(np.exp(2j * math.pi * q[1] * cell.height_nm / cell.wavelength_nm))
+        t_s, r_s = film(q[0], q[1], q[2], propagation)
+        t_p, r_p = film(eps[0] / q[0], eps[1] / q[1], eps[2] / q[2], propagation)
         for jones, s, p in ((jones_t, t_s, t_p), (jones_r, r_s, r_p)):
             jones[:, i] = (s * np.outer(across, across) + p * np.outer(along, along))[:, i]
     return jones_t, jones_r
@@ -81,8 +81,8 @@ def admittance(index: tuple[complex, complex, complex], k: FloatArray) -> Comple
     """Admittance Y of a birefringent half space, h = Y e for outgoing light along +z.
 
     Args:
-        index: along x, y and z.
-        k: shape (2,), wave vector in the plane over k0; not at the edge of a light cone, where Y has a pole.
+        index: refractive indices along x, y and z.
+        k: shape (2,), in-plane wave vector over k0; not on a light cone, where Y has a pole.
 
     Returns:
         Shape (2, 2).
@@ -97,8 +97,8 @@ def admittance(index: tuple[complex, complex, complex], k: FloatArray) -> Comple
     return np.asarray(q @ e / beta @ np.linalg.inv(e))
 
 
-def _film_on_tensor(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, ComplexArray]:
-    """:func:`film_jones` where one half space is birefringent: admittances are matrices, the film's q is a number."""
+def _film_on_birefringent(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, ComplexArray]:
+    """:func:`film_jones` for a birefringent half space: admittances are matrices, the film has a single q."""
     k = np.array(cell.in_plane)
     isotropic = (complex(cell.n_ambient),) * 3
     y_in, y_out = (admittance(cell.tensor(side) or isotropic, k) for side in (cell.side, cell.far_side))

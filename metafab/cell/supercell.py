@@ -1,8 +1,8 @@
-"""Unlike pillars in one period: the supercell, its diffraction orders, and the local-period approximation.
+"""A supercell: several different pillars in one period, its diffraction orders, and the local-period approximation.
 
 The library solves every pillar in a lattice of equal pillars (local-period approximation). A supercell holds n_y x n_x
-unlike pillars, as they stand on a lens. The difference of its diffraction orders from those that the single pillars
-predict is the coupling between neighbours.
+different pillars, as a lens does. The diffraction orders of the supercell minus those predicted from the single pillars
+are the coupling between neighbours.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Supercell:
         if not (np.all(sizes >= 0.0) and np.all(sizes <= self.cell.period_nm)):
             expected = f"0 to the period of {self.cell.period_nm} nm"
             raise InputError.single("supercell", "size_nm", expected, f"{sizes.max():g} nm")
-        faults = self.cell.untreated("a supercell", remedy="leave it out to see how neighbours couple")
+        faults = self.cell.untreated("a supercell", remedy="remove it to compute the coupling between neighbours")
         if faults:
             raise InputError("supercell", faults)
 
@@ -65,29 +65,29 @@ class Supercell:
         turned = replace(cell, period_nm=cell.period_nm[::-1], n_substrate=cell.n_substrate[::-1])
         return Supercell(turned, np.ascontiguousarray(self.size_nm.transpose(1, 0, 2)[:, :, ::-1]))
 
-    def alone(self) -> dict[tuple[float, float], PillarCell]:
-        """Each distinct (width, length) -> its own periodic cell."""
+    def periodic_cells(self) -> dict[tuple[float, float], PillarCell]:
+        """Each distinct (width, length) -> the cell of a lattice of such pillars alone."""
         sizes = np.unique(self.size_nm.reshape(-1, 2), axis=0)
         return {
             (float(w), float(length)): replace(self.cell, width_nm=float(w), length_nm=float(length))
             for w, length in sizes
         }
 
-    def propagating(self, polarisation: Polarisation) -> IntArray:
+    def propagating_orders(self, polarisation: Polarisation) -> IntArray:
         """Orders (m, n) along (x, y) that propagate behind the pillars, shape (n_orders, 2), sorted by n, then m."""
         reach = self.cell.n_out[POLARISATIONS.index(polarisation)].real / (self.cell.wavelength_nm * 1e-3)
         m, n = (np.arange(-math.floor(reach * p), math.floor(reach * p) + 1) for p in self.period_um)
         orders = np.stack(np.meshgrid(m, n), axis=-1).reshape(-1, 2)
         return np.asarray(orders[np.hypot(*(orders / self.period_um).T) < reach * (1.0 - 1e-9)], dtype=np.intp)
 
-    def across_per_um(self, orders: IntArray) -> FloatArray:
-        """(k_x, k_y) of ``orders``, shape (n_orders, 2): shape (n_orders, 2), rad/um."""
+    def wavevectors_per_um(self, orders: IntArray) -> FloatArray:
+        """(k_x, k_y) of ``orders``, shape (n_orders, 2), in rad/um; shape (n_orders, 2)."""
         return np.asarray(2.0 * np.pi * orders / self.period_um, dtype=np.float64)
 
-    def flux(self, orders: IntArray, amplitude: ComplexArray, polarisation: Polarisation) -> FloatArray:
+    def relative_power(self, orders: IntArray, amplitude: ComplexArray, polarisation: Polarisation) -> FloatArray:
         """Power of orders along z over that of an incident wave of unit amplitude.
 
-        A wave of tangential field E carries k_z |E|^2 + |k.E|^2 / k_z, as E_z = -k.E / k_z belongs to it.
+        A wave of tangential field E carries k_z |E|^2 + |k.E|^2 / k_z, because its E_z is -k.E / k_z.
 
         Args:
             orders: shape (n_orders, 2), propagating.
@@ -99,13 +99,13 @@ class Supercell:
         """
         axis = POLARISATIONS.index(polarisation)
         vacuum = 2.0 * math.pi / (self.cell.wavelength_nm * 1e-3)
-        k = self.across_per_um(orders)
+        k = self.wavevectors_per_um(orders)
         k_z = np.sqrt((vacuum * self.cell.n_out[axis].real) ** 2 - np.sum(k**2, axis=-1))
-        carried = k_z * np.sum(np.abs(amplitude) ** 2, axis=-1) + np.abs(np.sum(k * amplitude, axis=-1)) ** 2 / k_z
-        return np.asarray(carried / (vacuum * self.cell.n_in[axis].real), dtype=np.float64)
+        power = k_z * np.sum(np.abs(amplitude) ** 2, axis=-1) + np.abs(np.sum(k * amplitude, axis=-1)) ** 2 / k_z
+        return np.asarray(power / (vacuum * self.cell.n_in[axis].real), dtype=np.float64)
 
     def local_period(self, orders: IntArray, responses: ComplexArray) -> ComplexArray:
-        """Amplitudes of orders by the local-period approximation, one sample a site.
+        """Amplitudes of orders by the local-period approximation, with one sample per site.
 
         Args:
             orders: shape (n_orders, 2).
@@ -158,16 +158,16 @@ class SupercellResponse:
     @property
     def efficiency(self) -> FloatArray:
         """Transmitted over incident power of each order, shape (n_orders,)."""
-        return self.supercell.flux(self.order, self.amplitude, self.polarisation)
+        return self.supercell.relative_power(self.order, self.amplitude, self.polarisation)
 
     @property
     def local_period_efficiency(self) -> FloatArray:
         """Transmitted over incident power of each order by the local-period approximation, shape (n_orders,)."""
         predicted = np.zeros_like(self.amplitude)
         predicted[:, POLARISATIONS.index(self.polarisation)] = self.local_period
-        return self.supercell.flux(self.order, predicted, self.polarisation)
+        return self.supercell.relative_power(self.order, predicted, self.polarisation)
 
     @property
     def coupling_error(self) -> float:
-        """Field that the local-period approximation misses: root of the summed squared differences of all orders."""
+        """Error of the local-period approximation: root of the squared amplitude differences summed over all orders."""
         return float(np.sqrt(np.sum(np.abs(self.co_polarised - self.local_period) ** 2)))

@@ -196,7 +196,7 @@ def _row(
     wanted = (order, 0) if axis == "x" else (0, order)
     index = int(np.flatnonzero(np.all(answer.order == wanted, axis=1))[0])
     per_um = 2.0 * math.pi / (answer.supercell.cell.wavelength_nm * 1e-3)
-    sine = np.linalg.norm(answer.supercell.across_per_um(answer.order[index])) / per_um
+    sine = np.linalg.norm(answer.supercell.wavevectors_per_um(answer.order[index])) / per_um
     return CouplingRow(
         x_um=place_um[0],
         y_um=place_um[1],

@@ -44,7 +44,7 @@ class CornerBox:
     @classmethod
     def of(cls, unit_cell: UnitCell) -> CornerBox | None:
         """Return the box of a unit cell's sweep; None if the sweep has no axes."""
-        spans = {} if unit_cell.sweep.axes is None else unit_cell.sweep.axes.asked
+        spans = {} if unit_cell.sweep.axes is None else unit_cell.sweep.axes.spans
         if not spans:
             return None
         low, high = spans.get("cd_bias_nm", (0.0, 0.0))

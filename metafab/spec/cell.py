@@ -184,14 +184,14 @@ class Axes:
     angle_y_deg: tuple[NonNegative, NonNegative] | None = None
 
     @property
-    def asked(self) -> dict[str, tuple[float, float]]:
+    def spans(self) -> dict[str, tuple[float, float]]:
         """Ranges of the swept axes, in the order of the fields."""
         spans = {item.name: getattr(self, item.name) for item in fields(self)}
         return {name: span for name, span in spans.items() if span is not None}
 
     @model_validator(mode="after")
     def _sound(self) -> Axes:
-        for name, (low, high) in self.asked.items():
+        for name, (low, high) in self.spans.items():
             if not low < high:
                 raise ValueError(f"`{name}` must be [lowest, highest], got [{low}, {high}]")
             if name.startswith("angle") and not (low == 0.0 and high < 90.0):
@@ -278,19 +278,19 @@ class UnitCell:
             return self
         if self.sweep.width_nm != self.sweep.length_nm:
             raise ValueError("`sweep.length_nm` of circles must equal `sweep.width_nm`: both are the diameter")
-        if self.sweep.axes is not None and self.sweep.axes.asked:
+        if self.sweep.axes is not None and self.sweep.axes.spans:
             raise ValueError("`sweep.axes` is not available for circles; build one library for each value")
         return self
 
     @model_validator(mode="after")
     def _axes_around_the_cell(self) -> UnitCell:
-        asked = {} if self.sweep.axes is None else self.sweep.axes.asked
-        for name, (low, high) in asked.items():
+        spans = {} if self.sweep.axes is None else self.sweep.axes.spans
+        for name, (low, high) in spans.items():
             if not low <= self.nominal(name) <= high:
                 raise ValueError(
                     f"`sweep.axes.{name}` must contain the cell's own {self.nominal(name):g}, got [{low}, {high}]"
                 )
-        low, high = asked.get("cd_bias_nm", (0.0, 0.0))
+        low, high = spans.get("cd_bias_nm", (0.0, 0.0))
         for name, period in zip(("width_nm", "length_nm"), self.cell.period_nm, strict=True):
             smallest, largest = getattr(self.sweep, name)
             if smallest + low <= 0.0 or largest + high > period:

@@ -1,4 +1,4 @@
-"""Interpreters that have the FDTD Meep, usually not the one that runs metafab."""
+"""Search for a Python interpreter that has the FDTD program Meep, usually not the one that runs metafab."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from typing import Any
 
 from metafab.core.errors import MissingToolError
 
-#: Environment variable with the first interpreter to try.
+#: Environment variable that names the first interpreter to probe.
 VARIABLE = "METAFAB_MEEP_PYTHON"
 WORKER = Path(__file__).parent.parent / "meep_worker.py"
 
-#: Environment variables of a worker: PYTHONPATH or an active venv would mislead another interpreter.
-_PASSED_ON = ("PATH", "HOME", "LANG", "LC_ALL", "TMPDIR", "LD_LIBRARY_PATH", "SystemRoot")
+#: Environment variables that a worker inherits; PYTHONPATH or an active venv would mislead another interpreter.
+_INHERITED = ("PATH", "HOME", "LANG", "LC_ALL", "TMPDIR", "LD_LIBRARY_PATH", "SystemRoot")
 _PROBE_SECONDS = 60.0
 
 HOW_TO_INSTALL = (
     "Debian and Ubuntu: apt-get install python3-meep python3-matplotlib python3-scipy; "
     "conda: conda create -n meep -c conda-forge pymeep; "
     f"then, unless it is found by itself, set {VARIABLE} to that Python. "
-    "The package `meep` of the Python package index is another program"
+    "The package `meep` on PyPI is another program"
 )
 
 
@@ -36,10 +36,10 @@ class MeepCandidate:
 
     Attributes:
         interpreter: path of the interpreter.
-        found: whether it has the FDTD Meep, proved by a wave in vacuum.
-        version: Meep's version, "" where there is none.
+        found: whether it has the FDTD program Meep, tested by simulating a wave in vacuum.
+        version: version of Meep, "" without Meep.
         python: the interpreter's version.
-        reason: reason against it, "" where it has Meep.
+        reason: why the interpreter cannot be used, "" if it has Meep.
     """
 
     interpreter: Path
@@ -78,19 +78,19 @@ def best(interpreter: str | Path | None = None) -> MeepCandidate:
 
 
 def command(interpreter: Path) -> list[str]:
-    """Command of a worker. ``-I`` keeps the worker's folder, which has a package ``meep`` of ours, off the path."""
+    """Command of a worker. ``-I`` keeps the worker's folder and its package ``meep`` off the path."""
     return [str(interpreter), "-I", str(WORKER)]
 
 
 def clean_environment() -> dict[str, str]:
     """Environment of a worker: one thread, and no settings of this interpreter."""
-    environment = {name: os.environ[name] for name in _PASSED_ON if name in os.environ}
+    environment = {name: os.environ[name] for name in _INHERITED if name in os.environ}
     return environment | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
 
 
 @cache
 def probe(interpreter: Path) -> MeepCandidate:
-    """Probe one interpreter, once in the life of this process."""
+    """Probe one interpreter; the result is cached for the life of this process."""
     try:
         finished = subprocess.run(
             [*command(interpreter), "--probe"],
@@ -110,11 +110,11 @@ def probe(interpreter: Path) -> MeepCandidate:
         return MeepCandidate(interpreter, bool(answer["found"]), answer["version"], answer["python"], answer["reason"])
     except (ValueError, KeyError, TypeError):
         last = (finished.stderr.strip().splitlines() or ["no message"])[-1]
-        return MeepCandidate(interpreter, False, "", "", f"its answer made no sense ({last})")
+        return MeepCandidate(interpreter, False, "", "", f"its probe returned no valid JSON ({last})")
 
 
 def _likely() -> Iterator[Path]:
-    # Virtual environments link to one binary but have different packages: compare paths, not their targets.
+    # Virtual environments link to one binary but have different packages: compare paths, not link targets.
     yield from (path for path in dict.fromkeys(_places()) if path.exists())
 
 

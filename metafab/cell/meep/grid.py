@@ -1,4 +1,4 @@
-"""A unit cell on Meep's grid: resolutions that share their coordinates, one FDTD run, and its t and r."""
+"""A unit cell on Meep's grid: grids of several resolutions on common coordinates, one FDTD run, and its t and r."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ ABSORBER = 0.5
 CLEARANCE = 0.3
 #: Pixels between source and near monitor, and between any of these planes and an absorber.
 PLANE_NODES = 3
-#: Half periods of the coarsest grid, in pixels.
-_FAMILY = range(5, 10)
-#: Time step over the stability limit.
+#: Tried numbers of pixels in half a period of the coarsest grid.
+_HALF_PERIODS = range(5, 10)
+#: Time step as a fraction of the Courant limit.
 _STABILITY = 0.95
 
 
 @dataclass(frozen=True)
 class Family:
-    """Grids that differ by a whole factor only: member j has 2 j times these numbers of pixels.
+    """Grids whose resolutions are multiples of the coarsest: member j has 2 j times these numbers of pixels.
 
     Attributes:
         period: half the pixels of a period along (x, y), at j = 1.
-        inside: half those of the pillar.
-        height: half those of the pillar's height.
+        inside: half the pixels of the pillar along (x, y).
+        height: half the pixels of the pillar's height.
     """
 
     period: tuple[int, int]
@@ -47,8 +47,8 @@ class Plan:
 
     Attributes:
         job: FDTD run; its monitors are the near plane (incident and reflected light) and the far one.
-        near_um: z of the near monitor, from the plane where the pillar begins (negative).
-        far_um: z of the far monitor, from the plane where the pillar ends.
+        near_um: z of the near monitor relative to the plane where the pillar begins (negative).
+        far_um: z of the far monitor relative to the plane where the pillar ends.
         k_in: wave number along z of the incident wave on the grid, rad/um.
         k_out: wave number along z of each recorded order on the grid, rad/um.
     """
@@ -59,8 +59,8 @@ class Plan:
     k_in: complex
     k_out: tuple[complex, ...]
 
-    def arriving(self, incident: NDArray[Any]) -> complex:
-        """Incident wave where the pillar begins; ``incident`` of shape (2,), zero order of the empty run."""
+    def incident_at_pillar(self, incident: NDArray[Any]) -> complex:
+        """Incident amplitude where the pillar begins; ``incident`` has shape (2,), zero order of the empty run."""
         return complex(incident[0]) * cmath.exp(-1j * self.k_in * self.near_um)
 
     def amplitudes(self, limit: NDArray[Any], incident: NDArray[Any]) -> tuple[complex, complex]:
@@ -70,9 +70,9 @@ class Plan:
             limit: shape (2,), zero order of the near and the far monitor.
             incident: shape (2,), zero order of the empty run.
         """
-        arriving = self.arriving(incident)
-        t = complex(limit[1]) * cmath.exp(-1j * self.k_out[0] * self.far_um) / arriving
-        r = (complex(limit[0]) - complex(incident[0])) * cmath.exp(1j * self.k_in * self.near_um) / arriving
+        at_pillar = self.incident_at_pillar(incident)
+        t = complex(limit[1]) * cmath.exp(-1j * self.k_out[0] * self.far_um) / at_pillar
+        r = (complex(limit[0]) - complex(incident[0])) * cmath.exp(1j * self.k_in * self.near_um) / at_pillar
         return t, r
 
 
@@ -82,7 +82,7 @@ def grid_wavenumber(
     """Wave number along z (rad/um) of a plane wave on the Yee grid; imaginary where it is evanescent.
 
     The sum of sin^2(k_i dx / 2) / dx^2 over the axes is n^2 sin^2(omega dt / 2) / dt^2 (Taflove and Hagness 2005,
-    Eq. 4.5). With the wave numbers of the continuum, results would depend on the place of the monitors.
+    Eq. 4.5). With the wave numbers of the continuum, results would depend on the positions of the monitors.
 
     Args:
         n: index of the medium.
@@ -113,7 +113,7 @@ def family(cell: PillarCell) -> Family:
 
     sizes = (cell.width_nm, cell.length_nm)
     grids: list[tuple[float, Family]] = []
-    for p_x in _FAMILY:
+    for p_x in _HALF_PERIODS:
         pixel = cell.period_nm[0] / p_x
         period = (p_x, max(1, round(cell.period_nm[1] / pixel)))
         in_x, in_y = map(_split, sizes, cell.period_nm, period)
@@ -144,16 +144,16 @@ def plan(
     longest_time: float,
     shift_nodes: int = 0,
 ) -> Plan:
-    """The FDTD run of one polarisation; light runs along +z from either side, and z = 0 is where the pillar begins.
+    """FDTD run of one polarisation; light from either half space travels along +z, and the pillar begins at z = 0.
 
     Args:
         cell: the cell.
         polarisation: of the incident wave.
         grids: grids from :func:`family`.
         member: resolution, in multiples of the coarsest.
-        decay: as of :class:`Job`.
-        longest_time: as of :class:`Job`.
-        shift_nodes: pixels by which both monitors move outwards, without effect on t and r.
+        decay: see :class:`Job`.
+        longest_time: see :class:`Job`.
+        shift_nodes: pixels by which both monitors move outwards; t and r do not depend on it.
     """
     n_x, n_y = (2 * member * count for count in grids.period)
     pixel = cell.period_nm[0] * 1e-3 / n_x
@@ -184,7 +184,7 @@ def plan(
         polarisation=polarisation,
         components=(polarisation,),
         orders=((0, 0),),
-        # Where E_x is stretched by x alone, the wave's flux varies along y, and the other way round.
+        # The flux of x polarised light varies with the stretch along y, that of y polarised light along x.
         weight=tuple((y if polarisation == "x" else x).node_stretch()),
         epsilon_in=permittivity(cell.n_in),
         blocks=stretched_blocks((x, y, z), _epsilon(cell), pixel, n_z / 2),
@@ -199,7 +199,7 @@ def plan(
 
 
 def _courant(cell: PillarCell, axes: tuple[Axis, Axis, Axis]) -> float:
-    """Time step over pixel, at the fastest place of the stretched grid (Taflove and Hagness 2005, Eq. 4.60)."""
+    """Time step over pixel, at the fastest point of the stretched grid (Taflove and Hagness 2005, Eq. 4.60)."""
     slowest_n = min(n.real for n in (*cell.n_in, *cell.n_out, complex(cell.n_ambient)))
     inverse = sum(1.0 / min(axis.stretch) ** 2 for axis in axes)
     return min(0.5, _STABILITY * slowest_n / math.sqrt(inverse))

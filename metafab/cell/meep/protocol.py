@@ -1,4 +1,4 @@
-"""FDTD jobs, and one worker process that runs them: JSON lines, arrays as .npz files, time limits, a sure end."""
+"""FDTD jobs, and a worker process that runs them: JSON lines over pipes, arrays as .npz files, with a time limit."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ Reply = dict[str, NDArray[Any]]
 
 #: Lines of the worker's stderr that an error quotes.
 _STDERR_LINES = 12
-#: Time that a worker has to end by itself.
+#: Time that a worker gets to end after SIGTERM.
 _GRACE_SECONDS = 2.0
-#: NumPy reads headers with ``ast``, whose parser is not safe in several threads of Python 3.11.
+#: NumPy parses .npy headers with ``ast``, which is not thread-safe in Python 3.11.
 _LOADING = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Block:
-    """A box of one material; later ones cover earlier ones.
+    """A box of one material; later boxes replace earlier ones where they overlap.
 
     Attributes:
         low: (x, y, z) in um from the middle of the cell.
@@ -68,12 +68,12 @@ class Job:
         polarisation: of the pulse.
         components: recorded components of E.
         orders: recorded diffraction orders (m, n) along x and y.
-        weight: shape (n_y,) for x polarisation, (n_x,) for y: of the source, and of the points in each average.
-        epsilon_in: permittivity along x, y and z outside the blocks, the source's place included.
+        weight: weight of the source and of the averaged points; shape (n_y,) for x polarisation, (n_x,) for y.
+        epsilon_in: permittivity along x, y and z outside the blocks, as at the source.
         blocks: the structure.
-        smooth: whether Meep averages pixels that a wall crosses; false for blocks made for the grid's points.
+        smooth: whether Meep averages pixels that a wall crosses; false for blocks with averages of their own.
         mirrors: axes along which the structure equals its mirror image; each halves the work.
-        decay: the run ends when the extrapolated orders change by at most this, relative to the incident wave.
+        decay: change of the extrapolated orders, relative to the incident wave, at which the run ends.
         longest_time: latest end of the run, um / c.
         courant: time step over grid spacing.
     """
@@ -121,7 +121,7 @@ class Worker:
                 stdout=subprocess.PIPE,
                 stderr=stderr,
                 text=True,
-                # A group of its own: Ctrl-C does not reach it, and ending the group ends all that it started.
+                # Own process group: Ctrl-C does not reach it, and killing the group kills its children.
                 start_new_session=True,
             )
         self._reader = threading.Thread(target=self._read_stdout, daemon=True)
@@ -144,8 +144,8 @@ class Worker:
             The arrays that :func:`metafab.cell.meep_worker.run` documents.
 
         Raises:
-            SolverError: the worker reported an error, died, broke the protocol or took too long. It can be used again
-                only after an error that it reported (see ``alive``).
+            SolverError: the worker reported an error, died, broke the protocol or took too long. It can be
+                used again only after an error that it reported (see ``alive``).
         """
         name = f"{self.jobs_done}"
         arrays = Path(self._folder.name) / f"{name}.npz"
@@ -158,7 +158,7 @@ class Worker:
             self.close()
             raise failure from error
         except BaseException:
-            # Ctrl-C included: an abandoned run must not go on. After an error that it reported the worker is idle.
+            # Ctrl-C included: an abandoned run must not go on. After a reported error the worker is idle.
             if not self._idle:
                 self.close()
             raise
@@ -168,7 +168,7 @@ class Worker:
         return reply
 
     def close(self) -> None:
-        """End the process and all that it started, and remove its files."""
+        """End the process and its children, and remove its files."""
         if self.alive:
             with contextlib.suppress(ProcessLookupError, PermissionError):
                 os.killpg(self._process.pid, signal.SIGTERM)
@@ -198,7 +198,7 @@ class Worker:
             self._process.stdin.write(json.dumps(message) + "\n")
             self._process.stdin.flush()
         except OSError as error:
-            failure = self._failure("it was gone before it got its job")
+            failure = self._failure("it ended before it received its job")
             self.close()
             raise failure from error
 
@@ -210,10 +210,10 @@ class Worker:
                 raise self._failure(f"it took longer than {limit_s:g} s") from None
             if line is None:
                 self._process.wait()
-                raise self._failure(f"it died in the middle of a job (exit status {self._process.returncode})")
+                raise self._failure(f"it died during a job (exit status {self._process.returncode})")
             message = _parse(line)
             if message.get("id") != name:
-                raise self._failure(f"it answered with {line.strip()[:80]!r}")
+                raise self._failure(f"unexpected answer {line.strip()[:80]!r}")
             if "error" in message:
                 self._idle = True
                 raise self._failure(str(message["error"]))
@@ -249,7 +249,7 @@ def load_reply(path: Path) -> Reply:
 
 
 def _parse(line: str) -> dict[str, Any]:
-    """The JSON object of a line; empty where there is none."""
+    """JSON object of a line; empty if the line holds none."""
     try:
         message = json.loads(line)
     except ValueError:

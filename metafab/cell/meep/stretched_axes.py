@@ -1,15 +1,15 @@
 """Stretched axes with every wall on a plane of grid nodes, at every resolution.
 
-Meep's pixels are cubes, and a pillar of any width has its walls anywhere between the nodes. The error of a pixel that a
-wall crosses changes from one resolution to the next, and resonant pillars amplify it. So each axis is stretched
-piecewise: by one constant inside and one outside the pillar, such that both hold whole numbers of pixels. Maxwell's
+Meep's pixels are cubes, and the walls of a pillar generally lie between the nodes. The error of a pixel that a wall
+crosses changes irregularly with resolution, and resonant pillars amplify it. So each axis is stretched by one constant
+inside and another outside the pillar, such that both regions hold whole numbers of pixels. Maxwell's
 equations keep their form in such coordinates if the materials become
 
-    eps~_xx = eps_xx s_y s_z / s_x,    mu~_xx = s_y s_z / s_x,    and so on in turn, with s = dx/du
+    eps~_xx = eps_xx s_y s_z / s_x,    mu~_xx = s_y s_z / s_x,    and cyclically, with s = dx/du
 
 and the fields E~_x = s_x E_x (Ward and Pendry, J. Mod. Opt. 43, 773, 1996). With the walls on nodes only tangential E
-and normal H are sampled there, so that arithmetic means of eps~ and harmonic means of mu~ are second order, without
-special treatment of corners or edges. The errors of successive resolutions then have one shape, and extrapolate.
+and normal H are sampled there, so that arithmetic means of eps~ and harmonic means of mu~ are accurate to second order,
+also at corners and edges. The error then varies smoothly with resolution, and results can be extrapolated.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class Segment:
     Attributes:
         low: lower end in pixels.
         high: upper end in pixels.
-        stretch: dx/du, one value, or the two sides' of a wall.
-        region: index of the physical region of each.
+        stretch: dx/du: one value, or two for the sides of a wall.
+        region: index of the physical region of each value.
     """
 
     low: float
@@ -50,8 +50,8 @@ class Axis:
 
     Attributes:
         edges: n_regions + 1 whole numbers of pixels; the outermost are the ends of the cell.
-        stretch: n_regions physical lengths of a pixel over the grid spacing.
-        region: n_regions indices of the content; equal indices are equal content.
+        stretch: n_regions values of dx/du, the physical length of a pixel over the grid spacing.
+        region: n_regions indices of the physical region; parts of equal index have equal permittivity.
     """
 
     edges: tuple[float, ...]

@@ -71,7 +71,7 @@ def estimate(supercell: Supercell, settings: SupercellSettings = SupercellSettin
         InputError: the grid does not fit.
     """
     whole = plan(supercell, "x", settings).job
-    alone = [plan(_lone(cell), "x", settings).job for cell in supercell.alone().values()]
+    alone = [plan(_lone(cell), "x", settings).job for cell in supercell.periodic_cells().values()]
     pixels = [job.n_x * job.n_y * job.n_z / 2 ** len(job.mirrors) for job in (whole, *alone)]
     steps = _USUAL_PERIODS * whole.wavelength_um / (_COURANT * whole.pixel_um)
     return Cost(round(pixels[0]), sum(pixels) * steps / _UPDATES_PER_S, pixels[0] * _BYTES_PER_PIXEL)
@@ -101,11 +101,11 @@ def solve_supercell(
     refuse_untreated(replace(supercell.cell, width_nm=0.0, length_nm=0.0))
     start = time.perf_counter()
     workers = own_pool() if pool is None else pool
-    order = supercell.propagating(polarisation)
+    order = supercell.propagating_orders(polarisation)
     amplitude, tail = _run(workers, plan(supercell, polarisation, settings, order), progress)
     axis = POLARISATIONS.index(polarisation)
     responses: dict[tuple[float, float], complex] = {}
-    alone = supercell.alone()
+    alone = supercell.periodic_cells()
     for done, (size, cell) in enumerate(alone.items(), start=1):
         zero_order, lone_tail = _run(workers, plan(_lone(cell), polarisation, settings))
         responses[size], tail = complex(zero_order[0, axis]), max(tail, lone_tail)
@@ -132,7 +132,9 @@ def _run(pool: Pool, run: Plan, progress: Progress = silent) -> tuple[ComplexArr
     longest = job.longest_time / job.wavelength_um
     reply = pool.run_to_decay(job, lambda done: progress("supercell by FDTD", done / job.wavelength_um, longest))
     back = np.array([cmath.exp(-1j * k * run.far_um) for k in run.k_out])
-    return np.asarray(reply["limit"][1].T * back[:, None] / run.arriving(reply["incident"])), float(reply["tail"])
+    return np.asarray(reply["limit"][1].T * back[:, None] / run.incident_at_pillar(reply["incident"])), float(
+        reply["tail"]
+    )
 
 
 def plan(
@@ -191,7 +193,7 @@ def plan(
     k_in = grid_wavenumber(n_in, wavelength, pixel, _COURANT)
     k_out = tuple(
         grid_wavenumber(n_out, wavelength, pixel, _COURANT, (float(x), float(y)))
-        for x, y in supercell.across_per_um(order)
+        for x, y in supercell.wavevectors_per_um(order)
     )
     return Plan(job, (near - begin) * pixel, (far - begin) * pixel - height, k_in, k_out)
 

@@ -35,7 +35,7 @@ from metafab.cell.rcwa.basis.transverse import TransverseBasis
 from metafab.cell.rcwa.jones import one_thread
 from metafab.cell.rcwa.layers.factorisation import inverse_of_direct_rule, inverse_rule, kron
 from metafab.cell.rcwa.scattering.half_space import PlaneWaves, plane_waves
-from metafab.cell.rcwa.scattering.modes import Faces, LayerModes, layer_modes, match_modes
+from metafab.cell.rcwa.scattering.modes import FaceFields, LayerModes, layer_modes, match_modes
 from metafab.cell.rcwa.symmetry import SymmetryClass, permittivity, symmetry_classes
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
@@ -107,7 +107,9 @@ class _Change(NamedTuple):
     q: Matrix
 
 
-def _amplitude_tangents(case: SymmetryClass, tangents: list[AxisBasis]) -> tuple[Faces, ComplexArray, ComplexArray]:
+def _amplitude_tangents(
+    case: SymmetryClass, tangents: list[AxisBasis]
+) -> tuple[FaceFields, ComplexArray, ComplexArray]:
     """Field at the faces of one class, and derivatives of t and r, each of shape (4, 2, 2)."""
     cell, basis, incident, k0_per_nm = case.cell, case.basis, case.incident, case.cell.k0_per_nm
     eps = [permittivity(n) for n in (cell.n_pillar, cell.n_ambient, case.n_in, case.n_out)]
@@ -158,7 +160,7 @@ def _amplitude_tangents(case: SymmetryClass, tangents: list[AxisBasis]) -> tuple
 
 def _reversed(field: _LayerField) -> _LayerField:
     """The field of light from the far side, in the order of :class:`_LayerField` along +z."""
-    faces = Faces(field.faces.reflected, field.faces.transmitted, 0.0)
+    faces = FaceFields(field.faces.reflected, field.faces.transmitted, 0.0)
     return _LayerField(field.backward, field.forward, faces)
 
 
@@ -167,7 +169,7 @@ class _LayerField(NamedTuple):
 
     forward: ComplexArray
     backward: ComplexArray
-    faces: Faces
+    faces: FaceFields
 
 
 def _layer_field(
@@ -325,7 +327,7 @@ def _layer_tangents(
     q = -(half_q + half_q.T).astype(d_eps_u.dtype)
     q[:n_u, :n_u] += d_eps_u
     q[n_u:, n_u:] += d_eps_v
-    return basis.turn(p), basis.turn(q)
+    return basis.to_tm_te(p), basis.to_tm_te(q)
 
 
 def _longitudinal(u: AxisParity, v: AxisParity, k0_per_nm: float) -> tuple[FloatArray, FloatArray]:

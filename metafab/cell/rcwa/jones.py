@@ -15,9 +15,9 @@ from metafab.cell.pillar import PillarCell, Slice
 from metafab.cell.rcwa.basis.coordinates import Formulation
 from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
 from metafab.cell.rcwa.scattering import stack
-from metafab.cell.rcwa.scattering.doubling import through_by_doubling
+from metafab.cell.rcwa.scattering.doubling import solve_by_doubling
 from metafab.cell.rcwa.scattering.half_space import PlaneWaves, Waves, magnetic
-from metafab.cell.rcwa.scattering.modes import NO_MODES, Conditioning, Faces, layer_modes, match_modes
+from metafab.cell.rcwa.scattering.modes import NO_MODES, Conditioning, FaceFields, layer_modes, match_modes
 from metafab.cell.rcwa.symmetry import SymmetryClass, permittivity, polarisations_swap, symmetry_classes
 from metafab.core.conventions import ComplexArray, FloatArray
 
@@ -59,7 +59,7 @@ class SolvedClass:
     case: SymmetryClass
     incoming: Waves
     outgoing: Waves
-    faces: Faces
+    faces: FaceFields
 
     def shares_of_power(self) -> tuple[FloatArray, FloatArray]:
         """Transmitted and reflected power of each coefficient over the incident power, 0 where no light comes in.
@@ -128,7 +128,7 @@ def solved_classes(
         yield SolvedClass(case, incoming, outgoing, _solve(case, incoming, outgoing, by_modes=by_modes))
 
 
-def _solve(case: SymmetryClass, incoming: Waves, outgoing: Waves, *, by_modes: bool) -> Faces:
+def _solve(case: SymmetryClass, incoming: Waves, outgoing: Waves, *, by_modes: bool) -> FaceFields:
     """Field at the faces of the layer or stack, by the faster way that is accurate."""
     if len(case.layers) > 1 or not isinstance(incoming, PlaneWaves) or not isinstance(outgoing, PlaneWaves):
         upwards = [
@@ -140,7 +140,7 @@ def _solve(case: SymmetryClass, incoming: Waves, outgoing: Waves, *, by_modes: b
     if not by_modes:
         largest_a = _largest_eigenvalue(case.layers[0])
         p, q = case.matrices()
-        faces = through_by_doubling(p, q, case.thickness_k0(), incoming, outgoing, case.incident, largest_a)
+        faces = solve_by_doubling(p, q, case.thickness_k0(), incoming, outgoing, case.incident, largest_a)
         if faces is not None:
             return faces
     return match_modes(layer_modes(*case.matrices()), case.thickness_k0(), incoming, outgoing, case.incident)

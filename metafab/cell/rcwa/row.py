@@ -1,8 +1,8 @@
-"""A row of unlike pillars along x by the Fourier modal method: one period of M cells by one cell.
+"""A row of M different pillars along x by the Fourier modal method: a period of M cells by one cell.
 
-There is no mirror symmetry along x, and every pillar has its own length. Along x the coordinate map gathers resolution
-at all 2 M walls; along y the pillars share one map, whose parity is kept. With U_i and V_i the overlaps of pillar i
-with the functions along x and y, Li's rules become (J. Opt. Soc. Am. A 14, 2758, 1997)
+There is no mirror symmetry along x, and every pillar has its own length. Along x the coordinate map increases the
+resolution at all 2 M walls. Along y the pillars share one map, and the basis has even or odd parity. With U_i and V_i
+the overlaps of pillar i with the functions along x and y, Li's rules become (J. Opt. Soc. Am. A 14, 2758, 1997)
 
     eps_u: sum over the bands b of y between one length and the next, [inverse rule in x of the pillars in b] (x) V_b,
     eps_v: sum over i, U_i (x) [inverse rule in y of pillar i] + eps_around (1 - sum U_i) (x) 1,
@@ -31,7 +31,7 @@ from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Po
 from metafab.core.errors import InputError
 
 #: Target error of each pillar in its own periodic cell.
-_ALONE = 1e-3
+_SINGLE_CELL_ERROR = 1e-3
 #: Gauss-Legendre nodes for the phase of a basis function, per interval of the map.
 _NODES = 16
 
@@ -41,9 +41,9 @@ class RowNumerics:
     """Numerics of a row.
 
     Attributes:
-        orders_x: harmonics along x per site and direction, coarse to fine; the fine truncation is the answer, its
-            difference to the coarse one the error.
-        orders_y: cosines along y besides the constant, likewise.
+        orders_x: harmonics along x per site and direction, of a coarse and a fine truncation. The fine one is the
+            result; its difference from the coarse one is the error.
+        orders_y: cosines along y besides the constant, of both truncations.
     """
 
     orders_x: tuple[int, int] = (3, 4)
@@ -61,7 +61,7 @@ class _Interval:
     amplitude: float
 
     def harmonics(self, k: IntArray, period: float) -> ComplexArray:
-        """Integral of dx/du exp(-2 pi i k u / period) over the interval, over the period; shapes (n,)."""
+        """Integral of dx/du exp(-2 pi i k u / period) over the interval, divided by the period; shapes (n,)."""
         turns = k * self.length / period
         side = 0.5 * self.amplitude * (np.sinc(turns - 1.0) + np.sinc(turns + 1.0))
         return np.asarray(self.rise / period * (np.sinc(turns) + side) * np.exp(-2j * np.pi * k * self.middle / period))
@@ -81,7 +81,8 @@ class RowAxis:
         wavenumber: shape (n,), rad/nm, the zero order first, then by magnitude.
         pillars: shape (M, n, n), the indicator of each pillar between the basis functions.
         order: shape (n,), diffraction order of each function.
-        phase: shape (n,), <function | plane wave of its order>, of modulus one where the basis resolves the wave.
+        phase: shape (n,), overlap <function | plane wave of its order>; its modulus is 1 if the basis resolves the
+            wave.
     """
 
     wavenumber: FloatArray
@@ -104,19 +105,20 @@ def solve_row(
         InputError: more than one row, or orders along y that propagate.
     """
     start = time.perf_counter()
-    order = supercell.propagating(polarisation)
+    order = supercell.propagating_orders(polarisation)
     if supercell.shape[0] != 1:
         got = f"{supercell.shape[0]} rows"
         raise InputError.single("supercell", "size_nm", "one row along x for rcwa", got, "use meep")
     if np.any(order[:, 1] != 0):
-        expected = "a y period without orders of its own behind the pillars"
-        raise InputError.single("supercell", "period_nm", expected, f"{supercell.cell.period_nm[1]}")
+        expected = "a y period so short that no order along y propagates behind the pillars"
+        raise InputError.single("supercell", "period_nm", expected, f"{supercell.cell.period_nm[1]:g} nm")
     coarse_x, fine_x = numerics.orders_x
     coarse_y, fine_y = numerics.orders_y
     coarse = row_orders(supercell, polarisation, order[:, 0], coarse_x, coarse_y)
     fine = row_orders(supercell, polarisation, order[:, 0], fine_x, fine_y)
     axis = POLARISATIONS.index(polarisation)
-    lone = {size: solve(cell, CellNumerics(_ALONE)).t[axis, axis] for size, cell in supercell.alone().items()}
+    cells = supercell.periodic_cells()
+    t_single = {size: solve(cell, CellNumerics(_SINGLE_CELL_ERROR)).t[axis, axis] for size, cell in cells.items()}
     amplitude = np.zeros((len(order), 2), dtype=np.complex128)
     amplitude[:, axis] = fine
     return SupercellResponse(
@@ -124,7 +126,7 @@ def solve_row(
         polarisation=polarisation,
         order=order,
         amplitude=amplitude,
-        responses=np.array([[lone[float(w), float(length)] for w, length in supercell.size_nm[0]]]),
+        responses=np.array([[t_single[float(w), float(length)] for w, length in supercell.size_nm[0]]]),
         error=float(np.max(np.abs(fine - coarse))),
         seconds=time.perf_counter() - start,
     )
@@ -133,7 +135,7 @@ def solve_row(
 def row_orders(
     supercell: Supercell, polarisation: Polarisation, order: IntArray, orders_x: int, orders_y: int
 ) -> ComplexArray:
-    """Transmitted amplitudes of a row at one truncation, E along the polarisation.
+    """Transmitted amplitudes of a row at one truncation: E along the polarisation of the incident wave.
 
     Args:
         supercell: one site along y.
@@ -165,7 +167,7 @@ def row_orders(
 def row_axis(period_nm: float, width_nm: FloatArray, orders: int) -> RowAxis:
     """Basis of the x axis of a row: the plane waves of the empty row in stretched harmonics.
 
-    They solve D v = k F v with D the wave numbers of u and F the Gram matrix of dx/du.
+    They solve D v = k F v, where D holds the wave numbers in u and F is the Gram matrix of dx/du.
 
     Args:
         period_nm: period of one site.
@@ -201,15 +203,15 @@ def row_axis(period_nm: float, width_nm: FloatArray, orders: int) -> RowAxis:
 def _intervals(fill: FloatArray, orders: int) -> tuple[list[_Interval], list[int]]:
     """Pillars and gaps of a row in sites from its middle, and the pillar of each interval (-1 for a gap).
 
-    Each site keeps its share of the parameter range, and the pillar in it the share of the map of a lone pillar.
+    Every site has an equal part of the range of u. Within it, the walls lie as in the map of a single pillar.
     """
     maps = [stretched(1.0, float(f), orders) for f in fill]
     walls_x, walls_u, owner = [], [], []
-    for i, (f, lone) in enumerate(zip(fill, maps, strict=True)):
+    for i, (f, single) in enumerate(zip(fill, maps, strict=True)):
         middle = i + 0.5 - len(fill) / 2.0
         if f > 0.0:
             walls_x += [middle - f / 2.0, middle + f / 2.0]
-            walls_u += [middle - lone.wall_fraction / 2.0, middle + lone.wall_fraction / 2.0]
+            walls_u += [middle - single.wall_fraction / 2.0, middle + single.wall_fraction / 2.0]
             owner += [i, -1]
     if not owner:
         return [_Interval(0.0, float(len(fill)), 0.0, float(len(fill)), 0.0)], [-1]
@@ -220,8 +222,8 @@ def _intervals(fill: FloatArray, orders: int) -> tuple[list[_Interval], list[int
         rise, length = walls_x[j + 1] - walls_x[j], walls_u[j + 1] - walls_u[j]
         if rise <= 1e-12:
             continue
-        lone = maps[max(i, 0)]
-        amplitude = 1.0 - (lone.slope_inside if i >= 0 else lone.slope_outside)
+        single = maps[max(i, 0)]
+        amplitude = 1.0 - (single.slope_inside if i >= 0 else single.slope_outside)
         middle_u, middle_x = 0.5 * (walls_u[j] + walls_u[j + 1]), 0.5 * (walls_x[j] + walls_x[j + 1])
         intervals.append(_Interval(middle_u, length, middle_x, rise, amplitude))
         owners.append(i)
@@ -265,7 +267,8 @@ def _matrices(
     below = np.zeros_like(one_a)
     for bound in np.unique(length_nm):
         up_to = along_y[int(np.flatnonzero(length_nm == bound)[0])].a
-        eps_u = eps_u + np.kron(inverse_rule(row.pillars[length_nm >= bound].sum(axis=0)), up_to - below)
+        longer = row.pillars[length_nm >= bound].sum(axis=0)
+        eps_u = eps_u + np.kron(inverse_rule(longer), up_to - below)
         below = up_to
     eps_u = eps_u + eps_around * np.kron(one_u, one_a - below)
     eps_v = eps_around * np.kron(one_u - row.pillars.sum(axis=0), one_b)
@@ -283,6 +286,6 @@ def _matrices(
     n_u = len(eps_u)
     q[:n_u, :n_u] += eps_u
     q[n_u:, n_u:] += eps_v
-    # Hermitian, not symmetric: change the basis from one side, then from the other.
-    p, q = (basis.turn_rows(basis.turn_rows(matrix).T).T for matrix in (p, q))
+    # P and Q are Hermitian, not symmetric: transform the rows, then the columns.
+    p, q = (basis.rows_to_tm_te(basis.rows_to_tm_te(matrix).T).T for matrix in (p, q))
     return basis, p, q

@@ -1,7 +1,7 @@
 """Symmetry classes of a cell: layers, bases and outer waves of the fields that either polarisation excites.
 
-A rectangle under light along z has four symmetry classes, of which x and y polarised light excite one each. Light in a
-mirror plane leaves two classes along one axis; other light has one class with all coefficients.
+A rectangle under light along z has four symmetry classes; x and y polarised light excite one each. For light that is
+oblique in a mirror plane there are two classes. For any other direction there is one class with all coefficients.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class SymmetryClass:
         bases: for each layer from the substrate upwards, the bases of its rectangles; they differ in their outline.
         layers: content of each layer, with its sizes.
         n_in: index of the half space that the light comes from, for the polarisation of this class.
-        n_out: index of the half space behind, likewise.
+        n_out: index of the half space behind, for this polarisation.
     """
 
     cell: PillarCell
@@ -48,7 +48,7 @@ class SymmetryClass:
 
     @cached_property
     def incident(self) -> ComplexArray:
-        """Incident E_x = 1 and E_y = 1 as columns, shape (n, 2); zero where the class does not hold them."""
+        """Incident E_x = 1 and E_y = 1 as columns, shape (n, 2); zero if the class lacks that wave."""
         return self.basis.zero_order()
 
     def thickness_k0(self, index: int = 0) -> float:
@@ -82,7 +82,7 @@ def permittivity(n: complex) -> complex:
 
 
 def layers_of(cell: PillarCell, steps: int = 1) -> tuple[Slice, ...]:
-    """The cell's layers from the substrate upwards, each with its sizes; a sloped pillar in ``steps``."""
+    """Layers of the cell from the substrate upwards, each with its sizes; a sloped pillar becomes ``steps`` layers."""
     count = steps if cell.is_sloped else 1
     pillar = [
         Slice(cell.height_nm / count, cell.n_pillar, cell.n_ambient, *cell.sizes_nm((i + 0.5) / count))
@@ -95,7 +95,8 @@ def layers_of(cell: PillarCell, steps: int = 1) -> tuple[Slice, ...]:
 
 def _sized(layer: Slice, size_nm: tuple[float, float]) -> Slice:
     width_nm = size_nm[0] if layer.width_nm is None else layer.width_nm
-    return replace(layer, width_nm=width_nm, length_nm=size_nm[1] if layer.length_nm is None else layer.length_nm)
+    length_nm = size_nm[1] if layer.length_nm is None else layer.length_nm
+    return replace(layer, width_nm=width_nm, length_nm=length_nm)
 
 
 def polarisations_swap(cell: PillarCell) -> bool:
@@ -118,8 +119,8 @@ def symmetry_classes(
 
     Args:
         cell: the cell.
-        orders: cosines besides the constant along each axis. A short period gets as many as a long one; else the
-            truncation would rise without its error falling.
+        orders: cosines besides the constant along each axis, equally many along a short and a long period: with fewer
+            along the short one, the error does not fall as orders are added.
         formulation: "adaptive" or "fourier".
         steps: steps of a sloped pillar.
 
@@ -139,7 +140,7 @@ def symmetry_classes(
         return
     _check_oblique(cell)
     k_x, k_y = in_plane_per_nm(cell)
-    # With parity along one axis only, each of its two classes holds one polarisation.
+    # If only one axis has parity, each of its two classes holds one polarisation.
     for u_class in zip(*(parities(each, k_x) for each in x), strict=True):
         for v_class in zip(*(parities(each, k_y) for each in y), strict=True):
             bases = _over_outlines(u_class, v_class, counts)
@@ -190,14 +191,14 @@ def _over_outlines(
 def _check_oblique(cell: PillarCell) -> None:
     n_x, n_y = cell.n_substrate
     if n_x != n_y and cell.n_substrate_z is None:
-        expected = "0 where the substrate's index differs between x and y polarisation and that along z is not given"
+        expected = "0 for a birefringent substrate without an index along z"
         remedy = "give the substrate's `n_z` too (sapphire with its axis in the surface: the ordinary index)"
     elif cell.side == "substrate" and n_x != n_y and cell.n_substrate_z not in (n_x, n_y):
-        expected = "0 from within a biaxial substrate, where no wave is ordinary"
-        remedy = 'light it from `side = "ambient"`'
+        expected = "0 for light out of a biaxial substrate, which has no ordinary wave"
+        remedy = 'set `side = "ambient"`'
     elif complex(cell.n_of_angle).imag != 0.0:
-        expected = "0 where the light comes out of an absorbing medium"
-        remedy = "no plane wave of one angle has a steady amplitude along the surface there; drop its k"
+        expected = "0 for light out of an absorbing medium"
+        remedy = "set k of that medium to 0: in it, no oblique plane wave has constant amplitude along the surface"
     else:
         return
     raise InputError.single("cell", "angle_deg", expected, f"{cell.angle_deg:g}", remedy)

@@ -1,4 +1,4 @@
-"""Build a library to a target error, in memory or as a file that survives a kill, and estimate the cost before."""
+"""Build a library to a target error, in memory or as a file; a killed build can continue. Estimate its cost."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from metafab.library.use.quality import coverage_rad
 from metafab.spec import UnitCell
 from metafab.spec.cell import Axes
 
-#: Shares of the target error for solver and model; the rest is that of continuous evaluation.
+#: Shares of the target error for solver and model; the remainder is left to the evaluation between the sizes.
 SOLVER_SHARE = 0.5
 MODEL_SHARE = 0.4
-#: Cells of earlier builds: about 200 for silicon at 940 and 800 nm, about 1000 for titanium dioxide at 532 nm with its
-#: many guided modes of little loss.
+#: Fewest and most cells of a build over sizes. Measured: about 200 for silicon at 940 and 800 nm, and about 1000 for
+#: titanium dioxide at 532 nm, whose many guided modes have little loss.
 FEW_CELLS, MANY_CELLS = 180, 1100
-#: Largest time of a resonant cell over that of an average one.
+#: Solver time of a resonant cell over that of an average cell, at most.
 RESONANT_COST = 5.0
 
 
@@ -82,8 +82,8 @@ def build(
         unit_cell: unit cell with its sweep.
         target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
         executor: runs the solver; None for this process.
-        checkpoint: file that keeps solved sizes across a kill; an equal call continues from it. The file stays when
-            the build has ended (:func:`build_file` removes its own).
+        checkpoint: file that keeps the solved sizes; after a kill, a call with equal arguments continues from it. It
+            is not removed at the end (:func:`build_file` removes its own).
         progress: called with the number of solved sizes and the expected number.
         solver: solves one unit cell; must be importable by the workers.
         numerics: size of the adaptive sampling.
@@ -112,11 +112,11 @@ def build_file(
     """Build a library and save it; a killed build continues where it stopped.
 
     Until the library is saved, a checkpoint in the file's folder keeps the solved sizes. Its name holds the fingerprint
-    of the build's inputs. Of two processes that build one library, the later waits and loads the other's file.
+    of the build's inputs. If two processes build one library, the second waits for the first and loads its file.
 
     Args:
         unit_cell: unit cell with its sweep.
-        path: library file; an earlier one is replaced when the new one is whole.
+        path: library file; an earlier file is replaced once the new one is complete.
         target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
         executor: runs the solver; None for this process.
         progress: called with the number of solved sizes and the expected number.
@@ -156,15 +156,15 @@ def estimate_cost(unit_cell: UnitCell, *, target_error: float | None = None) -> 
     distinct = SizeGrid.of(unit_cell).distinct.size
     few, many = min(FEW_CELLS, distinct), min(MANY_CELLS, distinct)
     width_nm, length_nm = (0.5 * sum(span) for span in (unit_cell.sweep.width_nm, unit_cell.sweep.length_nm))
-    each = rcwa.seconds_estimate(solver_error, pillar_cell(unit_cell, width_nm, length_nm))
-    least, most = few * each, RESONANT_COST * many * each
+    cell_s = rcwa.seconds_estimate(solver_error, pillar_cell(unit_cell, width_nm, length_nm))
+    least, most = few * cell_s, RESONANT_COST * many * cell_s
     box = CornerBox.of(unit_cell)
     if box is not None:
         dimensions = 2 + len(box.variables)
         few_corners, many_corners = CornerNumerics.first_round * dimensions, CornerNumerics.most_cells * dimensions
         corner = {name: high for name, (_, high) in box.spans.items()}
-        each = rcwa.seconds_estimate(solver_error, corner_cell(unit_cell, width_nm, length_nm, corner))
-        least, most = least + few_corners * each, most + RESONANT_COST * many_corners * each
+        cell_s = rcwa.seconds_estimate(solver_error, corner_cell(unit_cell, width_nm, length_nm, corner))
+        least, most = least + few_corners * cell_s, most + RESONANT_COST * many_corners * cell_s
         few, many = few + few_corners, many + many_corners
     return BuildCost((few, many), (least, most))
 
@@ -185,8 +185,9 @@ def _build(
 ) -> Library:
     started = perf_counter()
     grid = SizeGrid.of(unit_cell)
-    for wavelength_nm in dict((unit_cell.sweep.axes or Axes()).asked).get("wavelength_nm", ()):
-        grid.cell(corner_unit_cell(unit_cell, {"wavelength_nm": wavelength_nm}), 0)  # refused before any work
+    # A material unknown at a wavelength is refused before any work.
+    for wavelength_nm in (unit_cell.sweep.axes or Axes()).spans.get("wavelength_nm", ()):
+        grid.cell(corner_unit_cell(unit_cell, {"wavelength_nm": wavelength_nm}), 0)
     target = unit_cell.sweep.target_error
     tolerance, corners = MODEL_SHARE * target, None
     # One thread for the fits: their rounding decides which sizes are solved and must not depend on the machine.
@@ -264,7 +265,7 @@ def _library(
 def _max_between_error(library: Library) -> float:
     """Largest error bound between the sizes; NaN if the library is not continuous.
 
-    It is that of the model, or of the spline if every size was solved.
+    The model gives it, or the spline if every size was solved.
     """
     if library.model_error is not None:
         return float(library.model_error.max())

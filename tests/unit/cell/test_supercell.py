@@ -21,7 +21,7 @@ BLOCK = Supercell(CELL, RNG.uniform(100.0, 250.0, (6, 9, 2)))
 
 
 def test_propagating_orders_are_those_inside_the_circle_of_k() -> None:
-    orders = BLOCK.propagating("x")
+    orders = BLOCK.propagating_orders("x")
     reach = 1.0 / 0.8
     inside = {
         (m, n)
@@ -32,33 +32,33 @@ def test_propagating_orders_are_those_inside_the_circle_of_k() -> None:
     assert {(int(m), int(n)) for m, n in orders} == inside
     assert len(orders) == len(inside)
     # Towards the substrate there are more of them.
-    assert len(Supercell(replace(CELL, side="ambient"), BLOCK.size_nm).propagating("x")) > len(orders)
+    assert len(Supercell(replace(CELL, side="ambient"), BLOCK.size_nm).propagating_orders("x")) > len(orders)
 
 
 def test_an_order_exactly_along_the_surface_carries_nothing_and_is_left_out() -> None:
     grazing = Supercell(replace(CELL, period_nm=(400.0, 300.0)), np.full((1, 2, 2), 100.0))
-    np.testing.assert_array_equal(grazing.propagating("x"), [[0, 0]])
+    np.testing.assert_array_equal(grazing.propagating_orders("x"), [[0, 0]])
 
 
 @pytest.mark.parametrize(("polarisation", "n_in"), [("x", 1.7601), ("y", 1.75)])
 def test_the_zero_order_carries_the_power_of_the_conventions(polarisation: str, n_in: float) -> None:
     t = 0.3 - 0.6j
     amplitude = np.array([[t, 0.0]]) if polarisation == "x" else np.array([[0.0, t]])
-    flux = BLOCK.flux(np.zeros((1, 2), dtype=np.intp), amplitude, polarisation)  # type: ignore[arg-type]
+    flux = BLOCK.relative_power(np.zeros((1, 2), dtype=np.intp), amplitude, polarisation)  # type: ignore[arg-type]
     assert flux[0] == pytest.approx(abs(t) ** 2 / n_in)
 
 
 def test_oblique_orders_carry_what_their_full_field_says() -> None:
     """Poynting's z component of E = (E_x, E_y, -k.E/k_z), against n_in for unit incident field."""
-    orders = BLOCK.propagating("y")
+    orders = BLOCK.propagating_orders("y")
     amplitude = RNG.normal(size=(len(orders), 2)) + 1j * RNG.normal(size=(len(orders), 2))
     k0 = 2.0 * np.pi / 0.8
-    k = np.column_stack([BLOCK.across_per_um(orders), np.zeros(len(orders))])
+    k = np.column_stack([BLOCK.wavevectors_per_um(orders), np.zeros(len(orders))])
     k[:, 2] = np.sqrt(k0**2 - np.sum(k**2, axis=1))
     field = np.column_stack([amplitude, -np.sum(k[:, :2] * amplitude, axis=1) / k[:, 2]])
     magnetic = np.cross(k, field) / k0
     poynting = np.real(np.cross(field, magnetic.conj()))[:, 2]
-    np.testing.assert_allclose(BLOCK.flux(orders, amplitude, "y"), poynting / 1.75, rtol=1e-12)
+    np.testing.assert_allclose(BLOCK.relative_power(orders, amplitude, "y"), poynting / 1.75, rtol=1e-12)
 
 
 def test_lone_pillars_predict_the_fourier_series_of_their_responses() -> None:
@@ -72,7 +72,7 @@ def test_lone_pillars_predict_the_fourier_series_of_their_responses() -> None:
 
 
 def test_equal_pillars_predict_the_zero_order_alone() -> None:
-    orders = BLOCK.propagating("x")
+    orders = BLOCK.propagating_orders("x")
     amplitude = BLOCK.local_period(orders, np.full(BLOCK.shape, 0.4j))
     np.testing.assert_allclose(amplitude, np.where(np.all(orders == 0, axis=1), 0.4j, 0.0), atol=1e-15)
 
@@ -84,19 +84,19 @@ def test_exchange_is_its_own_inverse() -> None:
     np.testing.assert_array_equal(turned.size_nm[2, 5], BLOCK.size_nm[5, 2, ::-1])
     np.testing.assert_array_equal(turned.exchanged().size_nm, BLOCK.size_nm)
     assert turned.exchanged().cell == CELL
-    swapped = {(int(m), int(n)) for n, m in turned.propagating("y")}
-    assert swapped == {(int(m), int(n)) for m, n in BLOCK.propagating("x")}
+    swapped = {(int(m), int(n)) for n, m in turned.propagating_orders("y")}
+    assert swapped == {(int(m), int(n)) for m, n in BLOCK.propagating_orders("x")}
 
 
 def test_each_distinct_pillar_is_named_once() -> None:
     sizes = np.array([[[100.0, 120.0], [120.0, 100.0]], [[100.0, 120.0], [0.0, 0.0]]])
-    alone = Supercell(CELL, sizes).alone()
+    alone = Supercell(CELL, sizes).periodic_cells()
     assert set(alone) == {(100.0, 120.0), (120.0, 100.0), (0.0, 0.0)}
     assert alone[120.0, 100.0].width_nm == 120.0
 
 
 def test_a_response_compares_itself_with_its_own_pillars() -> None:
-    orders = BLOCK.propagating("y")
+    orders = BLOCK.propagating_orders("y")
     responses = RNG.normal(size=BLOCK.shape) + 0j
     predicted = BLOCK.local_period(orders, responses)
     amplitude = np.zeros((len(orders), 2), dtype=complex)

@@ -1,4 +1,4 @@
-"""Transverse field of one symmetry class: its coefficients, paired to TM and TE plane waves.
+"""Transverse field of one symmetry class: coefficients of E_u and E_v, combined to TM and TE plane waves.
 
 E_u lives in the families (a, a) of the two axes, E_v in (b, b), E_z in (b, a), H_z in (a, b); H_v goes with E_u and
 -H_u with E_v. With light along z a rectangle has four symmetry classes, of which x and y polarised light see one each;
@@ -19,10 +19,10 @@ from metafab.core.conventions import ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class TransverseBasis:
-    """Coefficients of E_u and E_v, those of equal wave vector rotated to (TM, TE): diagonal in every uniform medium.
+    """Basis of the transverse field in which every uniform medium is diagonal.
 
-    Where only one of E_u and E_v has a wave vector, that coefficient is TM (along it) or TE (across it). A wave vector
-    of zero counts as TE.
+    Coefficients of E_u and E_v with equal wave vector are rotated to (TM, TE). An unpaired coefficient is TM if its
+    field is along the wave vector, TE if it is across. A wave vector of zero counts as TE.
 
     Attributes:
         u: families along x.
@@ -30,8 +30,9 @@ class TransverseBasis:
         k_squared: shape (n,), in-plane wave number squared of each coefficient, 1/nm^2; E_u first, then E_v.
         is_tm: shape (n,), whether the coefficient is TM.
         pair_u, pair_v: shape (pairs,), coefficients of E_u and of E_v that share a wave vector.
-        along: shape (2, pairs), the unit vector (u, v) along it.
-        with_e_z: shape (n_z,), the coefficient that each coefficient of E_z drives: TM, or without a wave vector.
+        along: shape (2, pairs), unit vector (u, v) along the wave vector of each pair.
+        with_e_z: shape (n_z,), index of the coefficient that each coefficient of E_z drives: a TM coefficient, or one
+            of wave vector zero.
         k_with_e_z: shape (n_z,), wave number that takes E_z to that coefficient, 1/nm; negative for an unpaired
             coefficient of negative wave number.
     """
@@ -51,28 +52,28 @@ class TransverseBasis:
         """Number of coefficients n."""
         return int(self.k_squared.size)
 
-    def turn(self, matrix: Matrix) -> Matrix:
+    def to_tm_te(self, matrix: Matrix) -> Matrix:
         """Change the basis of a symmetric ``matrix``, shape (n, n), from (E_u, E_v) to (TM, TE); shape (n, n)."""
-        return self.turn_rows(self.turn_rows(matrix).T)
+        return self.rows_to_tm_te(self.rows_to_tm_te(matrix).T)
 
-    def turn_rows(self, columns: Matrix) -> Matrix:
+    def rows_to_tm_te(self, columns: Matrix) -> Matrix:
         """Change the basis of ``columns``, shape (n, any), from (E_u, E_v) to (TM, TE); shape (n, any)."""
-        turned = np.array(columns, order="C")
-        e_u, e_v = turned[self.pair_u], turned[self.pair_v]
+        rotated = np.array(columns, order="C")
+        e_u, e_v = rotated[self.pair_u], rotated[self.pair_v]
         a_u, a_v = self.along[:, :, None]
-        turned[self.pair_u] = a_u * e_u + a_v * e_v
-        turned[self.pair_v] = a_u * e_v - a_v * e_u
-        return turned
+        rotated[self.pair_u] = a_u * e_u + a_v * e_v
+        rotated[self.pair_v] = a_u * e_v - a_v * e_u
+        return rotated
 
     def zero_order(self) -> ComplexArray:
-        """Incident E_x = 1 and E_y = 1 as columns, shape (n, 2); zero where the class does not hold them."""
+        """Incident E_x = 1 and E_y = 1 as columns, shape (n, 2); zero if the class lacks that wave."""
         field = np.zeros((self.size, 2), dtype=np.complex128)
         n_u = self.u.label_a.size * self.v.label_a.size
         if self.u.label_a[0] == 0 and self.v.label_a[0] == 0:
             field[0, 0] = 1.0
         if self.u.label_b[0] == 0 and self.v.label_b[0] == 0:
             field[n_u, 1] = 1.0
-        return np.asarray(self.turn_rows(field))
+        return np.asarray(self.rows_to_tm_te(field))
 
 
 def transverse_basis(u: AxisParity, v: AxisParity) -> TransverseBasis:
@@ -84,23 +85,23 @@ def transverse_basis(u: AxisParity, v: AxisParity) -> TransverseBasis:
     k_squared = k_u**2 + k_v**2
 
     norm = np.sqrt(k_squared[pair_u])
-    resting = norm == 0.0
-    along = np.stack([k_u[pair_u], k_v[pair_u]]) / np.where(resting, 1.0, norm)
-    along[0, resting] = 1.0
+    is_zero = norm == 0.0
+    along = np.stack([k_u[pair_u], k_v[pair_u]]) / np.where(is_zero, 1.0, norm)
+    along[0, is_zero] = 1.0
 
-    alone = np.concatenate([k_u[:n_u], k_v[n_u:]])
-    is_tm = alone != 0.0
+    k_with = np.concatenate([k_u[:n_u], k_v[n_u:]])
+    is_tm = k_with != 0.0
     is_tm[pair_u] = True
     is_tm[pair_v] = False
-    alone[pair_u] = norm
-    return TransverseBasis(u, v, k_squared, is_tm, pair_u, pair_v, along, with_e_z, alone[with_e_z])
+    k_with[pair_u] = norm
+    return TransverseBasis(u, v, k_squared, is_tm, pair_u, pair_v, along, with_e_z, k_with[with_e_z])
 
 
 @lru_cache(maxsize=64)
 def _pairs(u_a: bytes, u_b: bytes, v_a: bytes, v_b: bytes) -> tuple[IntArray, IntArray, IntArray, IntArray]:
     """Labels (2, n) of all coefficients; pairs of E_u and E_v of equal label; coefficients that E_z drives.
 
-    Arguments are the bytes of the axes' labels, which can be hashed.
+    The arguments are the axes' labels as bytes, which the cache can hash.
     """
     in_e_u, in_e_v, in_e_z = _grid(u_a, v_a), _grid(u_b, v_b), _grid(u_b, v_a)
     stride = 1 + max(in_e_u.max(initial=0), in_e_v.max(initial=0))

@@ -1,4 +1,4 @@
-"""Maxwell's equations of one layer as two matrices, with Li's factorisation rules for an upright rectangle.
+"""Maxwell's equations of one layer as two matrices, by Li's factorisation rules for a rectangle.
 
 In units of 1/k0 along z, for e = (E_u, E_v) and h = (H_v, -H_u),
 
@@ -61,11 +61,11 @@ def assembled(
     Returns:
         P and Q, each of shape (n, n).
     """
-    # In (TM, TE) E_z drives TM waves only and H_z TE waves only, each the wave of its own wave vector.
+    # In (TM, TE), E_z drives only the TM wave and H_z only the TE wave of equal wave vector.
     n_u = len(contrast_u)
     q = np.zeros((basis.size, basis.size), dtype=np.result_type(contrast_u, contrast_v))
     q[:n_u, :n_u], q[n_u:, n_u:] = contrast_u, contrast_v
-    q = basis.turn(q)
+    q = basis.to_tm_te(q)
     _diagonal(q)[:] += eps_around - np.where(basis.is_tm, 0.0, basis.k_squared / k0_per_nm**2)
     k = basis.k_with_e_z / k0_per_nm
     p = np.eye(basis.size, dtype=eta_z.dtype)
@@ -76,8 +76,8 @@ def assembled(
 def largest_eigenvalue(eps_pillar: complex, eps_around: complex) -> float:
     """Bound on the real part of the eigenvalues of P Q: the larger permittivity; infinite for metals.
 
-    No mode of a dielectric layer is slower than light in its denser part, at any truncation. Modes bound to the surface
-    of a metal may be.
+    No mode of a dielectric layer is slower than light in the denser material, at any truncation. Surface modes of a
+    metal can be.
     """
     eps = (complex(eps_pillar), complex(eps_around))
     dielectric = all(abs(each.imag) <= each.real for each in eps)

@@ -1,9 +1,9 @@
-"""The layer of a hexagonal lattice: two rectangles in a centred cell, one in its middle and one at its corners.
+"""Layer of a hexagonal lattice: a centred cell with one rectangle in its middle and one at its corners.
 
 The cell is one period long along x and two rows long along y. About the first pillar it has two mirror planes, so that
 the symmetry classes are those of a single rectangle (:mod:`metafab.cell.rcwa.basis.transverse`), over half a cell along
-each axis. There the first pillar covers u_1 (x) v_1, from the origin, and the second u_2 (x) v_2, up to the far ends.
-Their lengths never overlap along v; their widths may along u. Li's rules (J. Opt. Soc. Am. A 14, 2758, 1997) then hold
+each axis. In this quarter the first pillar covers u_1 (x) v_1 at the origin and the second u_2 (x) v_2 at the far ends.
+The pillars never overlap along v, but may overlap along u. Li's rules (J. Opt. Soc. Am. A 14, 2758, 1997) then hold
 strip by strip: E_u is normal to walls along u, within each interval of v,
 
     eps_u = rule(u_1) (x) v_1 + rule(u_2) (x) v_2 + eps_around 1 (x) (1 - v_1 - v_2).
@@ -30,7 +30,7 @@ class Strips(NamedTuple):
     Attributes:
         first: shape (n, n), the first pillar.
         second: shape (n, n), the second pillar.
-        both: shape (n, n), where both stand; zero where the pillars do not overlap along the axis.
+        both: shape (n, n), overlap of both pillars; zero if they do not overlap along the axis.
     """
 
     first: FloatArray
@@ -66,7 +66,7 @@ def staggered_matrices(
 def _strips(outline: FloatArray, gap: FloatArray) -> Strips:
     """Indicators from those of [0, first wall] and of [0, second wall]."""
     whole = np.eye(len(outline))
-    # Where the pillars overlap, the first one ends behind the beginning of the second.
+    # The pillars overlap if the first ends beyond the beginning of the second.
     overlap = float(np.trace(outline)) > float(np.trace(gap))
     return Strips(outline, whole - gap, outline - gap if overlap else np.zeros_like(whole))
 

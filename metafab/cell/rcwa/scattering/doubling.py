@@ -1,4 +1,4 @@
-"""One incident wave through one layer without its modes, by doubling the admittance of a thin slab.
+"""Scattering of incident waves by one layer without its modes: admittance doubling from a thin slab.
 
 In a layer e'' = -A e with A = P Q and z in units of 1/k0. With W^2 = A, the fields at the faces of a slab of thickness
 d obey
@@ -7,16 +7,16 @@ d obey
 
 and both matrices are functions of A, without a branch of the root. A thin slab has F from Lambert's continued fraction
 of x cot x, and G of twice the thickness from cot x = (cot(x/2) - tan(x/2)) / 2. Each further doubling is one linear
-system, F(2 d) = F - G F^-1 G / 2 and G(2 d) = G F^-1 G / 2. Evanescent modes leave G as they die out, and nothing grows
-with the thickness.
+system, F(2 d) = F - G F^-1 G / 2 and G(2 d) = G F^-1 G / 2. The part of an evanescent mode in G decays, and nothing
+grows with the thickness.
 
-Half the layer is enough. Sum and difference of the fields at the two faces are those of a slab with a magnetic and with
-an electric mirror in the middle, and as P and Q are symmetric no further inverse is needed:
+Half the layer is enough. The sum and the difference of the fields at the two faces are the fields of a slab with a
+magnetic and with an electric mirror in its middle. P and Q are symmetric, so that no further inverse is needed:
 
     F_half^T (h(0) - h(d)) = -i Q (e(0) + e(d)),       P (h(0) + h(d)) = i F_half (e(0) - e(d)).
 
 With outgoing waves on either side these are two equations for two sets of amplitudes. Light from the far side is solved
-along with the incident light. Rounding breaks the reciprocity of the two; where it does, mode matching takes over.
+in the same linear system. If rounding breaks reciprocity between the two, the caller uses mode matching.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from scipy.linalg import lapack
 
 from metafab.cell.rcwa.basis.coordinates import Matrix
 from metafab.cell.rcwa.scattering.half_space import PlaneWaves
-from metafab.cell.rcwa.scattering.modes import Faces
+from metafab.cell.rcwa.scattering.modes import FaceFields
 from metafab.core.conventions import ComplexArray
 
 #: x cot x as a ratio of two polynomials in x^2, a row each: Lambert's continued fraction cut after nine partial
-#: quotients 1, 3, .., 17. For real x it is off by 1e-13 at 1.5. For x = i y it is off by a factor 1 - 2 q, with
-#: q = 4e-3 at y = 16, 0.06 at 32 and 0.25 at 64, and each doubling squares q.
+#: quotients 1, 3, .., 17. For real x the error is 1e-13 at 1.5. For x = i y the value is wrong by a factor 1 - 2 q,
+#: with q = 4e-3 at y = 16, 0.06 at 32 and 0.25 at 64; each doubling squares q.
 _LAMBERT = np.array(
     [
         [34459425.0, -16216200.0, 945945.0, -13860.0, 45.0],
@@ -47,7 +47,7 @@ _THIN = 1.5
 CONSISTENT = 1e-10
 
 
-def through_by_doubling(
+def solve_by_doubling(
     p: Matrix,
     q: Matrix,
     thickness_k0: float,
@@ -55,8 +55,8 @@ def through_by_doubling(
     outgoing: PlaneWaves,
     incident: ComplexArray,
     largest_a: float = np.inf,
-) -> Faces | None:
-    """Solve one layer for the field of the waves ``incident``; None where rounding is too large.
+) -> FaceFields | None:
+    """Solve one layer for the fields that the waves ``incident`` excite; None if rounding is too large.
 
     Args:
         p: shape (n, n), P of the layer.
@@ -67,7 +67,7 @@ def through_by_doubling(
         incident: shape (n, k), transverse E of k incident waves where the layer begins.
         largest_a: bound on the real part of the eigenvalues of A, where one is known.
     """
-    with np.errstate(all="ignore"):  # values that are not finite are refused below
+    with np.errstate(all="ignore"):  # non-finite values fail the reciprocity test below
         half = _doubled(p, q, thickness_k0, largest_a, last=1)
         if half is None:
             return None
@@ -94,11 +94,11 @@ def through_by_doubling(
             return None
         e_near, e_far = incoming.e[:, None] * r, outgoing.e[:, None] * (response[:, :n] @ r - response[:, n:])
         # Lorentz reciprocity: transmission from the near to the far side, and back.
-        there, back = e_far[:, :count].T @ far_h, near_h.T @ e_near[:, count:]
+        forward, backward = e_far[:, :count].T @ far_h, near_h.T @ e_near[:, count:]
         scale = max(np.abs(near_h).max(), np.abs(far_h).max())
-        inconsistency = float(np.abs(there - back).max() / scale)
+        inconsistency = float(np.abs(forward - backward).max() / scale)
     # The comparison fails for NaN too.
-    return Faces(e_far[:, :count], e_near[:, :count], inconsistency) if inconsistency <= CONSISTENT else None
+    return FaceFields(e_far[:, :count], e_near[:, :count], inconsistency) if inconsistency <= CONSISTENT else None
 
 
 def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -> tuple[Matrix, Matrix] | None:
@@ -110,20 +110,20 @@ def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -
         thickness_k0: thickness times k0.
         largest_a: bound on the real part of the eigenvalues of A, where one is known.
     """
-    with np.errstate(all="ignore"):  # values that are not finite reach the answer, which is tested
+    with np.errstate(all="ignore"):  # non-finite values reach the result, which the caller tests
         whole = _doubled(p, q, thickness_k0, largest_a, last=0)
         both = None if whole is None else _solve(p, np.hstack(whole))
     return None if both is None else (both[:, : len(p)], both[:, len(p) :])
 
 
 def _doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: int) -> tuple[Matrix, Matrix] | None:
-    """F and G of the layer by doubling, without the ``last`` doublings (G needs one); None where it fails."""
+    """F and G of the layer by doubling, without the ``last`` doublings (at least one yields G); None if it fails."""
     _keep_freed_memory()
     powers = np.empty((4, *p.shape), dtype=np.result_type(p, q))
     a = np.matmul(p, q, out=powers[0])
     for k, (one, other) in enumerate(((0, 0), (1, 0), (1, 1)), start=1):
         np.matmul(powers[one], powers[other], out=powers[k])
-    # ||A^4||^(1/4) bounds the eigenvalues of A, and is nearer to the largest than ||A||.
+    # ||A^4||^(1/4) bounds the eigenvalues of A more tightly than ||A||.
     largest = float(np.abs(powers[3]).sum(axis=0).max()) ** 0.25
     steepest = np.sqrt(largest) * thickness
     if not 0.0 < steepest < np.inf:
@@ -132,11 +132,11 @@ def _doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: 
     halvings = max(1, int(np.ceil(max(0.5 * np.log2(steepest), np.log2(travelling / _THIN)))))
     f, g = _thin_slab(powers, thickness / 2.0**halvings), a
     for doubling in range(halvings - last):
-        turned = None if f is None else _quotient(g, f)
-        if f is None or turned is None:
+        g_over_f = None if f is None else _quotient(g, f)
+        if f is None or g_over_f is None:
             return None
-        # G F^-1 G and no other order of the factors: rounding errors that do not commute would grow.
-        g = turned @ g if doubling else f + turned
+        # G F^-1 G in this order: rounding errors that do not commute would grow in another.
+        g = g_over_f @ g if doubling else f + g_over_f
         g *= 0.5
         f -= g
     return None if f is None else (f, g)
@@ -146,7 +146,7 @@ def _doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: 
 def _keep_freed_memory() -> None:
     """Let the C library keep a few freed MB, which saves a fifth of the time at 100 unknowns.
 
-    glibc returns memory beyond twice the largest mapped block that was ever freed. This is such a block, never touched.
+    glibc keeps up to twice the largest mapped block that was ever freed. This frees such a block without touching it.
     """
     np.empty(16 << 20, dtype=np.uint8)
 
@@ -164,13 +164,13 @@ def _thin_slab(powers: Matrix, thickness: float) -> Matrix | None:
 
 def _quotient(numerator: Matrix, denominator: Matrix) -> Matrix | None:
     """``numerator`` times the inverse of ``denominator``; None where that does not exist."""
-    # The transpose of a row-wise array is what LAPACK takes without reordering it.
+    # LAPACK takes the transpose of a row-major array without a copy.
     quotient = _solve(denominator.T, numerator.T)
     return None if quotient is None else quotient.T
 
 
 def _solve(matrix: Matrix, columns: Matrix) -> Matrix | None:
-    """Solve by LAPACK directly, as NumPy's checks take as long as small matrices; None where singular."""
+    """Solve by LAPACK directly, as NumPy's checks take as long as a small system; None if singular."""
     gesv = lapack.zgesv if matrix.dtype == np.complex128 else lapack.dgesv
     _, _, solution, info = gesv(matrix, columns)
     return np.asarray(solution) if info == 0 else None

@@ -65,7 +65,7 @@ def tensor_waves(basis: TransverseBasis, k0_per_nm: float, index: tuple[complex,
     k_squared = basis.k_squared / k0_per_nm**2
     n_u = basis.u.label_a.size * basis.v.label_a.size
     of_e = np.where(np.arange(basis.size) < n_u, eps_x, eps_y)
-    q = basis.turn(np.diag(of_e)) - np.diag(np.where(basis.is_tm, 0.0, k_squared))
+    q = basis.to_tm_te(np.diag(of_e)) - np.diag(np.where(basis.is_tm, 0.0, k_squared))
     p = 1.0 - np.where(basis.is_tm, k_squared / eps_z, 0.0)
 
     e, beta_squared = np.eye(basis.size, dtype=np.complex128), p * np.diag(q)

@@ -1,7 +1,7 @@
 """Modes of a layer, their conditioning, and mode matching of one layer between two half spaces.
 
-In mode matching c+ is taken at the side of the light and c- at the far side, so that exponentials only decay: a pillar
-may be tall, and a mode strongly evanescent. Modes that die before they reach the other side leave the coupled problem.
+In mode matching c+ is defined at the near face and c- at the far face, so that exponentials only decay, however tall
+the pillar and however evanescent the mode. Modes that decay before the other face do not couple the two faces.
 
 Eigenvectors E of A = P Q exist for every layer met in practice, but two of them may come close to each other (at an
 exceptional point they meet, and A has no full set). By the theorem of Bauer and Fike (Golub and Van Loan, Matrix
@@ -21,7 +21,7 @@ from metafab.cell.rcwa.basis.coordinates import Matrix
 from metafab.cell.rcwa.scattering.half_space import PlaneWaves, distinct_root
 from metafab.core.conventions import ComplexArray
 
-#: Smallest share of a mode at the other side that still couples the two faces.
+#: Smallest relative amplitude of a mode at the other face that still couples the two faces.
 _NEGLIGIBLE = 1e-18
 
 
@@ -62,8 +62,8 @@ NO_MODES = Conditioning()
 
 
 @dataclass(frozen=True)
-class Faces:
-    """Field of p incident waves at the two faces of a layer.
+class FaceFields:
+    """Fields that p incident waves excite at the two faces of a layer.
 
     Attributes:
         transmitted: shape (n, p), transverse E where the layer ends.
@@ -112,8 +112,8 @@ def condition(matrix: Matrix) -> float:
 
 def match_modes(
     modes: LayerModes, thickness_k0: float, incoming: PlaneWaves, outgoing: PlaneWaves, incident: ComplexArray
-) -> Faces:
-    """Solve one layer for the field of the waves ``incident``.
+) -> FaceFields:
+    """Solve one layer for the fields that the waves ``incident`` excite.
 
     Args:
         modes: n modes of the layer.
@@ -123,24 +123,22 @@ def match_modes(
         incident: shape (n, p), transverse E of p incident waves where the layer begins.
     """
     decay = np.exp(1j * modes.beta * thickness_k0)
-    carried = np.flatnonzero(np.abs(decay) > _NEGLIGIBLE)
-    decay = decay[carried, None]
+    coupled = np.flatnonzero(np.abs(decay) > _NEGLIGIBLE)
+    decay = decay[coupled, None]
     near_e, near_h = incoming.h[:, None] * modes.e, incoming.e[:, None] * modes.h
     far_e, far_h = outgoing.h[:, None] * modes.e, outgoing.e[:, None] * modes.h
     # Where it begins:  (near_e + near_h) c+ + (near_e - near_h) X c- = 2 h_in e_inc, with X the decay;
     # where it ends:    (far_e + far_h) c- + (far_e - far_h) X c+ = 0.
     source = 2.0 * incoming.h[:, None] * incident
-    started = np.linalg.solve(
-        near_e + near_h, np.concatenate([source, (near_e - near_h)[:, carried] * decay.T], axis=1)
-    )
+    solved = np.linalg.solve(near_e + near_h, np.concatenate([source, (near_e - near_h)[:, coupled] * decay.T], axis=1))
     count = incident.shape[1]
-    started, returned = started[:, :count], started[:, count:]
-    turned = np.linalg.solve(far_e + far_h, (far_e - far_h)[:, carried] * decay.T)
-    echo = np.eye(carried.size) - returned[carried] @ turned[carried]
-    arriving = np.linalg.solve(echo, started[carried])
-    backward = -turned @ arriving
-    forward = started - returned @ backward[carried]
+    started, reflected_near = solved[:, :count], solved[:, count:]
+    reflected_far = np.linalg.solve(far_e + far_h, (far_e - far_h)[:, coupled] * decay.T)
+    echo = np.eye(coupled.size) - reflected_near[coupled] @ reflected_far[coupled]
+    arriving = np.linalg.solve(echo, started[coupled])
+    backward = -reflected_far @ arriving
+    forward = started - reflected_near @ backward[coupled]
     at_end, at_begin = backward.copy(), forward.copy()
-    at_end[carried] += decay * arriving
-    at_begin[carried] += decay * backward[carried]
-    return Faces(modes.e @ at_end, modes.e @ at_begin - incident, 0.0, conditioning(modes))
+    at_end[coupled] += decay * arriving
+    at_begin[coupled] += decay * backward[coupled]
+    return FaceFields(modes.e @ at_end, modes.e @ at_begin - incident, 0.0, conditioning(modes))

@@ -35,7 +35,7 @@ import numpy as np
 from metafab.cell.rcwa.basis.coordinates import Matrix
 from metafab.cell.rcwa.scattering.doubling import CONSISTENT, slab
 from metafab.cell.rcwa.scattering.half_space import Waves, as_matrices, magnetic
-from metafab.cell.rcwa.scattering.modes import NO_MODES, Faces, conditioning, layer_modes
+from metafab.cell.rcwa.scattering.modes import NO_MODES, FaceFields, conditioning, layer_modes
 from metafab.core.conventions import ComplexArray
 
 #: Largest admittance for which slabs are used: beyond it fewer than 11 digits are certain.
@@ -61,7 +61,7 @@ class StackLayer:
 
 def through_stack(
     layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray, *, slabs: bool = True
-) -> Faces:
+) -> FaceFields:
     """Solve a stack for the field of the waves ``incident`` at its first and last face.
 
     Args:
@@ -76,7 +76,9 @@ def through_stack(
     return faces or by_modes(layers, incoming, outgoing, incident)
 
 
-def by_slabs(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray) -> Faces | None:
+def by_slabs(
+    layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray
+) -> FaceFields | None:
     """Solve a stack by slabs; None where rounding is too large.
 
     Args:
@@ -119,10 +121,10 @@ def by_slabs(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, inc
         return None
     # The comparisons fail for NaN too.
     trusted = inconsistency <= CONSISTENT and max(largest, np.abs(v).max()) <= _LARGEST_ADMITTANCE
-    return Faces(transmitted, reflected, inconsistency) if trusted else None
+    return FaceFields(transmitted, reflected, inconsistency) if trusted else None
 
 
-def by_modes(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray) -> Faces:
+def by_modes(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray) -> FaceFields:
     """Solve a stack by the modes of every layer.
 
     Args:
@@ -149,4 +151,4 @@ def by_modes(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, inc
     reflected = e @ amplitudes - incident
     for onward in reversed(passed):
         amplitudes = onward @ amplitudes
-    return Faces(e_out @ amplitudes, reflected, 0.0, worst)
+    return FaceFields(e_out @ amplitudes, reflected, 0.0, worst)

@@ -62,7 +62,7 @@ def test_a_pillar_and_a_gap_are_a_cell_of_twice_the_period() -> None:
 
 
 def test_moving_the_row_turns_the_phases_of_its_orders() -> None:
-    order = _row(*RAMP).propagating("x")[:, 0]
+    order = _row(*RAMP).propagating_orders("x")[:, 0]
     here = row_orders(_row(*RAMP), "x", order, 3, 4)
     moved = row_orders(_row(*RAMP[-1:], *RAMP[:-1]), "x", order, 3, 4)
     np.testing.assert_allclose(moved, here * np.exp(-2j * np.pi * order / 3.0), atol=1e-9)
@@ -70,7 +70,7 @@ def test_moving_the_row_turns_the_phases_of_its_orders() -> None:
 
 def test_a_mirrored_row_mirrors_its_orders() -> None:
     """And an asymmetric row tells +1 from -1, so that the mirror has something to do."""
-    order = _row(*RAMP).propagating("y")[:, 0]
+    order = _row(*RAMP).propagating_orders("y")[:, 0]
     here = row_orders(_row(*RAMP), "y", order, 3, 4)
     there = row_orders(_row(*RAMP[::-1]), "y", order, 3, 4)
     np.testing.assert_allclose(there, here[::-1], atol=1e-9)
@@ -94,7 +94,7 @@ def test_closed_films_of_any_cut_are_one_film() -> None:
 
 
 def test_refinement_settles() -> None:
-    order = _row(*RAMP).propagating("x")[:, 0]
+    order = _row(*RAMP).propagating_orders("x")[:, 0]
     steps = [row_orders(_row(*RAMP), "x", order, m, m + 1) for m in (2, 3, 4, 5)]
     changes = [float(np.abs(b - a).max()) for a, b in pairwise(steps)]
     assert changes[2] < 0.2 * changes[0]
