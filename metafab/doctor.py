@@ -61,6 +61,7 @@ class Diagnosis:
         platform: operating system.
         cores: cores that this process may use.
         libraries: versions of the libraries.
+        compiled_kernels: whether numba is installed, which compiles the kernels.
         meep: Meep.
         mpi: first line of ``mpirun --version``; None without MPI.
         klayout: KLayout.
@@ -72,6 +73,7 @@ class Diagnosis:
     platform: str
     cores: int
     libraries: dict[str, str]
+    compiled_kernels: bool
     meep: MeepFindings
     mpi: str | None
     klayout: KLayoutFindings
@@ -97,6 +99,7 @@ def examine(*, rehearse: bool = False, progress: Progress = silent) -> Diagnosis
         platform=platform.platform(),
         cores=default_workers(),
         libraries=versions(),
+        compiled_kernels=find_spec("numba") is not None,
         meep=MeepFindings(
             found=best is not None,
             version=best.version if best else None,

@@ -3,6 +3,7 @@
 - ``conventions``  signs, axes, units and reference planes, with the array types
 - ``polarisation`` six states of polarisation, Stokes vectors
 - ``errors``       faults, errors and their exit codes
+- ``further``      names that a face offers without listing them
 - ``numeric``      compilation by numba, and numerics that several rooms share
 - ``parallel``     executors, worker processes, interrupts, progress, cost of a block
 - ``storage``      atomic files, HDF5, pictures, fingerprints

@@ -1,4 +1,4 @@
-"""The conventions of metafab, stated once; ``tests/physics/core/test_conventions.py`` executes each sentence.
+"""The conventions of metafab, stated once; a test executes each sentence.
 
 Time
     Fields depend on time as exp(-i omega t). A plane wave along +z is exp(+i k z), so a longer optical path

@@ -9,6 +9,9 @@ In: a :class:`~metafab.layout.pillars.PillarMap` read back from a mask, and its
 report.
 """
 
+from typing import TYPE_CHECKING
+
+from metafab.core.further import further_names
 from metafab.fullwave.coupling import Coupling, CouplingNumerics, load_coupling, measure_coupling, save_coupling
 from metafab.fullwave.patch import Patch, load_patch, plan_patch, save_patch, solve_patch
 from metafab.fullwave.written import supercell_at
@@ -26,3 +29,13 @@ __all__ = [
     "solve_patch",
     "supercell_at",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.fullwave.coupling": "CouplingRow",
+            "metafab.fullwave.patch": "PATCH_DECAY PatchPlan",
+            "metafab.fullwave.written": "line_at local_period_sites",
+        },
+    )

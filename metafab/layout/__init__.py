@@ -16,6 +16,9 @@ Out: an :class:`Assignment`, which holds the :class:`PillarMap` and its figures.
 - ``turned``: size and angle of turned pillars, and their outlines
 """
 
+from typing import TYPE_CHECKING
+
+from metafab.core.further import further_names
 from metafab.layout.aperture import Aperture
 from metafab.layout.assign import Assignment, assign
 from metafab.layout.gaps import smallest_gap
@@ -37,3 +40,11 @@ __all__ = [
     "smallest_gap",
     "tile_sites",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.layout.gaps": "Gaps",
+        },
+    )

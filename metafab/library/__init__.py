@@ -13,6 +13,9 @@ In: a :class:`~metafab.spec.cell.UnitCell` and an executor. Out: a :class:`Libra
 maps target phases to sizes.
 """
 
+from typing import TYPE_CHECKING
+
+from metafab.core.further import further_names
 from metafab.library.library import Library, evaluate
 from metafab.library.store import is_current, load, save
 from metafab.library.sweep.build import build, build_file, estimate_cost
@@ -36,3 +39,14 @@ __all__ = [
     "quality",
     "save",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.library.surface": "SizeResponse Surface",
+            "metafab.library.use.check": "LibraryCheck",
+            "metafab.library.use.lookup": "global_offsets",
+            "metafab.library.use.quality": "coverage_rad",
+        },
+    )

@@ -13,6 +13,9 @@ file, by whatever software. Out: a :class:`ReadBack` with the pillars and every 
 - ``gdsii``, ``oasis``: the two formats
 """
 
+from typing import TYPE_CHECKING
+
+from metafab.core.further import further_names
 from metafab.mask.drawing.cells import top_name
 from metafab.mask.drawing.copies import lens_copies
 from metafab.mask.plan import announcement, plan
@@ -31,3 +34,12 @@ __all__ = [
     "top_name",
     "write",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.mask.read": "Shapes",
+            "metafab.mask.shapes.recover": "Leftover",
+        },
+    )

@@ -1,7 +1,7 @@
 """Point-spread functions (PSFs) of written pillars and of target phases over depth and field, each with its error.
 
 - ``stack``                :func:`psf`: the pair of PSFs over depth and field
-- ``polarisation_states``  :func:`stokes_psf`: PSFs of six states of polarisation
+- ``polarisation_states``  :func:`~metafab.optics.polarisation_states.stokes_psf`: PSFs of six states of polarisation
 - ``numerics``             PsfNumerics: window, target error and filter; valid inputs
 - ``point_spread``         Psf, the result, with PsfField and PsfDetails
 - ``store``                ``psf.h5``
@@ -15,6 +15,9 @@ In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.libra
 :class:`~metafab.phase.terms.profile.PhaseProfile`; an :class:`Imaging`. Out: a :class:`Psf`.
 """
 
+from typing import TYPE_CHECKING
+
+from metafab.core.further import further_names
 from metafab.optics.geometry.imaging import Imaging, depth_nodes, field_tangents
 from metafab.optics.geometry.plate import Plate
 from metafab.optics.interpolation import at_depths, at_tangent
@@ -46,3 +49,22 @@ __all__ = [
     "save",
     "written_field",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.information.psf_stacks": "depth_crlb_m point_information twin_depth_information",
+            "metafab.information.texture": "PointSource",
+            "metafab.optics.interpolation": "concatenate without_depths",
+            "metafab.optics.measures.chain": "Loss Wavefront loss_chain wavefront",
+            "metafab.optics.measures.metrics": "main_lobe_px orientation_deg",
+            "metafab.optics.measures.mtf": "lens_modulation modulation_transfer",
+            "metafab.optics.measures.space_variance": "SpaceVariance aberration_dioptre space_variance",
+            "metafab.optics.point_spread": "PsfField",
+            "metafab.optics.sources.source": "ApodisedField IdealField",
+            "metafab.tolerance.corners": "CornerField corner_fields",
+            "metafab.tolerance.study": "tolerance_table",
+            "metafab.tolerance.table": "ToleranceRow ToleranceTable load_tolerance save_tolerance tolerance_figures",
+        },
+    )

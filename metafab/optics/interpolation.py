@@ -21,7 +21,7 @@ def at_depths(psf: Psf, depths_m: Sequence[float] | FloatArray) -> FloatArray:
     """Interpolate the irradiance between depths by cubic splines in vergence 1/z.
 
     Args:
-        psf: stack of at least four depths (:func:`depth_nodes` spaces them for a target error).
+        psf: stack of at least four depths (:func:`metafab.optics.depth_nodes` spaces them for a target error).
         depths_m: shape (n,), any order.
 
     Returns:

@@ -35,7 +35,7 @@ def psf(
     """Return the point-spread functions of both polarisations behind a metasurface.
 
     Args:
-        source: field behind the metasurface (:func:`written_field`, :func:`ideal_field`).
+        source: field behind the metasurface (:func:`metafab.optics.written_field`, :func:`metafab.optics.ideal_field`).
         imaging: wavelength, sensor plane, sampling, aperture.
         depths_m: shape (n_depth,), object depths, ascending; ``math.inf`` is allowed.
         numerics: window, target error and spectral band.

@@ -11,6 +11,9 @@
 In: a Design, or plain numbers. Out: a PhaseProfile for the layout room; radians, not wrapped.
 """
 
+from typing import TYPE_CHECKING
+
+from metafab.core.further import further_names
 from metafab.phase.build import profile_of
 from metafab.phase.optimise.blind import optimise_blind
 from metafab.phase.optimise.peak import optimise_peak
@@ -57,3 +60,28 @@ __all__ = [
     "save",
     "study",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.information.texture": "PointSource Texture",
+            "metafab.information.twin_images": "twin_information",
+            "metafab.phase.build": "require_paintable",
+            "metafab.phase.optimise.blind": "BlindDesign BlindInformation",
+            "metafab.phase.optimise.peak": "PeakDesign",
+            "metafab.phase.optimise.rotation": "MainLobe full_turn_dioptre ring_rotation rotation_deg_per_dioptre",
+            "metafab.phase.optimise.side_lobes": "SideLobeDesign measured_side_lobes",
+            "metafab.phase.pupil": "FocalPlane pupil_field rim_defocus_per_dioptre_rad rim_defocus_rad",
+            "metafab.phase.studies.bandwidth": (
+                "BandwidthBudget BandwidthTradeoff Remedy SplitImaging bandwidth_tradeoff smear_um_per_nm"
+            ),
+            "metafab.phase.studies.compare": "DepthBounds reference_masks",
+            "metafab.phase.studies.propose": "Proposal",
+            "metafab.phase.studies.study": "LobeOverDepth PhaseStudy",
+            "metafab.phase.studies.study_store": "load_study save_study",
+            "metafab.phase.terms.helices": "spiral_field zone_charges zone_radii",
+            "metafab.phase.terms.hologram": "Hologram",
+            "metafab.phase.terms.profile": "Term",
+        },
+    )

@@ -25,7 +25,7 @@ def require_turnable(design: Design) -> None:
     if design.optics is not None:
         unavailable["optics.filter_fwhm_nm"] = design.optics.filter_fwhm_nm is not None
         unavailable["optics.substrate_um"] = design.optics.substrate_um > 0.0
-    for number, term in enumerate(design.phase, start=1):
+    for number, term in enumerate(design.phase):
         unavailable[f"phase[{number}].term"] = isinstance(term, Lens | Grating | Axicon)
         unavailable[f"phase[{number}].object_depth_m"] = isinstance(term, SplitLens) and term.object_depth_m is not None
     if design.scene is not None and any(item.moves for item in design.scene.objects):

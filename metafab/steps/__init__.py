@@ -16,6 +16,9 @@ The steps ``drc``, ``psf`` and ``merit`` read the written mask, never the arrays
 rooms it uses when it runs, so that a run without stale steps imports none of them.
 """
 
+from typing import TYPE_CHECKING
+
+from metafab.core.further import further_names
 from metafab.steps.images import CAPTURE, DECODE
 from metafab.steps.job import Job, Step
 from metafab.steps.layout import DRC, LAYOUT, write_layout
@@ -42,3 +45,19 @@ __all__ = [
     "preflight",
     "write_layout",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.steps.images": "calibrate decoded_film",
+            "metafab.steps.layout": "mask_paths",
+            "metafab.steps.library": "library_path",
+            "metafab.steps.merit": "recorded_coupling",
+            "metafab.steps.optics": "calibration_depths ideal_source save_psf",
+            "metafab.steps.preflight": "PREFLIGHT",
+            "metafab.steps.stokes": "full_stokes",
+            "metafab.steps.summary": "error_budget",
+            "metafab.steps.tolerance": "recorded_tolerance tolerances",
+        },
+    )

@@ -12,10 +12,13 @@
 The worker program is ``metafab/cell/meep_worker.py``, the only file that imports meep.
 """
 
+from typing import TYPE_CHECKING
+
 from metafab.cell.meep.finding import MeepCandidate, find
 from metafab.cell.meep.pool import Pool
 from metafab.cell.meep.solver import MeepDetails, MeepSettings, solve
 from metafab.cell.meep.supercell import SupercellSettings, estimate, solve_supercell
+from metafab.core.further import further_names
 
 __all__ = [
     "solve",
@@ -28,3 +31,11 @@ __all__ = [
     "find",
     "MeepCandidate",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.cell.problem": "solve_many",
+        },
+    )

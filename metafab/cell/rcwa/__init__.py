@@ -13,10 +13,13 @@
 - ``cost``         processor time of a solution, by a measured curve
 """
 
+from typing import TYPE_CHECKING
+
 from metafab.cell.rcwa.certificate import RcwaDetails, solve
 from metafab.cell.rcwa.cost import seconds_estimate
 from metafab.cell.rcwa.diffraction import diffraction, diffracts, efficiencies, propagating_orders
 from metafab.cell.rcwa.jones import zero_order
+from metafab.core.further import further_names
 
 __all__ = [
     "solve",
@@ -28,3 +31,13 @@ __all__ = [
     "seconds_estimate",
     "RcwaDetails",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.cell.rcwa.diffraction": "DiffractedOrder Diffraction",
+            "metafab.cell.rcwa.jones": "ZeroOrder",
+            "metafab.cell.rcwa.basis.coordinates": "Formulation",
+        },
+    )

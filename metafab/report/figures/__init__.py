@@ -8,3 +8,28 @@
 - ``image``     raw frame, decoded intensities, contrast, depth, depth against truth
 - ``accounts``  loss chain, error budget, seconds, error against time
 """
+
+from typing import TYPE_CHECKING
+
+from metafab.core.further import further_names
+
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.report.figures.accounts": (
+                "error_against_photons error_against_time error_budget loss_chain seconds"
+            ),
+            "metafab.report.figures.image": "confidence contrast depth depth_against_truth intensity raw_frame",
+            "metafab.report.figures.library": "coverage error_map phase_map sensitivity_map transmittance_map",
+            "metafab.report.figures.mask": "fill_map patch_amplitude patch_phase pillar_outlines",
+            "metafab.report.figures.phases": "aperture_phase painted_picture wanted_picture",
+            "metafab.report.figures.psf": (
+                "depth_bias distortion modulation orientation over_field pair_over_depth peak"
+            ),
+            "metafab.report.figures.study": (
+                "depth_bounds filter_orientation filter_tradeoff lobe_orientation lobe_peak proposed_orientation "
+                "rival_depth_errors rival_sharpness"
+            ),
+        },
+    )

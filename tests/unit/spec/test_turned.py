@@ -40,8 +40,8 @@ def test_every_key_that_is_not_available_is_named(small_design: Design) -> None:
         "mask.tone",
         "optics.filter_fwhm_nm",
         "optics.substrate_um",
-        "phase[1].object_depth_m",
-        "phase[2].term",
+        "phase[0].object_depth_m",
+        "phase[1].term",
         "scene.exposure_s",
         "scene.row_time_s",
     ]
