@@ -1,4 +1,4 @@
-"""Cells of a unit-cell spec, and the calls that solve one cell or many."""
+"""Cells of a unit-cell spec, and the functions that solve one cell or many."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     """Solve one cell for its Jones matrices with the solver that ``numerics`` names.
 
     Raises:
-        InputError: the cell has no physical meaning, the numerics are unknown, or the solver does not treat the cell.
+        InputError: the cell is unphysical, the numerics are out of range, or the solver does not treat the cell.
         MissingToolError: Meep is asked for and not installed.
         SolverError: the solver failed.
     """
@@ -114,8 +114,8 @@ def solve_many(
 
     Args:
         cells: cells to solve.
-        numerics: numerics of all of them.
-        executor: processes or a cluster; by default this process.
+        numerics: numerics of every cell.
+        executor: processes or a cluster; None for this process.
         progress: callback after every batch.
         batch: cells in one batch.
 

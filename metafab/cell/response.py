@@ -1,4 +1,4 @@
-"""Numerics and result that every unit-cell solver shares."""
+"""Numerics and result of every unit-cell solver."""
 
 from __future__ import annotations
 
@@ -24,11 +24,12 @@ class CellNumerics:
     """Numerics of a unit-cell solution.
 
     Attributes:
-        target_error: largest error wanted in any of the complex amplitudes, above 0 and below 1.
+        target_error: largest accepted error of any complex amplitude, above 0 and below 1.
         solver: "rcwa", or "meep" for FDTD in a separate program.
         formulation: rcwa only: "adaptive" coordinates, or plain "fourier" harmonics as an independent check.
         max_orders: rcwa only: largest number of cosines along each axis, from 3.
-        steps: rcwa only: even number of steps of a sloped pillar; by default as many as the target needs.
+        steps: rcwa only: even number of layers that approximate a sloped pillar; None for as many as the target error
+            requires.
     """
 
     target_error: float = 1e-3
@@ -40,7 +41,7 @@ class CellNumerics:
 
 @dataclass(frozen=True)
 class SolverDetails:
-    """Base of the figures that one solver adds to a response."""
+    """Base class of the solver-specific figures of a response."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -50,9 +51,9 @@ class CellResponse(Displayed):
     Attributes:
         cell: the cell that was solved.
         numerics: numerics of the solution.
-        t: shape (2, 2), transmitted over incident E, [out, in] in the basis (x, y). At an angle, of the components of
-            the field along x and y (tangential to the cell).
-        r: shape (2, 2), reflected over incident E, both at the plane where the pillar begins.
+        t: shape (2, 2), transmitted over incident tangential E (x and y components), indexed [out, in] in the basis
+            (x, y).
+        r: shape (2, 2), reflected over incident tangential E, both at the plane where the pillar begins.
         error: bound or estimate of the largest absolute error among ``t`` and ``r``.
         converged: whether ``error <= numerics.target_error``.
         resolution: Fourier orders (rcwa) or pixels per micrometre (meep) of the finest solution.
@@ -109,12 +110,12 @@ class CellSolver(Protocol):
         """Solve one unit cell.
 
         Raises:
-            SolverError: no trustworthy answer could be had.
+            SolverError: the solver found no result that passes its checks.
         """
 
 
 def _power_across(cell: PillarCell, field: ComplexArray | FloatArray, side: Side) -> float:
-    """Power along z, over that in vacuum, of a zero order with tangential field (x, y) on ``side``."""
+    """Power along z of a zero order with tangential field (x, y) on ``side``, in units of |E|^2 in vacuum."""
     tensor = cell.tensor(side)
     if tensor is not None:
         return float(np.vdot(field, admittance(tensor, np.array(cell.in_plane)) @ field).real)

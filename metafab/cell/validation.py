@@ -11,18 +11,18 @@ from metafab.cell.response import CellNumerics
 from metafab.core.conventions import Side
 from metafab.core.errors import Fault, InputError
 
-#: Flattest wall, degrees: a flatter one would need more steps than are tried.
+#: Smallest wall angle, degrees: a flatter wall needs more layers than the solver tries.
 _FLATTEST_WALL_DEG = 60.0
-#: Largest ratio of two indices: an amplitude loses the square of it in digits, and double precision has 16.
+#: Largest ratio of two indices: its square, 1e12, times the double precision of 1e-16 is the error of an amplitude.
 _WIDEST_RANGE = 1e6
-#: Largest square root of a cell's area, in wavelengths: a quarter of a million orders leave into vacuum.
+#: Largest square root of a cell's area, in wavelengths: 280 000 orders then propagate in vacuum.
 _WIDEST_CELL = 300.0
-#: Fewest cosines with which two truncations can be compared.
+#: Smallest number of cosines that allows a comparison of two truncations.
 _FEWEST_ORDERS = 3
 
 
 def check(cell: PillarCell) -> None:
-    """Refuse a cell that has no physical meaning.
+    """Refuse an unphysical cell.
 
     Raises:
         InputError: with every fault of the cell.
@@ -44,13 +44,13 @@ def check(cell: PillarCell) -> None:
     for name, n in _indices(cell):
         if not (0.0 <= n.imag < math.inf and 0.0 < n.real < math.inf):
             faults.append(Fault(name, "a finite index with real part > 0 and imaginary part >= 0", f"{n}"))
-    faults = faults or list(_faults_of_a_whole(cell))
+    faults = faults or list(_faults_of_combinations(cell))
     if faults:
         raise InputError("cell", faults)
 
 
 def check_numerics(numerics: CellNumerics) -> None:
-    """Refuse numerics that no solver can follow.
+    """Refuse numerics that are out of range.
 
     Raises:
         InputError: with every fault of the numerics.
@@ -67,12 +67,12 @@ def check_numerics(numerics: CellNumerics) -> None:
 
 
 def _faults_of_choices(*choices: tuple[str, str, tuple[str, ...]]) -> list[Fault]:
-    """Faults of the (field, value, known values) whose value is not known."""
+    """Faults of the choices (field, value, allowed values) with a value that is not allowed."""
     return [Fault(name, " or ".join(known), repr(got)) for name, got, known in choices if got not in known]
 
 
 def _slices(cell: PillarCell) -> list[tuple[str, Slice]]:
-    """Prefix of the field names, and layer."""
+    """(prefix of the field names, layer) of every layer under and over the pillar."""
     sides = (("under", cell.under), ("over", cell.over))
     return [(f"{side}[{i}].", layer) for side, layers in sides for i, layer in enumerate(layers)]
 
@@ -117,8 +117,8 @@ def _indices(cell: PillarCell) -> list[tuple[str, complex]]:
     return [(name, complex(n)) for name, n in named]
 
 
-def _faults_of_a_whole(cell: PillarCell) -> Iterator[Fault]:
-    """Sloped pillars without an end, indices whose ratio leaves no digits, and cells with too many orders to list."""
+def _faults_of_combinations(cell: PillarCell) -> Iterator[Fault]:
+    """Faults of several fields together: ends of a sloped pillar, ratio of the indices, size of the cell."""
     ends = (("bottom", 0.0), ("top", 1.0)) if cell.is_sloped else ()
     for end, share in ends:
         for name, size, period in zip(("width_nm", "length_nm"), cell.sizes_nm(share), cell.period_nm, strict=True):

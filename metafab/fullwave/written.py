@@ -1,4 +1,4 @@
-"""Pillars of a written mask around a place, as a supercell for a full-wave solver."""
+"""Pillars of a written mask around a point of the lens, as a supercell for a full-wave solver."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from metafab.library import Library
 
 Axis: TypeAlias = Literal["x", "y"]
 
-# Sites of the line on which a local period is measured, and the longest period that such a line can show.
+#: Sites of the line on which a local period is measured, and the longest period measurable on it.
 _LINE_SITES = 64
 _LONGEST_SITES = 40
 
 
 def site_at(pillars: PillarMap, x_um: float, y_um: float) -> tuple[int, int]:
-    """Return (row, column) of the site nearest to a place.
+    """Return (row, column) of the site nearest to a point.
 
     Raises:
-        InputError: the place lies outside the lattice.
+        InputError: the point lies outside the lattice.
     """
     lattice = pillars.lattice
     nearest = []
     for name, at, sites in (("y", y_um, lattice.y_um()), ("x", x_um, lattice.x_um())):
         pitch = lattice.period_dbu[1 if name == "y" else 0] * lattice.database_unit_nm * 1e-3
         if not sites[0] - pitch <= at <= sites[-1] + pitch:
-            expected = f"a place on the lens, {sites[0]:g} to {sites[-1]:g} um"
+            expected = f"a point on the lens, {sites[0]:g} to {sites[-1]:g} um"
             raise InputError.single("patch", f"{name}_um", expected, f"{at:g} um")
         nearest.append(int(np.argmin(np.abs(sites - at))))
     return nearest[0], nearest[1]
@@ -64,13 +64,13 @@ def sizes_at(pillars: PillarMap, row: int, column: int, shape: tuple[int, int]) 
 def supercell_at(
     pillars: PillarMap, library: Library, x_um: float, y_um: float, shape: tuple[int, int]
 ) -> tuple[Supercell, FloatArray, FloatArray]:
-    """Return a block of written pillars around a place.
+    """Return a block of written pillars around a point.
 
     Args:
         pillars: pillars read from a mask.
-        library: library with their materials and illumination.
-        x_um: middle of the block, to within a site.
-        y_um: middle of the block, to within a site.
+        library: library with the pillars' materials and illumination.
+        x_um: middle of the block; the nearest site is used.
+        y_um: middle of the block; the nearest site is used.
         shape: (n_y, n_x) sites.
 
     Returns:
@@ -96,13 +96,13 @@ def library_responses(supercell: Supercell, library: Library) -> ComplexArray:
 
 
 def line_at(pillars: PillarMap, library: Library, x_um: float, y_um: float, axis: Axis) -> ComplexArray:
-    """Return the library's t_xx and t_yy along a line of pillars around a place, shape (2, n)."""
+    """Return the library's t_xx and t_yy along a line of pillars around a point, shape (2, n)."""
     shape = (1, _LINE_SITES) if axis == "x" else (_LINE_SITES, 1)
     return library_responses(supercell_at(pillars, library, x_um, y_um, shape)[0], library).reshape(2, -1)
 
 
 def local_period_sites(t: ComplexArray) -> tuple[int, int]:
-    """Find the local period on a line of pillars by the strongest wave in its spectrum.
+    """Find the local period on a line of pillars from the peak of its spectrum.
 
     Args:
         t: shape (n,), response at each site.
@@ -118,6 +118,9 @@ def local_period_sites(t: ComplexArray) -> tuple[int, int]:
     turns = np.fft.fftfreq(fine)[int(np.argmax(spectrum))]
     if abs(turns) * _LONGEST_SITES < 1.0:
         got = f"{1.0 / abs(turns):.0f} sites" if turns else "a constant phase"
-        expected, remedy = f"a local period of up to {_LONGEST_SITES} sites", "choose a place where light is bent more"
+        expected, remedy = (
+            f"a local period of up to {_LONGEST_SITES} sites",
+            "choose a point with a larger deflection angle",
+        )
         raise InputError.single("coupling", "place", expected, got, remedy)
     return max(2, round(1.0 / abs(turns))), 1 if turns > 0.0 else -1

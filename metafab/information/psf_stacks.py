@@ -1,9 +1,9 @@
-"""Fisher information about depth in PSFs sampled over depth, and the error that it allows (Cramer-Rao bound).
+"""Fisher information about depth in PSFs sampled over depth, and its Cramer-Rao bound on the depth error.
 
 The PSFs are a stack of shape (2, n_depth, n_y, n_x), as :attr:`metafab.optics.Psf.psf`, in windows about the geometric
 image points. The source is a point (position and brightness known or not) or a texture (:mod:`twin images
-<metafab.information.twin_images>`). With the mean image mu of a point and its variance, the information is
-sum mu'^2 / variance: exact for many electrons, else a lower bound.
+<metafab.information.twin_images>`). For a point with mean image mu, the information is sum mu'^2 / variance:
+exact for many electrons, otherwise a lower bound.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def point_information(
         depth_m: shape (n_depth,), ascending.
         pixel_um: pixel pitch; a pixel collects the irradiance at its centre times its area.
         source: electrons and noise.
-        known: whether position (x and y) and brightness are known; otherwise they are nuisance parameters.
+        known: whether position (x and y) and brightness are known. Unknown, they are nuisance parameters.
 
     Returns:
         Shape (n_depth,), 1/m^2.
@@ -67,7 +67,7 @@ def point_information(
 
 
 def _normalised(fisher: FloatArray) -> FloatArray:
-    """Information matrices scaled to ones on the diagonal, so that units do not spoil their inverses."""
+    """Information matrices scaled to ones on the diagonal, for well-conditioned inverses; shape of ``fisher``."""
     size = np.sqrt(np.einsum("daa->da", fisher))
     return np.asarray(fisher / size[:, :, None] / size[:, None, :])
 
@@ -75,13 +75,13 @@ def _normalised(fisher: FloatArray) -> FloatArray:
 def twin_depth_information(
     psf: FloatArray, depth_m: ArrayLike, pixel_um: float, texture: Texture, *, contrast_known: bool = False
 ) -> FloatArray:
-    """Information about depth in twin images of a patch of unknown texture, as large as the windows of the PSFs.
+    """Information about depth in twin images of a patch of unknown texture with the size of the PSF windows.
 
     Args:
         psf: shape (2, n_depth, n_y, n_x), irradiance at pixel centres, 1/um^2 per unit power.
         depth_m: shape (n_depth,), ascending.
         pixel_um: pixel pitch.
-        texture: electrons a pixel, contrast, spectrum and noise.
+        texture: electrons per pixel, contrast, spectrum and noise.
         contrast_known: whether the brightness ratio of the two images is known.
 
     Returns:

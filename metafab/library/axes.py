@@ -1,8 +1,8 @@
-"""Corners: values of wavelength, height, walls, bias, index or angle beyond sizes, and the cells there.
+"""Corners: values of wavelength, height, wall angle, bias, index or angle of incidence, and the cells at them.
 
 A corner is a value for each axis of the sweep. Two axes are special. A bias of the critical dimension changes width and
-length alike, so it is no variable of the model but widens the model's range of sizes. The response is even in the angle
-of incidence, in the x-z and y-z planes, so the model's variable is sin^2 of the angle.
+length equally: it widens the model's range of sizes and is no variable of the model. The response is even in the angle
+of incidence, in the x-z and y-z planes: the variable of the model is sin^2 of the angle.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class CornerBox:
 
     Attributes:
         spans: (lowest, highest) by name of the axis.
-        nominal: the unit cell's own values.
+        nominal: values of the unit cell itself.
         width_nm: smallest and largest width, bias included.
         length_nm: smallest and largest length, bias included.
     """
@@ -59,28 +59,28 @@ class CornerBox:
 
     @property
     def exchanges(self) -> bool:
-        """Whether all axes keep the exchange of x and y."""
+        """Whether all axes preserve the symmetry under exchange of x and y."""
         return not _AZIMUTH_DEG.keys() & self.spans.keys()
 
     def completed(self, corner: Corner) -> dict[str, float]:
         """Return ``corner`` with the nominal value of every axis that it does not name.
 
         Raises:
-            InputError: an axis is none of the library's, or a value lies outside its span (nothing is extrapolated).
+            InputError: the library lacks an axis, or a value lies outside its span (nothing is extrapolated).
         """
-        faults, whole = [], dict(self.nominal)
+        faults, completed = [], dict(self.nominal)
         for name, value in corner.items():
             if name not in self.spans:
                 expected = f"an axis of the library ({', '.join(self.spans)})"
                 faults.append(Fault(name, expected, "none of them", "add it to `sweep.axes`"))
                 continue
             low, high = self.spans[name]
-            whole[name] = abs(float(value)) if name in _AZIMUTH_DEG else float(value)
-            if not low <= whole[name] <= high:
+            completed[name] = abs(float(value)) if name in _AZIMUTH_DEG else float(value)
+            if not low <= completed[name] <= high:
                 faults.append(Fault(name, f"{low:g} to {high:g}", f"{value:g}", "widen the span in `sweep.axes`"))
         if faults:
             raise InputError("library", faults)
-        return whole
+        return completed
 
     def to_variables(self, corner: Corner) -> FloatArray:
         """Return the model's variables of a completed corner, each in -1..1: shape (n_variables,)."""
@@ -91,7 +91,7 @@ class CornerBox:
         return np.array(variables)
 
     def from_variables(self, variables: FloatArray) -> dict[str, float]:
-        """Return the corner of some variables, the inverse of :meth:`to_variables`, without the bias.
+        """Return the corner without its bias; inverse of :meth:`to_variables`.
 
         Args:
             variables: shape (n_variables,), each in -1..1.
@@ -103,7 +103,7 @@ class CornerBox:
         return corner
 
     def points(self, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray) -> FloatArray:
-        """Return cells as points of a cube of side 2.
+        """Return cells as points of the cube [-1, 1]^(2 + n_variables).
 
         Args:
             width_nm: shape (n,), as made.

@@ -27,32 +27,32 @@ from metafab.spec.embedded import LIBRARY_FORMAT
 if TYPE_CHECKING:
     import xarray
 
-#: Modules whose source, with that of all their imports, decides a library's numbers; the FDTD program is started, not
-#: imported.
+#: Modules whose source and imports determine the numbers of a library. The FDTD worker is listed because it is run as a
+#: program, not imported.
 BUILT_BY = ("metafab.library.sweep.build", "metafab.cell.meep_worker")
-#: Rooms whose data files count: index tables are read, not imported.
+#: Packages whose data files count as source: index tables.
 TABLES = ("materials",)
 
 
 @dataclass(frozen=True)
 class BuildStatistics:
-    """Statistics of a build, equal on every machine; NaN or 0 where a library has none.
+    """Statistics of a build, independent of the machine; NaN or 0 where one does not apply.
 
     Attributes:
-        points_solved: sizes solved, those off the grid included.
+        points_solved: sizes solved, on and off the grid.
         points_between: sizes solved off the grid.
         points_total: sizes of the library.
         max_error: largest error bound of a size.
         sizes_beyond_target: sizes whose error bound is above the target error.
-        max_solver_error: largest part of the solver in the error bounds.
-        max_model_error: largest part of the model in the error bounds of unsolved sizes.
+        max_solver_error: largest solver error in the error bounds.
+        max_model_error: largest model error in the error bounds of unsolved sizes.
         max_between_error: largest error bound between the sizes; NaN if the library is not continuous.
         held_out_error: largest error of the model at sizes that it was not fitted to.
         held_out: number of these sizes.
         rounds: rounds of solving.
         numerator_degree: total degree of the model's numerators.
         denominator_degree: total degree of the model's denominator.
-        coverage_rad: phases that are reached (:func:`metafab.library.use.quality.coverage_rad`).
+        coverage_rad: covered part of the phase circle (:func:`metafab.library.use.quality.coverage_rad`).
     """
 
     points_solved: int = 0
@@ -98,14 +98,14 @@ class Library(Displayed):
         r_xx: shape of ``t_xx``, reflection of x polarised light.
         r_yy: shape of ``t_xx``, reflection of y polarised light.
         error: shape (n_length, n_width) or shape of ``t_xx``, error bound of each amplitude: solver and interpolation.
-            NaN, like the amplitudes, at sizes that are not made (:attr:`known`).
+            NaN, like the amplitudes, at sizes outside :attr:`known`.
         inputs_sha256: fingerprint of the build's inputs.
         statistics: statistics of the build.
         model: amplitudes as continuous functions of size; None if the library was not built by a model.
-        model_error: shape (n_length, n_width), error bound of the model around each size, solver included. ``error`` is
-            smaller at a solved size whose neighbourhood is not known as well.
+        model_error: shape (n_length, n_width), error bound of the model around each size, solver included. At a solved
+            size ``error`` may be smaller.
         corners: models over the axes of the sweep; None without ``sweep.axes``.
-        corner: values of the axes for which this library holds; empty for the unit cell's own.
+        corner: values of the axes of this library; empty at the values of the unit cell.
         time: time of the build; None for a library that was loaded.
     """
 
@@ -128,7 +128,7 @@ class Library(Displayed):
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Mask of the sizes that are made, shape (n_length, n_width): all, or of circles the diagonal."""
+        """Mask of the sizes with a response, shape (n_length, n_width): all sizes, or the diagonal for circles."""
         return np.asarray(np.isfinite(self.error_of_sizes))
 
     @property
@@ -150,8 +150,7 @@ class Library(Displayed):
         """Return the library at other values of its axes: ``library.at(wavelength_nm=803.0, cd_bias_nm=2.0)``.
 
         Returns:
-            A library with the amplitudes and errors of that corner; the library itself if all values are the unit
-            cell's own.
+            A library with the amplitudes and errors of that corner; the library itself at the unit cell's values.
 
         Raises:
             InputError: an axis is not in ``unit_cell.sweep.axes``, or a value lies outside its span.
@@ -160,7 +159,7 @@ class Library(Displayed):
         if box is None or self.corners is None:
             if not axes:
                 return self
-            got, remedy = "a library of sizes alone", "name the axes in `[sweep.axes]` of the unit cell and build again"
+            got, remedy = "a library without axes", "name the axes in `[sweep.axes]` of the unit cell and build again"
             raise InputError.single("library", ", ".join(axes), "axes of the library", got, remedy)
         corner = box.completed(axes)
         if corner == box.nominal:
@@ -187,12 +186,12 @@ class Library(Displayed):
         )
 
     def pillar(self, width_nm: float, length_nm: float) -> PillarCell:
-        """Return the unit cell of a drawn size at this library's corner."""
+        """Return the cell of a pillar of the given drawn size at this library's corner."""
         return corner_cell(self.unit_cell, width_nm, length_nm, self.corner)
 
     @cached_property
     def surface(self) -> Surface:
-        """The library as continuous functions of size, built at the first use.
+        """The library as continuous functions of size, built on first use.
 
         Raises:
             InputError: the library has fewer than four widths or lengths, or holds circles.
@@ -278,7 +277,7 @@ def _index(grid_nm: FloatArray, size_nm: FloatArray, name: str) -> NDArray[np.in
             "library",
             name,
             f"sizes of its grid, {grid_nm[0]:g} to {grid_nm[-1]:g} nm",
-            f"{np.asarray(size_nm)[wrong].flat[0]:g} nm ({int(np.count_nonzero(wrong))} such)",
+            f"{np.asarray(size_nm)[wrong].flat[0]:g} nm ({int(np.count_nonzero(wrong))} sizes off the grid)",
             "use the library that the layout was made with, or build one that holds these sizes",
         )
     return np.asarray(nearest)

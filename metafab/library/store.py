@@ -1,7 +1,7 @@
 """Libraries as HDF5 files (kind "metafab library", format 1) with units, descriptions and dimension scales.
 
 A file holds the values on the grid, in ``/model`` the coefficients of the continuous functions, and in ``/corners`` the
-models over further axes. Groups that a library lacks are left out, and readers take the groups that are there.
+models over further axes. Both groups are optional.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ _AMPLITUDES = {
     "r_xx": "zero-order reflection of x polarised light",
     "r_yy": "zero-order reflection of y polarised light",
 }
-#: Prefixes of attributes: a figure of a build, and one of its corners.
+#: Attribute prefixes of the statistics of a build, and of its corners.
 _DETAIL, _CORNER_DETAIL = "detail_", "detail_corner_"
 
 
 def save(library: Library, path: Path) -> None:
-    """Write a library, whole or not at all; an earlier file under the name is replaced.
+    """Write a library atomically; an earlier file of that name is replaced.
 
     Equal builds give equal bytes, on any machine.
 
@@ -50,7 +50,7 @@ def save(library: Library, path: Path) -> None:
     """
     if library.corner:
         corner = ", ".join(f"{name} = {value:g}" for name, value in library.corner.items())
-        remedy = "save the library that it is a corner of; `at` gives the corner again"
+        remedy = "save the library from which `at` returned this corner"
         raise InputError.single(str(path), "library.corner", "a library of the unit cell's own values", corner, remedy)
     with hdf5.create(
         path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, inputs_sha256=library.inputs_sha256
@@ -78,7 +78,7 @@ def load(path: Path | str) -> Library:
     """Read a library.
 
     Raises:
-        InputError: the file is missing, truncated, foreign, of a newer format, or its content does not fit together.
+        InputError: the file is missing, truncated, of another kind or a newer format, or its content is inconsistent.
     """
     with hdf5.open_kind(path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, remedy=_REMEDY) as file:
         wavelength_nm, length_nm, width_nm = (np.asarray(file[name][()], dtype=np.float64) for name in _AXES)
@@ -136,7 +136,7 @@ def _put_statistics(group: h5py.Group, statistics: BuildStatistics | CornerStati
 
 
 def _statistics(kind: type[Statistics], group: h5py.Group, prefix: str) -> Statistics:
-    """Statistics from attributes; those that a file lacks keep their defaults."""
+    """Statistics from attributes; missing ones take their defaults."""
     stored = {name: value for name, value in vars(kind()).items() if prefix + name in group.attrs}
     return kind(**{name: type(default)(group.attrs[prefix + name]) for name, default in stored.items()})
 
@@ -194,7 +194,7 @@ def _corners(group: h5py.Group) -> Corners:
 def _checked(
     group: h5py.Group, weight: int, variables: int, numerator: ComplexArray, denominator: ComplexArray
 ) -> RationalModel:
-    """The model with the degrees and ranges of ``group``.
+    """Return the model with the degrees and ranges stored in ``group``.
 
     Raises:
         KeyError: the number of coefficients does not fit the degrees.
@@ -207,9 +207,9 @@ def _checked(
     return RationalModel(width_nm, length_nm, shape, numerator, denominator)
 
 
-def _put_spans(group: h5py.Group, model: RationalModel, which: str) -> None:
+def _put_spans(group: h5py.Group, model: RationalModel, range_of: str) -> None:
     for side, span_nm in (("width", model.width_nm), ("length", model.length_nm)):
-        hdf5.put(group, f"{side}_nm", span_nm, units="nm", description=f"smallest and largest {side} {which}")
+        hdf5.put(group, f"{side}_nm", span_nm, units="nm", description=f"smallest and largest {side} {range_of}")
 
 
 def _span(group: h5py.Group, name: str) -> Range:

@@ -22,6 +22,7 @@ from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix, stretched
 from metafab.cell.rcwa.basis.transverse import TransverseBasis, transverse_basis
 from metafab.cell.rcwa.certificate import solve
 from metafab.cell.rcwa.jones import one_thread
+from metafab.cell.rcwa.layers.factorisation import inverse_rule
 from metafab.cell.rcwa.scattering.half_space import plane_waves
 from metafab.cell.rcwa.scattering.modes import layer_modes, match_modes
 from metafab.cell.rcwa.symmetry import permittivity
@@ -258,23 +259,19 @@ def _matrices(
     u = AxisParity(row.pillars[0].real, row.pillars[0].real, label, label, row.wavenumber)
     basis = transverse_basis(u, v)
 
-    def inverse_rule(overlap: Matrix) -> Matrix:
-        rest = np.eye(len(overlap)) - overlap
-        return np.linalg.inv(overlap / eps_pillar + rest / eps_around)
-
     one_u, one_a, one_b = np.eye(n), np.eye(len(v.a)), np.eye(len(v.b))
     eps_u: Matrix = np.zeros((n * len(v.a),) * 2, dtype=np.complex128)
     below = np.zeros_like(one_a)
     for bound in np.unique(length_nm):
         up_to = along_y[int(np.flatnonzero(length_nm == bound)[0])].a
         longer = row.pillars[length_nm >= bound].sum(axis=0)
-        eps_u = eps_u + np.kron(inverse_rule(longer), up_to - below)
+        eps_u = eps_u + np.kron(inverse_rule(longer, eps_pillar, eps_around), up_to - below)
         below = up_to
     eps_u = eps_u + eps_around * np.kron(one_u, one_a - below)
     eps_v = eps_around * np.kron(one_u - row.pillars.sum(axis=0), one_b)
     eps_z = eps_around * np.kron(one_u, one_a)
     for pillar, parity in zip(row.pillars, along_y, strict=True):
-        eps_v = eps_v + np.kron(pillar, inverse_rule(parity.b))
+        eps_v = eps_v + np.kron(pillar, inverse_rule(parity.b, eps_pillar, eps_around))
         eps_z = eps_z + step * np.kron(pillar, parity.a)
 
     k_u = np.diag(row.wavenumber / cell.k0_per_nm)

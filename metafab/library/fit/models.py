@@ -18,14 +18,14 @@ from metafab.library.fit.size_grid import refined_axis
 DENOMINATOR_DEGREES = (7, 10, 12)
 #: Largest degree of the numerators, for sizes alone and with axes.
 LARGEST_DEGREE, LARGEST_CORNER_DEGREE = 16, 18
-#: Largest number of unknowns per equation; below 1 it suppresses noise and false poles.
+#: Largest number of unknowns per equation; a value below 1 suppresses noise and spurious poles.
 FILLING = 0.7
-#: Degrees and unknowns per equation for sweeps with many guided modes (TiO2 in the visible), tried once there are
-#: enough samples.
+#: Degrees and unknowns per equation for sweeps with many guided modes (TiO2 in the visible); tried only with enough
+#: samples.
 MANY_MODES_DENOMINATOR, MANY_MODES_DEGREE, MANY_MODES_FILLING = 14, 22, 0.35
 #: Weights of an axis that are tried.
 WEIGHTS = (2, 3)
-#: Largest number of models with axes: two may agree by chance where samples are sparse, as in the box's corners.
+#: Largest number of ranked models over sizes and axes; two could agree by chance where samples are sparse.
 CORNER_MODELS = 3
 #: Smallest number of unknowns per equation of a model with axes; smaller models waste samples.
 LEAST_FILLING = 0.25
@@ -37,7 +37,7 @@ class RankedModels:
 
     Attributes:
         best: the model that is used.
-        rivals: the runners-up, of other degrees; where all agree, the result does not depend on the degrees.
+        rivals: next best models, of other degrees; their difference from ``best`` estimates its error.
     """
 
     best: RationalModel
@@ -49,7 +49,7 @@ class RankedModels:
         Args:
             width_nm: shape (n_width,).
             length_nm: shape (n_length,).
-            around: take the largest difference up to half a step around each size, where a false pole may hide.
+            around: take the largest difference up to half a step around each size, which detects spurious poles.
 
         Returns:
             Shape (n_length, n_width).
@@ -84,7 +84,7 @@ def fit_size_models(
     """
 
     def fit(some: Samples, shape: Shape) -> RationalModel:
-        # With many guided modes every degree of the denominator is needed, and the samples suffice to determine it.
+        # Many guided modes need every coefficient of the denominator, and the samples determine them unpenalised.
         penalised = shape.degrees[0] < MANY_MODES_DEGREE
         mirrored = some.width_nm != some.length_nm if exchange else None
         return fit_model(some, shape, spans_nm, mirrored, penalised)
@@ -110,7 +110,7 @@ def fit_corner_models(
 
     equations = int(np.count_nonzero(~held_out)) * (2 if exchange else 1)
     shapes = corner_shapes(equations, samples.axes.shape[1])
-    # The worst candidate is no useful rival.
+    # The worst candidate is not used as a rival.
     return _fit_ranked(samples, held_out, shapes, fit, max(2, min(CORNER_MODELS, len(shapes) - 1)))
 
 

@@ -64,7 +64,7 @@ class SizeGrid:
 
     @cached_property
     def distinct(self) -> IndexArray:
-        """Numbers of the points that symmetry leaves to solve: shape (n_distinct,), ascending."""
+        """Numbers of the points that differ by symmetry: shape (n_distinct,), ascending."""
         number = np.arange(self.size)
         row, column = np.divmod(number, self.width_nm.size)
         if self.diagonal:
@@ -75,9 +75,9 @@ class SizeGrid:
     def even_order(self) -> IndexArray:
         """All distinct points as a space-filling sequence: shape (n_distinct,).
 
-        Every beginning of the sequence covers the plane with the density of Chebyshev points, for which polynomial
-        least squares is well conditioned. The corners come first, so that no model extrapolates. Points of a
-        diagonal grid are all solved; their order does not matter.
+        The first n points, for every n, have the density of Chebyshev points, for which polynomial least squares is
+        well conditioned. The corners come first, so that no model extrapolates. All points of a diagonal grid are
+        solved, in ascending order.
         """
         if self.diagonal:
             return self.distinct
@@ -93,7 +93,7 @@ class SizeGrid:
         return number[np.sort(first)]
 
     def refined(self, parts: int) -> SizeGrid:
-        """Return a grid with ``parts`` steps for each step of this one; its points have numbers of their own."""
+        """Return a grid with ``parts`` steps for each step of this one; its points are numbered anew."""
         width_nm, length_nm = refined_axis(self.width_nm, parts), refined_axis(self.length_nm, parts)
         return SizeGrid(width_nm, length_nm, self.exchange, self.diagonal)
 

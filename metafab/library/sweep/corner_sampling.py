@@ -1,11 +1,10 @@
 """Adaptive sampling over sizes and axes together.
 
-Cells come from a space-filling sequence in the box of sizes and axes, denser towards its faces. As over the sizes
-alone, every round solves the next cells of the sequence and those with the largest disagreement of the models. Each
-cell is predicted before it is solved; the ratio of these errors to the disagreement scales the disagreement to an error
-estimate. Cells of the nominal library serve as samples too. Sampling ends when the estimate is within the tolerance at
-all but a few cells of the sequence, or at the largest number of cells. The error bound of each corner holds in both
-cases.
+Cells come from a space-filling sequence in the box of sizes and axes, denser towards its faces. Every round solves the
+next cells of the sequence and the cells with the largest disagreement of the models. Each cell is predicted before it
+is solved. The largest ratio of prediction error to disagreement is the safety factor of the error estimate. Cells of
+the nominal library are samples too. Sampling ends when the estimate is within the tolerance at all but a few cells of
+the sequence, or at the largest number of cells. The error bound of each corner holds in both cases.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ from metafab.spec import UnitCell
 
 #: Growth of the number of solved cells in each round after the first.
 GROWTH = 0.3
-#: Share of the sequence that may stay above the tolerance: cells right on the sharpest resonances.
+#: Fraction of the sequence that may stay above the tolerance: cells on the sharpest resonances.
 OPEN_SHARE = 0.02
-#: Least distance of the cells with the largest disagreement in one round, in a box of side 2.
+#: Smallest distance between the cells of largest disagreement chosen in one round, in a box of side 2.
 APART = 0.1
 
 
@@ -42,9 +41,9 @@ class CornerNumerics:
     """Size of the sampling over sizes and axes.
 
     Attributes:
-        sequence: cells to choose from, besides the corners of the box.
-        first_round: cells of the first round for each dimension of the box.
-        most_cells: cells for each dimension of the box after which the sampling ends in any case.
+        sequence: candidate cells, besides the corners of the box.
+        first_round: cells of the first round per dimension of the box.
+        most_cells: largest number of solved cells per dimension of the box.
     """
 
     sequence: int = 8192
@@ -53,7 +52,7 @@ class CornerNumerics:
 
 
 class CornerSequence:
-    """Space-filling sequence of cells in the box of sizes and axes, the outermost ones first.
+    """Space-filling sequence of cells in the box of sizes and axes, starting with the corners of the box.
 
     Args:
         unit_cell: unit cell with ``sweep.axes``.
@@ -186,7 +185,7 @@ def sample_corners(
 def _not_reached(solved: int, open_share: float, tolerance: float) -> str:
     return (
         f"not reached in {solved} cells: {100.0 * open_share:.1f} % of the box may miss {tolerance:.1e}; "
-        "every corner states its own error, and a narrower span or a larger target_error takes fewer cells"
+        "every corner has its own error bound; a narrower span or a larger target_error needs fewer cells"
     )
 
 
@@ -223,7 +222,7 @@ class _SolvedCells:
 
 
 def _unscaled(place: FloatArray, span_nm: Range) -> FloatArray:
-    """Sizes of places in -1..1 of a span."""
+    """Map -1..1 linearly to a span of sizes; inverse of :func:`scaled`."""
     low, high = span_nm
     return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * place, dtype=np.float64)
 
@@ -231,14 +230,14 @@ def _unscaled(place: FloatArray, span_nm: Range) -> FloatArray:
 def _estimate(sequence: CornerSequence, models: RankedModels) -> FloatArray:
     """Disagreement of the best model with its rivals at all cells of the sequence, at least its median."""
     best = sequence.predicted(models.best)
-    apart = np.max([np.abs(best - sequence.predicted(rival)).max(axis=-1) for rival in models.rivals], axis=0)
-    return np.asarray(np.maximum(apart, np.median(apart)), dtype=np.float64)
+    difference = np.max([np.abs(best - sequence.predicted(rival)).max(axis=-1) for rival in models.rivals], axis=0)
+    return np.asarray(np.maximum(difference, np.median(difference)), dtype=np.float64)
 
 
 def _next_batch(
     sequence: CornerSequence, cells: _SolvedCells, estimate: FloatArray, count: int
 ) -> tuple[IndexArray, IndexArray]:
-    """The next cells of the sequence, and as many with the largest estimates that are not near each other."""
+    """The next cells of the sequence, and equally many of largest estimate, at least ``APART`` from each other."""
     free = np.ones(estimate.size, dtype=bool)
     free[cells.taken] = False
     even = np.flatnonzero(free)[: count - count // 2]

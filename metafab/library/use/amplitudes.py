@@ -1,4 +1,4 @@
-"""Transmission between the half spaces: power transmittance, amplitudes normalised to power, turned pillars."""
+"""Power transmittance, amplitudes normalised to power, and Jones matrices of rotated pillars."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ def power_amplitudes(library: Library, width_nm: FloatArray, length_nm: FloatArr
 
 
 def turned_jones(amplitudes: ComplexArray, angle_deg: FloatArray) -> ComplexArray:
-    """Return the Jones matrices R(-a) diag(a_x, a_y) R(a) of pillars turned counter-clockwise by an angle a.
+    """Return the Jones matrices R(-a) diag(a_x, a_y) R(a) of pillars rotated counter-clockwise by an angle a.
 
-    The lattice of the library's pillars would turn with them, while that of a mask does not: this is the local-period
-    approximation, applied to the angle.
+    This rotates the library's lattice too, while the lattice of a mask does not rotate: an additional approximation
+    beyond the local period.
 
     Args:
         amplitudes: shape (..., 2), of the upright pillar for x and y polarisation.

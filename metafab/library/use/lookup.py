@@ -1,9 +1,10 @@
 """Sizes for target phases by the largest field overlap, precomputed over the (phi_x, phi_y) torus.
 
-The overlap of a size with a pair of target phases is Re(t_x e^{-i phi_x}) + Re(t_y e^{-i phi_y}). It weighs phase error
-and transmittance together, as the focus does. It is the inner product u.q of u = (Re t_x, Im t_x, Re t_y, Im t_y) and
-q = (cos phi_x, sin phi_x, cos phi_y, sin phi_y). Because |q|^2 = 2 for every target, the largest inner product is the
-nearest neighbour once u has the fifth coordinate sqrt(max|u|^2 - |u|^2). One k-d tree fills the table.
+The overlap of a size with a pair of target phases is Re(t_x e^{-i phi_x}) + Re(t_y e^{-i phi_y}). It combines phase
+error and transmittance, as the field at the focus does. It is the inner product u.q of two vectors, u = (Re t_x,
+Im t_x, Re t_y, Im t_y) and q = (cos phi_x, sin phi_x, cos phi_y, sin phi_y). Because |q|^2 = 2 for every target, the
+largest inner product is the nearest neighbour once u has the fifth coordinate sqrt(max|u|^2 - |u|^2). One k-d tree
+fills the table.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from metafab.library.use.amplitudes import empty_cell_t
 
 _LARGEST_INDEX = np.iinfo(np.uint16).max
 
-# Rows of the table that all threads search at once.
+#: Rows of the table per query of the k-d tree.
 _ROWS_AT_ONCE = 64
 
 
@@ -150,7 +151,7 @@ def build_size_table(
         min_feature_nm: smallest width and length.
         cells: cells of the table along each phase, a power of two; 512 is a step of 0.012 rad.
         cd_sigma_nm: standard deviation of a bias that fabrication adds to width and length alike. The overlap is then
-            its expectation under such a bias: t is damped by exp(-(cd_sigma d phi/d bias)^2 / 2), which favours sizes
+            its expectation over the bias: t is damped by exp(-(cd_sigma d phi/d bias)^2 / 2), which favours sizes
             whose phase changes slowly. 0 maps to the nominal field.
         max_error: largest error bound of an admitted size.
         isotropic: admit only sizes whose response is equal for both polarisations by symmetry
@@ -213,7 +214,7 @@ def isotropic_sizes(library: Library) -> NDArray[np.bool_]:
     unit_cell = library.unit_cell
     if not is_square(unit_cell):
         expected = "a square lattice on an isotropic substrate, unchanged by a quarter turn"
-        raise InputError.single("library", "cell.period_nm", expected, "one that tells x from y")
+        raise InputError.single("library", "cell.period_nm", expected, "different responses along x and y")
     square = np.abs(library.length_nm[:, None] - library.width_nm[None, :]) < 1e-6
     return np.ones_like(square) if unit_cell.cell.shape == "cross" else square
 
@@ -267,8 +268,8 @@ def _admitted(
     if not 0 < row.size <= _LARGEST_INDEX:
         got = (
             f"{row.size} of {usable.size} sizes within widths {min_feature_nm:g} to {max_width_nm:g} nm and lengths "
-            f"{min_feature_nm:g} to {max_length_nm:g} nm, {int(np.count_nonzero(usable))} of all being known and "
-            "symmetric enough"
+            f"{min_feature_nm:g} to {max_length_nm:g} nm; {int(np.count_nonzero(usable))} sizes meet the limits "
+            "on error and symmetry"
         )
         remedy = "relax the rules or rebuild the library" if row.size == 0 else "use a coarser `sweep.size_grid_nm`"
         raise InputError.single("library", "sweep", f"1 to {_LARGEST_INDEX} sizes that the rules allow", got, remedy)

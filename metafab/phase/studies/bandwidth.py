@@ -1,9 +1,9 @@
-"""Loss of depth information behind a colour filter: the split carrier is a grating and spreads colours along x.
+"""Loss of depth information behind a colour filter: the split carrier is a grating, which disperses along x.
 
-The carrier sends the wavelength lambda to sin(theta) lambda / lambda_0, so the two polarisations are smeared along the
-split, in opposite senses. The lens is diffractive, too: its power is proportional to the wavelength, which turns the
-lobe. The pair stays conjugate, but its phase, which carries the depth, is washed out. A wider filter passes more light;
-the best width balances the two.
+The carrier deflects the wavelength lambda to sin(theta) lambda / lambda_0, which smears the images of the two
+polarisations along the split in opposite directions. The lens is diffractive too: its power is proportional to the
+wavelength, which rotates the lobe. The transfer functions of the pair stay conjugate, but their phase, which carries
+the depth, averages out. A wider filter passes more light; the best width balances the two effects.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from metafab.information.twin_images import conjugate_information
 from metafab.phase.optimise.blind import BlindInformation
 from metafab.phase.pupil import Pupil, rim_defocus_per_dioptre_rad
 
-#: Compared widths of the filter, over the chosen one; and angles of the split, over the design's.
+#: Compared widths of the filter relative to the chosen one, and angles of the split relative to the design's.
 _WIDTHS = np.geomspace(1.0 / 16.0, 2.0, 11)
 _ANGLES = np.array([0.25, 0.5, 1.0])
 _AZIMUTH_STEP_DEG = 30.0
@@ -31,7 +31,8 @@ _AZIMUTH_STEP_DEG = 30.0
 def smear_um_per_nm(sensor_distance_um: float, angle_deg: float, wavelength_um: float) -> float:
     """Shift of an image along the split per nanometre of wavelength (3.8 um for the paper's lens).
 
-    The image is at z tan(theta) with sin(theta) in proportion to the wavelength: z tan(theta) / cos^2(theta) / lambda.
+    The image is at z tan(theta) with sin(theta) proportional to lambda: the derivative is z tan(theta) / cos^2(theta) /
+    lambda.
     """
     angle = math.radians(angle_deg)
     return sensor_distance_um * math.tan(angle) / math.cos(angle) ** 2 / (1e3 * wavelength_um)
@@ -109,10 +110,10 @@ class SplitImaging:
             (n_split,), 1/rad^2.
         """
         smears = [smear_um_per_nm(self.sensor_distance_um, angle, self.wavelength_um) for angle, _ in splits]
-        # A longer wavelength is focused nearer: the power 1 / f grows by d lambda / lambda.
+        # A longer wavelength has a shorter focal length: the power 1 / f grows by d lambda / lambda.
         per_dioptre = rim_defocus_per_dioptre_rad(0.5 * self.aperture_um, self.wavelength_um)
         power_rad = -per_dioptre * 1e3 / self.focal_length_mm / (1e3 * self.wavelength_um)
-        # Wavelengths for the fastest beat: half a turn a Nyquist pixel of smear, and the turning of the lobe.
+        # Quadrature nodes from the largest phase range: half a cycle per Nyquist pixel of smear, plus the defocus.
         beats = max(smears) * fwhm_nm / self.nyquist_um + abs(power_rad) * fwhm_nm / math.pi
         nodes, shares = np.polynomial.legendre.leggauss(6 + math.ceil(2.0 * beats))
         frequency = np.fft.fftfreq(2 * self.pupil.samples)
@@ -127,9 +128,9 @@ class SplitImaging:
                 shift = 2j * np.pi * smear * detuning_nm / self.nyquist_um
                 azimuth = math.radians(azimuth_deg)
                 along_y, along_x = (np.exp(shift * part * frequency) for part in (math.sin(azimuth), math.cos(azimuth)))
-                turn = np.outer(along_y, along_x)
-                transfer[row] += 0.5 * share * turn * at_wavelength
-                slope[row] += 0.5 * share * turn * slope_at_wavelength
+                phasor = np.outer(along_y, along_x)
+                transfer[row] += 0.5 * share * phasor * at_wavelength
+                slope[row] += 0.5 * share * phasor * slope_at_wavelength
         return self._mean(transfer, slope, 1.0), self._mean(transfer, slope, fwhm_nm / self.reference_fwhm_nm)
 
     def _mean(self, transfer: ComplexArray, slope: ComplexArray, light: float) -> FloatArray:
@@ -184,8 +185,8 @@ class BandwidthBudget:
         dispersion_um_per_nm: shift of an image along the split per nanometre.
         smear_um: spread of a point along the split.
         kept: information over that of one wavelength with the same electrons.
-        remedies: effective changes, the most effective first. The diffraction order of the carrier is none: at one
-            angle every order has the dispersion tan(theta) / lambda of the grating equation.
+        remedies: effective changes, the most effective first. Another diffraction order of the carrier is no remedy:
+            at a given angle every order has the dispersion tan(theta) / lambda of the grating equation.
         tradeoff: widths against angles; errors are over those of one wavelength with the chosen filter's electrons.
         azimuth_deg: shape (n_azimuth,), directions of the split relative to the mask; 180 swaps the polarisations.
         kept_by_azimuth: shape (n_azimuth,), information kept at the chosen width and angle.
@@ -216,17 +217,17 @@ def bandwidth_budget(imaging: SplitImaging, angle_deg: float) -> BandwidthBudget
     kept = float(tradeoff.kept[-1, chosen])
     azimuth = np.arange(0.0, 360.0, _AZIMUTH_STEP_DEG)
     by_azimuth = imaging.filtered(width, [(angle_deg, float(a)) for a in azimuth])[0] / imaging.one_wavelength
-    turned = int(np.argmax(by_azimuth))
+    best_azimuth = int(np.argmax(by_azimuth))
 
     def remedy(change: str, row: int, column: int) -> Remedy:
         error = tradeoff.relative_error
         return Remedy(change, float(tradeoff.kept[row, column]), float(error[row, column] / error[-1, chosen]))
 
-    turned_text = f"the split turned by {azimuth[turned]:.0f} degrees against the mask"
+    rotation = f"the split turned by {azimuth[best_azimuth]:.0f} degrees against the mask"
     remedies = [
         remedy(f"a filter of {widths[best]:.3g} nm", -1, best),
         *(remedy(f"a split of {a:.3g} degrees", row, chosen) for row, a in enumerate(tradeoff.angle_deg[:-1])),
-        Remedy(turned_text, float(by_azimuth[turned]), math.sqrt(kept / float(by_azimuth[turned]))),
+        Remedy(rotation, float(by_azimuth[best_azimuth]), math.sqrt(kept / float(by_azimuth[best_azimuth]))),
     ]
     effective = [item for item in remedies if item.depth_error_factor < 1.0]
     return BandwidthBudget(

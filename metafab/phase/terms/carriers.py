@@ -1,7 +1,7 @@
 """Terms that deflect or focus light: lens, split lens, grating, axicon.
 
-Each difference of a root and its value on the axis is written as a quotient, sqrt(a + b^2) - b = a / (sqrt(a + b^2) +
-b), which loses no digits near the axis.
+A root less its value on the axis is computed as sqrt(a + b^2) - b = a / (sqrt(a + b^2) + b), without cancellation near
+the axis.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from metafab.phase.terms.profile import PhaseProfile, PolarisedTerm
 
 @dataclass(frozen=True)
 class LensPhase(PolarisedTerm):
-    """A hyperbolic lens on the axis: -k (sqrt(r^2 + s^2) - s), plus that term of the object's distance if it is finite.
+    """On-axis hyperbolic lens: -k (sqrt(r^2 + s^2) - s), plus the same term with the object distance if that is finite.
 
     Attributes:
         wavelength_um: vacuum wavelength.
@@ -65,7 +65,7 @@ class SplitLensPhase(PolarisedTerm):
 def path_um(
     image_um: float, object_um: float, sine_x: float, sine_y: float, x_um: FloatArray, y_um: FloatArray
 ) -> FloatArray:
-    """Return the path from an object on the axis over each lens point to its image, less that through the centre.
+    """Return the path from an on-axis object through each lens point to its image, less the path through the centre.
 
     Args:
         image_um: distance of the image from the lens' centre.
@@ -115,7 +115,7 @@ class GratingPhase(PolarisedTerm):
 
 @dataclass(frozen=True)
 class AxiconPhase(PolarisedTerm):
-    """A cone of light at ``angle_deg`` to the axis, towards the axis for a positive angle.
+    """Axicon: deflects light by ``angle_deg``, towards the axis for a positive angle.
 
     Attributes:
         wavelength_um: vacuum wavelength.

@@ -84,7 +84,7 @@ def largest_eigenvalue(eps_pillar: complex, eps_around: complex) -> float:
     return max(map(abs, eps)) if dielectric else float("inf")
 
 
-def inverse_rule(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
+def inverse_rule(overlap: Matrix, eps_pillar: complex, eps_around: complex) -> Matrix:
     """Permittivity for a field normal to the walls, by Li's inverse rule.
 
     Args:
