@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from metafab.camera.frames.frame import RawFrame, Truth
-from metafab.decode.image import Image4D, SegmentFigures
+from metafab.core.figures import PhaseFigures, SegmentFigures
+from metafab.decode.image import Image4D
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.library import Library
 from metafab.optics.point_spread import Psf, PsfField
@@ -17,7 +18,6 @@ from metafab.steps.images import DecodeFigures
 from metafab.steps.layout import DrcFigures, FileFigures, LayoutFigures
 from metafab.steps.library import LibraryFigures
 from metafab.steps.optics import PsfFigures
-from metafab.steps.phase import PhaseFigures
 from metafab.steps.summary import RunSummary, SkippedStep, error_budget
 
 DEPTHS_M = np.linspace(0.25, 0.35, 9)

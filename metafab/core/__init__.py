@@ -4,6 +4,7 @@
 - ``polarisation`` six states of polarisation, Stokes vectors
 - ``errors``       faults, errors and their exit codes
 - ``further``      names that a face offers without listing them
+- ``figures``      figures of the rooms that ``summary.json`` and their files hold
 - ``numeric``      compilation by numba, and numerics that several rooms share
 - ``parallel``     executors, worker processes, interrupts, progress, cost of a block
 - ``storage``      atomic files, HDF5, pictures, fingerprints

@@ -5,7 +5,7 @@
 - ``segmentation/``  connected segments of one plane, with the depth of each: CostVolume -> Regions
 - ``images/``        Wiener deconvolution and contrast; the parts put together: -> Image4D
 - ``confidence``     the definition of a depth's confidence
-- ``image``          Image4D, and the figures of its segments and of the decoding
+- ``image``          Image4D, and its arrays by name
 - ``decoder``        ``decode`` for one frame, ``Decoder`` for many of one shape
 - ``stokes``         depth and Stokes vectors from six images: StokesFrame and StokesPsf -> StokesImage
 - ``film/``          change detection and tracking: a decoder of films that decodes only what changed
@@ -14,12 +14,13 @@
 - ``store``          Image4D <-> decoded.h5
 """
 
+from metafab.core.figures import SegmentFigures
 from metafab.decode.camera_fit.pinhole import NOT_SEPARATED, CameraFit, calibrate, read_depths
 from metafab.decode.decoder import Decoder, DecoderNumerics, decode
 from metafab.decode.evaluation.bound import DepthBound
 from metafab.decode.evaluation.metrics import object_errors
 from metafab.decode.film.video import VideoDecoder
-from metafab.decode.image import Image4D, SegmentFigures
+from metafab.decode.image import Image4D
 from metafab.decode.segmentation.prepared_frame import NO_LIGHT
 from metafab.decode.store import load, save
 

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import plain, untimed
-from metafab.decode.image import DecodeFigures, Image4D, SegmentFigures
+from metafab.core.storage.tables import applicable
+from metafab.decode.image import Image4D
 
 DECODED_KIND = "metafab decoded image"
 DECODED_FORMAT = 1
@@ -43,7 +45,7 @@ def save(image: Image4D, path: Path, *, inputs_sha256: str = "") -> None:
         file.attrs["origin_um"] = image.origin_um
         file.attrs["pixel_um"] = image.pixel_um
         file.attrs["segments"] = json.dumps(plain(image.segments))
-        file.attrs["details"] = json.dumps(plain(untimed(image.figures.known())))
+        file.attrs["details"] = json.dumps(plain(untimed(applicable(image.figures))))
         if image.nmae is not None:
             file.attrs["nmae"] = image.nmae
 
@@ -72,7 +74,9 @@ def load(path: Path | str) -> Image4D:
             arrays.get("depth_pixel_m"),
             arrays.get("contrast_error"),
             None if nmae is None else float(nmae),
-            DecodeFigures(**{item.name: figures[item.name] for item in fields(DecodeFigures) if item.name in figures}),
+            DecodingFigures(
+                **{item.name: figures[item.name] for item in fields(DecodingFigures) if item.name in figures}
+            ),
         )
 
 

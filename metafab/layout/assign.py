@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.figures import MappingFigures
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import plain
 from metafab.layout.aperture import Aperture
-from metafab.layout.figures import MappingFigures, TileSums
+from metafab.layout.figures import TileSums
 from metafab.layout.gap_rule import allowed_sizes, joint_sizes
 from metafab.layout.geometry import tile_sites
 from metafab.layout.mapping import TileMapping

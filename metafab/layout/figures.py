@@ -11,38 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray, power_transmittance
+from metafab.core.figures import MappingFigures
 from metafab.core.numeric.compiled import compiled
 from metafab.layout.pillars import SizeIndexArray
 from metafab.library import Library, SizeTable
-
-
-@dataclass(frozen=True)
-class MappingFigures:
-    """How well the pillars of a lens follow the target phases; the fields in ``_x``, ``_y`` are of one polarisation.
-
-    Attributes:
-        pillars: number of pillars.
-        distinct_sizes: number of different sizes among them.
-        min_gap_nm: smallest gap between neighbours; None for a single pillar.
-        phase_rms_error_rad: rms over both polarisations, after the constant phases of the mapping.
-        mean_transmittance: power transmittance, mean over pillars and polarisations.
-        field_overlap: |<target, t>|^2 / (<target, target> <t, t>), mean of both polarisations.
-        efficiency: transmittance times overlap, the share of power in the wanted wave, mean of both polarisations.
-    """
-
-    pillars: int
-    distinct_sizes: int
-    min_gap_nm: float | None
-    phase_rms_error_rad: float
-    mean_transmittance: float
-    mean_transmittance_x: float
-    mean_transmittance_y: float
-    field_overlap: float
-    field_overlap_x: float
-    field_overlap_y: float
-    efficiency: float
-    efficiency_x: float
-    efficiency_y: float
 
 
 @dataclass(frozen=True)

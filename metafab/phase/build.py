@@ -9,8 +9,10 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray, image_distance_mm
 from metafab.core.errors import Fault, InputError
+from metafab.core.figures import PhaseFigures
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.pictures import read_grey
+from metafab.core.storage.tables import applicable
 from metafab.information.texture import Texture
 from metafab.phase.optimise.blind import BlindInformation, optimise_blind
 from metafab.phase.optimise.peak import PeakDesign, optimise_peak
@@ -20,7 +22,7 @@ from metafab.phase.pupil import Pupil, phasor, pupil_field, rim_defocus_rad
 from metafab.phase.terms.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.terms.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase, spiral_field
 from metafab.phase.terms.hologram import ImagePlane, design_hologram
-from metafab.phase.terms.profile import PhaseFigures, PhaseProfile, Term
+from metafab.phase.terms.profile import PhaseProfile, Term
 from metafab.phase.terms.sampled import SampledPhase, load_array
 from metafab.phase.terms.zernike import ZernikePhase
 from metafab.spec import terms as spec
@@ -63,7 +65,7 @@ def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
         else:
             term, added = _plain_term(design, spec_term), PhaseFigures()
         terms.append(term)
-        figures = replace(figures, **added.applicable())
+        figures = replace(figures, **applicable(added))
     return PhaseProfile(tuple(terms), figures)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from metafab.core.conventions import POLARISATIONS, FloatArray, wrap_phase
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import fingerprint
+from metafab.core.storage.tables import applicable
 from metafab.phase.terms.carriers import without_carriers
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
@@ -44,7 +45,7 @@ def save(profile: PhaseProfile, design: Design, path: Path, *, samples: int = 40
                 dims=("polarisation", "y_um", "x_um"),
                 compress=True,
             )
-        for name, value in profile.figures.applicable().items():
+        for name, value in applicable(profile.figures).items():
             file.attrs[name] = value
 
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
+from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.parallel.progress import Progress, silent
-from metafab.core.storage.files import HDF5_SUFFIXES, file_sha256, fingerprint, plain
-from metafab.core.storage.tables import optional, typed
+from metafab.core.storage.files import HDF5_SUFFIXES, file_sha256, fingerprint
 from metafab.spec import Scene
 from metafab.spec.fields import LARGEST
 from metafab.steps.job import Job, Step, in_folder, no_images
@@ -37,23 +37,8 @@ class CaptureFigures:
 
 
 @dataclass(frozen=True)
-class SegmentRow:
-    """Fields of :class:`metafab.decode.image.SegmentFigures`, whose room a current run does not import."""
-
-    number: int
-    pixels: int
-    depth_m: float
-    slope_x_per_m: float
-    slope_y_per_m: float
-    error_m: float
-    contrast: float
-    contrast_error: float
-    correlation: float
-
-
-@dataclass(frozen=True)
-class DecodeFigures:
-    """Fields of :class:`metafab.decode.image.DecodeFigures`, whose room a current run does not import.
+class DepthFigures:
+    """Error of the decoded depth, and the decoded segments.
 
     Attributes:
         nmae: mean |depth error| / depth over pixels, with the depths of their segments; None without truth.
@@ -61,34 +46,17 @@ class DecodeFigures:
     """
 
     nmae: float | None
-    segments: tuple[SegmentRow, ...]
-    reason: str | None = optional()
-    warning: str | None = optional()
-    layers: float | None = optional()
-    basis_images: float | None = optional()
-    step_px: float | None = optional()
-    pixels: float | None = optional()
-    pixels_without_signal: float | None = optional()
-    pixels_without_texture: float | None = optional()
-    pixels_broken: float | None = optional()
-    contrast_standard_error: float | None = optional()
-    twin_mismatch: float | None = optional()
-    seconds: float | None = optional()
-    share_decoded: float | None = optional()
-    nmae_pixel: float | None = optional()
-    psnr_x_db: float | None = optional()
-    ssim_x: float | None = optional()
-    psnr_y_db: float | None = optional()
-    ssim_y: float | None = optional()
-    object_error: float | None = optional()
-    worst_object_error: float | None = optional()
-    contrast_error: float | None = optional()
-    changed_share: float | None = optional()
+    segments: tuple[SegmentFigures, ...]
+
+
+@dataclass(frozen=True)
+class DecodeFigures(DecodingFigures, DepthFigures):
+    """All figures of a decoded image; those of depth come first, as dataclass fields start with the last base."""
 
     @classmethod
     def of(cls, image: Image4D) -> DecodeFigures:
         """Figures of a decoded image."""
-        return typed(cls, {"nmae": image.nmae, "segments": plain(image.segments), **image.figures.known()})
+        return cls(image.nmae, image.segments, **vars(image.figures))
 
 
 @dataclass(frozen=True)

@@ -6,28 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from metafab.core.errors import InputError
+from metafab.core.figures import MappingFigures
 from metafab.core.storage.tables import optional, typed
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.library import open_library
-
-
-@dataclass(frozen=True)
-class PillarFigures:
-    """Fields of :class:`metafab.layout.figures.MappingFigures`, whose room a current run does not import."""
-
-    pillars: int
-    distinct_sizes: int
-    min_gap_nm: float | None
-    phase_rms_error_rad: float
-    mean_transmittance: float
-    mean_transmittance_x: float
-    mean_transmittance_y: float
-    field_overlap: float
-    field_overlap_x: float
-    field_overlap_y: float
-    efficiency: float
-    efficiency_x: float
-    efficiency_y: float
 
 
 @dataclass(frozen=True)
@@ -44,7 +26,7 @@ class FileFigures:
 
 
 @dataclass(frozen=True)
-class LayoutFigures(PillarFigures):
+class LayoutFigures(MappingFigures):
     """Figures of the mapping and of the written mask files.
 
     Attributes:
@@ -56,7 +38,7 @@ class LayoutFigures(PillarFigures):
 
     offsets_rad: tuple[float, ...]
     files: tuple[FileFigures, ...]
-    gap_rule_each: PillarFigures | None = optional()
+    gap_rule_each: MappingFigures | None = optional()
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from metafab.core.conventions import FloatArray
-from metafab.core.storage.files import file_sha256, plain, write_json
+from metafab.core.figures import Loss, Wavefront
+from metafab.core.storage.files import file_sha256, write_json
 from metafab.core.storage.tables import typed
 from metafab.spec.design import Measured
 from metafab.steps.job import Job, Step, in_folder, no_mask
@@ -41,25 +42,6 @@ class ModulationFigures:
 
 
 @dataclass(frozen=True)
-class WavefrontFigures:
-    """Fields of :class:`metafab.optics.measures.chain.Wavefront`, whose room a current run does not import."""
-
-    overlap: tuple[float, ...]
-    error: tuple[float, ...]
-    best_overlap: tuple[float, ...]
-    filled: float
-    sites: int
-
-
-@dataclass(frozen=True)
-class LossFigures:
-    """Fields of :class:`metafab.optics.measures.chain.Loss`, whose room a current run does not import."""
-
-    stage: str
-    factor: tuple[float, ...] | None
-
-
-@dataclass(frozen=True)
 class LossChainFigures:
     """Factors between the light at the aperture and the light through the pinhole.
 
@@ -71,8 +53,8 @@ class LossChainFigures:
     """
 
     depth_m: float
-    wavefront: WavefrontFigures
-    losses: tuple[LossFigures, ...]
+    wavefront: Wavefront
+    losses: tuple[Loss, ...]
     efficiency: tuple[float, ...]
 
 
@@ -236,8 +218,8 @@ def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_pa
     losses = loss_chain(front, transmitted, passed[:, depth], ideal_passed[:, depth], kept, stopped)
     table = {
         "depth_m": written.depth_m[depth],
-        "wavefront": plain(front),
-        "losses": plain(losses),
+        "wavefront": front,
+        "losses": losses,
         "efficiency": passed[:, depth] * (1.0 if kept is None else kept),
     }
     return typed(LossChainFigures, table)

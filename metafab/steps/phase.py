@@ -5,39 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from metafab.core.figures import PhaseFigures, Remedy
 from metafab.core.storage.files import fingerprint
-from metafab.core.storage.tables import optional, typed
+from metafab.core.storage.tables import optional
 from metafab.spec import Design
 from metafab.steps.job import Job, Step, in_folder
-
-
-@dataclass(frozen=True)
-class PhaseFigures:
-    """Fields of :class:`metafab.phase.terms.profile.PhaseFigures`, whose room a current run does not import."""
-
-    peak_gain: float | None = optional()
-    worst_gain: float | None = optional()
-    peak_mean: float | None = optional()
-    target_reached: float | None = optional()
-    target_bound: float | None = optional()
-    bound_fraction: float | None = optional()
-    side_lobe: float | None = optional()
-    side_lobe_without_limit: float | None = optional()
-    blind_information_gain: float | None = optional()
-    rotation_deg: float | None = optional()
-    rotation_deg_per_dioptre: float | None = optional()
-    rotation_deg_per_dioptre_theory: float | None = optional()
-    hologram_efficiency: float | None = optional()
-    hologram_correlation: float | None = optional()
-
-
-@dataclass(frozen=True)
-class RemedyFigures:
-    """Fields of :class:`metafab.phase.studies.bandwidth.Remedy`, whose room a current run does not import."""
-
-    change: str
-    information_kept: float
-    depth_error_factor: float
 
 
 @dataclass(frozen=True)
@@ -58,7 +30,7 @@ class FilterFigures:
     smear_um: float
     information_kept: float
     depth_error_factor: float
-    remedies: tuple[RemedyFigures, ...]
+    remedies: tuple[Remedy, ...]
 
 
 @dataclass(frozen=True)
@@ -76,7 +48,7 @@ def _phase(job: Job) -> PhaseFigures:
     from metafab import phase
 
     phase.save(job.profile, job.design, job.folder / "phase.h5")
-    return typed(PhaseFigures, job.profile.figures.applicable())
+    return job.profile.figures
 
 
 def _study_inputs(design: Design) -> tuple[Any, ...]:
@@ -100,7 +72,7 @@ def _study(job: Job) -> StudyFigures:
             smear_um=budget.smear_um,
             information_kept=budget.kept,
             depth_error_factor=budget.depth_error_factor,
-            remedies=tuple(RemedyFigures(**vars(remedy)) for remedy in budget.remedies),
+            remedies=budget.remedies,
         )
     )
 

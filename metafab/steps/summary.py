@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from metafab.core.figures import PhaseFigures, ToleranceTable
 from metafab.core.storage.files import plain, write_json
 from metafab.core.storage.tables import DAMAGED, typed
 from metafab.steps.images import CaptureFigures, DecodeFigures
@@ -14,8 +15,7 @@ from metafab.steps.layout import DrcFigures, LayoutFigures
 from metafab.steps.library import LibraryFigures
 from metafab.steps.merit import CouplingFigures, MeritFigures
 from metafab.steps.optics import PsfFigures
-from metafab.steps.phase import PhaseFigures, StudyFigures
-from metafab.steps.tolerance import ToleranceFigures
+from metafab.steps.phase import StudyFigures
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class RunSummary:
     drc: DrcFigures | None = None
     psf: PsfFigures | None = None
     merit: MeritFigures | None = None
-    tolerance: ToleranceFigures | None = None
+    tolerance: ToleranceTable | None = None
     capture: CaptureFigures | None = None
     decode: DecodeFigures | None = None
     seconds: dict[str, float] = field(default_factory=dict)

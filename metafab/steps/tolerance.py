@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from metafab.core.storage.files import file_sha256, plain
-from metafab.core.storage.tables import typed
+from metafab.core.figures import ToleranceTable
+from metafab.core.storage.files import file_sha256
 from metafab.spec import Design
 from metafab.spec.design import Tolerances
 from metafab.steps.job import Job, Step, in_folder, no_mask
@@ -15,52 +13,7 @@ from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
 from metafab.steps.optics import filter_fwhm_nm, mask_source
 
-if TYPE_CHECKING:
-    from metafab.tolerance import ToleranceTable
-
 FILE = "tolerance.json"
-
-
-@dataclass(frozen=True)
-class CornerFigures:
-    """Fields of :class:`metafab.tolerance.ToleranceRow`, whose room a current run does not import."""
-
-    corner: str
-    change: float
-    peak_ratio: float
-    efficiency: float
-    efficiency_change: float
-    extinction_ratio: float
-    turn_deg: float
-    depth_error_m: float
-    relative_error: float
-    draws: int
-    solved: int
-    below_error: bool
-
-
-@dataclass(frozen=True)
-class ToleranceFigures:
-    """All fabrication corners of a mask.
-
-    Attributes:
-        depth_m: object depths.
-        error: relative L2 error of the PSFs; smaller changes are not significant.
-        block_sites: lattice sites along the side of a block of the pupil.
-        nominal: the nominal mask.
-        rows: the corners.
-    """
-
-    depth_m: tuple[float, ...]
-    error: float
-    block_sites: int
-    nominal: CornerFigures
-    rows: tuple[CornerFigures, ...]
-
-    @classmethod
-    def of(cls, table: ToleranceTable) -> ToleranceFigures:
-        """Figures of a table of corners."""
-        return typed(cls, plain(table))
 
 
 def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
@@ -81,7 +34,7 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
     )
 
 
-def recorded_tolerance(job: Job) -> ToleranceFigures | None:
+def recorded_tolerance(job: Job) -> ToleranceTable | None:
     """Figures that ``metafab tolerance`` stored for a mask of this run; None if there are none."""
     if not (job.folder / FILE).is_file():
         return None
@@ -91,16 +44,16 @@ def recorded_tolerance(job: Job) -> ToleranceFigures | None:
     stored = tolerance.load_tolerance(job.folder / FILE)
     if stored is None or all(file_sha256(path) != stored[1] for path in reversed(mask_paths(job))):
         return None
-    return ToleranceFigures.of(stored[0])
+    return stored[0]
 
 
-def _tolerance(job: Job) -> ToleranceFigures:
+def _tolerance(job: Job) -> ToleranceTable:
     from metafab import tolerance
 
     path = mask_paths(job)[-1]
     table = tolerances(job, path)
     tolerance.save_tolerance(table, job.folder / FILE, mask_sha256=file_sha256(path))
-    return ToleranceFigures.of(table)
+    return table
 
 
 def _not_requested(design: Design) -> str | None:
@@ -116,6 +69,6 @@ TOLERANCE = Step(
     inputs=lambda d: (d.tolerance, d.sensor, d.verify, d.optics, d.mask.write_field_um),
     outputs=in_folder(FILE),
     work=_tolerance,
-    figures=ToleranceFigures,
+    figures=ToleranceTable,
     not_needed=_not_requested,
 )

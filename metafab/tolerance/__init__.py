@@ -3,21 +3,16 @@
 - ``corners``  amplitudes of a mask with another height, index, sidewall or bias, from a few solved cells
 - ``scatter``  random faults of block sums: misplaced and missing pillars, stitched write fields
 - ``study``    :func:`tolerance_table`: all corners and faults against the nominal mask, decoded depth included
-- ``table``    the result, and ``tolerance.json``
+- ``table``    file of the result, ``tolerance.json``
 
 In: a :class:`~metafab.optics.WrittenField` with its library, an :class:`~metafab.optics.Imaging` and the tolerances of
 a design. Out: a :class:`ToleranceTable`.
 """
 
+from metafab.core.figures import ToleranceRow, ToleranceTable
 from metafab.tolerance.corners import CornerField, corner_fields
 from metafab.tolerance.study import tolerance_table
-from metafab.tolerance.table import (
-    ToleranceRow,
-    ToleranceTable,
-    load_tolerance,
-    save_tolerance,
-    tolerance_figures,
-)
+from metafab.tolerance.table import load_tolerance, save_tolerance
 
 __all__ = [
     "CornerField",
@@ -26,6 +21,5 @@ __all__ = [
     "corner_fields",
     "load_tolerance",
     "save_tolerance",
-    "tolerance_figures",
     "tolerance_table",
 ]

@@ -18,6 +18,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.figures import ToleranceRow, ToleranceTable
 from metafab.core.numeric.peaks import parabolic_maximum
 from metafab.core.numeric.splines import spline_weights
 from metafab.core.parallel.work import Work
@@ -34,7 +35,6 @@ from metafab.optics.sources.source import Source, WrittenField
 from metafab.spec.design import Tolerances
 from metafab.tolerance.corners import corner_fields
 from metafab.tolerance.scatter import Fault, Misplaced, Missing, Stitched
-from metafab.tolerance.table import ToleranceRow, ToleranceTable
 
 #: Trial depths of the decoder: their margin beyond the table's depths, as a share of the range of vergence, and their
 #: number per depth of the calibration.
@@ -293,7 +293,7 @@ def tolerance_table(
             work.progress("tolerance", done + 1, len(corners))
         rows += [_fault_row(fault, reference, optics, pupils, written, tolerances.draws) for fault in faults]
     nominal = reference.row("nominal", [reference.nominal], 0.0)
-    return ToleranceTable(nominal, tuple(rows), np.array(optics.depths_m), error, block)
+    return ToleranceTable(np.array(optics.depths_m), error, block, nominal, tuple(rows))
 
 
 def _deviations(tolerances: Tolerances) -> dict[str, float]:

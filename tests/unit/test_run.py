@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from metafab.core.errors import InputError
+from metafab.core.figures import PhaseFigures
 from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import contents_sha256
 from metafab.run import REPORT, STEPS, Record, ReportFigures, run
@@ -23,7 +24,6 @@ from metafab.steps import RESULT_STEPS
 from metafab.steps.images import CaptureFigures
 from metafab.steps.job import Job, Step
 from metafab.steps.layout import DrcFigures
-from metafab.steps.phase import PhaseFigures
 from metafab.steps.preflight import PREFLIGHT, PreflightFigures
 from metafab.steps.summary import RunSummary, SkippedStep
 

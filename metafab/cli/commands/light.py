@@ -123,10 +123,10 @@ def tolerance_command(
     from metafab import tolerance
     from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import file_sha256
-    from metafab.steps.tolerance import ToleranceFigures, tolerances
+    from metafab.steps.tolerance import tolerances
 
     with open_work(workers, cluster) as work, measured() as cost:
         table = tolerances(open_job(design, None, work), layout, copy=copy)
     if output is not None:
         tolerance.save_tolerance(table, output, mask_sha256=file_sha256(layout))
-    show(ToleranceFigures.of(table), json_, seconds=cost.seconds, file=output)
+    show(table, json_, seconds=cost.seconds, file=output)

@@ -21,6 +21,11 @@ def optional() -> Any:
     return field(default=None, metadata={"optional": True})
 
 
+def applicable(figures: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass that are not None, by name."""
+    return {name: value for name, value in vars(figures).items() if value is not None}
+
+
 def typed(kind: type[Figures], table: Mapping[str, Any]) -> Figures:
     """Make a dataclass from a table written by :func:`metafab.core.storage.files.plain`; unknown keys are ignored.
 

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
+from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import confidence
-from metafab.decode.image import DecodeFigures, Image4D, SegmentFigures
+from metafab.decode.image import Image4D
 from metafab.decode.images.contrast import SegmentLight, pixel_contrast
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.cost_volume import CostVolume
@@ -219,7 +220,7 @@ def empty(shape: tuple[int, ...], frame: RawFrame, reason: str, grid: TwinGrid |
         frame.pixel_um,
         depth_pixel_m=unknown.copy(),
         contrast_error=unknown.copy(),
-        figures=DecodeFigures(reason=reason),
+        figures=DecodingFigures(reason=reason),
     )
 
 
@@ -250,13 +251,13 @@ def _segment_figures(
     )
 
 
-def _mismatch_figures(volume: CostVolume, prepared: PreparedFrame, regions: Regions) -> DecodeFigures:
+def _mismatch_figures(volume: CostVolume, prepared: PreparedFrame, regions: Regions) -> DecodingFigures:
     """Mismatch of the twins, and a warning where the calibration does not seem to be the camera's.
 
     The mismatch is the share of the twins' power that is neither common to both nor noise, where they agree best.
     """
     if not regions.depths:
-        return DecodeFigures(warning="the twins agree at no depth: no texture, or another camera's calibration")
+        return DecodingFigures(warning="the twins agree at no depth: no texture, or another camera's calibration")
     count = len(regions.depths)
     number = regions.label.ravel()
     pixels = np.bincount(number, minlength=count + 1)[1:]
@@ -272,9 +273,9 @@ def _mismatch_figures(volume: CostVolume, prepared: PreparedFrame, regions: Regi
     mismatch = max(0.0, float(mismatches[judged]))
     noise_share = float((power[judged] - texture[judged]) / max(float(texture[judged]), 1e-30))
     if mismatch <= _LARGEST_MISMATCH + _MISMATCH_PER_NOISE * noise_share:
-        return DecodeFigures(twin_mismatch=mismatch)
+        return DecodingFigures(twin_mismatch=mismatch)
     warning = f"the twins differ by {mismatch:.0%} of their power: is this the camera's calibration?"
-    return DecodeFigures(twin_mismatch=mismatch, warning=warning)
+    return DecodingFigures(twin_mismatch=mismatch, warning=warning)
 
 
 def power_without_noise(power: FloatArray, light: FloatArray, noise: FloatArray) -> FloatArray:

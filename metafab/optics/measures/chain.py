@@ -11,12 +11,12 @@ efficiency of the written mask, which is measured independently.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.figures import Loss, Wavefront
 from metafab.library.library import Library
 from metafab.optics.sources.source import WrittenField
 from metafab.phase.terms.profile import PhaseProfile
@@ -26,38 +26,6 @@ from metafab.spec import Device
 _MOST_SITES, _TARGETS = 3_000_000, 20_000
 #: Step of the sizes that represent continuous ones, nm.
 _FINE_NM = 0.5
-
-
-@dataclass(frozen=True)
-class Wavefront:
-    """Overlap of the field behind a mask with the target wave, for x and y polarisation.
-
-    Attributes:
-        overlap: |<a u*>|^2 / <|a|^2> over sites with a pillar.
-        error: statistical error of ``overlap``, as rows are sampled.
-        best_overlap: overlap with continuous sizes, chosen as in the mapping.
-        filled: share of the sites in the aperture that carry a pillar.
-        sites: number of sampled sites with a pillar.
-    """
-
-    overlap: tuple[float, float]
-    error: tuple[float, float]
-    best_overlap: tuple[float, float]
-    filled: float
-    sites: int
-
-
-@dataclass(frozen=True)
-class Loss:
-    """One factor of the chain.
-
-    Attributes:
-        stage: cause of the loss.
-        factor: remaining share of x and of y polarised light; None if it was not measured.
-    """
-
-    stage: str
-    factor: tuple[float, float] | None
 
 
 def wavefront(written: WrittenField, profile: PhaseProfile, device: Device, library: Library) -> Wavefront:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.figures import Remedy
 from metafab.information.texture import Texture
 from metafab.information.twin_images import conjugate_information
 from metafab.phase.optimise.blind import BlindInformation
@@ -157,22 +158,6 @@ def bandwidth_tradeoff(imaging: SplitImaging, *, fwhm_nm: ArrayLike, angle_deg: 
     kept = information[:, 0].T / imaging.one_wavelength
     error = np.sqrt(imaging.one_wavelength / information[:, 1].T)
     return BandwidthTradeoff(widths, angles, np.outer(smears, widths), kept, error)
-
-
-@dataclass(frozen=True)
-class Remedy:
-    """A change that lowers the cost of a filter.
-
-    Attributes:
-        change: description.
-        information_kept: information over that of one wavelength with the same electrons.
-        depth_error_factor: Cramer-Rao bound of depth over that of the unchanged design, with the electrons that the
-            change lets through.
-    """
-
-    change: str
-    information_kept: float
-    depth_error_factor: float
 
 
 @dataclass(frozen=True)

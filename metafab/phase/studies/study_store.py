@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from metafab.core.conventions import FloatArray
+from metafab.core.figures import Remedy
 from metafab.core.storage import hdf5
 from metafab.phase.optimise.rotation import MainLobe
-from metafab.phase.studies.bandwidth import BandwidthBudget, BandwidthTradeoff, Remedy
+from metafab.phase.studies.bandwidth import BandwidthBudget, BandwidthTradeoff
 from metafab.phase.studies.compare import DepthBounds
 from metafab.phase.studies.study import LobeOverDepth, PhaseStudy
 

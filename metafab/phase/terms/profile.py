@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
+from metafab.core.figures import PhaseFigures
 
 
 class Term(Protocol):
@@ -49,52 +50,6 @@ class PolarisedTerm(ABC):
 
 
 @dataclass(frozen=True)
-class PhaseFigures:
-    """Key figures of a profile, under the names of the summary; None where a figure does not apply.
-
-    A figure with "gain" is relative to the plain spiral of Eq. 2.
-
-    Attributes:
-        peak_gain: gain of the mean peak of the main lobe over the full turn.
-        worst_gain: gain of the smallest peak.
-        peak_mean: mean peak, Strehl ratio.
-        target_reached: mean (or, for "worst_peak", smallest) Strehl ratio at the target points.
-        target_bound: upper bound of ``target_reached`` for any mask.
-        bound_fraction: ``target_reached`` over ``target_bound``.
-        side_lobe: limited side lobe over the main lobe.
-        side_lobe_without_limit: the same ratio without a limit.
-        blind_information_gain: gain of the depth information for unknown texture.
-        rotation_deg: turn of the main lobe of PSF_x from the nearest to the farthest depth of ``[verify]``, degrees,
-            counter-clockwise, by the paraxial pupil.
-        rotation_deg_per_dioptre: slope of that turn over the vergence.
-        rotation_deg_per_dioptre_theory: the slope of the zones of the plain spiral, or the law of rotation that an
-            optimised lobe is steered by.
-        hologram_efficiency: share of the light in the picture.
-        hologram_correlation: Pearson correlation of irradiance and picture.
-    """
-
-    peak_gain: float | None = None
-    worst_gain: float | None = None
-    peak_mean: float | None = None
-    target_reached: float | None = None
-    target_bound: float | None = None
-    bound_fraction: float | None = None
-    side_lobe: float | None = None
-    side_lobe_without_limit: float | None = None
-    blind_information_gain: float | None = None
-    rotation_deg: float | None = None
-    rotation_deg_per_dioptre: float | None = None
-    rotation_deg_per_dioptre_theory: float | None = None
-    hologram_efficiency: float | None = None
-    hologram_correlation: float | None = None
-
-    def applicable(self) -> dict[str, float]:
-        """Figures that apply, by name."""
-        values = {item.name: getattr(self, item.name) for item in fields(self)}
-        return {name: value for name, value in values.items() if value is not None}
-
-
-@dataclass(frozen=True)
 class PhaseProfile:
     """The target transmission phase of both polarisations.
 
@@ -104,7 +59,7 @@ class PhaseProfile:
     """
 
     terms: tuple[Term, ...]
-    figures: PhaseFigures = PhaseFigures()
+    figures: PhaseFigures = field(default_factory=PhaseFigures)
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
         """Evaluate the phase of both polarisations on a rectangular grid.

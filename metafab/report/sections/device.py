@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from html import escape
 
+from metafab.core.figures import MappingFigures
 from metafab.fullwave import Coupling, Patch
 from metafab.report import html
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
-from metafab.steps.layout import PillarFigures
 
 
 def phases(run: RunFolder, drawn: Drawn) -> str:
@@ -98,7 +98,7 @@ def mask(run: RunFolder, drawn: Drawn) -> str:
     )
 
 
-def _mapping(figures: PillarFigures) -> dict[str, float | None]:
+def _mapping(figures: MappingFigures) -> dict[str, float | None]:
     return {
         "phase error / rad rms": figures.phase_rms_error_rad,
         "mean transmittance": figures.mean_transmittance,

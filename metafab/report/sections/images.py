@@ -6,7 +6,7 @@ from dataclasses import fields
 from html import escape
 
 from metafab.comparison import comparison_figures
-from metafab.decode.image import SegmentFigures
+from metafab.core.figures import SegmentFigures
 from metafab.report import html
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder

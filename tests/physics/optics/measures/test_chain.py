@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from metafab import layout, optics, phase
+from metafab.core.figures import Wavefront
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
 from metafab.optics import Psf, PsfNumerics, WrittenField, psf, relative_l2
 from metafab.optics.measures import metrics
-from metafab.optics.measures.chain import Wavefront, loss_chain, wavefront
+from metafab.optics.measures.chain import loss_chain, wavefront
 from metafab.spec import Design
 from tests import optics_lens as lens
 

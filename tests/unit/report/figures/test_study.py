@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from metafab.core.figures import Remedy
 from metafab.phase.optimise.rotation import MainLobe
-from metafab.phase.studies.bandwidth import BandwidthBudget, BandwidthTradeoff, Remedy
+from metafab.phase.studies.bandwidth import BandwidthBudget, BandwidthTradeoff
 from metafab.phase.studies.compare import DepthBounds
 from metafab.phase.studies.propose import Proposal
 from metafab.phase.studies.study import LobeOverDepth, PhaseStudy
@@ -19,7 +20,7 @@ from metafab.report.figures import study as figures
 from metafab.report.run_folder import RunFolder
 from metafab.report.sections.device import phases
 from metafab.report.style import panel
-from metafab.steps.phase import FilterFigures, RemedyFigures, StudyFigures
+from metafab.steps.phase import FilterFigures, StudyFigures
 from metafab.steps.summary import RunSummary
 
 DEPTH_M = np.linspace(0.25, 0.5, 6)
@@ -93,7 +94,7 @@ def test_the_filter_marks_the_design(study: PhaseStudy) -> None:
 
 
 def test_the_page_shows_what_is_there_and_no_more(study: PhaseStudy, tmp_path: Path) -> None:
-    budget = FilterFigures(10.0, 3.8, 38.0, 0.25, 2.0, (RemedyFigures("a <split>", 0.9, 0.4),))
+    budget = FilterFigures(10.0, 3.8, 38.0, 0.25, 2.0, (Remedy("a <split>", 0.9, 0.4),))
     run = RunFolder(tmp_path, RunSummary(study=StudyFigures(budget)), study=study)
     drawn = draw(run, lambda step, done, total: None)
     assert {"lobe_peak", "bounds_point", "bounds_texture", "filter", "filter_orientation"} <= drawn.keys()

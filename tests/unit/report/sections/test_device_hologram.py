@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from metafab.core.figures import PhaseFigures
 from metafab.core.parallel.progress import silent
 from metafab.library.library import Library
 from metafab.report.draw import draw
@@ -18,7 +19,6 @@ from metafab.report.sections.device import phases
 from metafab.report.sections.images import imaging
 from metafab.report.sections.overview import accounts, headlines
 from metafab.spec import load_design, write_new
-from metafab.steps.phase import PhaseFigures
 from tests.closed_form_run import closed_form_run, turning_psf
 
 

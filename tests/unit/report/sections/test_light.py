@@ -7,15 +7,16 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from metafab.core.figures import ToleranceRow, ToleranceTable
 from metafab.core.storage.tables import typed
 from metafab.report.run_folder import RunFolder
 from metafab.report.sections.light import tolerances
 from metafab.steps.summary import RunSummary
-from metafab.steps.tolerance import CornerFigures, ToleranceFigures
 
-ROW = CornerFigures(
+ROW = ToleranceRow(
     corner="cd_bias_nm -10",
     change=0.2291,
     peak_ratio=1.0,
@@ -31,11 +32,11 @@ ROW = CornerFigures(
 )
 
 
-def _page(row: CornerFigures) -> str:
-    figures = ToleranceFigures((0.25, 0.34), 1e-3, 6, ROW, (row,))
+def _page(row: ToleranceRow) -> str:
+    figures = ToleranceTable(np.array([0.25, 0.34]), 1e-3, 6, ROW, (row,))
     # Through its file and back, as the page reads it.
     table = json.loads(json.dumps(RunSummary(tolerance=figures).table()))
-    return tolerances(RunFolder(Path(), summary=RunSummary(tolerance=typed(ToleranceFigures, table["tolerance"]))))
+    return tolerances(RunFolder(Path(), summary=RunSummary(tolerance=typed(ToleranceTable, table["tolerance"]))))
 
 
 @pytest.mark.parametrize(
