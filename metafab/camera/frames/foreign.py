@@ -17,9 +17,9 @@ from metafab.optics.point_spread import Psf
 
 _COUNTED = {".tif", ".tiff", ".png", ".npy"}
 _FULL_COUNT = 2**16 - 1
-#: Number and share of pixels at exactly the largest value from which they are saturated, not bright by chance.
+#: Pixels at exactly the largest value are saturated if they exceed this number and this share of the frame.
 _PILED_UP = (50, 1e-5)
-#: Their least ratio to the pixels at the next lower value: below saturation, a histogram falls off.
+#: Least ratio of saturated pixels to pixels at the next lower value: without saturation, a histogram falls off.
 _SPIKE = 4.0
 
 

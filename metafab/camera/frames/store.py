@@ -76,7 +76,7 @@ def load(path: Path | str) -> RawFrame:
 
 
 def _faults(frame: RawFrame) -> list[Fault]:
-    """Attributes that no frame written by this tool has."""
+    """Faults of the attributes and shapes of a stored frame."""
     faults = []
     if frame.frame.ndim != 2:
         faults.append(Fault("frame", "rows and columns", f"an array of shape {frame.frame.shape}"))

@@ -74,6 +74,8 @@ def _value(hint: Any, value: Any) -> Any:
         return value if isinstance(value, hint) else typed(hint, value)
     if hint is float:
         return math.nan if value is None else float(value)
+    if hint is int and isinstance(value, float) and value.is_integer():
+        return int(value)  # Older versions wrote some counts as 3.0.
     if (hint is int and not isinstance(value, Integral)) or (hint is str and not isinstance(value, str)):
         raise TypeError(f"expected {hint.__name__}, got {type(value).__name__}")
     if isinstance(value, str):

@@ -44,7 +44,7 @@ _ROUNDS = 3
 _COMMON_PX = 0.02
 #: Share of an image's power that the prediction may leave unexplained; images of a point by its camera have less.
 _LARGEST_MISFIT = 0.3
-#: Residual of the places against a rotated, shifted and magnified sensor, from which they are no camera's, pixels.
+#: Largest rms residual of the places against a rotated, shifted and magnified sensor, pixels.
 _LARGEST_PLACE_RMS_PX = 0.5
 #: Relative rms residual of depth above which the table of depths is doubted, if it also exceeds ``_SIGMAS`` standard
 #: errors.

@@ -37,7 +37,7 @@ class TileSpectra:
     """Transforms of some tiles of both images.
 
     Attributes:
-        place: shape (n_tiles,), index among the spectra of each tile of the tiling, where it has one.
+        place: shape (n_tiles,), index in ``spectra`` of each tile of the tiling; 0 for tiles without spectra.
         spectra: shape (2, n, n_ky, n_kx).
     """
 

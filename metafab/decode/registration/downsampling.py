@@ -1,4 +1,4 @@
-"""Every few pixels of an image, low-pass filtered against aliasing, and values brought back to all pixels."""
+"""Downsampling of images with an anti-aliasing low-pass filter, and interpolation back to all pixels."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def edge_taper(inner: int, margin: int, fade_share: float, size: int | None = No
 
 
 def relative_slices(part: tuple[slice, slice], surroundings: tuple[slice, slice]) -> tuple[slice, slice]:
-    """The slices of ``part`` in an array that holds only ``surroundings``."""
+    """Return the slices of ``part`` relative to those of ``surroundings``."""
     rows, columns = (slice(a.start - b.start, a.stop - b.start) for a, b in zip(part, surroundings, strict=True))
     return rows, columns
 
