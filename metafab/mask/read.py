@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -124,7 +125,7 @@ def read_shapes(path: Path, design: Design, progress: Progress = silent, *, know
     reader = _open(path, design, progress, known, skip_blocks=False)
     hierarchy = Hierarchy(reader.cells, str(path))
     count = hierarchy.count()
-    _refuse_many(path, design, count, limit=2**31)
+    _refuse_many(path, design, count, _most_shapes(design))
     return Shapes(reader.unit_nm, count, hierarchy.other_layers(), hierarchy.tops, lambda: _chunks(hierarchy))
 
 
@@ -134,7 +135,8 @@ def _open(
     layer = (design.mask.layer, *design.mask.datatypes)
     if format_of(path) == "gds":
         return GdsiiReader(path, layer, progress, known=known)
-    return OasisReader(path, layer, progress, known=known, skip_blocks=skip_blocks)
+    sites = math.prod(lattice_of(design).shape) * len(lens_copies(design))
+    return OasisReader(path, layer, progress, known=known, skip_blocks=skip_blocks, sites=sites)
 
 
 def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, progress: Progress, copy: int) -> ReadBack:
@@ -144,7 +146,7 @@ def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, prog
     others = OtherCopies(design, copy, ratio)
     hierarchy = Hierarchy(reader.cells, str(path))
     total = hierarchy.count()
-    limit = 16 * len(lens_copies(design)) * lattice.shape[0] * lattice.shape[1] + 1_000_000
+    limit = _most_shapes(design)
     _refuse_many(path, design, total, limit)
     recovery = Recovery(lattice, ratio, str(path), (place.x_dbu, place.y_dbu))
     foreign: Counter[str] = Counter()
@@ -195,6 +197,12 @@ def _wide_crosses(rectangles: IntArray) -> IntArray:
         return rectangles
     more = np.maximum(longer, 0)[:, None] * np.array([[-1, 1, 2, -2]])
     return np.asarray(rectangles + more)
+
+
+def _most_shapes(design: Design) -> int:
+    """Number of shapes above which a file is another design's."""
+    n_y, n_x = lattice_of(design).shape
+    return 16 * len(lens_copies(design)) * n_y * n_x + 1_000_000
 
 
 def _refuse_many(path: Path, design: Design, count: int, limit: int) -> None:

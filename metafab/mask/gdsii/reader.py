@@ -31,6 +31,8 @@ _SHAPES = {
     records.NODE: "node",
     records.BOX: "box",
 }
+#: Placements of an array that are expanded at a time.
+_PLACEMENTS = 1 << 16
 _REFERENCES = {records.SREF, records.AREF}
 
 
@@ -190,8 +192,11 @@ class GdsiiReader:
                     step_row, rest_row = np.divmod(end_row - origin, rows)
                     if np.any(rest_column) or np.any(rest_row):
                         raise self._damaged("arrays with whole steps", f"another at byte {run.start}")
-                    grid = step_row * np.arange(rows)[:, None, None] + step_column * np.arange(columns)[:, None]
-                    yield (origin + grid).reshape(-1, 2)
+                    along = step_column * np.arange(columns)[:, None]
+                    block = max(1, _PLACEMENTS // columns)
+                    for first in range(0, rows, block):
+                        row = np.arange(first, min(first + block, rows))[:, None, None]
+                        yield (origin + step_row * row + along).reshape(-1, 2)
 
         name = fields[records.SNAME].rstrip(b"\0").decode("latin-1")
         return Reference(name, orientation, run.count * rows * columns, offsets)

@@ -7,6 +7,8 @@ integer is the magnitude shifted left, with the sign in bit 0.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +25,10 @@ REGULAR = 3
 # East, north, west, south, then the diagonals north-east, north-west, south-west, south-east.
 _DIRECTIONS = ((1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1))
 _LARGEST_REPETITION = 1 << 28
+#: Largest coordinate (database units), a kilometre: sums over nested cells stay below 2^63.
+_LARGEST_PLACE = 1 << 40
+#: Copies and bytes that are handled at a time.
+_BLOCK = 1 << 16
 
 
 class DamagedError(Exception):
@@ -201,6 +207,46 @@ def read_repetition(data: ByteArray, position: int) -> Repetition:
     return Repetition(columns * rows, columns, grid, form, fast_x, fast_y, slow_x, slow_y, here)
 
 
+@dataclass(frozen=True)
+class Copies:
+    """Places of the copies of a record, relative to the first; expanded a block at a time.
+
+    Attributes:
+        count: number of copies.
+        read: the repetition whose copies stand at equal steps.
+        listed: places of all copies, shape (n, 2); None for equal steps.
+    """
+
+    count: int
+    read: Repetition | None = None
+    listed: IntArray | None = None
+
+    def blocks(self) -> Iterator[IntArray]:
+        """Places, shape (m, 2) each, the first (0, 0)."""
+        for start in range(0, self.count, _BLOCK):
+            behind = min(start + _BLOCK, self.count)
+            if self.listed is not None:
+                yield self.listed[start:behind]
+                continue
+            copy, read = np.arange(start, behind)[:, None], self.read
+            if read is None:
+                yield np.zeros((behind - start, 2), dtype=np.int64)
+                continue
+            fast, slow = np.array([read.fast_x, read.fast_y]), np.array([read.slow_x, read.slow_y])
+            yield np.asarray(copy % read.columns * fast + copy // read.columns * slow)
+
+
+def checked_place(x: int, y: int) -> tuple[int, int]:
+    """Return a position, (x, y) in database units.
+
+    Raises:
+        DamagedError: it lies farther out than any mask reaches.
+    """
+    if max(abs(x), abs(y)) > _LARGEST_PLACE:
+        raise DamagedError(f"a position at {x}, {y} database units")
+    return x, y
+
+
 class Stream:
     """A buffer and a position in it; each method reads one element and moves the position.
 
@@ -279,8 +325,20 @@ class Stream:
         self.position = int(end)
         return int(x), int(y)
 
-    def repetition(self, previous: IntArray | None) -> IntArray:
-        """Read offsets of all copies from the first, shape (m, 2), the first (0, 0); type 0 repeats ``previous``."""
+    def skip_padding(self) -> None:
+        """Skip the zeros up to the next record."""
+        size = 64
+        while not self.exhausted:
+            part = self.data[self.position : self.position + size]
+            zeros = int(np.argmax(part != 0))
+            if part[zeros]:
+                self.position += zeros
+                return
+            self.position += len(part)
+            size = min(2 * size, _BLOCK)
+
+    def repetition(self, previous: Copies | None) -> Copies:
+        """Read the places of all copies of a record; type 0 repeats ``previous``."""
         start = self.position
         if self.unsigned() == 0:
             if previous is None:
@@ -291,15 +349,20 @@ class Stream:
             raise DamagedError("a repetition that is cut short, too long or of unknown type")
         self.position = int(read.end)
         if read.form == REGULAR:
-            copy = np.arange(read.copies)[:, None]
-            fast, slow = np.array([read.fast_x, read.fast_y]), np.array([read.slow_x, read.slow_y])
-            return np.asarray(copy % read.columns * fast + copy // read.columns * slow)
+            steps = max(abs(step) for step in (read.fast_x, read.fast_y, read.slow_x, read.slow_y))
+            if steps * read.copies > _LARGEST_PLACE:
+                raise DamagedError(f"a repetition that reaches {steps * read.copies} database units")
+            return Copies(int(read.copies), read)
+        if read.copies - 1 > self.data.size - self.position:
+            raise DamagedError("the data end inside a repetition")
         offsets = np.zeros((read.copies, 2), dtype=np.int64)
         end = read_displacements(self.data, self.position, read.form, offsets)
         if end < 0:
             raise DamagedError("the data end inside a repetition")
         self.position = int(end)
-        return offsets * read.grid
+        if int(np.abs(offsets).max()) * read.grid > _LARGEST_PLACE:
+            raise DamagedError("a repetition that reaches farther than any mask")
+        return Copies(int(read.copies), listed=offsets * read.grid)
 
     def points(self, closed: bool) -> IntArray:
         """Read a point list as vertices from (0, 0), shape (n, 2); ``closed`` for polygons."""

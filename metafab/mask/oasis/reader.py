@@ -8,6 +8,7 @@ finds anything else in such a block, it raises :class:`MixedBlockError`, and the
 
 from __future__ import annotations
 
+import math
 import mmap
 import struct
 import zlib
@@ -34,6 +35,9 @@ _ENDS_OF_A_CELL = {_CELL_BY_NUMBER, CELL, *_TABLES}
 
 _REMEDY = "the file is damaged or not OASIS: write or export it again"
 _LARGEST_BLOCK = 1 << 31
+#: Budget of a file without sites, and more for each site. A pillar takes up to 76 bytes, in one or two passes.
+_BYTES, _BYTES_OF_A_SITE = 1 << 30, 1024
+_RECORDS, _RECORDS_OF_A_SITE = 1 << 20, 8
 _LARGEST_RATIO = 1032  # Deflate needs at least two bits for 258 bytes.
 
 
@@ -51,6 +55,7 @@ class OasisReader:
         known: distinguishes pillars from other shapes.
         skip_blocks: whether the index may skip blocks that begin with a rectangle, or with a polygon if pillars are
             polygons.
+        sites: sites of the design, which set the budget of inflated bytes and of records of all passes.
 
     Attributes:
         cells: cells by name.
@@ -68,7 +73,11 @@ class OasisReader:
         *,
         known: KnownShapes = RECTANGLES,
         skip_blocks: bool = True,
+        sites: int = 1 << 24,
     ) -> None:
+        self._sites = sites
+        self._left_bytes = _BYTES + _BYTES_OF_A_SITE * sites
+        self._left_records = _RECORDS + _RECORDS_OF_A_SITE * sites
         self.skip_blocks = skip_blocks
         self.known = known
         self.pillar_kind = RECTANGLE if known.are_rectangles else POLYGON
@@ -114,6 +123,18 @@ class OasisReader:
         self.cells = {name(key): cell for key, cell in self.cells.items()}
         for cell in self.cells.values():
             cell.references = [Reference(name(r.cell), r.orientation, r.count, r.offsets) for r in cell.references]
+
+    def spend(self, inflated_bytes: int = 0, records: int = 0) -> None:
+        """Take inflated bytes or single records from the budget.
+
+        Raises:
+            DamagedError: nothing is left of it.
+        """
+        self._left_bytes -= inflated_bytes
+        self._left_records -= records
+        if self._left_bytes < 0 or self._left_records < 0:
+            what = "bytes" if self._left_bytes < 0 else "records"
+            raise DamagedError(f"far more {what} than a mask of {self._sites} sites takes")
 
     def shapes_at(self, place: tuple[int | None, int]) -> Iterator[Chunk]:
         """Yield the shapes of the cell whose records begin at ``place`` (position of the CBLOCK or None, position)."""
@@ -177,6 +198,10 @@ class _Pass:
     def _record(self, kind: int) -> bool:
         """Read one record; return False when the cell of this pass ends."""
         stream = self._stream
+        if kind == 0:
+            stream.skip_padding()
+            return True
+        self._reader.spend(records=1)
         if self._pillars_only and kind not in SHAPES:
             raise MixedBlockError
         if kind in _ENDS_OF_A_CELL and not self._indexing:
@@ -198,7 +223,7 @@ class _Pass:
         elif kind in _TABLES:
             self._cell = None
             self._start() if kind == START else self._name(kind)
-        elif kind != 0:
+        else:
             raise DamagedError(f"a record of type {kind}")
         return True
 
@@ -222,6 +247,7 @@ class _Pass:
                 self._cell.shape_count += size
                 self._pillars_only = False
                 return
+            self._reader.spend(size)
             data = deflate_decompress(content, size)
         except (zlib.error, DeflateError) as error:
             raise DamagedError(f"a CBLOCK that cannot be inflated ({error})") from error
@@ -246,7 +272,7 @@ class _Pass:
         stream = self._stream
         stream.string()
         per_um = stream.real()
-        if not 0.0 < per_um < 1e9:
+        if not 1e-3 < per_um < 1e9:
             raise DamagedError(f"{per_um} grid steps per micrometre")
         self._reader.unit_nm = 1e3 / per_um
         if stream.unsigned() == 0:
@@ -290,12 +316,16 @@ class _Pass:
             magnified = bool(info & 0b100) and stream.real() != 1.0
             quarters = stream.real() / 90.0 if info & 0b10 else 0.0
         modal.placement = modal.read_position(stream, modal.placement, bool(info & 0b10_0000), bool(info & 0b1_0000))
-        offsets = modal.read_repetition(stream, bool(info & 0b1000)) + np.array(modal.placement, dtype=np.int64)
+        if not math.isfinite(quarters):
+            raise DamagedError(f"a placement that is turned by {90.0 * quarters} degrees")
+        copies, origin = modal.read_repetition(stream, bool(info & 0b1000)), np.array(modal.placement, dtype=np.int64)
         if not self._indexing:
             return
         exact = not magnified and abs(quarters - round(quarters)) < 1e-9
         orientation = Orientation(bool(info & 1), round(quarters) % 4) if exact else None
-        cell.references.append(Reference(modal.cell, orientation, len(offsets), lambda: iter((offsets,))))
+        cell.references.append(
+            Reference(modal.cell, orientation, copies.count, lambda: (block + origin for block in copies.blocks()))
+        )
 
     def _text(self) -> None:
         stream, modal, cell = self._stream, self._modal, self._inside()
@@ -309,7 +339,7 @@ class _Pass:
         layer = stream.unsigned() if info & 1 else layer
         modal.text_layer = (layer, stream.unsigned() if info & 2 else kind)
         modal.text = modal.read_position(stream, modal.text, bool(info & 0b1_0000), bool(info & 0b1000))
-        count = len(modal.read_repetition(stream, bool(info & 0b100)))
+        count = modal.read_repetition(stream, bool(info & 0b100)).count
         cell.other_layers["{}/{} text".format(*modal.text_layer)] += count
 
     def _geometry(self, kind: int) -> None:
@@ -321,24 +351,25 @@ class _Pass:
         modal.datatype = stream.unsigned() if info & 2 else modal.datatype
         shape, name = read_shape(kind, info, stream, modal)
         modal.geometry = modal.read_position(stream, modal.geometry, bool(info & 0b1_0000), bool(info & 0b1000))
-        offsets = modal.read_repetition(stream, bool(info & 0b100))
+        copies = modal.read_repetition(stream, bool(info & 0b100))
         wanted, first, last = self._reader.layer
         if modal.layer != wanted or not first <= modal.datatype <= last:
             if self._pillars_only:
                 raise MixedBlockError
-            cell.other_layers[f"{modal.layer}/{modal.datatype}"] += len(offsets)
+            cell.other_layers[f"{modal.layer}/{modal.datatype}"] += copies.count
             return
-        cell.shape_count += len(offsets)
+        cell.shape_count += copies.count
         if self._indexing:
             return
         origin = np.concatenate([modal.geometry, [0, 0]])
         rectangle = self._reader.known(shape, self._reader.unit_nm) if name != "circle" else None
         box = (box_of(shape) if rectangle is None else rectangle) + origin
-        boxes = np.concatenate([box[:2] + offsets, np.broadcast_to(box[2:], (len(offsets), 2))], axis=1)
-        if rectangle is None:
-            self._others += [Other(name, one) for one in boxes]
-        else:
-            self._rectangles.append(boxes)
+        for offsets in copies.blocks():
+            boxes = np.concatenate([box[:2] + offsets, np.broadcast_to(box[2:], (len(offsets), 2))], axis=1)
+            if rectangle is None:
+                self._others += [Other(name, one) for one in boxes]
+            else:
+                self._rectangles.append(boxes)
 
     def _run_of_rectangles(self) -> bool:
         """Parse rectangles as far as the compiled loop goes; return False if it cannot read the first."""

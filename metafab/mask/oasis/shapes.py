@@ -6,15 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from metafab.mask.oasis.elements import ByteArray, DamagedError, Stream
+from metafab.mask.oasis.elements import ByteArray, Copies, DamagedError, Stream, checked_place
 from metafab.mask.oasis.records import POLYGON, RECTANGLE
 from metafab.mask.shapes.hierarchy import IntArray
 
 _PATH, _TRAPEZOID, _TRAPEZOID_A, _TRAPEZOID_B, _COMPACT_TRAPEZOID, _CIRCLE, _EXTENSION = 22, 23, 24, 25, 26, 27, 33
 #: Kinds of geometry records.
 SHAPES = {RECTANGLE, POLYGON, *range(_PATH, _CIRCLE + 1), _EXTENSION}
-
-_ONE_PLACE = np.zeros((1, 2), dtype=np.int64)
 
 
 @dataclass
@@ -33,7 +31,7 @@ class Modal:
         path: vertices of paths, shape (n, 2).
         polygon: vertices of polygons, shape (n, 2).
         trapezoid: type of compact trapezoids.
-        repetition: offsets of the last repetition, shape (n, 2).
+        repetition: places of the last repetition.
         unread: data, shape (n,), and position of a later repetition that a compiled run has skipped.
     """
 
@@ -53,7 +51,7 @@ class Modal:
     polygon: IntArray | None = None
     radius: int = 0
     trapezoid: int = 0
-    repetition: IntArray | None = None
+    repetition: Copies | None = None
     unread: tuple[ByteArray, int] | None = None
 
     def read_position(self, stream: Stream, last: tuple[int, int], has_x: bool, has_y: bool) -> tuple[int, int]:
@@ -63,12 +61,12 @@ class Modal:
             x = stream.signed() + (x if self.relative else 0)
         if has_y:
             y = stream.signed() + (y if self.relative else 0)
-        return x, y
+        return checked_place(x, y)
 
-    def read_repetition(self, stream: Stream, has_repetition: bool) -> IntArray:
-        """Read offsets of all copies of a record, shape (n, 2); a single (0, 0) if it has no repetition."""
+    def read_repetition(self, stream: Stream, has_repetition: bool) -> Copies:
+        """Read the places of all copies of a record; a single one if it has no repetition."""
         if not has_repetition:
-            return _ONE_PLACE
+            return Copies(1)
         if self.unread is not None:
             self.repetition, self.unread = Stream(*self.unread).repetition(None), None
         self.repetition = stream.repetition(self.repetition)

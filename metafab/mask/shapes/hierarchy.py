@@ -17,6 +17,9 @@ IntArray = NDArray[np.int64]
 # Rectangles expanded at a time; keeps a chunk in the cache.
 _CHUNK = 1 << 16
 
+#: Deepest nesting of cells; masks of a chip have fewer than twenty levels.
+_DEEPEST = 100
+
 _ORIGIN = np.zeros(2, dtype=np.int64)
 
 
@@ -132,7 +135,7 @@ class Hierarchy:
         tops: names of the cells that no other cell places.
 
     Raises:
-        InputError: a referenced cell is missing, cells contain one another, or there is no cell.
+        InputError: a referenced cell is missing, cells contain one another or nest too deeply, or there is no cell.
     """
 
     def __init__(self, cells: Mapping[str, Cell], source: str) -> None:
@@ -210,6 +213,7 @@ class Hierarchy:
     def _count(self, source: str) -> dict[str, tuple[int, Counter[str]]]:
         """Expanded counts of every cell, children first, without recursion (files may nest deeply)."""
         totals: dict[str, tuple[int, Counter[str]]] = {}
+        depth: dict[str, int] = {}
         for top in self._cells:
             stack, open_cells = [(top, False)], set()
             while stack:
@@ -225,6 +229,10 @@ class Hierarchy:
                         for layer, number in inner_layers.items():
                             layers[layer] += number * reference.count
                     totals[name] = (count, layers)
+                    depth[name] = 1 + max((depth[reference.cell] for reference in cell.references), default=0)
+                    if depth[name] > _DEEPEST:
+                        expected, got = f"cells nested at most {_DEEPEST} deep", "deeper ones"
+                        raise InputError.single(source, f"cell {name}", expected, got, "flatten the mask")
                     open_cells.discard(name)
                     continue
                 open_cells.add(name)
