@@ -3,8 +3,8 @@
 ``rules.min_gap_nm`` is the smallest gap between drawn pillars; with ``mask.bias_nm`` it becomes
 ``Design.min_spacing_nm``, the smallest gap between standing ones. ``rules.gap_rule`` says who keeps it:
 
-- "each": every pillar alone. :func:`allowed_sizes` limits width and length to the period less the gap, so that any
-  two pillars may be neighbours.
+- "each": every pillar alone. :func:`allowed_sizes` limits width and length to :func:`largest_sides_nm`, so that any two
+  pillars may be neighbours; turned pillars (:mod:`metafab.layout.turned`) keep their extent within it.
 - "pairs": each pair of neighbours. :func:`joint_sizes` admits larger pillars, and :mod:`metafab.layout.joint` chooses
   sizes that keep the gap.
 
@@ -20,18 +20,24 @@ from metafab.library import Library, SizeTable, build_size_table
 from metafab.spec import Design
 
 
+def largest_sides_nm(design: Design) -> tuple[float, float]:
+    """Return the largest extent of a pillar along x and y that leaves the gap to an equal neighbour."""
+    p_x, p_y = design.unit_cell.cell.period_nm
+    return p_x - design.min_spacing_nm, p_y - design.min_spacing_nm
+
+
 def allowed_sizes(library: Library, design: Design) -> SizeTable:
     """Return the look-up table of the sizes that are allowed at every site, whatever the neighbours.
 
     Raises:
         InputError: the library has no such size.
     """
-    p_x, p_y = design.unit_cell.cell.period_nm
+    width_nm, length_nm = largest_sides_nm(design)
     return build_size_table(
         library,
         database_unit_nm=design.mask.database_unit_nm,
-        max_width_nm=p_x - design.min_spacing_nm,
-        max_length_nm=p_y - design.min_spacing_nm,
+        max_width_nm=width_nm,
+        max_length_nm=length_nm,
         min_feature_nm=design.min_side_nm,
         cd_sigma_nm=design.rules.cd_sigma_nm,
         isotropic=design.rules.polarisation_independent,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
+from metafab.layout.gap_rule import largest_sides_nm
 from metafab.layout.geometry import lattice_of, tile_sites, whole_dbu
 from metafab.layout.outlines import IntArray, Outline, polygon_area
 from metafab.layout.pillars import PillarMap
@@ -173,7 +174,7 @@ def turned_sizes(design: Design, angles: int, size_step_nm: float) -> tuple[NDAr
     angle_deg = np.arange(angles // 2) * 180.0 / angles
     width, length, angle = (axis.ravel() for axis in np.meshgrid(*sides, angle_deg, indexing="ij"))
     cosine, sine = np.cos(np.radians(angle)), np.sin(np.radians(angle))
-    room_x, room_y = np.array(design.unit_cell.cell.period_nm) - design.min_spacing_nm + 1e-6
+    room_x, room_y = np.array(largest_sides_nm(design)) + 1e-6
     kept = (width * cosine + length * sine <= room_x) & (width * sine + length * cosine <= room_y)
     kept &= np.minimum(width, length) >= design.min_side_nm
     if not kept.any():
