@@ -10,6 +10,7 @@ Rooms, in the order in which data flows:
 - ``layout``       PhaseProfile + Library + rules -> PillarMap
 - ``mask``         PillarMap -> GDSII / OASIS, and back from the file
 - ``drc``          design rules on a written file
+- ``exposure``     electron exposure: printed sizes, doses corrected for proximity effects
 - ``optics``       PillarMap + Library -> Psf
 - ``information``  Fisher information and Cramér-Rao bounds of depth
 - ``fullwave``     full-wave simulations of parts of a written mask
@@ -40,6 +41,7 @@ _ROOMS = (
     "layout",
     "mask",
     "drc",
+    "exposure",
     "optics",
     "information",
     "fullwave",

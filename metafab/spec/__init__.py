@@ -5,7 +5,7 @@
 - ``design``   Design: device, rules, sensor, verification
 - ``terms``    phase terms of a design
 - ``embedded`` unit cell stored in a built library
-- ``mask``     Mask: formats, layers, bias, tone, dose classes, chip, copies, exposure
+- ``mask``     Mask: formats, layers, bias, tone, dose classes, chip, copies, exposure; Process
 - ``scene``    Scene: objects at depths, photons, noise
 - ``turned``   keys that turned pillars and full-Stokes imaging do not support
 - ``construct``  unit cells and designs made in Python, without files

@@ -14,7 +14,7 @@ from pydantic.dataclasses import dataclass
 from metafab.core.conventions import FloatArray
 from metafab.spec.cell import UnitCell
 from metafab.spec.fields import CONFIG, DepthOrInfinity, Name, NonNegative, Positive, Real, TargetError
-from metafab.spec.mask import Mask
+from metafab.spec.mask import Mask, Process
 from metafab.spec.scene import Scene
 from metafab.spec.terms import PhaseTerm, SpiralZones, SplitLens
 
@@ -227,6 +227,7 @@ class Design:
     numerics: Numerics = Field(default_factory=Numerics)
     optics: Annotated[Optics | None, Field(description="omitted: one wavelength, no elements besides the lens")] = None
     tolerance: Annotated[Tolerances | None, Field(description="omitted: no table of tolerances")] = None
+    process: Annotated[Process | None, Field(description="omitted: no exposure is simulated")] = None
     measured: Annotated[Measured | None, Field(description="omitted: no measured figures")] = None
 
     @model_validator(mode="after")

@@ -1,7 +1,8 @@
-"""Mask of a design: formats, layers and units, the chip around the lens, and exposure settings."""
+"""Mask of a design: formats, layers and units, the chip around the lens, exposure; and the process that prints it."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -9,18 +10,28 @@ from pydantic.dataclasses import dataclass
 
 from metafab.spec.fields import CONFIG, Index, NonNegative, Positive, Real
 
+#: Most dose classes by size or density.
+MOST_CLASSES = 32
+
 
 @dataclass(frozen=True, config=CONFIG)
 class Dose:
     """Dose classes on consecutive datatypes, for proximity-effect correction.
 
     Classes divide evenly the range of the pillars' drawn areas ("size"), or of the pattern density in blocks of side
-    ``block_um`` ("density"). Class 0, on ``mask.datatype``, holds the smallest areas or densities.
+    ``block_um`` ("density"). Class 0, on ``mask.datatype``, holds the smallest areas or densities. With "proximity" the
+    classes are corrected doses, the lowest first; ``metafab expose --correct`` writes such a mask.
     """
 
-    by: Literal["size", "density"] = "size"
-    classes: Annotated[int, Field(strict=True, ge=2, le=32)] = 4
+    by: Literal["size", "density", "proximity"] = "size"
+    classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 4
     block_um: Positive = 20.0
+
+    @model_validator(mode="after")
+    def _few_classes(self) -> Dose:
+        if self.by != "proximity" and self.classes > MOST_CLASSES:
+            raise ValueError(f"`classes` must be at most {MOST_CLASSES} by size or density, got {self.classes}")
+        return self
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -128,3 +139,52 @@ class Mask:
         if len(set(used)) != len(used):
             raise ValueError(f"pillars, field, marks, frame, text and street need layers of their own, got {used}")
         return self
+
+
+@dataclass(frozen=True, config=CONFIG)
+class BeamTerm:
+    """One term of the beam's point-spread function; ``exponent`` belongs to a power law."""
+
+    kind: Literal["gauss", "power"]
+    weight: Positive
+    range_nm: Positive
+    exponent: Annotated[float, Field(strict=True, gt=2.0, le=20.0)] | None = None
+
+    @model_validator(mode="after")
+    def _exponent_of_power(self) -> BeamTerm:
+        if (self.kind == "power") != (self.exponent is not None):
+            raise ValueError("`exponent` must be given for a power law, and only for it")
+        return self
+
+
+@dataclass(frozen=True, config=CONFIG)
+class ExposureProcess:
+    """Electron-beam exposure (``[process.exposure]``).
+
+    The beam's point-spread function is a ``preset``, a list of ``terms``, or a ``table`` (CSV with a header line:
+    radius in nm, energy density in any unit). ``blur_nm`` is the range of a further Gaussian blur: beam, secondary
+    electrons, diffusion. ``base_over_clearing_dose`` is the base dose over the clearing dose of a large pad; by default
+    the dose at which printed sizes equal drawn ones in the mean. ``classes`` is the number of doses that a correction
+    may use. ``source`` is the reference of the numbers.
+    """
+
+    preset: str | None = None
+    terms: tuple[BeamTerm, ...] = ()
+    table_file: Path | None = None
+    blur_nm: NonNegative = 5.0
+    base_over_clearing_dose: Positive | None = None
+    classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 64
+    source: str = "assumption"
+
+    @model_validator(mode="after")
+    def _one_function(self) -> ExposureProcess:
+        if (self.preset is not None) + bool(self.terms) + (self.table_file is not None) != 1:
+            raise ValueError("give one of `preset`, `terms` and `table_file`")
+        return self
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Process:
+    """Fabrication process (``[process]``)."""
+
+    exposure: ExposureProcess | None = None

@@ -20,7 +20,7 @@ from metafab.core.errors import Fault, InputError
 Spec = TypeVar("Spec")
 
 #: Keys whose values are paths relative to their file.
-_FILE_KEYS = {"file", "texture_file", "amplitude_file"}
+_FILE_KEYS = {"file", "texture_file", "amplitude_file", "table_file"}
 
 #: Largest accepted file (bytes); an outline of 100 000 vertices is smaller.
 _LARGEST_BYTES = 4 * 10**6

@@ -15,8 +15,8 @@ PACKAGE = Path(__file__).parents[2] / "metafab"
 
 #: The rooms in the order in which data flows; a room may import only rooms before it.
 ORDER = [
-    *("core", "spec", "materials", "information", "cell", "library", "phase", "layout", "mask", "drc", "optics"),
-    *("fullwave", "camera", "decode", "comparison", "tolerance", "steps", "benchmark", "report"),
+    *("core", "spec", "materials", "information", "cell", "library", "phase", "layout", "mask", "drc", "exposure"),
+    *("optics", "fullwave", "camera", "decode", "comparison", "tolerance", "steps", "benchmark", "report"),
     *("run", "rehearsal", "doctor", "cli"),
 ]
 

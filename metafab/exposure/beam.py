@@ -1,0 +1,158 @@
+"""Point-spread function of the electron beam in the resist, as a sum of Gaussians.
+
+Every supported function is a mixture of Gaussians, whose dose on a rectangle is a product of error functions:
+
+- ``gauss``  exp(-r^2 / range^2) / (pi range^2);
+- ``power``  (1 + r^2 / range^2)^(-exponent / 2), normalised: the power law that measurements at high voltage show
+  between the forward-scattered beam and the backscattered electrons (Hougs et al., arXiv 2506.21236, 2025). With
+  s = range^2 / beta^2 it is the integral of s^(exponent / 2 - 1) exp(-s) exp(-r^2 / beta^2) over s, and the trapezoidal
+  rule in log s converges exponentially;
+- a table of radial energy density (CASINO, or :mod:`metafab.exposure.monte_carlo`), fitted by non-negative least
+  squares.
+
+A weight is the share of the deposited energy; weights add up to 1. The energy of a large pad at dose 1 is 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import nnls
+from scipy.special import gammaln
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+
+#: Step of log s in the mixture of a power law: the ripple of the density is below 1e-4 of itself.
+_LOG_STEP = 0.7
+#: Largest range of a Gaussian in a power law (nm): the range of 100 keV electrons in silicon, which ends the law.
+_LARGEST_RANGE_NM = 5e4
+#: Ratio of neighbouring ranges in the fit of a table, and the share of all energy below which a ring counts less.
+_FIT_RATIO, _FIT_FLOOR = 1.5, 1e-4
+
+
+@dataclass(frozen=True)
+class BeamTerm:
+    """One term of a beam's point-spread function.
+
+    Attributes:
+        kind: "gauss" or "power".
+        weight: share of the deposited energy.
+        range_nm: range of the Gaussian, or the radius at which the power law bends.
+        exponent: of the power law, above 2; 0 for a Gaussian.
+    """
+
+    kind: Literal["gauss", "power"]
+    weight: float
+    range_nm: float
+    exponent: float = 0.0
+
+
+@dataclass(frozen=True)
+class BeamPsf:
+    """Point-spread function of the beam in the resist.
+
+    Attributes:
+        weight: shape (n,), shares of the deposited energy; they add up to 1.
+        range_nm: shape (n,), ranges beta of the Gaussians exp(-r^2 / beta^2), ascending.
+        terms: terms that the Gaussians represent; empty for a fitted table.
+        source: reference of the numbers, or "assumption".
+        fit_error: largest difference between the fitted and the tabulated share of energy within any radius; 0 without
+            a table.
+    """
+
+    weight: FloatArray
+    range_nm: FloatArray
+    terms: tuple[BeamTerm, ...]
+    source: str
+    fit_error: float = 0.0
+
+    @classmethod
+    def of(cls, terms: Sequence[BeamTerm], source: str) -> BeamPsf:
+        """Expand terms into Gaussians; weights are normalised to a sum of 1.
+
+        Raises:
+            InputError: no term, a weight or range that is not positive, or an exponent of 2 or less.
+        """
+        total = sum(term.weight for term in terms)
+        if not terms or total <= 0.0:
+            raise InputError.single("exposure", "terms", "at least one term of positive weight", f"{len(terms)} terms")
+        weights, ranges = [], []
+        for term in terms:
+            part_weight, part_range = _gaussians(term)
+            weights.append(part_weight * term.weight / total)
+            ranges.append(part_range)
+        weight, range_nm = np.concatenate(weights), np.concatenate(ranges)
+        order = np.argsort(range_nm)
+        return cls(weight[order], range_nm[order], tuple(terms), source)
+
+    @classmethod
+    def fitted(cls, radius_nm: FloatArray, density: FloatArray, source: str) -> BeamPsf:
+        """Fit Gaussians to a radial table.
+
+        Args:
+            radius_nm: shape (n,), ascending and positive.
+            density: shape (n,), energy per area in any unit, not negative.
+            source: reference of the table.
+
+        Raises:
+            InputError: fewer than eight rows, or values out of range.
+        """
+        sound = (
+            radius_nm.size >= 8 and radius_nm[0] > 0.0 and np.all(np.diff(radius_nm) > 0.0) and np.all(density >= 0.0)
+        )
+        if not sound or not np.any(density > 0.0):
+            raise InputError.single(
+                "exposure",
+                "table",
+                "at least 8 rows of ascending radius and energy density >= 0",
+                f"{radius_nm.size} rows",
+            )
+        smallest = 0.25 * radius_nm[0]  # energy within the first radius may lie on the axis
+        count = math.ceil(math.log(radius_nm[-1] / smallest) / math.log(_FIT_RATIO)) + 1
+        ranges = smallest * _FIT_RATIO ** np.arange(count)
+        # Energies of rings whose edges lie halfway between radii on a logarithmic scale, the first a disc.
+        edges = np.concatenate(
+            [[0.0], np.sqrt(radius_nm[1:] * radius_nm[:-1]), [radius_nm[-1] ** 1.5 / radius_nm[-2] ** 0.5]]
+        )
+        ring = density * math.pi * np.diff(edges**2)
+        gaussians = -np.diff(np.exp(-((edges[:, None] / ranges) ** 2)), axis=0)
+        scale = 1.0 / np.sqrt(np.maximum(ring / ring.sum(), _FIT_FLOOR)) / ring.sum()
+        weight, _ = nnls(gaussians * scale[:, None], ring * scale)
+        used, weight = weight > 0.0, weight / weight.sum()
+        within = np.cumsum(gaussians @ weight) - np.cumsum(ring) / ring.sum()
+        return cls(weight[used], ranges[used], (), source, float(np.abs(within).max()))
+
+    def density(self, radius_nm: FloatArray) -> FloatArray:
+        """Energy density per nm^2 at ``radius_nm``, in its shape."""
+        square = np.asarray(radius_nm, dtype=np.float64)[..., None] ** 2 / self.range_nm**2
+        return np.asarray((np.exp(-square) * (self.weight / (math.pi * self.range_nm**2))).sum(axis=-1))
+
+    def blurred(self, range_nm: float) -> BeamPsf:
+        """The function convolved with a Gaussian of range ``range_nm``."""
+        return replace(self, range_nm=np.hypot(self.range_nm, range_nm))
+
+    def between(self, low_nm: float, high_nm: float) -> BeamPsf:
+        """The Gaussians with ``low_nm`` <= range < ``high_nm``; their weights are kept, not normalised."""
+        part = (self.range_nm >= low_nm) & (self.range_nm < high_nm)
+        return replace(self, weight=self.weight[part], range_nm=self.range_nm[part])
+
+
+def _gaussians(term: BeamTerm) -> tuple[FloatArray, FloatArray]:
+    """Weights and ranges of the mixture of one term of weight 1."""
+    if term.weight < 0.0 or term.range_nm <= 0.0:
+        raise InputError.single("exposure", "terms", "weight >= 0 and range_nm > 0", f"{term}")
+    if term.kind == "gauss":
+        return np.ones(1), np.array([term.range_nm])
+    if term.exponent <= 2.0:
+        raise InputError.single("exposure", "exponent", "more than 2 (a finite energy)", f"{term.exponent:g}")
+    half = 0.5 * term.exponent
+    lowest = 2.0 * math.log(term.range_nm / _LARGEST_RANGE_NM)
+    log_s = np.arange(min(lowest, -2.0), 5.0, _LOG_STEP)
+    weight = np.exp(log_s * (half - 1.0) - np.exp(log_s) - gammaln(half - 1.0)) * _LOG_STEP
+    used = weight > 1e-7
+    return weight[used] / weight[used].sum(), term.range_nm * np.exp(-0.5 * log_s[used])

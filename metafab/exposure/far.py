@@ -1,0 +1,179 @@
+"""Energy from beyond the nearest neighbours: by Fourier transforms, on tiles of sites and on a coarse grid.
+
+Middle ranges act between sites. A pillar's mass m = dose x width x length spreads over its rectangle, to second order
+
+    E(r) = sum over j, m_j [f + w_j^2 / 24 f_xx + l_j^2 / 24 f_yy](r - r_j),
+
+and the mean energy of its edges, at +-w/2 from the site, is E + w^2 / 8 E_xx. Kernels are sampled at sites without the
+3 x 3 block of :mod:`metafab.exposure.near`, so that nothing is aliased. Long ranges act between blocks of sites, whose
+mass is spread over the block; the smooth result is interpolated.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from metafab.core.conventions import FloatArray
+from metafab.exposure.beam import BeamPsf
+
+Float32Array = NDArray[np.float32]
+
+#: Ranges after which a Gaussian is cut off: exp(-3.6^2) = 2e-6.
+REACH = 3.6
+#: Shortest range of the coarse grid, in periods.
+LONG_PERIODS = 12.0
+#: Sites a side of a block of the coarse grid: a third of its shortest range.
+BLOCK_SITES = 4
+
+
+@dataclass(frozen=True)
+class MiddleRange:
+    """Convolution between sites on tiles with a margin.
+
+    Attributes:
+        margin: sites on each side that a tile's energy depends on.
+        size: sites a side of the transform.
+        kernels: shape (3, size, size // 2 + 1), transforms of f, f_xx and f_yy; real.
+    """
+
+    margin: int
+    size: int
+    kernels: Float32Array
+
+    @classmethod
+    def of(cls, psf: BeamPsf, period_nm: tuple[float, float], tile_sites: int) -> MiddleRange | None:
+        """Kernels for tiles of at most ``tile_sites`` sites a side; None without Gaussians."""
+        if psf.range_nm.size == 0:
+            return None
+        margin = max(2, math.ceil(REACH * float(psf.range_nm.max()) / min(period_nm)))
+        size = int(scipy.fft.next_fast_len(tile_sites + 2 * margin, real=True))
+        place = np.arange(-margin, margin + 1)
+        x, y = place * period_nm[0], place[:, None] * period_nm[1]
+        density, second_x, second_y = (np.zeros((place.size, place.size)) for _ in range(3))
+        for weight, beta in zip(psf.weight, psf.range_nm, strict=True):
+            gauss = weight / (math.pi * beta**2) * np.exp(-(x**2 + y**2) / beta**2)
+            density += gauss
+            second_x += gauss * (4.0 * x**2 / beta**4 - 2.0 / beta**2)
+            second_y += gauss * (4.0 * y**2 / beta**4 - 2.0 / beta**2)
+        transforms = []
+        for kernel in (density, second_x, second_y):
+            kernel[margin - 1 : margin + 2, margin - 1 : margin + 2] = 0.0
+            padded = np.zeros((size, size))
+            padded[: place.size, : place.size] = kernel
+            transforms.append(scipy.fft.rfft2(np.roll(padded, (-margin, -margin), axis=(0, 1))).real)
+        return cls(margin, size, np.asarray(transforms, dtype=np.float32))
+
+    def energy(self, mass: Float32Array, width_nm: Float32Array, length_nm: Float32Array) -> Float32Array:
+        """Energy at the centres and at the edges of the pillars of a tile.
+
+        Args:
+            mass: shape (n_y + 2 margin, n_x + 2 margin), dose times area, nm^2; 0 where no pillar stands.
+            width_nm: shape (n_y + 2 margin, n_x + 2 margin).
+            length_nm: shape (n_y + 2 margin, n_x + 2 margin).
+
+        Returns:
+            Shape (3, n_y, n_x): at the centre, mean of the x edges, mean of the y edges.
+        """
+        shape, m = (self.size, self.size), self.margin
+        n_y, n_x = mass.shape[0] - 2 * m, mass.shape[1] - 2 * m
+        plain = scipy.fft.rfft2(mass, shape)
+        wide = scipy.fft.rfft2(mass * width_nm**2 / np.float32(24.0), shape)
+        long = scipy.fft.rfft2(mass * length_nm**2 / np.float32(24.0), shape)
+        f, f_xx, f_yy = self.kernels
+        inner = (slice(m, m + n_y), slice(m, m + n_x))
+        total = scipy.fft.irfft2(f * plain + f_xx * wide + f_yy * long, shape)[inner]
+        curved_x = scipy.fft.irfft2(f_xx * plain, shape)[inner]
+        curved_y = scipy.fft.irfft2(f_yy * plain, shape)[inner]
+        at_x = total + width_nm[inner] ** 2 / np.float32(8.0) * curved_x
+        at_y = total + length_nm[inner] ** 2 / np.float32(8.0) * curved_y
+        return np.stack([total, at_x, at_y])
+
+
+@dataclass(frozen=True)
+class LongRange:
+    """Energy of the long ranges on blocks of the whole lens.
+
+    Attributes:
+        energy: shape (blocks_y, blocks_x), at block centres.
+    """
+
+    energy: FloatArray
+
+    @classmethod
+    def of(cls, psf: BeamPsf, block_mass: FloatArray, block_nm: tuple[float, float]) -> LongRange | None:
+        """Convolve masses of blocks.
+
+        Args:
+            psf: the long Gaussians.
+            block_mass: shape (blocks_y, blocks_x), dose times area, nm^2.
+            block_nm: size of a block (x, y).
+        """
+        if psf.range_nm.size == 0:
+            return None
+        total = np.zeros_like(block_mass)
+        for weight, beta in zip(psf.weight, psf.range_nm, strict=True):
+            profile = [
+                _blurred_block(beta, side, count) for side, count in zip(block_nm[::-1], block_mass.shape, strict=True)
+            ]
+            blurred = _convolved(_convolved(block_mass, profile[0], axis=0), profile[1], axis=1)
+            total += weight * blurred
+        return cls(total)
+
+    def at(self, rows: slice, columns: slice) -> Float32Array:
+        """Energy at the sites of a tile, by cubic interpolation: shape (n_y, n_x)."""
+        along_y, first_y = _cubic_weights(rows, self.energy.shape[0])
+        along_x, first_x = _cubic_weights(columns, self.energy.shape[1])
+        part = self.energy[first_y : first_y + along_y.shape[1], first_x : first_x + along_x.shape[1]]
+        return np.asarray(along_y @ part @ along_x.T, dtype=np.float32)
+
+
+def block_masses(mass: FloatArray) -> FloatArray:
+    """Sums of masses over blocks of :data:`BLOCK_SITES` sites a side: shape (ceil(n_y / B), ceil(n_x / B))."""
+    n_y, n_x = (-(-n // BLOCK_SITES) * BLOCK_SITES for n in mass.shape)
+    padded = np.zeros((n_y, n_x), dtype=mass.dtype)
+    padded[: mass.shape[0], : mass.shape[1]] = mass
+    blocks = padded.reshape(n_y // BLOCK_SITES, BLOCK_SITES, n_x // BLOCK_SITES, BLOCK_SITES)
+    return np.asarray(blocks.sum(axis=(1, 3), dtype=np.float64))
+
+
+def _blurred_block(beta: float, side: float, count: int) -> FloatArray:
+    """Density of a Gaussian along one axis, averaged over a source block, at distances 0, 1, ... blocks."""
+    reach = min(count, math.ceil(REACH * beta / side) + 1)
+    distance = np.arange(reach) * side
+    return np.asarray((erf((distance + 0.5 * side) / beta) - erf((distance - 0.5 * side) / beta)) / (2.0 * side))
+
+
+def _convolved(values: FloatArray, half: FloatArray, axis: int) -> FloatArray:
+    """Linear convolution along one axis with a symmetric kernel given by its half."""
+    count = values.shape[axis]
+    size = int(scipy.fft.next_fast_len(count + 2 * half.size, real=True))
+    kernel = np.zeros(size)
+    kernel[: half.size] = half
+    kernel[size - half.size + 1 :] = half[:0:-1]
+    transform = scipy.fft.rfft(values, size, axis=axis)
+    shape = [1, 1]
+    shape[axis] = -1
+    result = scipy.fft.irfft(transform * scipy.fft.rfft(kernel).reshape(shape), size, axis=axis)
+    return np.asarray(np.take(result, range(count), axis=axis))
+
+
+def _cubic_weights(sites: slice, blocks: int) -> tuple[FloatArray, int]:
+    """Lagrange weights of four block centres for each site, and the first block that they refer to."""
+    place = (np.arange(sites.start, sites.stop) + 0.5) / BLOCK_SITES - 0.5
+    points = min(4, blocks)
+    start = np.clip(np.floor(place).astype(int) - (points - 1) // 2, 0, blocks - points)
+    first = int(start.min())
+    weights = np.zeros((place.size, int(start.max()) - first + points))
+    for k in range(points):
+        factor = np.ones(place.size)
+        for other in range(points):
+            if other != k:
+                factor *= (place - start - other) / (k - other)
+        weights[np.arange(place.size), start - first + k] = factor
+    return weights, first

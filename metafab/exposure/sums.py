@@ -1,0 +1,129 @@
+"""Compiled loops over the pillars of a tile: sums of linearised size errors, new doses, statistics of printed sizes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+from metafab.core.numeric.compiled import compiled
+
+Float32Array = NDArray[np.float32]
+
+
+@compiled
+def dose_to_size_sums(
+    size_index: NDArray[np.uint16], dose: Float32Array, others: Float32Array, at_edge: Float32Array, slope: Float32Array
+) -> tuple[float, float]:
+    """Sums over both axes of all pillars of energy / slope and of 1 / slope.
+
+    Args:
+        size_index: shape (n_y, n_x).
+        dose: shape (n_y, n_x).
+        others: shape (2, n_y, n_x), energy of all other pillars at the edges.
+        at_edge: shape (2, n_sizes), own energy at the edges per unit dose.
+        slope: shape (2, n_sizes), its decrease per nm.
+    """
+    energy, count = 0.0, 0.0
+    for row in range(size_index.shape[0]):
+        for column in range(size_index.shape[1]):
+            size = size_index[row, column]
+            if size == 0:
+                continue
+            for axis in range(2):
+                at = at_edge[axis, size] * dose[row, column] + others[axis, row, column]
+                energy += at / slope[axis, size]
+                count += 1.0 / slope[axis, size]
+    return energy, count
+
+
+@compiled
+def newton_doses(
+    size_index: NDArray[np.uint16],
+    dose: Float32Array,
+    others: Float32Array,
+    at_edge: Float32Array,
+    slope: Float32Array,
+    ratio: float,
+    bounds: tuple[float, float],
+    new_dose: Float32Array,
+) -> tuple[float, int]:
+    """Write new doses for a mean size error of zero; return the sum of squared residuals (nm^2) and the pillars.
+
+    Args:
+        size_index: shape (n_y, n_x).
+        dose: shape (n_y, n_x).
+        others: shape (2, n_y, n_x), energy of all other pillars at the edges.
+        at_edge: shape (2, n_sizes), own energy at the edges per unit dose.
+        slope: shape (2, n_sizes), its decrease per nm.
+        ratio: base dose over clearing dose.
+        bounds: least and largest dose.
+        new_dose: shape (n_y, n_x), written.
+    """
+    square, count = 0.0, 0
+    for row in range(size_index.shape[0]):
+        for column in range(size_index.shape[1]):
+            size = size_index[row, column]
+            if size == 0:
+                new_dose[row, column] = 1.0
+                continue
+            d = dose[row, column]
+            residual, per_dose = 0.0, 0.0
+            for axis in range(2):
+                own, rest = at_edge[axis, size], others[axis, row, column]
+                residual += (ratio * (own * d + rest) - 1.0) / (ratio * d * slope[axis, size])
+                per_dose += (own + rest / d) / (d * slope[axis, size])
+            new_dose[row, column] = min(max(d - residual / per_dose, bounds[0]), bounds[1])
+            square += residual * residual
+            count += 1
+    return square, count
+
+
+@compiled
+def size_statistics(
+    size_index: NDArray[np.uint16],
+    dose: Float32Array,
+    slope: Float32Array,
+    displacement_nm: Float32Array,
+    ratio: float,
+    bin_nm: float,
+    histogram: NDArray[np.int64],
+) -> FloatArray:
+    """Add printed less drawn sizes to a histogram and return their sums.
+
+    Args:
+        size_index: shape (n_y, n_x).
+        dose: shape (n_y, n_x).
+        slope: shape (2, n_sizes).
+        displacement_nm: shape (2, n_y, n_x), of each edge; -inf where a pillar does not print.
+        ratio: base dose over clearing dose.
+        bin_nm: width of a bin.
+        histogram: shape (n_bins,), centred on 0; added to in place.
+
+    Returns:
+        Shape (8,): pillars, unprinted pillars, sum, sum of squares and largest magnitude of the size errors (nm), sum
+        of the latitude (nm per percent of dose), least and largest dose.
+    """
+    result = np.zeros(8)
+    result[6] = np.inf
+    half = 0.5 * histogram.size
+    for row in range(size_index.shape[0]):
+        for column in range(size_index.shape[1]):
+            size = size_index[row, column]
+            if size == 0:
+                continue
+            result[0] += 1.0
+            d = dose[row, column]
+            result[6], result[7] = min(result[6], d), max(result[7], d)
+            if not (np.isfinite(displacement_nm[0, row, column]) and np.isfinite(displacement_nm[1, row, column])):
+                result[1] += 1.0
+                continue
+            for axis in range(2):
+                error = 2.0 * displacement_nm[axis, row, column]
+                result[2] += error
+                result[3] += error * error
+                result[4] = max(result[4], abs(error))
+                result[5] += 0.02 / (ratio * d * slope[axis, size])
+                place = int(np.floor(error / bin_nm + half))
+                histogram[min(max(place, 0), histogram.size - 1)] += 1
+    return result

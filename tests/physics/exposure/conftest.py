@@ -1,0 +1,35 @@
+"""A lens and a beam that the tests of the exposure share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from metafab.exposure import BeamPsf, BeamTerm
+from metafab.layout import Lattice, PillarMap
+
+#: All three ranges: within a pillar, among neighbours, and over the lens.
+BEAM = BeamPsf.of(
+    [BeamTerm("gauss", 0.55, 8.0), BeamTerm("power", 0.12, 20.0, 3.2), BeamTerm("gauss", 0.33, 9000.0)], "assumption"
+)
+PERIOD_NM = 350.0
+
+
+def pattern(sizes_nm: np.ndarray, index: np.ndarray) -> PillarMap:
+    """Pillars on the paper's lattice, in units of half a nanometre."""
+    table = np.concatenate([[(0.0, 0.0)], sizes_nm])
+    lattice = Lattice((700, 700), index.shape, 0.5)
+    return PillarMap.from_array(lattice, (2.0 * table).astype(np.int32), index.astype(np.uint16), 512)
+
+
+def disc(sites: int, kinds: int, seed: int = 0) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    index = rng.integers(1, kinds + 1, (sites, sites))
+    y, x = np.mgrid[:sites, :sites] - 0.5 * (sites - 1)
+    return np.where(np.hypot(x, y) <= 0.5 * sites, index, 0)
+
+
+@pytest.fixture(scope="session")
+def lens() -> PillarMap:
+    rng = np.random.default_rng(3)
+    return pattern(2.0 * rng.integers(50, 126, (300, 2)), disc(700, 300))
