@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import default_workers, in_order
@@ -51,6 +52,7 @@ def write(
     progress: Progress = silent,
     mapping: Mapping[str, Any] | None = None,
     executor: Executor | None = None,
+    dose_class: NDArray[np.uint8] | None = None,
 ) -> tuple[WrittenFile, ...]:
     """Write ``layout.gds`` and ``layout.oas`` (those in ``mask.formats``), ``layout.lyp`` and ``layout.json``.
 
@@ -68,15 +70,17 @@ def write(
         progress: callback with the number of written sites.
         mapping: figures of the mapping, for ``layout.json``.
         executor: encodes tiles, by default threads of this process. The file is written in this process.
+        dose_class: shape (n_y, n_x) of the lattice, dose class of each site, for ``mask.dose.by = "proximity"``.
 
     Returns:
         The files in the order of their names above.
 
     Raises:
-        InputError: edges would lie off the grid, or a format cannot hold the layout.
+        InputError: dose classes are missing or do not fit, edges would lie off the grid, or a format cannot hold the
+            layout.
     """
     files: dict[str, Path] = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
-    figures = write_drawings(pillars, files, design, progress, executor)
+    figures = write_drawings(pillars, files, design, progress, executor, dose_class)
     with whole_file(directory / "layout.lyp") as part:
         part.write_text(layer_properties(design), encoding="utf-8")
     for other in WRITERS.keys() - files.keys():
@@ -93,6 +97,7 @@ def write_drawings(
     design: Design,
     progress: Progress = silent,
     executor: Executor | None = None,
+    dose_class: NDArray[np.uint8] | None = None,
 ) -> MaskFigures:
     """Write upright or turned pillars to mask files, without their sidecars.
 
@@ -102,16 +107,18 @@ def write_drawings(
         design: layer, unit, write field, name.
         progress: callback with the number of written sites.
         executor: encodes tiles, by default threads of this process.
+        dose_class: shape (n_y, n_x) of the lattice, dose class of each site, for ``mask.dose.by = "proximity"``.
 
     Raises:
-        InputError: edges would lie off the grid, or a format cannot hold the layout.
+        InputError: dose classes are missing or do not fit, edges would lie off the grid, or a format cannot hold the
+            layout.
     """
     _require_grid(pillars, design)
     drawn = biased(pillars, design.mask.bias_nm)
     for copy in design.mask.copies:
         biased(drawn, copy.bias_nm)  # Refuses a bad bias now rather than after an hour.
     in_top_cell = [(layer.layer, layer.rectangles) for layer in surroundings(design)]
-    stamps = Stamps(drawn, design)
+    stamps = Stamps(drawn, design, dose_class)
     sums = MaskSums(drawn, design)
     with ExitStack() as stack:
         writers: list[MaskWriter] = []

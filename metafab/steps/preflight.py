@@ -40,6 +40,7 @@ def preflight(design: Design) -> None:
     faults += _depths_without_image(design)
     if design.has_mask:
         faults += _unreachable_rules(design)
+        faults += _proximity_classes(design)
     if not faults and design.scene is not None:
         faults += _objects_outside_view(design, design.scene)
         faults += _overlapping_images(design, design.scene)
@@ -86,6 +87,14 @@ def _unreachable_rules(design: Design) -> list[Fault]:
             got = f"{design.min_spacing_nm:g} nm"
             faults.append(Fault("rules.min_gap_nm", expected, got, "sweep smaller sizes, or widen the period"))
     return faults
+
+
+def _proximity_classes(design: Design) -> list[Fault]:
+    """Dose classes by proximity, which only the exposure of a written mask can give."""
+    if design.mask.dose is None or design.mask.dose.by != "proximity":
+        return []
+    remedy = "leave out [mask.dose], then run `metafab expose LAYOUT --design DESIGN.toml --correct -o DIR`"
+    return [Fault("mask.dose.by", "'size' or 'density'", "'proximity'", remedy)]
 
 
 def _objects_outside_view(design: Design, scene: Scene) -> list[Fault]:

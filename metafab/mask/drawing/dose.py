@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.layout import PillarMap, PillarTile
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.spec import Dose
@@ -22,12 +23,25 @@ class DoseClasses:
         pillars: the drawn pillars; read once if classes go by density.
         dose: number and kind of the classes; None for a single class.
         outline: outline of the pillars, for their areas.
+        of_site: shape (n_y, n_x) of the lattice, class of each site; for classes by proximity, and only for them.
+
+    Raises:
+        InputError: classes by proximity without ``of_site``, ``of_site`` with other classes, of another shape, or with
+            a class that does not exist.
     """
 
-    def __init__(self, pillars: PillarMap, dose: Dose | None, outline: Outline = RECTANGLE) -> None:
+    def __init__(
+        self,
+        pillars: PillarMap,
+        dose: Dose | None,
+        outline: Outline = RECTANGLE,
+        of_site: NDArray[np.uint8] | None = None,
+    ) -> None:
         self._count = 1 if dose is None else dose.classes
         self._of_size: NDArray[np.int64] | None = None
-        if dose is None:
+        self._of_site = of_site
+        _require_classes(pillars.lattice.shape, dose, of_site)
+        if dose is None or of_site is not None:
             return
         area = outline.area(pillars.size_dbu)
         if dose.by == "size":
@@ -47,15 +61,38 @@ class DoseClasses:
             yield 0, tile
             return
         index = tile.size_index
-        classes = self._of_block[self._blocks(tile)] if self._of_size is None else self._of_size[index]
-        for number in np.unique(classes[index > 0]).tolist():
+        classes = self._classes_of(tile)
+        for number in np.flatnonzero(np.bincount(classes[index > 0])).tolist():
             yield number, PillarTile(tile.row, tile.column, np.where(classes == number, index, np.uint16(0)))
+
+    def _classes_of(self, tile: PillarTile) -> NDArray[np.integer]:
+        """Class of each site of a tile, shape (n_y, n_x)."""
+        if self._of_site is not None:
+            n_y, n_x = tile.size_index.shape
+            return self._of_site[tile.row : tile.row + n_y, tile.column : tile.column + n_x]
+        return self._of_block[self._blocks(tile)] if self._of_size is None else self._of_size[tile.size_index]
 
     def _blocks(self, tile: PillarTile) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Density block of each row, shape (n_y, 1), and of each column, shape (1, n_x), of a tile."""
         n_y, n_x = tile.size_index.shape
         rows, columns = tile.row + np.arange(n_y), tile.column + np.arange(n_x)
         return (rows // self._block_rows)[:, None], (columns // self._block_columns)[None]
+
+
+def _require_classes(shape: tuple[int, int], dose: Dose | None, of_site: NDArray[np.uint8] | None) -> None:
+    """Check that classes of sites are given for classes by proximity, and only for them."""
+    proximity = dose is not None and dose.by == "proximity"
+    if proximity and of_site is None:
+        remedy = "write the mask without it, then run `metafab expose LAYOUT --design DESIGN.toml --correct -o DIR`"
+        raise InputError.single("mask", "dose.by", "'size' or 'density'", "'proximity' without classes", remedy)
+    if of_site is None:
+        return
+    if not proximity:
+        raise InputError.single("mask", "dose.by", "'proximity' for given classes", repr(dose and dose.by))
+    if of_site.shape != shape:
+        raise InputError.single("mask", "dose_class", f"shape {shape} of the lattice", f"shape {of_site.shape}")
+    if dose is not None and of_site.size and int(of_site.max()) >= dose.classes:
+        raise InputError.single("mask", "dose_class", f"classes below {dose.classes}", f"{int(of_site.max())}")
 
 
 def _classes(value: FloatArray, of: FloatArray, count: int) -> NDArray[np.int64]:

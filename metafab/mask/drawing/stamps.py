@@ -24,18 +24,19 @@ class Stamps:
     Args:
         drawn: the pillars, ``mask.bias_nm`` included.
         design: layers, dose classes, tone and copies.
+        dose_class: shape (n_y, n_x) of the lattice, dose class of each site if classes go by proximity.
 
     Raises:
-        InputError: the field around these pillars cannot be inverted.
+        InputError: the field around these pillars cannot be inverted, or dose classes are missing or do not fit.
     """
 
-    def __init__(self, drawn: PillarMap, design: Design) -> None:
+    def __init__(self, drawn: PillarMap, design: Design, dose_class: NDArray[np.uint8] | None = None) -> None:
         self._size_dbu = drawn.size_dbu
         self._mask = design.mask
         self._copies = lens_copies(design)
         self._biases = biases_dbu(self._copies)
         self._outline = outline_of(drawn, design)
-        self._classes = DoseClasses(drawn, design.mask.dose, self._outline)
+        self._classes = DoseClasses(drawn, design.mask.dose, self._outline, dose_class)
         self._pillars: dict[tuple[int, int], Stamp] = {}
         inverted = design.mask.tone == "inverted"
         if inverted and not self._outline.is_rectangle:
