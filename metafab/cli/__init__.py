@@ -12,6 +12,7 @@ JSON object and nothing else. Progress bars go to stderr, and only on a terminal
   - ``run``       ``new``, ``run``
   - ``cell``      ``cell``, ``library build``, ``library check``, ``library show``
   - ``mask``      ``layout``, ``drc``
+  - ``expose``    ``expose``
   - ``fullwave``  ``coupling``, ``patch``
   - ``light``     ``psf``, ``tolerance``
   - ``images``    ``capture``, ``film``, ``decode``, ``calibrate``

@@ -19,6 +19,7 @@ from metafab.cli.commands import run  # noqa: F401
 from metafab.cli.commands import study  # noqa: F401
 from metafab.cli.commands import cell  # noqa: F401
 from metafab.cli.commands import mask  # noqa: F401
+from metafab.cli.commands import expose  # noqa: F401
 from metafab.cli.commands import fullwave  # noqa: F401
 from metafab.cli.commands import light  # noqa: F401
 from metafab.cli.commands import images  # noqa: F401

@@ -5,6 +5,7 @@
 - ``library``    phase library: built or loaded
 - ``phase``      target phases and their study
 - ``layout``     pillars, mask files and their design-rule check
+- ``exposure``   electron exposure of a written mask, corrected doses
 - ``optics``     PSF pairs of the written mask and of the target phases
 - ``merit``      figures of merit, loss chain, aberrations over the field
 - ``tolerance``  effect of fabrication errors

@@ -24,7 +24,8 @@ pytestmark = pytest.mark.xdist_group("main_job")
 
 COMMANDS = [
     ["run"], ["cell"], ["library"], ["library", "build"], ["library", "check"], ["library", "show"], ["layout"],
-    ["drc"], ["coupling"], ["patch"], ["psf"], ["capture"], ["decode"], ["report"], ["benchmark"], ["doctor"],
+    ["drc"], ["expose"], ["coupling"], ["patch"], ["psf"], ["capture"], ["decode"], ["report"], ["benchmark"],
+    ["doctor"],
 ]  # fmt: skip
 
 

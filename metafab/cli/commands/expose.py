@@ -1,0 +1,92 @@
+"""Command ``expose``: electron exposure of a written mask."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from metafab.cli.app import Copy, DesignOption, Json, LayoutFile, Output, Workers, app
+from metafab.cli.console import open_work, show
+from metafab.core.errors import InputError
+from metafab.core.storage.files import whole_file
+
+if TYPE_CHECKING:
+    from metafab.exposure import BeamPsf, SampledPillar
+
+
+@app.command("expose")
+def expose_command(
+    layout: LayoutFile,
+    design: DesignOption,
+    correct: Annotated[
+        bool, typer.Option("--correct", help="Correct the dose of each pillar for proximity effects.")
+    ] = False,
+    sample: Annotated[
+        int, typer.Option("--sample", min=0, max=1_000_000, metavar="N", help="Number of random pillars to list.")
+    ] = 0,
+    sample_csv: Annotated[
+        Path | None, typer.Option("--sample-csv", metavar="OUT.csv", help="Table of the listed pillars.")
+    ] = None,
+    copy: Copy = 1,
+    output: Output = None,
+    workers: Workers = None,
+    json_: Json = False,
+) -> None:
+    """Predict printed sizes from the electron exposure of a mask, and correct its doses.
+
+    With --correct and -o DIR, the corrected mask (one datatype per dose class) and doses.csv are written to DIR.
+    """
+    from metafab.core.parallel.measure import measured
+    from metafab.spec import load_design
+    from metafab.steps.exposure import expose_mask, write_corrected
+
+    if (sample > 0) != (sample_csv is not None):
+        expected = "`--sample N` together with `--sample-csv OUT.csv`"
+        raise InputError.single("--sample", "sample", expected, "one of them")
+    if output is not None and not correct:
+        raise InputError.single("--output", "output", "`--correct` with it", "no correction", "add `--correct`")
+    spec = load_design(design)
+    with open_work(workers) as work, measured() as cost:
+        exposed = expose_mask(layout, spec, correct, sample, copy, work)
+        files = () if output is None else write_corrected(exposed, spec, output, work.progress)
+    result = exposed.exposure
+    if sample_csv is not None:
+        _write_samples(result.samples, sample_csv)
+    sizes = {path.name: path.stat().st_size for path in files}
+    further = {"files": sizes} if files else {}
+    show(
+        result.figures,
+        json_,
+        psf=_described(exposed.psf),
+        seconds=cost.seconds,
+        peak_rss_mb=cost.peak_rss_mb,
+        **further,
+    )
+
+
+def _described(psf: BeamPsf) -> dict[str, object]:
+    """Every parameter of the point-spread function."""
+    gaussians = [
+        {"kind": "gauss", "weight": float(weight), "range_nm": float(beta)}
+        for weight, beta in zip(psf.weight, psf.range_nm, strict=True)
+    ]
+    return {
+        "source": psf.source,
+        "given": [asdict(term) for term in psf.terms],
+        "fit_error": psf.fit_error,
+        "terms": gaussians,
+    }
+
+
+def _write_samples(samples: tuple[SampledPillar, ...], path: Path) -> None:
+    """Write one row for each sampled pillar, under the names of its figures."""
+    from metafab.exposure import SampledPillar
+
+    with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow([item.name for item in fields(SampledPillar)])
+        writer.writerows(asdict(pillar).values() for pillar in samples)
