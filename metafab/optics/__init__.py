@@ -63,8 +63,5 @@ if not TYPE_CHECKING:
             "metafab.optics.measures.space_variance": "SpaceVariance aberration_dioptre space_variance",
             "metafab.optics.point_spread": "PsfField",
             "metafab.optics.sources.source": "ApodisedField IdealField",
-            "metafab.tolerance.corners": "CornerField corner_fields",
-            "metafab.tolerance.study": "tolerance_table",
-            "metafab.tolerance.table": "ToleranceRow ToleranceTable load_tolerance save_tolerance tolerance_figures",
         },
     )

@@ -36,13 +36,13 @@ def test_a_face_offers_its_further_names(face: str, module: str, names: str) -> 
 def test_names_of_the_first_version_are_importable() -> None:
     from metafab.cell.rcwa import ZeroOrder
     from metafab.library import Surface, coverage_rad
-    from metafab.optics import PsfField, depth_crlb_m, modulation_transfer, orientation_deg, tolerance_table
+    from metafab.optics import PsfField, depth_crlb_m, modulation_transfer, orientation_deg
     from metafab.phase import PhaseStudy, Proposal, Texture, rim_defocus_rad, zone_radii
     from metafab.report.figures import pair_over_depth, phase_map
     from metafab.steps import full_stokes, save_psf
 
     found = [ZeroOrder, Surface, coverage_rad, PsfField, depth_crlb_m, modulation_transfer, orientation_deg]
-    found += [tolerance_table, PhaseStudy, Proposal, Texture, rim_defocus_rad, zone_radii, pair_over_depth, phase_map]
+    found += [PhaseStudy, Proposal, Texture, rim_defocus_rad, zone_radii, pair_over_depth, phase_map]
     assert all(callable(each) for each in [*found, full_stokes, save_psf])
 
 
