@@ -30,6 +30,9 @@ Format = Literal["gds", "oas"]
 
 _GDSII_BEGINNING = b"\x00\x06\x00\x02"
 
+#: Sites for the budget of a design without a lattice: a lens of 1.4 mm.
+_SITES_WITHOUT_LATTICE = 1 << 24
+
 # Parts of up to this many shapes are decoded ahead and held in memory.
 _AHEAD_SHAPES = 1 << 19
 
@@ -135,8 +138,7 @@ def _open(
     layer = (design.mask.layer, *design.mask.datatypes)
     if format_of(path) == "gds":
         return GdsiiReader(path, layer, progress, known=known)
-    sites = math.prod(lattice_of(design).shape) * len(lens_copies(design))
-    return OasisReader(path, layer, progress, known=known, skip_blocks=skip_blocks, sites=sites)
+    return OasisReader(path, layer, progress, known=known, skip_blocks=skip_blocks, sites=_sites(design))
 
 
 def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, progress: Progress, copy: int) -> ReadBack:
@@ -201,8 +203,15 @@ def _wide_crosses(rectangles: IntArray) -> IntArray:
 
 def _most_shapes(design: Design) -> int:
     """Number of shapes above which a file is another design's."""
-    n_y, n_x = lattice_of(design).shape
-    return 16 * len(lens_copies(design)) * n_y * n_x + 1_000_000
+    return 16 * _sites(design) + 1_000_000
+
+
+def _sites(design: Design) -> int:
+    """Number of sites of all lenses, which sets the budget of a file."""
+    try:
+        return math.prod(lattice_of(design).shape) * len(lens_copies(design))
+    except InputError:  # Rules are checked even where the period is no whole number of units.
+        return _SITES_WITHOUT_LATTICE
 
 
 def _refuse_many(path: Path, design: Design, count: int, limit: int) -> None:
@@ -212,8 +221,7 @@ def _refuse_many(path: Path, design: Design, count: int, limit: int) -> None:
         InputError: it holds more.
     """
     if count > limit:
-        n_y, n_x = lattice_of(design).shape
-        expected, remedy = f"about as many as the design's {n_y * n_x} sites", "is it another design's?"
+        expected, remedy = f"about as many as the design's {_sites(design)} sites", "is it another design's?"
         raise InputError.single(str(path), "shapes", expected, str(count), remedy)
 
 
