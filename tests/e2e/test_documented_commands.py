@@ -25,13 +25,14 @@ NOT_RUN = {
     "pip install": "fetches packages",
     "python3 -m venv": "is there to fetch packages",
     "benchmark": "measures for minutes; tests/cli/test_benchmark.py runs a room",
-    "dask": "starts a cluster; tests/files/test_library_build_file.py has one",
+    "sphinx-build": "builds the documentation; tests/e2e/test_report_docs.py does",
+    "dask": "starts a cluster; tests/files/library/sweep/test_build.py has one",
     "--cluster": "needs the cluster",
 }
 
 #: Pages whose Python no test follows, and why.
 PYTHON_NOT_RUN = {
-    "new-process": "asks a library over wavelength and bias: minutes; tests/unit/test_library_axes.py has one",
+    "new-process": "asks a library over wavelength and bias: minutes; tests/unit/library/test_axes.py has one",
     "cluster": "needs Slurm or Kubernetes",
 }
 

@@ -12,7 +12,6 @@ import typer
 from metafab.cli.app import Copy, DesignOption, Json, LayoutFile, Output, Workers, app
 from metafab.cli.console import open_work, show
 from metafab.core.errors import InputError
-from metafab.core.storage.files import whole_file
 
 if TYPE_CHECKING:
     from metafab.exposure import BeamPsf, SampledPillar
@@ -84,6 +83,7 @@ def _described(psf: BeamPsf) -> dict[str, object]:
 
 def _write_samples(samples: tuple[SampledPillar, ...], path: Path) -> None:
     """Write one row for each sampled pillar, under the names of its figures."""
+    from metafab.core.storage.files import whole_file
     from metafab.exposure import SampledPillar
 
     with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as stream:
