@@ -44,6 +44,7 @@ from numpy.typing import ArrayLike, NDArray
 Polarisation: TypeAlias = Literal["x", "y"]
 Side: TypeAlias = Literal["substrate", "ambient"]
 FloatArray: TypeAlias = NDArray[np.float64]
+Float32Array: TypeAlias = NDArray[np.float32]
 ComplexArray: TypeAlias = NDArray[np.complex128]
 
 POLARISATIONS: tuple[Polarisation, Polarisation] = ("x", "y")

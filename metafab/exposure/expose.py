@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
+from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
 from metafab.exposure.beam import BeamPsf
 from metafab.exposure.printing import EdgeTables, add_edge_displacements
 from metafab.exposure.resist import ResistEnergy, TileEnergy
 from metafab.exposure.sums import dose_to_size_sums, newton_doses, size_statistics
 from metafab.layout import PillarMap
-
-Float32Array = NDArray[np.float32]
 
 #: Pillars whose energies are compared with a direct sum for the stated error.
 _CHECKED = 6
@@ -149,24 +148,56 @@ def expose(
         InputError: a hexagonal lattice, no pillar, or a pattern that cannot be printed.
     """
     resist = ResistEnergy(pillars, psf)
-    if not resist.tiles():
+    if not resist.tiles:
         raise InputError.single("exposure", "pillars", "at least one pillar", "none")
     tables = EdgeTables.of(psf, resist.size_nm)
     dose = np.ones(resist.size_index.shape, dtype=np.float32)
-    rounds = 0
+    rounds, dose_class, class_dose = 0, None, np.ones(1)
     with work.threads() as executor:
         ratio = (
             _dose_to_size(resist, tables, dose, executor)
             if base_over_clearing_dose is None
             else base_over_clearing_dose
         )
+        process = _Process(resist, tables, ratio, executor)
         if correct:
-            dose, rounds = _corrected(resist, tables, dose, ratio, executor, work)
-        dose_class, class_dose = None, np.ones(1)
-        if correct and numerics.classes:
-            dose_class, class_dose = _quantised(resist, dose, numerics.classes)
-            dose = class_dose.astype(np.float32)[dose_class]
-        return _printed(resist, tables, dose, dose_class, class_dose, ratio, rounds, numerics, executor, pillars)
+            dose, rounds = _corrected(process, dose, work.progress)
+            if numerics.classes:
+                dose_class, class_dose = _quantised(resist, dose, numerics.classes)
+                dose = class_dose.astype(np.float32)[dose_class]
+        places = _random_pillars(resist.size_index, max(numerics.samples, _CHECKED), numerics.seed)
+        sums, histogram, listed = _printed(process, dose, places)
+    checked = places[:_CHECKED].tolist()
+    error = max(float(np.abs(listed[r, c][:3] - ratio * resist.direct(dose, r, c)).max()) for r, c in checked)
+    sides = max(1.0, 2.0 * (sums.pillars - sums.unprinted))
+    figures = ExposureFigures(
+        pillars=sums.pillars,
+        cd_error_rms_nm=math.sqrt(sums.square_nm2 / sides),
+        cd_error_max_nm=sums.largest_nm,
+        cd_bias_nm=sums.total_nm / sides,
+        unprinted=sums.unprinted,
+        dose_min=sums.dose_min,
+        dose_max=sums.dose_max,
+        classes=len(class_dose),
+        latitude_nm_per_percent=sums.latitude_nm / sides,
+        base_over_clearing_dose=ratio,
+        error=error,
+        rounds=rounds,
+    )
+    wanted = [(row, column) for row, column in places[: numerics.samples].tolist()]
+    samples = _samples(pillars, dose, [(place, listed[place]) for place in wanted])
+    bins_nm = np.asarray(_BIN_NM * (np.arange(_BINS + 1) - 0.5 * _BINS), dtype=np.float64)
+    return Exposure(figures, dose, dose_class, class_dose, samples, histogram, bins_nm)
+
+
+@dataclass(frozen=True)
+class _Process:
+    """A pattern, its tables of edges, and the base dose over the clearing dose; tiles run in ``executor``."""
+
+    resist: ResistEnergy
+    tables: EdgeTables
+    ratio: float
+    executor: Executor
 
 
 def _dose_to_size(resist: ResistEnergy, tables: EdgeTables, dose: Float32Array, executor: Executor) -> float:
@@ -175,15 +206,13 @@ def _dose_to_size(resist: ResistEnergy, tables: EdgeTables, dose: Float32Array, 
     def sums(tile: TileEnergy) -> FloatArray:
         return np.array(dose_to_size_sums(tile.size_index, tile.dose, tile.others, tables.at_edge, tables.slope_per_nm))
 
-    tiles = resist.tiles()
-    every = max(1, len(tiles) // _SAMPLED_TILES)
-    energy, count = np.sum([found for _, found in resist.map_tiles(dose, executor, sums, tiles[::every])], axis=0)
+    every = max(1, len(resist.tiles) // _SAMPLED_TILES)
+    parts = [found for _, found in resist.map_tiles(dose, executor, sums, resist.tiles[::every])]
+    energy, count = np.sum(parts, axis=0)
     return float(count / energy)
 
 
-def _corrected(
-    resist: ResistEnergy, tables: EdgeTables, dose: Float32Array, ratio: float, executor: Executor, work: Work
-) -> tuple[Float32Array, int]:
+def _corrected(process: _Process, dose: Float32Array, progress: Progress) -> tuple[Float32Array, int]:
     """Find the doses at which the mean size error of each pillar's width and length vanishes, by Newton's method.
 
     The derivative assumes that the doses of neighbours change by the same factor.
@@ -191,17 +220,19 @@ def _corrected(
     Returns:
         Doses, shape (n_y, n_x), and the number of rounds.
     """
+    tables = process.tables
     for number in range(1, _MOST_ROUNDS + 1):
         new = np.ones_like(dose)
 
         def update(tile: TileEnergy, new: Float32Array = new) -> FloatArray:
             place = new[tile.rows, tile.columns]
             edges = (tile.others, tables.at_edge, tables.slope_per_nm)
-            return np.array(newton_doses(tile.size_index, tile.dose, *edges, ratio, _DOSE_BOUNDS, place))
+            return np.array(newton_doses(tile.size_index, tile.dose, *edges, process.ratio, _DOSE_BOUNDS, place))
 
-        square, count = np.sum([found for _, found in resist.map_tiles(dose, executor, update)], axis=0)
+        parts = [found for _, found in process.resist.map_tiles(dose, process.executor, update)]
+        square, count = np.sum(parts, axis=0)
         dose = new
-        work.progress("correction", number, _MOST_ROUNDS)
+        progress("correction", number, _MOST_ROUNDS)
         if math.sqrt(square / max(count, 1.0)) < _CONVERGED_NM:
             break
     return dose, number
@@ -215,115 +246,126 @@ def _quantised(resist: ResistEnergy, dose: Float32Array, classes: int) -> tuple[
     """
     if not 2 <= classes <= 256:
         raise InputError.single("exposure", "classes", "2 to 256", str(classes))
-    parts = [np.log(dose[block][resist.size_index[block] > 0]) for block in resist.tiles()]
+    parts = [np.log(dose[block][resist.size_index[block] > 0]) for block in resist.tiles]
     low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
     step = max(high - low, 1e-6) / classes
     dose_class = np.zeros(dose.shape, dtype=np.uint8)
     total, count = np.zeros(classes), np.zeros(classes)
-    for block in resist.tiles():
+    for block, logarithm in zip(resist.tiles, parts, strict=True):
         stand = resist.size_index[block] > 0
-        values = dose[block][stand]
-        number = np.minimum(((np.log(values) - low) / step).astype(np.int64), classes - 1)
+        number = np.minimum(((logarithm - low) / step).astype(np.int64), classes - 1)
         dose_class[block][stand] = number
-        total += np.bincount(number, values, classes)
+        total += np.bincount(number, dose[block][stand], classes)
         count += np.bincount(number, minlength=classes)
     middle = np.exp(low + step * (np.arange(classes) + 0.5))
     return dose_class, np.where(count > 0, total / np.maximum(count, 1.0), middle)
 
 
+@dataclass(frozen=True)
+class _SizeSums:
+    """Sums over all pillars of :func:`metafab.exposure.sums.size_statistics`."""
+
+    pillars: int
+    unprinted: int
+    total_nm: float
+    square_nm2: float
+    largest_nm: float
+    latitude_nm: float
+    dose_min: float
+    dose_max: float
+
+    @classmethod
+    def of(cls, parts: FloatArray) -> _SizeSums:
+        """Add up the results of tiles, shape (n_tiles, 8)."""
+        added, least, most = parts.sum(axis=0), parts.min(axis=0), parts.max(axis=0)
+        pillars, unprinted, total, square, _, latitude, *_ = added.tolist()
+        return cls(
+            int(pillars), int(unprinted), total, square, float(most[4]), latitude, float(least[6]), float(most[7])
+        )
+
+
 def _printed(
-    resist: ResistEnergy,
-    tables: EdgeTables,
-    dose: Float32Array,
-    dose_class: NDArray[np.uint8] | None,
-    class_dose: FloatArray,
-    ratio: float,
-    rounds: int,
-    numerics: ExposureNumerics,
-    executor: Executor,
-    pillars: PillarMap,
-) -> Exposure:
-    """Predict the printed sizes at doses of shape (n_y, n_x)."""
-    histogram = np.zeros(_BINS, dtype=np.int64)
-    wanted = _random_pillars(resist, numerics.samples + _CHECKED, numerics.seed)
-    found: dict[tuple[int, int], FloatArray] = {}
-    edges = (tables.displacement_nm, tables.energy)
+    process: _Process, dose: Float32Array, places: NDArray[np.int64]
+) -> tuple[_SizeSums, NDArray[np.int64], dict[tuple[int, int], FloatArray]]:
+    """Predict the printed sizes.
+
+    Args:
+        process: the pattern.
+        dose: shape (n_y, n_x).
+        places: shape (n, 2), rows and columns of listed pillars.
+
+    Returns:
+        Sums over all pillars; the histogram of size errors, shape (n_bins,); and for each listed pillar, shape (5,):
+        energy at the centre, the x and the y edges over the clearing energy, and printed less drawn width and length.
+    """
+    tables, ratio = process.tables, process.ratio
 
     def printed(tile: TileEnergy) -> FloatArray:
         moved = np.zeros_like(tile.others)
+        edges = (tables.displacement_nm, tables.energy)
         add_edge_displacements(tile.size_index, tile.dose, tile.others, 1.0 / ratio, *edges, moved)
         counts = np.zeros(_BINS, dtype=np.int64)
         sums = size_statistics(tile.size_index, tile.dose, tables.slope_per_nm, moved, ratio, _BIN_NM, counts)
-        for row, column in _inside(wanted, tile):
-            y, x = row - tile.rows.start, column - tile.columns.start
-            at_edges = tables.at_edge[:, tile.size_index[y, x]] * tile.dose[y, x] + tile.others[:, y, x]
-            found[row, column] = np.concatenate([[ratio * tile.centre[y, x]], ratio * at_edges, 2.0 * moved[:, y, x]])
-        return np.concatenate([sums, counts])
+        y, x = (_inside(places, tile.rows, tile.columns) - (tile.rows.start, tile.columns.start)).T
+        at_edges = tables.at_edge[:, tile.size_index[y, x]] * tile.dose[y, x] + tile.others[:, y, x]
+        rows = np.concatenate([ratio * tile.centre[None, y, x], ratio * at_edges, 2.0 * moved[:, y, x]])
+        return np.concatenate([sums, counts, rows.T.ravel()])
 
-    parts = [result for _, result in resist.map_tiles(dose, executor, printed)]
-    sums = np.sum(parts, axis=0)
-    histogram += sums[8:].astype(np.int64)
-    count, unprinted, total, square, _, latitude = sums[:6]
-    largest, largest_dose = (max(part[k] for part in parts) for k in (4, 7))
-    smallest_dose = min(part[6] for part in parts)
-    sides = max(1.0, 2.0 * (count - unprinted))
-    checked = wanted[:_CHECKED]
-    error = max(float(np.max(np.abs(found[p][:3] - ratio * resist.direct(dose, *p)))) for p in checked)
-    figures = ExposureFigures(
-        pillars=int(count),
-        cd_error_rms_nm=math.sqrt(square / sides),
-        cd_error_max_nm=float(largest),
-        cd_bias_nm=total / sides,
-        unprinted=int(unprinted),
-        dose_min=float(smallest_dose),
-        dose_max=float(largest_dose),
-        classes=1 if dose_class is None and rounds == 0 else len(class_dose),
-        latitude_nm_per_percent=latitude / sides,
-        base_over_clearing_dose=ratio,
-        error=error,
-        rounds=rounds,
-    )
-    samples = tuple(_sample(resist, dose, pillars, place, found[place]) for place in wanted[_CHECKED:])
-    bins_nm = np.asarray(_BIN_NM * (np.arange(_BINS + 1) - 0.5 * _BINS), dtype=np.float64)
-    return Exposure(figures, dose, dose_class, class_dose, samples, histogram, bins_nm)
+    parts, counts = [], np.zeros(_BINS, dtype=np.int64)
+    listed: dict[tuple[int, int], FloatArray] = {}
+    for block, result in process.resist.map_tiles(dose, process.executor, printed):
+        statistics, bins, rows = np.split(result, [8, 8 + _BINS])
+        parts.append(statistics)
+        counts += bins.astype(np.int64)
+        inside = _inside(places, *block).tolist()
+        listed.update(zip(map(tuple, inside), rows.reshape(-1, 5), strict=True))
+    return _SizeSums.of(np.array(parts)), counts, listed
 
 
-def _random_pillars(resist: ResistEnergy, count: int, seed: int) -> list[tuple[int, int]]:
-    """Distinct random sites with a pillar, as (row, column); fewer if there are fewer pillars."""
-    rng = np.random.default_rng(seed)
-    index = resist.size_index
-    if np.count_nonzero(index[: 1 << 10, : 1 << 10]) == np.count_nonzero(index) <= 4 * count:
-        places = np.argwhere(index > 0)
-        return [(int(r), int(c)) for r, c in rng.permutation(places)[:count]]
-    chosen: dict[tuple[int, int], None] = {}
-    while len(chosen) < count:
-        row, column = (int(rng.integers(n)) for n in index.shape)
-        if index[row, column]:
-            chosen[row, column] = None
-    return list(chosen)
+def _random_pillars(size_index: NDArray[np.uint16], count: int, seed: int) -> NDArray[np.int64]:
+    """Draw distinct pillars: (row, column) of each, shape (n, 2), n at most the number of pillars."""
+    in_row = np.count_nonzero(size_index, axis=1)
+    upto = np.cumsum(in_row)
+    total = int(upto[-1])
+    rank = np.random.default_rng(seed).choice(total, min(count, total), replace=False)
+    rows = np.searchsorted(upto, rank, side="right")
+    within = rank - (upto - in_row)[rows]
+    columns = np.empty_like(rows)
+    for row in np.unique(rows):
+        here = rows == row
+        columns[here] = np.flatnonzero(size_index[row])[within[here]]
+    return np.stack([rows, columns], axis=1)
 
 
-def _inside(places: list[tuple[int, int]], tile: TileEnergy) -> Iterator[tuple[int, int]]:
-    for row, column in places:
-        if tile.rows.start <= row < tile.rows.stop and tile.columns.start <= column < tile.columns.stop:
-            yield row, column
+def _inside(places: NDArray[np.int64], rows: slice, columns: slice) -> NDArray[np.int64]:
+    """The places within a tile, shape (n, 2), in their order."""
+    row, column = places.T
+    within = (rows.start <= row) & (row < rows.stop) & (columns.start <= column) & (column < columns.stop)
+    return np.asarray(places[within])
 
 
-def _sample(
-    resist: ResistEnergy, dose: Float32Array, pillars: PillarMap, place: tuple[int, int], values: FloatArray
-) -> SampledPillar:
-    row, column = place
-    width, length = (float(side) for side in resist.size_nm[resist.size_index[place]])
-    centre, edge_x, edge_y, wider, longer = (float(value) for value in values)
-    return SampledPillar(
-        x_um=float(pillars.lattice.x_um()[column]),
-        y_um=float(pillars.lattice.y_um()[row]),
-        width_nm=width,
-        length_nm=length,
-        dose=float(dose[place]),
-        energy_centre=centre,
-        energy_edge_x=edge_x,
-        energy_edge_y=edge_y,
-        printed_width_nm=max(0.0, width + wider),
-        printed_length_nm=max(0.0, length + longer),
-    )
+def _samples(
+    pillars: PillarMap, dose: Float32Array, listed: Sequence[tuple[tuple[int, int], FloatArray]]
+) -> tuple[SampledPillar, ...]:
+    """Figures of listed pillars: place and values of :func:`_printed` of each."""
+    x_um, y_um, sizes_nm = pillars.lattice.x_um(), pillars.lattice.y_um(), pillars.size_nm()
+    index = pillars.to_array()
+    samples = []
+    for (row, column), values in listed:
+        width, length = (float(side) for side in sizes_nm[index[row, column]])
+        centre, edge_x, edge_y, wider, longer = (float(value) for value in values)
+        samples.append(
+            SampledPillar(
+                x_um=float(x_um[column]),
+                y_um=float(y_um[row]),
+                width_nm=width,
+                length_nm=length,
+                dose=float(dose[row, column]),
+                energy_centre=centre,
+                energy_edge_x=edge_x,
+                energy_edge_y=edge_y,
+                printed_width_nm=max(0.0, width + wider),
+                printed_length_nm=max(0.0, length + longer),
+            )
+        )
+    return tuple(samples)

@@ -16,13 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from numpy.typing import NDArray
 from scipy.special import erf
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import Float32Array, FloatArray
 from metafab.exposure.beam import BeamPsf
-
-Float32Array = NDArray[np.float32]
 
 #: Ranges after which a Gaussian is cut off: exp(-3.6^2) = 2e-6.
 REACH = 3.6

@@ -17,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.exposure.beam import BeamPsf
-
-Float32Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -16,14 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.exposure.beam import BeamPsf
 
-Float32Array = NDArray[np.float32]
-
-#: Displacements of the table: nodes, finest step at 0 (nm) and reach (nm).
-_NODES, _STEP_NM, _REACH_NM = 161, 0.1, 120.0
+#: Displacements of the table: number of nodes, displacement up to which their steps are even (nm), and reach (nm).
+_NODES, _EVEN_NM, _REACH_NM = 161, 0.05, 120.0
 
 
 @dataclass(frozen=True)
@@ -45,7 +43,7 @@ class EdgeTables:
     @classmethod
     def of(cls, psf: BeamPsf, size_nm: FloatArray) -> EdgeTables:
         """Tabulate pillars of ``size_nm``, shape (n_sizes, 2)."""
-        reach = np.arcsinh(_REACH_NM / _STEP_NM * (_NODES - 1) / 2.0 / 40.0)
+        reach = np.arcsinh(_REACH_NM / _EVEN_NM)
         turn = np.linspace(-reach, reach, _NODES)
         displacement = _REACH_NM * np.sinh(turn) / np.sinh(reach)
         displacement[_NODES // 2] = 0.0

@@ -11,7 +11,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled_parallel, prange
 from metafab.core.parallel.executor import in_order
@@ -20,7 +20,6 @@ from metafab.exposure.far import BLOCK_SITES, LONG_PERIODS, LongRange, MiddleRan
 from metafab.exposure.near import NearTables, add_near, near_tables
 from metafab.layout import PillarMap
 
-Float32Array = NDArray[np.float32]
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 #: Sites a side of a tile.
@@ -77,16 +76,13 @@ class ResistEnergy:
         self._long_psf = psf.between(LONG_PERIODS * smallest, math.inf)
         self._area = (self.size_nm[:, 0] * self.size_nm[:, 1]).astype(np.float32)
         self._sides = self.size_nm.astype(np.float32)
-
-    def tiles(self) -> list[tuple[slice, slice]]:
-        """Rows and columns of the tiles that hold pillars."""
-        n_y, n_x = self.size_index.shape
+        n_y, n_x = lattice.shape
         blocks = [
             (slice(row, min(row + TILE_SITES, n_y)), slice(column, min(column + TILE_SITES, n_x)))
-            for row in range(0, n_y, TILE_SITES)
-            for column in range(0, n_x, TILE_SITES)
+            for row, column in lattice.tile_corners(TILE_SITES)
         ]
-        return [block for block in blocks if self.size_index[block].any()]
+        #: Rows and columns of the tiles that hold pillars.
+        self.tiles = tuple(block for block in blocks if self.size_index[block].any())
 
     def map_tiles(
         self,
@@ -101,7 +97,7 @@ class ResistEnergy:
             dose: shape (n_y, n_x) of the lattice, relative to the base dose.
             executor: threads.
             work: called with each tile, returns an array of any shape.
-            tiles: some of :meth:`tiles`; all by default.
+            tiles: some of ``tiles``; all by default.
 
         Yields:
             The tile's rows and columns, and the result of ``work``.
@@ -111,7 +107,7 @@ class ResistEnergy:
         def both(block: tuple[slice, slice]) -> tuple[tuple[slice, slice], FloatArray]:
             return block, work(self._tile(dose, long_range, block))
 
-        yield from in_order(executor, both, self.tiles() if tiles is None else tiles)
+        yield from in_order(executor, both, self.tiles if tiles is None else tiles)
 
     def direct(self, dose: Float32Array, row: int, column: int) -> FloatArray:
         """Compute the energy at one pillar as a direct sum over all pillars in reach.

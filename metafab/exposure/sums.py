@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.numeric.compiled import compiled
-
-Float32Array = NDArray[np.float32]
 
 
 @compiled

@@ -72,6 +72,26 @@ class ReadBack:
     top_cells: tuple[str, ...]
     database_unit_nm: float
 
+    def require_pillars_alone(self, remedy: str) -> None:
+        """Refuse a file whose pillar layer holds anything else than pillars at sites of the lattice.
+
+        Args:
+            remedy: the consequence for the caller, and what to do.
+
+        Raises:
+            InputError: with the number of leftovers of each kind.
+        """
+        unplaced = {
+            "off the lattice": self.off_site.count,
+            "off the grid": self.off_grid.count,
+            "at a site that has one already": self.duplicates.count,
+            **{kind: left.count for kind, left in self.foreign.items()},
+        }
+        got = ", ".join(f"{count} {where}" for where, count in unplaced.items() if count)
+        if got:
+            expected = "rectangles at lattice sites and nothing else on the pillar layer"
+            raise InputError.single(str(self.path), "pillars", expected, got, remedy)
+
 
 def read(
     path: Path, design: Design, progress: Progress = silent, copy: int = 1, known: KnownShapes | None = None

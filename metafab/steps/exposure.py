@@ -58,11 +58,7 @@ def expose_mask(path: Path, design: Design, correct: bool, samples: int, copy: i
         raise InputError(design.name, faults)
     psf = exposure.beam_psf(process)
     back = mask.read(path, design, progress=work.progress, copy=copy)
-    others = [back.off_site, back.off_grid, back.duplicates, *back.foreign.values()]
-    strange = sum(leftover.count for leftover in others)
-    if strange:
-        expected = "pillars at lattice sites and nothing else on the pillar layer"
-        raise InputError.single(str(path), "pillars", expected, f"{strange} other shapes", "run `metafab drc` on it")
+    back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
     found = exposure.expose(
         back.pillars,
         psf,

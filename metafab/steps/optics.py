@@ -193,20 +193,7 @@ def _read_pillars(job: Job, path: Path, copy: int, angles: int | None) -> Pillar
         back = mask.read(path, job.design, progress=progress, copy=copy)
     else:
         back = read_turned(path, job.design, angles, progress=progress, copy=copy)
-    unplaced = {
-        "off the lattice": back.off_site.count,
-        "off the grid": back.off_grid.count,
-        "at a site that has one already": back.duplicates.count,
-        **{kind: left.count for kind, left in back.foreign.items()},
-    }
-    if any(unplaced.values()):
-        raise InputError.single(
-            str(path),
-            "pillars",
-            "rectangles at lattice sites and nothing else on the pillar layer",
-            ", ".join(f"{count} {where}" for where, count in unplaced.items() if count),
-            "their light cannot be simulated; `metafab drc` lists their places",
-        )
+    back.require_pillars_alone("their light cannot be simulated; `metafab drc` lists their places")
     return mask.biased(back.pillars, -job.design.mask.bias_nm)
 
 

@@ -7,9 +7,6 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-#: Obsolete: numba is required.
-HAS_NUMBA = True
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 #: Loop index of :func:`compiled_parallel` kernels.

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 from scipy.special import erf
 
 from metafab.exposure import ExposureNumerics, expose
 from metafab.layout import PillarMap
-from tests.physics.exposure.conftest import BEAM
+from tests.physics.exposure.conftest import BEAM, pattern
 
 
 def test_correction_prints_what_is_drawn(lens: PillarMap) -> None:
@@ -36,3 +37,12 @@ def test_printed_edge_lies_where_the_energy_is_the_clearing_energy(lens: PillarM
         at_edge = 0.55 * 0.5 * erf(pillar.width_nm / 8.0)
         predicted = pillar.energy_edge_x + ratio * pillar.dose * (own - at_edge)
         assert predicted == pytest.approx(1.0, abs=0.01)
+
+
+def test_pillars_are_listed_once_each_and_as_many_as_there_are() -> None:
+    """Three pillars on a lattice of two million sites: each is listed, and drawing them ends."""
+    index = np.zeros((1500, 1500), dtype=np.uint16)
+    index[3, 7] = index[700, 1400] = index[1499, 0] = 1
+    result = expose(pattern(np.array([(150.0, 200.0)]), index), BEAM, numerics=ExposureNumerics(samples=10))
+    assert result.figures.pillars == 3
+    assert len({(pillar.x_um, pillar.y_um) for pillar in result.samples}) == len(result.samples) == 3
