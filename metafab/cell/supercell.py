@@ -171,3 +171,35 @@ class SupercellResponse:
     def coupling_error(self) -> float:
         """Error of the local-period approximation: root of the squared amplitude differences summed over all orders."""
         return float(np.sqrt(np.sum(np.abs(self.co_polarised - self.local_period) ** 2)))
+
+
+@dataclass(frozen=True)
+class SupercellOrders:
+    """Transmitted orders of a supercell for both incident polarisations: the result of every solver of supercells.
+
+    Attributes:
+        supercell: the supercell that was solved.
+        order: shape (n_orders, 2), all orders (m, n) that propagate behind the pillars.
+        t: shape (n_orders, 2, 2), E of each order over incident E, indexed [order, out, in] in the basis (x, y), in the
+            planes of the conventions, with phases from the middle of the supercell.
+        error: relative error of ``t``: root of the squared errors summed over orders and polarisations, over that of
+            ``t`` itself.
+        seconds: time that the solution took.
+    """
+
+    supercell: Supercell
+    order: IntArray
+    t: ComplexArray
+    error: float
+    seconds: float
+
+    def efficiency(self, polarisation: Polarisation) -> FloatArray:
+        """Transmitted over incident power of each order for an incident polarisation, shape (n_orders,)."""
+        amplitude = self.t[:, :, POLARISATIONS.index(polarisation)]
+        return self.supercell.relative_power(self.order, amplitude, polarisation)
+
+
+def relative_rms(difference: ComplexArray, t: ComplexArray) -> float:
+    """Norm of ``difference`` over the norm of ``t``, both of any shape; 0 where both vanish."""
+    norm = float(np.linalg.norm(difference))
+    return norm / float(np.linalg.norm(t)) if norm else 0.0

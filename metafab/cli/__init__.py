@@ -13,7 +13,7 @@ JSON object and nothing else. Progress bars go to stderr, and only on a terminal
   - ``cell``      ``cell``, ``library build``, ``library check``, ``library show``
   - ``mask``      ``layout``, ``drc``
   - ``expose``    ``expose``
-  - ``fullwave``  ``coupling``, ``patch``
+  - ``fullwave``  ``fullwave``, ``coupling``, ``patch``
   - ``light``     ``psf``, ``tolerance``
   - ``images``    ``capture``, ``film``, ``decode``, ``calibrate``
   - ``stokes``    ``stokes``

@@ -3,6 +3,7 @@
 - ``fit/``     rational models of the amplitudes, and the error bounds that follow from them
 - ``sweep/``   adaptive sampling and checkpoints: UnitCell -> Library
 - ``use/``     target phases -> sizes, figures of merit, checks
+- ``neighbours/``  what unlike neighbours do
 - ``axes``     corners of a sweep (wavelength, height, walls, bias, index, angle), and the cells there
 - ``corners``  models over the axes, and the response at one corner
 - ``surface``  continuous evaluation at millions of sizes per second

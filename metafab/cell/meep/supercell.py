@@ -10,16 +10,19 @@ from __future__ import annotations
 import cmath
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
+from metafab.cell.meep.extrapolation import richardson
 from metafab.cell.meep.grid import ABSORBER, CLEARANCE, PLANE_NODES, Plan, grid_wavenumber, permittivity
 from metafab.cell.meep.pool import Pool, own_pool
 from metafab.cell.meep.protocol import Block, Job
 from metafab.cell.meep.solver import refuse_untreated
 from metafab.cell.pillar import PillarCell
-from metafab.cell.supercell import IntArray, Supercell, SupercellResponse
+from metafab.cell.supercell import IntArray, Supercell, SupercellOrders, SupercellResponse, relative_rms
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
@@ -120,6 +123,51 @@ def solve_supercell(
         error=tail,
         seconds=time.perf_counter() - start,
     )
+
+
+def extrapolated_orders(
+    supercell: Supercell,
+    pixels_per_period: Sequence[int] = (12, 16, 20),
+    decay: float = 1e-3,
+    pool: Pool | None = None,
+    progress: Progress = silent,
+) -> SupercellOrders:
+    """Orders of a supercell for both incident polarisations, extrapolated to vanishing pixels.
+
+    Args:
+        supercell: the supercell.
+        pixels_per_period: two or more grids, ascending (:class:`SupercellSettings`).
+        decay: as in :class:`SupercellSettings`.
+        pool: workers; by default a pool that lives as long as this process.
+        progress: callback with the simulated optical periods.
+
+    Returns:
+        The limit; its error is the step from the finest grid to the limit, and what is left of the fields.
+
+    Raises:
+        InputError: the solver does not treat the cell, or a grid does not fit.
+        MissingToolError: no interpreter has Meep.
+        SolverError: a worker failed, or the fields did not decay.
+    """
+    if len(pixels_per_period) < 2 or any(fine <= coarse for coarse, fine in pairwise(pixels_per_period)):
+        expected, got = "two or more numbers, ascending", f"{tuple(pixels_per_period)}"
+        raise InputError.single("meep", "pixels_per_period", expected, got)
+    refuse_untreated(replace(supercell.cell, width_nm=0.0, length_nm=0.0))
+    start = time.perf_counter()
+    workers = own_pool() if pool is None else pool
+    order, tail = supercell.propagating_orders("x"), 0.0
+    grids = []
+    for pixels in pixels_per_period:
+        settings = SupercellSettings(pixels, decay)
+        t = np.zeros((len(order), 2, 2), dtype=np.complex128)
+        for axis, light in enumerate(POLARISATIONS):
+            t[:, :, axis], left = _run(workers, plan(supercell, light, settings, order), progress)
+            tail = max(tail, left)
+        grids.append(t)
+    limit = richardson([1.0 / pixels for pixels in pixels_per_period], [t.ravel() for t in grids])
+    value = limit.value.reshape(t.shape)
+    error = relative_rms(value - t, t) + limit.gain * tail
+    return SupercellOrders(supercell, order, value, error, time.perf_counter() - start)
 
 
 def _lone(cell: PillarCell) -> Supercell:

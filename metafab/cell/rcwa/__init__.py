@@ -19,6 +19,7 @@ from metafab.cell.rcwa.certificate import RcwaDetails, solve
 from metafab.cell.rcwa.cost import seconds_estimate
 from metafab.cell.rcwa.diffraction import diffraction, diffracts, efficiencies, propagating_orders
 from metafab.cell.rcwa.jones import zero_order
+from metafab.cell.rcwa.row import supercell_orders
 from metafab.core.further import further_names
 
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "efficiencies",
     "propagating_orders",
     "seconds_estimate",
+    "supercell_orders",
     "RcwaDetails",
 ]
 

@@ -27,7 +27,7 @@ from metafab.cell.rcwa.scattering.half_space import plane_waves
 from metafab.cell.rcwa.scattering.modes import layer_modes, match_modes
 from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.response import CellNumerics
-from metafab.cell.supercell import Supercell, SupercellResponse
+from metafab.cell.supercell import Supercell, SupercellOrders, SupercellResponse, relative_rms
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
 
@@ -131,6 +131,33 @@ def solve_row(
         error=float(np.max(np.abs(fine - coarse))),
         seconds=time.perf_counter() - start,
     )
+
+
+def supercell_orders(supercell: Supercell, numerics: RowNumerics = RowNumerics()) -> SupercellOrders:
+    """Transmitted orders of a row along x or along y for both incident polarisations.
+
+    Args:
+        supercell: one site along x or along y.
+        numerics: truncations.
+
+    Raises:
+        InputError: neither side is a single site, or orders across the row propagate.
+    """
+    start = time.perf_counter()
+    if 1 not in supercell.shape:
+        got = f"{supercell.shape[1]} x {supercell.shape[0]} pillars"
+        raise InputError.single("supercell", "size_nm", "a row along x or along y for rcwa", got, "use meep")
+    along_y = supercell.shape[0] > 1
+    row = supercell.exchanged() if along_y else supercell
+    order = row.propagating_orders("x")
+    t = np.zeros((2, len(order), 2, 2), dtype=np.complex128)
+    for fineness in (0, 1):
+        for axis, light in enumerate(POLARISATIONS):
+            truncation = numerics.orders_x[fineness], numerics.orders_y[fineness]
+            t[fineness, :, axis, axis] = row_orders(row, light, order[:, 0], *truncation)
+    coarse, fine = t[..., ::-1, ::-1] if along_y else t
+    order = order[:, ::-1] if along_y else order
+    return SupercellOrders(supercell, order, fine, relative_rms(fine - coarse, fine), time.perf_counter() - start)
 
 
 def row_orders(

@@ -1,4 +1,4 @@
-"""Commands ``coupling`` and ``patch``: full-wave simulations of parts of a written mask."""
+"""Commands ``fullwave``, ``coupling`` and ``patch``: full-wave solutions of supercells and of parts of a mask."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from metafab.cli.console import open_work, show
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
+    from metafab.cell.supercell import IntArray
+    from metafab.core.conventions import ComplexArray
     from metafab.fullwave.coupling import CouplingRow
 
 #: A simulation is stopped when it takes this many times the estimated time.
@@ -84,6 +86,29 @@ class PatchAnswer:
     estimate: PatchEstimate
     numerics: PatchNumerics
     file: Path
+
+
+@dataclass(frozen=True)
+class BlockAnswer:
+    """Transmitted orders of one supercell, as ``metafab fullwave --json`` prints them.
+
+    Attributes:
+        orders: shape (n, 2), [m_x, m_y] of every order that propagates behind the pillars.
+        t_xx: shape (n,), amplitude of each order, E_x for incident x polarisation.
+        t_xy: shape (n,), E_x for incident y polarisation.
+        t_yx: shape (n,), E_y for incident x polarisation.
+        t_yy: shape (n,), E_y for incident y polarisation.
+        error: relative rms error over orders and polarisations.
+        seconds: time of the solver.
+    """
+
+    orders: IntArray
+    t_xx: ComplexArray
+    t_xy: ComplexArray
+    t_yx: ComplexArray
+    t_yy: ComplexArray
+    error: float
+    seconds: float
 
 
 Polarisations = Annotated[Literal["x", "y", "both"], typer.Option(help="Polarisation of the incident light.")]
@@ -189,6 +214,35 @@ def patch_command(
     for name, difference in (("coupling", patch.coupling), ("grid", patch.grid)):
         differences |= {f"{name}_{figure}": value for figure, value in asdict(difference).items()}
     show(differences | plain(answer), json_)
+
+
+@app.command("fullwave")
+def fullwave_command(
+    blocks: Annotated[Path, typer.Argument(metavar="BLOCKS.json", help="Pillar sizes of one or more supercells.")],
+    library: Annotated[Path, typer.Option("--library", metavar="LIB.h5", help="Library with the unit cell.")],
+    solver: Annotated[Literal["model", "rcwa", "meep", "lone"], typer.Option(help="Solver.")] = "rcwa",
+    output: Annotated[Path | None, typer.Option("-o", "--output", "--out", metavar="PATH", help="JSON file.")] = None,
+    json_: Json = False,
+) -> None:
+    """Transmitted orders of supercells: by the library's model, RCWA, Meep, or lone pillars."""
+    from metafab.core.parallel.measure import measured
+    from metafab.core.storage.files import write_json
+    from metafab.fullwave.blocks import read_blocks, solve_block
+    from metafab.library import load
+
+    opened = load(library)
+    answers = []
+    with open_work() as work, measured() as cost:
+        supercells = read_blocks(blocks, opened)
+        for done, supercell in enumerate(supercells, start=1):
+            found = solve_block(supercell, opened, solver, progress=work.progress)
+            (t_xx, t_xy), (t_yx, t_yy) = found.t.transpose(1, 2, 0)
+            answers.append(BlockAnswer(found.order, t_xx, t_xy, t_yx, t_yy, found.error, found.seconds))
+            work.progress("supercells", done, len(supercells))
+    result = {"solver": solver, "blocks": answers}
+    if output is not None:
+        write_json(output, result)
+    show(result, json_, seconds=cost.seconds, file=output)
 
 
 def _place(text: str) -> tuple[float, float]:

@@ -1,0 +1,170 @@
+"""Supercells asked for by a file: ``BLOCKS.json`` in, transmitted orders by one of four solvers out.
+
+- ``model``  the library's model of coupled modes (:mod:`metafab.library.neighbours`)
+- ``rcwa``   the Fourier modal method
+- ``meep``   FDTD at several resolutions, extrapolated to vanishing pixels
+- ``lone``   the local-period approximation: each pillar as in a lattice of its like
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated, Literal, TypeAlias, get_args
+
+import numpy as np
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from metafab.cell import pillar_cell
+from metafab.cell import solve as solve_cell
+from metafab.cell.meep import Pool
+from metafab.cell.meep.supercell import extrapolated_orders
+from metafab.cell.rcwa import supercell_orders
+from metafab.cell.supercell import Supercell, SupercellOrders
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.errors import Fault, InputError
+from metafab.core.parallel.progress import Progress, silent
+from metafab.library import Library
+from metafab.library.neighbours import solve_supercell
+from metafab.spec.fields import CONFIG, NonNegative
+from metafab.spec.toml import validate
+
+Solver: TypeAlias = Literal["model", "rcwa", "meep", "lone"]
+SOLVERS: tuple[Solver, ...] = get_args(Solver)
+
+#: Error of the local-period approximation over the rms step of t from site to site; both relative to the rms of t.
+_PER_STEP = 1.0
+
+_Sizes = Annotated[list[Annotated[list[NonNegative], Field(min_length=1)]], Field(min_length=1)]
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Block:
+    """Pillars of one supercell, rows from the lowest y, columns from the lowest x; sizes of 0 are sites without one.
+
+    Attributes:
+        width_nm: size along x of each pillar.
+        length_nm: size along y of each pillar.
+    """
+
+    width_nm: _Sizes
+    length_nm: _Sizes
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Block:
+        rows = [*map(len, self.width_nm)], [*map(len, self.length_nm)]
+        if rows[0] != rows[1] or len(set(rows[0])) > 1:
+            raise ValueError(f"`width_nm` and `length_nm` must have rows of one length, as many of each, got {rows}")
+        return self
+
+    @property
+    def size_nm(self) -> FloatArray:
+        """Sizes of the pillars, shape (n_y, n_x, 2)."""
+        return np.stack([np.array(self.width_nm, float), np.array(self.length_nm, float)], axis=-1)
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Blocks:
+    """Content of ``BLOCKS.json``.
+
+    Attributes:
+        blocks: one supercell each.
+    """
+
+    blocks: Annotated[list[Block], Field(min_length=1)]
+
+
+def read_blocks(path: Path, library: Library) -> list[Supercell]:
+    """Read supercells of the library's unit cell.
+
+    Raises:
+        InputError: the file is missing or holds faults (all of them are reported), or the unit cell is none that
+            supercells are solved for.
+    """
+    try:
+        table = json.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise InputError.single(str(path), "file", "a JSON file", "no file at that path", "check the path") from None
+    except (OSError, ValueError, RecursionError) as error:
+        got = f"an unreadable file ({error})"
+        raise InputError.single(str(path), "file", 'a JSON file {"blocks": [...]}', got, "correct it") from error
+    cell, faults, supercells = pillar_cell(library.unit_cell, 0.0, 0.0), [], []
+    for number, block in enumerate(validate(Blocks, table, str(path)).blocks):
+        size_nm = block.size_nm
+        for axis, name in enumerate(("width_nm", "length_nm")):
+            largest, period = float(size_nm[..., axis].max()), cell.period_nm[axis]
+            if largest > period:
+                expected = f"at most the period of {period:g} nm"
+                faults.append(Fault(f"blocks[{number}].{name}", expected, f"{largest:g} nm"))
+        if np.any((size_nm[..., 0] == 0.0) != (size_nm[..., 1] == 0.0)):
+            faults.append(Fault(f"blocks[{number}]", "width and length both 0, or both above", "one of them 0"))
+        if not faults:
+            supercells.append(Supercell(cell, size_nm))
+    if faults:
+        raise InputError(str(path), faults)
+    return supercells
+
+
+def solve_block(
+    supercell: Supercell,
+    library: Library,
+    solver: Solver,
+    *,
+    pool: Pool | None = None,
+    progress: Progress = silent,
+) -> SupercellOrders:
+    """Solve one supercell for both incident polarisations.
+
+    Args:
+        supercell: pillars in the library's unit cell.
+        library: library for ``lone`` and ``model``.
+        solver: method.
+        pool: workers of Meep; by default one that lives as long as this process.
+        progress: callback of Meep.
+
+    Raises:
+        InputError: the solver does not treat the supercell, or the library has no model.
+        MissingToolError: Meep is asked for but not installed.
+        SolverError: the solver failed.
+    """
+    if solver == "lone":
+        return lone_orders(supercell, library)
+    if solver == "rcwa":
+        return supercell_orders(supercell)
+    if solver == "meep":
+        return extrapolated_orders(supercell, pool=pool, progress=progress)
+    return solve_supercell(library, supercell)
+
+
+def lone_orders(supercell: Supercell, library: Library) -> SupercellOrders:
+    """Transmitted orders by the local-period approximation, with the values of a library.
+
+    The error is the library's; of equal pillars that is all. Unlike neighbours add what :data:`_PER_STEP` says of the
+    steps from site to site.
+
+    Raises:
+        InputError: a size lies outside the library's sweep.
+    """
+    start = time.perf_counter()
+    pillar = np.all(supercell.size_nm > 0.0, axis=-1)
+    t, error = np.zeros((*supercell.shape, 2), dtype=np.complex128), 0.0
+    if pillar.any():
+        stored = (library.surface if library.is_continuous else library.at_sizes)(*supercell.size_nm[pillar].T)
+        t[pillar], error = np.stack([stored.t_xx, stored.t_yy], axis=-1), float(np.max(stored.error))
+    if not pillar.all():
+        t[~pillar] = np.diagonal(solve_cell(supercell.cell).t)
+    order = supercell.propagating_orders("x")
+    jones = np.zeros((len(order), 2, 2), dtype=np.complex128)
+    for axis in range(2):
+        jones[:, axis, axis] = supercell.local_period(order, t[..., axis])
+    scale = float(np.sqrt(np.mean(np.abs(t) ** 2)))
+    total = error / scale + _PER_STEP * _roughness(t) / scale
+    return SupercellOrders(supercell, order, jones, total, time.perf_counter() - start)
+
+
+def _roughness(t: ComplexArray) -> float:
+    """Rms step of ``t``, shape (n_y, n_x, 2), between adjacent sites of the period."""
+    steps = [np.abs(t - np.roll(t, 1, axis)) ** 2 for axis in (0, 1)]
+    return float(np.sqrt(np.mean(steps[0] + steps[1])))

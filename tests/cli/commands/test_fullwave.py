@@ -1,0 +1,98 @@
+"""``metafab fullwave``: supercells of a file by each solver, and refusals by name."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab import library
+from metafab.library import Library
+from tests.main_job import metafab
+
+KEYS = {"orders", "t_xx", "t_xy", "t_yx", "t_yy", "error", "seconds"}
+ROW = {"width_nm": [[120.0, 150.0, 180.0]], "length_nm": [[180.0, 150.0, 130.0]]}
+TURNED = {"width_nm": [[180.0], [150.0], [130.0]], "length_nm": [[120.0], [150.0], [180.0]]}
+
+
+@pytest.fixture(scope="module")
+def library_file(smooth_library: Library, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("library") / "smooth.h5"
+    library.save(smooth_library, path)
+    return path
+
+
+def _asked(folder: Path, *blocks: object) -> Path:
+    path = folder / "blocks.json"
+    path.write_text(json.dumps({"blocks": blocks}), encoding="utf-8")
+    return path
+
+
+def test_lone_pillars_are_the_library_at_the_sites(library_file: Path, smooth_library: Library, tmp_path: Path) -> None:
+    out = tmp_path / "answer.json"
+    asked = _asked(tmp_path, ROW)
+    answer = metafab("fullwave", asked, "--library", library_file, "--solver", "lone", "--json", "--out", out)
+    assert answer.code == 0, answer.stderr
+    (block,) = answer.json["blocks"]
+    assert block.keys() == KEYS
+    assert json.loads(out.read_text(encoding="utf-8"))["blocks"] == [block]
+    assert block["orders"] == [[-1, 0], [0, 0], [1, 0]]
+    stored = smooth_library.surface(np.array(ROW["width_nm"][0]), np.array(ROW["length_nm"][0]))
+    phase = np.exp(-2j * np.pi * np.outer([-1, 0, 1], [-1, 0, 1]) / 3.0) / 3.0
+    for name, t in (("t_xx", stored.t_xx), ("t_yy", stored.t_yy)):
+        np.testing.assert_allclose(np.array(block[name]) @ [1.0, 1j], phase @ t, atol=1e-12)
+    assert not np.any(block["t_xy"]) and not np.any(block["t_yx"])
+
+
+def test_a_row_along_y_is_the_row_along_x_with_the_lights_exchanged(library_file: Path, tmp_path: Path) -> None:
+    answer = metafab(
+        "fullwave", _asked(tmp_path, ROW, TURNED), "--library", library_file, "--solver", "rcwa", "--json"
+    )  # fmt: skip
+    assert answer.code == 0, answer.stderr
+    along_x, along_y = answer.json["blocks"]
+    assert along_y["orders"] == [order[::-1] for order in along_x["orders"]]
+    for name, other in (("t_xx", "t_yy"), ("t_yy", "t_xx"), ("t_xy", "t_yx")):
+        np.testing.assert_allclose(along_x[name], along_y[other], atol=1e-9)
+    assert 0.0 < along_x["error"] < 0.1
+
+
+@pytest.mark.parametrize(
+    ("blocks", "message"),
+    [
+        ([], "blocks"),
+        ([{"width_nm": [[120.0, 130.0]], "length_nm": [[120.0]]}], "rows of one length"),
+        ([{"width_nm": [[120.0], [130.0, 140.0]], "length_nm": [[120.0], [130.0, 140.0]]}], "rows of one length"),
+        ([{"width_nm": [[-1.0]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
+        ([{"width_nm": [["120"]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
+        ([{"width_nm": [[float("nan")]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
+        ([{"width_nm": [[400.0]], "length_nm": [[120.0]]}], "at most the period of 350 nm"),
+        ([{"width_nm": [[0.0]], "length_nm": [[120.0]]}], "both 0"),
+        ([{**ROW, "height_nm": 600.0}], "height_nm"),
+    ],
+)
+def test_faulty_blocks_are_refused(library_file: Path, tmp_path: Path, blocks: list[object], message: str) -> None:
+    answer = metafab("fullwave", _asked(tmp_path, *blocks), "--library", library_file, "--solver", "lone", "--json")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert message in answer.stderr
+
+
+def test_files_that_are_none_and_sizes_off_the_library_are_refused(library_file: Path, tmp_path: Path) -> None:
+    text = tmp_path / "text.json"
+    text.write_text("{", encoding="utf-8")
+    for path in (tmp_path / "missing.json", text):
+        answer = metafab("fullwave", path, "--library", library_file, "--json")
+        assert (answer.code, answer.stdout) == (2, "")
+        assert "JSON file" in answer.stderr
+    small = _asked(tmp_path, {"width_nm": [[20.0]], "length_nm": [[120.0]]})
+    answer = metafab("fullwave", small, "--library", library_file, "--solver", "lone", "--json")
+    assert answer.code == 2
+    assert "the library's sweep" in answer.stderr
+
+
+def test_a_library_without_a_model_says_how_to_make_one(library_file: Path, tmp_path: Path) -> None:
+    asked = _asked(tmp_path, ROW)
+    answer = metafab("fullwave", asked, "--library", library_file, "--solver", "model", "--json")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "[neighbours]" in answer.stderr
