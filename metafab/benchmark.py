@@ -3,16 +3,42 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError, MissingToolError
 from metafab.core.parallel.progress import Progress, silent
 
-ROOMS = ("cell", "meep", "library", "phase", "layout", "drc", "psf", "decode", "end_to_end")
+ROOMS = ("cell", "meep", "library", "phase", "layout", "drc", "psf", "decode", "scenes", "end_to_end")
+#: Rooms whose cases can be chosen, and repeated with other seeds.
+SEEDED_ROOMS = ("scenes",)
+
+
+@dataclass(frozen=True)
+class DepthView:
+    """Maps of one decoded frame beside its truth.
+
+    Attributes:
+        true_intensity: shape (n_y, n_x), electrons, x polarisation.
+        intensity: shape (n_y, n_x), decoded.
+        true_depth_m: shape (n_y, n_x); NaN where nothing is.
+        depth_m: shape (n_y, n_x), decoded; NaN for none.
+        confidence: shape (n_y, n_x), 0 to 1.
+        bin_confidence: shape (n_bins,), mean confidence of each bin of the reliability diagram.
+        bin_right: shape (n_bins,), share of the bin's pixels whose depth is right.
+    """
+
+    true_intensity: FloatArray
+    intensity: FloatArray
+    true_depth_m: FloatArray
+    depth_m: FloatArray
+    confidence: FloatArray
+    bin_confidence: FloatArray
+    bin_right: FloatArray
 
 
 @dataclass(frozen=True)
@@ -28,6 +54,12 @@ class BenchmarkRow:
         series: line to which the case belongs in plots.
         bound: smallest possible error.
         photons: mean signal of a pixel, electrons.
+        weakness: weakness that a case of the scenes measures.
+        measured: its figure, mean over seeds.
+        goal: goal of that figure.
+        at_least: whether the figure must be at least the goal, and not at most.
+        met: whether it is.
+        view: maps of the case's first frame.
         further: other columns of the table, by name.
     """
 
@@ -39,6 +71,12 @@ class BenchmarkRow:
     series: str | None = None
     bound: float | None = None
     photons: float | None = None
+    weakness: str | None = None
+    measured: float | None = None
+    goal: float | None = None
+    at_least: bool | None = None
+    met: bool | None = None
+    view: DepthView | None = None
     further: Mapping[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -49,20 +87,23 @@ class BenchmarkRow:
         return cls(**known, further={name: value for name, value in table.items() if name not in names})
 
     def table(self) -> dict[str, Any]:
-        """Columns of the row by name; series, bound and photons only where they are known."""
-        columns = {name: value for name, value in vars(self).items() if name != "further"}
-        for name in ("series", "bound", "photons"):
-            if columns[name] is None:
-                del columns[name]
+        """Columns of the row by name, without its view; those from ``series`` on only where they are known."""
+        columns = {name: value for name, value in vars(self).items() if name not in {"view", "further"}}
+        always = ("name", "room", "error", "seconds", "peak_rss_mb")
+        columns = {name: value for name, value in columns.items() if name in always or value is not None}
         return columns | dict(self.further)
 
 
-def rows_of(room: str, *, quick: bool = False, progress: Progress = silent) -> list[BenchmarkRow]:
+def rows_of(
+    room: str, *, quick: bool = False, only: Sequence[str] = (), seeds: int | None = None, progress: Progress = silent
+) -> list[BenchmarkRow]:
     """Run the benchmark of one room, or of all.
 
     Args:
         room: one of :data:`ROOMS`, or "all".
         quick: run fewer and smaller cases.
+        only: names of the cases of one of :data:`SEEDED_ROOMS`; all by default.
+        seeds: number of seeds of such a room's cases.
         progress: called once for each room.
 
     Returns:
@@ -74,13 +115,17 @@ def rows_of(room: str, *, quick: bool = False, progress: Progress = silent) -> l
     """
     if room not in (*ROOMS, "all"):
         raise InputError.single("benchmark", "room", f"one of {', '.join(ROOMS)} or all", repr(room))
+    options = {name: value for name, value in (("only", tuple(only)), ("seeds", seeds)) if value}
+    if options and room not in SEEDED_ROOMS:
+        got = " and ".join(f"--{name}" for name in options)
+        raise InputError.single("benchmark", "room", f"{' or '.join(SEEDED_ROOMS)} with {got}", repr(room))
     chosen = ROOMS if room == "all" else (room,)
     rows: list[BenchmarkRow] = []
     for done, name in enumerate(chosen):
         progress("benchmark", done, len(chosen))
         module = load_room(name)
         try:
-            rows += [BenchmarkRow.of({"room": name, **row}) for row in module.rows(quick)]
+            rows += [BenchmarkRow.of({"room": name, **row}) for row in module.rows(quick, **options)]
         except MissingToolError as error:
             if room != "all":
                 raise

@@ -28,6 +28,12 @@ def benchmark_command(
     room: Annotated[str, typer.Argument(help="A room, end_to_end, or all.")] = "all",
     output: Output = None,
     quick: Annotated[bool, typer.Option("--quick", help="Run fewer and smaller cases.")] = False,
+    only: Annotated[
+        list[str] | None, typer.Option("--only", metavar="NAME", help="Case of `scenes` to run; may be repeated.")
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option("--seeds", min=1, metavar="N", help="Seeds of each case of `scenes` [default: 5].")
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Measure error against time and memory; write a table, plots and JSON."""
@@ -35,7 +41,7 @@ def benchmark_command(
     from metafab.benchmark import rows_of
 
     with progress_bars() as progress:
-        rows = rows_of(room, quick=quick, progress=progress)
+        rows = rows_of(room, quick=quick, only=only or (), seeds=seeds, progress=progress)
     page = report.benchmark_page(rows, output or Path("runs") / "benchmark" / room)
     show({"rows": [row.table() for row in rows], "files": page}, json_)
 

@@ -18,10 +18,10 @@ _SSIM_WINDOW_PX = 11
 def evaluated(image: Image4D, frame: RawFrame, *, seconds: float) -> Image4D:
     """``image`` with the time that it took and, where the truth is known, its errors."""
     image = replace(image, figures=replace(image.figures, seconds=seconds))
-    overlap = _overlap(image, frame)
-    if overlap is None:
+    both = overlap(image, frame)
+    if both is None:
         return image
-    here, truth = overlap
+    here, truth = both
     depth_m, intensity_x, intensity_y = image.depth_m[here], image.intensity_x[here], image.intensity_y[here]
     known = np.isfinite(truth.depth_m)
     decoded = known & np.isfinite(depth_m)
@@ -88,10 +88,10 @@ def object_errors(image: Image4D, frame: RawFrame) -> dict[int, float]:
     Returns:
         Error by the number of each object of which a pixel is decoded; empty without truth.
     """
-    overlap = _overlap(image, frame)
-    if overlap is None:
+    both = overlap(image, frame)
+    if both is None:
         return {}
-    here, truth = overlap
+    here, truth = both
     depth_m = image.depth_m[here]
     known = np.isfinite(depth_m) & np.isfinite(truth.depth_m)
     errors = {}
@@ -116,8 +116,8 @@ class _Span:
     truth: slice
 
 
-def _overlap(image: Image4D, frame: RawFrame) -> tuple[tuple[slice, slice], Truth] | None:
-    """The part of the image that the truth covers, and the truth there; None without any.
+def overlap(image: Image4D, frame: RawFrame) -> tuple[tuple[slice, slice], Truth] | None:
+    """Part of a decoded image that the truth of its frame covers, and the truth there; None without any.
 
     The grids are a whole number of pixels apart.
     """

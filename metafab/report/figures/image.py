@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 
+from metafab.benchmark import DepthView
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray, Polarisation
 from metafab.decode.image import Image4D
@@ -19,6 +23,7 @@ from metafab.report.style import (
     SHARE_MAP,
     X_COLOUR,
     Extent,
+    bare,
     colour_bar,
     depth_unit,
     dress,
@@ -89,6 +94,41 @@ def depth_against_truth(pairs: DepthPairs, axes: Axes) -> Axes:
     axes.set(xlim=ends, ylim=ends, aspect="equal")
     axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
     return axes
+
+
+def depth_view(view: DepthView) -> Figure:
+    """Draw a decoded frame beside its truth: light, depth, error of depth, confidence, and reliability diagram."""
+    n_y, n_x = view.true_depth_m.shape
+    map_in = 2.95 * n_y / n_x
+    tall_in = 2.0 * (map_in + 0.5)
+    figure = Figure(figsize=(15.0, tall_in))
+    extent = (0.0, float(n_x), 0.0, float(n_y))
+    scale, unit = depth_unit(view.true_depth_m)
+    top = _top(view.true_intensity)
+    true_cm, decoded_cm = scale * view.true_depth_m, scale * view.depth_m
+    shades: dict[str, Any] = {"cmap": DEPTH_MAP, "vmin": np.nanmin(true_cm), "vmax": np.nanmax(true_cm)}
+    light: dict[str, Any] = {"cmap": "gray", "vmin": 0.0, "vmax": top}
+    errors: dict[str, Any] = {"cmap": CONTRAST_MAP, "vmin": -5.0, "vmax": 5.0}
+    maps = (
+        ("I_x, true", view.true_intensity, "electrons", light),
+        ("I_x, decoded", view.intensity, "electrons", light),
+        ("Confidence", view.confidence, "confidence", {"cmap": SHARE_MAP, "vmin": 0.0, "vmax": 1.0}),
+        ("Depth, true", true_cm, f"depth / {unit}", shades),
+        ("Depth, decoded", decoded_cm, f"depth / {unit}", shades),
+        ("Error of depth", 100.0 * (view.depth_m / view.true_depth_m - 1.0), "error / %", errors),
+    )
+    for index, (title, values, label, options) in enumerate(maps):
+        row, column = divmod(index, 3)
+        bottom_in = 0.1 + (1 - row) * (map_in + 0.5)
+        axes = figure.add_axes((0.01 + 0.265 * column, bottom_in / tall_in, 2.95 / 15.0, map_in / tall_in))
+        colour_bar(show_map(axes, values, extent, **options), axes, label)
+        bare(axes, title)
+    axes = figure.add_axes((0.85, 0.5 - 1.0 / tall_in, 0.14, 2.1 / tall_in))
+    axes.plot((0.0, 1.0), (0.0, 1.0), color=IDEAL, linewidth=3.0, alpha=0.5)
+    axes.plot(view.bin_confidence, view.bin_right, "o-", color=X_COLOUR, markersize=4.5)
+    dress(axes, "confidence", "share within 5 %", "Reliability")
+    axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.03))
+    return figure
 
 
 def contrast_reach(decoded: Image4D) -> float:

@@ -13,6 +13,7 @@ from metafab.core.storage.files import whole_file, write_json
 from metafab.report import html
 from metafab.report.assets import asset
 from metafab.report.figures.accounts import error_against_photons, error_against_time, with_error_and_time
+from metafab.report.figures.image import depth_view
 from metafab.report.render import save_both
 from metafab.report.style import panel
 
@@ -20,7 +21,7 @@ _FIRST = ("room", "name", "error", "seconds", "peak_rss_mb")
 
 
 def benchmark_page(rows: Sequence[BenchmarkRow], directory: Path) -> tuple[Path, ...]:
-    """Write ``benchmark.html``, ``benchmark.json`` and one plot for each room.
+    """Write ``benchmark.html``, ``benchmark.json``, one plot for each room and one picture for each row with a view.
 
     Args:
         rows: one row for each case.
@@ -32,9 +33,16 @@ def benchmark_page(rows: Sequence[BenchmarkRow], directory: Path) -> tuple[Path,
     directory.mkdir(parents=True, exist_ok=True)
     data = directory / "benchmark.json"
     write_json(data, {"metafab_version": __version__, "rows": [row.table() for row in rows]})
-    parts, plots = [], []
+    parts: list[str] = []
+    plots: list[Path] = []
     for room in dict.fromkeys(row.room for row in rows):
         of_room = [row for row in rows if row.room == room]
+        if any(row.view for row in of_room):
+            pictures = {directory / f"{room}_{row.name.partition(':')[0]}.png": row for row in of_room if row.view}
+            plots += pictures
+            drawn = [_judged(path, row) for path, row in pictures.items()]
+            parts.append(html.section(f"benchmark_{room}", room.capitalize(), _table(of_room), *drawn))
+            continue
         figure = _plot(of_room)
         name = f"benchmark_{room or 'all'}"
         plots.append(directory / f"{name}.png")
@@ -49,6 +57,14 @@ def benchmark_page(rows: Sequence[BenchmarkRow], directory: Path) -> tuple[Path,
     with whole_file(page) as part:
         part.write_text(_page("\n".join(parts)), encoding="utf-8")
     return (page, data, *plots)
+
+
+def _judged(path: Path, row: BenchmarkRow) -> str:
+    """Picture of a row's view under its weakness."""
+    if row.view is None:
+        return ""
+    title = f"{row.name.partition(':')[0]}: {row.weakness}"
+    return html.wide(html.figure(save_both(depth_view(row.view), path, title), title))
 
 
 def _plot(rows: Sequence[BenchmarkRow]) -> Figure:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from metafab.benchmark import BenchmarkRow
+from metafab.benchmark import BenchmarkRow, DepthView
 from metafab.report import benchmark_page
 from metafab.report.figures import accounts as figures
 from metafab.report.style import panel
@@ -137,3 +137,18 @@ def test_global_state_stays_as_it_was(tmp_path: Path) -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_case_with_maps_is_a_row_of_figures_and_a_picture(tmp_path: Path) -> None:
+    maps = [np.full((12, 16), value) for value in (900.0, 890.0, 0.3, 0.301, 0.9)]
+    maps[3][:4] = np.nan
+    view = DepthView(*maps, np.array([0.2, 0.9]), np.array([0.3, 1.0]))
+    table = {"room": "scenes", "name": "edge: wall", "weakness": "wrong side", "measured": 0.38, "goal": 0.08}
+    shown = BenchmarkRow.of(table | {"met": False, "view": view})
+    page, data, picture = benchmark_page([shown, BenchmarkRow.of(table | {"name": "edge: near"})], tmp_path)
+    rows = json.loads(data.read_text(encoding="utf-8"))["rows"]
+    assert rows[0]["measured"] == 0.38 and rows[0]["met"] is False and "view" not in rows[0]
+    assert picture.name == "scenes_edge.png"
+    assert Image.open(picture).size[0] > 1000
+    text = page.read_text(encoding="utf-8")
+    assert text.count("<svg") == 1 and "edge: wrong side" in text and "<td" in text
