@@ -14,9 +14,9 @@ from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
-from metafab.exposure.beam import BeamPsf
+from metafab.exposure.electrons.beam import BeamPsf
+from metafab.exposure.energy.resist import ResistEnergy, TileEnergy
 from metafab.exposure.printing import EdgeTables, add_edge_displacements
-from metafab.exposure.resist import ResistEnergy, TileEnergy
 from metafab.exposure.sums import dose_to_size_sums, newton_doses, size_statistics
 from metafab.layout import PillarMap
 

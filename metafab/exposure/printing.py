@@ -18,7 +18,7 @@ from scipy.special import erf
 
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.numeric.compiled import compiled
-from metafab.exposure.beam import BeamPsf
+from metafab.exposure.electrons.beam import BeamPsf
 
 #: Displacements of the table: number of nodes, displacement up to which their steps are even (nm), and reach (nm).
 _NODES, _EVEN_NM, _REACH_NM = 161, 0.05, 120.0

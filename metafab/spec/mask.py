@@ -161,9 +161,11 @@ class BeamTerm:
 class ExposureProcess:
     """Electron-beam exposure (``[process.exposure]``).
 
-    The beam's point-spread function is a ``preset``, a list of ``terms``, or a ``table`` (CSV with a header line:
-    radius in nm, energy density in any unit). ``blur_nm`` is the range of a further Gaussian blur: beam, secondary
-    electrons, diffusion. ``base_over_clearing_dose`` is the base dose over the clearing dose of a large pad; by default
+    The beam's point-spread function is a ``preset``, a list of ``terms``, or a ``table_file``: a text file with radius
+    and energy in each row, as Monte Carlo and proximity-correction programs write it. Its radius is in ``table_unit``,
+    by default the unit in its header; ``table_energy`` tells an energy density from the energy of each ring between
+    one radius and the next. ``blur_nm`` is the range of a further Gaussian blur: beam, secondary electrons, diffusion.
+    ``base_over_clearing_dose`` is the base dose over the clearing dose of a large pad; by default
     the dose at which printed sizes equal drawn ones in the mean. ``classes`` is the number of doses that a correction
     may use. ``source`` is the reference of the numbers.
     """
@@ -171,6 +173,8 @@ class ExposureProcess:
     preset: str | None = None
     terms: tuple[BeamTerm, ...] = ()
     table_file: Path | None = None
+    table_unit: Literal["nm", "um"] | None = None
+    table_energy: Literal["density", "ring"] = "density"
     blur_nm: NonNegative = 5.0
     base_over_clearing_dose: Positive | None = None
     classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 64
@@ -180,6 +184,8 @@ class ExposureProcess:
     def _one_function(self) -> ExposureProcess:
         if (self.preset is not None) + bool(self.terms) + (self.table_file is not None) != 1:
             raise ValueError("give one of `preset`, `terms` and `table_file`")
+        if self.table_file is None and (self.table_unit is not None or self.table_energy != "density"):
+            raise ValueError("`table_unit` and `table_energy` belong to `table_file`")
         return self
 
 

@@ -75,6 +75,7 @@ def _described(psf: BeamPsf) -> dict[str, object]:
     ]
     return {
         "source": psf.source,
+        "form": "sum over terms of weight / (pi range_nm^2) exp(-r^2 / range_nm^2)",
         "given": [asdict(term) for term in psf.terms],
         "fit_error": psf.fit_error,
         "terms": gaussians,

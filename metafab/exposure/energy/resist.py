@@ -15,9 +15,9 @@ from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled_parallel, prange
 from metafab.core.parallel.executor import in_order
-from metafab.exposure.beam import BeamPsf
-from metafab.exposure.far import BLOCK_SITES, LONG_PERIODS, LongRange, MiddleRange, block_masses
-from metafab.exposure.near import NearTables, add_near, near_tables
+from metafab.exposure.electrons.beam import BeamPsf
+from metafab.exposure.energy.far import BLOCK_SITES, LONG_PERIODS, LongRange, MiddleRange, block_masses
+from metafab.exposure.energy.near import NearTables, add_near, near_tables
 from metafab.layout import PillarMap
 
 Scalar = TypeVar("Scalar", bound=np.generic)

@@ -19,7 +19,7 @@ from scipy.special import erf
 
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.numeric.compiled import compiled
-from metafab.exposure.beam import BeamPsf
+from metafab.exposure.electrons.beam import BeamPsf
 
 
 @dataclass(frozen=True)

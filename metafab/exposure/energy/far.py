@@ -5,8 +5,8 @@ Middle ranges act between sites. A pillar's mass m = dose x width x length sprea
     E(r) = sum over j, m_j [f + w_j^2 / 24 f_xx + l_j^2 / 24 f_yy](r - r_j),
 
 and the mean energy of its edges, at +-w/2 from the site, is E + w^2 / 8 E_xx. Kernels are sampled at sites without the
-3 x 3 block of :mod:`metafab.exposure.near`, so that nothing is aliased. Long ranges act between blocks of sites, whose
-mass is spread over the block; the smooth result is interpolated.
+3 x 3 block of :mod:`metafab.exposure.energy.near`, so that nothing is aliased. Long ranges act between blocks of sites,
+whose mass is spread over the block; the smooth result is interpolated.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import scipy.fft
 from scipy.special import erf
 
 from metafab.core.conventions import Float32Array, FloatArray
-from metafab.exposure.beam import BeamPsf
+from metafab.exposure.electrons.beam import BeamPsf
 
 #: Ranges after which a Gaussian is cut off: exp(-3.6^2) = 2e-6.
 REACH = 3.6

@@ -1,12 +1,19 @@
 """Monte Carlo simulation of electrons in a stack of layers: energy deposited in the resist against radius.
 
-Elastic scattering by the screened Rutherford cross-section with its relativistic correction, energy loss continuously
-along the path: by the relativistic Bethe formula, and below 10 keV by Joy and Luo's modification (Scanning 11, 176,
-1989). Cross-section and angle as in D. C. Joy, Monte Carlo Modeling for Electron Microscopy and Microanalysis, 1995:
+Elastic scattering by single collisions with the Wentzel cross-section of an atom, screened after Moliere and multiplied
+by the Mott ratio in McKinley and Feshbach's approximation (Phys. Rev. 74, 1759, 1948):
 
-    alpha = 3.4e-3 Z^0.67 / E,
-    sigma = 5.21e-21 Z^2 / E^2  4 pi / (alpha (1 + alpha))  ((E + 511) / (E + 1022))^2 cm^2,
-    cos(theta) = 1 - 2 alpha R / (1 + alpha - R),   E in keV, R uniform in [0, 1].
+    chi = hbar / (p a) sqrt(1.13 + 3.76 (Z / 137 beta)^2),   a = 0.885 a_0 Z^(-1/3),   alpha = chi^2 / 4,
+    sigma = pi (Z e^2 / (4 pi eps0 p v))^2 / (alpha (1 + alpha)),
+    cos(theta) = 1 - 2 alpha R / (1 + alpha - R),   R uniform in [0, 1],
+    ratio = 1 - beta^2 s^2 + pi Z beta s (1 - s) / 137,   s = sin(theta / 2).
+
+Collisions with the electrons of the atom deflect as well: they count as one more unit of charge (Z^2 + Z), up to
+90 degrees. Energy is lost continuously along the path: by the relativistic Bethe formula, and below 10 keV by Joy and
+Luo's modification (Scanning 11, 176, 1989), with the mean excitation energies and the rule for compounds of ICRU report
+37 (1984).
+
+The approximation of the Mott ratio holds for light atoms: gold is beyond it.
 
 Secondary electrons are not followed. They widen the innermost 10 nm; the blur of the beam includes them.
 """
@@ -25,23 +32,28 @@ from metafab.core.numeric.compiled import compiled, compiled_parallel, prange
 
 #: Electrons are followed down to this energy (keV); their range is then below 10 nm.
 _STOP_KEV = 0.5
+#: sin^2(theta / 2) of the largest deflection by an electron: 45 degrees, where both share the energy.
+_ELECTRON_SINE2 = 0.1464
+#: Fine-structure constant.
+_FINE_STRUCTURE = 1.0 / 137.036
 #: Histories of one random sequence; sequences do not depend on the number of threads.
 _BATCH = 500
 #: Radii of the table: bins per decade, from 1 nm to 1 mm.
 _BINS_PER_DECADE, _DECADES = 8, 6
 
-#: Atomic number: atomic weight (g/mol) and mean excitation energy (keV; ICRU report 37, 1984).
+#: Atomic number: atomic weight (g/mol), mean excitation energy of the element and in a compound (keV; ICRU report 37,
+#: 1984: in condensed compounds 1.13 times that of the element, with values of their own for H, C, O and Cl).
 ELEMENTS = {
-    1: (1.008, 0.0192),
-    6: (12.011, 0.0780),
-    8: (15.999, 0.0950),
-    13: (26.982, 0.1660),
-    14: (28.086, 0.1730),
-    15: (30.974, 0.1730),
-    31: (69.723, 0.3340),
-    33: (74.922, 0.3470),
-    49: (114.818, 0.4880),
-    79: (196.967, 0.7900),
+    1: (1.008, 0.0192, 0.0192),
+    6: (12.011, 0.0780, 0.0810),
+    8: (15.999, 0.0950, 0.1060),
+    13: (26.982, 0.1660, 0.1876),
+    14: (28.086, 0.1730, 0.1955),
+    15: (30.974, 0.1730, 0.1955),
+    17: (35.453, 0.1740, 0.1800),
+    31: (69.723, 0.3340, 0.3774),
+    33: (74.922, 0.3470, 0.3921),
+    49: (114.818, 0.4880, 0.5514),
 }
 
 
@@ -81,48 +93,56 @@ class ElectronHistogram:
     electrons: int
 
 
+ALUMINIUM = ((13, 1.0),)
 SILICON = ((14, 1.0),)
 SILICA = ((14, 1.0), (8, 2.0))
 SAPPHIRE = ((13, 2.0), (8, 3.0))
 HSQ = ((1, 1.0), (14, 1.0), (8, 1.5))
 PMMA = ((6, 5.0), (8, 2.0), (1, 8.0))
+#: Copolymer of alpha-methylstyrene and methyl alpha-chloroacrylate, one to one (ZEP520).
+ZEP = ((6, 13.0), (1, 15.0), (17, 1.0), (8, 2.0))
 GALLIUM_ARSENIDE = ((31, 1.0), (33, 1.0))
 
 
-def simulate(stack: Sequence[Layer], beam_kev: float, electrons: int = 40_000, seed: int = 1) -> ElectronHistogram:
+def simulate(
+    stack: Sequence[Layer], beam_kev: float, electrons: int = 40_000, seed: int = 1, resist: int = 0
+) -> ElectronHistogram:
     """Simulate a point beam at normal incidence.
 
     Args:
-        stack: layers from the surface down, the resist first; the last one is infinitely thick.
+        stack: layers from the surface down; the last one is infinitely thick.
         beam_kev: energy of the electrons, 2 to 300 keV.
         electrons: number of histories.
         seed: of the random numbers.
+        resist: layer whose deposited energy is counted, from 0.
 
     Raises:
-        InputError: an energy out of range, an unknown element, or a stack without substrate.
+        InputError: an energy out of range, an unknown element, a stack without substrate, or no such layer.
     """
     if not 2.0 <= beam_kev <= 300.0:
         raise InputError.single("monte_carlo", "beam_kev", "2 to 300 keV", f"{beam_kev:g}")
     if len(stack) < 1 or not math.isinf(stack[-1].thickness_nm):
         raise InputError.single("monte_carlo", "stack", "a last layer of infinite thickness", f"{len(stack)} layers")
+    if not 0 <= resist < len(stack):
+        raise InputError.single("monte_carlo", "resist", f"a layer from 0 to {len(stack) - 1}", f"{resist}")
     unknown = {z for layer in stack for z, _ in layer.formula} - set(ELEMENTS)
     if unknown:
         raise InputError.single("monte_carlo", "formula", f"elements {sorted(ELEMENTS)}", f"{sorted(unknown)}")
     most = max(len(layer.formula) for layer in stack)
     number = np.zeros((len(stack), most))
-    per_nm3, stopping = np.zeros_like(number), np.zeros_like(number)
+    per_nm3, excitation_kev = np.zeros_like(number), np.zeros(len(stack))
     for i, layer in enumerate(stack):
         weight = sum(count * ELEMENTS[z][0] for z, count in layer.formula)
         for j, (z, count) in enumerate(layer.formula):
             number[i, j] = z
             per_nm3[i, j] = layer.density_g_per_cm3 * 6.02214e23 / weight * count * 1e-21
-            stopping[i, j] = ELEMENTS[z][1]
+        excitation_kev[i] = mean_excitation_kev(layer.formula)
     bottom = np.cumsum([layer.thickness_nm for layer in stack])
     batches = -(-electrons // _BATCH)
     bins = _BINS_PER_DECADE * _DECADES
     deposited = np.zeros((batches, bins))
     left = np.zeros(batches)
-    _run(number, per_nm3, stopping, bottom, beam_kev, seed, deposited, left)
+    _run(number, per_nm3, excitation_kev, bottom, beam_kev, seed, resist, deposited, left)
     edges = 10.0 ** (np.arange(bins + 1) / _BINS_PER_DECADE)
     edges[0] = 0.0
     area = math.pi * np.diff(edges**2)
@@ -138,14 +158,50 @@ def simulate(stack: Sequence[Layer], beam_kev: float, electrons: int = 40_000, s
     )
 
 
+def mean_excitation_kev(formula: tuple[tuple[int, float], ...]) -> float:
+    """Mean excitation energy of a material (keV): weighted geometrically by electrons."""
+    place = 1 if len(formula) == 1 else 2
+    electrons = sum(z * count for z, count in formula)
+    return math.exp(sum(z * count * math.log(ELEMENTS[z][place]) for z, count in formula) / electrons)
+
+
+def energy_loss_kev_per_nm(layer: Layer, energy_kev: float) -> float:
+    """Mean energy loss per path in a layer."""
+    weight = sum(count * ELEMENTS[z][0] for z, count in layer.formula)
+    electrons = sum(z * count for z, count in layer.formula)
+    per_nm3 = layer.density_g_per_cm3 * 6.02214e23 / weight * electrons * 1e-21
+    return per_nm3 * float(_stopping_kev_nm2(mean_excitation_kev(layer.formula), energy_kev))
+
+
 @compiled
-def _cross_section_nm2(z: float, energy_kev: float) -> float:
-    """Screened Rutherford cross-section of an atom."""
-    alpha = 3.4e-3 * z**0.67 / energy_kev
-    relativistic = ((energy_kev + 511.0) / (energy_kev + 1022.0)) ** 2
-    # 5.21e-21 cm^2 = 5.21e-7 nm^2
-    cross_section: float = 5.21e-7 * z * z / energy_kev**2 * 4.0 * math.pi * relativistic / (alpha * (1.0 + alpha))
-    return cross_section
+def _elastic(z: float, energy_kev: float) -> tuple[float, float]:
+    """Cross-section of an atom and its electrons (nm^2), times the bound of the Mott ratio; screening alpha."""
+    momentum2 = energy_kev * (energy_kev + 1022.0)  # (p c)^2, keV^2
+    beta2 = momentum2 / (energy_kev + 511.0) ** 2
+    # hbar c = 0.19733 keV nm; a_0 = 0.052918 nm
+    radius = 0.885 * 0.052918 * z ** (-1.0 / 3.0)
+    alpha = 0.25 * 0.19733**2 / (momentum2 * radius**2) * (1.13 + 3.76 * (z * _FINE_STRUCTURE) ** 2 / beta2)
+    # e^2 / (4 pi eps0) = 1.43996e-3 keV nm
+    area = math.pi * (1.43996e-3) ** 2 / (momentum2 * beta2) * z * (z + 1.0) / (alpha * (1.0 + alpha))
+    return area * _mott_bound(z, beta2), alpha
+
+
+@compiled
+def _mott_bound(z: float, beta2: float) -> float:
+    """Upper bound of the Mott ratio."""
+    bound: float = 1.0 + 0.25 * math.pi * _FINE_STRUCTURE * z * math.sqrt(beta2)
+    return bound
+
+
+@compiled
+def _accepted(z: float, energy_kev: float, sine2: float, random: float) -> bool:
+    """Whether a collision with sin^2(theta / 2) = ``sine2`` takes place: Mott ratio, and electrons up to 90 degrees."""
+    beta2 = energy_kev * (energy_kev + 1022.0) / (energy_kev + 511.0) ** 2
+    sine = math.sqrt(sine2)
+    ratio = 1.0 - beta2 * sine2 + math.pi * _FINE_STRUCTURE * z * math.sqrt(beta2) * sine * (1.0 - sine)
+    if sine2 > _ELECTRON_SINE2:
+        ratio *= z / (z + 1.0)
+    return bool(random * _mott_bound(z, beta2) < ratio)
 
 
 @compiled
@@ -184,16 +240,16 @@ def _turned(
 
 @compiled
 def _sums_per_nm(
-    number: FloatArray, per_nm3: FloatArray, stopping: FloatArray, layer: int, energy_kev: float
+    number: FloatArray, per_nm3: FloatArray, excitation_kev: FloatArray, layer: int, energy_kev: float
 ) -> tuple[float, float]:
     """Macroscopic elastic cross-section (1/nm) and energy loss (keV/nm) of a layer, both summed over its elements."""
-    elastic, loss = 0.0, 0.0
+    elastic, electrons = 0.0, 0.0
     for j in range(number.shape[1]):
         z = number[layer, j]
         if z > 0.0:
-            elastic += per_nm3[layer, j] * _cross_section_nm2(z, energy_kev)
-            loss += per_nm3[layer, j] * z * _stopping_kev_nm2(stopping[layer, j], energy_kev)
-    return elastic, loss
+            elastic += per_nm3[layer, j] * _elastic(z, energy_kev)[0]
+            electrons += per_nm3[layer, j] * z
+    return elastic, electrons * _stopping_kev_nm2(excitation_kev[layer], energy_kev)
 
 
 @compiled
@@ -203,7 +259,7 @@ def _struck_atom(number: FloatArray, per_nm3: FloatArray, layer: int, energy_kev
     for j in range(number.shape[1]):
         if number[layer, j] > 0.0:
             z_atom = number[layer, j]
-            chosen -= per_nm3[layer, j] * _cross_section_nm2(z_atom, energy_kev)
+            chosen -= per_nm3[layer, j] * _elastic(z_atom, energy_kev)[0]
             if chosen <= 0.0:
                 break
     return float(z_atom)
@@ -226,10 +282,11 @@ def _free_path(z: float, cz: float, step: float, top: float, bottom: float) -> t
 def _run(
     number: FloatArray,
     per_nm3: FloatArray,
-    stopping: FloatArray,
+    excitation_kev: FloatArray,
     bottom: FloatArray,
     beam_kev: float,
     seed: int,
+    resist: int,
     deposited: FloatArray,
     left: FloatArray,
 ) -> None:
@@ -240,12 +297,12 @@ def _run(
             cx, cy, cz = 0.0, 0.0, 1.0
             layer = 0
             while energy > _STOP_KEV:
-                elastic, loss = _sums_per_nm(number, per_nm3, stopping, layer, energy)
+                elastic, loss = _sums_per_nm(number, per_nm3, excitation_kev, layer, energy)
                 top = 0.0 if layer == 0 else bottom[layer - 1]
                 free = -math.log(1.0 - np.random.random()) / elastic
                 step, crossed = _free_path(z, cz, free, top, bottom[layer])
                 lost = min(energy, loss * step)
-                if layer == 0:
+                if layer == resist:
                     # Deposited at a random place of the step.
                     share = np.random.random() * step
                     radius = math.hypot(x + share * cx, y + share * cy)
@@ -261,8 +318,11 @@ def _run(
                         break
                     continue
                 z_atom = _struck_atom(number, per_nm3, layer, energy, np.random.random() * elastic)
-                alpha = 3.4e-3 * z_atom**0.67 / max(energy, 0.01)
+                energy = max(energy, 0.01)
+                alpha = _elastic(z_atom, energy)[1]
                 r = np.random.random()
+                if not _accepted(z_atom, energy, alpha * r / (1.0 + alpha - r), np.random.random()):
+                    continue
                 cos_theta = 1.0 - 2.0 * alpha * r / (1.0 + alpha - r)
                 sin_theta = math.sqrt(max(0.0, 1.0 - cos_theta * cos_theta))
                 cx, cy, cz = _turned(cx, cy, cz, cos_theta, sin_theta, 2.0 * math.pi * np.random.random())

@@ -1,4 +1,4 @@
-"""Beam point-spread functions of usual processes, simulated by :mod:`metafab.exposure.monte_carlo`.
+"""Beam point-spread functions of usual processes, simulated by :mod:`metafab.exposure.electrons.monte_carlo`.
 
 The tables in ``tables/`` are results of :func:`simulated`. Thickness and density of the resist are assumptions, stated
 here. A function measured on the writer and resist in use replaces them.
@@ -13,8 +13,19 @@ from importlib import resources
 import numpy as np
 
 from metafab.core.errors import InputError
-from metafab.exposure.beam import BeamPsf
-from metafab.exposure.monte_carlo import HSQ, PMMA, SAPPHIRE, SILICA, SILICON, ElectronHistogram, Layer, simulate
+from metafab.exposure.electrons.beam import BeamPsf
+from metafab.exposure.electrons.monte_carlo import (
+    ALUMINIUM,
+    HSQ,
+    PMMA,
+    SAPPHIRE,
+    SILICA,
+    SILICON,
+    ZEP,
+    ElectronHistogram,
+    Layer,
+    simulate,
+)
 
 _SILICON_ON_SAPPHIRE = (Layer(SILICON, 2.329, 600.0), Layer(SAPPHIRE, 3.98, math.inf))
 _HSQ_300 = Layer(HSQ, 1.4, 300.0)
@@ -28,11 +39,13 @@ class Preset:
         stack: layers from the resist down.
         beam_kev: energy of the electrons.
         description: the stack in words, with what is assumed.
+        resist: number of the resist's layer, from 0.
     """
 
     stack: tuple[Layer, ...]
     beam_kev: float
     description: str
+    resist: int = 0
 
 
 PRESETS = {
@@ -51,10 +64,16 @@ PRESETS = {
         100.0,
         "PMMA (200 nm, 1.18 g/cm3: assumed) on silicon, 100 kV",
     ),
-    "pmma_fused_silica_100kv": Preset(
-        (Layer(PMMA, 1.18, 200.0), Layer(SILICA, 2.2, math.inf)),
+    "zep_si_100kv": Preset(
+        (Layer(ZEP, 1.11, 300.0), Layer(SILICON, 2.329, math.inf)),
         100.0,
-        "PMMA (200 nm, 1.18 g/cm3: assumed) on fused silica, 100 kV; the thin conductive layer is left out",
+        "ZEP (300 nm, 1.11 g/cm3: assumed) on silicon, 100 kV",
+    ),
+    "pmma_fused_silica_100kv": Preset(
+        (Layer(ALUMINIUM, 2.7, 10.0), Layer(PMMA, 1.18, 200.0), Layer(SILICA, 2.2, math.inf)),
+        100.0,
+        "aluminium (10 nm: assumed) on PMMA (200 nm, 1.18 g/cm3: assumed) on fused silica, 100 kV",
+        resist=1,
     ),
 }
 
@@ -67,11 +86,12 @@ def preset(name: str) -> BeamPsf:
     """
     if name not in PRESETS:
         raise InputError.single("exposure", "preset", f"one of {', '.join(PRESETS)}", repr(name))
-    text = (resources.files("metafab.exposure") / "tables" / f"{name}.csv").read_text(encoding="utf-8")
+    text = (resources.files("metafab.exposure.electrons") / "tables" / f"{name}.csv").read_text(encoding="utf-8")
     rows = np.loadtxt(text.splitlines(), delimiter=",", skiprows=1)
     return BeamPsf.fitted(rows[:, 0], rows[:, 1], f"Monte Carlo by metafab: {PRESETS[name].description}")
 
 
 def simulated(name: str, electrons: int = 60_000) -> ElectronHistogram:
     """Simulate the table of a preset again."""
-    return simulate(PRESETS[name].stack, PRESETS[name].beam_kev, electrons)
+    chosen = PRESETS[name]
+    return simulate(chosen.stack, chosen.beam_kev, electrons, resist=chosen.resist)

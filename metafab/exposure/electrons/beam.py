@@ -7,8 +7,8 @@ Every supported function is a mixture of Gaussians, whose dose on a rectangle is
   between the forward-scattered beam and the backscattered electrons (Hougs et al., arXiv 2506.21236, 2025). With
   s = range^2 / beta^2 it is the integral of s^(exponent / 2 - 1) exp(-s) exp(-r^2 / beta^2) over s, and the trapezoidal
   rule in log s converges exponentially;
-- a table of radial energy density (CASINO, or :mod:`metafab.exposure.monte_carlo`), fitted by non-negative least
-  squares.
+- a table of radial energy density (CASINO, or :mod:`metafab.exposure.electrons.monte_carlo`), fitted by non-negative
+  least squares.
 
 A weight is the share of the deposited energy; weights add up to 1. The energy of a large pad at dose 1 is 1.
 """

@@ -1,0 +1,88 @@
+"""Point-spread function of the beam for the ``[process.exposure]`` of a design."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.exposure.electrons.beam import BeamPsf, BeamTerm
+from metafab.exposure.electrons.presets import preset
+from metafab.spec.mask import ExposureProcess
+
+
+def beam_psf(process: ExposureProcess) -> BeamPsf:
+    """Build the function from a preset, terms or a table, with the process' blur.
+
+    Raises:
+        InputError: an unknown preset, or an unreadable table.
+    """
+    if process.preset is not None:
+        plain = preset(process.preset)
+    elif process.terms:
+        terms = [BeamTerm(term.kind, term.weight, term.range_nm, term.exponent or 0.0) for term in process.terms]
+        plain = BeamPsf.of(terms, process.source)
+    else:
+        plain = _from_table(process)
+    return plain.blurred(process.blur_nm)
+
+
+def _from_table(process: ExposureProcess) -> BeamPsf:
+    """Fit Gaussians to the table of a text file.
+
+    Numbers are separated by commas, semicolons, tabs or spaces; lines before the first row of numbers are headers, as
+    CASINO, BEAMER and TRACER write them.
+    """
+    path = process.table_file
+    assert path is not None
+    header, rows = _table(path)
+    unit = process.table_unit or _unit_of(header)
+    if unit is None:
+        expected = "'nm' or 'um', here or in the header of the table"
+        raise InputError.single(str(path), "table_unit", expected, "none", 'add `table_unit = "um"` or "nm"')
+    radius_nm, energy = rows[:, 0] * (1e3 if unit == "um" else 1.0), rows[:, 1]
+    if process.table_energy == "ring":
+        edges = np.concatenate([[0.0], radius_nm]) if radius_nm[0] > 0.0 else radius_nm
+        energy = energy[-(edges.size - 1) :] / (math.pi * np.diff(edges**2))
+        # A ring's energy lies between its edges.
+        radius_nm = 0.5 * (edges[1:] + edges[:-1])
+    elif radius_nm[0] == 0.0 and radius_nm.size > 1:
+        radius_nm[0] = 0.25 * radius_nm[1]  # A density on the axis holds for the innermost disc.
+    return BeamPsf.fitted(radius_nm, energy, process.source)
+
+
+def _table(path: Path) -> tuple[str, FloatArray]:
+    """Header and the first two columns, shape (n, 2), of a text file."""
+    expected = "a text file with a radius and an energy in each row"
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError as error:
+        raise InputError.single(str(path), "table_file", expected, f"{error}") from error
+    header: list[str] = []
+    rows: list[list[float]] = []
+    for number, line in enumerate(lines, start=1):
+        words = re.split(r"[,;\s]+", line.strip(" \t,;"))
+        try:
+            rows.append([float(word) for word in words[:2]])
+        except ValueError:
+            if rows and line.strip():
+                raise InputError.single(str(path), f"line {number}", "two numbers", repr(line[:40])) from None
+            header.append(line)
+        if rows and len(rows[-1]) < 2:
+            raise InputError.single(str(path), f"line {number}", "two numbers", repr(line[:40]))
+    if not rows:
+        raise InputError.single(str(path), "table_file", expected, "no row of numbers")
+    return " ".join(header), np.array(rows, dtype=np.float64)
+
+
+def _unit_of(header: str) -> Literal["nm", "um"] | None:
+    """Unit of the radius by the first unit that the header names."""
+    found = re.search(r"(?<![a-zA-Z])(nm|um|\u00b5m|\u03bcm|microns?|micrometers?)(?![a-zA-Z])", header, re.IGNORECASE)
+    if found is None:
+        return None
+    return "nm" if found.group(1).lower() == "nm" else "um"

@@ -1,0 +1,117 @@
+"""Point-spread functions of the beam against their laws."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.exposure import BeamPsf, BeamTerm, beam_psf
+from metafab.exposure.electrons.presets import PRESETS
+from metafab.spec.mask import ExposureProcess
+from tests.physics.exposure.conftest import BEAM
+
+
+def test_density_of_a_power_law_is_the_power_law() -> None:
+    """Gaussian mixture against (1 + r^2 / g^2)^(-nu / 2) over three decades of radius."""
+    gamma, exponent = 30.0, 3.4
+    beam = BeamPsf.of([BeamTerm("power", 1.0, gamma, exponent)], "assumption")
+    radius = np.geomspace(1.0, 3000.0, 40)
+    law = (exponent - 2.0) / (2.0 * math.pi * gamma**2) * (1.0 + (radius / gamma) ** 2) ** (-0.5 * exponent)
+    np.testing.assert_allclose(beam.density(radius), law, rtol=2e-3)
+
+
+def test_a_blur_of_a_gaussian_is_a_wider_gaussian() -> None:
+    beam = BeamPsf.of([BeamTerm("gauss", 1.0, 12.0)], "assumption").blurred(5.0)
+    assert beam.range_nm[0] == pytest.approx(13.0)
+
+
+def test_a_table_is_fitted() -> None:
+    """The energy within any radius is kept within 5 %: rings of the table are a fifth of their radius wide."""
+    radius = np.geomspace(1.0, 6e4, 60)
+    beam = BeamPsf.fitted(radius, BEAM.density(radius), "table")
+    assert beam.fit_error < 0.05
+    assert beam.weight.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_are_normalised_and_name_their_source(name: str) -> None:
+    """The fitted share of energy within any radius differs from the table's by at most 0.1."""
+    psf = beam_psf(ExposureProcess(preset=name))
+    assert psf.weight.sum() == pytest.approx(1.0)
+    assert psf.fit_error < 0.1
+    assert psf.source.startswith("Monte Carlo by metafab: ")
+    assert "assumed" in psf.source
+
+
+def test_an_unknown_preset_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(InputError, match="hsq_sos_100kv"):
+        beam_psf(ExposureProcess(preset="unknown"))
+
+
+def test_one_function_is_asked() -> None:
+    with pytest.raises(ValueError, match="one of"):
+        ExposureProcess()
+
+
+RADIUS_NM = np.geomspace(1.0, 6e4, 60)
+
+
+def write_table(path: Path, header: str, columns: tuple[np.ndarray, np.ndarray], separator: str) -> Path:
+    rows = [f"{a:.9g}{separator}{b:.9g}" for a, b in zip(*columns, strict=True)]
+    path.write_text(header + "\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("header", "separator", "unit_nm"),
+    [
+        ("radius_nm,density\n", ",", 1.0),
+        ("CASINO v2.5.1\nRadial energy\nDistance (nm)\tEnergy (keV)\n", "\t", 1.0),
+        ("# point-spread function\n# radius [um]   energy\n", "   ", 1e3),
+    ],
+)
+def test_tables_of_other_programs_are_read(header: str, separator: str, unit_nm: float, tmp_path: Path) -> None:
+    """Commas, tabs and spaces; lines of headers; the unit that the header names."""
+    columns = (RADIUS_NM / unit_nm, BEAM.density(RADIUS_NM))
+    path = write_table(tmp_path / "psf.txt", header, columns, separator)
+    read = beam_psf(ExposureProcess(table_file=path, blur_nm=0.0))
+    expected = BeamPsf.fitted(RADIUS_NM, BEAM.density(RADIUS_NM), "")
+    np.testing.assert_allclose(read.range_nm, expected.range_nm, rtol=1e-6)
+
+
+def test_energies_of_rings_become_densities(tmp_path: Path) -> None:
+    """Rings of one Gaussian hold 1 - exp(-r^2 / range^2) in all; fitted ranges are a factor of 1.5 apart."""
+    radius = np.linspace(2.0, 200.0, 100)
+    within = 1.0 - np.exp(-((np.concatenate([[0.0], radius]) / 50.0) ** 2))
+    path = write_table(tmp_path / "rings.txt", "r (nm) E\n", (radius, np.diff(within)), " ")
+    read = beam_psf(ExposureProcess(table_file=path, table_energy="ring", blur_nm=0.0))
+    assert read.fit_error < 0.02
+    half = np.log(2.0) ** 0.5 * 50.0
+    share = float((read.weight * (1.0 - np.exp(-((half / read.range_nm) ** 2)))).sum())
+    assert share == pytest.approx(0.5, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("radius,density\n1,1\n2,1\n", "table_unit"),
+        ("radius_nm\n1 1\nnothing\n", "line 3"),
+        ("radius_nm\n1\n", "line 2"),
+        ("radius_nm\n", "no row"),
+        ("radius_nm,density\n1,1\n2,1\n", "at least 8 rows"),
+    ],
+)
+def test_tables_that_cannot_be_read(text: str, named: str, tmp_path: Path) -> None:
+    path = tmp_path / "psf.txt"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=named):
+        beam_psf(ExposureProcess(table_file=path))
+
+
+def test_keys_of_a_table_need_a_table() -> None:
+    with pytest.raises(ValueError, match="belong to `table_file`"):
+        ExposureProcess(preset="hsq_sos_100kv", table_unit="um")
