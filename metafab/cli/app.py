@@ -50,7 +50,6 @@ app = _Program(
     help="From unit cell to mask to decoded image.",
     context_settings=HELP,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -60,13 +59,26 @@ library_app = _Program(
 app.add_typer(library_app, name="library")
 
 
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        print(f"metafab {version('metafab')}")
+        raise typer.Exit
+
+
 @app.callback()
 def program_options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Show the version and exit.", callback=_show_version, is_eager=True),
+    ] = False,
     debug: Annotated[
         bool, typer.Option("--debug", help=f"Show the traceback of a failure (also {DEBUG_VARIABLE}=1).")
     ] = False,
 ) -> None:
     """Options of all commands."""
+    del version  # its callback has answered
     if debug:
         os.environ[DEBUG_VARIABLE] = "1"
 

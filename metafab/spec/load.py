@@ -13,7 +13,8 @@ from metafab.core.errors import Fault, InputError
 from metafab.spec.cell import UnitCell
 from metafab.spec.design import Design
 from metafab.spec.scene import Scene
-from metafab.spec.toml import adapter, faults_of, read_toml, validate
+from metafab.spec.faults import faults_of
+from metafab.spec.toml import adapter, read_toml, validate
 
 
 def load_unit_cell(path: Path | str) -> UnitCell:
@@ -68,7 +69,7 @@ def load_design(path: Path | str) -> Design:
     try:
         design: Design | None = adapter(Design).validate_python({k: v for k, v in table.items() if k not in skip})
     except ValidationError as error:
-        faults += [fault for fault in faults_of(error) if fault.field not in skip]
+        faults += [fault for fault in faults_of(error, Design) if fault.field not in skip]
         design = None
     if faults or design is None:
         raise InputError(str(path), faults)

@@ -14,11 +14,12 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage.files import whole_file
 from metafab.spec.cell import UnitCell
+from metafab.spec.keys import near
 from metafab.spec.load import load_unit_cell_of
 
 _WRITE_FIELD_PM, _DIVISIBLE = 500_000_000, 12
 
-_UNIT_CELL = Path("unitcell_lib") / "sos_800nm.toml"
+_UNIT_CELL = "sos_800nm.toml"
 
 
 def kinds() -> dict[str, str]:
@@ -35,22 +36,25 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
         name: design name; letters, digits, ``_`` and ``-``.
         kind: one of :func:`kinds`.
         folder: output folder, created if missing.
-        library: unit-cell file or built library; None for the paper's, looked for in ``unitcell_lib`` beside the
-            folder, above it, and beside the package.
+        library: unit-cell file or built library; None for the paper's: that in ``unitcell_lib`` of the folder or of
+            a folder above it, else a copy that is written beside the design.
 
     Returns:
         The files written, the design first.
 
     Raises:
-        InputError: an unknown kind, an unfit name, no unit cell or a faulty one, or a file that is there already
+        InputError: an unknown kind, an unfit name, a missing or faulty unit cell, or a file that is there already
             (nothing is overwritten).
     """
     if kind not in kinds():
-        raise InputError.single("new", "kind", f"one of {', '.join(kinds())}", repr(kind))
+        raise InputError.single("new", "kind", f"one of {', '.join(kinds())}", repr(kind), near(kind, kinds()))
     if not name or not all(letter.isalnum() or letter in "_-" for letter in name):
         raise InputError.single("new", "name", "letters, digits, _ and -", repr(name), "the file's ending is added")
-    unit_cell = _unit_cell(folder) if library is None else library
-    field_um = write_field_um(load_unit_cell_of(unit_cell))
+    supplied = resources.files("metafab.spec") / "unit_cells" / _UNIT_CELL
+    known = _unit_cell_near(folder) if library is None else library
+    unit_cell = folder / _UNIT_CELL if known is None else known
+    with resources.as_file(supplied) as copy:
+        field_um = write_field_um(load_unit_cell_of(copy if known is None else known))
     text = (resources.files("metafab.spec") / "kinds" / f"{kind}.toml").read_text(encoding="utf-8")
     relative = Path(os.path.relpath(unit_cell.resolve(), folder.resolve())).as_posix()
     sample = {"hologram": folder / f"{name}.png", "own_phase": folder / f"{name}.npy"}.get(kind)
@@ -60,6 +64,10 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
         if path.exists():
             remedy = "choose another name, or move it away"
             raise InputError.single(str(path), "file", "a name that is free", "a file", remedy)
+    if known is None:
+        with whole_file(unit_cell) as part:
+            part.write_bytes(supplied.read_bytes())
+        written += (unit_cell,)
     if sample is not None:
         with whole_file(sample) as part:
             _write_picture(part) if kind == "hologram" else _write_phase(part)
@@ -115,11 +123,7 @@ def _title(text: str) -> str:
     return " ".join(lines).split(". ")[0].rstrip(".")
 
 
-def _unit_cell(folder: Path) -> Path:
+def _unit_cell_near(folder: Path) -> Path | None:
     here = folder.resolve()
-    for place in (here, *here.parents, Path(__file__).parents[2]):
-        if (place / _UNIT_CELL).is_file():
-            return place / _UNIT_CELL
-    raise InputError.single(
-        "new", "library", f"{_UNIT_CELL} in the folder or above it", "none", "name a unit-cell file with --library"
-    )
+    places = (*(place / "unitcell_lib" / _UNIT_CELL for place in (here, *here.parents)), here / _UNIT_CELL)
+    return next((place for place in places if place.is_file()), None)

@@ -15,7 +15,8 @@ from typing import Any, TypeVar
 import tomli_w
 from pydantic import TypeAdapter, ValidationError
 
-from metafab.core.errors import Fault, InputError
+from metafab.core.errors import InputError
+from metafab.spec.faults import faults_of
 
 Spec = TypeVar("Spec")
 
@@ -72,7 +73,7 @@ def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
     try:
         checked: Spec = adapter(spec).validate_python(table)
     except ValidationError as error:
-        raise InputError(source, faults_of(error)) from error
+        raise InputError(source, faults_of(error, spec)) from error
     return checked
 
 
@@ -92,25 +93,6 @@ def adapter(spec: Any) -> TypeAdapter[Any]:
     return TypeAdapter(spec)
 
 
-def faults_of(error: ValidationError) -> list[Fault]:
-    """Convert pydantic's errors to faults."""
-    faults = []
-    for item in error.errors(include_url=False):
-        field = _path(item["loc"])
-        kind, message = item["type"], item["msg"]
-        if kind in {"extra_forbidden", "unexpected_keyword_argument"}:
-            faults.append(Fault(field, "a known key", "an unknown one", "remove it or correct its spelling"))
-        elif kind in {"missing", "missing_argument"}:
-            faults.append(Fault(field, "a value", "nothing", "add the key"))
-        elif kind == "value_error" and not isinstance(item["input"], str | int | float | list | tuple):
-            faults.append(Fault(field, message.removeprefix("Value error, "), ""))
-        else:
-            expected = message.removeprefix("Input should be ").removeprefix("Value error, must be ")
-            got = repr(item["input"])
-            faults.append(Fault(field or "file", expected, got if len(got) <= 80 else got[:77] + "..."))
-    return faults
-
-
 def _resolved(value: Any, folder: Path, key: str = "") -> Any:
     """Copy of a table with absolute paths; a material may name a table of its index (.csv) in place of a record."""
     if isinstance(value, dict):
@@ -122,14 +104,6 @@ def _resolved(value: Any, folder: Path, key: str = "") -> Any:
     if isinstance(value, str) and (key in _FILE_KEYS or value.lower().endswith(".csv")):
         return str((folder / value).resolve())
     return value
-
-
-def _path(location: tuple[int | str, ...]) -> str:
-    """('phase', 0, 'spiral_zones', 'zones') -> 'phase[0].spiral_zones.zones'."""
-    text = ""
-    for part in location:
-        text += f"[{part}]" if isinstance(part, int) else (f".{part}" if text else part)
-    return text
 
 
 def _toml_table(spec: Any, folder: Path | None) -> dict[str, Any]:

@@ -58,7 +58,7 @@ def test_the_limit_goes_with_the_peak() -> None:
 
 
 def test_a_picture_that_is_too_wide_is_refused_before_any_work(tmp_path: Path) -> None:
-    file, picture = write_new("mine", "hologram", tmp_path)
+    file, _, picture = write_new("mine", "hologram", tmp_path)
     text = file.read_text(encoding="utf-8")
     file.write_text(text.replace("width_um = 100.0", "width_um = 1e6"), encoding="utf-8")
     with pytest.raises(InputError, match=r"`phase\[1\]\.width_um`: expected at most \d+.* um") as refusal:

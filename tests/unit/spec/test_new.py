@@ -26,7 +26,8 @@ def test_a_new_design_passes_all_checks_that_come_before_the_work(tmp_path: Path
     design = load_design(design_file)
     preflight(design)
     assert design.name == "mine"
-    assert design.library == UNIT_CELL
+    assert design.library == tmp_path / "sos_800nm.toml"
+    assert design.library.read_bytes() == UNIT_CELL.read_bytes()
     assert {path.name for path in tmp_path.iterdir()} == {design_file.name, *(path.name for path in samples)}
     assert kinds()[kind] in " ".join(
         line.removeprefix("# ") for line in design_file.read_text(encoding="utf-8").splitlines()
@@ -53,6 +54,23 @@ def test_a_write_field_holds_whole_periods_along_both_axes(
     cell = dataclasses.replace(unit_cell.cell, period_nm=period_nm)
     changed = SimpleNamespace(cell=cell)
     assert write_field_um(cast(UnitCell, changed)) == pytest.approx(field_um, abs=1e-9)
+
+
+def test_a_unit_cell_that_is_there_is_used(tmp_path: Path) -> None:
+    first = write_new("first", "metalens", tmp_path)
+    second = write_new("second", "metalens", tmp_path)
+    assert [path.name for path in first] == ["first.toml", "sos_800nm.toml"]
+    assert [path.name for path in second] == ["second.toml"]
+    inner = tmp_path / "unitcell_lib" / "sos_800nm.toml"
+    inner.parent.mkdir()
+    inner.write_bytes(UNIT_CELL.read_bytes())
+    third = write_new("third", "metalens", tmp_path / "deep" / "er")
+    assert load_design(third[0]).library == inner
+
+
+def test_a_misspelt_kind_gets_its_neighbour() -> None:
+    with pytest.raises(InputError, match="did you mean `hologram`"):
+        write_new("mine", "holograms", Path())
 
 
 def test_a_library_that_cannot_be_read_is_refused_and_nothing_is_written(tmp_path: Path) -> None:
@@ -91,7 +109,7 @@ def test_unfit_names_and_unknown_kinds_are_refused(tmp_path: Path, name: str, ki
 
 
 def test_the_sample_picture_survives_its_file(tmp_path: Path) -> None:
-    _, picture = write_new("mine", "hologram", tmp_path)
+    _, _, picture = write_new("mine", "hologram", tmp_path)
     read = read_grey(picture) / 255.0
     # One grey level of 255 is the file's resolution.
     assert np.abs(read - sample_picture()).max() <= 0.5 / 255.0 + 1e-12

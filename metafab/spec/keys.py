@@ -1,0 +1,221 @@
+"""Keys of the input files, read from the specs: type, unit, default, range, meaning; the reference and the spelling."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import types
+from collections.abc import Iterable
+from dataclasses import MISSING, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
+
+from pydantic.fields import FieldInfo
+
+_PLAIN = {float: "number", int: "whole number", bool: "true or false", str: "text", Path: "path of a file"}
+
+#: Units at the ends of names, the longest first.
+_UNITS = {
+    "_uc_per_cm2": "uC/cm2",
+    "_e_per_s": "electrons/s",
+    "_m_per_s": "m/s",
+    "_nm": "nm",
+    "_um": "um",
+    "_mm": "mm",
+    "_deg": "degrees",
+    "_rad": "rad",
+    "_px": "pixels",
+    "_na": "nA",
+    "_us": "us",
+    "_ms": "ms",
+    "_e": "electrons",
+    "_m": "m",
+    "_s": "s",
+}
+
+
+@dataclass(frozen=True)
+class Key:
+    """One key of an input file.
+
+    Attributes:
+        path: tables and key, such as ``mask.chip.margin_um``; ``[]`` marks a list of tables.
+        kind: type of the value in words.
+        unit: unit of the value; empty for text and pure numbers.
+        default: value without the key, as TOML; ``required`` if there is none, empty if the key is simply omitted.
+        allowed: range or choices; empty if every value of the type will do.
+        meaning: one or two sentences.
+    """
+
+    path: str
+    kind: str
+    unit: str
+    default: str
+    allowed: str
+    meaning: str
+
+
+@cache
+def keys_of(spec: type, path: str = "") -> tuple[Key, ...]:
+    """Return all keys of a spec and of its tables, in the order of the fields.
+
+    Args:
+        spec: a spec's class, such as :class:`metafab.spec.Design`.
+        path: tables above it.
+    """
+    hints = get_type_hints(spec, include_extras=True)
+    found: list[Key] = []
+    for item in dataclasses.fields(spec):
+        key = f"{path}.{item.name}" if path else item.name
+        tables = _tables(hints[item.name])
+        if _is_list(hints[item.name]) and tables:
+            key += "[]"
+        found.append(_key(spec, item, hints[item.name], key))
+        for table in tables:
+            inner = f"{key}.{_tag(table)}" if len(tables) > 1 else key
+            found += [entry for entry in keys_of(table, inner) if not entry.path.endswith(".term")]
+    return tuple(found)
+
+
+def names_at(spec: Any, location: Iterable[int | str]) -> tuple[str, ...]:
+    """Return the names of the keys of the table at a place of a file; empty if no table stands there.
+
+    Args:
+        spec: class of the file's spec.
+        location: keys, positions in lists, and names of phase terms, from the top of the file.
+    """
+    tables = _tables(spec)
+    for part in location:
+        if isinstance(part, int):
+            continue
+        named = [table for table in tables if _tag(table) == part]
+        within = [get_type_hints(table, include_extras=True).get(part) for table in tables]
+        tables = named or [inner for hint in within if hint is not None for inner in _tables(hint)]
+    return tuple(dict.fromkeys(item.name for table in tables for item in dataclasses.fields(table)))
+
+
+def near(name: str, known: Iterable[str]) -> str:
+    """Return "did you mean `a` or `b`?" for the known names that resemble ``name``; empty if none does."""
+    close = difflib.get_close_matches(name.lower(), list(known), n=2, cutoff=0.6)
+    return f"did you mean {' or '.join(f'`{word}`' for word in close)}?" if close else ""
+
+
+def _key(spec: type, item: dataclasses.Field[Any], hint: Any, path: str) -> Key:
+    unit = next((unit for ending, unit in _UNITS.items() if item.name.endswith(ending)), "")
+    described = [extra.description for extra in _infos(hint) if extra.description]
+    info = spec.__pydantic_fields__[item.name]  # type: ignore[attr-defined]
+    meaning = info.description or (described[0] if described else "")
+    return Key(path, _kind(hint), unit, _default(item), _allowed(hint), meaning[:1].upper() + meaning[1:])
+
+
+def _default(item: dataclasses.Field[Any]) -> str:
+    value = item.default
+    if isinstance(value, FieldInfo):
+        if value.default_factory is not None:
+            return ""
+        value = MISSING if value.is_required() else value.default
+    if value is MISSING:
+        return "required" if item.default_factory is MISSING else ""
+    return _toml(value)
+
+
+def _toml(value: Any) -> str:
+    if value is None or value == "":
+        return ""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml, value))}]"
+    return f'"{value}"' if isinstance(value, str) else f"{value:g}"
+
+
+def _kind(hint: Any) -> str:
+    hint = _bare(hint)
+    if get_origin(hint) is Literal:
+        return "text"
+    if dataclasses.is_dataclass(hint):
+        return "table"
+    if get_origin(hint) is tuple:
+        inner = get_args(hint)
+        if inner[-1] is Ellipsis:
+            return "list of tables" if _tables(inner[0]) else f"list of {_plural(_kind(inner[0]))}"
+        return f"[{', '.join(map(_kind, inner))}]"
+    if _is_union(hint):
+        return " or ".join(dict.fromkeys(map(_kind, get_args(hint))))
+    return _PLAIN.get(hint, "value")
+
+
+def _plural(kind: str) -> str:
+    return kind if kind.startswith("[") or kind == "text" else f"{kind}s"
+
+
+def _allowed(hint: Any) -> str:
+    limits = [str(limit) for limit in _limits(hint)]
+    bare = _bare(hint)
+    if get_origin(bare) is Literal:
+        return ", ".join(f'"{choice}"' for choice in get_args(bare))
+    if get_origin(bare) is tuple and not _tables(bare):
+        inner = list(dict.fromkeys(_allowed(part) for part in get_args(bare) if part is not Ellipsis))
+        limits += inner if len(inner) == 1 and inner[0] else []
+    return ", ".join(limits)
+
+
+def _limits(hint: Any) -> list[str]:
+    """Range of a number or of a list's length in words; limits against overflow are left out."""
+    words = {"gt": "above {:g}", "ge": "at least {:g}", "lt": "below {:g}", "le": "at most {:g}"}
+    lengths = {"min_length": "at least {} of them", "max_length": "at most {} of them"}
+    found: list[str] = []
+    for info in _infos(hint):
+        for rule in info.metadata:
+            for name, text in words.items():
+                value = getattr(rule, name, None)
+                if value is not None and abs(value) < 1e15:
+                    found.append(text.format(value))
+            for name, text in lengths.items():
+                value = getattr(rule, name, None)
+                if value is not None and get_origin(_bare(hint)) is tuple:
+                    found.append(text.format(value))
+    return found
+
+
+def _infos(hint: Any) -> list[FieldInfo]:
+    if get_origin(hint) is Annotated:
+        inner, *extras = get_args(hint)
+        return [*_infos(inner), *(extra for extra in extras if isinstance(extra, FieldInfo))]
+    if _is_union(hint):
+        return [info for part in get_args(hint) for info in _infos(part)]
+    return []
+
+
+def _bare(hint: Any) -> Any:
+    """The type without annotations and without None."""
+    while get_origin(hint) is Annotated:
+        hint = get_args(hint)[0]
+    if _is_union(hint):
+        parts = [part for part in get_args(hint) if part is not type(None)]
+        return _bare(parts[0]) if len(parts) == 1 else Union[tuple(parts)]  # noqa: UP007
+    return hint
+
+
+def _is_union(hint: Any) -> bool:
+    return get_origin(hint) in {Union, types.UnionType}
+
+
+def _is_list(hint: Any) -> bool:
+    return get_origin(_bare(hint)) is tuple
+
+
+def _tables(hint: Any) -> list[type]:
+    """The specs within a type: one for a table, several for a choice of tables."""
+    hint = _bare(hint)
+    if dataclasses.is_dataclass(hint):
+        return [hint] if isinstance(hint, type) else []
+    if _is_union(hint) or get_origin(hint) is tuple:
+        return [table for part in get_args(hint) if part is not Ellipsis for table in _tables(part)]
+    return []
+
+
+def _tag(table: type) -> str:
+    """Name of a phase term; of other tables, that of their class."""
+    return str(getattr(table, "term", table.__name__))
