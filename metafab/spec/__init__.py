@@ -9,7 +9,8 @@
 - ``scene``    Scene: objects at depths, photons, noise
 - ``turned``   keys that turned pillars and full-Stokes imaging do not support
 - ``construct``  unit cells and designs made in Python, without files
-- ``new``      sample design file of each kind of device (``kinds/``)
+- ``new``      sample design file of each kind of device (``kinds/``, ``unit_cells/``)
+- ``keys/``    all keys of the files with type, unit, default, range and meaning; faults in our words
 - ``toml``     TOML -> spec, reporting all faults of a file; spec -> canonical TOML
 - ``load``     unit-cell, scene and design files, with the files that they reference
 

@@ -15,22 +15,25 @@ from metafab.spec.fields import CONFIG, NonNegative, Positive, Real, TargetError
 
 @dataclass(frozen=True, config=CONFIG)
 class Material:
-    """A refractive index n + ik; k > 0 absorbs (see the conventions).
-
-    ``n_error`` is the standard uncertainty of n; it enters the error budget, not the solution. ``n_y`` and ``k_y``
-    describe a substrate whose index differs for y polarisation (a uniaxial crystal with its optic axis in the
-    surface), ``n_z`` and ``k_z`` its index along z, which matters at oblique incidence. ``record`` names an entry of
-    the ``materials`` room and replaces the numbers.
-    """
+    """A refractive index n + ik by numbers or by the name of a record."""
 
     n: Positive | None = None
+    """Real part of the refractive index."""
     k: NonNegative = 0.0
+    """Imaginary part of the refractive index; above 0 absorbs."""
     n_error: NonNegative = 0.0
+    """Standard uncertainty of `n`; it enters the error budget, not the solution."""
     n_y: Positive | None = None
+    """Index of a substrate for y polarisation, if it differs (a crystal with its optic axis in the surface)."""
     k_y: NonNegative | None = None
+    """Imaginary part that belongs to `n_y`."""
     n_z: Positive | None = None
+    """Index of a substrate along z; it matters at oblique incidence."""
     k_z: NonNegative | None = None
+    """Imaginary part that belongs to `n_z`."""
     record: str | None = None
+    """Name of a cited record, a CSV file (`wavelength_nm,n,k`), or shelf/book/page of refractiveindex.info; it replaces
+    the numbers. A text in place of the table means the same."""
 
     @model_validator(mode="after")
     def _one_source(self) -> Material:
@@ -60,7 +63,9 @@ class Layer:
     """A uniform layer of one isotropic material."""
 
     height_nm: Positive
+    """Thickness of the layer."""
     material: Material
+    """Material of the layer; isotropic."""
 
     @field_validator("material", mode="before")
     @classmethod
@@ -76,29 +81,29 @@ class Layer:
 
 @dataclass(frozen=True, config=CONFIG)
 class CellGeometry:
-    """Geometry of the unit cell: one pillar centred in a rectangular or hexagonal lattice cell.
-
-    ``lattice``: rectangular by default. In a hexagonal lattice every other row is shifted by half a period;
-    ``period_nm`` is the distance of pillars within a row. The row distance is sqrt(3)/2 of it, rounded to a whole
-    nanometre so that a mask can hold it, or the second number of ``period_nm``, which must lie within 1 % of that.
-    ``shape``: cross-section within width and length. A circle has equal width and length, and only such sizes are
-    swept; a cross is the union of the rectangle and the rectangle turned by 90 degrees.
-    ``corner_radius_nm``: radius of a rectangle's corners.
-    ``sidewall_angle_deg``: angle between wall and substrate inside the pillar, 90 by default; below 90 the pillar
-    narrows upwards. ``sizes_at``: height at which width and length are measured, the middle by default.
-    ``film``: uniform films between substrate and pillars, from the substrate up. ``cap``: layers on top of each
-    pillar, with the pillar's outline, from the pillar up.
-    """
+    """Geometry of the unit cell: one pillar centred in a rectangular or hexagonal lattice cell."""
 
     period_nm: tuple[Positive, Positive]
+    """Distance of pillars along x and y; one number for both. In a hexagonal lattice: within a row, and between rows
+    (within 1 % of sqrt(3)/2 of the first; by default that, rounded to 1 nm)."""
     height_nm: Positive
+    """Height of the pillars."""
     shape: Literal["rectangle", "ellipse", "circle", "cross"] = "rectangle"
+    """Cross-section within width and length. Circles have equal width and length; a cross is the union of the rectangle
+    and the same rectangle turned by 90 degrees."""
     sidewall_angle_deg: SidewallAngle | None = None
+    """Angle between wall and substrate inside the pillar; 90 without the key. Below 90 the pillar narrows upwards."""
     sizes_at: Literal["bottom", "middle", "top"] | None = None
+    """Height at which width and length are measured; the middle without the key."""
     film: tuple[Layer, ...] | None = None
+    """Uniform films between substrate and pillars, from the substrate up."""
     cap: tuple[Layer, ...] | None = None
+    """Layers on top of each pillar with the pillar's outline, from the pillar up."""
     lattice: Literal["rectangular", "hexagonal"] | None = None
+    """Lattice of the pillars; rectangular without the key. In a hexagonal one every other row is shifted by half a
+    period."""
     corner_radius_nm: NonNegative | None = None
+    """Radius of a rectangle's corners."""
 
     @field_validator("period_nm", mode="before")
     @classmethod
@@ -138,8 +143,11 @@ class CellMaterials:
     """Materials of the pillar, of the half space below it and of the half space above it."""
 
     pillar: Material
+    """Material of the pillars."""
     substrate: Material
+    """Material of the half space below the pillars."""
     ambient: Material = Field(default_factory=lambda: Material(n=1.0))
+    """Material of the half space above and between the pillars; vacuum without the key."""
 
     @field_validator("pillar", "substrate", "ambient", mode="before")
     @classmethod
@@ -160,28 +168,35 @@ class Illumination:
     """Incident plane wave: vacuum wavelength and side of incidence."""
 
     wavelength_nm: Positive
+    """Vacuum wavelength."""
     side: Side = "substrate"
+    """Side from which the light comes."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Axes:
     """Further axes of a library beyond the sizes, each a range [lowest, highest]; all optional.
 
-    ``wavelength_nm``, ``height_nm``, ``sidewall_angle_deg`` and ``corner_radius_nm`` contain the unit cell's value.
-    ``cd_bias_nm`` is added to width and length, ``pillar_n_shift`` to the real part of the pillar's index; both ranges
-    contain 0. ``angle_x_deg`` is the angle of incidence in the x-z plane, in the medium of incidence; its range starts
-    at 0, because t is even in it. ``angle_y_deg`` is that in the y-z plane. Only one of the two can be swept: in any
-    other plane of incidence the polarisations mix, and a library holds no cross-polarised amplitudes.
+    Only one plane of incidence can be swept: in any other the polarisations mix, and a library holds no cross-polarised
+    amplitudes.
     """
 
     wavelength_nm: tuple[Positive, Positive] | None = None
+    """Range of wavelengths [lowest, highest]; it contains the unit cell's."""
     height_nm: tuple[Positive, Positive] | None = None
+    """Range of pillar heights; it contains the unit cell's."""
     sidewall_angle_deg: tuple[SidewallAngle, SidewallAngle] | None = None
+    """Range of sidewall angles; it contains the unit cell's."""
     corner_radius_nm: tuple[NonNegative, NonNegative] | None = None
+    """Range of corner radii; it contains the unit cell's."""
     cd_bias_nm: tuple[Real, Real] | None = None
+    """Range of the bias of width and length; it contains 0."""
     pillar_n_shift: tuple[Real, Real] | None = None
+    """Range of the change of the pillar's index; it contains 0."""
     angle_x_deg: tuple[NonNegative, NonNegative] | None = None
+    """Range [0, largest] of the angle of incidence in the x-z plane, in the medium of incidence."""
     angle_y_deg: tuple[NonNegative, NonNegative] | None = None
+    """Range [0, largest] of the angle of incidence in the y-z plane; not together with `angle_x_deg`."""
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
@@ -203,13 +218,18 @@ class Axes:
 
 @dataclass(frozen=True, config=CONFIG)
 class Sweep:
-    """Sizes of a library, and its target error in complex t; ``axes`` lists further axes (wavelength, height, ...)."""
+    """Sizes of a library, and its target error."""
 
     width_nm: tuple[Positive, Positive]
+    """Smallest and largest width."""
     length_nm: tuple[Positive, Positive]
+    """Smallest and largest length; for circles equal to `width_nm`."""
     size_grid_nm: Positive
+    """Step of the sizes; both ranges hold a whole number of steps."""
     target_error: TargetError = 2e-3
+    """Target error of the complex transmission t of every size."""
     axes: Axes | None = None
+    """Further axes of the library."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Sweep:
@@ -233,6 +253,7 @@ class Solver:
     """Solver that builds the library."""
 
     name: Literal["rcwa", "meep"] = "rcwa"
+    """Solver that builds the library."""
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -240,11 +261,17 @@ class UnitCell:
     """A unit-cell file (``unitcell_lib/NAME.toml``)."""
 
     cell: CellGeometry
+    """Geometry of the unit cell."""
     materials: CellMaterials
+    """Materials."""
     illumination: Illumination
+    """Incident light."""
     sweep: Sweep
+    """Sizes of the library."""
     solver: Solver = Field(default_factory=Solver)
-    source: Annotated[str, Field(description="where the numbers come from")] = ""
+    """Solver of the library."""
+    source: str = ""
+    """Where the numbers come from."""
 
     @model_validator(mode="after")
     def _fits(self) -> UnitCell:

@@ -13,7 +13,7 @@ from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import FloatArray
 from metafab.spec.cell import UnitCell
-from metafab.spec.fields import CONFIG, DepthOrInfinity, Name, NonNegative, Positive, Real, TargetError
+from metafab.spec.fields import CONFIG, DepthOrInfinity, Flag, Name, NonNegative, Positive, Real, TargetError
 from metafab.spec.mask import Mask, Process
 from metafab.spec.scene import Scene
 from metafab.spec.terms import PhaseTerm, SpiralZones, SplitLens
@@ -29,18 +29,18 @@ MAX_WINDOW_PX = 2048
 
 @dataclass(frozen=True, config=CONFIG)
 class Device:
-    """The lens: aperture and focal length.
-
-    ``aperture_um``: diameter or side, at most that of a 300 mm wafer. A "ring" excludes the inner circle of diameter
-    ``inner_um``. A "polygon" has the vertices ``outline_um``, at least three (x, y) relative to the axis, within the
-    square of side ``aperture_um``. Helices are optimised for the full circle or square in every case.
-    """
+    """The lens: aperture and focal length. Helices are optimised for the full circle or square, whatever the outline."""
 
     aperture_um: Annotated[float, Field(strict=True, gt=0.0, le=300_000.0)]
+    """Diameter or side of the aperture."""
     focal_length_mm: Positive
+    """Focal length for collimated light."""
     aperture_shape: Literal["circle", "square", "ring", "polygon"] = "circle"
+    """Shape of the aperture."""
     inner_um: NonNegative = 0.0
+    """Diameter of the circle that a ring excludes."""
     outline_um: tuple[tuple[Real, Real], ...] = ()
+    """Vertices (x, y) of a polygon, relative to the axis, within the square of side `aperture_um`."""
 
     @model_validator(mode="after")
     def _outline(self) -> Device:
@@ -81,22 +81,23 @@ class Device:
 
 @dataclass(frozen=True, config=CONFIG)
 class Rules:
-    """Design rules of the process.
-
-    ``gap_rule`` "each" limits every width and length to the period minus ``min_gap_nm``; with "pairs", a pillar may be
-    larger if the gaps to its neighbours still hold. ``max_aspect_ratio`` limits height over the shorter side.
-    ``cd_sigma_nm`` is the standard deviation of a common bias of width and length in fabrication: the mapping maximises
-    the field expected under it, which avoids sizes with a steep phase. ``polarisation_independent`` restricts the
-    mapping to sizes that respond equally to both polarisations by symmetry: equal width and length, or crosses, in a
-    square cell.
-    """
+    """Design rules of the process."""
 
     min_gap_nm: Positive = 100.0
+    """Smallest gap between drawn pillars."""
     min_feature_nm: Positive = 100.0
+    """Smallest width and length of a drawn pillar."""
     max_aspect_ratio: Positive | None = None
+    """Largest height over shorter side."""
     gap_rule: Literal["each", "pairs"] = "each"
+    """How gaps are kept: "each" limits every width and length to the period minus the gap; with "pairs" a pillar may be
+    larger where its neighbours leave room."""
     cd_sigma_nm: NonNegative = 0.0
-    polarisation_independent: bool = False
+    """Standard deviation of a common bias of width and length in fabrication; the mapping then avoids sizes with a
+    steep phase."""
+    polarisation_independent: Flag = False
+    """Use only sizes that respond equally to both polarisations by symmetry: equal width and length, or crosses, in a
+    square cell."""
 
     @model_validator(mode="after")
     def _one_weight(self) -> Rules:
@@ -110,26 +111,27 @@ class Sensor:
     """The image sensor: pixel pitch, and the object depth for which it is in focus."""
 
     pixel_um: Positive
+    """Pixel pitch."""
     focus_depth_m: Positive
+    """Depth of an object that is in focus on the sensor."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Optics:
-    """Optical elements besides the lens; each is optional.
-
-    ``filter_fwhm_nm``: full width at half maximum of a colour filter centred on the wavelength. ``substrate_um``:
-    thickness of the substrate between scene and pillars, a plane-parallel plate with the unit cell's index.
-    ``stop_um``: diameter of a round stop in the plane of the pillars. ``amplitude_file``: amplitude transmission (0 to
-    1) in that plane, a .npy, .csv or .h5 file on a square grid about the axis with pitch ``amplitude_pitch_um``, shape
-    (n_y, n_x), lowest y first. Efficiencies remain relative to the light on the device's aperture.
-    """
+    """Optical elements besides the lens; each is optional. Efficiencies remain relative to the light on the aperture."""
 
     filter_fwhm_nm: Annotated[float | None, Field(strict=True, gt=0.0, le=100.0)] = None
+    """Full width at half maximum of a colour filter centred on the wavelength."""
     substrate_um: Annotated[float, Field(strict=True, ge=0.0, le=20_000.0)] = 0.0
+    """Thickness of the substrate between scene and pillars: a plane-parallel plate."""
     stop_um: Positive | None = None
+    """Diameter of a round stop in the plane of the pillars."""
     amplitude_file: Path | None = None
+    """Amplitude transmission (0 to 1) in that plane: a .npy, .csv or .h5 file, shape (n_y, n_x), lowest y first."""
     amplitude_pitch_um: Positive | None = None
+    """Pitch of that file's square grid, which is centred on the axis."""
     amplitude_dataset: str = "amplitude"
+    """Name of the map in an .h5 file."""
 
     @model_validator(mode="after")
     def _samples_have_a_pitch(self) -> Optics:
@@ -142,14 +144,17 @@ class Optics:
 class Verify:
     """Depths, window and number of field points at which the written mask is simulated.
 
-    The last of ``depths_m`` may be ``inf``. ``field_points`` is [x, y], or one number for both axes; the PSF pair
-    changes fastest along x, the axis of the split.
+    The PSF pair changes fastest along x, the axis of the split.
     """
 
     depths_m: tuple[DepthOrInfinity, ...]
+    """Depths in increasing order; the last may be inf."""
     window_px: Annotated[int, Field(strict=True, ge=4, le=MAX_WINDOW_PX)] = 64
+    """Side of the PSF windows."""
     field_points: tuple[FieldPoints, FieldPoints] = (5, 5)
+    """Number of field points along x and y; one number for both."""
     target_error: TargetError = 1e-3
+    """Target error of the PSFs (relative L2)."""
 
     @field_validator("field_points", mode="before")
     @classmethod
@@ -165,37 +170,41 @@ class Verify:
 
 @dataclass(frozen=True, config=CONFIG)
 class Tolerances:
-    """Fabrication tolerances; a run with this table simulates the PSFs at each of its corners.
-
-    ``cd_bias_nm``, ``height_nm``, ``sidewall_deg`` and ``pillar_n`` (default: half the spread of published indices of
-    silicon) are applied with both signs, one at a time. ``misplacement_nm`` (each pillar) and ``stitching_nm`` (each
-    write field) are rms displacements along x and y, ``missing_share`` is the share of missing pillars; each is
-    averaged over ``draws`` random masks. Zero omits a tolerance.
-    """
+    """Fabrication tolerances; a run with this table simulates the PSFs at each of its corners. 0 omits a tolerance."""
 
     cd_bias_nm: NonNegative = 10.0
+    """Bias of width and length, applied with both signs."""
     height_nm: NonNegative = 10.0
+    """Error of the height, applied with both signs."""
     sidewall_deg: Annotated[float, Field(strict=True, ge=0.0, le=10.0)] = 2.0
+    """Error of the sidewall angle, applied with both signs."""
     pillar_n: NonNegative = 0.0135
+    """Error of the pillar's index, applied with both signs; by default half the spread of published indices of silicon.
+    """
     misplacement_nm: NonNegative = 10.0
+    """Displacement of each pillar along x and y, rms."""
     stitching_nm: NonNegative = 30.0
+    """Displacement of each write field along x and y, rms."""
     missing_share: Annotated[float, Field(strict=True, ge=0.0, le=0.5)] = 1e-3
+    """Share of missing pillars."""
     draws: Annotated[int, Field(strict=True, ge=2, le=1000)] = 8
+    """Number of random masks over which random errors are averaged."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Measured:
-    """Measured figures of the fabricated device, shown with the simulated ones; all optional.
-
-    Efficiencies are the power through a pinhole of diameter ``pinhole_um`` over the power on the aperture; ``source``
-    is their reference.
-    """
+    """Measured figures of the made device, shown with the simulated ones; all optional."""
 
     efficiency_x: Annotated[float | None, Field(strict=True, gt=0.0, le=1.0)] = None
+    """Measured efficiency of x polarisation: power through the pinhole over power on the aperture."""
     efficiency_y: Annotated[float | None, Field(strict=True, gt=0.0, le=1.0)] = None
+    """The same of y polarisation."""
     extinction_ratio: Positive | None = None
+    """Measured extinction ratio."""
     pinhole_um: Positive = 100.0
+    """Diameter of the pinhole."""
     source: str = ""
+    """Reference of the measured figures."""
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -203,8 +212,11 @@ class Numerics:
     """Numerical settings."""
 
     tile_sites: Annotated[int, Field(strict=True, ge=16, le=4096)] = 476
+    """Sites along a tile's side."""
     seed: Annotated[int, Field(strict=True, ge=0)] = 1
+    """Seed of random starts."""
     iterations: NonNegative = 200
+    """Most iterations of an optimisation."""
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -215,20 +227,36 @@ class Design:
     """
 
     name: Name
+    """Name of the design, of its mask files and of its run folder."""
     library: Path
+    """Unit-cell file or built library, relative to the design."""
     unit_cell: UnitCell
+    """Unit cell of `library`; not a key of a design file."""
     device: Device
+    """The lens."""
     phase: Annotated[tuple[PhaseTerm, ...], Field(min_length=1)]
+    """Phase terms, whose sum is the target phase."""
     rules: Rules
+    """Design rules of the process."""
     mask: Mask
+    """Mask files."""
     sensor: Sensor
+    """Image sensor."""
     verify: Verify
+    """What is simulated of the written mask."""
     scene: Scene | None = None
+    """Scene to photograph and decode: a table, or the path of a scene file; without it the mask is verified on the axis
+    alone."""
     numerics: Numerics = Field(default_factory=Numerics)
-    optics: Annotated[Optics | None, Field(description="omitted: one wavelength, no elements besides the lens")] = None
-    tolerance: Annotated[Tolerances | None, Field(description="omitted: no table of tolerances")] = None
-    process: Annotated[Process | None, Field(description="omitted: no exposure is simulated")] = None
-    measured: Annotated[Measured | None, Field(description="omitted: no measured figures")] = None
+    """Numerical settings."""
+    optics: Optics | None = None
+    """Optical elements besides the lens; none without the table, and one wavelength."""
+    tolerance: Tolerances | None = None
+    """Fabrication tolerances; no corners are simulated without the table."""
+    process: Process | None = None
+    """Fabrication process; no exposure is simulated without the table."""
+    measured: Measured | None = None
+    """Measured figures of the made device, shown beside the simulated ones."""
 
     @model_validator(mode="after")
     def _rules_in_nanometres(self) -> Design:

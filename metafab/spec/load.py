@@ -12,8 +12,8 @@ from pydantic import ValidationError
 from metafab.core.errors import Fault, InputError
 from metafab.spec.cell import UnitCell
 from metafab.spec.design import Design
+from metafab.spec.keys.faults import faults_of
 from metafab.spec.scene import Scene
-from metafab.spec.faults import faults_of
 from metafab.spec.toml import adapter, read_toml, validate
 
 

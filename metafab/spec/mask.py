@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from metafab.spec.fields import CONFIG, Index, NonNegative, Positive, Real
+from metafab.spec.fields import CONFIG, Flag, Index, NonNegative, Positive, Real
 
 #: Most dose classes by size or density.
 MOST_CLASSES = 32
@@ -16,16 +16,15 @@ MOST_CLASSES = 32
 
 @dataclass(frozen=True, config=CONFIG)
 class Dose:
-    """Dose classes on consecutive datatypes, for proximity-effect correction.
-
-    Classes divide evenly the range of the pillars' drawn areas ("size"), or of the pattern density in blocks of side
-    ``block_um`` ("density"). Class 0, on ``mask.datatype``, holds the smallest areas or densities. With "proximity" the
-    classes are corrected doses, the lowest first; ``metafab expose --correct`` writes such a mask.
-    """
+    """Dose classes on consecutive datatypes. By size or density, classes divide the range of the values evenly."""
 
     by: Literal["size", "density", "proximity"] = "size"
+    """What decides a pillar's class: its drawn area, the pattern density around it, or the dose corrected for proximity
+    (`metafab expose --correct`)."""
     classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 4
+    """Number of classes; class 0, on `mask.datatype`, holds the smallest areas, densities or doses."""
     block_um: Positive = 20.0
+    """Side of the blocks in which density is counted."""
 
     @model_validator(mode="after")
     def _few_classes(self) -> Dose:
@@ -36,25 +35,32 @@ class Dose:
 
 @dataclass(frozen=True, config=CONFIG)
 class Chip:
-    """Marks, frame, text and dicing street around the lens, each on its own layer (datatype 0).
-
-    The frame surrounds the aperture's bounding square at a distance of ``margin_um``; crosses with arms of ``mark_um``
-    stand at its four corners, label and scale bar below the lens, the dicing street outside the frame. A length of 0
-    omits a kind.
-    """
+    """Marks, frame, text and dicing street around the lens, each on its own layer (datatype 0)."""
 
     margin_um: Positive = 100.0
+    """Distance of the frame from the aperture's bounding square."""
     mark_um: NonNegative = 60.0
+    """Length of the crosses' arms at the four corners; 0 draws none."""
     mark_line_um: Positive = 4.0
+    """Line width of the crosses."""
     frame_um: NonNegative = 10.0
+    """Width of the frame; 0 draws none."""
     street_um: NonNegative = 100.0
+    """Width of the dicing street outside the frame; 0 draws none."""
     label: str | None = None
+    """Text below the lens."""
     text_um: Positive = 40.0
+    """Height of texts."""
     scale_bar_um: NonNegative = 100.0
+    """Length of the scale bar; 0 draws none."""
     mark_layer: Index = 10
+    """Layer of the crosses."""
     frame_layer: Index = 11
+    """Layer of the frame."""
     text_layer: Index = 12
+    """Layer of texts and scale bar."""
     street_layer: Index = 13
+    """Layer of the dicing street."""
 
     @property
     def layers(self) -> tuple[int, ...]:
@@ -64,15 +70,14 @@ class Chip:
 
 @dataclass(frozen=True, config=CONFIG)
 class Copy:
-    """One of several lenses on a chip, centred at ``at_um`` = (x, y).
-
-    ``bias_nm`` is added to ``mask.bias_nm`` for process variants. The mapping leaves no room for it, so a copy with a
-    positive bias may violate the design rules. ``label`` is drawn above the lens, on the text layer of the chip.
-    """
+    """One of several lenses on a chip, for process variants."""
 
     at_um: tuple[Real, Real]
+    """Centre (x, y) of the lens."""
     bias_nm: Real = 0.0
+    """Added to `mask.bias_nm`; the mapping leaves no room for it, so a positive one may violate the rules."""
     label: str | None = None
+    """Text above the lens, on the chip's text layer."""
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -80,40 +85,48 @@ class Exposure:
     """Exposure settings that determine the write time."""
 
     dose_uc_per_cm2: Positive
+    """Areal dose."""
     beam_current_na: Positive
+    """Beam current."""
     settle_shape_us: NonNegative = 0.0
+    """Settling time of each shape."""
     settle_field_ms: NonNegative = 0.0
+    """Settling time of each write field."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Mask:
-    """Mask files of a design.
-
-    ``formats = []`` writes no mask: PSFs, frames and depths are then simulated from the target phases, as for lenses
-    with too many pillars to write.
-
-    ``bias_nm`` is added to the width and length of every drawn pillar, to compensate for the etch; simulated pillars
-    have no bias, while gap and feature rules hold for drawn shapes. ``tone`` "negative": the drawn pillars are exposed
-    and remain. "positive": the write field is also drawn, on ``field_layer``, and field NOT pillars is exposed.
-    "inverted": field NOT pillars is drawn on ``field_layer`` as rectangles, five times as many shapes. ``flat`` puts
-    every rectangle into the top cell, for software without cells; such files open far more slowly. The unit cell's
-    ``corner_radius_nm`` describes printed pillars and is not drawn unless ``draw_corners`` is set.
-    """
+    """Mask files of a design. Simulated pillars have no bias; gap and feature rules hold for drawn shapes."""
 
     formats: tuple[Literal["gds", "oas"], ...] = ("gds", "oas")
+    """Files to write; [] writes no mask, and the target phases are simulated."""
     layer: Index = 1
+    """Layer of the pillars."""
     datatype: Index = 0
+    """Datatype of the pillars; the first one of dose classes."""
     database_unit_nm: Annotated[float, Field(strict=True, gt=0.0, le=1000.0)] = 0.5
+    """Database unit; pillars of odd width on an even period need half a nanometre."""
     write_field_um: Positive = 499.8
+    """Side of a write field: a whole number of periods."""
     bias_nm: Real = 0.0
+    """Added to width and length of every drawn pillar, to compensate for the etch."""
     tone: Literal["negative", "positive", "inverted"] = "negative"
+    """"negative": the drawn pillars are exposed and remain. "positive": the write field is also drawn, and field NOT
+    pillars is exposed. "inverted": field NOT pillars is drawn as rectangles."""
     field_layer: Index = 2
-    flat: bool = False
-    draw_corners: bool = False
-    dose: Annotated[Dose | None, Field(description="omitted: one dose")] = None
-    chip: Annotated[Chip | None, Field(description="omitted: the lens alone")] = None
-    copies: Annotated[tuple[Copy, ...], Field(description="omitted: one lens in the middle")] = ()
-    exposure: Annotated[Exposure | None, Field(description="omitted: no write time is estimated")] = None
+    """Layer of the write field."""
+    flat: Flag = False
+    """Put every rectangle into the top cell, for software without cells; such files open far more slowly."""
+    draw_corners: Flag = False
+    """Draw the unit cell's `corner_radius_nm`, which otherwise describes printed pillars only."""
+    dose: Dose | None = None
+    """Dose classes on consecutive datatypes; one dose without the table."""
+    chip: Chip | None = None
+    """Marks, frame, text and dicing street; the lens alone without the table."""
+    copies: tuple[Copy, ...] = ()
+    """Several lenses on the chip; one in the middle without them."""
+    exposure: Exposure | None = None
+    """Exposure settings; no write time is estimated without the table."""
 
     @property
     def datatypes(self) -> tuple[int, int]:
@@ -143,12 +156,16 @@ class Mask:
 
 @dataclass(frozen=True, config=CONFIG)
 class BeamTerm:
-    """One term of the beam's point-spread function; ``exponent`` belongs to a power law."""
+    """One term of the beam's point-spread function."""
 
     kind: Literal["gauss", "power"]
+    """Gaussian or power law."""
     weight: Positive
+    """Weight relative to the other terms."""
     range_nm: Positive
+    """Range of the term."""
     exponent: Annotated[float, Field(strict=True, gt=2.0, le=20.0)] | None = None
+    """Exponent of a power law."""
 
     @model_validator(mode="after")
     def _exponent_of_power(self) -> BeamTerm:
@@ -159,26 +176,28 @@ class BeamTerm:
 
 @dataclass(frozen=True, config=CONFIG)
 class ExposureProcess:
-    """Electron-beam exposure (``[process.exposure]``).
-
-    The beam's point-spread function is a ``preset``, a list of ``terms``, or a ``table_file``: a text file with radius
-    and energy in each row, as Monte Carlo and proximity-correction programs write it. Its radius is in ``table_unit``,
-    by default the unit in its header; ``table_energy`` tells an energy density from the energy of each ring between
-    one radius and the next. ``blur_nm`` is the range of a further Gaussian blur: beam, secondary electrons, diffusion.
-    ``base_over_clearing_dose`` is the base dose over the clearing dose of a large pad; by default
-    the dose at which printed sizes equal drawn ones in the mean. ``classes`` is the number of doses that a correction
-    may use. ``source`` is the reference of the numbers.
-    """
+    """Electron-beam exposure (``[process.exposure]``): the beam as a preset, as terms, or as a table."""
 
     preset: str | None = None
+    """Name of a supplied point-spread function of the beam."""
     terms: tuple[BeamTerm, ...] = ()
+    """The beam's point-spread function as a sum of terms."""
     table_file: Path | None = None
+    """The beam's point-spread function as a text file with radius and energy in each row, as Monte Carlo and proximity-
+    correction programs write it."""
     table_unit: Literal["nm", "um"] | None = None
+    """Unit of the table's radius; without the key that in its header."""
     table_energy: Literal["density", "ring"] = "density"
+    """Whether the table holds an energy density, or the energy of each ring between one radius and the next."""
     blur_nm: NonNegative = 5.0
+    """Range of a further Gaussian blur: beam, secondary electrons, diffusion."""
     base_over_clearing_dose: Positive | None = None
+    """Base dose over the clearing dose of a large pad; without the key that at which printed sizes equal drawn ones in
+    the mean."""
     classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 64
+    """Number of doses that a correction may use."""
     source: str = "assumption"
+    """Reference of the numbers."""
 
     @model_validator(mode="after")
     def _one_function(self) -> ExposureProcess:
@@ -194,3 +213,4 @@ class Process:
     """Fabrication process (``[process]``)."""
 
     exposure: ExposureProcess | None = None
+    """Electron-beam exposure."""

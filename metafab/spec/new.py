@@ -14,7 +14,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage.files import whole_file
 from metafab.spec.cell import UnitCell
-from metafab.spec.keys import near
+from metafab.spec.keys.reference import near
 from metafab.spec.load import load_unit_cell_of
 
 _WRITE_FIELD_PM, _DIVISIBLE = 500_000_000, 12
@@ -59,7 +59,7 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
     relative = Path(os.path.relpath(unit_cell.resolve(), folder.resolve())).as_posix()
     sample = {"hologram": folder / f"{name}.png", "own_phase": folder / f"{name}.npy"}.get(kind)
     design = folder / f"{name}.toml"
-    written = (design,) if sample is None else (design, sample)
+    written = [design] if sample is None else [design, sample]
     for path in written:
         if path.exists():
             remedy = "choose another name, or move it away"
@@ -67,14 +67,14 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
     if known is None:
         with whole_file(unit_cell) as part:
             part.write_bytes(supplied.read_bytes())
-        written += (unit_cell,)
+        written.insert(1, unit_cell)
     if sample is not None:
         with whole_file(sample) as part:
             _write_picture(part) if kind == "hologram" else _write_phase(part)
     filled = Template(text).substitute(name=name, library=relative, write_field_um=f"{field_um:.10g}")
     with whole_file(design) as part:
         part.write_text(filled, encoding="utf-8")
-    return written
+    return tuple(written)
 
 
 def write_field_um(unit_cell: UnitCell) -> float:

@@ -17,33 +17,35 @@ class SceneObject:
     """An opaque surface: flat, tilted or bulging; nearer objects occlude farther ones.
 
     Centre and size are tangents of directions (x/z, y/z), so the image of an object does not move when its depth
-    changes. ``depth_m`` is the depth at the centre; at u, v from -1/2 to 1/2 across the object,
-    depth / depth_m = 1 + tilt . (u, v) + 4 bulge . (u^2, v^2).
+    changes. At u, v from -1/2 to 1/2 across the object, depth / depth_m = 1 + tilt . (u, v) + 4 bulge . (u^2, v^2).
     """
 
     depth_m: Positive
+    """Depth at the object's centre."""
     centre: tuple[Real, Real] = (0.0, 0.0)
+    """Direction of the centre: x/z and y/z."""
     size: tuple[Positive, Positive] = (0.01, 0.01)
+    """Extent in x/z and y/z."""
     outline: Literal["rectangle", "ellipse"] = "rectangle"
-    tilt: Annotated[
-        tuple[Real, Real], Field(description="change of depth over depth at the centre, along the full size in x and y")
-    ] = (0.0, 0.0)
-    bulge: Annotated[
-        tuple[Real, Real],
-        Field(description="change of depth over depth from the centre to the edges in x and y; a ball's is positive"),
-    ] = (0.0, 0.0)
+    """Shape of the outline."""
+    tilt: tuple[Real, Real] = (0.0, 0.0)
+    """Change of depth over depth at the centre, along the full size in x and y."""
+    bulge: tuple[Real, Real] = (0.0, 0.0)
+    """Change of depth over depth from the centre to the edges in x and y; a ball's is positive."""
     brightness: Positive = 1.0
-    polarisation_contrast: Annotated[Positive, Field(description="I_x / I_y")] = 1.0
-    stokes: Annotated[
-        tuple[Real, Real, Real] | None,
-        Field(description="(S1, S2, S3) / S0 for `metafab stokes`; x and y polarisation as by the contrast if omitted"),
-    ] = None
+    """Brightness relative to other objects."""
+    polarisation_contrast: Positive = 1.0
+    """I_x / I_y."""
+    stokes: tuple[Real, Real, Real] | None = None
+    """(S1, S2, S3) / S0 for `metafab stokes`; x and y polarisation as by the contrast without the key."""
     texture: Literal["uniform", "fractal", "checker", "image"] = "fractal"
-    texture_contrast: Annotated[Fraction, Field(description="rms over mean")] = 0.25
-    velocity_m_per_s: Annotated[
-        tuple[Real, Real, Real], Field(description="along x, y and away from the lens; the first frame starts in place")
-    ] = (0.0, 0.0, 0.0)
-    texture_file: Annotated[Path | None, Field(description="picture of an object with the texture 'image'")] = None
+    """Texture of the surface."""
+    texture_contrast: Fraction = 0.25
+    """Rms of the texture over its mean."""
+    velocity_m_per_s: tuple[Real, Real, Real] = (0.0, 0.0, 0.0)
+    """Velocity along x, y and away from the lens; the first frame starts in place."""
+    texture_file: Path | None = None
+    """Picture of an object with `texture = "image"`."""
 
     @model_validator(mode="after")
     def _picture(self) -> SceneObject:
@@ -91,37 +93,41 @@ class Scene:
     """A scene (table ``[scene]`` of a design, or a file of its own)."""
 
     objects: Annotated[tuple[SceneObject, ...], Field(min_length=1)]
-    photons_per_pixel: Annotated[
-        Positive,
-        Field(description="photons on an axial pixel at brightness 1, mean of both images"),
-    ] = 3000.0
-    quantum_efficiency: Annotated[float, Field(strict=True, gt=0.0, le=1.0, description="electrons per photon")] = 1.0
-    vignetting: Annotated[
-        Literal["natural", "none"], Field(description="natural: the fourth power of the field angle's cosine")
-    ] = "natural"
+    """Opaque surfaces; nearer ones hide farther ones."""
+    photons_per_pixel: Positive = 3000.0
+    """Photons on an axial pixel at brightness 1, mean of both images."""
+    quantum_efficiency: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
+    """Electrons per photon."""
+    vignetting: Literal["natural", "none"] = "natural"
+    """Natural: the fourth power of the field angle's cosine."""
     read_noise_e: NonNegative = 2.0
-    dark_e: Annotated[NonNegative, Field(description="dark electrons per pixel and frame")] = 0.0
-    dark_current_e_per_s: Annotated[NonNegative, Field(description="dark electrons per pixel and second")] = 0.0
-    response_rms: Annotated[
-        Fraction, Field(description="fixed-pattern noise: rms of the pixels' responses over their mean")
-    ] = 0.0
-    hot_pixels: Annotated[Fraction, Field(description="share of pixels that are always saturated")] = 0.0
-    full_well_e: Annotated[Positive | None, Field(description="full-well capacity, electrons")] = None
-    bit_depth: Annotated[
-        int | None, Field(strict=True, ge=1, le=16, description="bits of a count; needs the full well")
-    ] = None
-    frames: Annotated[int, Field(strict=True, ge=1, description="number of frames of a film")] = 1
-    frame_interval_s: Annotated[Positive, Field(description="from the start of one frame to that of the next")] = 0.04
-    exposure_s: Annotated[NonNegative, Field(description="exposure time; 0 for a flash")] = 0.0
-    row_time_s: Annotated[
-        NonNegative, Field(description="rolling shutter: delay of each row after the row below; 0 for a global shutter")
-    ] = 0.0
-    background: Annotated[Fraction, Field(description="brightness behind all objects")] = 0.0
-    field_px: Annotated[
-        tuple[Annotated[int, Field(strict=True, ge=8)], Annotated[int, Field(strict=True, ge=8)]],
-        Field(description="rows and columns of each image"),
-    ] = (128, 128)
+    """Read noise, rms."""
+    dark_e: NonNegative = 0.0
+    """Dark electrons per pixel and frame."""
+    dark_current_e_per_s: NonNegative = 0.0
+    """Dark electrons per pixel and second."""
+    response_rms: Fraction = 0.0
+    """Fixed-pattern noise: rms of the pixels' responses over their mean."""
+    hot_pixels: Fraction = 0.0
+    """Share of pixels that are always saturated."""
+    full_well_e: Positive | None = None
+    """Full-well capacity."""
+    bit_depth: Annotated[int | None, Field(strict=True, ge=1, le=16)] = None
+    """Bits of a count; needs the full well."""
+    frames: Annotated[int, Field(strict=True, ge=1)] = 1
+    """Number of frames of a film."""
+    frame_interval_s: Positive = 0.04
+    """Time from the start of one frame to that of the next."""
+    exposure_s: NonNegative = 0.0
+    """Exposure time; 0 for a flash."""
+    row_time_s: NonNegative = 0.0
+    """Rolling shutter: delay of each row after the row below; 0 for a global shutter."""
+    background: Fraction = 0.0
+    """Brightness behind all objects."""
+    field_px: tuple[Annotated[int, Field(strict=True, ge=8)], Annotated[int, Field(strict=True, ge=8)]] = (128, 128)
+    """Rows and columns of each image."""
     seed: Annotated[int, Field(strict=True, ge=0)] = 1
+    """Seed of texture and noise."""
 
     @model_validator(mode="after")
     def _counts(self) -> Scene:

@@ -14,9 +14,10 @@ from metafab.spec.fields import CONFIG, Positive, Real
 
 @dataclass(frozen=True, config=CONFIG)
 class _Term:
-    """Base of all phase terms; ``polarisation`` limits a term to one polarisation."""
+    """Base of all phase terms."""
 
     polarisation: Polarisation | None = None
+    """Polarisation that the term acts on; both without the key."""
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -28,12 +29,16 @@ class SpiralZones(_Term):
 
     term: Literal["spiral_zones"] = "spiral_zones"
     zones: Annotated[int, Field(strict=True, ge=1, le=64)] = 4
+    """Number of zones; zone number n has topological charge n."""
     exponent: Annotated[float, Field(strict=True, gt=0.0, le=16.0)] = 0.5
+    """Exponent of the zones' radii."""
     optimise: Literal["none", "peak", "worst_peak", "blind_information"] = "none"
-    side_lobe_limit: Annotated[
-        float | None, Field(strict=True, gt=0.0, lt=1.0, description="upper limit of side lobe over main lobe")
-    ] = None
-    side_lobe_over: Annotated[Literal["worst", "mean"], Field(description="over the depths of a turn")] = "worst"
+    """Optimisation of the lobe after the zones: its mean peak, its lowest peak, or the information about depth under
+    unknown texture."""
+    side_lobe_limit: Annotated[float | None, Field(strict=True, gt=0.0, lt=1.0)] = None
+    """Upper limit of side lobe over main lobe."""
+    side_lobe_over: Literal["worst", "mean"] = "worst"
+    """Whether the limit holds at the worst depth of a turn or in the mean over them."""
 
     @model_validator(mode="after")
     def _turns(self) -> SpiralZones:
@@ -46,22 +51,22 @@ class SpiralZones(_Term):
 
 @dataclass(frozen=True, config=CONFIG)
 class SplitLens(_Term):
-    """Off-axis lenses that focus x polarisation at -theta and y polarisation at +theta: Eqs. 3 and 4.
-
-    Eqs. 3 and 4 focus collimated light; ``object_depth_m`` makes them exact for an object at a finite depth.
-    """
+    """Off-axis lenses, one for each polarisation: Eqs. 3 and 4 of Shen 2023."""
 
     term: Literal["split_lens"] = "split_lens"
     angle_deg: Annotated[float, Field(strict=True, ge=0.0, lt=90.0)] = 8.0
+    """Off-axis angle: x polarisation is focused at minus, y polarisation at plus this angle."""
     object_depth_m: Positive | None = None
+    """Depth of the object in focus; collimated light without the key."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Lens(_Term):
-    """A hyperbolic lens on the axis that focuses collimated light, or an object at ``object_depth_m``."""
+    """A hyperbolic lens on the axis."""
 
     term: Literal["lens"] = "lens"
     object_depth_m: Positive | None = None
+    """Depth of the object in focus; collimated light without the key."""
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -70,45 +75,51 @@ class Vortex(_Term):
 
     term: Literal["vortex"] = "vortex"
     charge: Annotated[int, Field(strict=True)] = 1
+    """Topological charge."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Grating(_Term):
-    """A linear phase that deflects normal incidence by ``angle_deg`` towards ``azimuth_deg``."""
+    """A linear phase."""
 
     term: Literal["grating"] = "grating"
     angle_deg: Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)] = 0.0
+    """Deflection of normal incidence."""
     azimuth_deg: Real = 0.0
+    """Direction of the deflection, from x towards y."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Axicon(_Term):
-    """A conical phase that deflects light towards the axis by ``angle_deg`` (away from it if negative)."""
+    """A conical phase."""
 
     term: Literal["axicon"] = "axicon"
     angle_deg: Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)] = 0.0
+    """Deflection towards the axis; away from it if negative."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class DoubleHelix(_Term):
-    """A double helix of Gauss-Laguerre modes; ``waist`` in units of the aperture's radius."""
+    """A double helix of Gauss-Laguerre modes."""
 
     term: Literal["double_helix"] = "double_helix"
     waist: Positive = 0.35
+    """Waist of the modes in units of the aperture's radius."""
     modes: Annotated[int, Field(strict=True, ge=2, le=8)] = 5
+    """Number of Gauss-Laguerre modes."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Zernike(_Term):
-    """A Zernike polynomial of ``degree`` n and ``order`` m, normalised to 1 at the rim, times ``amplitude_rad``.
-
-    Positive orders use cos(m phi), negative orders sin(|m| phi).
-    """
+    """A Zernike polynomial, normalised to 1 at the rim, times an amplitude."""
 
     amplitude_rad: Real = 0.0
+    """Phase at the rim."""
     term: Literal["zernike"] = "zernike"
     degree: Annotated[int, Field(strict=True, ge=0, le=40)] = 0
+    """Degree n."""
     order: Annotated[int, Field(strict=True, ge=-40, le=40)] = 0
+    """Order m, one of -n, -n + 2, ..., n; cos(m phi) if positive, sin(|m| phi) if negative."""
 
     @model_validator(mode="after")
     def _exists(self) -> Zernike:
@@ -122,26 +133,26 @@ class Zernike(_Term):
 
 @dataclass(frozen=True, config=CONFIG)
 class UserArray(_Term):
-    """A phase map in radians from a .npy, .csv or .h5 file, on a square grid centred on the axis.
-
-    Shape (n_y, n_x), lowest y first, or (2, n_y, n_x) for x and y polarisation; ``dataset`` is its name in an .h5 file.
-    """
+    """A phase map from a file."""
 
     file: Path = Field(kw_only=True)
+    """A .npy, .csv or .h5 file of phases in radians: shape (n_y, n_x), lowest y first, or (2, n_y, n_x) for x and y
+    polarisation."""
     pitch_um: Positive = Field(kw_only=True)
+    """Pitch of the square grid, which is centred on the axis."""
     term: Literal["array"] = "array"
     dataset: str = "phase_rad"
+    """Name of the map in an .h5 file."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Picture(_Term):
-    """A hologram: with a lens, the phase that projects a picture (.png, .tif, .npy) onto the sensor.
-
-    ``width_um`` is the width of the projected picture; its first row is at the top.
-    """
+    """A hologram: with a lens, the phase that projects a picture onto the sensor."""
 
     file: Path = Field(kw_only=True)
+    """Picture to project: .png, .tif or .npy, its first row at the top."""
     width_um: Positive = Field(kw_only=True)
+    """Width of the projected picture."""
     term: Literal["hologram"] = "hologram"
 
 

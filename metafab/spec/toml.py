@@ -16,7 +16,7 @@ import tomli_w
 from pydantic import TypeAdapter, ValidationError
 
 from metafab.core.errors import InputError
-from metafab.spec.faults import faults_of
+from metafab.spec.keys.faults import faults_of
 
 Spec = TypeVar("Spec")
 

@@ -56,7 +56,9 @@ def test_a_wheel_makes_every_kind_of_device_in_an_empty_folder_and_runs_one(prog
     assert program.parent.parent in place.parents
     assert set(json.loads(_output(program, "new", "--json", folder=tmp_path))) == set(kinds())
     for kind in kinds():
-        made = json.loads(_output(program, "new", kind, "--kind", kind, "-o", tmp_path / kind, "--json", folder=tmp_path))
+        made = json.loads(
+            _output(program, "new", kind, "--kind", kind, "-o", tmp_path / kind, "--json", folder=tmp_path)
+        )
         assert all((tmp_path / path).is_file() for path in made["files"])
     design = tmp_path / "deflector" / "deflector.toml"
     summary = json.loads(_output(program, "run", design, "--json", folder=tmp_path))

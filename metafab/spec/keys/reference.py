@@ -1,13 +1,17 @@
-"""Keys of the input files, read from the specs: type, unit, default, range, meaning; the reference and the spelling."""
+"""Keys of the input files, read from the specs: their types, units, defaults, ranges and meanings; their spelling."""
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import difflib
+import inspect
+import textwrap
 import types
 from collections.abc import Iterable
 from dataclasses import MISSING, dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -103,10 +107,19 @@ def near(name: str, known: Iterable[str]) -> str:
 
 def _key(spec: type, item: dataclasses.Field[Any], hint: Any, path: str) -> Key:
     unit = next((unit for ending, unit in _UNITS.items() if item.name.endswith(ending)), "")
-    described = [extra.description for extra in _infos(hint) if extra.description]
-    info = spec.__pydantic_fields__[item.name]  # type: ignore[attr-defined]
-    meaning = info.description or (described[0] if described else "")
-    return Key(path, _kind(hint), unit, _default(item), _allowed(hint), meaning[:1].upper() + meaning[1:])
+    return Key(path, _kind(hint), unit, _default(item), _allowed(hint), _meanings(spec).get(item.name, ""))
+
+
+@cache
+def _meanings(spec: type) -> dict[str, str]:
+    """The text under each field of a spec and of the specs that it extends, on one line."""
+    meanings: dict[str, str] = {}
+    for base in reversed(spec.__mro__[:-1]):
+        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+        for field, text in pairwise(body.body if isinstance(body, ast.ClassDef) else []):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
+                meanings[field.target.id] = " ".join(str(ast.literal_eval(text.value)).split())
+    return meanings
 
 
 def _default(item: dataclasses.Field[Any]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from metafab.core.errors import Fault
-from metafab.spec.keys import names_at, near
+from metafab.spec.keys.reference import names_at, near
 
 _UNKNOWN = {"extra_forbidden", "unexpected_keyword_argument"}
 _MISSING = {"missing", "missing_argument"}
@@ -46,7 +46,7 @@ def faults_of(error: ValidationError, spec: Any) -> list[Fault]:
 
 def _is_echo(item: Any) -> bool:
     """Whether a list is called too short because its items, long enough in number, have faults of their own."""
-    return item["type"] == "too_short" and len(item["input"]) >= item["ctx"]["min_length"]
+    return item["type"] == "too_short" and len(item["input"]) >= int(item["ctx"]["min_length"])
 
 
 def _fault(item: Any, spec: Any) -> Fault:
