@@ -29,7 +29,10 @@ MAX_WINDOW_PX = 2048
 
 @dataclass(frozen=True, config=CONFIG)
 class Device:
-    """The lens: aperture and focal length. Helices are optimised for the full circle or square, whatever the outline."""
+    """The lens: aperture and focal length.
+
+    Helices are optimised for the full circle or square, whatever the outline.
+    """
 
     aperture_um: Annotated[float, Field(strict=True, gt=0.0, le=300_000.0)]
     """Diameter or side of the aperture."""
@@ -118,7 +121,10 @@ class Sensor:
 
 @dataclass(frozen=True, config=CONFIG)
 class Optics:
-    """Optical elements besides the lens; each is optional. Efficiencies remain relative to the light on the aperture."""
+    """Optical elements besides the lens; each is optional.
+
+    Efficiencies remain relative to the light on the device's aperture.
+    """
 
     filter_fwhm_nm: Annotated[float | None, Field(strict=True, gt=0.0, le=100.0)] = None
     """Full width at half maximum of a colour filter centred on the wavelength."""
