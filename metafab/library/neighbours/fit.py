@@ -1,0 +1,138 @@
+"""Least-squares fit of a line model to solved rows, by the Levenberg-Marquardt method with the exact Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.library.neighbours.line import LineModel, LineShape
+from metafab.library.neighbours.solve import corrections_and_jacobian, line_corrections
+
+#: Rows whose Jacobian is held at once.
+_ROWS_AT_ONCE = 48
+
+
+@dataclass(frozen=True)
+class RowSet:
+    """Solved rows of one length.
+
+    Attributes:
+        size_nm: shape (rows, sites, 2), width and length of each pillar.
+        local: shape (rows, sites), the library's t of each pillar.
+        amplitude: shape (rows, orders), solved amplitudes of the orders.
+        order: shape (orders,), numbers of the orders.
+        weight: shape (orders,), weight of each squared residual.
+    """
+
+    size_nm: FloatArray
+    local: ComplexArray
+    amplitude: ComplexArray
+    order: FloatArray
+    weight: FloatArray
+
+    @property
+    def to_orders(self) -> ComplexArray:
+        """Matrix from the field of the sites to the amplitudes of the orders, shape (orders, sites)."""
+        sites = self.size_nm.shape[1]
+        at = (np.arange(sites) + 0.5) / sites - 0.5
+        return np.asarray(np.exp(-2j * np.pi * np.outer(self.order, at)) / sites)
+
+    def subset(self, rows: Sequence[int] | FloatArray) -> RowSet:
+        """Some of the rows."""
+        return RowSet(self.size_nm[rows], self.local[rows], self.amplitude[rows], self.order, self.weight)
+
+    def errors(self, model: LineModel | None) -> FloatArray:
+        """Relative rms error of each row over its orders, shape (rows,); None for the local-period approximation."""
+        field = self.local if model is None else self.local + line_corrections(model, model.polynomials(self.size_nm))
+        off = field @ self.to_orders.T - self.amplitude
+        return np.asarray(np.linalg.norm(off, axis=1) / np.linalg.norm(self.amplitude, axis=1))
+
+
+@dataclass(frozen=True)
+class FitLimits:
+    """Stopping rules and prior of a fit.
+
+    Attributes:
+        steps: most steps.
+        ridge: weight of the squared parameters, relative to one row; grows with the degree of a term.
+        gain: smallest relative decrease of the loss over five steps.
+    """
+
+    steps: int = 60
+    ridge: float = 1e-3
+    gain: float = 5e-3
+
+
+def fit(model: LineModel, sets: Sequence[RowSet], limits: FitLimits = FitLimits(), report=None) -> LineModel:
+    vector = model.vector
+    ridge = limits.ridge * _prior(model.shape)
+    terms = [model.polynomials(rows.size_nm) for rows in sets]
+    damping, losses = 1e-1, []
+    loss = _loss(model, sets, terms, ridge)
+    for step in range(limits.steps):
+        normal, gradient = _normal_equations(model, sets, terms)
+        gradient = gradient + ridge * vector
+        normal[np.diag_indices(vector.size)] += ridge
+        scale = np.diag(normal).real.copy()
+        while damping < 1e8:
+            damped = normal.copy()
+            damped[np.diag_indices(vector.size)] += damping * scale
+            trial = vector - cho_solve(cho_factor(damped, overwrite_a=True), gradient)
+            trial_loss = _loss(model.with_vector(trial), sets, terms, ridge)
+            if trial_loss < loss:
+                break
+            damping *= 4.0
+        else:
+            break
+        vector, loss = trial, trial_loss
+        model = model.with_vector(vector)
+        damping = max(damping / 5.0, 1e-9)
+        losses.append(loss)
+        if report is not None:
+            report(step, loss, damping, model)
+        if len(losses) > 8 and losses[-6] - loss < limits.gain * loss:
+            break
+    return model
+
+
+def _prior(shape: LineShape) -> FloatArray:
+    degree = shape.powers.sum(axis=1)
+    weight = (1.0 + degree) ** 2.0 / 1.0
+    r, _ = shape.pairs
+    parts = [np.repeat(weight, n) for n in (r.size, shape.even, shape.even, shape.modes)]
+    return np.concatenate([*parts, np.ones(shape.reach * shape.hop_pairs[0].size)])
+
+
+def _residuals(rows: RowSet, correction: ComplexArray) -> ComplexArray:
+    off = (rows.local + correction) @ rows.to_orders.T - rows.amplitude
+    return off * np.sqrt(rows.weight) / _norm(rows)
+
+
+def _norm(rows: RowSet) -> float:
+    return float(np.sqrt(np.mean(np.sum(np.abs(rows.amplitude) ** 2, axis=1))))
+
+
+def _loss(model, sets, terms, ridge) -> float:
+    total = float(ridge @ np.abs(model.vector) ** 2)
+    for rows, values in zip(sets, terms, strict=True):
+        total += float(np.sum(np.abs(_residuals(rows, line_corrections(model, values))) ** 2))
+    return total if np.isfinite(total) else np.inf
+
+
+def _normal_equations(model, sets, terms) -> tuple[ComplexArray, ComplexArray]:
+    n = model.vector.size
+    normal, gradient = np.zeros((n, n), dtype=np.complex128), np.zeros(n, dtype=np.complex128)
+    for rows, values in zip(sets, terms, strict=True):
+        to_orders = rows.to_orders * np.sqrt(rows.weight)[:, None] / _norm(rows)
+        for start in range(0, len(values), _ROWS_AT_ONCE):
+            part = slice(start, start + _ROWS_AT_ONCE)
+            correction, jacobian = corrections_and_jacobian(model, values[part])
+            jacobian = (to_orders @ jacobian).reshape(-1, n)
+            residual = _residuals(rows.subset(np.arange(len(values))[part]), correction).ravel()
+            normal += jacobian.conj().T @ jacobian
+            gradient += jacobian.conj().T @ residual
+    return normal, gradient

@@ -1,0 +1,189 @@
+"""A line of unlike pillars as a chain of coupled modes: the transmitted field of each pillar among its neighbours.
+
+Each site m carries the amplitudes a_m of a few modes, even or odd under the mirror that exchanges the two directions of
+the line. They obey
+
+    H(s_m) a_m - sum over d of (W_d a_{m-d} + W_d^T a_{m+d}) = c(s_m),
+
+with a symmetric matrix H and a source c (even modes only) that depend on the size s = (width, length), and with constant
+hops W_d. Reciprocity makes the left side symmetric; the mirror makes W_d^T = Pi W_d Pi with Pi = +1 for even and -1 for
+odd modes. Pillar m transmits
+
+    t_m = t(s_m) + y_m - y(s_m),      y_m = e(s_m) a_m + g(s_{m-1}) a_{m-1} + Pi g(s_{m+1}) a_{m+1},
+
+where t(s) is the library's value and y(s) the same sum in a line of equal pillars of size s. Equal pillars are therefore
+exact. H, c, e and g are polynomials of width and length; all coefficients and the hops are the parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebvander2d
+from numpy.typing import NDArray
+
+from metafab.core.conventions import ComplexArray, FloatArray
+
+IntArray = NDArray[np.intp]
+Span = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class LineShape:
+    """Number of modes, hops and polynomial terms of a line model.
+
+    Attributes:
+        even: even modes of a site.
+        odd: odd modes of a site.
+        reach: sites that a hop spans, at most.
+        degree: total degree of the polynomials of width and length.
+    """
+
+    even: int = 3
+    odd: int = 2
+    reach: int = 2
+    degree: int = 4
+
+    @property
+    def modes(self) -> int:
+        """Modes of a site."""
+        return self.even + self.odd
+
+    @property
+    def terms(self) -> int:
+        """Terms of each polynomial."""
+        return (self.degree + 1) * (self.degree + 2) // 2
+
+    @property
+    def parity(self) -> FloatArray:
+        """+1 of even, -1 of odd modes, shape (modes,)."""
+        return np.concatenate([np.ones(self.even), -np.ones(self.odd)])
+
+    @property
+    def powers(self) -> IntArray:
+        """Degrees (i, j) of T_i(width) T_j(length) of each term, shape (terms, 2)."""
+        i, j = np.meshgrid(np.arange(self.degree + 1), np.arange(self.degree + 1), indexing="ij")
+        inside = (i + j).ravel() <= self.degree
+        return np.stack([i.ravel()[inside], j.ravel()[inside]], axis=1)
+
+    @property
+    def pairs(self) -> tuple[IntArray, IntArray]:
+        """(r, s), r <= s, of modes of equal parity: the free elements of H; shape (n,) each."""
+        row, column = np.triu_indices(self.modes)
+        equal = (row < self.even) == (column < self.even)
+        return row[equal], column[equal]
+
+    @property
+    def hop_pairs(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """(r, s), r <= s, and the sign of element (s, r): the free elements of a hop; shape (n,) each."""
+        row, column = np.triu_indices(self.modes)
+        return row, column, self.parity[row] * self.parity[column]
+
+
+@dataclass(frozen=True)
+class LineModel:
+    """Parameters of a chain of coupled modes.
+
+    Attributes:
+        shape: numbers of modes, hops and terms.
+        width_nm: range of widths that maps to -1..1.
+        length_nm: range of lengths that maps to -1..1.
+        site: shape (terms, n_pairs), coefficients of the free elements of H.
+        source: shape (terms, even), of c.
+        own: shape (terms, even), of e.
+        side: shape (terms, modes), of g.
+        hop: shape (reach, n_hop_pairs), free elements of the hops W_d, d = 1, 2, ...
+    """
+
+    shape: LineShape
+    width_nm: Span
+    length_nm: Span
+    site: ComplexArray
+    source: ComplexArray
+    own: ComplexArray
+    side: ComplexArray
+    hop: ComplexArray
+
+    @property
+    def vector(self) -> ComplexArray:
+        """All parameters, shape (n,), in the order of the fields."""
+        return np.concatenate([getattr(self, name).ravel() for name in PARAMETERS])
+
+    def with_vector(self, vector: ComplexArray) -> LineModel:
+        """The model with other parameters, shape (n,)."""
+        parts, start = {}, 0
+        for name in PARAMETERS:
+            old = getattr(self, name)
+            parts[name] = np.asarray(vector[start : start + old.size]).reshape(old.shape)
+            start += old.size
+        return replace(self, **parts)
+
+    def polynomials(self, size_nm: FloatArray) -> FloatArray:
+        """Values of the terms at sizes, shape (..., 2) to (..., terms)."""
+        scaled = [
+            (2.0 * size_nm[..., k] - span[0] - span[1]) / max(span[1] - span[0], 1e-9)
+            for k, span in enumerate((self.width_nm, self.length_nm))
+        ]
+        i, j = self.shape.powers.T
+        return chebvander2d(*scaled, [self.shape.degree] * 2)[..., i * (self.shape.degree + 1) + j]
+
+    def site_matrix(self, terms: FloatArray) -> ComplexArray:
+        """H at sites with polynomial values ``terms``, shape (..., terms) to (..., modes, modes)."""
+        r, s = self.shape.pairs
+        matrix = np.zeros((*terms.shape[:-1], self.shape.modes, self.shape.modes), dtype=np.complex128)
+        matrix[..., r, s] = terms @ self.site
+        matrix[..., s, r] = matrix[..., r, s]
+        return matrix
+
+    @cached_property
+    def hops(self) -> ComplexArray:
+        """W_d, shape (reach, modes, modes)."""
+        r, s, sign = self.shape.hop_pairs
+        matrix = np.zeros((self.shape.reach, self.shape.modes, self.shape.modes), dtype=np.complex128)
+        matrix[:, s, r] = self.hop * sign
+        matrix[:, r, s] = self.hop
+        return matrix
+
+    def periodic_matrix(self, terms: FloatArray) -> ComplexArray:
+        """Matrix of closed lines, shape (..., n, terms) to (..., n modes, n modes)."""
+        count, modes = terms.shape[-2], self.shape.modes
+        matrix = np.zeros((*terms.shape[:-2], count, modes, count, modes), dtype=np.complex128)
+        site = np.arange(count)
+        # The advanced indices come first: (n, ..., modes, modes).
+        matrix[..., site, :, site, :] = np.moveaxis(self.site_matrix(terms), -3, 0)
+        for d, hop in enumerate(self.hops, start=1):
+            for m in range(count):
+                matrix[..., m, :, (m - d) % count, :] -= hop
+                matrix[..., m, :, (m + d) % count, :] -= hop.T
+        return matrix.reshape(*terms.shape[:-2], count * modes, count * modes)
+
+    @property
+    def uniform_hop(self) -> ComplexArray:
+        """Sum of all hops between the even modes of equal pillars, shape (even, even)."""
+        even = self.shape.even
+        return np.asarray(2.0 * self.hops[:, :even, :even].sum(axis=0))
+
+
+PARAMETERS = tuple(field.name for field in fields(LineModel) if field.name in ("site", "source", "own", "side", "hop"))
+
+
+def initial_model(shape: LineShape, width_nm: Span, length_nm: Span, seed: int) -> LineModel:
+    """Random model to start a fit from: damped modes, weak sources, hops that fall with distance."""
+    rng = np.random.default_rng(seed)
+
+    def noise(scale: float, *of: int) -> ComplexArray:
+        return scale * (rng.normal(size=of) + 1j * rng.normal(size=of))
+
+    r, s = shape.pairs
+    site = noise(0.05, shape.terms, r.size)
+    detuning = np.concatenate([np.linspace(0.8, 1.5, shape.even), np.linspace(0.9, 1.4, shape.odd)])
+    site[0] = np.where(r == s, (detuning * np.exp(0.6j))[r], 0.0)
+    source = noise(0.1, shape.terms, shape.even)
+    source[0] += 0.5
+    own, side = noise(0.01, shape.terms, shape.even), noise(0.01, shape.terms, shape.modes)
+    own[0] += 0.03
+    n_hop = shape.hop_pairs[0].size
+    hop = np.stack([noise(0.15 / d**1.5, n_hop) for d in range(1, shape.reach + 1)])
+    return LineModel(shape, width_nm, length_nm, site, source, own, side, hop)
