@@ -4,11 +4,13 @@
 - ``sweep/``   adaptive sampling and checkpoints: UnitCell -> Library
 - ``use/``     target phases -> sizes, figures of merit, checks
 - ``neighbours/``  what unlike neighbours do
+- ``neighbours/``  fields of unlike pillars side by side: chains of coupled modes
 - ``axes``     corners of a sweep (wavelength, height, walls, bias, index, angle), and the cells there
 - ``corners``  models over the axes, and the response at one corner
 - ``surface``  continuous evaluation at millions of sizes per second
 - ``library``  Library: values on the grid of sizes, ``library.at(wavelength_nm=803.0)``, ``library.surface``
 - ``store``    save and load (HDF5)
+- ``built``    library files with the model of neighbours that their unit cell asks for
 
 In: a :class:`~metafab.spec.cell.UnitCell` and an executor. Out: a :class:`Library`, and the :class:`SizeTable` that
 maps target phases to sizes.
@@ -17,9 +19,10 @@ maps target phases to sizes.
 from typing import TYPE_CHECKING
 
 from metafab.core.further import further_names
+from metafab.library.built import build_file, is_current
 from metafab.library.library import Library, evaluate
-from metafab.library.store import is_current, load, save
-from metafab.library.sweep.build import build, build_file, estimate_cost
+from metafab.library.store import load, save
+from metafab.library.sweep.build import build, estimate_cost
 from metafab.library.use.check import check
 from metafab.library.use.index_error import index_phase_error_rad
 from metafab.library.use.lookup import SizeTable, build_size_table

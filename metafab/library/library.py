@@ -20,6 +20,7 @@ from metafab.core.storage.provenance import contents_sha256, sources_sha256
 from metafab.library.axes import Corner, CornerBox, corner_cell, corner_unit_cell
 from metafab.library.corners import Corners
 from metafab.library.fit.rational import RationalModel
+from metafab.library.neighbours.model import Neighbours
 from metafab.library.surface import SMALLEST_SURFACE, SizeResponse, Surface
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.embedded import LIBRARY_FORMAT
@@ -106,6 +107,7 @@ class Library(Displayed):
             size ``error`` may be smaller.
         corners: models over the axes of the sweep; None without ``sweep.axes``.
         corner: values of the axes of this library; empty at the values of the unit cell.
+        neighbours: model of unlike neighbours; None if the unit cell does not ask for one, and at corners.
         time: time of the build; None for a library that was loaded.
     """
 
@@ -124,6 +126,7 @@ class Library(Displayed):
     model_error: FloatArray | None = None
     corners: Corners | None = None
     corner: Corner = field(default_factory=dict)
+    neighbours: Neighbours | None = None
     time: BuildTime | None = None
 
     @property
@@ -183,6 +186,7 @@ class Library(Displayed):
             model_error=model_error,
             corners=None,
             corner=corner,
+            neighbours=None,
         )
 
     def pillar(self, width_nm: float, length_nm: float) -> PillarCell:
@@ -234,7 +238,7 @@ class Library(Displayed):
             "sizes": f"{int(self.known.sum())}, {width[0]:g} to {width[-1]:g} x {length[0]:g} to {length[-1]:g} nm",
             "wavelength": f"{self.wavelength_nm[0]:g} nm",
             "largest error of t": f"{np.nanmax(self.error_of_sizes):.1e}",
-        }
+        } | ({} if self.neighbours is None else {"neighbours": self.neighbours.summary})
 
     def to_xarray(self) -> xarray.Dataset:
         """Amplitudes and errors over (wavelength_nm, length_nm, width_nm).
@@ -264,8 +268,11 @@ def evaluate(library: Library, width_nm: ArrayLike, length_nm: ArrayLike, **axes
 
 
 def inputs_of(unit_cell: UnitCell) -> str:
-    """Return the fingerprint of a library's inputs: the unit cell, its index tables, the file format, and the code."""
-    code = sources_sha256(BUILT_BY, TABLES)
+    """Return the fingerprint of a library's inputs: the unit cell, its index tables, the file format, and the code.
+
+    The table ``[neighbours]`` is left out: its model has a fingerprint of its own.
+    """
+    code, unit_cell = sources_sha256(BUILT_BY, TABLES), replace(unit_cell, neighbours=None)
     return fingerprint(canonical_toml(unit_cell), contents_sha256(unit_cell), LIBRARY_FORMAT, code)
 
 

@@ -1,7 +1,7 @@
 """Libraries as HDF5 files (kind "metafab library", format 1) with units, descriptions and dimension scales.
 
-A file holds the values on the grid, in ``/model`` the coefficients of the continuous functions, and in ``/corners`` the
-models over further axes. Both groups are optional.
+A file holds the values on the grid, in ``/model`` the coefficients of the continuous functions, in ``/corners`` the
+models over further axes, and in ``/neighbours`` the model of unlike neighbours. These groups are optional.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from metafab.library.corners import Corners, CornerStatistics
 from metafab.library.fit.models import RankedModels
 from metafab.library.fit.rational import Range, RationalModel, Shape
 from metafab.library.library import BuildStatistics, Library, inputs_of
+from metafab.library.neighbours.storage import neighbours_of, put_neighbours
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.embedded import LIBRARY_FORMAT, LIBRARY_KIND
 from metafab.spec.toml import validate
@@ -72,6 +73,8 @@ def save(library: Library, path: Path) -> None:
             hdf5.put(file, "model/error", library.model_error, units="1", description=text, compress=True)
         if library.corners is not None:
             _put_corners(file.create_group("corners"), library.corners)
+        if library.neighbours is not None:
+            put_neighbours(file.create_group("neighbours"), library.neighbours)
 
 
 def load(path: Path | str) -> Library:
@@ -106,6 +109,7 @@ def load(path: Path | str) -> Library:
             model=_model(file) if "model" in file else None,
             model_error=model_error,
             corners=_corners(file["corners"]) if "corners" in file else None,
+            neighbours=neighbours_of(file["neighbours"]) if "neighbours" in file else None,
         )
 
 
@@ -119,11 +123,15 @@ def is_current(path: Path, unit_cell: UnitCell) -> bool:
 
 
 def statistics_json(library: Library) -> dict[str, float | str]:
-    """Return the statistics of a build as one JSON table; those of corners have the prefix ``corner_``.
+    """Return the statistics of a build as one JSON table.
+
+    Those of corners have the prefix ``corner_``, those of the model of neighbours ``neighbours_``.
 
     Figures that do not apply to the library (NaN) are left out.
     """
     table: dict[str, float | str] = plain(library.statistics)
+    if library.neighbours is not None:
+        table |= {f"neighbours_{name}": value for name, value in plain(library.neighbours.overall).items()}
     if library.corners is not None:
         table |= {f"corner_{name}": value for name, value in plain(library.corners.statistics).items()}
     return {name: value for name, value in table.items() if value is not None}

@@ -257,6 +257,14 @@ class Solver:
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Neighbours:
+    """Training of the model of unlike neighbours, which a library holds if its unit cell has this table."""
+
+    rows: Annotated[int, Field(strict=True, ge=60, le=20_000)] = 480
+    """Rows of unlike pillars to solve, for each direction of the row and each polarisation."""
+
+
+@dataclass(frozen=True, config=CONFIG)
 class UnitCell:
     """A unit-cell file (``unitcell_lib/NAME.toml``)."""
 
@@ -270,6 +278,8 @@ class UnitCell:
     """Sizes of the library."""
     solver: Solver = Field(default_factory=Solver)
     """Solver of the library."""
+    neighbours: Neighbours | None = None
+    """Training of the model of unlike neighbours."""
     source: str = ""
     """Where the numbers come from."""
 
@@ -325,6 +335,28 @@ class UnitCell:
                     f"`sweep.axes.cd_bias_nm` takes `sweep.{name}` to {smallest + low:g}..{largest + high:g} nm, "
                     f"outside 0 to `cell.period_nm` of {period:g} nm"
                 )
+        return self
+
+    @model_validator(mode="after")
+    def _neighbours_by_rows(self) -> UnitCell:
+        """Refuse a model of neighbours where the row solver cannot supply its training rows."""
+        if self.neighbours is None:
+            return self
+        cell, substrate = self.cell, self.materials.substrate
+        hindrances = {
+            "a rectangular lattice": cell.is_hexagonal,
+            '`cell.shape` "rectangle"': cell.shape != "rectangle",
+            "sharp corners": bool(cell.corner_radius_nm),
+            "upright walls": cell.sidewall_angle_deg not in (None, 90.0),
+            "pillars without films and caps": bool(cell.film) or bool(cell.cap),
+            "an isotropic substrate": any(index is not None for index in (substrate.n_y, substrate.k_y, substrate.n_z)),
+            '`solver.name` "rcwa"': self.solver.name != "rcwa",
+            "more than one width and one length": self.sweep.width_nm[0] == self.sweep.width_nm[1]
+            or self.sweep.length_nm[0] == self.sweep.length_nm[1],
+        }
+        wrong = [name for name, stands in hindrances.items() if stands]
+        if wrong:
+            raise ValueError(f"`neighbours`: the model of neighbours needs {', '.join(wrong)}; remove the table")
         return self
 
     def nominal(self, axis: str) -> float:

@@ -25,8 +25,8 @@ class LibraryFigures:
     """Quality of a library and figures of its build, which are None where its file does not hold them.
 
     The fields are those of :func:`metafab.library.quality`, of :class:`metafab.library.library.BuildStatistics` and,
-    with the prefix ``corner_``, of :class:`metafab.library.corners.CornerStatistics`. A current run imports none of
-    them.
+    with the prefixes ``neighbours_`` and ``corner_``, of :class:`metafab.library.neighbours.LineStatistics` and
+    :class:`metafab.library.corners.CornerStatistics`. A current run imports none of them.
 
     Attributes:
         file: path of the library.
@@ -58,6 +58,17 @@ class LibraryFigures:
     rounds: int | None = optional()
     numerator_degree: int | None = optional()
     denominator_degree: int | None = optional()
+    neighbours_rows: int | None = optional()
+    neighbours_held_out: int | None = optional()
+    neighbours_local_period_error: float | None = optional()
+    neighbours_error: float | None = optional()
+    neighbours_error_unlike: float | None = optional()
+    neighbours_error_alike: float | None = optional()
+    neighbours_error_p90: float | None = optional()
+    neighbours_error_fitted: float | None = optional()
+    neighbours_solver_error: float | None = optional()
+    neighbours_error_floor: float | None = optional()
+    neighbours_error_share: float | None = optional()
     corner_points_solved: int | None = optional()
     corner_rounds: int | None = optional()
     corner_held_out: int | None = optional()

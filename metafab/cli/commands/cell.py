@@ -130,6 +130,7 @@ def library_build(
     from metafab.core.parallel.executor import default_workers
     from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import plain
+    from metafab.library.neighbours.training import estimate_seconds
     from metafab.library.store import statistics_json
     from metafab.spec import load_unit_cell
 
@@ -140,6 +141,9 @@ def library_build(
         least, most = (seconds / (workers or default_workers()) for seconds in estimate.seconds)
         cells = "{} to {} cells".format(*estimate.cells)
         announce([f"{cells} are expected, {least:.2g} to {most:.2g} s" + (" a core" if cluster else "")])
+    if spec.neighbours is not None:
+        seconds = estimate_seconds(spec) / (workers or default_workers())
+        announce([f"{spec.neighbours.rows} rows of unlike pillars for each direction and light, about {seconds:.2g} s"])
     with open_work(workers, cluster) as work, measured() as cost, work.processes() as executor:
         built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=work.progress)
     quality = library.quality(built)
@@ -178,5 +182,6 @@ def library_show(
     from metafab import library, report
 
     path = output or file.with_suffix(".png")
-    report.library_figure(library.load(file), path)
-    show({"file": path}, json_)
+    opened = library.load(file)
+    report.library_figure(opened, path)
+    show({"file": path} | opened.key_figures(), json_)

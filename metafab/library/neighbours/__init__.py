@@ -1,18 +1,16 @@
-"""What unlike neighbours do to the field of each pillar: a supercell in, its transmitted orders out."""
+"""What unlike neighbours do to the field of each pillar: chains of coupled modes, trained on solved rows of pillars.
 
-from metafab.cell.supercell import Supercell, SupercellOrders
-from metafab.core.errors import InputError
-from metafab.library.library import Library
+- ``line``        a chain of coupled modes and its parameters
+- ``solve``       field of closed chains, and its derivatives by the parameters
+- ``fit``         least-squares fit of a chain to solved rows
+- ``rows``        training rows, and their solution
+- ``training``    :func:`train`: a library in, its :class:`Neighbours` out
+- ``model``       :class:`Neighbours`: the chains of all directions and polarisations, with their errors
+- ``evaluation``  :func:`solve_supercell`: transmitted orders of rows and blocks
+- ``storage``     chains in the file of a library
+"""
 
-__all__ = ["solve_supercell"]
+from metafab.library.neighbours.evaluation import require_neighbours, solve_supercell
+from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
 
-
-def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
-    """Transmitted orders of a supercell by the library's model of neighbours.
-
-    Raises:
-        InputError: the library holds no model of neighbours.
-    """
-    got = f"a library of lone pillars for {supercell.shape[1]} x {supercell.shape[0]} sites"
-    remedy = "build the library from a unit cell with a table `[neighbours]`, or use the solver rcwa, meep or lone"
-    raise InputError.single(f"library {library.inputs_sha256[:12]}", "neighbours", "a model of neighbours", got, remedy)
+__all__ = ["LineStatistics", "Neighbours", "TrainedLine", "require_neighbours", "solve_supercell"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,7 +41,7 @@ class RowSet:
         at = (np.arange(sites) + 0.5) / sites - 0.5
         return np.asarray(np.exp(-2j * np.pi * np.outer(self.order, at)) / sites)
 
-    def subset(self, rows: Sequence[int] | FloatArray) -> RowSet:
+    def subset(self, rows: slice) -> RowSet:
         """Some of the rows."""
         return RowSet(self.size_nm[rows], self.local[rows], self.amplitude[rows], self.order, self.weight)
 
@@ -62,12 +62,28 @@ class FitLimits:
         gain: smallest relative decrease of the loss over five steps.
     """
 
-    steps: int = 60
-    ridge: float = 1e-3
+    steps: int = 120
+    ridge: float = 1e-2
     gain: float = 5e-3
 
 
-def fit(model: LineModel, sets: Sequence[RowSet], limits: FitLimits = FitLimits(), report=None) -> LineModel:
+def fit(
+    model: LineModel,
+    sets: Sequence[RowSet],
+    limits: FitLimits = FitLimits(),
+    report: Callable[[int, int], None] | None = None,
+) -> LineModel:
+    """Fit a chain to rows: least squares of the orders' amplitudes, with a prior that keeps high degrees small.
+
+    Args:
+        model: parameters to start from.
+        sets: rows to fit, at least one.
+        limits: stopping rules and prior.
+        report: called with the step and the largest number of steps.
+
+    Returns:
+        The chain with the smallest loss.
+    """
     vector = model.vector
     ridge = limits.ridge * _prior(model.shape)
     terms = [model.polynomials(rows.size_nm) for rows in sets]
@@ -93,21 +109,23 @@ def fit(model: LineModel, sets: Sequence[RowSet], limits: FitLimits = FitLimits(
         damping = max(damping / 5.0, 1e-9)
         losses.append(loss)
         if report is not None:
-            report(step, loss, damping, model)
+            report(step + 1, limits.steps)
         if len(losses) > 8 and losses[-6] - loss < limits.gain * loss:
             break
     return model
 
 
 def _prior(shape: LineShape) -> FloatArray:
+    """Weight of each squared parameter, shape (n,): it grows with the degree of its term."""
     degree = shape.powers.sum(axis=1)
-    weight = (1.0 + degree) ** 2.0 / 1.0
+    weight = (1.0 + degree) ** 2.0
     r, _ = shape.pairs
     parts = [np.repeat(weight, n) for n in (r.size, shape.even, shape.even, shape.modes)]
     return np.concatenate([*parts, np.ones(shape.reach * shape.hop_pairs[0].size)])
 
 
 def _residuals(rows: RowSet, correction: ComplexArray) -> ComplexArray:
+    """Weighted differences of the orders, shape (rows, orders), over the rms field of a row."""
     off = (rows.local + correction) @ rows.to_orders.T - rows.amplitude
     return off * np.sqrt(rows.weight) / _norm(rows)
 
@@ -116,14 +134,17 @@ def _norm(rows: RowSet) -> float:
     return float(np.sqrt(np.mean(np.sum(np.abs(rows.amplitude) ** 2, axis=1))))
 
 
-def _loss(model, sets, terms, ridge) -> float:
+def _loss(model: LineModel, sets: Sequence[RowSet], terms: Sequence[FloatArray], ridge: FloatArray) -> float:
     total = float(ridge @ np.abs(model.vector) ** 2)
     for rows, values in zip(sets, terms, strict=True):
         total += float(np.sum(np.abs(_residuals(rows, line_corrections(model, values))) ** 2))
     return total if np.isfinite(total) else np.inf
 
 
-def _normal_equations(model, sets, terms) -> tuple[ComplexArray, ComplexArray]:
+def _normal_equations(
+    model: LineModel, sets: Sequence[RowSet], terms: Sequence[FloatArray]
+) -> tuple[ComplexArray, ComplexArray]:
+    """J^H J, shape (n, n), and J^H r, shape (n,), of the weighted residuals r of all rows."""
     n = model.vector.size
     normal, gradient = np.zeros((n, n), dtype=np.complex128), np.zeros(n, dtype=np.complex128)
     for rows, values in zip(sets, terms, strict=True):
@@ -132,7 +153,7 @@ def _normal_equations(model, sets, terms) -> tuple[ComplexArray, ComplexArray]:
             part = slice(start, start + _ROWS_AT_ONCE)
             correction, jacobian = corrections_and_jacobian(model, values[part])
             jacobian = (to_orders @ jacobian).reshape(-1, n)
-            residual = _residuals(rows.subset(np.arange(len(values))[part]), correction).ravel()
+            residual = _residuals(rows.subset(part), correction).ravel()
             normal += jacobian.conj().T @ jacobian
             gradient += jacobian.conj().T @ residual
     return normal, gradient

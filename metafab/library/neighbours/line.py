@@ -3,21 +3,21 @@
 Each site m carries the amplitudes a_m of a few modes, even or odd under the mirror that exchanges the two directions of
 the line. They obey
 
-    H(s_m) a_m - sum over d of (W_d a_{m-d} + W_d^T a_{m+d}) = c(s_m),
+    H(s_m) a_m - sum over d of (W_d a_{m-d} + W_d^T a_{m+d}) = c(s_m).
 
-with a symmetric matrix H and a source c (even modes only) that depend on the size s = (width, length), and with constant
-hops W_d. Reciprocity makes the left side symmetric; the mirror makes W_d^T = Pi W_d Pi with Pi = +1 for even and -1 for
-odd modes. Pillar m transmits
+The symmetric matrix H and the source c (even modes only) depend on the size s, along the line and across it; the hops
+W_d are constant. Reciprocity makes the left side symmetric. The mirror makes W_d^T = Pi W_d Pi, with Pi = +1 for even
+and -1 for odd modes. Pillar m transmits
 
-    t_m = t(s_m) + y_m - y(s_m),      y_m = e(s_m) a_m + g(s_{m-1}) a_{m-1} + Pi g(s_{m+1}) a_{m+1},
+    t_m = t(s_m) + y_m - y(s_m),      y_m = e(s_m) a_m + g(s_{m-1}) a_{m-1} + Pi g(s_{m+1}) a_{m+1}.
 
-where t(s) is the library's value and y(s) the same sum in a line of equal pillars of size s. Equal pillars are therefore
-exact. H, c, e and g are polynomials of width and length; all coefficients and the hops are the parameters.
+Here t(s) is the library's value and y(s) the same sum in a line of equal pillars of size s, so that equal pillars are
+exact. H, c, e and g are polynomials of the size. Their coefficients and the hops are the parameters.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -28,6 +28,9 @@ from metafab.core.conventions import ComplexArray, FloatArray
 
 IntArray = NDArray[np.intp]
 Span = tuple[float, float]
+
+#: Names of the parameters, in the order of :attr:`LineModel.vector`.
+PARAMETERS = ("site", "source", "own", "side", "hop")
 
 
 @dataclass(frozen=True)
@@ -88,8 +91,8 @@ class LineModel:
 
     Attributes:
         shape: numbers of modes, hops and terms.
-        width_nm: range of widths that maps to -1..1.
-        length_nm: range of lengths that maps to -1..1.
+        along_nm: range of sizes along the row that maps to -1..1.
+        across_nm: range of sizes across the row that maps to -1..1.
         site: shape (terms, n_pairs), coefficients of the free elements of H.
         source: shape (terms, even), of c.
         own: shape (terms, even), of e.
@@ -98,8 +101,8 @@ class LineModel:
     """
 
     shape: LineShape
-    width_nm: Span
-    length_nm: Span
+    along_nm: Span
+    across_nm: Span
     site: ComplexArray
     source: ComplexArray
     own: ComplexArray
@@ -113,21 +116,21 @@ class LineModel:
 
     def with_vector(self, vector: ComplexArray) -> LineModel:
         """The model with other parameters, shape (n,)."""
-        parts, start = {}, 0
-        for name in PARAMETERS:
-            old = getattr(self, name)
-            parts[name] = np.asarray(vector[start : start + old.size]).reshape(old.shape)
-            start += old.size
-        return replace(self, **parts)
+        olds = [getattr(self, name) for name in PARAMETERS]
+        ends = np.cumsum([old.size for old in olds])
+        parts = np.split(np.asarray(vector, dtype=np.complex128), ends[:-1])
+        site, source, own, side, hop = (part.reshape(old.shape) for part, old in zip(parts, olds, strict=True))
+        return replace(self, site=site, source=source, own=own, side=side, hop=hop)
 
     def polynomials(self, size_nm: FloatArray) -> FloatArray:
         """Values of the terms at sizes, shape (..., 2) to (..., terms)."""
-        scaled = [
+        along, across = (
             (2.0 * size_nm[..., k] - span[0] - span[1]) / max(span[1] - span[0], 1e-9)
-            for k, span in enumerate((self.width_nm, self.length_nm))
-        ]
+            for k, span in enumerate((self.along_nm, self.across_nm))
+        )
         i, j = self.shape.powers.T
-        return chebvander2d(*scaled, [self.shape.degree] * 2)[..., i * (self.shape.degree + 1) + j]
+        degree = self.shape.degree
+        return np.asarray(chebvander2d(along, across, (degree, degree))[..., i * (degree + 1) + j], dtype=np.float64)
 
     def site_matrix(self, terms: FloatArray) -> ComplexArray:
         """H at sites with polynomial values ``terms``, shape (..., terms) to (..., modes, modes)."""
@@ -166,15 +169,12 @@ class LineModel:
         return np.asarray(2.0 * self.hops[:, :even, :even].sum(axis=0))
 
 
-PARAMETERS = tuple(field.name for field in fields(LineModel) if field.name in ("site", "source", "own", "side", "hop"))
-
-
-def initial_model(shape: LineShape, width_nm: Span, length_nm: Span, seed: int) -> LineModel:
+def initial_model(shape: LineShape, along_nm: Span, across_nm: Span, seed: int) -> LineModel:
     """Random model to start a fit from: damped modes, weak sources, hops that fall with distance."""
     rng = np.random.default_rng(seed)
 
     def noise(scale: float, *of: int) -> ComplexArray:
-        return scale * (rng.normal(size=of) + 1j * rng.normal(size=of))
+        return np.asarray(scale * (rng.normal(size=of) + 1j * rng.normal(size=of)), dtype=np.complex128)
 
     r, s = shape.pairs
     site = noise(0.05, shape.terms, r.size)
@@ -186,4 +186,4 @@ def initial_model(shape: LineShape, width_nm: Span, length_nm: Span, seed: int) 
     own[0] += 0.03
     n_hop = shape.hop_pairs[0].size
     hop = np.stack([noise(0.15 / d**1.5, n_hop) for d in range(1, shape.reach + 1)])
-    return LineModel(shape, width_nm, length_nm, site, source, own, side, hop)
+    return LineModel(shape, along_nm, across_nm, site, source, own, side, hop)

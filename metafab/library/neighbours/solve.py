@@ -52,7 +52,7 @@ def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[Compl
     Returns:
         Shapes (lines, sites) and (lines, sites, n).
     """
-    lines, count, n_terms = terms.shape
+    lines, count, _ = terms.shape
     shape = model.shape
     modes, even, parity = shape.modes, shape.even, shape.parity
     source = np.zeros((lines, count, modes), dtype=np.complex128)
@@ -76,8 +76,40 @@ def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[Compl
     adjoint_even = np.einsum("bmr,bmrs->bms", taps_even, inverse_even)
     y_even = np.sum(taps_even * uniform, axis=-1)
 
-    # dA: the free elements of H at every site n, by term.
-    r, s = shape.pairs
+    d_site = _site_derivatives(model, terms, a, adjoint, uniform, adjoint_even)
+    d_source = (adjoint[..., :even].transpose(0, 1, 3, 2) @ terms[:, None]).swapaxes(-1, -2)
+    d_source = d_source - terms[..., :, None] * adjoint_even[..., None, :]
+    d_own = terms[..., :, None] * (a[..., :even] - uniform)[..., None, :]
+    flow = terms[..., :, None] * a[..., None, :]
+    d_side = flow[:, before] + flow[:, after] * parity
+    d_side[..., :even] -= 2.0 * terms[..., :, None] * uniform[..., None, :]
+
+    d_hop = _hop_derivatives(model, a, adjoint, uniform, adjoint_even)
+    parts = (d_site, d_source, d_own, d_side, d_hop)
+    return y - y_even, np.concatenate([part.reshape(lines, count, -1) for part in parts], axis=-1)
+
+
+def _uniform_amplitude(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Even amplitudes (..., even) in lines of equal pillars, inverse matrix (..., even, even), and taps (..., even)."""
+    even = model.shape.even
+    matrix = model.site_matrix(terms)[..., :even, :even] - model.uniform_hop
+    inverse = np.linalg.inv(matrix)
+    amplitude = (inverse @ (terms @ model.source)[..., None])[..., 0]
+    return amplitude, np.asarray(inverse, dtype=np.complex128), terms @ (model.own + 2.0 * model.side[:, :even])
+
+
+def _site_derivatives(
+    model: LineModel,
+    terms: FloatArray,
+    a: ComplexArray,
+    adjoint: ComplexArray,
+    uniform: ComplexArray,
+    adjoint_even: ComplexArray,
+) -> ComplexArray:
+    """Derivatives by the coefficients of the site matrix, shape (lines, sites, terms, pairs)."""
+    lines, count, n_terms = terms.shape
+    modes, even = model.shape.modes, model.shape.even
+    r, s = model.shape.pairs
     both = adjoint.transpose(0, 1, 3, 2).reshape(lines, count * modes, count)
     weighted = (terms[..., :, None] * a[..., None, :]).reshape(lines, count, n_terms * modes)
     outer = (both @ weighted).reshape(lines, count, modes, n_terms, modes)
@@ -88,14 +120,15 @@ def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[Compl
     pair = adjoint_even[..., re] * uniform[..., se] + np.where(re != se, adjoint_even[..., se] * uniform[..., re], 0.0)
     d_site = np.ascontiguousarray(d_site)
     d_site[..., in_even] += terms[..., :, None] * pair[..., None, :]
+    return d_site
 
-    d_source = (adjoint[..., :even].transpose(0, 1, 3, 2) @ terms[:, None]).swapaxes(-1, -2)
-    d_source = d_source - terms[..., :, None] * adjoint_even[..., None, :]
-    d_own = terms[..., :, None] * (a[..., :even] - uniform)[..., None, :]
-    flow = terms[..., :, None] * a[..., None, :]
-    d_side = flow[:, before] + flow[:, after] * parity
-    d_side[..., :even] -= 2.0 * terms[..., :, None] * uniform[..., None, :]
 
+def _hop_derivatives(
+    model: LineModel, a: ComplexArray, adjoint: ComplexArray, uniform: ComplexArray, adjoint_even: ComplexArray
+) -> ComplexArray:
+    """Derivatives by the free elements of the hops, shape (lines, sites, reach, pairs)."""
+    lines, count, _ = a.shape
+    shape, even = model.shape, model.shape.even
     hr, hs, sign = shape.hop_pairs
     d_hop = np.empty((lines, count, shape.reach, hr.size), dtype=np.complex128)
     equal = hr == hs
@@ -110,14 +143,4 @@ def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[Compl
         product = adjoint_even[..., wr] * uniform[..., ws]
         product = product + np.where(wr != ws, adjoint_even[..., ws] * uniform[..., wr], 0.0)
         d_hop[:, :, d - 1, within] -= 2.0 * product
-    parts = (d_site, d_source, d_own, d_side, d_hop)
-    return y - y_even, np.concatenate([part.reshape(lines, count, -1) for part in parts], axis=-1)
-
-
-def _uniform_amplitude(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Even amplitudes (..., even) in lines of equal pillars, inverse matrix (..., even, even), and taps (..., even)."""
-    even = model.shape.even
-    matrix = model.site_matrix(terms)[..., :even, :even] - model.uniform_hop
-    inverse = np.linalg.inv(matrix)
-    amplitude = (inverse @ (terms @ model.source)[..., None])[..., 0]
-    return amplitude, inverse, terms @ (model.own + 2.0 * model.side[:, :even])
+    return d_hop

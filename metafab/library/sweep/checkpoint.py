@@ -33,17 +33,17 @@ _KIND = "metafab library checkpoint"
 
 @dataclass(frozen=True)
 class SolvedPoint:
-    """The solver's answer for one cell.
+    """The solver's answer for one cell or one row.
 
     Attributes:
-        number: number of the cell.
-        amplitudes: t_xx, t_yy, r_xx, r_yy.
+        number: number of the cell or row.
+        amplitudes: t_xx, t_yy, r_xx, r_yy of a cell, or the orders of a row of pillars.
         error: the solver's certificate, a bound on the absolute error of each amplitude.
         seconds: time of the solver.
     """
 
     number: int
-    amplitudes: tuple[complex, complex, complex, complex]
+    amplitudes: tuple[complex, ...]
     error: float
     seconds: float
 
@@ -162,8 +162,8 @@ def _owner_file(path: Path) -> Path:
 
 def _point(record: list[float]) -> SolvedPoint:
     number, *parts, error, seconds = record
-    t_xx, t_yy, r_xx, r_yy = (complex(*parts[k : k + 2]) for k in range(0, 8, 2))
-    return SolvedPoint(int(number), (t_xx, t_yy, r_xx, r_yy), error, seconds)
+    amplitudes = tuple(complex(*parts[k : k + 2]) for k in range(0, len(parts), 2))
+    return SolvedPoint(int(number), amplitudes, error, seconds)
 
 
 def _unguarded(path: Path) -> InputError:

@@ -1,0 +1,68 @@
+"""Library files with all that their unit cell asks for: the lone pillars, then the model of unlike neighbours."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+
+from metafab.cell import CellSolver, solve
+from metafab.core.parallel.progress import Progress, silent
+from metafab.library import store
+from metafab.library.library import Library
+from metafab.library.neighbours.training import inputs_of_training, train
+from metafab.library.sweep import build
+from metafab.spec import UnitCell
+
+
+def build_file(
+    unit_cell: UnitCell,
+    path: Path,
+    *,
+    target_error: float | None = None,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+    solver: CellSolver = solve,
+) -> Library:
+    """Build a library, train its model of neighbours if the unit cell asks for one, and save both.
+
+    What is in the file already and current is kept. A killed build or training continues where it stopped: files in
+    the library's folder keep what was solved.
+
+    Args:
+        unit_cell: unit cell with its sweep and, for a model of neighbours, the table ``[neighbours]``.
+        path: library file; an earlier file is replaced once the new one is complete.
+        target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
+        executor: runs the solvers; None for this process.
+        progress: called with the number of solved sizes, and of solved rows.
+        solver: solves one unit cell; must be importable by the workers.
+
+    Raises:
+        InputError: a checkpoint is damaged.
+    """
+    if target_error is not None:
+        unit_cell = replace(unit_cell, sweep=replace(unit_cell.sweep, target_error=target_error))
+    if unit_cell.neighbours is not None and store.is_current(path, unit_cell):
+        library = replace(store.load(path), unit_cell=unit_cell)
+    else:
+        library = build.build_file(unit_cell, path, executor=executor, progress=progress, solver=solver)
+    if unit_cell.neighbours is None:
+        return library
+    inputs = inputs_of_training(unit_cell)
+    checkpoint = path.with_name(f"{path.stem}.{inputs[:8]}.neighbours.partial")
+    trained = train(library, executor=executor, checkpoint=checkpoint, progress=progress)
+    library = replace(library, neighbours=trained)
+    store.save(library, path)
+    checkpoint.unlink(missing_ok=True)
+    return library
+
+
+def is_current(path: Path, unit_cell: UnitCell) -> bool:
+    """Return whether ``path`` is a library that this version built from exactly this unit cell, with its neighbours."""
+    if not store.is_current(path, unit_cell):
+        return False
+    with h5py.File(path, "r") as file:
+        trained = str(file["neighbours"].attrs["inputs_sha256"]) if "neighbours" in file else ""
+    return trained == ("" if unit_cell.neighbours is None else inputs_of_training(unit_cell))

@@ -1,0 +1,109 @@
+"""Field of pillars among their neighbours by the library's chains of coupled modes: rows, and blocks of sites.
+
+In a block every row along x and every row along y is a closed chain. The field of a site is the library's plus the
+correction by its row and the correction by its column; what rows and columns do together, and cross-polarised light,
+are left out and enter the stated error.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from metafab.cell.supercell import Supercell, SupercellOrders
+from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
+from metafab.core.errors import InputError
+from metafab.library.neighbours.model import Neighbours
+from metafab.library.neighbours.solve import line_corrections
+
+if TYPE_CHECKING:
+    from metafab.library.library import Library
+
+#: Error of a block over its larger correction, that of its rows or of its columns. Measured with Meep on 5 x 5 pillars
+#: of a lens: 0.131 of the field was left of 0.334.
+_BLOCK_SHARE = 0.5
+
+
+def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
+    """Transmitted orders of a supercell by the library's model of neighbours.
+
+    Args:
+        library: library with a model of neighbours.
+        supercell: pillars within the library's sizes.
+
+    Returns:
+        Amplitudes of both incident polarisations, without cross-polarised light.
+
+    Raises:
+        InputError: the library holds no model of neighbours, or a site has no pillar or one outside its sizes.
+    """
+    start = time.perf_counter()
+    neighbours = require_neighbours(library)
+    size_nm = supercell.size_nm
+    for axis, (name, grid) in enumerate((("width_nm", library.width_nm), ("length_nm", library.length_nm))):
+        low, high = float(size_nm[..., axis].min()), float(size_nm[..., axis].max())
+        if low < grid[0] - 1e-6 or high > grid[-1] + 1e-6:
+            expected = f"{grid[0]:g} to {grid[-1]:g} nm, the sizes of the model of neighbours"
+            raise InputError.single(
+                "supercell", name, expected, f"{low:g} to {high:g} nm", "use the solver rcwa or meep"
+            )
+    known = library.surface(size_nm[..., 0], size_nm[..., 1])
+    order = supercell.propagating_orders("x")
+    t = np.zeros((len(order), 2, 2), dtype=np.complex128)
+    squared, power = 0.0, 0.0
+    for axis, (light, local) in enumerate(zip(POLARISATIONS, (known.t_xx, known.t_yy), strict=True)):
+        corrections = block_corrections(neighbours, size_nm, axis)
+        amplitude = supercell.local_period(order, local + corrections.sum(axis=0))
+        # No more light leaves than arrives, whatever the model says.
+        both = np.zeros((len(order), 2), dtype=np.complex128)
+        both[:, axis] = amplitude
+        transmitted = float(np.sum(supercell.relative_power(order, both, light)))
+        t[:, axis, axis] = amplitude / np.sqrt(max(1.0, transmitted))
+        norm = float(np.linalg.norm(local))
+        relative = [float(np.linalg.norm(correction)) / norm for correction in corrections]
+        error = float(np.max(known.error)) + max(0.0, 1.0 - 1.0 / np.sqrt(max(1.0, transmitted)))
+        for direction, correction in enumerate(relative):
+            if supercell.shape[1 - direction] > 1:
+                error += float(neighbours.line(direction, light).statistics.stated_error(np.array(correction)))
+        if min(supercell.shape) > 1:
+            error += _BLOCK_SHARE * max(relative)
+        weight = float(np.sum(np.abs(amplitude) ** 2))
+        squared, power = squared + error**2 * weight, power + weight
+    return SupercellOrders(supercell, order, t, float(np.sqrt(squared / power)), time.perf_counter() - start)
+
+
+def require_neighbours(library: Library) -> Neighbours:
+    """The library's model of neighbours.
+
+    Raises:
+        InputError: it has none.
+    """
+    if library.neighbours is not None:
+        return library.neighbours
+    remedy = "build the library from a unit cell with a table `[neighbours]`, or use the solver rcwa, meep or lone"
+    raise InputError.single(
+        f"library {library.inputs_sha256[:12]}", "neighbours", "a model of neighbours", "lone pillars only", remedy
+    )
+
+
+def block_corrections(neighbours: Neighbours, size_nm: FloatArray, axis: int) -> ComplexArray:
+    """Corrections of the field of a periodic block by its rows and by its columns.
+
+    Args:
+        neighbours: chains of the library.
+        size_nm: shape (n_y, n_x, 2), (width, length).
+        axis: polarisation, 0 for x and 1 for y.
+
+    Returns:
+        Shape (2, n_y, n_x): by the rows along x, and by those along y.
+    """
+    light = POLARISATIONS[axis]
+    corrections = np.zeros((2, *size_nm.shape[:2]), dtype=np.complex128)
+    for direction, lines in enumerate((size_nm, size_nm.transpose(1, 0, 2)[..., ::-1])):
+        if lines.shape[1] > 1:
+            model = neighbours.line(direction, light).model
+            found = line_corrections(model, model.polynomials(lines))
+            corrections[direction] = found if direction == 0 else found.T
+    return corrections

@@ -1,0 +1,109 @@
+"""The model of neighbours that a library holds: one chain of coupled modes for each direction and polarisation."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.core.conventions import FloatArray, Polarisation
+from metafab.library.neighbours.line import LineModel
+
+
+@dataclass(frozen=True)
+class LineStatistics:
+    """Errors of one chain on solved rows, relative rms of the transmitted field over the propagating orders.
+
+    Attributes:
+        rows: rows that the chain was fitted to.
+        held_out: rows that only the errors below were taken from.
+        local_period_error: rms error of the local-period approximation on the held-out rows.
+        error: rms error of the chain on the held-out rows.
+        error_unlike: rms error on held-out rows of random sizes.
+        error_alike: rms error on held-out rows with phases that change steadily, as in a lens.
+        error_p90: 90th percentile of the errors on rows with steady phases.
+        error_fitted: rms error on the rows of the fit.
+        solver_error: rms truncation error of the rows, from a sample solved at finer truncation.
+        error_floor: smallest stated error of a row.
+        error_share: stated error per relative correction of the field, on top of the floor.
+    """
+
+    rows: int = 0
+    held_out: int = 0
+    local_period_error: float = math.nan
+    error: float = math.nan
+    error_unlike: float = math.nan
+    error_alike: float = math.nan
+    error_p90: float = math.nan
+    error_fitted: float = math.nan
+    solver_error: float = math.nan
+    error_floor: float = math.nan
+    error_share: float = math.nan
+
+    def stated_error(self, correction: FloatArray) -> FloatArray:
+        """Stated relative error of rows whose field is corrected by the relative amount ``correction``, any shape."""
+        return np.asarray(self.error_floor + self.error_share * correction)
+
+
+@dataclass(frozen=True)
+class TrainedLine:
+    """One chain and its errors.
+
+    Attributes:
+        model: the chain.
+        statistics: errors on solved rows.
+    """
+
+    model: LineModel
+    statistics: LineStatistics
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """Chains of coupled modes for rows along x and along y and for both polarisations.
+
+    Attributes:
+        along: light polarised along the row, for rows along x and along y. Both are one chain if a rotation by 90
+            degrees maps the cell to itself.
+        across: light polarised across the row, likewise.
+        inputs_sha256: fingerprint of the training's inputs.
+    """
+
+    along: tuple[TrainedLine, TrainedLine]
+    across: tuple[TrainedLine, TrainedLine]
+    inputs_sha256: str = ""
+
+    def line(self, direction: int, polarisation: Polarisation) -> TrainedLine:
+        """The chain of rows along x (``direction`` 0) or y (1); its sizes are (along the row, across the row)."""
+        is_along = polarisation == ("x", "y")[direction]
+        return (self.along if is_along else self.across)[direction]
+
+    @property
+    def lines(self) -> tuple[TrainedLine, ...]:
+        """The distinct chains."""
+        return (self.along[0], self.across[0]) if self.shares_directions else (*self.along, *self.across)
+
+    @property
+    def overall(self) -> LineStatistics:
+        """Statistics of all chains together: sums of the rows, rms of the errors."""
+        every = [line.statistics for line in self.lines]
+        errors = {
+            name: math.sqrt(sum(getattr(one, name) ** 2 for one in every) / len(every))
+            for name, value in vars(every[0]).items()
+            if isinstance(value, float)
+        }
+        return LineStatistics(sum(one.rows for one in every), sum(one.held_out for one in every), **errors)
+
+    @property
+    def summary(self) -> str:
+        """Errors on held-out rows with and without the model, in one line."""
+        overall = self.overall
+        return (
+            f"relative error {overall.error:.3f} on held-out rows, {overall.local_period_error:.3f} without the model"
+        )
+
+    @property
+    def shares_directions(self) -> bool:
+        """Whether rows along x and along y have the same chains."""
+        return self.along[0] is self.along[1] and self.across[0] is self.across[1]

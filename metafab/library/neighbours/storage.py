@@ -1,0 +1,84 @@
+"""Chains of coupled modes in the HDF5 file of a library, group ``/neighbours``."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+
+import h5py
+import numpy as np
+
+from metafab.core.storage import hdf5
+from metafab.library.neighbours.line import PARAMETERS, LineModel, LineShape
+from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
+
+_TEXT = {
+    "site": "free elements of the site matrix, by term of T_i(along) T_j(across), i + j up to the degree",
+    "source": "excitation of the even modes, by term",
+    "own": "field of the even modes at their own site, by term",
+    "side": "field of the modes at the neighbouring site, by term",
+    "hop": "free elements of the hops, by distance",
+}
+_STATISTIC = "detail_"
+
+
+def put_neighbours(group: h5py.Group, neighbours: Neighbours) -> None:
+    """Write the chains to an empty group."""
+    group.attrs["inputs_sha256"] = neighbours.inputs_sha256
+    directions = ("x",) if neighbours.shares_directions else ("x", "y")
+    for number, direction in enumerate(directions):
+        _put_line(group.create_group(f"rows_{direction}_along"), neighbours.along[number])
+        _put_line(group.create_group(f"rows_{direction}_across"), neighbours.across[number])
+
+
+def neighbours_of(group: h5py.Group) -> Neighbours:
+    """Read the chains.
+
+    Raises:
+        KeyError: an array is missing, or its shape does not fit the numbers of modes and terms.
+    """
+    directions = ("x", "y" if "rows_y_along" in group else "x")
+    lines = {
+        name: _line(group[name]) for name in {f"rows_{d}_{light}" for d in directions for light in ("along", "across")}
+    }
+    x, y = directions
+    return Neighbours(
+        along=(lines[f"rows_{x}_along"], lines[f"rows_{y}_along"]),
+        across=(lines[f"rows_{x}_across"], lines[f"rows_{y}_across"]),
+        inputs_sha256=str(group.attrs["inputs_sha256"]),
+    )
+
+
+def _put_line(group: h5py.Group, line: TrainedLine) -> None:
+    model = line.model
+    for field in fields(LineShape):
+        group.attrs[field.name] = getattr(model.shape, field.name)
+    for name, value in vars(line.statistics).items():
+        if not math.isnan(value):
+            group.attrs[_STATISTIC + name] = value
+    for side, span_nm in (("along", model.along_nm), ("across", model.across_nm)):
+        hdf5.put(group, f"{side}_nm", span_nm, units="nm", description=f"range of sizes {side} the row")
+    for name in PARAMETERS:
+        hdf5.put(group, name, getattr(model, name), units="1", description=_TEXT[name])
+
+
+def _line(group: h5py.Group) -> TrainedLine:
+    shape = LineShape(**{field.name: int(group.attrs[field.name]) for field in fields(LineShape)})
+    arrays = {name: np.asarray(group[name][()], dtype=np.complex128) for name in PARAMETERS}
+    n_pairs, n_hops = shape.pairs[0].size, shape.hop_pairs[0].size
+    expected = {
+        "site": (shape.terms, n_pairs),
+        "source": (shape.terms, shape.even),
+        "own": (shape.terms, shape.even),
+        "side": (shape.terms, shape.modes),
+        "hop": (shape.reach, n_hops),
+    }
+    for name, array in arrays.items():
+        if array.shape != expected[name]:
+            raise KeyError(f"{name} of shape {expected[name]} in {group.name}")
+    along, across = (tuple(float(value) for value in group[f"{side}_nm"][()]) for side in ("along", "across"))
+    known = {name: value for name, value in vars(LineStatistics()).items() if _STATISTIC + name in group.attrs}
+    statistics = LineStatistics(
+        **{name: type(default)(group.attrs[_STATISTIC + name]) for name, default in known.items()}
+    )
+    return TrainedLine(LineModel(shape, (along[0], along[1]), (across[0], across[1]), **arrays), statistics)

@@ -1,0 +1,150 @@
+"""Training on coarsely solved rows of three pillars: restart, held-out rows, files, evaluation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab.cell import pillar_cell
+from metafab.cell.rcwa.row import row_orders
+from metafab.cell.supercell import Supercell
+from metafab.core.errors import InputError
+from metafab.library.library import Library, inputs_of
+from metafab.library.neighbours import require_neighbours, rows, solve_supercell, training
+from metafab.library.neighbours.line import LineShape
+from metafab.library.store import load, save
+from metafab.spec import UnitCell
+from metafab.spec.cell import Neighbours as Training
+from metafab.spec.toml import validate
+
+SMALL_SHAPE = LineShape(2, 1, 1, 1)
+
+
+@pytest.fixture(scope="module")
+def coarse() -> Iterator[None]:
+    """Rows of three pillars in few harmonics, and a small chain: a training within seconds."""
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (rows, training):
+            patch.setattr(module, "ROW_SITES", (3,))
+            patch.setattr(module, "ORDERS", {"x": (1, 1), "y": (1, 1)})
+        patch.setattr(training, "SHAPE", SMALL_SHAPE)
+        patch.setattr(training, "STARTS", 1)
+        yield
+
+
+@pytest.fixture(scope="module")
+def asked(smooth_library: Library) -> Library:
+    """A library whose unit cell asks for a model of neighbours."""
+    return replace(smooth_library, unit_cell=replace(smooth_library.unit_cell, neighbours=Training(rows=60)))
+
+
+@pytest.fixture(scope="module")
+def trained(asked: Library, coarse: None) -> Library:
+    """The library with its model."""
+    return replace(asked, neighbours=training.train(asked))
+
+
+@pytest.mark.usefixtures("coarse")
+def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+
+    def counted(*args: object) -> object:
+        calls.append(1)
+        if len(calls) == 50:
+            raise KeyboardInterrupt
+        return row_orders(*args)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(rows, "row_orders", counted)
+    with pytest.raises(KeyboardInterrupt):
+        training.train(asked, checkpoint=tmp_path / "rows")
+    steps: list[str] = []
+    model = training.train(asked, checkpoint=tmp_path / "rows", progress=lambda step, done, total: steps.append(step))
+    # 2 chains x 60 rows, one chunk of two rows lost by the stop, and the rows solved again at finer truncation.
+    assert 120 + 8 <= len(calls) - 1 <= 120 + 8 + 2
+    assert set(steps) == {"rows of unlike pillars", "fit of the chains"}
+    assert model.shares_directions
+    statistics = model.along[0].statistics
+    assert (statistics.rows, statistics.held_out) == (50, 10)
+    assert statistics.error > 0.0
+    assert statistics.solver_error > 0.0
+
+    path = tmp_path / "library.h5"
+    save(replace(asked, neighbours=model), path)
+    again = require_neighbours(load(path))
+    assert np.array_equal(again.across[1].model.vector, model.across[0].model.vector)
+    assert again.along[0].statistics == statistics
+    assert again.inputs_sha256 == model.inputs_sha256
+    assert "held-out rows" in load(path).key_figures()["neighbours"]
+
+
+def test_supercells_by_the_model(trained: Library) -> None:
+    library = trained
+    cell = pillar_cell(library.unit_cell, 0.0, 0.0)
+    equal = solve_supercell(library, Supercell(cell, np.full((1, 4, 2), 150.0)))
+    zero = np.all(equal.order == 0, axis=1)
+    known = library.at_sizes(150.0, 150.0)
+    passive = min(1.0, abs(complex(1.7601)) ** 0.5 / abs(complex(known.t_xx)))
+    assert np.abs(equal.t[~zero]).max() < 1e-12
+    assert abs(equal.t[zero][0, 0, 0] - passive * complex(known.t_xx)) < 1e-12
+
+    sizes = 100.0 + 2.0 * np.random.default_rng(1).integers(0, 76, (3, 4, 2))
+    for shape in ((1, 4), (3, 1), (3, 4)):
+        block = Supercell(cell, sizes[: shape[0], : shape[1]])
+        answer = solve_supercell(library, block)
+        turned = solve_supercell(library, block.exchanged())
+        assert answer.t.shape == (len(block.propagating_orders("x")), 2, 2)
+        assert answer.error > 0.0
+        for axis, light in enumerate(("x", "y")):
+            power = block.relative_power(answer.order, answer.t[:, :, axis], light)
+            assert power.sum() <= 1.0 + 1e-12
+        # The cell is the same with x and y exchanged, and so are the chains, but for the library's t in closed form.
+        match = [int(np.flatnonzero(np.all(turned.order == order[::-1], axis=1))[0]) for order in answer.order]
+        assert np.abs(turned.t[match][:, ::-1, ::-1] - answer.t).max() < 1e-9
+
+
+def test_sizes_outside_and_libraries_without_a_model_are_refused(asked: Library, smooth_library: Library) -> None:
+    cell = pillar_cell(asked.unit_cell, 0.0, 0.0)
+    with pytest.raises(InputError, match="table `\\[neighbours\\]`"):
+        solve_supercell(smooth_library, Supercell(cell, np.full((1, 2, 2), 150.0)))
+
+
+def test_pillars_outside_the_sweep_are_refused(trained: Library) -> None:
+    cell = pillar_cell(trained.unit_cell, 0.0, 0.0)
+    for size in (0.0, 98.0, 252.0):
+        with pytest.raises(InputError, match="sizes of the model"):
+            solve_supercell(trained, Supercell(cell, np.full((1, 2, 2), size)))
+
+
+@pytest.mark.parametrize(
+    ("table", "change"),
+    [
+        ("hexagonal", {"cell": {"lattice": "hexagonal"}}),
+        ("ellipse", {"cell": {"shape": "ellipse"}}),
+        ("corner", {"cell": {"corner_radius_nm": 10.0}}),
+        ("wall", {"cell": {"sidewall_angle_deg": 88.0}}),
+        ("meep", {"solver": {"name": "meep"}}),
+    ],
+)
+def test_cells_without_training_rows_are_refused(table: str, change: dict[str, dict[str, object]]) -> None:
+    content: dict[str, dict[str, object]] = {
+        "cell": {"period_nm": 350.0, "height_nm": 600.0},
+        "materials": {"pillar": {"n": 3.6941}, "substrate": {"n": 1.76}},
+        "illumination": {"wavelength_nm": 800.0},
+        "sweep": {"width_nm": [100.0, 250.0], "length_nm": [100.0, 250.0], "size_grid_nm": 2.0},
+        "neighbours": {"rows": 100},
+    }
+    assert validate(UnitCell, content, "cell.toml").neighbours == Training(100)
+    for name, values in change.items():
+        content[name] = content.get(name, {}) | values
+    with pytest.raises(InputError, match="the model of neighbours needs"):
+        validate(UnitCell, content, "cell.toml")
+
+
+def test_the_table_does_not_change_the_library_itself(unit_cell: UnitCell) -> None:
+    asked = replace(unit_cell, neighbours=Training(rows=100))
+    assert inputs_of(asked) == inputs_of(unit_cell)
+    assert training.inputs_of_training(asked) != training.inputs_of_training(replace(unit_cell, neighbours=Training()))
