@@ -264,3 +264,50 @@ class DecodingFigures:
     worst_object_error: float | None = optional()
     contrast_error: float | None = optional()
     changed_share: float | None = optional()
+
+
+@dataclass(frozen=True)
+class FocusFigures:
+    """Focus of a lens on the sensor, beside that of the ideal flat lens of its aperture, sharp at the focus depth.
+
+    Widths are those of the density of electric energy in unpolarised light, the mean of both polarisations about their
+    image points. Shares and the Strehl ratio are those of the flux.
+
+    Attributes:
+        depth_m: object depth, the focus depth.
+        numerical_aperture: sine of half the angle of the aperture at the image point.
+        fwhm_x_um: full width at half maximum along x through the maximum; likewise along y; NaN where the window is too
+            narrow.
+        fwhm_limit_um: that of the ideal lens, mean of both axes.
+        fwhm_polarised_um: shape (2, 2), widths of x and of y polarised light along x and y.
+        fwhm_polarised_limit_um: shape (2, 2), those of the ideal lens.
+        strehl: maximum per transmitted power over that of the ideal lens.
+        encircled_radius_um: 0.61 wavelength / NA, the radius of Airy's first dark ring.
+        encircled_energy: share of the transmitted light within that radius about the maximum.
+        encircled_energy_limit: that of the ideal lens.
+        offset_um: shape (n,), distance from the maximum.
+        section_x: shape (n,), cross-section along x over the maximum; likewise along y.
+        section_limit: shape (n,), cross-section of the ideal lens along x.
+        radius_um: shape (m,), radii of the next two.
+        encircled: shape (m,), share of the transmitted light within the radius.
+        encircled_limit: shape (m,), that of the ideal lens.
+    """
+
+    depth_m: float
+    numerical_aperture: float
+    fwhm_x_um: float
+    fwhm_y_um: float
+    fwhm_limit_um: float
+    fwhm_polarised_um: tuple[tuple[float, ...], ...]
+    fwhm_polarised_limit_um: tuple[tuple[float, ...], ...]
+    strehl: float
+    encircled_radius_um: float
+    encircled_energy: float
+    encircled_energy_limit: float
+    offset_um: FloatArray
+    section_x: FloatArray
+    section_y: FloatArray
+    section_limit: FloatArray
+    radius_um: FloatArray
+    encircled: FloatArray
+    encircled_limit: FloatArray

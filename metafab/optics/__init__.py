@@ -9,7 +9,8 @@
 - ``sources``              the field behind the metasurface, apodisation
 - ``propagation``          block sums of the pillars, and their propagation to the sensor
 - ``interpolation``        between depths and directions; join stacks, select depths
-- ``measures``             main lobe, efficiency, modulation transfer, loss chain, aberrations over the field
+- ``measures``             main lobe, focus, efficiency, modulation transfer, loss chain, aberrations over the field,
+                           and where light lands that misses its window
 
 In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.library.library.Library`, or a
 :class:`~metafab.phase.terms.profile.PhaseProfile`; an :class:`Imaging`. Out: a :class:`Psf`.

@@ -126,7 +126,8 @@ class Psf(Displayed):
         phi_deg: shape (n_depth,), orientation of the main lobe of PSF_x (:mod:`metafab.core.conventions`).
         error: shape (n_depth,), relative L2 error of the irradiance by the propagation alone.
         efficiency: shape (2, n_depth), share of the power at the aperture that falls into the window.
-        extinction_ratio: shape (n_depth,), power of x over that of y polarised light in the window of x.
+        extinction_ratio: shape (n_depth,), power of x over that of y polarised light in the window of x; NaN where both
+            windows coincide.
         sensor_distance_um: distance of the sensor plane from the metasurface.
         field: the pair over the field of view; None for one direction.
         details: record of the computation.

@@ -83,6 +83,9 @@ def psf(
     efficiency = pair.sum(axis=(2, 3)) * imaging.pixel_um**2
     with np.errstate(divide="ignore", invalid="ignore"):
         extinction = efficiency[0] / unwanted
+    centres_um = [imaging.image_point_um(p, tangent) for p in (0, 1)]
+    if np.abs(np.diff(centres_um, axis=0)).max() < imaging.pixel_um:
+        extinction = np.full(len(depths), np.nan)  # one window holds the light of both polarisations
     middle = len(depths) // 2
     transmitted = [
         _transmitted(imaging, pyramids[p][0], Ray.towards_image(imaging, p, depths[middle], tangent)) for p in (0, 1)
@@ -91,7 +94,7 @@ def psf(
         depth_m=np.array(depths),
         pixel_um=imaging.pixel_um,
         psf=pair,
-        centre_um=np.array([np.tile(imaging.image_point_um(p, tangent), (len(depths), 1)) for p in (0, 1)]),
+        centre_um=np.array([np.tile(centre_um, (len(depths), 1)) for centre_um in centres_um]),
         phi_deg=orientation_deg(pair[0]),
         error=np.max(errors[:2], axis=0),
         efficiency=efficiency,

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from metafab.core.conventions import FloatArray, image_distance_mm
+from metafab.core.conventions import POLARISATIONS, FloatArray, image_distance_mm, wrap_phase
 from metafab.core.errors import Fault, InputError
 from metafab.core.figures import PhaseFigures
 from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.latest import Latest, file_mark
 from metafab.core.storage.pictures import read_grey
 from metafab.core.storage.tables import applicable
 from metafab.information.texture import Texture
@@ -35,6 +36,12 @@ _BLIND_DEPTHS = 10
 _BLIND_SAMPLES = 64
 #: Pupil samples of a helix with limited side lobes.
 _LIMITED_SAMPLES = 64
+#: Places along a side of the aperture at which the mean slope of a target is taken.
+_SLOPE_PLACES = 128
+#: Terms of the user's own, whose light may go anywhere.
+_OWN_PHASES = (spec.UserArray, spec.Zernike)
+#: The direction that was found last; each step of a run needs it.
+_DIRECTIONS: Latest[tuple[tuple[float, float], tuple[float, float]]] = Latest()
 
 
 def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
@@ -206,6 +213,40 @@ def _with_rotation(
         rotation_deg=float(lobe.phi_deg[-1] - lobe.phi_deg[0]),
         rotation_deg_per_dioptre=float(np.polyfit(vergence, lobe.phi_deg, 1)[0]),
     )
+
+
+def mean_direction(design: Design) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Direction cosines (x, y) that the mean slope of a design's own phases adds, for x and y polarised light.
+
+    Arrays and Zernike polynomials count. Gratings have their own direction; lenses, helices and holograms are centred
+    on it. The slope is the mean over the aperture of the wrapped difference between neighbouring sites.
+
+    Raises:
+        InputError: a user's array is unusable.
+    """
+    own = tuple(term for term in design.phase if isinstance(term, _OWN_PHASES))
+    if not own:
+        return (0.0, 0.0), (0.0, 0.0)
+    files = [term.file for term in own if isinstance(term, spec.UserArray) and term.file.is_file()]
+    key = (own, design.device, design.wavelength_um, design.unit_cell.cell.period_nm, *map(file_mark, files))
+    return _DIRECTIONS.of(key, lambda: _mean_direction(design, [_plain_term(design, term) for term in own]))
+
+
+def _mean_direction(design: Design, terms: list[Term]) -> tuple[tuple[float, float], tuple[float, float]]:
+    half_um = 0.5 * design.device.aperture_um
+    places = (np.arange(_SLOPE_PLACES) + 0.5) / _SLOPE_PLACES * 2.0 * half_um - half_um
+    inside = design.device.encloses(places, places)
+    wavenumber, cosines = 2.0 * np.pi / design.wavelength_um, np.zeros((2, 2))
+    for p, name in enumerate(POLARISATIONS):
+        for axis, step_um in enumerate(1e-3 * period_nm for period_nm in design.unit_cell.cell.period_nm):
+            ends = []
+            for side in (-0.5, 0.5):
+                x, y = (places + side * step_um * (axis == along) for along in (0, 1))
+                ends.append(sum((term(x, y, name) for term in terms), np.zeros_like(inside, dtype=np.float64)))
+            slope = np.mean(wrap_phase(ends[1] - ends[0])[inside]) / step_um if inside.any() else 0.0
+            cosines[p, axis] = slope / wavenumber
+    (x_x, x_y), (y_x, y_y) = cosines.tolist()
+    return (x_x, x_y), (y_x, y_y)
 
 
 def require_paintable(design: Design) -> None:

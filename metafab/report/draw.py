@@ -218,6 +218,9 @@ def _light(run: RunFolder) -> Iterator[Plan]:
         lens = [transfer.lens[d] for d in chosen]
         mtf = partial(psf.modulation, transfer.frequency_per_mm, curves, lens=lens)
         yield Plan("psf_mtf", "Modulation transfer at three depths, and of a standard lens", mtf)
+        if merit.focus is not None:
+            paint = partial(psf.focus_section, merit.focus)
+            yield Plan("psf_focus", "Cross-sections of the focus, and of an ideal flat lens", paint)
     else:
         frequency_per_um, pairs = modulation_transfer(pair)
         curves = {depth_text(float(pair.depth_m[d])): pairs[0, d] for d in _three(pair.depth_m.size)}

@@ -16,12 +16,15 @@ from metafab.spec.cell import UnitCell
 from metafab.spec.fields import CONFIG, DepthOrInfinity, Flag, Name, NonNegative, Positive, Real, TargetError
 from metafab.spec.mask import Mask, Process
 from metafab.spec.scene import Scene
-from metafab.spec.terms import PhaseTerm, SpiralZones, SplitLens
+from metafab.spec.terms import Axicon, DoubleHelix, Lens, PhaseTerm, Picture, SpiralZones, SplitLens, Vortex
 
 FieldPoints = Annotated[int, Field(strict=True, ge=1, le=65)]
 
 #: Smallest design rule over the wavelength; a smaller one is probably in micrometres.
 _LEAST_RULE = 1e-3
+
+#: Terms whose image is no focus.
+_SHAPED = (Axicon, DoubleHelix, Picture, SpiralZones, Vortex)
 
 #: Longest side of a PSF window (pixels).
 MAX_WINDOW_PX = 2048
@@ -69,13 +72,16 @@ class Device:
         Returns:
             Shape (n_y, n_x).
         """
+        return self.contains(x_um[None, :], y_um[:, None])
+
+    def contains(self, x_um: FloatArray, y_um: FloatArray) -> NDArray[np.bool_]:
+        """Mask of points (x, y) within the aperture, its rim included; the arguments broadcast."""
         half = 0.5 * self.aperture_um
         if self.aperture_shape == "square":
-            return np.asarray((np.abs(y_um) <= half)[:, None] & (np.abs(x_um) <= half))
+            return np.asarray((np.abs(y_um) <= half) & (np.abs(x_um) <= half))
         if self.aperture_shape == "polygon":
-            x, y = np.meshgrid(x_um, y_um)
-            return np.asarray(shapely.intersects_xy(shapely.Polygon(self.outline_um), x, y))
-        square = y_um[:, None] ** 2 + x_um**2
+            return np.asarray(shapely.intersects_xy(shapely.Polygon(self.outline_um), *np.broadcast_arrays(x_um, y_um)))
+        square = y_um**2 + x_um**2
         within: NDArray[np.bool_] = square <= half * half
         if self.aperture_shape == "ring":
             within &= square >= (0.5 * self.inner_um) ** 2
@@ -161,6 +167,10 @@ class Verify:
     """Number of field points along x and y; one number for both."""
     target_error: TargetError = 1e-3
     """Target error of the PSFs (relative L2)."""
+    vectorial: Annotated[Flag | None, Field(description="omitted: where its effect counts, from an NA near 0.3")] = None
+    """Whether the polarisation of the light bends with its direction."""
+    centre_um: Annotated[tuple[Real, Real] | None, Field(description="omitted: where the target sends light")] = None
+    """(x, y) of the centre of the PSF windows on the sensor, from the axis."""
 
     @field_validator("field_points", mode="before")
     @classmethod
@@ -276,6 +286,15 @@ class Design:
         return self
 
     @model_validator(mode="after")
+    def _one_window(self) -> Design:
+        if self.verify.centre_um is not None and (self.split_angle_deg or self.scene is not None):
+            raise ValueError(
+                "`verify.centre_um` moves the window of a device without scene and `split_lens`, whose windows follow "
+                "the images of objects"
+            )
+        return self
+
+    @model_validator(mode="after")
     def _photons(self) -> Design:
         informed = any(isinstance(term, SpiralZones) and term.optimise == "blind_information" for term in self.phase)
         if informed and self.scene is None:
@@ -319,6 +338,12 @@ class Design:
     def has_mask(self) -> bool:
         """Whether a mask is written; without one, the target phases are simulated."""
         return bool(self.mask.formats)
+
+    @property
+    def is_lens(self) -> bool:
+        """Whether the phase is that of a lens with one focus, aberrations included."""
+        focusing = any(isinstance(term, Lens | SplitLens) for term in self.phase)
+        return focusing and not any(isinstance(term, _SHAPED) for term in self.phase)
 
     @property
     def wavelength_um(self) -> float:

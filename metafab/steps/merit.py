@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from metafab.core.conventions import FloatArray
-from metafab.core.figures import Loss, Wavefront
+from metafab.core.conventions import POLARISATIONS, FloatArray
+from metafab.core.figures import FocusFigures, Loss, Wavefront
 from metafab.core.storage.files import file_sha256, write_json
-from metafab.core.storage.tables import typed
+from metafab.core.storage.tables import optional, typed
 from metafab.spec.design import Measured
+from metafab.spec.terms import Lens, SplitLens
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
-from metafab.steps.optics import mask_source
+from metafab.steps.optics import lit_source, mask_source
 
 if TYPE_CHECKING:
     from metafab.optics import Imaging, Psf
@@ -100,6 +101,8 @@ class MeritFigures:
         loss_chain: losses from the aperture to the pinhole.
         space_variance: aberrations over the field; None without a field.
         measured: values measured on the fabricated device; None if the design states none.
+        fwhm_x_um: see :class:`metafab.core.figures.FocusFigures`; this and the next four are copies of ``focus``.
+        focus: the focus of a lens; None for other devices.
     """
 
     depth_m: tuple[float, ...]
@@ -120,6 +123,12 @@ class MeritFigures:
     loss_chain: LossChainFigures
     space_variance: SpaceVarianceFigures | None
     measured: Measured | None
+    fwhm_x_um: float | None = optional()
+    fwhm_y_um: float | None = optional()
+    fwhm_limit_um: float | None = optional()
+    strehl: float | None = optional()
+    encircled_energy: float | None = optional()
+    focus: FocusFigures | None = optional()
 
 
 @dataclass(frozen=True)
@@ -181,16 +190,40 @@ def _merit(job: Job) -> MeritFigures:
         "space_variance": _space_variance(imaging, whole),
         "measured": job.design.measured,
     }
-    figures = typed(MeritFigures, table)
+    figures = replace(typed(MeritFigures, table), **_focus(job, imaging))
     write_json(job.folder / "merit.json", figures)
     return figures
 
 
+def _focus(job: Job, imaging: Imaging) -> dict[str, Any]:
+    """Figures of the focus at the focus depth, those of the headline once more by name; empty for other devices."""
+    from metafab import layout, optics
+    from metafab.optics.measures.focus import PerfectLens, focus
+
+    design = job.design
+    if not design.is_lens:
+        return {}
+    depth_m = design.sensor.focus_depth_m
+    perfect = optics.ideal_field(PerfectLens(imaging, depth_m), layout.lattice_of(design), design.device)
+    lenses = [term.polarisation for term in design.phase if isinstance(term, Lens | SplitLens)]
+    figures = focus(
+        lit_source(job, mask_source(job, mask_paths(job)[-1])),
+        lit_source(job, perfect),
+        imaging,
+        depth_m,
+        polarisations=tuple(i for i, p in enumerate(POLARISATIONS) if None in lenses or p in lenses),
+        target_error=design.verify.target_error,
+        work=job.work,
+    )
+    headline = ("fwhm_x_um", "fwhm_y_um", "fwhm_limit_um", "strehl", "encircled_energy")
+    return {"focus": figures, **{name: getattr(figures, name) for name in headline}}
+
+
 def _modulation(job: Job, imaging: Imaging, written: Psf) -> ModulationFigures:
-    from metafab.optics.measures.mtf import lens_modulation, modulation_transfer
+    from metafab.optics.measures.mtf import lens_cut_off_per_um, lens_modulation, modulation_transfer
 
     device, focus_m = job.design.device, job.design.sensor.focus_depth_m
-    cut_off = device.aperture_um / (imaging.wavelength_um * imaging.sensor_distance_um)
+    cut_off = lens_cut_off_per_um(imaging)
     frequency = np.linspace(0.0, cut_off, _FREQUENCIES)
     rings, pair = modulation_transfer(written)
     frequency = frequency[frequency <= rings[-1]]

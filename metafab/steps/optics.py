@@ -27,6 +27,7 @@ from metafab.steps.library import library_path, open_library
 if TYPE_CHECKING:
     from metafab.layout import PillarMap
     from metafab.optics import Imaging, Psf, Source, WrittenField
+    from metafab.optics.measures.landing import Places
 
 #: The pillars that were read last, shared by the steps of a run.
 _READ: Latest[PillarMap] = Latest()
@@ -49,6 +50,8 @@ class PairFigures:
         error: relative L2 error of the PSFs.
         transmitted_x: share of the power at the aperture that the mask transmits; ``stray_x``: transmitted share
             outside the window; ``lost_x``: share not transmitted. Likewise for y; None for a pair without a budget.
+        light_at_um: (x, y) on the sensor, from the axis, of the brightest place of x and of y polarised light; None
+            where the windows hold the light.
     """
 
     depth_m: tuple[float, ...]
@@ -63,11 +66,25 @@ class PairFigures:
     transmitted_y: float | None = optional()
     stray_y: float | None = optional()
     lost_y: float | None = optional()
+    light_at_um: tuple[tuple[float, ...], ...] | None = optional()
 
     @classmethod
-    def of(cls, psf: Psf) -> PairFigures:
+    def of(cls, psf: Psf, light_at_um: Places | None = None) -> PairFigures:
         """Figures of all depths of a pair."""
-        return typed(cls, {**_over_depth(psf, np.ones(psf.depth_m.size, dtype=bool)), **plain(psf.details.figures())})
+        table = {**_over_depth(psf, np.ones(psf.depth_m.size, dtype=bool)), **plain(psf.details.figures())}
+        return replace(typed(cls, table), light_at_um=light_at_um)
+
+    def warnings(self) -> list[str]:
+        """Return a sentence with the place of the light and the remedy, where a window misses the light."""
+        if self.light_at_um is None:
+            return []
+        (x, y), (x_2, y_2) = self.light_at_um
+        place = f"({x:.4g}, {y:.4g})" if (x, y) == (x_2, y_2) else f"({x:.4g}, {y:.4g}) and ({x_2:.4g}, {y_2:.4g})"
+        return [
+            f"the window misses the light: most of it lands about {place} um from the axis (x and y polarisation). "
+            "Place the window there with `verify.centre_um = [x, y]` (`metafab psf --centre-um X Y`), or widen it with "
+            "`verify.window_px`"
+        ]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,6 +128,7 @@ class PsfFigures(PairFigures):
         verified: NDArray[np.bool_],
         depth_interpolation_error: float | None = None,
         field_interpolation_error: float | None = None,
+        light_at_um: Places | None = None,
     ) -> PsfFigures:
         """Figures of a pair and of the target phases.
 
@@ -120,6 +138,7 @@ class PsfFigures(PairFigures):
             verified: shape (n_depth,), the verified depths of ``psf``.
             depth_interpolation_error: see the attribute.
             field_interpolation_error: see the attribute.
+            light_at_um: see the attribute.
         """
         of_target = {} if ideal is None else _over_depth(ideal, np.ones(ideal.depth_m.size, dtype=bool), "ideal_")
         table = {
@@ -130,7 +149,7 @@ class PsfFigures(PairFigures):
             "depths": psf.depth_m.size,
             **plain(psf.details.figures()),
         }
-        return typed(cls, table)
+        return replace(typed(cls, table), light_at_um=light_at_um)
 
 
 def _over_depth(psf: Psf, chosen: NDArray[np.bool_], prefix: str = "") -> dict[str, list[float]]:
@@ -228,8 +247,9 @@ def point_spread(
     window_px: int,
     target_error: float,
     copy: int = 1,
-) -> Psf:
-    """PSF pair of a written file, or of the target phases.
+    centre_um: tuple[float, float] | None = None,
+) -> tuple[Psf, Places | None]:
+    """PSF pair of a written file, or of the target phases, and where its light is if a window misses it.
 
     Args:
         job: the design.
@@ -240,16 +260,20 @@ def point_spread(
         window_px: side of the window, pixels.
         target_error: largest relative L2 error.
         copy: number of the lens in a file that holds several, from 1.
+        centre_um: centre of the window on the sensor, um from the axis; None for the image point of the design.
 
     Raises:
         InputError: the file cannot be used, or an object at infinity has a position.
     """
     from metafab import optics
     from metafab.optics.interpolation import concatenate
+    from metafab.optics.measures.landing import light_elsewhere
 
     imaging = optics.Imaging.of(job.design)
     if pixel_um is not None:
         imaging = replace(imaging, pixel_um=pixel_um)
+    if centre_um is not None:
+        imaging = imaging.aimed_at(centre_um)
     x_mm, y_mm = object_mm
     if (x_mm, y_mm) != (0.0, 0.0) and math.inf in depths_m:
         raise InputError.single(
@@ -261,20 +285,15 @@ def point_spread(
         )
     source = _source_of(job, path, copy)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
-    numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design))
+    numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design), job.design.verify.vectorial)
     passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
+    tangents = [(1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
     stacks = [
-        optics.psf(
-            source,
-            imaging,
-            depths,
-            numerics,
-            tangent=(1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]),
-            work=job.work,
-        )
-        for depths in passes
+        optics.psf(source, imaging, depths, numerics, tangent=tangent, work=job.work)
+        for depths, tangent in zip(passes, tangents, strict=True)
     ]
-    return concatenate(stacks)
+    middle = len(passes) // 2
+    return concatenate(stacks), light_elsewhere(source, imaging, stacks[middle], tangents[middle])
 
 
 def calibration(job: Job, path: Path | None, *, copy: int = 1) -> Psf:
@@ -306,7 +325,7 @@ def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1) -> P
     from metafab.camera.exact import EXACT
 
     source, imaging = _source_of(job, path, copy), optics.Imaging.of(job.design)
-    numerics = replace(EXACT, filter_fwhm_nm=filter_fwhm_nm(job.design))
+    numerics = replace(EXACT, filter_fwhm_nm=filter_fwhm_nm(job.design), vectorial=job.design.verify.vectorial)
     return camera.exact_psf(scene, source, imaging, numerics, work=Work(progress=job.work.progress))
 
 
@@ -334,7 +353,9 @@ def _verified_psf(job: Job) -> Callable[..., Psf]:
     return partial(
         optics.psf,
         imaging=optics.Imaging.of(job.design),
-        numerics=optics.PsfNumerics(verify.window_px, verify.target_error, filter_fwhm_nm(job.design)),
+        numerics=optics.PsfNumerics(
+            verify.window_px, verify.target_error, filter_fwhm_nm(job.design), verify.vectorial
+        ),
         work=job.work,
     )
 
@@ -381,6 +402,9 @@ def _psf_files(job: Job) -> tuple[Path, ...]:
 
 
 def _psf(job: Job) -> PsfFigures:
+    from metafab.optics import Imaging
+    from metafab.optics.measures.landing import light_elsewhere
+
     design, psf_of = job.design, _verified_psf(job)
     ideal_light = lit_source(job, ideal_source(job))
     mask_path = mask_paths(job)[-1] if design.has_mask else None
@@ -398,6 +422,7 @@ def _psf(job: Job) -> PsfFigures:
         verified=verified,
         depth_interpolation_error=_depth_interpolation_error(written, verified),
         field_interpolation_error=_field_interpolation_error(written, psf_of, source),
+        light_at_um=light_elsewhere(source, Imaging.of(design), written),
     )
 
 

@@ -73,7 +73,7 @@ def test_the_pair_is_that_of_psf_ideal(design: Design, done: tuple[Path, RunSumm
     stored = load(done[0] / "psf.h5")
     job = Job(design, done[0], Work(workers=1))
     depth_m = float(stored.depth_m[2])
-    alone = point_spread(
+    alone, _ = point_spread(
         job, None, depths_m=(depth_m,), object_mm=(0.0, 0.0), pixel_um=None, window_px=64, target_error=1e-3
     )
     assert alone.psf[0, 0] == pytest.approx(stored.psf[0, 2], abs=2e-3 * stored.psf.max())

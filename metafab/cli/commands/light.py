@@ -22,7 +22,7 @@ from metafab.cli.app import (
     require_finite,
     require_positive,
 )
-from metafab.cli.console import open_work, show
+from metafab.cli.console import announce, open_work, show
 from metafab.core.errors import InputError
 
 
@@ -44,6 +44,10 @@ def psf_command(
     ] = None,
     object_mm: Annotated[
         tuple[float, float] | None, typer.Option(metavar="X Y", help="Object position from the axis.")
+    ] = None,
+    centre_um: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="X Y", help="Centre of the window on the sensor, from the axis [default: image point]."),
     ] = None,
     pixel_um: Annotated[float | None, typer.Option(metavar="P", help="Sampling step [default: the sensor's].")] = None,
     window_px: Annotated[
@@ -69,6 +73,7 @@ def psf_command(
     options = {
         "--depths-m": depths_m,
         "--object-mm": object_mm,
+        "--centre-um": centre_um,
         "--pixel-um": pixel_um,
         "--window-px": window_px,
         "--target-error": target_error,
@@ -82,15 +87,16 @@ def psf_command(
     require_positive("--depths-m", *(depth for depth in depths_m or () if depth != math.inf))
     require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
     require_finite("--object-mm", *(object_mm or ()))
+    require_finite("--centre-um", *(centre_um or ()))
     with open_work(workers, cluster) as work, measured() as cost:
         job = open_job(design, None, work)
-        verify = job.design.verify
+        verify, light_at_um = job.design.verify, None
         if calibration:
             pair = optics.calibration(job, layout, copy=copy)
         elif scene is not None:
             pair = optics.scene_pair(job, layout, load_scene(scene), copy=copy)
         else:
-            pair = optics.point_spread(
+            pair, light_at_um = optics.point_spread(
                 job,
                 layout,
                 depths_m=tuple(sorted(set(depths_m))) if depths_m else verify.depths_m,
@@ -99,10 +105,13 @@ def psf_command(
                 window_px=verify.window_px if window_px is None else window_px,
                 target_error=verify.target_error if target_error is None else target_error,
                 copy=copy,
+                centre_um=centre_um,
             )
     if output is not None:
         optics.save_psf(job, pair, layout, output, copy)
-    show(optics.PairFigures.of(pair), json_, seconds=cost.seconds, file=output)
+    figures = optics.PairFigures.of(pair, light_at_um)
+    announce(figures.warnings())
+    show(figures, json_, seconds=cost.seconds, file=output)
 
 
 @app.command("tolerance")

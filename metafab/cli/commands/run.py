@@ -49,6 +49,8 @@ def run_command(
         summary = run(spec, folder, work=work, say=announce)
     if summary.library is not None:
         announce(coverage_warning(summary.library.coverage_rad))
+    if summary.psf is not None:
+        announce(summary.psf.warnings())
     show(summary.table() if json_ else headlines(summary, folder), json_)
     exit_on_violations(summary.violations)
 

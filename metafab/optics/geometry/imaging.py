@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -12,6 +12,7 @@ from metafab.core.conventions import FloatArray, Polarisation, sensor_distance_u
 from metafab.core.errors import InputError
 from metafab.materials import refractive_index
 from metafab.optics.geometry.plate import Plate
+from metafab.phase.build import mean_direction
 from metafab.spec import Design
 from metafab.spec.terms import Grating
 
@@ -38,7 +39,8 @@ class Imaging:
         pixel_um: sampling step on the sensor.
         aperture_um: diameter of a circle or ring, side of a square or of the square around a polygon.
         aperture_shape: outline of the aperture.
-        deflection: direction cosines (x, y) that gratings add, for x and for y polarisation.
+        deflection: direction cosines (x, y) that gratings and the mean slope of the user's own phases add, for x and
+            for y polarisation.
         inner_um: diameter of a ring's hole.
         outline_um: (x, y) of a polygon's vertices.
         plates: substrate between scene and pillars for x and for y polarisation; empty for air.
@@ -81,16 +83,27 @@ class Imaging:
             sensor.pixel_um,
             device.aperture_um,
             device.aperture_shape,
-            (_deflection(design, "x"), _deflection(design, "y")),
+            _deflections(design, distance),
             device.inner_um,
             device.outline_um,
             _plates(design),
         )
 
+    def aimed_at(self, centre_um: tuple[float, float]) -> Imaging:
+        """Return the geometry with the windows of both polarisations about ``centre_um``, (x, y) from the axis."""
+        x, y = _cosines(centre_um, self.sensor_distance_um)
+        split = math.sin(math.radians(self.split_angle_deg))
+        return replace(self, deflection=((x + split, y), (x - split, y)))
+
     @property
     def wavenumber(self) -> float:
         """Vacuum wavenumber 2 pi / wavelength, rad/um."""
         return 2.0 * math.pi / self.wavelength_um
+
+    @property
+    def numerical_aperture(self) -> float:
+        """Sine of half the angle that the aperture subtends at the image point of x polarised light on the axis."""
+        return min(0.5 * self.wavelength_um / self.finest_fringe_um(0, (0.0, 0.0)), 1.0 - 1e-9)
 
     def image_point_um(self, polarisation: int, tangent: Tangent) -> tuple[float, float]:
         """Return the geometric image point on the sensor plane of an object in the direction ``tangent``.
@@ -195,9 +208,35 @@ def _plates(design: Design) -> tuple[Plate, ...]:
     return tuple(Plate(design.optics.substrate_um, float(n.real)) for n in index[:2])
 
 
-def _deflection(design: Design, polarisation: Polarisation) -> tuple[float, float]:
-    """Direction cosines that a design's gratings add to light of one polarisation."""
-    x = y = 0.0
+def _cosines(place_um: tuple[float, float], distance_um: float) -> tuple[float, float]:
+    """Direction cosines (x, y) from the lens centre to a place of the sensor."""
+    far_um = math.hypot(*place_um, distance_um)
+    return place_um[0] / far_um, place_um[1] / far_um
+
+
+def _deflections(design: Design, distance_um: float) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Direction cosines of the centre of the window that the design names, or of its target, for x and y polarisation.
+
+    Raises:
+        InputError: the target sends the light beyond 90 degrees, or a user's array is unusable.
+    """
+    if design.verify.centre_um is not None:
+        cosines = _cosines(design.verify.centre_um, distance_um)
+        return cosines, cosines
+    # The window of a camera stays at its geometric image point, from which orientations are measured.
+    own = mean_direction(design) if design.split_angle_deg == 0.0 else ((0.0, 0.0), (0.0, 0.0))
+    found = _deflection(design, "x", own[0]), _deflection(design, "y", own[1])
+    if (sine := max(math.hypot(*cosines) for cosines in found)) >= 1.0:
+        expected = "a phase whose mean slope sends light towards the sensor, at most 2 pi per wavelength"
+        got = f"one of {sine:.3g} times that"
+        remedy = "is the pitch in micrometres? `verify.centre_um` places the window by hand"
+        raise InputError.single(design.name, "phase", expected, got, remedy)
+    return found
+
+
+def _deflection(design: Design, polarisation: Polarisation, own: tuple[float, float]) -> tuple[float, float]:
+    """Direction cosines that a design's gratings add to ``own`` for light of one polarisation."""
+    x, y = own
     for term in design.phase:
         if isinstance(term, Grating) and term.polarisation in {None, polarisation}:
             sine = math.sin(math.radians(term.angle_deg))

@@ -29,13 +29,20 @@ def modulation_transfer(psf: Psf) -> tuple[FloatArray, FloatArray]:
         return frequency, (mean / mean[:, :1]).reshape(*psf.psf.shape[:2], -1)
 
 
+def lens_cut_off_per_um(imaging: Imaging) -> float:
+    """Return the cut-off frequency of a lens on the axis, 2 NA / wavelength, for the aperture and focus of a design."""
+    return 2.0 * _rim_sine(imaging) / imaging.wavelength_um
+
+
 def lens_modulation(
     imaging: Imaging, device: Device, depth_m: float, frequency_per_um: FloatArray, focus_depth_m: float
 ) -> FloatArray:
-    """Return the MTF, averaged over azimuth, of an aberration-free lens with the aperture and focus of a design.
+    """Return the MTF, averaged over azimuth, of an ideal flat lens with the aperture and focus of a design.
 
-    The pupil function is the outline times the non-paraxial defocus of an object on the axis at ``depth_m``. The
-    transfer function is its autocorrelation (Goodman, Introduction to Fourier Optics, 6.4).
+    The transfer function is the autocorrelation of the pupil (Goodman, Introduction to Fourier Optics, 6.4) in
+    direction cosines s towards the image. A flat lens, evenly lit at x = z s / sqrt(1 - s^2), has the pupil
+    1 / (1 - s^2) there: the area of the lens per ds^2, 1 / cos^4, times the kernel of Rayleigh and Sommerfeld, cos^2.
+    The defocus of an object on the axis at ``depth_m`` is non-paraxial.
 
     Args:
         imaging: wavelength, sensor distance, split angle (which only shortens the sensor distance).
@@ -45,23 +52,38 @@ def lens_modulation(
         focus_depth_m: depth of an object in focus.
 
     Returns:
-        Shape (n,), 1 at frequency 0 and 0 beyond the cut-off.
+        Shape (n,), 1 at frequency 0 and 0 beyond the cut-off (:func:`lens_cut_off_per_um`).
     """
     far, sharp = 1e-6 / depth_m, 1e-6 / focus_depth_m
     rim_um = 0.5 * device.aperture_um
     rim_rad = 0.5 * imaging.wavenumber * rim_um**2 * abs(far - sharp)
     count = min(_MOST_SAMPLES, math.ceil(_SAMPLES + _SAMPLES_PER_RAD * rim_rad))
-    step_um = device.aperture_um / count
-    axis = np.asarray((np.arange(count) - 0.5 * (count - 1)) * step_um, dtype=np.float64)
-    square = axis[None, :] ** 2 + axis[:, None] ** 2
+    rim_sine = _rim_sine(imaging)
+    step = 2.0 * rim_sine / count
+    axis = np.asarray((np.arange(count) - 0.5 * (count - 1)) * step, dtype=np.float64)
+    sine2 = axis[None, :] ** 2 + axis[:, None] ** 2
+    cosine2 = np.maximum(1.0 - sine2, 1e-9)
+    scale = _image_um(imaging) / np.sqrt(cosine2)
+    x_um, y_um = axis[None, :] * scale, axis[:, None] * scale
+    square = x_um**2 + y_um**2
     # sqrt(r^2 + z^2) - z without cancellation, infinity included.
     path = [w * square / (1.0 + np.sqrt(1.0 + w * w * square)) for w in (far, sharp)]
-    pupil = device.encloses(axis, axis) * np.exp(1j * imaging.wavenumber * (path[0] - path[1]))
+    lit = device.contains(x_um, y_um) & (sine2 < 1.0)
+    pupil = np.where(lit, np.exp(1j * imaging.wavenumber * (path[0] - path[1])) / cosine2, 0.0)
     transfer = np.abs(np.fft.ifft2(np.abs(np.fft.fft2(pupil, (2 * count, 2 * count))) ** 2))
-    image_um = imaging.sensor_distance_um / math.cos(math.radians(imaging.split_angle_deg))
-    lag = step_um / (imaging.wavelength_um * image_um)
+    lag = step / imaging.wavelength_um
     rings, mean = _rings(transfer[None], lag, lag)
     return np.asarray(np.interp(frequency_per_um, rings, mean[0] / mean[0, 0], right=0.0))
+
+
+def _image_um(imaging: Imaging) -> float:
+    """Distance from the lens to the image."""
+    return imaging.sensor_distance_um / math.cos(math.radians(imaging.split_angle_deg))
+
+
+def _rim_sine(imaging: Imaging) -> float:
+    """Sine of the angle under which the half side or radius of the aperture is seen from the image."""
+    return math.sin(math.atan(0.5 * imaging.aperture_um / _image_um(imaging)))
 
 
 def _rings(values: FloatArray, step_y: float, step_x: float) -> tuple[FloatArray, FloatArray]:

@@ -18,11 +18,12 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.chebyshev import Span, points_needed
 from metafab.optics.geometry.imaging import Imaging, Tangent
 from metafab.optics.geometry.path import Ray, power_at_aperture
-from metafab.optics.numerics import PsfNumerics
+from metafab.optics.geometry.polarisation import Quantity, irradiance, weights
+from metafab.optics.numerics import PsfNumerics, quantity_of
 from metafab.optics.propagation.band import band_ends, band_irradiance, padded_px
 from metafab.optics.propagation.kernel import KernelSpec, WindowKernel, largest_changes_rad
 from metafab.optics.propagation.pupil import Pupil
-from metafab.optics.propagation.window import window_fields
+from metafab.optics.propagation.window import component_fields
 
 #: Depths whose error is estimated: all, the first and the last one, or none.
 Judged = Literal["all", "ends", "none"]
@@ -53,12 +54,16 @@ class Window:
         imaging: wavelength, sensor plane, sampling.
         window_px: points along a side.
         tolerance: relative error of the kernel's low-rank rest.
+        quantity: irradiance that is computed.
+        scalar_error: error of scalar propagation, where it is used.
         panels: panels along a side; None for the cheapest number.
     """
 
     imaging: Imaging
     window_px: int
     tolerance: float
+    quantity: Quantity = "scalar"
+    scalar_error: float = 0.0
     panels: int | None = None
 
     @classmethod
@@ -72,7 +77,7 @@ class Window:
         fringe_um = imaging.finest_fringe_um(0, (0.0, 0.0))
         share = min(1.0, numerics.window_px * imaging.pixel_um / fringe_um)
         tolerance = max(_FINEST_TOLERANCE, min(0.1 * numerics.target_error, 1e-3) * share**2)
-        return cls(imaging, numerics.window_px, tolerance)
+        return cls(imaging, numerics.window_px, tolerance, *quantity_of(imaging, numerics))
 
     def irradiance(
         self,
@@ -107,6 +112,7 @@ class Window:
             (0.0 if exact else relative_l2(coarse[0][place], fine[index]) / _COARSENING)
             + 2.0 * self.tolerance
             + _SINGLE_PRECISION_ERROR
+            + self.scalar_error
             for place, index in enumerate(indices)
         ]
         cell_um2 = pyramid[0].cell_um2
@@ -177,12 +183,13 @@ class Window:
         return float(panels**2 * (per_depth + kernel / _USUAL_DEPTHS))
 
     def _squared_fields(self, ways: Sequence[tuple[Pupil, Sequence[Ray]]]) -> list[FloatArray]:
-        """Squared fields of each pupil behind its rays, shapes (n_ray, n, n). Each panel's kernel is built once."""
+        """Irradiance of each pupil behind its rays, shapes (n_ray, n, n). Each panel's kernel is built once."""
         (pupil, rays), n, pixel_um = ways[0], self.window_px, self.imaging.pixel_um
         k, box = self.imaging.wavenumber, bounding_box([blocks for blocks, _ in ways])
         centre_x, centre_y, distance_um = rays[0].target_um
         side = -(-n // self.panels_per_side(pupil, rays[0].target_um))
         squares = [np.empty((len(its_rays), n, n)) for _, its_rays in ways]
+        factors = weights(self.quantity, rays[0].target_um, pupil.carrier.polarisation)
         for row, column in product(range(0, n, side), repeat=2):
             offset = side // 2 - n // 2
             target = (centre_x + (column + offset) * pixel_um, centre_y + (row + offset) * pixel_um, distance_um)
@@ -190,8 +197,8 @@ class Window:
             # The last panels may reach beyond the window.
             rows, columns = min(side, n - row), min(side, n - column)
             for (blocks, its_rays), square in zip(ways, squares, strict=True):
-                for index, field in enumerate(window_fields(blocks, kernel, its_rays)):
-                    part = field.real**2 + field.imag**2
+                for index, fields in enumerate(component_fields(blocks, kernel, its_rays, factors)):
+                    part = irradiance(self.quantity, fields)
                     square[index, row : row + rows, column : column + columns] = part[:rows, :columns]
         return squares
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from metafab.core.numeric.compiled import compiled
 from metafab.optics.geometry.path import Ray, RayNumbers, incident_amplitude, path_and_slopes
+from metafab.optics.geometry.polarisation import Weight
 from metafab.optics.propagation.kernel import SingleComplexArray
 from metafab.optics.propagation.pupil import Pupil
 
@@ -42,6 +43,29 @@ def refocus(pupil: Pupil, ray: Ray, wavenumber: float) -> SingleComplexArray:
     if ray.plate is None:
         return blocks
     return _behind_plate(blocks, pupil, ray, wavenumber)
+
+
+def weighted(blocks: SingleComplexArray, pupil: Pupil, weight: Weight) -> SingleComplexArray:
+    """Return refocused blocks times a factor that is smooth over a block; its slope follows to first order.
+
+    Args:
+        blocks: shape (3, n_y, n_x) or (1, n_y, n_x), as :func:`refocus` returns.
+        pupil: the blocks' places.
+        weight: the factor.
+    """
+    x, y = pupil.x_um[None, :], pupil.y_um[:, None]
+    here = weight(x, y)
+    product = (blocks * here).astype(np.complex64)
+    if blocks.shape[0] == 3:
+        half_x, half_y = (0.5 * side for side in pupil.block_um)
+        slopes = (
+            (weight(x + half_x, y) - weight(x - half_x, y)) / (2.0 * half_x),
+            (weight(x, y + half_y) - weight(x, y - half_y)) / (2.0 * half_y),
+        )
+        product[0] += slopes[0] * blocks[1] + slopes[1] * blocks[2]
+        for order, (slope, spread) in enumerate(zip(slopes, pupil.spread_um2, strict=True), start=1):
+            product[order] += slope * spread * blocks[0]
+    return product
 
 
 def _behind_plate(blocks: SingleComplexArray, pupil: Pupil, ray: Ray, wavenumber: float) -> SingleComplexArray:

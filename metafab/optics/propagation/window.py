@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric import chebyshev
 from metafab.optics.geometry.path import Ray
+from metafab.optics.geometry.polarisation import Weight
 from metafab.optics.propagation.kernel import SingleComplexArray, WindowKernel
 from metafab.optics.propagation.pupil import Pupil
-from metafab.optics.propagation.refocus import refocus
+from metafab.optics.propagation.refocus import refocus, weighted
 
 
 @dataclass(frozen=True)
@@ -87,10 +88,24 @@ class WindowTransform:
 
 def window_fields(pupil: Pupil, kernel: WindowKernel, rays: Sequence[Ray]) -> Iterator[ComplexArray]:
     """Yield the field behind each ray, moved to the centre of the kernel's window, on that window, shape (n, n)."""
+    for (field,) in component_fields(pupil, kernel, rays, [None]):
+        yield field
+
+
+def component_fields(
+    pupil: Pupil, kernel: WindowKernel, rays: Sequence[Ray], weights: Sequence[Weight | None]
+) -> Iterator[list[ComplexArray]]:
+    """Yield for each ray one field of shape (n, n) for each of ``weights``, which multiply the light of each site.
+
+    Otherwise they are those of :func:`window_fields`.
+    """
     transform = WindowTransform.build(pupil, kernel)
     for ray in rays:
         blocks = refocus(pupil, replace(ray, target_um=kernel.spec.target_um), kernel.spec.wavenumber)
-        yield transform.field(blocks).astype(np.complex128)
+        yield [
+            transform.field(blocks if weight is None else weighted(blocks, pupil, weight)).astype(np.complex128)
+            for weight in weights
+        ]
 
 
 def _dirichlet(phase_per_site: FloatArray, sites: int) -> FloatArray:

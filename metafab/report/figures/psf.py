@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from metafab.core.conventions import POLARISATIONS, FloatArray, Polarisation
+from metafab.core.figures import FocusFigures
 from metafab.optics.point_spread import Psf
 from metafab.report.style import (
     IDEAL,
@@ -144,6 +145,21 @@ def over_field(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
         axes.axvline(line, color="#ffffff", linewidth=0.5, alpha=0.35)
     for line in range(1, rows):
         axes.axhline(line, color="#ffffff", linewidth=0.5, alpha=0.35)
+    return axes
+
+
+def focus_section(focus: FocusFigures, axes: Axes) -> Axes:
+    """Draw the focus along x and y, and that of the ideal flat lens, relative to the maximum."""
+    limit: dict[str, Any] = {"color": IDEAL, "linewidth": 3.5, "alpha": 0.6, "label": "ideal flat lens"}
+    axes.plot(focus.offset_um, focus.section_limit, **limit)
+    for along, section, colour, style in (
+        ("x", focus.section_x, X_COLOUR, "-"),
+        ("y", focus.section_y, POLARISATION_COLOUR["y"], "--"),
+    ):
+        axes.plot(focus.offset_um, section, color=colour, linestyle=style, linewidth=1.4, label=f"along {along}")
+    dress(axes, "distance from the maximum / µm", "electric energy density", "cross-sections of the focus")
+    axes.set_ylim(0.0, 1.05)
+    legend(axes)
     return axes
 
 

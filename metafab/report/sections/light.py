@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from html import escape
 
+from metafab.core.figures import FocusFigures
 from metafab.report import html
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
@@ -39,7 +40,7 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         html.paragraph(text),
         _viewer(several),
         html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
-        html.figures(drawn, *(("psf_orientation", "psf_peak") if several else ()), "psf_mtf"),
+        html.figures(drawn, *(("psf_orientation", "psf_peak") if several else ()), "psf_focus", "psf_mtf"),
         "" if run.summary.merit is None else _merit(run.summary.merit),
         html.figures(drawn, "psf_field_x", "psf_field_y"),
         html.figures(drawn, "depth_bias", "distortion"),
@@ -65,8 +66,38 @@ def _viewer(several: bool) -> str:
     )
 
 
+def _focus(focus: FocusFigures) -> str:
+    """Figures of a lens' focus beside those of the ideal flat lens."""
+    (x_x, x_y), (y_x, y_y) = focus.fwhm_polarised_um
+    (x_x_limit, x_y_limit), (y_x_limit, y_y_limit) = focus.fwhm_polarised_limit_um
+    rows = [
+        ["FWHM along x / µm", html.number(focus.fwhm_x_um), html.number(focus.fwhm_limit_um)],
+        ["FWHM along y / µm", html.number(focus.fwhm_y_um), html.number(focus.fwhm_limit_um)],
+        ["x polarised: along x, y / µm", _both(x_x, x_y), _both(x_x_limit, x_y_limit)],
+        ["y polarised: along x, y / µm", _both(y_x, y_y), _both(y_x_limit, y_y_limit)],
+        ["Strehl ratio", _share(focus.strehl), "1"],
+        [
+            f"encircled energy within {html.number(focus.encircled_radius_um)} µm",
+            _share(focus.encircled_energy),
+            _share(focus.encircled_energy_limit),
+        ],
+    ]
+    text = (
+        f"Focus at NA {focus.numerical_aperture:.3g}, beside the ideal flat lens of the aperture. Widths: of the "
+        "electric energy density, in unpolarised light unless named. Strehl ratio, encircled energy: per transmitted "
+        "power; the circle is the first dark ring of Airy."
+    )
+    return html.table(["", "written mask", "limit"], rows, ["", "n", "n"]) + html.paragraph(text, "caption")
+
+
+def _both(first: float, second: float) -> str:
+    return f"{html.number(first)}, {html.number(second)}"
+
+
 def _merit(merit: MeritFigures) -> str:
     """Figures of merit over depth, and measured values of the fabricated device."""
+    if merit.focus is not None and len(merit.depth_m) == 1:
+        return _focus(merit.focus) + _measured(merit)
     head = ["depth", "efficiency x", "efficiency y", "peak x", "peak y", "extinction", "lobe x / µm", "lobe y / µm"]
     rows = [
         [
@@ -88,7 +119,8 @@ def _merit(merit: MeritFigures) -> str:
         # Adding zero removes the minus sign of -0.0.
         pair, ideal = (round(angle, 1) + 0.0 for angle in (merit.rotation_deg, merit.ideal_rotation_deg))
         text += f" The pair rotates by {pair:.1f}°, the target phases by {ideal:.1f}°."
-    return html.table(head, rows, ["n"] * len(head)) + html.paragraph(text, "caption") + _measured(merit)
+    focus = "" if merit.focus is None else _focus(merit.focus)
+    return focus + html.table(head, rows, ["n"] * len(head)) + html.paragraph(text, "caption") + _measured(merit)
 
 
 def _measured(merit: MeritFigures) -> str:

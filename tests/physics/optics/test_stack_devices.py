@@ -31,7 +31,7 @@ def _ideal(design: Design, folder: Path) -> Psf:
         pixel_um=None,
         window_px=verify.window_px,
         target_error=verify.target_error,
-    )
+    )[0]
 
 
 def _centroid_um(psf: Psf, polarisation: int) -> tuple[float, float]:

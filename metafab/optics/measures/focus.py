@@ -1,0 +1,175 @@
+"""Focus of a lens: widths, Strehl ratio and encircled energy, beside the ideal flat lens of the same aperture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import RectBivariateSpline
+
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.figures import FocusFigures
+from metafab.core.parallel.work import Work
+from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.geometry.path import Ray
+from metafab.optics.numerics import PsfNumerics
+from metafab.optics.point_spread import Psf
+from metafab.optics.sources.source import Source
+from metafab.optics.stack import psf
+
+#: Pixels per period of the finest fringe, and pixels of the window: 8 wavelengths / NA wide.
+_PER_FRINGE, _WINDOW_PX = 4.0, 64
+#: Samples of a cross-section and of a curve of encircled energy, and their reach in wavelengths / NA.
+_SECTION, _RADII, _REACH = 241, 61, 3.0
+#: Radius of Airy's first dark ring in wavelengths / NA (first zero of J_1 over 2 pi).
+_FIRST_RING = 0.6098
+
+
+@dataclass(frozen=True)
+class PerfectLens:
+    """Target phases that send the light of one object point on the axis to its image point without aberration.
+
+    Attributes:
+        imaging: geometry.
+        depth_m: object depth.
+    """
+
+    imaging: Imaging
+    depth_m: float
+
+    def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
+        """Return exp(-i k path), shape (2, n_y, n_x), at ``x_um``, shape (n_x,), and ``y_um``, shape (n_y,)."""
+        rays = [Ray.towards_image(self.imaging, p, self.depth_m, (0.0, 0.0)) for p in (0, 1)]
+        paths = [ray.path_um(x_um[None, :], y_um[:, None]) for ray in rays]
+        return np.asarray(np.exp(-1j * self.imaging.wavenumber * np.array(paths)))
+
+
+def focus(
+    source: Source,
+    perfect: Source,
+    imaging: Imaging,
+    depth_m: float,
+    *,
+    polarisations: tuple[int, ...] = (0, 1),
+    target_error: float = 1e-3,
+    work: Work = Work(),
+) -> FocusFigures:
+    """Return the figures of a focus.
+
+    Args:
+        source: field behind the lens.
+        perfect: field behind a :class:`PerfectLens` of the same aperture.
+        imaging: geometry; its pixel is not used.
+        depth_m: object depth.
+        polarisations: those that the lens focuses, 0 for x and 1 for y.
+        target_error: relative L2 error of the images.
+        work: threads and progress.
+    """
+    unit_um = imaging.wavelength_um / imaging.numerical_aperture
+    fine = replace(imaging, pixel_um=min(imaging.finest_fringe_um(p, (0.0, 0.0)) for p in (0, 1)) / _PER_FRINGE)
+    numerics = PsfNumerics(_WINDOW_PX, target_error)
+    chosen = list(polarisations)
+    energy, limit = (
+        psf(light, fine, [depth_m], replace(numerics, energy=True), work=work) for light in (source, perfect)
+    )
+    flux, flux_limit = (psf(light, fine, [depth_m], numerics, work=work) for light in (source, perfect))
+    spot, best = (_Spot.of(stack.psf[chosen, 0].mean(axis=0), fine.pixel_um) for stack in (energy, limit))
+    polarised, polarised_limit = (
+        tuple(_Spot.of(stack.psf[p, 0], fine.pixel_um).fwhm_um for p in (0, 1)) for stack in (energy, limit)
+    )
+    powers, places = zip(*(_per_power(stack, chosen, fine.pixel_um) for stack in (flux, flux_limit)), strict=True)
+    radius_um = np.linspace(0.0, _REACH * unit_um, _RADII)
+    ring_um = _FIRST_RING * unit_um
+    shares = [place.encircled(np.append(radius_um, ring_um)) for place in places]
+    offset_um = np.linspace(-_REACH * unit_um, _REACH * unit_um, _SECTION)
+    return FocusFigures(
+        depth_m=depth_m,
+        numerical_aperture=imaging.numerical_aperture,
+        fwhm_x_um=spot.fwhm_um[0],
+        fwhm_y_um=spot.fwhm_um[1],
+        fwhm_limit_um=0.5 * sum(best.fwhm_um),
+        fwhm_polarised_um=polarised,
+        fwhm_polarised_limit_um=polarised_limit,
+        strehl=powers[0] / powers[1],
+        encircled_radius_um=ring_um,
+        encircled_energy=float(shares[0][-1]),
+        encircled_energy_limit=float(shares[1][-1]),
+        offset_um=offset_um,
+        section_x=spot.section(offset_um, 0),
+        section_y=spot.section(offset_um, 1),
+        section_limit=best.section(offset_um, 0),
+        radius_um=radius_um,
+        encircled=shares[0][:-1],
+        encircled_limit=shares[1][:-1],
+    )
+
+
+def _per_power(stack: Psf, chosen: list[int], pixel_um: float) -> tuple[float, _Spot]:
+    """Maximum of the mean image per unit of transmitted power, and that image."""
+    transmitted = np.array(stack.details.transmitted)[chosen]
+    image = (stack.psf[chosen, 0] / np.maximum(transmitted, 1e-300)[:, None, None]).mean(axis=0)
+    spot = _Spot.of(image, pixel_um)
+    return spot.peak, spot
+
+
+@dataclass(frozen=True)
+class _Spot:
+    """One image as a quintic spline, and its maximum.
+
+    Attributes:
+        spline: irradiance over (y, x), um from the centre pixel.
+        x_um: place of the maximum; likewise ``y_um``.
+        peak: irradiance there.
+        half_um: half the side of the window.
+    """
+
+    spline: RectBivariateSpline
+    x_um: float
+    y_um: float
+    peak: float
+    half_um: float
+
+    @classmethod
+    def of(cls, image: FloatArray, pixel_um: float) -> _Spot:
+        from metafab.optics.measures.metrics import main_lobe_px
+
+        axis = (np.arange(image.shape[0]) - image.shape[0] // 2) * pixel_um
+        x, y, peak = main_lobe_px(image) if image.any() else (0.0, 0.0, 0.0)
+        spline = RectBivariateSpline(axis, axis, image, kx=5, ky=5)
+        return cls(spline, x * pixel_um, y * pixel_um, peak, float(axis[-1]))
+
+    def section(self, offset_um: FloatArray, axis: int) -> FloatArray:
+        """Irradiance over that of the maximum along x (0) or y (1); NaN outside the window."""
+        x, y = (self.x_um + offset_um * (axis == 0), self.y_um + offset_um * (axis == 1))
+        inside = np.maximum(np.abs(x), np.abs(y)) <= self.half_um
+        return np.where(inside & (self.peak > 0.0), self.spline(y, x, grid=False) / max(self.peak, 1e-300), np.nan)
+
+    @property
+    def fwhm_um(self) -> tuple[float, float]:
+        """Full width at half maximum along x and y; NaN if the window is too narrow."""
+        return self._width(0), self._width(1)
+
+    def _width(self, axis: int) -> float:
+        total = 0.0
+        offset_um = np.linspace(0.0, 2.0 * self.half_um, 40 * _WINDOW_PX)
+        for side in (1.0, -1.0):
+            curve = self.section(side * offset_um, axis)
+            below = np.flatnonzero(curve < 0.5)
+            if not below.size:
+                return float("nan")
+            i = int(below[0])
+            total += float(np.interp(0.5, curve[[i, i - 1]], offset_um[[i, i - 1]]))
+        return total
+
+    def encircled(self, radius_um: FloatArray) -> FloatArray:
+        """Integral of the irradiance over circles about the maximum; outside the window it counts as dark."""
+        azimuth = 2.0 * np.pi * np.arange(72) / 72
+        node, weight = np.polynomial.legendre.leggauss(48)
+        shares = []
+        for edge_um in radius_um.tolist():
+            r = 0.5 * edge_um * (node + 1.0)[:, None]
+            x, y = self.x_um + r * np.cos(azimuth), self.y_um + r * np.sin(azimuth)
+            inside = np.maximum(np.abs(x), np.abs(y)) <= self.half_um
+            ring = np.where(inside, self.spline(y, x, grid=False), 0.0).mean(axis=1)
+            shares.append(float(np.pi * edge_um * np.sum(weight * r[:, 0] * ring)))
+        return np.array(shares)
