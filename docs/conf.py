@@ -9,14 +9,15 @@ from typing import Any
 
 from metafab import __version__
 
-sys.path.insert(0, str(Path(__file__).parent))  # where `device_gallery` lies
+sys.path.insert(0, str(Path(__file__).parent))  # where `device_gallery` and `key_reference` lie
 
 project = "metafab"
 author = "The metafab founders"
 copyright = "2026, the metafab founders"  # noqa: A001 (the name that Sphinx asks for)
 release = version = __version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "device_gallery"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+extensions += ["device_gallery", "key_reference"]
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "_gallery"]

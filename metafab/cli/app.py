@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperCommand
 from typer.models import CommandFunctionType
 
+from metafab.cli.examples import epilog
 from metafab.cli.failures import DEBUG_VARIABLE
 from metafab.core.errors import InputError, noted
 
@@ -43,7 +44,7 @@ def _called(ctx: Any) -> str:
 
 class _Program(typer.Typer):
     def command(self, *args: Any, **options: Any) -> Callable[[CommandFunctionType], CommandFunctionType]:
-        return super().command(*args, **{"cls": _Command, **options})
+        return super().command(*args, **{"cls": _Command, "epilog": epilog(str(args[0])), **options})
 
 
 app = _Program(

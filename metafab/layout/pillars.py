@@ -18,8 +18,10 @@ from metafab.core.conventions import FloatArray
 from metafab.core.display import Displayed
 from metafab.core.errors import InputError
 from metafab.core.labelled import dataset
+from metafab.layout.outlines import RECTANGLE, Outline
 
 if TYPE_CHECKING:
+    import gdstk
     import xarray
 
 SizeIndexArray = NDArray[np.uint16]
@@ -223,3 +225,39 @@ class PillarMap(Displayed):
         sizes = np.where(self.size_dbu > 0, self.size_nm(), np.nan).astype(np.float32)
         variables = {name: (axes, sizes[index, k], "nm") for k, name in enumerate(("width_nm", "length_nm"))}
         return dataset(variables, {"y_um": self.lattice.y_um(), "x_um": self.lattice.x_um()})
+
+    def to_gdstk(
+        self, name: str = "lens", *, layer: int = 1, datatype: int = 0, outline: Outline = RECTANGLE
+    ) -> gdstk.Cell:
+        """Return the pillars as a gdstk cell centred on the optical axis, in micrometres: one polygon a size.
+
+        Each polygon carries its places as a repetition. For chips composed with gdstk or gdsfactory;
+        ``metafab.mask.write`` is made for millions of pillars (gdstk takes 10 s and 1 GB for 25 million).
+
+        Args:
+            name: name of the cell.
+            layer: layer of the pillars.
+            datatype: datatype of the pillars.
+            outline: outline of the pillars, such as ``Outline.of(design)``.
+        """
+        import gdstk
+
+        unit_um, index = 1e-3 * self.lattice.database_unit_nm, self.to_array()
+        x_um, y_um = self.lattice.x_um(), self.lattice.y_um()
+        rows, columns = np.nonzero(index)
+        order = np.argsort(index[rows, columns], kind="stable")
+        centres_um = np.stack([x_um[columns[order]], y_um[rows[order]]], axis=1)
+        sizes, firsts = np.unique(index[rows, columns][order], return_index=True)
+        cell = gdstk.Cell(name)
+        parts = np.split(centres_um, firsts[1:]) if sizes.size else []
+        for size, places in zip(sizes.tolist(), parts, strict=True):
+            corners_um = (outline.vertices(*self.size_dbu[size].tolist()) * unit_um).tolist()
+            polygon = gdstk.Polygon(corners_um, layer, datatype)
+            if self.angle_deg is not None:
+                polygon.rotate(math.radians(self.angle_deg[size]))
+            polygon.translate(*places[0])
+            if len(places) > 1:
+                # Offsets in two columns: from lists along one axis gdstk writes OASIS that KLayout refuses.
+                polygon.repetition = gdstk.Repetition(offsets=places[1:] - places[0])
+            cell.add(polygon)
+        return cell

@@ -7,6 +7,7 @@ file, by whatever software. Out: a :class:`ReadBack` with the pillars and every 
 - ``sidecar``: the files next to the mask: counts, areas, write time (``layout.json``); layer names (``layout.lyp``)
 - ``plan``: seconds, bytes and core-hours of a layout, from a sample of tiles
 - ``read``: a file -> pillars at lattice sites, or its bare shapes
+- ``exchange``: pillars of a gdstk cell
 - ``turned``: turned pillars of a file
 - ``drawing``: independent of the format: cells, copies, dose classes, the inverted field, chip features
 - ``shapes``: cells, references and shapes of a file, and the pillars among them
@@ -18,6 +19,7 @@ from typing import TYPE_CHECKING
 from metafab.core.further import further_names
 from metafab.mask.drawing.cells import top_name
 from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.exchange import from_gdstk
 from metafab.mask.plan import announcement, plan
 from metafab.mask.read import ReadBack, read, read_shapes
 from metafab.mask.write import WrittenFile, biased, write
@@ -27,6 +29,7 @@ __all__ = [
     "WrittenFile",
     "announcement",
     "biased",
+    "from_gdstk",
     "lens_copies",
     "plan",
     "read",

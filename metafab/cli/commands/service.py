@@ -1,4 +1,4 @@
-"""Commands ``report``, ``benchmark`` and ``doctor``."""
+"""Commands ``report``, ``benchmark``, ``keys`` and ``doctor``."""
 
 from __future__ import annotations
 
@@ -44,6 +44,26 @@ def benchmark_command(
         rows = rows_of(room, quick=quick, only=only or (), seeds=seeds, progress=progress)
     page = report.benchmark_page(rows, output or Path("runs") / "benchmark" / room)
     show({"rows": [row.table() for row in rows], "files": page}, json_)
+
+
+@app.command("keys")
+def keys_command(
+    place: Annotated[
+        str | None, typer.Argument(metavar="KEY", help="Part of a key or table, such as mask.chip [default: all].")
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Explain the keys of design, unit-cell and scene files: type, unit, range, default, meaning."""
+    from metafab.spec.keys.reference import search
+
+    keys = search(place or "")
+    if json_:
+        show({"keys": keys}, json_)
+        return
+    for key in keys:
+        notes = [key.kind, key.unit, key.allowed, f"default {key.default}" if key.default else ""]
+        print(f"{key.path}  ({'; '.join(note for note in notes if note).replace('default required', 'required')})")
+        print(f"    {key.meaning}")
 
 
 @app.command("doctor")

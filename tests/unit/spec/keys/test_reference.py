@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
+from metafab.core.errors import InputError
 from metafab.spec import Design, Scene, UnitCell
-from metafab.spec.keys.reference import keys_of, names_at, near
+from metafab.spec.keys.reference import files, keys_of, names_at, near, search
+from tests.main_job import metafab
 
 KEYS = {key.path: key for spec in (Design, UnitCell, Scene) for key in keys_of(spec)}
 
@@ -41,3 +45,24 @@ def test_names_of_a_table_are_found_by_its_place() -> None:
 def test_only_similar_names_are_suggested() -> None:
     assert near("aperture", ["aperture_um", "focal_length_mm"]) == "did you mean `aperture_um`?"
     assert near("zzz", ["aperture_um"]) == ""
+
+
+def test_a_part_of_a_name_finds_its_keys() -> None:
+    assert {key.path for key in search("mask.chip.mark")} == {
+        "mask.chip.mark_um", "mask.chip.mark_line_um", "mask.chip.mark_layer"
+    }  # fmt: skip
+    assert any(key.path == "cell.period_nm" for key in search("PERIOD"))
+    assert not any(key.path.startswith("unit_cell") for key in files()["design"])
+
+
+def test_a_misspelt_name_gets_its_neighbour() -> None:
+    with pytest.raises(InputError, match="did you mean `aperture_um`"):
+        search("apperture_um")
+
+
+def test_the_command_prints_type_range_default_and_meaning() -> None:
+    answer = metafab("keys", "scene.read_noise")
+    assert answer.stdout == "scene.read_noise_e  (number; electrons; at least 0; default 2)\n    Read noise, rms.\n"
+    keys = metafab("keys", "scene.read_noise", "--json").json["keys"]
+    assert keys[0]["allowed"] == "at least 0"
+    assert metafab("keys", "zzz").code == 2
