@@ -28,10 +28,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.direct_sum import direct_irradiance
-from metafab.cell import CellNumerics, PillarCell, rcwa
+from metafab.cell import CellNumerics, PillarCell, elements, rcwa
+from metafab.cell.elements import ElementNumerics
 from metafab.cell.meep import MeepSettings, Pool, SupercellSettings, finding, solve, solve_supercell
 from metafab.cell.meep.grid import family, plan
-from metafab.cell.rcwa.row import RowNumerics, solve_row
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import ComplexArray
 from metafab.fullwave.patch import at_sites, field_difference
@@ -150,7 +150,7 @@ def _supercell(pool: Pool) -> Iterator[dict[str, Any]]:
     """Three unlike pillars whose walls lie on the nodes of both grids; the plain h^2 limit of the two."""
     row = Supercell(CELL, np.array([[(100.0, 150.0), (150.0, 100.0), (200.0, 200.0)]]))
     for light in ("x", "y"):
-        reference = solve_row(row, light, RowNumerics((4, 5), (5, 6)))
+        reference = elements.solve_supercell(row, light, ElementNumerics(1e-3))
         coarse, fine = (solve_supercell(row, light, SupercellSettings(px), pool) for px in (14, 28))
         limit = fine.co_polarised + (fine.co_polarised - coarse.co_polarised) / 3.0
         difference = float(np.max(np.abs(limit - reference.co_polarised)))

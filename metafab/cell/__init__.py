@@ -7,6 +7,7 @@
 - ``problem``      unit-cell spec -> cells; solves one cell or many
 - ``supercell``    unlike pillars in one period, and the prediction of the local-period approximation
 - ``rcwa``         the Fourier modal method with a bound on its error
+- ``elements``     supercells by spectral elements and plane waves
 - ``meep``         FDTD by Meep, a separate program
 - ``meep_worker``  the program that runs Meep
 """

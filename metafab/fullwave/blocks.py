@@ -1,7 +1,7 @@
 """Supercells asked for by a file: ``BLOCKS.json`` in, transmitted orders by one of four solvers out.
 
 - ``model``  the library's model of coupled modes (:mod:`metafab.library.neighbours`)
-- ``rcwa``   the Fourier modal method
+- ``rcwa``   modes of the layer in spectral elements, plane waves in the half spaces (:mod:`metafab.cell.elements`)
 - ``meep``   FDTD at several resolutions, extrapolated to vanishing pixels
 - ``lone``   the local-period approximation: each pillar as in a lattice of its like
 """
@@ -19,9 +19,9 @@ from pydantic.dataclasses import dataclass
 
 from metafab.cell import pillar_cell
 from metafab.cell import solve as solve_cell
+from metafab.cell.elements import supercell_orders
 from metafab.cell.meep import Pool
 from metafab.cell.meep.supercell import extrapolated_orders
-from metafab.cell.rcwa import supercell_orders
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
+from metafab.cell import elements
+from metafab.cell.elements import ElementNumerics
 from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
-from metafab.cell.rcwa.row import RowNumerics, solve_row
-from metafab.cell.supercell import Supercell, SupercellResponse
+from metafab.cell.supercell import SupercellResponse
 from metafab.core.conventions import POLARISATIONS, Polarisation
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import read_json, write_json
@@ -36,12 +37,12 @@ class CouplingNumerics:
 
     Attributes:
         solvers: one or both solvers.
-        rcwa: truncations of RCWA.
+        rcwa: target error and resolutions of RCWA.
         meep: grid and decay of Meep.
     """
 
     solvers: tuple[Solver, ...] = ("rcwa",)
-    rcwa: RowNumerics = field(default_factory=RowNumerics)
+    rcwa: ElementNumerics = field(default_factory=ElementNumerics)
     meep: SupercellSettings = field(default_factory=SupercellSettings)
 
 
@@ -145,7 +146,7 @@ def measure_coupling(
         if solver == "meep":
             answer = solve_supercell(supercell, light, numerics.meep, pool, progress)
         else:
-            answer = _solve_row(supercell, light, axis, numerics.rcwa)
+            answer = elements.solve_supercell(supercell, light, numerics.rcwa)
         rows.append(_row((x, y), axis, solver, order, answer))
         progress("local periods", done, len(todo))
     return Coupling(mask_sha256, tuple(rows))
@@ -172,22 +173,6 @@ def load_coupling(path: Path) -> Coupling | None:
 def _coupling(table: dict[str, Any]) -> Coupling | None:
     rows = tuple(CouplingRow(**row) for row in table["rows"])
     return Coupling(table["mask_sha256"], rows) if rows else None
-
-
-def _solve_row(supercell: Supercell, light: Polarisation, axis: Axis, numerics: RowNumerics) -> SupercellResponse:
-    """Solve a row by RCWA; a row along y is solved with x and y exchanged."""
-    if axis == "x":
-        return solve_row(supercell, light, numerics)
-    other: Polarisation = "y" if light == "x" else "x"
-    turned = solve_row(supercell.exchanged(), other, numerics)
-    return replace(
-        turned,
-        supercell=supercell,
-        polarisation=light,
-        order=turned.order[:, ::-1],
-        amplitude=turned.amplitude[:, ::-1],
-        responses=turned.responses.T,
-    )
 
 
 def _row(

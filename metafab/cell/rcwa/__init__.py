@@ -9,7 +9,6 @@
 - ``certificate``  adaptive truncation, and the bound on the error
 - ``diffraction``  efficiencies of single orders
 - ``derivatives``  derivatives by sizes, height and index
-- ``row``          a row of unlike pillars
 - ``cost``         processor time of a solution, by a measured curve
 """
 
@@ -19,7 +18,6 @@ from metafab.cell.rcwa.certificate import RcwaDetails, solve
 from metafab.cell.rcwa.cost import seconds_estimate
 from metafab.cell.rcwa.diffraction import diffraction, diffracts, efficiencies, propagating_orders
 from metafab.cell.rcwa.jones import zero_order
-from metafab.cell.rcwa.row import supercell_orders
 from metafab.core.further import further_names
 
 __all__ = [
@@ -30,7 +28,6 @@ __all__ = [
     "efficiencies",
     "propagating_orders",
     "seconds_estimate",
-    "supercell_orders",
     "RcwaDetails",
 ]
 

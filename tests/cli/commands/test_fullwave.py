@@ -58,41 +58,11 @@ def test_a_row_along_y_is_the_row_along_x_with_the_lights_exchanged(library_file
     assert 0.0 < along_x["error"] < 0.1
 
 
-@pytest.mark.parametrize(
-    ("blocks", "message"),
-    [
-        ([], "blocks"),
-        ([{"width_nm": [[120.0, 130.0]], "length_nm": [[120.0]]}], "rows of one length"),
-        ([{"width_nm": [[120.0], [130.0, 140.0]], "length_nm": [[120.0], [130.0, 140.0]]}], "rows of one length"),
-        ([{"width_nm": [[-1.0]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
-        ([{"width_nm": [["120"]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
-        ([{"width_nm": [[float("nan")]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
-        ([{"width_nm": [[400.0]], "length_nm": [[120.0]]}], "at most the period of 350 nm"),
-        ([{"width_nm": [[0.0]], "length_nm": [[120.0]]}], "both 0"),
-        ([{**ROW, "height_nm": 600.0}], "height_nm"),
-    ],
-)
-def test_faulty_blocks_are_refused(library_file: Path, tmp_path: Path, blocks: list[object], message: str) -> None:
-    answer = metafab("fullwave", _asked(tmp_path, *blocks), "--library", library_file, "--solver", "lone", "--json")
-    assert (answer.code, answer.stdout) == (2, "")
-    assert message in answer.stderr
-
-
-def test_files_that_are_none_and_sizes_off_the_library_are_refused(library_file: Path, tmp_path: Path) -> None:
-    text = tmp_path / "text.json"
-    text.write_text("{", encoding="utf-8")
-    for path in (tmp_path / "missing.json", text):
-        answer = metafab("fullwave", path, "--library", library_file, "--json")
-        assert (answer.code, answer.stdout) == (2, "")
-        assert "JSON file" in answer.stderr
-    small = _asked(tmp_path, {"width_nm": [[20.0]], "length_nm": [[120.0]]})
-    answer = metafab("fullwave", small, "--library", library_file, "--solver", "lone", "--json")
-    assert answer.code == 2
-    assert "the library's sweep" in answer.stderr
-
-
 def test_a_library_without_a_model_says_how_to_make_one(library_file: Path, tmp_path: Path) -> None:
     asked = _asked(tmp_path, ROW)
     answer = metafab("fullwave", asked, "--library", library_file, "--solver", "model", "--json")
     assert (answer.code, answer.stdout) == (2, "")
     assert "[neighbours]" in answer.stderr
+    answer = metafab("fullwave", tmp_path / "missing.json", "--library", library_file, "--json")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "JSON file" in answer.stderr

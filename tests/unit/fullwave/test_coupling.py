@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from metafab import fullwave
-from metafab.cell.rcwa.row import RowNumerics
+from metafab.cell.elements import ElementNumerics
 from metafab.fullwave.coupling import CouplingNumerics, CouplingRow
 from metafab.layout import Lattice, PillarMap
 from metafab.library import Library
@@ -52,7 +52,7 @@ def test_planted_coupling_is_found(pillars: PillarMap, ramp_library: Library) ->
 
 def test_rows_along_y_are_the_same_rows_turned(pillars: PillarMap, ramp_library: Library) -> None:
     """The turned mask under turned light, by RCWA: the same figures."""
-    numerics = CouplingNumerics(rcwa=RowNumerics((1, 2), (2, 3)))
+    numerics = CouplingNumerics(rcwa=ElementNumerics(1.0, (2.0, 2.5)))
     turned = PillarMap.from_array(
         Lattice((700, 700), (80, 60), 0.5),
         np.ascontiguousarray(pillars.size_dbu[:, ::-1]),

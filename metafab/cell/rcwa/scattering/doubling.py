@@ -68,7 +68,7 @@ def solve_by_doubling(
         largest_a: bound on the real part of the eigenvalues of A, where one is known.
     """
     with np.errstate(all="ignore"):  # non-finite values fail the reciprocity test below
-        half = _doubled(p, q, thickness_k0, largest_a, last=1)
+        half = doubled(p, q, thickness_k0, largest_a, last=1)
         if half is None:
             return None
         f, _ = half
@@ -111,12 +111,12 @@ def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -
         largest_a: bound on the real part of the eigenvalues of A, where one is known.
     """
     with np.errstate(all="ignore"):  # non-finite values reach the result, which the caller tests
-        whole = _doubled(p, q, thickness_k0, largest_a, last=0)
+        whole = doubled(p, q, thickness_k0, largest_a, last=0)
         both = None if whole is None else _solve(p, np.hstack(whole))
     return None if both is None else (both[:, : len(p)], both[:, len(p) :])
 
 
-def _doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: int) -> tuple[Matrix, Matrix] | None:
+def doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: int) -> tuple[Matrix, Matrix] | None:
     """F and G of the layer by doubling, without the ``last`` doublings (at least one yields G); None if it fails."""
     _keep_freed_memory()
     powers = np.empty((4, *p.shape), dtype=np.result_type(p, q))

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metafab.cell import elements
 from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
-from metafab.cell.rcwa.row import RowNumerics, solve_row
 from metafab.cell.supercell import Supercell
 from metafab.core.errors import InputError
 from tests.paper_cell import EMPTY
@@ -73,7 +73,7 @@ def test_rcwa_finds_the_same_orders_and_the_same_coupling(pool: Pool) -> None:
     """
     row = _row((100.0, 150.0), (200.0, 200.0), (100.0, 150.0))
     coarse, fine = (solve_supercell(row, "y", SupercellSettings(pixels, 1e-3), pool) for pixels in (14, 28))
-    reference = solve_row(row, "y", RowNumerics((4, 5), (5, 6)))
+    reference = elements.solve_supercell(row, "y", elements.ElementNumerics(2e-3))
     limit = fine.co_polarised + (fine.co_polarised - coarse.co_polarised) / 3.0
     assert np.abs(fine.co_polarised - reference.co_polarised).max() < 6e-2
     assert np.abs(limit - reference.co_polarised).max() < 1e-2 + reference.error

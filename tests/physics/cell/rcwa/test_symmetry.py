@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,9 +13,6 @@ from metafab.cell import PillarCell, Slice
 from metafab.cell.fresnel import admittance, film_jones
 from metafab.cell.rcwa import zero_order
 from metafab.cell.rcwa.basis.coordinates import Formulation
-from metafab.cell.rcwa.row import RowAxis, row_axis, row_orders
-from metafab.cell.supercell import Supercell
-from metafab.core.conventions import Polarisation
 
 #: Rounding; lossless cells may be resonant, with a quality of a hundred or so.
 ROUNDING = 1e-10
@@ -189,31 +185,3 @@ def test_maxwell_has_no_length_of_its_own(cell: PillarCell, formulation: Formula
     )
     one, other = (zero_order(each, ORDERS, formulation) for each in (cell, scaled))
     np.testing.assert_allclose(one.t, other.t, rtol=0.0, atol=1e-9)
-
-
-@given(st.floats(-175.0, 175.0), st.sampled_from(["x", "y"]))
-@settings(max_examples=8, deadline=None)
-def test_t_does_not_see_where_in_its_cell_a_pillar_stands(shift_nm: float, polarisation: Polarisation) -> None:
-    # Displaced by s, the overlap of two waves turns by exp(i (k_n - k_m) s): nothing is even or odd in x any more. The
-    # row solver takes such overlaps; its zero order stays.
-    period = 900.0
-    cell = PillarCell((period, 350.0), 0.0, 0.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
-    row = Supercell(cell, np.array([[(150.0, 210.0)]]))
-    order = np.array([-1, 0, 1])
-
-    def displaced(*arguments: Any) -> RowAxis:
-        axis = row_axis(*arguments)
-        turn = np.exp(-1j * axis.wavenumber * shift_nm)
-        return replace(axis, pillars=turn[:, None] * axis.pillars * turn.conj())
-
-    centred = row_orders(row, polarisation, order, 4, 3)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("metafab.cell.rcwa.row.row_axis", displaced)
-        moved = row_orders(row, polarisation, order, 4, 3)
-    # The orders beside it turn as those of any grating that is moved, by their wave numbers as the basis has them.
-    axis = row_axis(period, np.array([150.0]), 4)
-    wavenumber = np.array([axis.wavenumber[axis.order == m][0] for m in order])
-    # Four harmonics have the first to 1.7e-3.
-    np.testing.assert_allclose(wavenumber, 2.0 * np.pi * order / period, rtol=2e-3, atol=1e-15)
-    np.testing.assert_allclose(moved, centred * np.exp(-1j * wavenumber * shift_nm), rtol=0.0, atol=1e-10)
-    assert np.abs(centred[0]) > 1e-2

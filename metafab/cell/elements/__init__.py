@@ -1,0 +1,12 @@
+"""Supercells of upright pillars by spectral elements and plane waves: a Supercell in, its transmitted orders out.
+
+- ``shapes``    polynomials on the side of an element, and their quadrature
+- ``line``      numbering of the functions along one axis, periodic or mirrored
+- ``mesh``      pillars and gaps as quadrilaterals, and the singular function of a corner
+- ``assembly``  matrices of the layer, and overlaps with the plane waves of the half spaces
+- ``solve``     the layer by doubling, the orders, and the bound on their error
+"""
+
+from metafab.cell.elements.solve import ElementNumerics, orders_at, solve_supercell, supercell_orders
+
+__all__ = ["ElementNumerics", "orders_at", "solve_supercell", "supercell_orders"]

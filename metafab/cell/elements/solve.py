@@ -1,0 +1,203 @@
+"""Transmitted orders of a supercell: doubling of half the layer, then both faces at once; and the error of both.
+
+Rows keep the mirror about their axis, so that each polarisation has half of the functions. Blocks solve both
+polarisations at once. The resolution rises until the bound on the error is below the target. The bound is a share of
+the change from one resolution to the next, and never below a floor that falls with the resolution.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.cell.elements.assembly import Layer, basis_of, incident, layer_of
+from metafab.cell.rcwa.certificate import solve
+from metafab.cell.rcwa.jones import one_thread
+from metafab.cell.rcwa.scattering.doubling import doubled
+from metafab.cell.rcwa.symmetry import permittivity
+from metafab.cell.response import CellNumerics
+from metafab.cell.supercell import Supercell, SupercellOrders, SupercellResponse
+from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
+from metafab.core.errors import InputError, SolverError
+
+#: Bound on the error of a light's amplitudes: a share of their last change, and at least this floor over the
+#: square of the resolution (two resolutions may agree by accident). Measured on rows and single cells.
+_SHARE, _FLOOR = 0.5, 0.075
+#: Most functions of a layer: ten complex matrices of twice this size fill 4 GB.
+_MOST_FUNCTIONS = 5000
+#: Target error of each pillar in its own periodic cell.
+_SINGLE_CELL_ERROR = 1e-3
+
+
+@dataclass(frozen=True)
+class ElementNumerics:
+    """Numerics of a supercell by spectral elements.
+
+    Attributes:
+        target_error: largest accepted relative error of the amplitudes.
+        resolutions: ascending polynomial orders of an element far smaller than the wavelength, two or more. Coarser
+            ones are tried where the layer has too many functions.
+    """
+
+    target_error: float = 5e-3
+    resolutions: tuple[float, ...] = (3.0, 4.0, 5.0)
+
+
+def supercell_orders(supercell: Supercell, numerics: ElementNumerics = ElementNumerics()) -> SupercellOrders:
+    """Transmitted orders for both incident polarisations.
+
+    Args:
+        supercell: a row along x or along y, or a block.
+        numerics: target error and resolutions. A target that the finest one misses is told by the error.
+
+    Raises:
+        InputError: pillars that touch, or a block of too many functions.
+        SolverError: the amplitudes are not finite.
+    """
+    start = time.perf_counter()
+    t, error = _converged(supercell, POLARISATIONS, numerics)
+    return SupercellOrders(supercell, supercell.propagating_orders("x"), t, error, time.perf_counter() - start)
+
+
+def solve_supercell(
+    supercell: Supercell, polarisation: Polarisation, numerics: ElementNumerics = ElementNumerics()
+) -> SupercellResponse:
+    """Transmitted orders for one incident polarisation, and each pillar in its own periodic cell.
+
+    Args:
+        supercell: a row along x or along y, or a block.
+        polarisation: of the incident wave.
+        numerics: target error and resolutions.
+
+    Raises:
+        InputError: as :func:`supercell_orders`.
+        SolverError: as :func:`supercell_orders`.
+    """
+    start = time.perf_counter()
+    axis, cells = POLARISATIONS.index(polarisation), supercell.periodic_cells()
+    t, error = _converged(supercell, (polarisation,), numerics)
+    alone = {size: solve(cell, CellNumerics(_SINGLE_CELL_ERROR)).t[axis, axis] for size, cell in cells.items()}
+    sizes = supercell.size_nm.reshape(-1, 2)
+    return SupercellResponse(
+        supercell=supercell,
+        polarisation=polarisation,
+        order=supercell.propagating_orders(polarisation),
+        amplitude=t[:, :, 0],
+        responses=np.array([alone[float(w), float(length)] for w, length in sizes]).reshape(supercell.shape),
+        error=error * float(np.linalg.norm(t)),
+        seconds=time.perf_counter() - start,
+    )
+
+
+def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: float) -> ComplexArray:
+    """E_x and E_y of each transmitted order at one resolution, shape (n_orders, 2, len(lights)).
+
+    Args:
+        supercell: a row along x or along y, or a block.
+        lights: incident polarisations.
+        resolution: polynomial order of an element far smaller than the wavelength.
+
+    Raises:
+        InputError: as :func:`supercell_orders`.
+        SolverError: as :func:`supercell_orders`.
+    """
+    if supercell.shape[1] == 1 < supercell.shape[0]:
+        turned = orders_at(supercell.exchanged(), [_other(light) for light in lights], resolution)
+        return _exchanged_orders(supercell, turned[:, ::-1])
+    order = supercell.propagating_orders(lights[0])
+    with one_thread():
+        if supercell.shape[0] > 1:
+            layer = layer_of(supercell, None, resolution, order)
+            return np.asarray(layer.orders @ _far_field(layer, supercell, lights))
+        layers = [layer_of(supercell, light, resolution, order) for light in lights]
+        each = [
+            layer.orders @ _far_field(layer, supercell, (light,)) for layer, light in zip(layers, lights, strict=True)
+        ]
+    return np.concatenate(each, axis=2)
+
+
+def _other(light: Polarisation) -> Polarisation:
+    return "y" if light == "x" else "x"
+
+
+def _exchanged_orders(supercell: Supercell, t: ComplexArray) -> ComplexArray:
+    """``t``, shape (n_orders, 2, any), from the order of the exchanged supercell's orders to that of ``supercell``."""
+    order, turned = supercell.propagating_orders("x"), supercell.exchanged().propagating_orders("x")[:, ::-1]
+    place = {(int(m), int(n)): i for i, (m, n) in enumerate(turned)}
+    return np.asarray(t[[place[int(m), int(n)] for m, n in order]])
+
+
+def _converged(
+    supercell: Supercell, lights: Sequence[Polarisation], numerics: ElementNumerics
+) -> tuple[ComplexArray, float]:
+    """Amplitudes as of :func:`orders_at`, and the bound on their relative error."""
+    _require_one_index(supercell)
+    last: ComplexArray | None = None
+    error = np.inf
+    for resolution in _feasible(supercell, numerics.resolutions):
+        t = orders_at(supercell, lights, resolution)
+        if not np.isfinite(t).all():
+            raise SolverError(f"the amplitudes of a supercell are not finite at resolution {resolution:g}")
+        if last is not None:
+            change = _SHARE * float(np.linalg.norm(t - last))
+            floor = _FLOOR / resolution**2 * math.sqrt(len(lights))
+            error = max(change, floor) / float(np.linalg.norm(t))
+            if error <= numerics.target_error:
+                break
+        last = t
+    return t, error
+
+
+def _feasible(supercell: Supercell, resolutions: tuple[float, ...]) -> list[float]:
+    """The resolutions whose layers have few enough functions, or two coarser ones.
+
+    Raises:
+        InputError: even those have too many.
+    """
+
+    def count(resolution: float) -> int:
+        turned = supercell.exchanged() if supercell.shape[1] == 1 else supercell
+        return sum(basis_of(turned, "x" if turned.shape[0] == 1 else None, resolution).counts)
+
+    for shift in (0.0, 0.5, 1.0):
+        feasible = [each - shift for each in resolutions if count(each - shift) <= _MOST_FUNCTIONS]
+        if len(feasible) >= 2:
+            return feasible
+    got = f"{supercell.shape[1]} x {supercell.shape[0]} pillars"
+    expected = f"a supercell of at most {_MOST_FUNCTIONS} functions (5 x 5 pillars, or a row of 60)"
+    raise InputError.single("supercell", "size_nm", expected, got, "use meep, or the library's model")
+
+
+def _require_one_index(supercell: Supercell) -> None:
+    n_x, n_y = supercell.cell.n_substrate
+    if n_x != n_y and min(supercell.shape) > 1:
+        expected = "equal indices of the substrate for a block, which couples both polarisations"
+        raise InputError.single("supercell", "n_substrate", expected, f"{n_x} and {n_y}", "solve rows")
+
+
+def _far_field(layer: Layer, supercell: Supercell, lights: Sequence[Polarisation]) -> ComplexArray:
+    """Coefficients of E at the far face for unit incident amplitudes, shape (N, len(lights)).
+
+    With F of half the layer, X = P^-1 F and Z = F^-T Q, the fields at the faces obey h(0) - h(d) = -i Z (e(0) + e(d))
+    and h(0) + h(d) = i X (e(0) - e(d)) (:mod:`metafab.cell.rcwa.scattering.doubling`).
+    """
+    cell = supercell.cell
+    axis = POLARISATIONS.index(lights[0])
+    near, far = (layer.admittance(complex(permittivity(n[axis])), cell.k0_per_nm) for n in (cell.n_in, cell.n_out))
+    source = np.stack([incident(layer, light, cell.n_in[axis]) for light in lights], axis=1)
+    with np.errstate(all="ignore"):  # non-finite values are refused above
+        half = doubled(layer.p, layer.q, cell.k0_per_nm * cell.height_nm, np.inf, last=1)
+    if half is None:
+        raise SolverError("the layer of a supercell is singular")
+    f = half[0]
+    x, z = np.linalg.solve(layer.p, f), np.linalg.solve(f.T, layer.q)
+    n = len(x)
+    matrix = np.empty((2 * n, 2 * n), dtype=np.complex128)
+    matrix[:n, :n], matrix[n:, n:] = 2.0 * near + 1j * (x - z), 2.0 * far + 1j * (x - z)
+    matrix[:n, n:] = matrix[n:, :n] = -1j * (x + z)
+    right = np.concatenate([2.0 * source, np.zeros_like(source)])
+    return np.asarray(np.linalg.solve(matrix, right)[n:])

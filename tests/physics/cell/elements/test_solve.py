@@ -1,0 +1,124 @@
+"""Supercells by spectral elements: what is known of them without another solver of supercells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metafab.cell import CellNumerics, PillarCell, rcwa
+from metafab.cell.elements import ElementNumerics, orders_at, supercell_orders
+from metafab.cell.supercell import Supercell, relative_rms
+from metafab.core.conventions import POLARISATIONS, Polarisation
+from metafab.core.errors import InputError
+from tests.paper_cell import EMPTY, LOSSLESS
+
+RAMP = [(120.0, 180.0), (150.0, 150.0), (180.0, 130.0)]
+BLOCK = np.array([[(120.0, 180.0), (150.0, 110.0)], [(180.0, 130.0), (220.0, 160.0)]])
+COARSE = 2.5
+
+
+def _row(*sizes: tuple[float, float], cell: PillarCell = EMPTY) -> Supercell:
+    return Supercell(cell, np.array([sizes]))
+
+
+@pytest.mark.parametrize("size", [(120.0, 180.0), (200.0, 104.0), (250.0, 250.0)])
+def test_one_pillar_is_its_certified_cell(size: tuple[float, float]) -> None:
+    """The last stands on a resonance. The Fourier solver shares neither basis nor half spaces with this one."""
+    found = supercell_orders(_row(size), ElementNumerics(4e-3))
+    own = rcwa.solve(replace(EMPTY, width_nm=size[0], length_nm=size[1]), CellNumerics(1e-4)).t
+    assert relative_rms(found.t[0] - own, own) < found.error
+    assert found.error * np.linalg.norm(own) < 8e-3
+
+
+@pytest.mark.parametrize("light", POLARISATIONS)
+def test_equal_pillars_are_their_own_local_period(light: Polarisation) -> None:
+    single, three = (orders_at(_row(*[(120.0, 180.0)] * count), (light,), 3.0) for count in (1, 3))
+    order = _row(*[(120.0, 180.0)] * 3).propagating_orders(light)
+    np.testing.assert_allclose(three[order[:, 0] == 0], single, atol=1e-3)
+    assert np.abs(three[order[:, 0] != 0]).max() < 1e-9
+
+
+def test_a_pillar_and_a_gap_are_a_cell_of_twice_the_period() -> None:
+    wide = replace(EMPTY, period_nm=(700.0, 350.0), width_nm=130.0, length_nm=170.0)
+    supercell = _row((130.0, 170.0), (0.0, 0.0))
+    found = supercell_orders(supercell, ElementNumerics(4e-3))
+    own = rcwa.solve(wide, CellNumerics(1e-3))
+    zero = int(np.flatnonzero(found.order[:, 0] == 0)[0])
+    assert np.abs(found.t[zero] - own.t).max() < own.error + found.error * np.linalg.norm(found.t)
+
+
+def test_a_block_of_two_equal_rows_is_one_row() -> None:
+    """By the code without a mirror: other numbering, other plane waves, both polarisations at once."""
+    row = _row(*RAMP[:2])
+    twice = Supercell(EMPTY, np.concatenate([row.size_nm] * 2))
+    np.testing.assert_allclose(
+        orders_at(twice, POLARISATIONS, COARSE), orders_at(row, POLARISATIONS, COARSE), atol=1e-9
+    )
+
+
+def test_a_row_along_y_is_the_row_along_x_with_the_lights_exchanged() -> None:
+    along_x, along_y = (orders_at(each, POLARISATIONS, COARSE) for each in (_row(*RAMP), _row(*RAMP).exchanged()))
+    np.testing.assert_array_equal(along_y, along_x[:, ::-1, ::-1])
+
+
+def test_a_mirrored_row_mirrors_its_orders_and_a_moved_one_turns_their_phases() -> None:
+    order = _row(*RAMP).propagating_orders("x")[:, 0]
+    here, mirrored, moved = (
+        orders_at(_row(*sizes), ("y",), COARSE) for sizes in (RAMP, RAMP[::-1], RAMP[-1:] + RAMP[:-1])
+    )
+    np.testing.assert_allclose(mirrored, here[::-1], atol=1e-9)
+    np.testing.assert_allclose(moved[:, 1, 0], here[:, 1, 0] * np.exp(-2j * np.pi * order / 3.0), atol=1e-9)
+    assert np.abs(here[0] - here[-1]).max() > 0.05
+
+
+def test_a_lossless_row_sends_out_no_more_than_came_in() -> None:
+    row = _row(*RAMP, cell=replace(LOSSLESS, width_nm=0.0, length_nm=0.0))
+    t = orders_at(row, POLARISATIONS, COARSE)
+    for axis, light in enumerate(POLARISATIONS):
+        assert 0.3 < row.relative_power(row.propagating_orders(light), t[:, :, axis], light).sum() < 1.0
+
+
+def test_lossless_light_is_transmitted_equally_from_both_sides() -> None:
+    """Reciprocity: the power of the zero order of a row does not depend on the side that the light comes from."""
+    cell = replace(LOSSLESS, width_nm=0.0, length_nm=0.0)
+    row, back = (_row(*RAMP, cell=replace(cell, side=side)) for side in ("substrate", "ambient"))
+    for axis, light in enumerate(POLARISATIONS):
+        powers = []
+        for each in (row, back):
+            zero = np.all(each.propagating_orders(light) == 0, axis=1)
+            t = orders_at(each, (light,), COARSE)[zero][0, axis, 0]
+            powers.append(abs(t) ** 2 * each.cell.n_out[axis].real / each.cell.n_in[axis].real)
+        assert powers[0] == pytest.approx(powers[1], rel=1e-9)
+
+
+def test_the_stated_error_holds_and_refinement_settles() -> None:
+    row = _row((104.0, 246.0), (238.0, 112.0))
+    finest = orders_at(row, POLARISATIONS, 5.0)
+    for pair in ((2.5, 3.0), (3.0, 4.0)):
+        found = supercell_orders(row, ElementNumerics(1e-9, pair))
+        assert relative_rms(found.t - finest, finest) < found.error
+    assert found.error < 2e-2
+
+
+def test_a_block_exchanges_its_axes() -> None:
+    """The exchanged block under exchanged light."""
+    block = Supercell(EMPTY, BLOCK)
+    t = orders_at(block, POLARISATIONS, 2.0)
+    turned = orders_at(block.exchanged(), POLARISATIONS, 2.0)
+    np.testing.assert_allclose(turned[:, ::-1, ::-1], t, atol=1e-9)
+    assert np.abs(t[:, 0, 1]).max() < 1e-9, "two by two pillars always have both mirrors"
+
+
+@pytest.mark.parametrize(
+    ("supercell", "field"),
+    [
+        (_row((348.0, 120.0)), "size_nm"),
+        (Supercell(EMPTY, np.full((8, 8, 2), 120.0)), "size_nm"),
+        (Supercell(replace(EMPTY, n_substrate=(1.76, 1.75)), BLOCK), "n_substrate"),
+    ],
+)
+def test_what_is_not_solved_is_refused(supercell: Supercell, field: str) -> None:
+    with pytest.raises(InputError, match=field):
+        supercell_orders(supercell)

@@ -1,0 +1,79 @@
+"""Supercells of a file: faults by name, lone pillars, and the solver's name that decides."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab.cell import pillar_cell
+from metafab.cell.supercell import Supercell
+from metafab.core.errors import InputError
+from metafab.fullwave.blocks import read_blocks, solve_block
+from metafab.library import Library
+from tests.fake_meep import UncoupledPillars, response
+
+ROW = {"width_nm": [[120.0, 150.0, 180.0]], "length_nm": [[180.0, 150.0, 130.0]]}
+
+
+@pytest.mark.parametrize(
+    ("blocks", "message"),
+    [
+        ([], "blocks"),
+        ([{"width_nm": [[120.0, 130.0]], "length_nm": [[120.0]]}], "rows of one length"),
+        ([{"width_nm": [[120.0], [130.0, 140.0]], "length_nm": [[120.0], [130.0, 140.0]]}], "rows of one length"),
+        ([{"width_nm": [[-1.0]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
+        ([{"width_nm": [["120"]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
+        ([{"width_nm": [[float("nan")]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
+        ([{"width_nm": [[400.0]], "length_nm": [[120.0]]}], "at most the period of 350 nm"),
+        ([{"width_nm": [[0.0]], "length_nm": [[120.0]]}], "both 0"),
+        ([{**ROW, "height_nm": 600.0}], "height_nm"),
+    ],
+)
+def test_faulty_blocks_are_refused(smooth_library: Library, tmp_path: Path, blocks: list[object], message: str) -> None:
+    path = tmp_path / "blocks.json"
+    path.write_text(json.dumps({"blocks": blocks}), encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_blocks(path, smooth_library)
+    assert message in str(refused.value)
+
+
+def test_no_json_is_refused(smooth_library: Library, tmp_path: Path) -> None:
+    path = tmp_path / "text.json"
+    path.write_text("{", encoding="utf-8")
+    with pytest.raises(InputError, match="JSON file"):
+        read_blocks(path, smooth_library)
+
+
+def test_equal_lone_pillars_have_the_error_of_the_library_and_unlike_ones_more(smooth_library: Library) -> None:
+    cell = pillar_cell(smooth_library.unit_cell, 0.0, 0.0)
+    equal, unlike = (
+        Supercell(cell, np.array([[(w, 150.0) for w in widths]])) for widths in ((120,) * 3, (120, 240, 180))
+    )
+    assert solve_block(equal, smooth_library, "lone").error < 2e-3
+    assert solve_block(unlike, smooth_library, "lone").error > 0.1
+    small = Supercell(cell, np.array([[(20.0, 150.0)]]))
+    with pytest.raises(InputError, match="sweep"):
+        solve_block(small, smooth_library, "lone")
+
+
+def test_a_site_without_a_pillar_is_the_bare_substrate(smooth_library: Library) -> None:
+    cell = pillar_cell(smooth_library.unit_cell, 0.0, 0.0)
+    found = solve_block(Supercell(cell, np.zeros((1, 1, 2))), smooth_library, "lone")
+    bare = 2.0 * 1.7601 / 2.7601 * np.exp(2j * np.pi * 600.0 / 800.0)
+    np.testing.assert_allclose(found.t[0], bare * np.eye(2), atol=2e-4)
+
+
+def test_fdtd_of_several_grids_extrapolates_both_polarisations(smooth_library: Library) -> None:
+    """Pillars in place of Meep that do not couple, alike on all grids: the limit is their own response."""
+    cell = replace(pillar_cell(smooth_library.unit_cell, 0.0, 0.0), n_pillar=3.7)
+    row = Supercell(cell, np.stack([ROW["width_nm"], ROW["length_nm"]], axis=-1))
+    found = solve_block(row, smooth_library, "meep", pool=UncoupledPillars({(1, 0): 0.03}, tail=0.0))
+    own = np.array([response(*size) for size in row.size_nm[0]])
+    expected = row.local_period(found.order, own[None]) + 0.03 * (found.order[:, 0] == 1)
+    for axis in range(2):
+        np.testing.assert_allclose(found.t[:, axis, axis], expected, atol=1e-6)
+    assert found.error < 1e-6
