@@ -29,6 +29,9 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
     counted twice. This is exact for each layer alone. At an occluding edge it assumes that the part of the aperture
     that the nearer layer blocks does not depend on where in the aperture the light passes.
 
+    Behind a birefringent substrate (``psf.ghost``), each image also holds light of the other polarisation: of a scene
+    whose x and y polarised light are uncorrelated.
+
     Args:
         scene: objects, photons, noise. A field stop passes ``scene.field_px`` pixels about the axis.
         psf: the pair over depth; depths of the scene must lie inside its range.
@@ -57,6 +60,9 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
     """
     seed = scene.seed if seed is None else seed
     lens = Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)))
+    lenses = [lens]
+    if psf.ghost is not None:
+        lenses.append(Lens(PairKernels(psf.ghost, psf), lens.windows, crossed=True))
     pixel_tangent = psf.pixel_um / psf.sensor_distance_um
     still = Renderer.of(scene, pixel_tangent, seed)
     pattern = FixedPattern.of(scene, lens.shape, seed)
@@ -64,11 +70,12 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
     for number in range(scene.frames):
         shutter = Shutter.of(scene, number * scene.frame_interval_s, lens.shape[0], pixel_tangent)
         mean_e = np.zeros(lens.shape)
-        lens.drop_blurs()
+        for each in lenses:
+            each.drop_blurs()
         for index, time_s in enumerate(shutter.instants_s.tolist()):
             renderer = Renderer(moved(scene, time_s), still.textures)
             part = partial_progress(progress, index, shutter.instants_s.size)
-            mean_e += shutter.weights[:, index, None] * lens.light(renderer, part)
+            mean_e += shutter.weights[:, index, None] * sum(each.light(renderer, part) for each in lenses)
         rng = np.random.default_rng(np.random.SeedSequence((seed, 0x0C0FFEE, *((number,) if number else ()))))
         middle_s = shutter.middle_s[first.row - lens.bottom :][: scene.field_px[0]]
         yield RawFrame(

@@ -6,7 +6,7 @@ helix turns at a constant rate, and over the field in tangents. Nothing is extra
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,9 +27,26 @@ class PairKernels:
 
     Attributes:
         psf: the calibration.
+        relative_to: pair whose throughput is 1; ``psf`` itself by default.
     """
 
     psf: Psf
+    relative_to: Psf | None = None
+
+    @classmethod
+    def of_unpolarised(cls, psf: Psf) -> PairKernels:
+        """Kernels of each image for unpolarised light: those of a calibration plus its ghosts."""
+        if psf.ghost is None:
+            return cls(psf)
+        field, ghost_field = psf.field, psf.ghost.field
+        if field is not None and ghost_field is not None:
+            field = replace(field, psf=field.psf + ghost_field.psf)
+        return cls(replace(psf, psf=psf.psf + psf.ghost.psf, field=field, ghost=None), psf)
+
+    @property
+    def mean_throughput(self) -> float:
+        """Mean of both polarisations on the axis at the middle depth: 1 for a pair relative to itself."""
+        return _mean_sum(self.psf) / _mean_sum(self.relative_to or self.psf)
 
     @cached_property
     def tangent_x(self) -> FloatArray:
@@ -59,8 +76,7 @@ class PairKernels:
             turns = ky * offset_px[..., 1, None, None] + kx * offset_px[..., 0, None, None]
             transfer = transfer * np.exp(-2j * np.pi * turns)
         kernels = scipy.fft.irfft2(transfer, (n_y, n_x))
-        reference = psf.psf[:, middle].sum(axis=(-2, -1)).mean()
-        return np.asarray(kernels / reference, dtype=np.float32)
+        return np.asarray(kernels / _mean_sum(self.relative_to or psf), dtype=np.float32)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -98,6 +114,11 @@ class PairKernels:
         """
         along_y, along_x = spline_weights(self.tangent_y, tangent_y), spline_weights(self.tangent_x, tangent_x)
         return along_y[..., :, None] * along_x[..., None, :]
+
+
+def _mean_sum(psf: Psf) -> float:
+    """Sum of the irradiance at the middle depth, mean of both polarisations."""
+    return float(psf.psf[:, psf.depth_m.size // 2].sum(axis=(-2, -1)).mean())
 
 
 def pixel_transfer(shape: tuple[int, int]) -> FloatArray:

@@ -17,6 +17,7 @@ from metafab.decode.evaluation.metrics import evaluated
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m
 from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages
+from metafab.decode.images.unmixing import Unmixing
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.filters import CrossFilters
@@ -144,7 +145,7 @@ class Decoder:
             numerics: how to compute.
         """
         numerics = numerics or DecoderNumerics()
-        kernels, image_map = PairKernels(psf), ImageMap.from_psf(psf)
+        kernels, image_map = PairKernels.of_unpolarised(psf), ImageMap.from_psf(psf)
         place = (image_map, frame_shape, origin_um, psf.pixel_um, MARGIN_PX)
         grid = TwinGrid.find(*place) if x_window is None else TwinGrid.at(*place, x_window)
         if grid is None:
@@ -154,7 +155,8 @@ class Decoder:
         filters = CrossFilters.of(
             calibration, vergences, numerics.basis_error, compensate=numerics.compensate_space_variance
         )
-        return cls(calibration, filters, Deconvolver.of(calibration, numerics.kept_bytes), numerics)
+        unmixing = Unmixing.of(psf, grid)
+        return cls(calibration, filters, Deconvolver.of(calibration, numerics.kept_bytes, unmixing), numerics)
 
     @property
     def nbytes(self) -> int:
@@ -223,7 +225,11 @@ class Decoder:
     def image(self, decoded: DecodedFrame) -> Image4D:
         """The 4D image of a decoded frame."""
         image = decoded.maps.image(decoded.prepared, decoded.volume, decoded.regions, decoded.sharp)
-        return replace(image, figures=replace(image.figures, basis_images=self.filters.basis.count))
+        figures = replace(image.figures, basis_images=self.filters.basis.count)
+        unmixing = self.deconvolver.unmixing
+        if figures.warning is None and unmixing is not None and not unmixing.is_possible:
+            figures = replace(figures, warning=unmixing.WARNING)
+        return replace(image, figures=figures)
 
 
 def _empty(

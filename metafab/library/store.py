@@ -24,7 +24,7 @@ from metafab.library.fit.rational import Range, RationalModel, Shape
 from metafab.library.library import BuildStatistics, Library, inputs_of
 from metafab.library.neighbours.storage import neighbours_of, put_neighbours
 from metafab.spec import UnitCell, canonical_toml
-from metafab.spec.embedded import LIBRARY_FORMAT, LIBRARY_KIND
+from metafab.spec.load import LIBRARY_FORMAT, LIBRARY_KIND
 from metafab.spec.toml import validate
 
 Statistics = TypeVar("Statistics", BuildStatistics, CornerStatistics)

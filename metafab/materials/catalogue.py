@@ -8,9 +8,9 @@ from functools import cache
 from importlib.resources import as_file, files
 
 from metafab.materials.record import IndexRecord, biaxial, isotropic, read_table, sellmeier
+from metafab.spec.substrate import OPTIC_AXIS_DEG
 
-#: Angle between the optic axis and the normal of an R-plane (1-102) wafer: tan = (c/a)/sqrt(3), c/a = 2.730.
-_R_PLANE_TILT_RAD = math.atan(2.730 / math.sqrt(3.0))
+_R_PLANE_TILT_RAD = math.radians(OPTIC_AXIS_DEG["r-plane"])
 
 _SILICA = "Malitson, J. Opt. Soc. Am. 55, 1205 (1965); fused silica, 20 C"
 _SILICA_N = sellmeier([(0.6961663, 0.0684043), (0.4079426, 0.1162414), (0.8974794, 9.896161)])

@@ -93,6 +93,7 @@ def without_depths(psf: Psf, left_out: NDArray[np.bool_]) -> Psf:
         efficiency=psf.efficiency[:, kept],
         extinction_ratio=psf.extinction_ratio[kept],
         field=field,
+        ghost=None if psf.ghost is None else without_depths(psf.ghost, left_out),
     )
 
 
@@ -125,5 +126,8 @@ def concatenate(stacks: Sequence[Psf]) -> Psf:
         efficiency=np.concatenate([stack.efficiency for stack in stacks], axis=1),
         extinction_ratio=np.concatenate([stack.extinction_ratio for stack in stacks]),
         field=None,
+        ghost=None
+        if first.ghost is None
+        else concatenate([stack.ghost for stack in stacks if stack.ghost is not None]),
         details=replace(first.details, seconds=sum(stack.details.seconds for stack in stacks)),
     )

@@ -131,6 +131,8 @@ class Psf(Displayed):
         sensor_distance_um: distance of the sensor plane from the metasurface.
         field: the pair over the field of view; None for one direction.
         details: record of the computation.
+        ghost: light that a birefringent substrate brings into the wrong image: irradiance in the window of each
+            polarisation per unit power of the *other* polarisation at the aperture; None without such a substrate.
     """
 
     depth_m: FloatArray
@@ -144,6 +146,7 @@ class Psf(Displayed):
     sensor_distance_um: float
     field: PsfField | None = None
     details: PsfDetails = PsfDetails()
+    ghost: Psf | None = None
 
     def key_figures(self) -> dict[str, str]:
         """Depths, window, orientation, efficiency and error."""

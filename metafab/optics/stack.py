@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,8 @@ def psf(
 
     Returns:
         The pair. ``error`` bounds the errors of block sums, low-rank kernel and single precision; ``details`` accounts
-        for the light outside the windows.
+        for the light outside the windows; ``ghost`` is the light that a birefringent substrate brings into the wrong
+        image.
 
     Raises:
         InputError: depths that are not positive and ascending, an object whose light does not reach the sensor,
@@ -58,9 +60,13 @@ def psf(
     require_valid(imaging, depths, tangent, grid, numerics)
     window = Window.for_target(imaging, numerics)
     windows = window.over_band(tangent, numerics.filter_fwhm_nm)
-    tasks = [(p, tangent) for p in (0, 1)]
+    directions = [tangent]
     if grid is not None:
-        tasks += [(p, (float(t_x), float(t_y))) for p in (0, 1) for t_y in grid[1] for t_x in grid[0]]
+        directions += [(float(t_x), float(t_y)) for t_y in grid[1] for t_x in grid[0]]
+    # Polarisation of the window (and pillars), and of the object.
+    entries = [(0, 0), (1, 1)] if imaging.crystal is None else [(0, 0), (1, 1), (0, 1), (1, 0)]
+    tasks = [(entry, t) for t in directions[:1] for entry in entries]
+    tasks += [(entry, t) for entry in entries for t in directions[1:]]
     images: list[FloatArray] = []
     errors: list[FloatArray] = []
     with threadpool_limits(1, "blas"), work.threads() as pool:
@@ -68,48 +74,77 @@ def psf(
         unwanted_light = pool.submit(Window.stray_irradiance, window, stray, 0, tangent, depths)
         jobs = [
             pool.submit(
-                Window.light, window, pyramids[p], p, t, depths, numerics, judged="all" if index < 2 else "ends"
+                Window.light,
+                window,
+                pyramids[entry[0]],
+                entry[0],
+                t,
+                depths,
+                numerics,
+                judged="all" if index < len(entries) else "ends",
+                entry=entry,
             )
-            for index, (p, t) in enumerate(tasks)
+            for index, (entry, t) in enumerate(tasks)
         ]
         for done, job in enumerate(jobs):
             image, error = job.result()
-            images.append(image if done < 2 else image.astype(np.float32))
+            images.append(image if done < len(entries) else image.astype(np.float32))
             errors.append(error)
             work.progress("psf", done + 1, len(tasks))
         unwanted = unwanted_light.result().sum(axis=(1, 2)) * imaging.pixel_um**2
 
-    pair = np.array(images[:2])
-    efficiency = pair.sum(axis=(2, 3)) * imaging.pixel_um**2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        extinction = efficiency[0] / unwanted
-    centres_um = [imaging.image_point_um(p, tangent) for p in (0, 1)]
-    if np.abs(np.diff(centres_um, axis=0)).max() < imaging.pixel_um:
-        extinction = np.full(len(depths), np.nan)  # one window holds the light of both polarisations
     middle = len(depths) // 2
-    transmitted = [
-        _transmitted(imaging, pyramids[p][0], Ray.towards_image(imaging, p, depths[middle], tangent)) for p in (0, 1)
+    transmitted = [_transmitted(imaging, pyramids, p, depths[middle], tangent) for p in (0, 1)]
+    over_field = np.array(images[len(entries) :], dtype=np.float32)
+    parts = over_field.reshape(len(entries) // 2, -1, *over_field.shape[1:])
+    pairs = [
+        _pair(imaging, depths, tangent, images[i : i + 2], errors[i : i + 2], None if grid is None else (grid, part))
+        for i, part in zip(range(0, len(entries), 2), parts, strict=True)
     ]
-    return Psf(
-        depth_m=np.array(depths),
-        pixel_um=imaging.pixel_um,
-        psf=pair,
-        centre_um=np.array([np.tile(centre_um, (len(depths), 1)) for centre_um in centres_um]),
-        phi_deg=orientation_deg(pair[0]),
-        error=np.max(errors[:2], axis=0),
-        efficiency=efficiency,
+    wanted, ghost = pairs[0], pairs[1] if len(pairs) > 1 else None
+    if ghost is not None:
+        unwanted = unwanted + ghost.efficiency[0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        extinction = wanted.efficiency[0] / unwanted
+    if np.abs(np.diff(wanted.centre_um[:, 0], axis=0)).max() < imaging.pixel_um:
+        extinction = np.full(len(depths), np.nan)  # one window holds the light of both polarisations
+    return replace(
+        wanted,
         extinction_ratio=extinction,
-        sensor_distance_um=imaging.sensor_distance_um,
-        field=None if grid is None else _field(imaging, grid, np.array(images[2:], dtype=np.float32)),
+        ghost=ghost,
         details=PsfDetails(
             block_sites=pyramids[0][0].carrier.block_sites,
             blocks=pyramids[0][0].power.size,
             transmitted=tuple(transmitted),
-            stray=tuple(share - float(efficiency[p, middle]) for p, share in enumerate(transmitted)),
-            field_error=float("nan") if grid is None else float(max(error.max() for error in errors[2:])),
+            stray=tuple(share - float(wanted.efficiency[p, middle]) for p, share in enumerate(transmitted)),
+            field_error=float("nan") if grid is None else float(max(e.max() for e in errors[len(entries) :])),
             filter_fwhm_nm=numerics.filter_fwhm_nm,
             seconds=time.perf_counter() - begun,
         ),
+    )
+
+
+def _pair(
+    imaging: Imaging,
+    depths_m: list[float],
+    tangent: Tangent,
+    images: list[FloatArray],
+    errors: list[FloatArray],
+    field: tuple[FieldGrid, NDArray[np.float32]] | None,
+) -> Psf:
+    """A pair on the axis and over the field, without extinction and details."""
+    pair = np.array(images)
+    return Psf(
+        depth_m=np.array(depths_m),
+        pixel_um=imaging.pixel_um,
+        psf=pair,
+        centre_um=np.array([np.tile(imaging.image_point_um(p, tangent), (len(depths_m), 1)) for p in (0, 1)]),
+        phi_deg=orientation_deg(pair[0]),
+        error=np.max(errors, axis=0),
+        efficiency=pair.sum(axis=(2, 3)) * imaging.pixel_um**2,
+        extinction_ratio=np.full(len(depths_m), np.nan),
+        sensor_distance_um=imaging.sensor_distance_um,
+        field=None if field is None else _field(imaging, *field),
     )
 
 
@@ -119,9 +154,14 @@ def _grid(field_tangents: FieldGrid) -> FieldGrid | None:
     return None if t_x.size == t_y.size == 1 else (t_x, t_y)
 
 
-def _transmitted(imaging: Imaging, pupil: Pupil, ray: Ray) -> float:
-    """Share of the power at the aperture that leaves the pillars."""
-    return pupil.transmitted(ray) / power_at_aperture(imaging, ray)
+def _transmitted(
+    imaging: Imaging, pyramids: list[list[Pupil]], incident: int, depth_m: float, tangent: Tangent
+) -> float:
+    """Share of one polarisation's power at the aperture that leaves the pillars, in either polarisation."""
+    behind = (incident,) if imaging.crystal is None else (0, 1)
+    rays = [Ray.towards_image(imaging, p, depth_m, tangent, (p, incident)) for p in behind]
+    passed = sum(pyramids[p][0].transmitted(ray) for p, ray in zip(behind, rays, strict=True))
+    return float(passed / power_at_aperture(imaging, rays[0]))
 
 
 def _field(imaging: Imaging, grid: FieldGrid, images: NDArray[np.float32]) -> PsfField:

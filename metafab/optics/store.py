@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
@@ -58,9 +59,15 @@ def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
         for name, count in zip(("y_um", "x_um"), psf.psf.shape[2:], strict=True):
             offsets = (np.arange(count) - count // 2) * psf.pixel_um
             hdf5.put(file, name, offsets, units="um", description="from the window's centre pixel", dims=(name,))
-        _put_all(file, psf, _DATASETS)
-        if psf.field is not None:
-            _put_all(file.create_group("field"), psf.field, _FIELD_DATASETS)
+        _put_stack(file, psf)
+        if psf.ghost is not None:
+            _put_stack(file.create_group("ghost"), psf.ghost)
+
+
+def _put_stack(group: h5py.Group, psf: Psf) -> None:
+    _put_all(group, psf, _DATASETS)
+    if psf.field is not None:
+        _put_all(group.create_group("field"), psf.field, _FIELD_DATASETS)
 
 
 def _put_all(group: h5py.Group, result: Psf | PsfField, datasets: Datasets) -> None:
@@ -76,21 +83,23 @@ def load(path: Path | str) -> Psf:
         InputError: the file is missing, truncated, foreign or of a newer format, or its arrays do not fit together.
     """
     with hdf5.open_kind(Path(path), kind=PSF_KIND, format_version=PSF_FORMAT, remedy=_REMEDY) as file:
-        psf = Psf(
-            depth_m=file["depth_m"][...],
-            pixel_um=float(file["pixel_um"][()]),
-            psf=file["psf"][...].astype(np.float64),
-            centre_um=file["centre_um"][...],
-            phi_deg=file["phi_deg"][...],
-            error=file["error"][...],
-            efficiency=file["efficiency"][...],
-            extinction_ratio=file["extinction_ratio"][...],
-            sensor_distance_um=float(file.attrs["sensor_distance_um"]),
-            field=PsfField(**{name: file["field"][name][...] for name in _FIELD_DATASETS}) if "field" in file else None,
+        psf = replace(
+            _stack(file, file),
             details=_details(str(file.attrs["details"])),
+            ghost=_stack(file, file["ghost"]) if "ghost" in file else None,
         )
     _check(psf, Path(path))
     return psf
+
+
+def _stack(file: h5py.File, group: h5py.Group) -> Psf:
+    """The pair in a group; the sampling is that of the file."""
+    return Psf(
+        pixel_um=float(file["pixel_um"][()]),
+        sensor_distance_um=float(file.attrs["sensor_distance_um"]),
+        field=PsfField(**{name: group["field"][name][...] for name in _FIELD_DATASETS}) if "field" in group else None,
+        **{name: group[name][...].astype(np.float64) for name in _DATASETS},
+    )
 
 
 def _details(text: str) -> PsfDetails:
@@ -108,6 +117,16 @@ def _check(psf: Psf, path: Path) -> None:
     if psf.field is not None:
         size |= {"tangent_x": psf.field.tangent_x.size, "tangent_y": psf.field.tangent_y.size}
         faults += _shape_faults("field/", psf.field, _FIELD_DATASETS, size)
+    if psf.ghost is not None:
+        faults += _shape_faults("ghost/", psf.ghost, _DATASETS, size)
+        if psf.field is not None and psf.ghost.field is not None:
+            faults += _shape_faults("ghost/field/", psf.ghost.field, _FIELD_DATASETS, size)
+        if (psf.field is None) != (psf.ghost.field is None):
+            faults.append(
+                Fault("ghost/field", "a field where the pair has one, and none where it has none", "otherwise")
+            )
+        if not np.all(np.isfinite(psf.ghost.psf)):
+            faults.append(Fault("ghost/psf", "finite irradiance", "NaN or infinity", _REMEDY))
     if psf.depth_m.size == 0 or np.any(np.diff(psf.depth_m) <= 0.0):
         faults.append(Fault("depth_m", "ascending depths", str(psf.depth_m)))
     if not np.all(np.isfinite(psf.psf)):

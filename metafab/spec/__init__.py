@@ -4,9 +4,9 @@
 - ``cell``     UnitCell: geometry, materials and illumination of one cell, and the sweep of a library
 - ``design``   Design: device, rules, sensor, verification
 - ``terms``    phase terms of a design
-- ``embedded`` unit cell stored in a built library
 - ``mask``     Mask: formats, layers, bias, tone, dose classes, chip, copies, exposure; Process
 - ``scene``    Scene: objects at depths, photons, noise
+- ``substrate``  Substrate: birefringent plate before the pillars
 - ``turned``   keys that turned pillars and full-Stokes imaging do not support
 - ``construct``  unit cells and designs made in Python, without files
 - ``new``      sample design file of each kind of device (``kinds/``, ``unit_cells/``)
@@ -24,6 +24,7 @@ from metafab.spec.load import load_design, load_scene, load_unit_cell
 from metafab.spec.mask import Chip, Copy, Dose, Exposure, Mask
 from metafab.spec.new import kinds, write_new
 from metafab.spec.scene import Scene, SceneObject
+from metafab.spec.substrate import Substrate
 from metafab.spec.terms import PhaseTerm
 from metafab.spec.toml import canonical_toml
 
@@ -46,6 +47,7 @@ __all__ = [
     "SceneObject",
     "Sensor",
     "Solver",
+    "Substrate",
     "Sweep",
     "UnitCell",
     "Verify",

@@ -42,7 +42,8 @@ class Material:
         return self
 
 
-def _material(value: object) -> object:
+def as_material(value: object) -> object:
+    """Return a material's table for the name of a record; other values unchanged."""
     return {"record": value} if isinstance(value, str) else value
 
 
@@ -70,7 +71,7 @@ class Layer:
     @field_validator("material", mode="before")
     @classmethod
     def _by_name(cls, value: object) -> object:
-        return _material(value)
+        return as_material(value)
 
     @model_validator(mode="after")
     def _isotropic(self) -> Layer:
@@ -152,7 +153,7 @@ class CellMaterials:
     @field_validator("pillar", "substrate", "ambient", mode="before")
     @classmethod
     def _by_name(cls, value: object) -> object:
-        return _material(value)
+        return as_material(value)
 
     @model_validator(mode="after")
     def _one_birefringent(self) -> CellMaterials:

@@ -16,6 +16,7 @@ from metafab.spec.cell import UnitCell
 from metafab.spec.fields import CONFIG, DepthOrInfinity, Flag, Name, NonNegative, Positive, Real, TargetError
 from metafab.spec.mask import Mask, Process
 from metafab.spec.scene import Scene
+from metafab.spec.substrate import Substrate
 from metafab.spec.terms import Axicon, DoubleHelix, Lens, PhaseTerm, Picture, SpiralZones, SplitLens, Vortex
 
 FieldPoints = Annotated[int, Field(strict=True, ge=1, le=65)]
@@ -267,6 +268,8 @@ class Design:
     """Numerical settings."""
     optics: Optics | None = None
     """Optical elements besides the lens; none without the table, and one wavelength."""
+    substrate: Substrate | None = None
+    """Birefringent substrate between scene and pillars; without the table the substrate keeps the polarisation."""
     tolerance: Tolerances | None = None
     """Fabrication tolerances; no corners are simulated without the table."""
     process: Process | None = None
@@ -303,16 +306,17 @@ class Design:
 
     @model_validator(mode="after")
     def _light_reaches_the_lens(self) -> Design:
-        if self.optics is None:
-            return self
-        substrate_um, stop_um = self.optics.substrate_um, self.optics.stop_um
-        if substrate_um > 0.0 and self.unit_cell.illumination.side != "substrate":
-            raise ValueError(
-                "`optics.substrate_um` needs `illumination.side` = 'substrate': light from the ambient misses it"
-            )
+        isotropic_um = 0.0 if self.optics is None else self.optics.substrate_um
+        if isotropic_um > 0.0 and self.substrate is not None:
+            raise ValueError("give `optics.substrate_um` or a `[substrate]`, not both: they are the same plate")
+        crystal_um = 0.0 if self.substrate is None else self.substrate.thickness_um
         nearest_m = min(self.sensor.focus_depth_m, *self.depths_m)
-        if substrate_um >= 1e6 * nearest_m:
-            raise ValueError(f"`optics.substrate_um` must end before the nearest object, {1e6 * nearest_m:g} um away")
+        for name, substrate_um in (("optics.substrate_um", isotropic_um), ("substrate.thickness_um", crystal_um)):
+            if substrate_um > 0.0 and self.unit_cell.illumination.side != "substrate":
+                raise ValueError(f"`{name}` needs `illumination.side` = 'substrate': light from the ambient misses it")
+            if substrate_um >= 1e6 * nearest_m:
+                raise ValueError(f"`{name}` must end before the nearest object, {1e6 * nearest_m:g} um away")
+        stop_um = None if self.optics is None else self.optics.stop_um
         if stop_um is not None and stop_um > self.device.aperture_um:
             raise ValueError(f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um")
         return self

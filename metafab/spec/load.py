@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,9 @@ from metafab.spec.design import Design
 from metafab.spec.keys.faults import faults_of
 from metafab.spec.scene import Scene
 from metafab.spec.toml import adapter, read_toml, validate
+
+LIBRARY_KIND = "metafab library"
+LIBRARY_FORMAT = 1
 
 
 def load_unit_cell(path: Path | str) -> UnitCell:
@@ -33,10 +37,22 @@ def load_unit_cell_of(library: Path) -> UnitCell:
         InputError: as :func:`load_unit_cell`.
     """
     if library.suffix == ".h5":
-        from metafab.spec.embedded import unit_cell_of_library
-
         return unit_cell_of_library(library)
     return load_unit_cell(library)
+
+
+def unit_cell_of_library(path: Path) -> UnitCell:
+    """The unit-cell spec stored in a built library (attribute ``unit_cell_toml``).
+
+    Raises:
+        InputError: the file is missing, truncated, foreign or of a newer format.
+    """
+    from metafab.core.storage import hdf5  # Loaded late: designs alone do not need HDF5.
+
+    remedy = "build it with `metafab library build UNITCELL.toml`"
+    with hdf5.open_kind(path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, remedy=remedy) as file:
+        table = tomllib.loads(str(file.attrs["unit_cell_toml"]))
+    return validate(UnitCell, table, str(path))
 
 
 def load_scene(path: Path | str) -> Scene:

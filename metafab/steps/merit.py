@@ -233,7 +233,13 @@ def _modulation(job: Job, imaging: Imaging, written: Psf) -> ModulationFigures:
 
 
 def _transmitted(psf: Psf) -> FloatArray:
-    return np.array(psf.details.transmitted)
+    """Transmitted share of each polarisation in that polarisation; ghosts of a substrate are left out."""
+    transmitted = np.array(psf.details.transmitted)
+    if psf.ghost is None:
+        return transmitted
+    middle = psf.depth_m.size // 2
+    own, crossed = psf.efficiency[:, middle], psf.ghost.efficiency[::-1, middle]
+    return np.asarray(transmitted * own / (own + crossed))
 
 
 def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_passed: FloatArray) -> LossChainFigures:
@@ -247,7 +253,8 @@ def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_pa
     coupling = recorded_coupling(job)
     kept = None if coupling is None else coupling.efficiency_ratio
     transmitted = _transmitted(written)
-    stopped = None if optics.Apodisation.of(job.design) is None else _transmitted(ideal)
+    open_ahead = optics.Apodisation.of(job.design) is None and job.design.substrate is None
+    stopped = None if open_ahead else _transmitted(ideal)
     losses = loss_chain(front, transmitted, passed[:, depth], ideal_passed[:, depth], kept, stopped)
     table = {
         "depth_m": written.depth_m[depth],

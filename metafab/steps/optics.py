@@ -48,6 +48,8 @@ class PairFigures:
         efficiency_x: share of the power at the aperture in the window of PSF_x; likewise ``efficiency_y``.
         extinction_ratio: wanted over unwanted power in the window of PSF_x.
         error: relative L2 error of the PSFs.
+        ghost_x: share of y polarised power that a birefringent substrate brings into the window of PSF_x, one value for
+            each depth; likewise ``ghost_y``. None without such a substrate.
         transmitted_x: share of the power at the aperture that the mask transmits; ``stray_x``: transmitted share
             outside the window; ``lost_x``: share not transmitted. Likewise for y; None for a pair without a budget.
         light_at_um: (x, y) on the sensor, from the axis, of the brightest place of x and of y polarised light; None
@@ -60,6 +62,8 @@ class PairFigures:
     efficiency_y: tuple[float, ...]
     extinction_ratio: tuple[float, ...]
     error: tuple[float, ...]
+    ghost_x: tuple[float, ...] | None = optional()
+    ghost_y: tuple[float, ...] | None = optional()
     transmitted_x: float | None = optional()
     stray_x: float | None = optional()
     lost_x: float | None = optional()
@@ -162,6 +166,8 @@ def _over_depth(psf: Psf, chosen: NDArray[np.bool_], prefix: str = "") -> dict[s
         "extinction_ratio": psf.extinction_ratio,
         "error": psf.error,
     }
+    if psf.ghost is not None and not prefix:
+        columns |= {"ghost_x": psf.ghost.efficiency[0], "ghost_y": psf.ghost.efficiency[1]}
     return {prefix + name: values[chosen].tolist() for name, values in columns.items()}
 
 
@@ -338,6 +344,8 @@ def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int =
     sampling: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
     if design.optics is not None:
         sampling += [design.optics, contents_sha256(design.optics)]
+    if design.substrate is not None:
+        sampling.append(design.substrate)
     optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, sampling))
 
 
@@ -430,7 +438,7 @@ PSF = Step(
     name="psf",
     rooms=("mask", "optics"),
     after=("library", "phase", "layout"),
-    inputs=lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m, d.optics, d.has_mask),
+    inputs=lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m, d.optics, d.substrate, d.has_mask),
     outputs=_psf_files,
     work=_psf,
     figures=PsfFigures,

@@ -131,6 +131,8 @@ class MaskOptics:
         """Return the pair and the unwanted light of some blocks."""
         pair = [self.window.light([pupils[p]], p, _AXIS, self.depths_m, self.numerics)[0] for p in (0, 1)]
         stray = self.window.stray_irradiance(pupils[2], 0, _AXIS, self.depths_m)
+        if self.window.imaging.crystal is not None:
+            stray = stray + self.window.light([pupils[0]], 0, _AXIS, self.depths_m, self.numerics, entry=(0, 1))[0]
         pixel_um = self.window.imaging.pixel_um
         return Light(np.array(pair), stray.sum(axis=(1, 2)) * pixel_um**2, pixel_um)
 

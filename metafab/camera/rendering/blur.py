@@ -16,6 +16,8 @@ from metafab.core.conventions import FloatArray
 
 #: Share of the kernels' energy over the field that the basis may leave out.
 BASIS_TOLERANCE = 1e-6
+#: Smallest throughput that is divided by: darker kernels, of a ghost that is absent, hide nothing and show nothing.
+_DARK = 1e-30
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class FieldBlur:
         weights = self.kernels.field_weights(tangent_x, tangent_y)
         weights = weights.reshape(*light.shape, -1)
         maps = np.moveaxis(weights @ self.coefficients.reshape(weights.shape[-1], -1), -1, 0)
-        images = np.stack([light, coverage / (weights @ self.throughput.ravel())])
+        images = np.stack([light, coverage / np.maximum(weights @ self.throughput.ravel(), _DARK)])
         full = tuple(n + k - 1 for n, k in zip(light.shape, self.basis.shape[-2:], strict=True))
         fast = tuple(scipy.fft.next_fast_len(n, real=True) for n in full)
         total = np.zeros((2, fast[0], fast[1] // 2 + 1), dtype=np.complex128)

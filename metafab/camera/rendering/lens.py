@@ -49,12 +49,14 @@ class Lens:
         windows: of the x and the y image.
         blurs: blurs of both polarisations by depth.
         still: layers of the objects that do not move, by (polarisation, number): each is blurred once in a film.
+        crossed: whether the kernels are of each image for light of the other polarisation, the ghosts of a substrate.
     """
 
     kernels: PairKernels
     windows: tuple[Window, Window]
     blurs: dict[float, tuple[FieldBlur, FieldBlur]] = field(default_factory=dict)
     still: dict[tuple[int, int], Layer] = field(default_factory=dict)
+    crossed: bool = False
 
     @property
     def left(self) -> int:
@@ -97,9 +99,9 @@ class Lens:
         (k_y, k_x), (n_y, n_x) = self.kernels.shape, window.stop.shape
         light = np.zeros((n_y + k_y, n_x + k_x))
         if scene.background > 0.0:
-            # The background has no structure, so that its depth does not matter: the mean throughput is 1.
+            # The background has no structure, so that its depth does not matter.
             inner = (slice(k_y // 2, k_y // 2 + n_y), slice(k_x // 2, k_x // 2 + n_x))
-            light[inner] = scene.background * window.gain * window.stop
+            light[inner] = scene.background * self.kernels.mean_throughput * window.gain * window.stop
         for done, (index, spec) in enumerate(renderer.farthest_first(), start=1):
             layer = self.still.get((polarisation, index))
             if layer is None:
@@ -123,7 +125,11 @@ class Lens:
                 continue
             rows, columns = extent(coverage.any(axis=1)), extent(coverage.any(axis=0))
             crop = (_shifted(rows, piece.rows.start), _shifted(columns, piece.columns.start))
-            flux = piece.share[polarisation] * window.gain[crop] * brightness[rows, columns]
+            flux = (
+                piece.share[1 - polarisation if self.crossed else polarisation]
+                * window.gain[crop]
+                * brightness[rows, columns]
+            )
             if depth_m not in self.blurs:
                 self.blurs[depth_m] = FieldBlur.at_depth(self.kernels, float(depth_m))
             blurred = self.blurs[depth_m][polarisation](

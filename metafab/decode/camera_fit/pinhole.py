@@ -194,7 +194,7 @@ def _turned(psf: Psf, fit: CameraFit) -> Psf:
     """The stack on the axis with the sensor's rotation and magnification, places and depths unchanged."""
     n_y, n_x = psf.psf.shape[-2:]
     flat = stretched(psf.psf.reshape(-1, n_y, n_x).astype(np.float32), fit.back)
-    return dataclasses.replace(psf, psf=flat.reshape(psf.psf.shape).astype(np.float64), field=None)
+    return dataclasses.replace(psf, psf=flat.reshape(psf.psf.shape).astype(np.float64), field=None, ghost=None)
 
 
 def _expected_um(predicted: Psf, polarisation: int, fit: CameraFit) -> FloatArray:
@@ -307,4 +307,5 @@ def _calibrated(predicted: Psf, fit: CameraFit) -> Psf:
         sensor_distance_um=predicted.sensor_distance_um * fit.magnification,
         field=field,
         details=dataclasses.replace(predicted.details, camera_fit=figures),
+        ghost=None if predicted.ghost is None else _calibrated(predicted.ghost, fit),
     )

@@ -14,6 +14,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.spectra import transfer_functions
 from metafab.core.parallel.executor import kept_threads
+from metafab.decode.images.unmixing import Unmixing
 from metafab.decode.matching.levels import Levels
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.tiles import Tiling
@@ -77,17 +78,21 @@ class Deconvolver:
         calibration: kernels on the grid.
         tiling: tiles of the window.
         kept_bytes: most memory of the transfer functions that are kept.
+        unmixing: separation of polarisations that a birefringent substrate mixes; None without one.
     """
 
     calibration: Calibration
     tiling: Tiling
     kept_bytes: int = KEPT_BYTES
+    unmixing: Unmixing | None = None
     _transfers: OrderedDict[tuple[int, int], NDArray[np.complex64]] = field(
         default_factory=OrderedDict, init=False, repr=False, compare=False
     )
 
     @classmethod
-    def of(cls, calibration: Calibration, kept_bytes: int = KEPT_BYTES) -> Deconvolver:
+    def of(
+        cls, calibration: Calibration, kept_bytes: int = KEPT_BYTES, unmixing: Unmixing | None = None
+    ) -> Deconvolver:
         """A deconvolver with several tiles if the pair varies over the field, and one tile if it does not."""
         smallest, largest = _CORES_PX
         core = [
@@ -95,7 +100,7 @@ class Deconvolver:
         ]
         grid = calibration.grid
         tiling = Tiling.over(grid.shape, min(_MARGIN_PX, grid.margin), (core[0], core[1]))
-        return cls(calibration, tiling, kept_bytes)
+        return cls(calibration, tiling, kept_bytes, unmixing)
 
     @property
     def nbytes(self) -> int:
@@ -162,6 +167,8 @@ class Deconvolver:
         with kept_threads() as pool:
             for _ in pool.map(deconvolve, pairs, transfers):
                 pass
+        if self.unmixing is not None:
+            self.unmixing.separate(sharp.images, sharp.noise_gain)
         return sharp
 
     @property

@@ -11,6 +11,7 @@ import numpy as np
 from metafab.core.conventions import FloatArray, Polarisation, sensor_distance_um
 from metafab.core.errors import InputError
 from metafab.materials import refractive_index
+from metafab.optics.geometry.crystal import Crystal
 from metafab.optics.geometry.plate import Plate
 from metafab.phase.build import mean_direction
 from metafab.spec import Design
@@ -44,6 +45,7 @@ class Imaging:
         inner_um: diameter of a ring's hole.
         outline_um: (x, y) of a polygon's vertices.
         plates: substrate between scene and pillars for x and for y polarisation; empty for air.
+        crystal: birefringent substrate, whose ordinary wave sees ``plates``; None for one that keeps the polarisation.
     """
 
     wavelength_um: float
@@ -57,6 +59,7 @@ class Imaging:
     inner_um: float = 0.0
     outline_um: tuple[tuple[float, float], ...] = ()
     plates: tuple[Plate, ...] = ()
+    crystal: Crystal | None = None
 
     @classmethod
     def of(cls, design: Design) -> Imaging:
@@ -74,6 +77,7 @@ class Imaging:
                 f"{sensor.focus_depth_m:g} m",
                 "choose a larger depth; nearer objects have no real image",
             )
+        crystal = None if design.substrate is None else Crystal(design.substrate, design.wavelength_um)
         distance = sensor_distance_um(device.focal_length_mm, angle_deg, sensor.focus_depth_m)
         return cls(
             design.wavelength_um,
@@ -86,7 +90,8 @@ class Imaging:
             _deflections(design, distance),
             device.inner_um,
             device.outline_um,
-            _plates(design),
+            _plates(design) if crystal is None else (crystal.plate, crystal.plate),
+            crystal,
         )
 
     def aimed_at(self, centre_um: tuple[float, float]) -> Imaging:

@@ -13,13 +13,20 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.numeric import chebyshev
 from metafab.core.numeric.compiled import compiled
+from metafab.optics.geometry.crystal import Crystal
 from metafab.optics.geometry.imaging import Imaging, Tangent
 from metafab.optics.geometry.plate import Plate
 
 #: Ray in air: vergence (1/um), object direction (x/z, y/z) and sensor point (x, y, z) in um.
 RayNumbers: TypeAlias = tuple[float, float, float, float, float, float]
+#: Polarisation behind and before a birefringent substrate: row and column of its Jones matrix.
+JonesEntry: TypeAlias = tuple[int, int]
+
+#: Relative error of Jones matrices that are interpolated over the lens.
+_JONES_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True)
@@ -31,24 +38,40 @@ class Ray:
         tangent: (x/z, y/z) of the object.
         target_um: (x, y, z) of the sensor point.
         plate: substrate before the lens; None for air.
+        crystal: birefringent substrate, whose ordinary wave sees ``plate``; None for one that keeps the polarisation.
+        entry: polarisation of the pillars' light and of the object's light.
     """
 
     vergence_per_um: float
     tangent: Tangent
     target_um: tuple[float, float, float]
     plate: Plate | None = None
+    crystal: Crystal | None = None
+    entry: JonesEntry = (0, 0)
 
     @classmethod
-    def towards_image(cls, imaging: Imaging, polarisation: int, depth_m: float, tangent: Tangent) -> Ray:
-        """Return the ray to the geometric image point of one polarisation (0 for x, 1 for y)."""
+    def towards_image(
+        cls, imaging: Imaging, polarisation: int, depth_m: float, tangent: Tangent, entry: JonesEntry | None = None
+    ) -> Ray:
+        """Return the ray to the geometric image point of one polarisation (0 for x, 1 for y).
+
+        Args:
+            imaging: lens and sensor.
+            polarisation: of the image point.
+            depth_m: object depth.
+            tangent: object direction.
+            entry: of the Jones matrix of a birefringent substrate; by default ``polarisation`` behind and before it.
+        """
         x, y = imaging.image_point_um(polarisation, tangent)
-        plate = imaging.plates[polarisation] if imaging.plates else None
-        return cls(1e-6 / depth_m, tangent, (x, y, imaging.sensor_distance_um), plate)
+        entry = (polarisation, polarisation) if entry is None else entry
+        plate = imaging.plates[entry[0]] if imaging.plates else None
+        target_um = (x, y, imaging.sensor_distance_um)
+        return cls(1e-6 / depth_m, tangent, target_um, plate, imaging.crystal, entry)
 
     @property
     def in_air(self) -> Ray:
-        """The ray without the plate."""
-        return replace(self, plate=None)
+        """The ray without the substrate."""
+        return replace(self, plate=None, crystal=None)
 
     @property
     def numbers(self) -> RayNumbers:
@@ -68,6 +91,35 @@ class Ray:
         if self.plate is not None:
             amplitude = amplitude * self.plate.amplitude_ratio(x_um, y_um, self.vergence_per_um, self.tangent)
         return np.asarray(amplitude)
+
+    def jones_factor(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
+        """Return the entry of the crystal's Jones matrix over the lens, relative to the ordinary wave; 1 without.
+
+        The matrix is smooth: it is computed on Chebyshev points and interpolated.
+
+        Args:
+            x_um: shape (n_x,), ascending.
+            y_um: shape (n_y,), ascending.
+
+        Returns:
+            Shape (n_y, n_x).
+        """
+        if self.crystal is None:
+            return np.ones((y_um.size, x_um.size), dtype=np.complex128)
+        along_x, along_y = ((float(axis[0]), float(axis[-1])) for axis in (x_um, y_um))
+        count_x, count_y = (self._jones_points(span) for span in (along_x, along_y))
+        x, y = np.meshgrid(chebyshev.points(along_x, count_x), chebyshev.points(along_y, count_y))
+        nodes = self.crystal.jones(x, y, self.vergence_per_um, self.tangent)[self.entry]
+        columns = chebyshev.interpolation(along_x, count_x, x_um)
+        return np.asarray(chebyshev.interpolation(along_y, count_y, y_um) @ nodes @ columns.T)
+
+    def _jones_points(self, span_um: tuple[float, float]) -> int:
+        """Chebyshev points over a span of the lens: retardance changes by at most k h |n_e - n_o| per unit cosine."""
+        assert self.crystal is not None
+        crystal, cosines = self.crystal, self.vergence_per_um * (span_um[1] - span_um[0])
+        birefringence = abs(crystal.n_extraordinary - crystal.n_ordinary)
+        change_rad = crystal.wavenumber * crystal.substrate.thickness_um * birefringence * cosines
+        return chebyshev.points_needed(change_rad, _JONES_TOLERANCE)
 
 
 @compiled

@@ -58,6 +58,15 @@ class Plate:
         change = ratio / np.sqrt(1.0 + tangent2) - 1.0 / np.sqrt(1.0 + square)
         return -change * t_x, -change * t_y
 
+    def direction_cosines(
+        self, x_um: Any, y_um: Any, vergence_per_um: float, tangent: tuple[float, float]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the direction cosines along x and y, in the air, of the ray that reaches (x, y); broadcasts."""
+        t_x, t_y = tangent[0] - vergence_per_um * x_um, tangent[1] - vergence_per_um * y_um
+        ratio, tangent2 = self._refracted(np.asarray(t_x * t_x + t_y * t_y, dtype=np.float64), vergence_per_um)
+        sine = -ratio / np.sqrt(1.0 + tangent2)
+        return sine * t_x, sine * t_y
+
     def amplitude_ratio(self, x_um: Any, y_um: Any, vergence_per_um: float, tangent: tuple[float, float]) -> FloatArray:
         """Return the incident amplitude with the plate over the amplitude in air, 1 at the centre; broadcasts."""
         t_x, t_y = tangent[0] - vergence_per_um * x_um, tangent[1] - vergence_per_um * y_um

@@ -73,14 +73,14 @@ def loss_chain(
         through_pinhole: shape (2,), share that passes the pinhole behind the written mask, by the library.
         ideal_through_pinhole: shape (2,), share that passes the pinhole behind the target phases.
         coupling: efficiency of full-wave rows over that of the same rows by the library; None if not measured.
-        stopped: shape (2,), share that passes a stop or an amplitude before the pillars, which is contained in
-            ``transmitted`` and both efficiencies; None for none.
+        stopped: shape (2,), share that passes a substrate, stop or amplitude before the pillars and keeps its
+            polarisation, which is contained in ``transmitted`` and both efficiencies; None for none.
 
     Returns:
         Losses whose factors multiply to ``through_pinhole`` times ``coupling``.
     """
     overlap, best = np.array(front.overlap), np.array(front.best_overlap)
-    before = [] if stopped is None else [_loss("stop and amplitude before the pillars", stopped)]
+    before = [] if stopped is None else [_loss("substrate, stop and amplitude before the pillars", stopped)]
     if stopped is not None:
         transmitted, ideal_through_pinhole = transmitted / stopped, ideal_through_pinhole / stopped
         through_pinhole = through_pinhole / stopped

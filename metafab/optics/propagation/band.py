@@ -44,7 +44,11 @@ def at_wavelength(imaging: Imaging, wavelength_um: float) -> Imaging:
     (a, b), (c, d) = imaging.deflection
     deflection = ((ratio * a, ratio * b), (ratio * c, ratio * d))
     angle_deg = math.degrees(math.asin(sine))
-    return replace(imaging, wavelength_um=wavelength_um, split_angle_deg=angle_deg, deflection=deflection)
+    there = replace(imaging, wavelength_um=wavelength_um, split_angle_deg=angle_deg, deflection=deflection)
+    if imaging.crystal is None:
+        return there
+    crystal = imaging.crystal.at_wavelength(wavelength_um)
+    return replace(there, crystal=crystal, plates=(crystal.plate, crystal.plate))
 
 
 def band_ends(imaging: Imaging, filter_fwhm_nm: float) -> tuple[Imaging, Imaging]:

@@ -17,7 +17,7 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.chebyshev import Span, points_needed
 from metafab.optics.geometry.imaging import Imaging, Tangent
-from metafab.optics.geometry.path import Ray, power_at_aperture
+from metafab.optics.geometry.path import JonesEntry, Ray, power_at_aperture
 from metafab.optics.geometry.polarisation import Quantity, irradiance, weights
 from metafab.optics.numerics import PsfNumerics, quantity_of
 from metafab.optics.propagation.band import band_ends, band_irradiance, padded_px
@@ -87,6 +87,7 @@ class Window:
         depths_m: Sequence[float],
         *,
         judged: Judged = "all",
+        entry: JonesEntry | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Return PSFs about the geometric image point, shape (n_depth, n, n), and the error of each judged depth.
 
@@ -100,8 +101,9 @@ class Window:
             tangent: object direction.
             depths_m: shape (n_depth,), object depths.
             judged: depths whose errors are estimated.
+            entry: of the Jones matrix of a birefringent substrate; by default ``polarisation`` behind and before it.
         """
-        rays = [Ray.towards_image(self.imaging, polarisation, depth, tangent) for depth in depths_m]
+        rays = [Ray.towards_image(self.imaging, polarisation, depth, tangent, entry) for depth in depths_m]
         exact = pyramid[0].carrier.block_sites == 1 or len(pyramid) == 1
         indices = {"all": list(range(len(rays))), "ends": sorted({0, len(rays) - 1}), "none": []}[judged]
         ways = [(pyramid[0], rays)]
@@ -136,14 +138,16 @@ class Window:
         numerics: PsfNumerics,
         *,
         judged: Judged = "all",
+        entry: JonesEntry | None = None,
     ) -> tuple[FloatArray, FloatArray]:
         """Return :meth:`irradiance`, shape (n_depth, n, n), over the band of ``numerics``, and the errors."""
         if numerics.filter_fwhm_nm is None:
-            return self.irradiance(pyramid, polarisation, tangent, depths_m, judged=judged)
+            return self.irradiance(pyramid, polarisation, tangent, depths_m, judged=judged, entry=entry)
 
         def monochromatic(imaging: Imaging, side_px: int, judge: bool) -> tuple[FloatArray, FloatArray]:
             there = replace(self, imaging=imaging, window_px=side_px)
-            return there.irradiance(pyramid, polarisation, tangent, depths_m, judged=judged if judge else "none")
+            now: Judged = judged if judge else "none"
+            return there.irradiance(pyramid, polarisation, tangent, depths_m, judged=now, entry=entry)
 
         return band_irradiance(
             monochromatic,
@@ -159,7 +163,8 @@ class Window:
         self, pupil: Pupil, polarisation: int, tangent: Tangent, depths_m: Sequence[float]
     ) -> FloatArray:
         """Return the irradiance of ``pupil`` in the window of ``polarisation``, shape (n_depth, n, n)."""
-        return self.irradiance([pupil], polarisation, tangent, depths_m, judged="none")[0]
+        own = pupil.carrier.polarisation
+        return self.irradiance([pupil], polarisation, tangent, depths_m, judged="none", entry=(own, own))[0]
 
     def panels_per_side(self, pupil: Pupil, target_um: tuple[float, float, float]) -> int:
         """Return the cheapest number of panels along a side; it is odd, as the middle of the window is bright."""

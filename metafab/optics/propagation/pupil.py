@@ -103,6 +103,8 @@ class Pupil:
     def transmitted(self, ray: Ray) -> float:
         """Return the integral of the transmitted flux over the lens for the object of ``ray``, um^2."""
         flux = ray.incident_amplitude(self.x_um[None, :], self.y_um[:, None]) ** 2
+        if ray.crystal is not None:
+            flux = flux * np.abs(ray.jones_factor(self.x_um, self.y_um)) ** 2
         return float(np.sum(flux * self.power)) * self.cell_um2
 
 

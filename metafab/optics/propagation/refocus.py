@@ -40,9 +40,23 @@ def refocus(pupil: Pupil, ray: Ray, wavenumber: float) -> SingleComplexArray:
         pupil.wavenumber,
         pupil.carrier.ray.numbers,
     )
-    if ray.plate is None:
-        return blocks
-    return _behind_plate(blocks, pupil, ray, wavenumber)
+    if ray.plate is not None:
+        blocks = _behind_plate(blocks, pupil, ray, wavenumber)
+    return blocks if ray.crystal is None else _behind_crystal(blocks, pupil, ray)
+
+
+def _behind_crystal(blocks: SingleComplexArray, pupil: Pupil, ray: Ray) -> SingleComplexArray:
+    """Multiply blocks by an entry of the crystal's Jones matrix, to first order of the block size."""
+    factor = ray.jones_factor(pupil.x_um, pupil.y_um)
+    behind = (factor * blocks).astype(np.complex64)
+    if blocks.shape[0] == 3:
+        for axis, order in ((1, 1), (0, 2)):
+            if factor.shape[axis] < 2:
+                continue
+            slope = np.gradient(factor, pupil.block_um[order - 1], axis=axis)
+            behind[0] += slope * blocks[order]
+            behind[order] += slope * pupil.spread_um2[order - 1] * blocks[0]
+    return behind
 
 
 def weighted(blocks: SingleComplexArray, pupil: Pupil, weight: Weight) -> SingleComplexArray:

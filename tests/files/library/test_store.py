@@ -13,7 +13,7 @@ from metafab import library
 from metafab.core.errors import InputError
 from metafab.library import Library
 from metafab.spec import UnitCell
-from metafab.spec.embedded import unit_cell_of_library
+from metafab.spec.load import unit_cell_of_library
 from tests import library_ridges as ridges
 
 

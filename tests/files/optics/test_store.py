@@ -94,3 +94,17 @@ def test_a_missing_dataset_is_named(stack: Psf, tmp_path: Path) -> None:
         del file["centre_um"]
     with pytest.raises(InputError, match="centre_um"):
         load(path)
+
+
+def test_ghosts_of_a_substrate_are_stored_and_checked(stack: Psf, tmp_path: Path) -> None:
+    assert stack.field is not None
+    faint = replace(stack, psf=0.1 * stack.psf, field=replace(stack.field, psf=0.1 * stack.field.psf))
+    save(replace(stack, ghost=faint), tmp_path / "psf.h5")
+    back = load(tmp_path / "psf.h5")
+    assert back.ghost is not None and back.ghost.field is not None
+    assert np.array_equal(back.psf, stack.psf) and np.array_equal(back.ghost.psf, faint.psf)
+    assert np.array_equal(back.ghost.field.psf, faint.field.psf)
+    with h5py.File(tmp_path / "psf.h5", "r+") as file:
+        del file["ghost/field"]
+    with pytest.raises(InputError, match="ghost/field"):
+        load(tmp_path / "psf.h5")
