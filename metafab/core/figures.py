@@ -5,7 +5,7 @@ They are defined below all rooms, so that a run without stale steps reads them b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from metafab.core.conventions import FloatArray
 from metafab.core.storage.tables import optional
@@ -80,6 +80,9 @@ class MappingFigures:
         mean_transmittance: power transmittance, mean over pillars and polarisations.
         field_overlap: |<target, t>|^2 / (<target, target> <t, t>), mean of both polarisations.
         efficiency: transmittance times overlap, the share of power in the wanted wave, mean of both polarisations.
+        library_error: error bound of the library in complex t, rms over the pillars.
+        worst_library_error: largest error bound of a size that is used.
+        doubtful_pillars: number of pillars whose size is beyond the library's target error.
     """
 
     pillars: int
@@ -95,6 +98,19 @@ class MappingFigures:
     efficiency: float
     efficiency_x: float
     efficiency_y: float
+    library_error: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
+    worst_library_error: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
+    doubtful_pillars: int | None = field(default=None, metadata={"optional": True}, kw_only=True)
+
+    def warnings(self) -> list[str]:
+        """Return a sentence about pillars whose response is not known to the target error."""
+        if not self.doubtful_pillars:
+            return []
+        share = 100.0 * self.doubtful_pillars / self.pillars
+        return [
+            f"{share:.2g} % of the pillars have sizes beyond the library's target error, known to "
+            f"{self.worst_library_error:.2g} at worst; no other size serves these phases as well"
+        ]
 
 
 @dataclass(frozen=True)

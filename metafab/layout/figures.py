@@ -81,6 +81,7 @@ class TileSums:
         overlap = np.abs(self.overlap) ** 2 / (self.pillars * self.power)
         efficiency = transmittance * overlap
         gap_dbu = self.smallest_gap_dbu
+        used = self.used > 0
         return MappingFigures(
             pillars=self.pillars,
             distinct_sizes=int(np.count_nonzero(self.used[1:])),
@@ -95,6 +96,9 @@ class TileSums:
             efficiency=float(efficiency.mean()),
             efficiency_x=float(efficiency[0]),
             efficiency_y=float(efficiency[1]),
+            library_error=float(np.sqrt(self.used @ table.error**2 / self.pillars)),
+            worst_library_error=float(table.error[used].max()),
+            doubtful_pillars=int(self.used[table.error > library.unit_cell.sweep.target_error].sum()),
         )
 
 

@@ -2,6 +2,7 @@
 
 - ``fit/``     rational models of the amplitudes, and the error bounds that follow from them
 - ``sweep/``   adaptive sampling and checkpoints: UnitCell -> Library
+- ``foreign/`` sweeps of other programs
 - ``use/``     target phases -> sizes, figures of merit, checks
 - ``neighbours/``  what unlike neighbours do
 - ``neighbours/``  fields of unlike pillars side by side: chains of coupled modes

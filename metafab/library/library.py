@@ -231,6 +231,19 @@ class Library(Displayed):
             raise InputError.single("library", "width_nm, length_nm", "diameters of circles", got)
         return SizeResponse(self.t_xx[0, row, column], self.t_yy[0, row, column], self.error_of_sizes[row, column])
 
+    def warnings(self) -> list[str]:
+        """Return a sentence about sizes whose error bound is beyond the target error."""
+        target, error = self.unit_cell.sweep.target_error, self.error_of_sizes
+        beyond = int(np.count_nonzero(error > target))
+        if not beyond:
+            return []
+        row, column = np.unravel_index(int(np.nanargmax(error)), error.shape)
+        return [
+            f"{beyond} of {int(self.known.sum())} sizes are beyond the target error {target:g}; the worst, "
+            f"{self.width_nm[column]:g} x {self.length_nm[row]:g} nm, is known to {error[row, column]:.2g}. "
+            "A layout takes others where they serve; another height or period moves resonances"
+        ]
+
     def key_figures(self) -> dict[str, str]:
         """Sizes, wavelength and error."""
         width, length = self.width_nm, self.length_nm

@@ -27,7 +27,7 @@ def load_unit_cell(path: Path | str) -> UnitCell:
     Raises:
         InputError: the file cannot be read, or holds faults (all of them are reported).
     """
-    return validate(UnitCell, read_toml(Path(path)), str(path))
+    return validate(UnitCell, _table(Path(path), "a unit-cell file"), str(path))
 
 
 def load_unit_cell_of(library: Path) -> UnitCell:
@@ -61,7 +61,7 @@ def load_scene(path: Path | str) -> Scene:
     Raises:
         InputError: the file cannot be read, or holds faults (all of them are reported).
     """
-    table = read_toml(Path(path))
+    table = _table(Path(path), "a scene file")
     return validate(Scene, table.get("scene", table), str(path))
 
 
@@ -74,7 +74,7 @@ def load_design(path: Path | str) -> Design:
         InputError: all faults of the design, its unit cell and its scene, each with its path.
     """
     path = Path(path)
-    table = read_toml(path)
+    table = _table(path, "a design file")
     faults: list[Fault] = []
     table["unit_cell"] = _referenced_unit_cell(path, table, faults)
     if isinstance(table.get("scene"), str):
@@ -93,6 +93,32 @@ def load_design(path: Path | str) -> Design:
 
 
 _FAULTY = object()
+
+#: Kinds of input file: tables that tell them apart, and the command that takes them.
+_KINDS = {
+    "a unit-cell file": ({"cell", "materials", "illumination", "sweep"}, "`metafab library build`, `metafab cell`"),
+    "a scene file": ({"objects", "field_px", "photons_per_pixel"}, "`metafab capture`, `metafab film`"),
+    "a design file": ({"device", "phase", "rules", "sensor", "verify"}, "`metafab run`, `metafab layout`"),
+}
+
+
+def _table(path: Path, expected: str) -> dict[str, Any]:
+    """Table of an input file.
+
+    Raises:
+        InputError: the file cannot be read, or is a file of another kind.
+    """
+    table = read_toml(path)
+    found = {kind: len(keys & table.keys()) for kind, (keys, _) in _KINDS.items()}
+    likeliest = max(found, key=lambda kind: found[kind])
+    # A design may be handed over for its scene.
+    if found[expected] or found[likeliest] < 2 or (expected == "a scene file" and "scene" in table):
+        return table
+    named = ", ".join(f"[{key}]" for key in table if key in _KINDS[likeliest][0])
+    remedy = f"it goes to {_KINDS[likeliest][1]}"
+    if likeliest == "a unit-cell file":
+        remedy += '; a design names it by `library = "..."` (`metafab new` writes one)'
+    raise InputError.single(str(path), "file", expected, f"{likeliest} (with {named})", remedy)
 
 
 def _referenced_unit_cell(path: Path, table: dict[str, Any], faults: list[Fault]) -> Any:

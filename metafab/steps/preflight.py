@@ -121,15 +121,17 @@ def _objects_outside_view(design: Design, scene: Scene) -> list[Fault]:
 
 def _preflight(job: Job) -> PreflightFigures:
     from metafab import mask
+    from metafab.cell.open_orders import open_orders
 
     preflight(job.design)
-    return PreflightFigures(tuple(mask.announcement(job.design)))
+    orders = open_orders(job.design.unit_cell) if job.design.has_mask else ()
+    return PreflightFigures((*(order.sentence() for order in orders), *mask.announcement(job.design)))
 
 
 #: Runs before all other steps and writes no file.
 PREFLIGHT = Step(
     name="preflight",
-    rooms=("spec", "phase", "layout", "mask", "optics"),
+    rooms=("spec", "cell", "phase", "layout", "mask", "optics"),
     after=(),
     inputs=lambda design: design,
     outputs=lambda job: (),

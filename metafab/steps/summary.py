@@ -127,6 +127,13 @@ _OF_PILLARS = {
 }
 
 
+def _library_error(library: LibraryFigures | None, layout: LayoutFigures | None) -> float | None:
+    """Error of the sizes that a mask uses; of all sizes where the layout does not state it."""
+    if layout is not None and layout.library_error is not None:
+        return layout.library_error
+    return None if library is None else library.max_error
+
+
 def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
     """Collect the measured contributions to the error of the whole, in the order of the pipeline.
 
@@ -137,9 +144,9 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
     lines = [
         BudgetLine(
             "solver and library",
-            None if library is None else library.max_error,
+            _library_error(library, layout),
             "complex t",
-            "largest error of any size: certificate of the truncation plus interpolation, checked at held-out sizes",
+            "rms over the pillars of the bound of each size: certificate of the truncation plus interpolation",
         ),
         BudgetLine(
             "size snapping and finite library",

@@ -23,8 +23,8 @@ from tests.main_job import ROOT, SMALL, UNIT_CELL, metafab
 pytestmark = pytest.mark.xdist_group("main_job")
 
 COMMANDS = [
-    ["run"], ["cell"], ["library"], ["library", "build"], ["library", "check"], ["library", "show"], ["layout"],
-    ["drc"], ["expose"], ["fullwave"], ["coupling"], ["patch"], ["psf"], ["capture"], ["decode"], ["report"],
+    ["run"], ["cell"], ["library"], ["library", "build"], ["library", "check"], ["library", "show"],
+    ["library", "import"], ["layout"], ["drc"], ["expose"], ["fullwave"], ["coupling"], ["patch"], ["psf"], ["capture"], ["decode"], ["report"],
     ["benchmark"], ["doctor"],
 ]  # fmt: skip
 

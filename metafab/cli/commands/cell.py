@@ -127,6 +127,7 @@ def library_build(
 ) -> None:
     """Build a library: sweep width and length until every size is within the target error."""
     from metafab import library
+    from metafab.cell.open_orders import open_orders
     from metafab.core.parallel.executor import default_workers
     from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import plain
@@ -136,6 +137,7 @@ def library_build(
 
     spec = load_unit_cell(unit_cell)
     path = output or unit_cell.with_suffix(".h5")
+    announce(order.sentence() for order in open_orders(spec))
     estimate = library.estimate_cost(spec, target_error=target_error)
     if estimate is not None:
         least, most = (seconds / (workers or default_workers()) for seconds in estimate.seconds)
@@ -148,6 +150,7 @@ def library_build(
         built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=work.progress)
     quality = library.quality(built)
     announce(coverage_warning(quality.coverage_rad))
+    announce(built.warnings())
     time = {} if built.time is None else plain(built.time)
     figures = plain(quality) | statistics_json(built) | time
     show(figures | {"file": path, "seconds": cost.seconds}, json_)
@@ -171,7 +174,39 @@ def library_check(
         result = library.check(
             opened, against=against, samples=samples, seed=seed, executor=executor, progress=work.progress
         )
+    announce(result.warnings())
     show(result, json_)
+
+
+@library_app.command("import")
+def library_import(
+    sweep: Annotated[Path, typer.Argument(metavar="SWEEP", help="Sweep of another program: .csv, .npz or .h5.")],
+    unit_cell: Annotated[Path, typer.Option("--unit-cell", metavar="CELL.toml", help="Unit cell of the sweep.")],
+    quantity: Annotated[
+        Literal["field", "power", "s21"],
+        typer.Option(help="The amplitudes: ratio of fields, power with phase, or power-normalised S parameter."),
+    ],
+    time_sign: Annotated[
+        Literal["minus", "plus"], typer.Option(help="The program's exp(-i omega t) or exp(+i omega t).")
+    ] = "minus",
+    output: Output = None,
+    json_: Json = False,
+) -> None:
+    """Make a library of a sweep that another program solved; its error is that of cross-validation."""
+    from metafab import library
+    from metafab.core.storage.files import plain, require_hdf5_name
+    from metafab.library.foreign.imported import import_sweep
+    from metafab.library.store import statistics_json
+    from metafab.spec import load_unit_cell
+
+    path = output or sweep.with_suffix(".library.h5")
+    require_hdf5_name(path)
+    made = import_sweep(sweep, load_unit_cell(unit_cell), quantity=quantity, time_sign=time_sign)
+    library.save(made, path)
+    quality = library.quality(made)
+    announce(coverage_warning(quality.coverage_rad))
+    announce(made.warnings())
+    show(plain(quality) | statistics_json(made) | {"file": path}, json_)
 
 
 @library_app.command("show")

@@ -12,6 +12,8 @@ from metafab.cli.console import announce, coverage_warning, exit_on_violations, 
 
 if TYPE_CHECKING:
     from metafab.steps import RunSummary
+    from metafab.steps.layout import LayoutFigures
+    from metafab.steps.library import LibraryFigures
 
 
 @app.command("new")
@@ -49,6 +51,8 @@ def run_command(
         summary = run(spec, folder, work=work, say=announce)
     if summary.library is not None:
         announce(coverage_warning(summary.library.coverage_rad))
+    if summary.layout is not None:
+        announce(summary.layout.warnings())
     if summary.psf is not None:
         announce(summary.psf.warnings())
     show(summary.table() if json_ else headlines(summary, folder), json_)
@@ -64,8 +68,7 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
     """
     lines: dict[str, str] = {}
     if (library := summary.library) is not None:
-        if library.max_error is not None:
-            lines["library error"] = f"{library.max_error:.2g} of complex t at most"
+        lines |= _library_error(library, summary.layout)
         lines["phase reach"] = f"{library.coverage_rad:.3g} rad"
     if (phase := summary.phase) is not None:
         if phase.peak_gain is not None:
@@ -96,3 +99,11 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
     lines["all figures"] = str(folder / "summary.json")
     lines["report"] = str(folder / "report.html")
     return lines
+
+
+def _library_error(library: LibraryFigures, layout: LayoutFigures | None) -> dict[str, str]:
+    """Error of the sizes that the mask uses, weighted by pillars, beside the worst of them."""
+    if layout is not None and layout.library_error is not None:
+        worst = f"{layout.worst_library_error:.2g} at worst"
+        return {"library error": f"{layout.library_error:.2g} of complex t (rms over the pillars), {worst}"}
+    return {} if library.max_error is None else {"library error": f"{library.max_error:.2g} of complex t at most"}

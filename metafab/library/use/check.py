@@ -55,10 +55,12 @@ class LibraryCheck:
         max_stated_error: largest error bound of the library at these sizes.
         max_solver_error: largest error bound of the reference solver.
         beyond_stated: samples whose error exceeds the sum of both bounds.
+        not_checked: samples whose reference comes from the library's own solver with no smaller error bound than the
+            library's: their difference says nothing.
         worst_width_nm: width of the size with the largest error.
         worst_length_nm: length of the size with the largest error.
         solver_seconds: time in the solver.
-        verdict: "holds" if no sample is beyond the bounds, else "fails".
+        verdict: "fails" if a sample is beyond the bounds, "no check" if no sample was checked, else "holds".
         sizes: each sample, in the order of the draw.
     """
 
@@ -71,11 +73,21 @@ class LibraryCheck:
     max_stated_error: float
     max_solver_error: float
     beyond_stated: int
+    not_checked: int
     worst_width_nm: float
     worst_length_nm: float
     solver_seconds: float
-    verdict: Literal["holds", "fails"]
+    verdict: Literal["holds", "fails", "no check"]
     sizes: tuple[CheckedSize, ...]
+
+    def warnings(self) -> list[str]:
+        """Return a sentence about samples that were not checked."""
+        if not self.not_checked:
+            return []
+        return [
+            f"{self.not_checked} of {self.samples} samples are not checked: the finer {self.against} ended at no "
+            "smaller error than the library's. Check them by the other solver (--against), whose error is independent"
+        ]
 
 
 def check(
@@ -125,6 +137,8 @@ def check(
     t = np.stack([response.t_xx, response.t_yy], axis=-1)
     error = np.abs(t - reference).max(axis=-1)
     beyond = int(np.count_nonzero(error > response.error + solver_error))
+    same_solver = library.unit_cell.solver.name == against
+    idle = int(np.count_nonzero(solver_error >= response.error)) if same_solver else 0
     worst = int(np.argmax(error))
     phase_error = np.abs(np.angle(t / reference))[np.abs(reference) >= LEAST_AMPLITUDE]
     rows = np.stack([width_nm, length_nm, error, response.error, solver_error], axis=-1)
@@ -138,9 +152,10 @@ def check(
         max_stated_error=float(response.error.max()),
         max_solver_error=float(solver_error.max()),
         beyond_stated=beyond,
+        not_checked=idle,
         worst_width_nm=float(width_nm[worst]),
         worst_length_nm=float(length_nm[worst]),
         solver_seconds=float(sum(answer.seconds for answer in answers)),
-        verdict="fails" if beyond else "holds",
+        verdict="fails" if beyond else "no check" if idle == samples else "holds",
         sizes=tuple(CheckedSize(*row) for row in rows.tolist()),
     )

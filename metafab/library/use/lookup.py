@@ -27,6 +27,9 @@ from metafab.library.use.amplitudes import empty_cell_t
 
 _LARGEST_INDEX = np.iinfo(np.uint16).max
 
+#: Least factor of the overlap of a size whose t is not known.
+_LEAST_TRUST = 1e-3
+
 #: Rows of the table per query of the k-d tree.
 _ROWS_AT_ONCE = 64
 
@@ -169,16 +172,27 @@ def build_size_table(
     size_nm = np.stack([library.width_nm[column], library.length_nm[row]], axis=-1)
     size_dbu = _exact_dbu(size_nm, database_unit_nm)
     t = library.t[row, column]
+    error = library.error_of_sizes[row, column]
     damping = np.exp(-0.5 * (cd_sigma_nm * phase_slope_per_nm(library)[row, column]) ** 2)
+    damping *= _doubt(t, error, library.unit_cell.sweep.target_error)
     size_index, overlap = best_overlap(t * damping, cells)
     return SizeTable(
         database_unit_nm=database_unit_nm,
         size_dbu=np.concatenate([np.zeros((1, 2), dtype=np.int32), size_dbu]),
         t=np.concatenate([empty_cell_t(library.unit_cell)[None], t]),
-        error=np.concatenate([[0.0], library.error_of_sizes[row, column]]),
+        error=np.concatenate([[0.0], error]),
         size_index=size_index,
         overlap=overlap,
     )
+
+
+def _doubt(t: ComplexArray, error: FloatArray, target_error: float) -> FloatArray:
+    """Factor of the overlap of each size, shape (n_sizes, 2): what its error bound leaves of t beyond the target error.
+
+    Sizes within the target error keep their overlap.
+    """
+    left = np.maximum(1.0 - error[:, None] / np.maximum(np.abs(t), 1e-12), _LEAST_TRUST)
+    return np.where(error[:, None] > target_error, left, 1.0)
 
 
 def global_offsets(table: SizeTable, histogram: NDArray[np.int64]) -> tuple[float, float]:

@@ -154,3 +154,14 @@ def test_files_without_an_end_and_huge_ones_are_refused_at_once(tmp_path: Path) 
     for path, got in ((pipe, "a folder, pipe or device"), (tmp_path, "a folder"), (huge, "1099511627776 bytes")):
         with pytest.raises(InputError, match=f"`file`: expected a TOML file.*got {got}"):
             load_design(path)
+
+
+def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"expected a design file, got a unit-cell file .*`metafab library build`"):
+        load_design(CELL)
+    with pytest.raises(InputError, match=r"expected a unit-cell file, got a design file .*`metafab run`"):
+        load_unit_cell(SMALL)
+    scene = tmp_path / "scene.toml"
+    scene.write_text("field_px = [64, 64]\n[[objects]]\ndepth_m = 0.3\n")
+    with pytest.raises(InputError, match=r"expected a design file, got a scene file .*`metafab capture`"):
+        load_design(scene)

@@ -60,3 +60,15 @@ def test_a_check_names_every_size_and_the_worst(stored: Library) -> None:
     assert 0.0 < found.mean_phase_error_rad <= found.max_phase_error_rad
     # A bias of 0.02 turns an amplitude of a tenth, the smallest that counts, by 0.2 at most.
     assert found.max_phase_error_rad < 0.21
+
+
+def test_a_check_that_is_none_says_so(stored: Library) -> None:
+    """The finer solve ended where the library did: a difference of zero, which proves nothing."""
+    idle = library.check(stored, against="rcwa", samples=9, solver=_Biased(0.0, 1e-3))
+    assert (idle.verdict, idle.not_checked, idle.max_abs_error) == ("no check", 9, pytest.approx(0.0))
+    assert "9 of 9 samples are not checked" in idle.warnings()[0]
+    finer = library.check(stored, against="rcwa", samples=9, solver=_Biased(0.0, 1e-4))
+    assert (finer.verdict, finer.not_checked, finer.warnings()) == ("holds", 0, [])
+    # Another solver is a check whatever its error.
+    other = library.check(stored, against="meep", samples=9, solver=_Biased(0.0, 1e-2))
+    assert (other.verdict, other.not_checked) == ("holds", 0)

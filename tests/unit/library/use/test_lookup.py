@@ -183,3 +183,21 @@ def test_compiled_and_vectorised_look_up_agree(table: SizeTable, phase_x: np.nda
     """Also with shapes that broadcast; the compiled form must not differ in a single cell."""
     vectorised = table.size_index[table.nearest_cell(phase_y), table.nearest_cell(phase_x)]
     assert np.array_equal(table.sizes_for(phase_x, phase_y), vectorised)
+
+
+def test_sizes_beyond_the_target_error_are_taken_only_where_no_other_serves(smooth_library: Library) -> None:
+    plain = build_size_table(smooth_library, database_unit_nm=0.5, cells=CELLS)
+    favourites = np.bincount(plain.size_index.ravel(), minlength=len(plain.size_dbu)).argsort()[-5:]
+    row, column = np.divmod(favourites - 1, smooth_library.width_nm.size)
+    error = np.array(np.broadcast_to(smooth_library.error, smooth_library.t_xx.shape))
+    error[0, row, column] = 4.19
+    doubtful = replace(smooth_library, error=error)
+    table = build_size_table(doubtful, database_unit_nm=0.5, cells=CELLS)
+    assert not np.isin(table.size_index, favourites).any()
+    assert np.array_equal(table.t, plain.t)  # what they do is not changed, only how they are preferred
+    (sentence,) = doubtful.warnings()
+    assert "5 of 5776 sizes are beyond the target error" in sentence
+    assert smooth_library.warnings() == []
+    # Where nothing else is left they serve.
+    everywhere = replace(smooth_library, error=np.full_like(error, 4.19))
+    assert build_size_table(everywhere, database_unit_nm=0.5, cells=CELLS).size_index.min() >= 1

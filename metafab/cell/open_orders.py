@@ -1,0 +1,89 @@
+"""Orders besides the zero order that leave a unit cell and take light from it: their number and share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.cell.pillar import PillarCell
+from metafab.cell.problem import pillar_cell
+from metafab.cell.rcwa.diffraction import diffraction, propagating_orders
+from metafab.cell.response import CellNumerics
+from metafab.core.conventions import Side
+from metafab.spec import UnitCell
+
+#: Sizes, as shares of the range of the sweep, whose orders are solved, and the error of their efficiencies.
+_SIZES, _ERROR = (0.25, 0.5, 0.75), 2e-2
+
+
+@dataclass(frozen=True)
+class OpenOrders:
+    """Orders that propagate in one half space.
+
+    Attributes:
+        side: "substrate" or "ambient".
+        count: their number, without the zero order.
+        largest_period_nm: period below which none propagates at normal incidence.
+        share_x: share of the incident light in them, mean of three sizes of the sweep, x polarisation; likewise y.
+        error: largest error of a share.
+    """
+
+    side: Side
+    count: int
+    largest_period_nm: float
+    share_x: float
+    share_y: float
+    error: float
+
+    def sentence(self) -> str:
+        """Return the orders, their share and the remedy as one sentence."""
+        accuracy = "" if self.error <= _ERROR else f" (to {self.error:.1g})"
+        return (
+            f"{self.count} diffraction orders besides the zero order open in the {self.side} and take "
+            f"{100.0 * self.share_x:.1f} % of x and {100.0 * self.share_y:.1f} % of y polarised light{accuracy}, "
+            f"mean of three sizes; with periods below {self.largest_period_nm:.0f} nm there are none"
+        )
+
+
+def open_orders(unit_cell: UnitCell) -> tuple[OpenOrders, ...]:
+    """Return the orders that open on either side of a unit cell; solves three sizes by RCWA if there are any.
+
+    Raises:
+        InputError: as :func:`metafab.cell.pillar_cell`.
+    """
+    sides: tuple[Side, Side] = ("substrate", "ambient")
+    cells = [pillar_cell(unit_cell, *_size_nm(unit_cell, share)) for share in _SIZES]
+    index = _index(cells[0], unit_cell)
+    counts = {side: len(propagating_orders(cells[0], index[side])) - 1 for side in sides}
+    if not any(counts.values()):
+        return ()
+    solved = [diffraction(cell, CellNumerics(target_error=_ERROR)) for cell in cells]
+    error = max(one.error for one in solved)
+    found = []
+    for side in sides:
+        if not counts[side]:
+            continue
+        lists = [one.reflected if side == unit_cell.illumination.side else one.transmitted for one in solved]
+        shares = np.array(
+            [[sum(getattr(o, f"efficiency_{p}") for o in orders if any(o.order)) for p in "xy"] for orders in lists]
+        ).mean(axis=0)
+        densest = max(complex(n).real for n in index[side])
+        # The first orders of a hexagonal lattice belong to its row distance, sqrt(3) / 2 of the period.
+        factor = 2.0 / np.sqrt(3.0) if unit_cell.cell.is_hexagonal else 1.0
+        largest_nm = float(factor * unit_cell.illumination.wavelength_nm / densest)
+        found.append(OpenOrders(side, counts[side], largest_nm, float(shares[0]), float(shares[1]), error))
+    return tuple(found)
+
+
+def _index(cell: PillarCell, unit_cell: UnitCell) -> dict[Side, tuple[complex, complex]]:
+    """Index of both half spaces for x and y polarisation."""
+    from_substrate = unit_cell.illumination.side == "substrate"
+    substrate, ambient = (cell.n_in, cell.n_out) if from_substrate else (cell.n_out, cell.n_in)
+    return {"substrate": substrate, "ambient": ambient}
+
+
+def _size_nm(unit_cell: UnitCell, share: float) -> tuple[float, float]:
+    sweep = unit_cell.sweep
+    width_nm, length_nm = (low + share * (high - low) for low, high in (sweep.width_nm, sweep.length_nm))
+    return width_nm, length_nm

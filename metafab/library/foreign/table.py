@@ -1,0 +1,187 @@
+"""Sweeps of other programs as tables of sizes and complex amplitudes.
+
+Columns (.csv) and arrays (.npz, .h5) go by name: sizes ``width_nm`` and ``length_nm``, or ``diameter_nm`` (also in
+``_um`` and ``_m``); amplitudes ``t`` for both polarisations or ``t_xx`` and ``t_yy``. In a table of numbers an
+amplitude ``t`` consists of ``t_re`` and ``t_im``, or of ``t_abs`` and ``t_phase_rad`` or ``t_phase_deg``. Arrays are
+columns of equal length, or maps of shape (n_length, n_width) over ``width_nm``, shape (n_width,), and ``length_nm``,
+shape (n_length,).
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.errors import InputError
+from metafab.core.storage import hdf5
+
+#: Amplitudes of a file: the ratio of the electric fields; a modulus that is the power transmittance, with the phase of
+#: that ratio; or a scattering parameter, whose squared modulus is the power transmittance.
+Quantity: TypeAlias = Literal["field", "power", "s21"]
+
+_UNITS_NM = {"nm": 1.0, "um": 1e3, "m": 1e9}
+_SUFFIXES = ("_re", "_im", "_abs", "_phase_rad", "_phase_deg")
+#: Largest file, bytes.
+_LARGEST_BYTES = 1 << 30
+
+
+@dataclass(frozen=True)
+class SweepTable:
+    """Solved sizes of a sweep.
+
+    Attributes:
+        size_nm: shape (n, 2), width and length.
+        t_xx: shape (n,), amplitude for x polarised light, as the file has it.
+        t_yy: shape (n,), likewise for y; None if the file has one amplitude.
+        circles: whether the file names diameters.
+        left_out: rows without a finite amplitude.
+    """
+
+    size_nm: FloatArray
+    t_xx: ComplexArray
+    t_yy: ComplexArray | None
+    circles: bool
+    left_out: int
+
+
+def read_sweep(path: Path) -> SweepTable:
+    """Read a sweep.
+
+    Raises:
+        InputError: the file cannot be read, lacks a column, or has no finite row.
+    """
+    columns = _columns(path)
+    sizes, circles = _sizes(columns, path)
+    shape = np.broadcast_shapes(*(size.shape for size in sizes))
+    one = _amplitude(columns, "t", path)
+    t_xx = one if one is not None else _amplitude(columns, "t_xx", path)
+    t_yy = None if one is not None else _amplitude(columns, "t_yy", path)
+    if t_xx is None:
+        expected = "an amplitude `t`, or `t_xx` (and `t_yy`), as _re and _im, or _abs and _phase_rad or _phase_deg"
+        raise InputError.single(str(path), "columns", expected, f"the columns {', '.join(columns)}", "rename them")
+    for name, t in (("t_xx", t_xx), ("t_yy", t_yy)):
+        if t is not None and t.shape != shape:
+            raise InputError.single(str(path), name, f"shape {shape} like the sizes", f"shape {t.shape}")
+    size_nm = np.stack([np.broadcast_to(size, shape).ravel() for size in sizes], axis=1)
+    t_xx, t_yy = t_xx.ravel(), None if t_yy is None else t_yy.ravel()
+    finite = np.isfinite(size_nm).all(axis=1) & np.isfinite(t_xx) & (True if t_yy is None else np.isfinite(t_yy))
+    if not finite.any():
+        raise InputError.single(str(path), "rows", "at least one with finite numbers", f"none of {finite.size}")
+    size_nm = np.round(size_nm[finite], 6)  # 1e-6 nm: units of um and m round
+    _, first, count = np.unique(size_nm, axis=0, return_index=True, return_counts=True)
+    if count.max() > 1:
+        twice = size_nm[first[count > 1][0]]
+        got = f"{twice[0]:g} x {twice[1]:g} nm more than once"
+        raise InputError.single(str(path), "rows", "each size once", got, "one wavelength and one height a file")
+    return SweepTable(
+        size_nm, t_xx[finite], None if t_yy is None else t_yy[finite], circles, int(np.count_nonzero(~finite))
+    )
+
+
+def _columns(path: Path) -> dict[str, NDArray[np.generic]]:
+    """Arrays of a file by lower-case name."""
+    expected = "a .csv, .npz or .h5 file with a sweep"
+    readers = {".csv": _csv, ".npz": _npz, ".h5": _h5, ".hdf5": _h5}
+    if path.suffix.lower() not in readers:
+        raise InputError.single(str(path), "file", expected, f"the ending {path.suffix!r}")
+    try:
+        if path.stat().st_size > _LARGEST_BYTES:
+            raise InputError.single(str(path), "file", f"at most {_LARGEST_BYTES >> 20} MB", "a larger one")
+        return readers[path.suffix.lower()](path)
+    except InputError:
+        raise
+    except Exception as error:  # the readers raise many types for a broken file
+        raise InputError.single(str(path), "file", expected, f"an unreadable one ({error})") from error
+
+
+def _csv(path: Path) -> dict[str, NDArray[np.generic]]:
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        lines = [line for line in stream if line.strip() and not line.lstrip().startswith("#")]
+    if not lines:
+        raise ValueError("no rows")
+    delimiter = next((sign for sign in ",;\t" if sign in lines[0]), None)
+    rows = [line.split() for line in lines] if delimiter is None else list(csv.reader(lines, delimiter=delimiter))
+    names = [name.strip().lower() for name in rows[0]]
+    if uneven := next((n for n, row in enumerate(rows, start=1) if len(row) != len(names)), None):
+        raise ValueError(f"{len(rows[uneven - 1])} cells in row {uneven}, not {len(names)} as in the header")
+    cells = {name: [row[k].strip() for row in rows[1:]] for k, name in enumerate(names)}
+    return {
+        name: np.array([complex(v.replace("i", "j")) if _is_complex(v) else _real(v) for v in values])
+        for name, values in cells.items()
+    }
+
+
+def _real(text: str) -> float:
+    return float(text) if text else float("nan")
+
+
+def _is_complex(text: str) -> bool:
+    """Whether a cell is a complex number such as 0.1+0.2j or 0.1-0.2i; "inf" and "nan" are none."""
+    return text[-1:] in {"i", "j"}
+
+
+def _npz(path: Path) -> dict[str, NDArray[np.generic]]:
+    with np.load(path, allow_pickle=False) as file:
+        return {name.lower(): np.asarray(file[name]) for name in file.files}
+
+
+def _h5(path: Path) -> dict[str, NDArray[np.generic]]:
+    with h5py.File(path, "r") as file:
+        names = [name for name in file if isinstance(file[name], h5py.Dataset)]
+        hdf5.require_modest(file, path, names=["/" + name for name in names])
+        return {name.lower(): _complex_of_parts(file[name][()]) for name in names}
+
+
+def _complex_of_parts(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Complex numbers of a record of two parts, as MATLAB and others store them."""
+    names = values.dtype.names
+    if names is None or len(names) != 2:
+        return np.asarray(values)
+    record: Any = values
+    return np.asarray(record[names[0]] + 1j * record[names[1]])
+
+
+def _sizes(columns: Mapping[str, NDArray[np.generic]], path: Path) -> tuple[tuple[FloatArray, FloatArray], bool]:
+    """Width and length, broadcast against each other, and whether they are diameters."""
+    found = {}
+    for name in ("diameter", "width", "length"):
+        for unit, factor in _UNITS_NM.items():
+            if f"{name}_{unit}" in columns:
+                found[name] = factor * np.asarray(columns[f"{name}_{unit}"], dtype=np.float64)
+    if "diameter" in found:
+        return (found["diameter"], found["diameter"]), True
+    if found.keys() != {"width", "length"}:
+        expected = "`width_nm` and `length_nm`, or `diameter_nm` (or in _um, _m)"
+        got = f"the columns {', '.join(columns)}"
+        raise InputError.single(str(path), "columns", expected, got, "rename them; the unit is part of the name")
+    width, length = found["width"], found["length"]
+    maps = any(np.ndim(values) == 2 for values in columns.values())
+    if maps and width.ndim == length.ndim == 1:
+        return (width[None, :], length[:, None]), False
+    return (width, length), False
+
+
+def _amplitude(columns: Mapping[str, NDArray[np.generic]], name: str, path: Path) -> ComplexArray | None:
+    """Complex amplitude of one name; None if the file has none."""
+    if name in columns:
+        return np.asarray(columns[name], dtype=np.complex128)
+    parts = {suffix: np.asarray(columns[name + suffix]) for suffix in _SUFFIXES if name + suffix in columns}
+    if not parts:
+        return None
+    if parts.keys() == {"_re", "_im"}:
+        return np.asarray(parts["_re"] + 1j * parts["_im"], dtype=np.complex128)
+    if parts.keys() == {"_abs", "_phase_rad"}:
+        return np.asarray(parts["_abs"] * np.exp(1j * parts["_phase_rad"]), dtype=np.complex128)
+    if parts.keys() == {"_abs", "_phase_deg"}:
+        return np.asarray(parts["_abs"] * np.exp(1j * np.radians(parts["_phase_deg"])), dtype=np.complex128)
+    got = ", ".join(name + suffix for suffix in parts)
+    expected = f"`{name}_re` and `{name}_im`, or `{name}_abs` and one of `{name}_phase_rad`, `{name}_phase_deg`"
+    raise InputError.single(str(path), "columns", expected, got)

@@ -1,0 +1,60 @@
+"""Orders that open in the substrate are counted and weighed before any work."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from metafab.cell.open_orders import open_orders
+from metafab.core.conventions import Side
+from metafab.spec import UnitCell, make_unit_cell
+
+
+def _cell(period_nm: float, side: Side = "substrate") -> UnitCell:
+    return make_unit_cell(
+        period_nm=period_nm,
+        height_nm=300,
+        pillar=2.0,
+        substrate=1.46,
+        wavelength_nm=532,
+        sizes_nm=(80, 240),
+        size_grid_nm=20,
+        target_error=0.02,
+        side=side,
+    )
+
+
+def test_no_order_opens_below_the_wavelength_in_the_substrate() -> None:
+    assert open_orders(_cell(532 / 1.46 - 1)) == ()
+
+
+@pytest.mark.parametrize("side", ["substrate", "ambient"])
+def test_orders_in_the_substrate_are_said_with_their_share(side: Side) -> None:
+    """532 / 1.46 = 364 nm: at 450 nm the four first orders travel in the glass, none in air."""
+    (found,) = open_orders(_cell(450, side))
+    assert (found.side, found.count) == ("substrate", 4)
+    assert found.largest_period_nm == pytest.approx(532 / 1.46)
+    assert 0.0 < found.share_x < 0.5
+    assert found.share_x == pytest.approx(found.share_y, abs=1e-6)  # square pillars
+    sentence = found.sentence()
+    assert "4 diffraction orders" in sentence
+    assert "below 364 nm" in sentence
+    assert f"{100.0 * found.share_x:.1f} % of x" in sentence
+
+
+def test_rows_of_a_hexagonal_lattice_count() -> None:
+    """Orders open when the row distance, sqrt(3) / 2 of the period, exceeds the wavelength in the glass."""
+    cell = make_unit_cell(
+        period_nm=440,
+        height_nm=300,
+        pillar=2.0,
+        substrate=1.46,
+        wavelength_nm=532,
+        sizes_nm=(80, 240),
+        size_grid_nm=20,
+        lattice="hexagonal",
+    )
+    (found,) = open_orders(cell)
+    assert found.largest_period_nm == pytest.approx(2.0 / math.sqrt(3.0) * 532 / 1.46)
+    assert found.count == 6

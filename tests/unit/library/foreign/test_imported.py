@@ -1,0 +1,159 @@
+"""Other people's sweeps: every form of file gives the same library, and its error covers what interpolation misses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from metafab import library
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.errors import InputError
+from metafab.library.foreign.imported import import_sweep
+from metafab.spec import UnitCell, make_unit_cell
+
+STEP_NM = 10.0
+SIZES_NM = np.arange(100.0, 250.1, STEP_NM)
+#: sqrt(n_in / n_out) of the cell: from the substrate to air.
+RATIO = np.sqrt(1.5)
+
+
+def _t(width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
+    """A smooth amplitude of two turns of phase with a broad dip."""
+    u, v = (width_nm - 100.0) / 150.0, (length_nm - 100.0) / 150.0
+    dip = 1.0 - 0.5 / (1.0 + 40.0 * (u + 0.5 * v - 0.8) ** 2)
+    return np.asarray(0.9 * dip * np.exp(1j * (7.0 * u + 3.0 * v + u * v)))
+
+
+@pytest.fixture
+def cell() -> UnitCell:
+    return make_unit_cell(
+        period_nm=350, height_nm=600, pillar=3.0, substrate=1.5, wavelength_nm=800, sizes_nm=(100, 250), size_grid_nm=5
+    )
+
+
+@pytest.fixture
+def samples() -> tuple[FloatArray, FloatArray, ComplexArray, ComplexArray]:
+    """Shuffled sizes without a tenth of those inside."""
+    width, length = (axis.ravel() for axis in np.meshgrid(SIZES_NM, SIZES_NM))
+    rng = np.random.default_rng(2)
+    inside = (width > 100.0) & (width < 250.0) & (length > 100.0) & (length < 250.0)
+    kept = rng.permutation(np.flatnonzero(~inside | (rng.random(width.size) > 0.1)))
+    width, length = width[kept], length[kept]
+    return width, length, _t(width, length), _t(length, width)
+
+
+def _rows(path: Path, header: str, *columns: FloatArray) -> Path:
+    np.savetxt(path, np.stack(columns, axis=1), delimiter=",", header=header, comments="", fmt="%.15g")
+    return path
+
+
+Writer = Callable[[Path, FloatArray, FloatArray, ComplexArray, ComplexArray], tuple[Path, str, str]]
+
+
+def _parts(folder: Path, w: FloatArray, h: FloatArray, x: ComplexArray, y: ComplexArray) -> tuple[Path, str, str]:
+    header = "width_nm,length_nm,t_xx_re,t_xx_im,t_yy_re,t_yy_im"
+    return _rows(folder / "a.csv", header, w, h, x.real, x.imag, y.real, y.imag), "field", "minus"
+
+
+def _phases(folder: Path, w: FloatArray, h: FloatArray, x: ComplexArray, y: ComplexArray) -> tuple[Path, str, str]:
+    header = "length_um,width_um,t_xx_abs,t_xx_phase_deg,t_yy_abs,t_yy_phase_deg"
+    moduli = [np.abs(t / RATIO) ** 2 for t in (x, y)]
+    turns = [np.degrees(np.angle(t)) for t in (x, y)]
+    path = _rows(folder / "b.csv", header, h / 1e3, w / 1e3, moduli[0], turns[0], moduli[1], turns[1])
+    return path, "power", "minus"
+
+
+def _scattering(folder: Path, w: FloatArray, h: FloatArray, x: ComplexArray, y: ComplexArray) -> tuple[Path, str, str]:
+    """Metres, and the engineers' exp(+i omega t)."""
+    np.savez(folder / "c.npz", width_m=1e-9 * w, length_m=1e-9 * h, t_xx=(x / RATIO).conj(), t_yy=(y / RATIO).conj())
+    return folder / "c.npz", "s21", "plus"
+
+
+def _alike(folder: Path, w: FloatArray, h: FloatArray, x: ComplexArray, y: ComplexArray) -> tuple[Path, str, str]:
+    """Both polarisations of a map in HDF5, with NaN where a size is missing."""
+    maps = np.full((2, SIZES_NM.size, SIZES_NM.size), np.nan, dtype=np.complex128)
+    place = ((h - 100.0) / STEP_NM).astype(int), ((w - 100.0) / STEP_NM).astype(int)
+    maps[0][place], maps[1][place] = x, y
+    with h5py.File(folder / "d.h5", "w") as file:
+        file["width_nm"], file["length_nm"], file["t_xx"], file["t_yy"] = SIZES_NM, SIZES_NM, maps[0], maps[1]
+    return folder / "d.h5", "field", "minus"
+
+
+@pytest.mark.parametrize("write", [_parts, _phases, _scattering, _alike])
+def test_every_form_of_file_gives_the_same_library(
+    write: Writer, cell: UnitCell, samples: tuple[FloatArray, FloatArray, ComplexArray, ComplexArray], tmp_path: Path
+) -> None:
+    path, quantity, time_sign = write(tmp_path, *samples)
+    found = import_sweep(path, cell, quantity=quantity, time_sign=time_sign)  # type: ignore[arg-type]
+    assert found.unit_cell.sweep.width_nm == (100.0, 250.0)
+    assert found.t_xx.shape == (1, 31, 31)
+    width, length = np.meshgrid(found.width_nm, found.length_nm)
+    for t, true in ((found.t_xx[0], _t(width, length)), (found.t_yy[0], _t(length, width))):
+        missed = np.abs(t - true)
+        assert (missed <= found.error_of_sizes).mean() > 0.99
+        assert missed.max() < 0.02
+    given = found.at_sizes(samples[0], samples[1])
+    assert given.t_xx == pytest.approx(samples[2], abs=1e-9)
+    # Cross-validation, with fewer samples, errs more than the library, but not by orders of magnitude.
+    assert 1e-4 < np.median(found.error_of_sizes) < 2e-2
+    assert found.statistics.held_out == samples[0].size
+    assert found.surface(173.2, 181.7).t_xx == pytest.approx(_t(np.float64(173.2), np.float64(181.7)), abs=2e-3)
+    library.save(found, tmp_path / "lib.h5")
+    assert np.array_equal(library.load(tmp_path / "lib.h5").t_xx, found.t_xx)
+    assert library.quality(found).coverage_rad > 3.0
+
+
+def test_diameters_make_a_library_of_circles(cell: UnitCell, tmp_path: Path) -> None:
+    diameter = np.arange(100.0, 250.1, 6.0)
+    t = _t(diameter, diameter)
+    path = _rows(tmp_path / "circles.csv", "diameter_nm,t_re,t_im", diameter, t.real, t.imag)
+    found = import_sweep(path, replace(cell, cell=replace(cell.cell, shape="circle")), quantity="field")
+    assert found.known.sum() == 31
+    on_grid = found.t_xx[0].diagonal()
+    assert on_grid == pytest.approx(_t(found.width_nm, found.width_nm), abs=5e-3)
+    assert np.array_equal(on_grid, found.t_yy[0].diagonal())
+
+
+def test_sizes_outside_the_samples_stay_unknown(cell: UnitCell, tmp_path: Path) -> None:
+    width, length = (axis.ravel() for axis in np.meshgrid(SIZES_NM, SIZES_NM))
+    kept = width + length < 420.0
+    width, length = width[kept], length[kept]
+    t = _t(width, length)
+    path = _rows(tmp_path / "corner.csv", "width_nm,length_nm,t_re,t_im", width, length, t.real, t.imag)
+    found = import_sweep(path, cell, quantity="field")
+    assert not found.known[-1, -1]
+    assert np.isnan(found.t_xx[0, -1, -1])
+    with pytest.raises(InputError):
+        found.at_sizes(250.0, 250.0)
+
+
+@pytest.mark.parametrize(
+    ("header", "scale", "message"),
+    [
+        ("width_nm,length_nm,t_xx_re,t_xx_im", 1.0, r"expected amplitudes of both polarisations"),
+        ("width_nm,length_nm,amplitude,phase", 1.0, r"expected an amplitude `t`"),
+        ("w,l,t_re,t_im", 1.0, r"expected `width_nm` and `length_nm`"),
+        ("width_um,length_um,t_re,t_im", 1.0, r"is the unit right\?"),
+        ("width_nm,length_nm,t_re,t_im", 1.6, r"expected at most 1, got 1\.\d+ at .*--quantity"),
+        ("width_nm,length_nm,t_re,t_abs", 1.0, r"expected `t_re` and `t_im`, or `t_abs`"),
+    ],
+)
+def test_what_does_not_fit_is_refused(header: str, scale: float, message: str, cell: UnitCell, tmp_path: Path) -> None:
+    # One amplitude serves both polarisations only where every size is there in both orientations.
+    width, length = (axis.ravel() for axis in np.meshgrid(SIZES_NM if scale == 1.0 else SIZES_NM[:8], SIZES_NM[:8]))
+    t = scale * _t(width, length)
+    path = _rows(tmp_path / "sweep.csv", header, width, length, t.real, t.imag)
+    with pytest.raises(InputError, match=message):
+        import_sweep(path, cell, quantity="field")
+
+
+def test_a_size_given_twice_is_refused(cell: UnitCell, tmp_path: Path) -> None:
+    width = np.repeat(SIZES_NM, 2)
+    path = _rows(tmp_path / "twice.csv", "width_nm,length_nm,t_re,t_im", width, width, width / 999.0, 0.0 * width)
+    with pytest.raises(InputError, match="more than once"):
+        import_sweep(path, cell, quantity="field")
