@@ -24,8 +24,8 @@ pytestmark = pytest.mark.xdist_group("main_job")
 
 COMMANDS = [
     ["run"], ["cell"], ["library"], ["library", "build"], ["library", "check"], ["library", "show"],
-    ["library", "import"], ["layout"], ["drc"], ["expose"], ["fullwave"], ["coupling"], ["patch"], ["psf"], ["capture"], ["decode"], ["report"],
-    ["benchmark"], ["doctor"],
+    ["library", "import"], ["layout"], ["drc"], ["expose"], ["fullwave"], ["coupling"], ["patch"], ["psf"],
+    ["capture"], ["decode"], ["report"], ["benchmark"], ["doctor"],
 ]  # fmt: skip
 
 

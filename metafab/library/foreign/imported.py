@@ -169,11 +169,11 @@ def _spline(lines: FloatArray, t: ComplexArray) -> RBFInterpolator:
 def _left_out_errors(lines: FloatArray, t: ComplexArray) -> FloatArray:
     """Largest |error| of both polarisations at each sample when it is predicted without its tenth, shape (n,).
 
-    Samples at the ends of the range, where a prediction would extrapolate, take the error of the nearest predicted one.
+    Samples in the corners of the range, where a prediction extrapolates, take the error of the nearest predicted one.
     """
     part = np.random.default_rng(1).permutation(len(lines)) % min(_PARTS, len(lines))
     low, high = lines.min(axis=0), lines.max(axis=0)
-    inner = ((lines > low) & (lines < high)).all(axis=1)
+    inner = ~((lines == low) | (lines == high)).all(axis=1)
     missed = np.full(len(lines), np.nan)
     for number in range(part.max() + 1):
         out = (part == number) & inner
