@@ -14,26 +14,16 @@ functions of E. No function of the layer is expanded in plane waves: their numbe
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.cell.elements.line import Line, Places, mirrored_line, periodic_line
-from metafab.cell.elements.mesh import Geometry, Mesh, corner_function, geometry, mesh_of, singular_exponent
-from metafab.cell.elements.shapes import graded_quadrature, shapes
+from metafab.cell.elements.basis import Basis, Element
+from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.scattering.half_space import distinct_root
 from metafab.cell.rcwa.symmetry import permittivity
-from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
-
-#: Orders of an element beyond the resolution's, per wavelength in its medium.
-_PER_WAVELENGTH = 2.5
-#: Plane waves along an axis over the functions along it.
-_WAVES = 1.25
-#: Quadrature nodes along a side: those of the polynomials, and per radian of the fastest plane wave over the element.
-_NODES, _NODES_PER_RADIAN = 5, 0.55
 
 
 @dataclass(frozen=True)
@@ -72,220 +62,71 @@ class Layer:
     orders: ComplexArray
     area_nm2: float
 
+    def weights(self, eps: complex, k0_per_nm: float) -> tuple[ComplexArray, ComplexArray]:
+        """Admittances of the TM and of the TE waves in a medium, each of shape (n,)."""
+        tm, te = (distinct_root(eps - waves.k_squared / k0_per_nm**2) for waves in (self.tm, self.te))
+        return eps / tm, te
+
     def admittance(self, eps: complex, k0_per_nm: float) -> ComplexArray:
         """Y of a half space: h = Y e for outgoing waves, shape (N, N), symmetric."""
         total = np.sqrt(complex(eps)) * (self.uniform.T @ self.uniform)
-        for waves, is_tm in ((self.tm, True), (self.te, False)):
-            beta = distinct_root(eps - waves.k_squared / k0_per_nm**2)
-            weight = eps / beta if is_tm else beta
+        for waves, weight in zip((self.tm, self.te), self.weights(eps, k0_per_nm), strict=True):
             for part, unit in ((weight.real, 1.0), (weight.imag, 1j)):
                 some = part != 0.0
                 total += unit * ((waves.overlap[some].T * part[some]) @ waves.overlap[some])
         return np.asarray(total)
 
 
-def polynomial_orders(mesh: Mesh, supercell: Supercell, resolution: float) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Orders of the elements along x and along y: the resolution, and more for elements of more wavelengths."""
-    cell = supercell.cell
-    counts: list[tuple[int, ...]] = []
-    for axis, place in enumerate((mesh.x, mesh.y.T)):
-        gaps = np.diff(np.concatenate([place, place[:, :1] + mesh.period_nm[axis]], axis=1), axis=1).max(axis=0)
-        index = np.where(np.arange(len(gaps)) % 2 == 0, complex(cell.n_pillar).real, complex(cell.n_ambient).real)
-        wavelengths = gaps * index / cell.wavelength_nm
-        counts.append(tuple(int(p) for p in np.maximum(2, np.rint(resolution + _PER_WAVELENGTH * wavelengths))))
-    return counts[0], counts[1]
-
-
 @dataclass(frozen=True)
-class Basis:
-    """Mesh and numbering of the functions.
+class Grams:
+    """Gram matrices of the functions of a layer.
 
     Attributes:
-        mesh: vertices.
-        along_x: numbering along x.
-        along_y: numbering along y.
-        tau: exponent of the corners' functions; 1 for none.
-        corner: shape of the mesh's vertices, number of each corner's function; -1 for none.
-        corner_sign: shape of ``corner``, factor from the function to that of the corner (mirrored corners share one).
-        period_nm: (x, y) period.
-        most_waves: largest numbers (m_x, m_y) of the plane waves.
+        e: shape (N, N), of E.
+        e_eps: shape (N, N), of E with the permittivity.
+        curl: shape (N, N), of the curl of E.
+        z_eps: shape (n_z, n_z), of E_z with the permittivity.
+        gradient: shape (N, n_z), gradient of each function of E_z among those of E.
     """
 
-    mesh: Mesh
-    along_x: Line
-    along_y: Line
-    tau: float
-    corner: IntArray
-    corner_sign: FloatArray
-    most_waves: tuple[int, int]
-
-    @property
-    def counts(self) -> tuple[int, int, int]:
-        """Functions along u, along v, and of corners."""
-        x, y = self.along_x, self.along_y
-        return x.edge_count * y.nodal_count, x.nodal_count * y.edge_count, int(self.corner.max()) + 1
-
-
-def basis_of(supercell: Supercell, polarisation: Polarisation | None, resolution: float) -> Basis:
-    """Basis of a supercell at a resolution.
-
-    Args:
-        supercell: the pillars.
-        polarisation: of the incident light, for one row, whose mirror it keeps; None for any block.
-        resolution: polynomial order of an element far smaller than the wavelength.
-    """
-    mesh, cell = mesh_of(supercell), supercell.cell
-    orders_x, orders_y = polynomial_orders(mesh, supercell, resolution)
-    tau = singular_exponent(permittivity(cell.n_pillar).real, permittivity(cell.n_ambient).real)
-    sites_b, sites_a = (np.arange(count) // 2 for count in mesh.shape)
-    enriched = mesh.solid[np.ix_(sites_b, sites_a)] & (tau < 1.0)
-    number, sign = np.full(mesh.shape, -1), np.ones(mesh.shape)
-    if polarisation is None:
-        along_y = periodic_line(orders_y)
-        number[enriched] = np.arange(np.count_nonzero(enriched))
-    else:
-        along_y = mirrored_line((orders_y[0], orders_y[1]), even=polarisation == "x")
-        number[:, enriched[0]] = np.arange(np.count_nonzero(enriched[0]))
-        sign[0] = 1.0 if along_y.even else -1.0
-    waves = tuple(math.ceil(0.5 * _WAVES * sum(orders)) for orders in (orders_x, orders_y))
-    return Basis(mesh, periodic_line(orders_x), along_y, tau, number, sign, (waves[0], waves[1]))
-
-
-@dataclass(frozen=True)
-class Element:
-    """Functions of one element at its quadrature points, of which there are q.
-
-    Attributes:
-        place: shape (k,), numbers of the functions of E.
-        e: shape (2, k, q), E_x and E_y.
-        curl: shape (k, q).
-        place_z: shape (k_z,), numbers of the functions of E_z.
-        e_z: shape (k_z, q).
-        weight: shape (q,), nm^2.
-        at: shape (2, q), x and y, nm.
-        is_pillar: whether it is one.
-    """
-
-    place: IntArray
     e: FloatArray
+    e_eps: Matrix
     curl: FloatArray
-    place_z: IntArray
-    e_z: FloatArray
-    weight: FloatArray
-    at: FloatArray
-    is_pillar: bool
+    z_eps: Matrix
+    gradient: FloatArray
 
 
-def element(basis: Basis, b: int, a: int) -> Element:
-    """Functions of element (b, a)."""
-    mesh = basis.mesh
-    corners = mesh.corners(b, a)
-    x, y = basis.along_x, basis.along_y
-    rules = []
-    for line, number, extent, waves, period in (
-        (x, a, np.ptp(corners[0]), basis.most_waves[0], mesh.period_nm[0]),
-        (y, b, np.ptp(corners[1]), basis.most_waves[1], mesh.period_nm[1]),
-    ):
-        radians = 2.0 * math.pi * waves * extent / period
-        rules.append(graded_quadrature(line.orders[number] + _NODES + math.ceil(_NODES_PER_RADIAN * radians)))
-    (at_u, weight_u), (at_v, weight_v) = rules
-    u, v = shapes(x.orders[a], at_u), shapes(y.orders[b], at_v)
-    place = geometry(corners, u, v)
-    n_u, n_v, _ = basis.counts
-
-    def product(of_u: FloatArray, of_v: FloatArray, first: Places, second: Places) -> FloatArray:
-        signed = (of_u[first.local] * first.sign[:, None])[:, None, :, None]
-        both = signed * (of_v[second.local] * second.sign[:, None])[None, :, None, :]
-        return both.reshape(-1, *both.shape[2:])
-
-    def numbers(first: Places, second: Places, count: int) -> IntArray:
-        return np.asarray((first.place[:, None] * count + second.place).ravel())
-
-    edge_u, edge_v, nodal_u, nodal_v = x.edge[a], y.edge[b], x.nodal[a], y.nodal[b]
-    e_u, e_v = product(u.edge, v.nodal, edge_u, nodal_v), product(u.nodal, v.edge, nodal_u, edge_v)
-    fields = np.concatenate(
-        [np.stack(place.physical(e_u, np.zeros(1))), np.stack(place.physical(np.zeros(1), e_v))], axis=1
-    )
-    curl = np.concatenate(
-        [-product(u.edge, v.nodal_slope, edge_u, nodal_v), product(u.nodal_slope, v.edge, nodal_u, edge_v)]
-    )
-    e_z = product(u.nodal, v.nodal, nodal_u, nodal_v)
-    at_e = [numbers(edge_u, nodal_v, y.nodal_count), n_u + numbers(nodal_u, edge_v, y.edge_count)]
-    at_z = [numbers(nodal_u, nodal_v, y.nodal_count)]
-    is_pillar = mesh.is_pillar(b, a)
-    for i, j, number, sign, value, slope in _corner_functions(basis, b, a, place, is_pillar=is_pillar):
-        hat = u.nodal[i][:, None] * v.nodal[j]
-        hat_x, hat_y = place.physical(u.nodal_slope[i][:, None] * v.nodal[j], u.nodal[i][:, None] * v.nodal_slope[j])
-        field = np.stack([slope[0] * hat + value * hat_x, slope[1] * hat + value * hat_y])
-        fields = np.concatenate([fields, sign * field[:, None]], axis=1)
-        curl = np.concatenate([curl, np.zeros((1, *hat.shape))])
-        e_z = np.concatenate([e_z, sign * (value * hat)[None]])
-        at_e.append(np.array([n_u + n_v + number]))
-        at_z.append(np.array([x.nodal_count * y.nodal_count + number]))
-    weight = weight_u[:, None] * weight_v * place.area
-    numbers_e, (e_x, e_y, curl) = _merged(np.concatenate(at_e), [*fields, curl / place.area])
-    numbers_z, (e_z,) = _merged(np.concatenate(at_z), [e_z])
-    at = np.stack([place.x.ravel(), place.y.ravel()])
-    return Element(numbers_e, np.stack([e_x, e_y]), curl, numbers_z, e_z, weight.ravel(), at, is_pillar)
-
-
-def _corner_functions(
-    basis: Basis, b: int, a: int, place: Geometry, *, is_pillar: bool
-) -> Iterator[tuple[int, int, int, float, FloatArray, tuple[FloatArray, FloatArray]]]:
-    """End along u and v, number, sign, value and gradient of the function of each enriched corner of an element."""
-    mesh, corners = basis.mesh, basis.mesh.corners(b, a)
-    for j in range(2):
-        for i in range(2):
-            vertex = (b + j) % mesh.shape[0], (a + i) % mesh.shape[1]
-            number = int(basis.corner[vertex])
-            if number >= 0:
-                at = float(corners[0][j, i]), float(corners[1][j, i])
-                inwards = 1 if vertex[1] % 2 == 0 else -1, 1 if vertex[0] % 2 == 0 else -1
-                value, slope_x, slope_y = corner_function(basis.tau, place, at, inwards, inside=is_pillar)
-                yield i, j, number, float(basis.corner_sign[vertex]), value, (slope_x, slope_y)
-
-
-def _merged(place: IntArray, functions: list[FloatArray]) -> tuple[IntArray, list[FloatArray]]:
-    """Sum of the functions of equal number (vertices that a mirror identifies); points flattened."""
-    distinct, inverse = np.unique(place, return_inverse=True)
-    merged = []
-    for each in functions:
-        total = np.zeros((len(distinct), each[0].size))
-        np.add.at(total, inverse, each.reshape(len(each), -1))
-        merged.append(total)
-    return distinct, merged
-
-
-def layer_of(supercell: Supercell, polarisation: Polarisation | None, resolution: float, orders: IntArray) -> Layer:
-    """P and Q of a supercell and its overlaps with plane waves.
-
-    Args:
-        supercell: the pillars.
-        polarisation: of the incident light, for one row; None for any block.
-        resolution: polynomial order of an element far smaller than the wavelength.
-        orders: shape (n_orders, 2), transmitted orders.
-    """
-    basis, cell = basis_of(supercell, polarisation, resolution), supercell.cell
+def grams_of(basis: Basis, elements: list[Element], cell: PillarCell) -> Grams:
+    """Gram matrices summed over elements."""
     n_e, n_z = sum(basis.counts), basis.along_x.nodal_count * basis.along_y.nodal_count + basis.counts[2]
     eps = permittivity(cell.n_ambient), permittivity(cell.n_pillar)
     dtype = np.result_type(*map(type, eps))
-    gram, gram_eps, curl, gram_z = (np.zeros((n, n), kind) for n, kind in
-                                    ((n_e, float), (n_e, dtype), (n_e, float), (n_z, dtype)))  # fmt: skip
-    waves = _Waves(basis, orders, n_e)
-    for b in range(basis.mesh.shape[0]):
-        for a in range(basis.mesh.shape[1]):
-            each = element(basis, b, a)
-            at_e, at_z = np.ix_(each.place, each.place), np.ix_(each.place_z, each.place_z)
-            of_e = sum((component * each.weight) @ component.T for component in each.e)
-            gram[at_e] += of_e
-            gram_eps[at_e] += eps[each.is_pillar] * of_e
-            curl[at_e] += (each.curl * each.weight) @ each.curl.T
-            gram_z[at_z] += eps[each.is_pillar] * ((each.e_z * each.weight) @ each.e_z.T)
-            waves.add(each)
-    gradient = _gradient(basis, n_e, n_z)
-    q = gram_eps - curl / cell.k0_per_nm**2
-    p = np.linalg.inv(gram) - gradient @ np.linalg.solve(gram_z, gradient.T) / cell.k0_per_nm**2
-    return waves.layer(0.5 * (p + p.T), q)
+    gram, curl = np.zeros((n_e, n_e)), np.zeros((n_e, n_e))
+    gram_eps, gram_z = np.zeros((n_e, n_e), dtype), np.zeros((n_z, n_z), dtype)
+    for each in elements:
+        at_e, at_z = np.ix_(each.place, each.place), np.ix_(each.place_z, each.place_z)
+        of_e = sum((component * each.weight) @ component.T for component in each.e)
+        gram[at_e] += of_e
+        gram_eps[at_e] += eps[each.is_pillar] * of_e
+        curl[at_e] += (each.curl * each.weight) @ each.curl.T
+        gram_z[at_z] += eps[each.is_pillar] * ((each.e_z * each.weight) @ each.e_z.T)
+    return Grams(gram, gram_eps, curl, gram_z, _gradient(basis, n_e, n_z))
+
+
+def layer_of(basis: Basis, elements: list[Element], cell: PillarCell, orders: IntArray) -> Layer:
+    """P and Q of a supercell, and its overlaps with plane waves.
+
+    Args:
+        basis: mesh and numbering.
+        elements: its elements.
+        cell: materials and light.
+        orders: shape (n_orders, 2), transmitted orders.
+    """
+    grams = grams_of(basis, elements, cell)
+    q = grams.e_eps - grams.curl / cell.k0_per_nm**2
+    p = np.linalg.inv(grams.e) - grams.gradient @ np.linalg.solve(grams.z_eps, grams.gradient.T) / cell.k0_per_nm**2
+    waves = Waves(basis, orders)
+    return waves.overlaps(elements, 0.5 * (p + p.T), q)
 
 
 def _gradient(basis: Basis, n_e: int, n_z: int) -> FloatArray:
@@ -299,18 +140,25 @@ def _gradient(basis: Basis, n_e: int, n_z: int) -> FloatArray:
     return matrix
 
 
-class _Waves:
-    """Overlaps with plane waves, summed over elements."""
+class Waves:
+    """Real plane waves of a supercell, and its transmitted orders.
 
-    def __init__(self, basis: Basis, orders: IntArray, count: int) -> None:
-        self._basis, self._area = basis, basis.mesh.period_nm[0] * basis.mesh.period_nm[1]
+    Args:
+        basis: mesh and numbering.
+        orders: shape (n_orders, 2), transmitted orders.
+    """
+
+    def __init__(self, basis: Basis, orders: IntArray) -> None:
+        self._count, self._period = sum(basis.counts), basis.mesh.period_nm
         self._even = basis.along_y.even
+        self.area_nm2 = self._period[0] * self._period[1]
+        self.k_order = 2.0 * np.pi * orders / np.array(self._period)
         m_x, m_y = basis.most_waves
         # Functions along each axis as (number, phase): cos(k x - phase).
-        self._x = [(m, phase) for m in range(m_x + 1) for phase in (0.0, 0.5 * math.pi) if m or not phase]
         both = (0.0, 0.5 * math.pi)
+        x = [(m, phase) for m in range(m_x + 1) for phase in both if m or not phase]
         # E_x of a TM wave has the parity of its scalar, E_x of a TE wave the other one.
-        self._y_tm, self._y_te = (
+        tm, te = (
             [
                 (m, phase)
                 for m in range(m_y + 1)
@@ -319,59 +167,68 @@ class _Waves:
             ]
             for even in (self._even, not self._even)
         )
-        self._tm = np.zeros((len(self._x) * len(self._y_tm), count))
-        self._te = np.zeros((len(self._x) * len(self._y_te), count))
-        self._uniform = np.zeros((2, count))
-        self._k_order = 2.0 * np.pi * orders / np.array(basis.mesh.period_nm)
-        self._orders = np.zeros((len(orders), 2, count), dtype=np.complex128)
+        #: Functions along x, and along y of TM and of TE waves.
+        self._numbers = np.array(x), (np.array(tm), np.array(te))
 
-    def _k(self, y: list[tuple[int, float]]) -> tuple[FloatArray, FloatArray]:
-        """(k_x, k_y) of every product of a function along x and one of ``y``."""
-        k_x, k_y = (
-            2.0 * np.pi / period * np.array([m for m, _ in numbers])
-            for period, numbers in zip(self._basis.mesh.period_nm, (self._x, y), strict=True)
-        )
-        return np.repeat(k_x, len(y)), np.tile(k_y, len(self._x))
+    def k_squared(self, kind: int) -> FloatArray:
+        """In-plane wave number squared of the TM (0) or TE (1) waves, shape (n,), 1/nm^2."""
+        k_x, k_y = (self._k(axis, numbers) for axis, numbers in enumerate((self._numbers[0], self._numbers[1][kind])))
+        return np.asarray(np.add.outer(k_x**2, k_y**2).ravel())
 
-    def add(self, each: Element) -> None:
-        """Add the overlaps of one element."""
-        weighted = each.e * each.weight
-        for target, y, (first, second, sign) in (
-            (self._tm, self._y_tm, (0, 1, 1.0)),
-            (self._te, self._y_te, (1, 0, -1.0)),
-        ):
-            x_wave, x_slope = self._waves(0, self._x, each.at[0])
-            y_wave, y_slope = self._waves(1, y, each.at[1])
-            along_x = (x_slope[:, None] * y_wave).reshape(-1, each.weight.size)
-            along_y = (x_wave[:, None] * y_slope).reshape(-1, each.weight.size)
-            # TM: E along the gradient. TE: along (-d/dy, d/dx).
-            overlap = along_x @ weighted[first].T + sign * (along_y @ weighted[second].T)
-            k = np.hypot(*self._k(y))[:, None]
-            target[:, each.place] += np.divide(overlap, k, out=np.zeros_like(overlap), where=k > 0.0)
-        own = weighted.sum(axis=-1) / math.sqrt(self._area)
-        if self._even is None:
-            self._uniform[:, each.place] += own
-        else:
-            axis = 0 if self._even else 1
-            self._uniform[axis, each.place] += own[axis]
-        turned = np.exp(-1j * (self._k_order @ each.at)) / self._area
-        self._orders[:, :, each.place] += np.einsum("oq,cjq->ocj", turned, weighted, optimize=True)
+    def _k(self, axis: int, numbers: FloatArray) -> FloatArray:
+        return np.asarray(2.0 * np.pi / self._period[axis] * numbers[:, 0])
 
-    def _waves(self, axis: int, numbers: list[tuple[int, float]], at: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Functions and their derivatives at places, each of shape (n, q)."""
-        period = self._basis.mesh.period_nm[axis]
-        k = 2.0 * np.pi / period * np.array([m for m, _ in numbers])[:, None]
-        phase = k * at - np.array([phase for _, phase in numbers])[:, None]
-        norm = np.where(k == 0.0, 1.0, math.sqrt(2.0)) / math.sqrt(period)
+    def _along(self, axis: int, numbers: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Functions along an axis and their derivatives at places, each of shape (n, q)."""
+        k = self._k(axis, numbers)[:, None]
+        phase = k * at - numbers[:, 1:]
+        norm = np.where(k == 0.0, 1.0, math.sqrt(2.0)) / math.sqrt(self._period[axis])
         return norm * np.cos(phase), -norm * k * np.sin(phase)
 
-    def layer(self, p: Matrix, q: Matrix) -> Layer:
-        """The layer with these overlaps."""
+    def _inverse_k(self, kind: int) -> FloatArray:
+        k = np.sqrt(self.k_squared(kind))
+        return np.divide(1.0, k, out=np.zeros_like(k), where=k > 0.0)
+
+    def overlaps(self, elements: list[Element], p: Matrix, q: Matrix) -> Layer:
+        """The layer with its overlaps."""
+        total = [np.zeros((self.k_squared(kind).size, self._count)) for kind in (0, 1)]
+        uniform = np.zeros((2, self._count))
+        orders = np.zeros((len(self.k_order), 2, self._count), dtype=np.complex128)
+        for each in elements:
+            weighted = each.e * each.weight
+            x, d_x = self._along(0, self._numbers[0], each.at[0])
+            for kind, target in enumerate(total):
+                y, d_y = self._along(1, self._numbers[1][kind], each.at[1])
+                by_x, by_y = ((a[:, None] * b).reshape(-1, each.weight.size) for a, b in ((d_x, y), (x, d_y)))
+                # TM: E along the gradient (d/dx, d/dy). TE: along (-d/dy, d/dx).
+                e_x, e_y = weighted if kind == 0 else (weighted[1], -weighted[0])
+                target[:, each.place] += by_x @ e_x.T + by_y @ e_y.T
+            uniform[:, each.place] += weighted.sum(axis=-1) / math.sqrt(self.area_nm2)
+            turned = np.exp(-1j * (self.k_order @ each.at)) / self.area_nm2
+            orders[:, :, each.place] += np.einsum("oq,cjq->ocj", turned, weighted, optimize=True)
+        if self._even is not None:
+            uniform[1 if self._even else 0] = 0.0
         tm, te = (
-            RealWaves(np.sum(np.square(self._k(y)), axis=0), overlap)
-            for y, overlap in ((self._y_tm, self._tm), (self._y_te, self._te))
+            RealWaves(self.k_squared(kind), self._inverse_k(kind)[:, None] * target)
+            for kind, target in enumerate(total)
         )
-        return Layer(p, q, tm, te, self._uniform, self._orders, self._area)
+        return Layer(p, q, tm, te, uniform, orders, self.area_nm2)
+
+    def field(self, amplitude: tuple[ComplexArray, ComplexArray, ComplexArray], at: FloatArray) -> ComplexArray:
+        """Sum of plane waves at places, shape (2, q).
+
+        Args:
+            amplitude: of the TM and TE waves, and of the uniform fields along x and y.
+            at: shape (2, q), x and y, nm.
+        """
+        x, d_x = self._along(0, self._numbers[0], at[0])
+        total = np.repeat(amplitude[2][:, None] / math.sqrt(self.area_nm2), at.shape[1], axis=1)
+        for kind in (0, 1):
+            y, d_y = self._along(1, self._numbers[1][kind], at[1])
+            weight = (amplitude[kind] * self._inverse_k(kind)).reshape(len(x), len(y))
+            by_x, by_y = (np.sum(a * (weight @ b), axis=0) for a, b in ((d_x, y), (x, d_y)))
+            total += np.stack([by_x, by_y] if kind == 0 else [-by_y, by_x])
+        return np.asarray(total)
 
 
 def incident(layer: Layer, polarisation: Polarisation, n: complex) -> ComplexArray:

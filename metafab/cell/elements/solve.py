@@ -14,7 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.cell.elements.assembly import Layer, basis_of, incident, layer_of
+from metafab.cell.elements.assembly import Layer, incident, layer_of
+from metafab.cell.elements.basis import basis_of, elements_of
+from metafab.cell.rcwa.basis.coordinates import Matrix
 from metafab.cell.rcwa.certificate import solve
 from metafab.cell.rcwa.jones import one_thread
 from metafab.cell.rcwa.scattering.doubling import doubled
@@ -110,14 +112,14 @@ def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: 
         return _exchanged_orders(supercell, turned[:, ::-1])
     order = supercell.propagating_orders(lights[0])
     with one_thread():
-        if supercell.shape[0] > 1:
-            layer = layer_of(supercell, None, resolution, order)
-            return np.asarray(layer.orders @ _far_field(layer, supercell, lights))
-        layers = [layer_of(supercell, light, resolution, order) for light in lights]
-        each = [
-            layer.orders @ _far_field(layer, supercell, (light,)) for layer, light in zip(layers, lights, strict=True)
-        ]
-    return np.concatenate(each, axis=2)
+        together = [tuple(lights)] if supercell.shape[0] > 1 else [(light,) for light in lights]
+        found = []
+        for some in together:
+            basis = basis_of(supercell, some[0], resolution)
+            layer = layer_of(basis, elements_of(basis), supercell.cell, order)
+            system = face_system(layer, supercell, some)
+            found.append(layer.orders @ system.solve(2.0 * system.source, np.zeros_like(system.source))[1])
+    return np.concatenate(found, axis=2)
 
 
 def _other(light: Polarisation) -> Polarisation:
@@ -161,7 +163,7 @@ def _feasible(supercell: Supercell, resolutions: tuple[float, ...]) -> list[floa
 
     def count(resolution: float) -> int:
         turned = supercell.exchanged() if supercell.shape[1] == 1 else supercell
-        return sum(basis_of(turned, "x" if turned.shape[0] == 1 else None, resolution).counts)
+        return sum(basis_of(turned, "x", resolution).counts)
 
     for shift in (0.0, 0.5, 1.0):
         feasible = [each - shift for each in resolutions if count(each - shift) <= _MOST_FUNCTIONS]
@@ -179,17 +181,43 @@ def _require_one_index(supercell: Supercell) -> None:
         raise InputError.single("supercell", "n_substrate", expected, f"{n_x} and {n_y}", "solve rows")
 
 
-def _far_field(layer: Layer, supercell: Supercell, lights: Sequence[Polarisation]) -> ComplexArray:
-    """Coefficients of E at the far face for unit incident amplitudes, shape (N, len(lights)).
+@dataclass(frozen=True)
+class FaceSystem:
+    """Equations of the fields at both faces of a layer of N functions.
 
-    With F of half the layer, X = P^-1 F and Z = F^-T Q, the fields at the faces obey h(0) - h(d) = -i Z (e(0) + e(d))
-    and h(0) + h(d) = i X (e(0) - e(d)) (:mod:`metafab.cell.rcwa.scattering.doubling`).
+    With F of half the layer, X = P^-1 F and Z = F^-T Q, the fields obey h(0) - h(d) = -i Z (e(0) + e(d)) and
+    h(0) + h(d) = i X (e(0) - e(d)) (:mod:`metafab.cell.rcwa.scattering.doubling`).
+
+    Attributes:
+        f: shape (N, N), F of half the layer.
+        x: shape (N, N), symmetric.
+        z: shape (N, N), symmetric.
+        matrix: shape (2 N, 2 N), symmetric, for (e(0), e(d)).
+        source: shape (N, n_lights), twice the h of the incident waves.
+    """
+
+    f: Matrix
+    x: Matrix
+    z: Matrix
+    matrix: ComplexArray
+    source: ComplexArray
+
+    def solve(self, near: ComplexArray, far: ComplexArray) -> ComplexArray:
+        """(e(0), e(d)) for the right-hand sides of both faces, each of shape (N, k); shape (2, N, k)."""
+        return np.asarray(np.linalg.solve(self.matrix, np.concatenate([near, far])).reshape(2, *near.shape))
+
+
+def face_system(layer: Layer, supercell: Supercell, lights: Sequence[Polarisation]) -> FaceSystem:
+    """Equations of a layer between its half spaces; the lights see one index of each.
+
+    Raises:
+        SolverError: the layer is singular.
     """
     cell = supercell.cell
     axis = POLARISATIONS.index(lights[0])
     near, far = (layer.admittance(complex(permittivity(n[axis])), cell.k0_per_nm) for n in (cell.n_in, cell.n_out))
     source = np.stack([incident(layer, light, cell.n_in[axis]) for light in lights], axis=1)
-    with np.errstate(all="ignore"):  # non-finite values are refused above
+    with np.errstate(all="ignore"):  # non-finite values are refused by the caller
         half = doubled(layer.p, layer.q, cell.k0_per_nm * cell.height_nm, np.inf, last=1)
     if half is None:
         raise SolverError("the layer of a supercell is singular")
@@ -199,5 +227,4 @@ def _far_field(layer: Layer, supercell: Supercell, lights: Sequence[Polarisation
     matrix = np.empty((2 * n, 2 * n), dtype=np.complex128)
     matrix[:n, :n], matrix[n:, n:] = 2.0 * near + 1j * (x - z), 2.0 * far + 1j * (x - z)
     matrix[:n, n:] = matrix[n:, :n] = -1j * (x + z)
-    right = np.concatenate([2.0 * source, np.zeros_like(source)])
-    return np.asarray(np.linalg.solve(matrix, right)[n:])
+    return FaceSystem(f, x, z, matrix, source)

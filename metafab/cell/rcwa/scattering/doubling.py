@@ -118,19 +118,11 @@ def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -
 
 def doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: int) -> tuple[Matrix, Matrix] | None:
     """F and G of the layer by doubling, without the ``last`` doublings (at least one yields G); None if it fails."""
-    _keep_freed_memory()
-    powers = np.empty((4, *p.shape), dtype=np.result_type(p, q))
-    a = np.matmul(p, q, out=powers[0])
-    for k, (one, other) in enumerate(((0, 0), (1, 0), (1, 1)), start=1):
-        np.matmul(powers[one], powers[other], out=powers[k])
-    # ||A^4||^(1/4) bounds the eigenvalues of A more tightly than ||A||.
-    largest = float(np.abs(powers[3]).sum(axis=0).max()) ** 0.25
-    steepest = np.sqrt(largest) * thickness
-    if not 0.0 < steepest < np.inf:
+    powers = _powers(p, q)
+    halvings = _halvings(powers, thickness, largest_a)
+    if halvings is None:
         return None
-    travelling = min(steepest, np.sqrt(largest_a) * thickness)
-    halvings = max(1, int(np.ceil(max(0.5 * np.log2(steepest), np.log2(travelling / _THIN)))))
-    f, g = _thin_slab(powers, thickness / 2.0**halvings), a
+    f, g = _thin_slab(powers, thickness / 2.0**halvings), powers[0]
     for doubling in range(halvings - last):
         g_over_f = None if f is None else _quotient(g, f)
         if f is None or g_over_f is None:
@@ -140,6 +132,71 @@ def doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: i
         g *= 0.5
         f -= g
     return None if f is None else (f, g)
+
+
+def pull_back_doubled(p: Matrix, q: Matrix, thickness: float, f_bar: Matrix, *, last: int) -> tuple[Matrix, Matrix]:
+    """Derivatives of sum(f_bar * F) by P and by Q, with F as :func:`doubled` returns it: its steps in reverse.
+
+    Args:
+        p: shape (n, n), P of the layer.
+        q: shape (n, n), Q of the layer.
+        thickness: thickness times k0.
+        f_bar: shape (n, n), weight of each element of F.
+        last: as of :func:`doubled`.
+
+    Returns:
+        Two matrices of shape (n, n).
+
+    Raises:
+        ValueError: the layer is singular.
+    """
+    powers = _powers(p, q)
+    halvings = _halvings(powers, thickness, np.inf)
+    f = None if halvings is None else _thin_slab(powers, thickness / 2.0**halvings)
+    if f is None or halvings is None:
+        raise ValueError("`p`, `q`: expected a layer that doubling solves, got a singular one")
+    thin, g, ratios = f.copy(), powers[0], []
+    for doubling in range(halvings - last):
+        ratios.append(np.asarray(_quotient(g, f)))
+        g = 0.5 * (ratios[-1] @ g if doubling else f + ratios[-1])
+        f = f - g
+    # F' = F - G', G' = G F^-1 G / 2; F and G are functions of one matrix and commute.
+    g_bar = np.zeros_like(f_bar)
+    for ratio in reversed(ratios[1:]):
+        late = g_bar - f_bar
+        turned = ratio.T @ late
+        g_bar = 0.5 * (late @ ratio.T + turned)
+        f_bar = f_bar - 0.5 * turned @ ratio.T
+    a_bar = np.zeros_like(f_bar)
+    if ratios:
+        # G' = (F + A F^-1) / 2 of the thin slab.
+        late = 0.5 * (g_bar - f_bar)
+        over = np.asarray(_solve(thin, late.T)).T
+        a_bar = over
+        f_bar = f_bar + late - ratios[0].T @ over
+    a_bar = a_bar + _pull_back_thin_slab(powers, thickness / 2.0**halvings, thin, f_bar)
+    return np.asarray(a_bar @ q.T), np.asarray(p.T @ a_bar)
+
+
+def _powers(p: Matrix, q: Matrix) -> Matrix:
+    """Powers 1 to 4 of A = P Q, shape (4, n, n)."""
+    _keep_freed_memory()
+    powers = np.empty((4, *p.shape), dtype=np.result_type(p, q))
+    np.matmul(p, q, out=powers[0])
+    for k, (one, other) in enumerate(((0, 0), (1, 0), (1, 1)), start=1):
+        np.matmul(powers[one], powers[other], out=powers[k])
+    return powers
+
+
+def _halvings(powers: Matrix, thickness: float, largest_a: float) -> int | None:
+    """Number of halvings from the layer to a thin slab; None where A is not finite."""
+    # ||A^4||^(1/4) bounds the eigenvalues of A more tightly than ||A||.
+    largest = float(np.abs(powers[3]).sum(axis=0).max()) ** 0.25
+    steepest = np.sqrt(largest) * thickness
+    if not 0.0 < steepest < np.inf:
+        return None
+    travelling = min(steepest, np.sqrt(largest_a) * thickness)
+    return max(1, int(np.ceil(max(0.5 * np.log2(steepest), np.log2(travelling / _THIN)))))
 
 
 @cache
@@ -153,13 +210,35 @@ def _keep_freed_memory() -> None:
 
 def _thin_slab(powers: Matrix, thickness: float) -> Matrix | None:
     """F of a thin slab from ``powers`` 1 to 4 of A, shape (4, n, n)."""
-    scaled = _LAMBERT * thickness ** (2.0 * np.arange(5))
-    scaled[1] *= thickness
+    numerator, denominator = _lambert(powers, thickness)
+    return _quotient(numerator, denominator)
+
+
+def _lambert(powers: Matrix, thickness: float) -> Matrix:
+    """Numerator and denominator of F of a thin slab, shape (2, n, n)."""
+    scaled = _lambert_coefficients(thickness)
     parts = np.tensordot(scaled[:, 1:], powers, axes=1)
     n = powers.shape[1]
     parts.reshape(2, n * n)[:, :: n + 1] += scaled[:, :1]
-    numerator, denominator = parts
-    return _quotient(numerator, denominator)
+    return np.asarray(parts)
+
+
+def _lambert_coefficients(thickness: float) -> Matrix:
+    """Coefficients of the powers 0 to 4 of A in both, shape (2, 5)."""
+    scaled = _LAMBERT * thickness ** (2.0 * np.arange(5))
+    scaled[1] *= thickness
+    return np.asarray(scaled)
+
+
+def _pull_back_thin_slab(powers: Matrix, thickness: float, f: Matrix, f_bar: Matrix) -> Matrix:
+    """Derivative of sum(f_bar * F) by A, with F = N D^-1 of a thin slab; shape (n, n)."""
+    coefficients = _lambert_coefficients(thickness)
+    n_bar = np.asarray(_solve(_lambert(powers, thickness)[1], f_bar.T)).T
+    d_bar = -f.T @ n_bar
+    one, two, three, four = (coefficients[0, k] * n_bar + coefficients[1, k] * d_bar for k in range(1, 5))
+    a, squared = powers[0].T, powers[1].T
+    two = two + four @ squared + squared @ four + three @ a
+    return np.asarray(one + squared @ three + two @ a + a @ two)
 
 
 def _quotient(numerator: Matrix, denominator: Matrix) -> Matrix | None:

@@ -80,3 +80,17 @@ def test_rounding_does_not_show_at_a_million_to_one(n_pillar: complex) -> None:
         either, modes = zero_order(cell, orders), zero_order(cell, orders, by_modes=True)
         np.testing.assert_allclose(either.t, modes.t, rtol=0.0, atol=AGREEMENT)
         assert either.inconsistency < 1e-10
+
+
+@pytest.mark.parametrize(("thickness", "last"), [(0.8, 0), (4.7, 1)])
+def test_the_reverse_of_doubling_obeys_the_dot_product_identity(thickness: float, last: int) -> None:
+    """Two and several halvings, symmetric P and Q; differences over 2e-6 leave 1e-9."""
+    rng = np.random.default_rng(0)
+    draws = [rng.normal(size=(8, 8)) + 1j * rng.normal(size=(8, 8)) for _ in range(5)]
+    noise_p, noise_q, d_p, d_q = (draw + draw.T for draw in draws[:4])
+    p, q, weights = np.eye(8) + 0.1 * noise_p, 2.0 * np.eye(8) + 0.5 * noise_q, draws[4]
+    by_p, by_q = doubling.pull_back_doubled(p, q, thickness, weights, last=last)
+    ends = [doubling.doubled(p + h * d_p, q + h * d_q, thickness, np.inf, last=last) for h in (1e-6, -1e-6)]
+    assert ends[0] is not None and ends[1] is not None
+    forward = np.sum(weights * (ends[0][0] - ends[1][0])) / 2e-6
+    assert np.sum(by_p * d_p) + np.sum(by_q * d_q) == pytest.approx(forward, rel=1e-7)

@@ -1,0 +1,162 @@
+"""Derivatives of transmitted orders by the sizes of all pillars, by the adjoint of the solution in reverse.
+
+A linear functional L of the orders has dL = m^T (db - dA z) with A z = b the equations at both faces and A m the
+functional's weights (A is symmetric). That leaves two outer products for F of half the layer, which the doubling in
+reverse turns into weights of P and Q, and these into weights of the Gram matrices. The plane waves of the half spaces
+enter as fields at the faces. All sums run over elements, of which a size changes the pillar's own and its neighbours':
+their change is a central difference of closed forms at fixed numbers of functions and nodes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metafab.cell.elements.assembly import Layer, Waves, grams_of, layer_of
+from metafab.cell.elements.basis import Basis, basis_of, element, elements_of
+from metafab.cell.elements.mesh import mesh_of
+from metafab.cell.elements.solve import FaceSystem, face_system
+from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
+from metafab.cell.rcwa.jones import one_thread
+from metafab.cell.rcwa.scattering.doubling import pull_back_doubled
+from metafab.cell.rcwa.symmetry import permittivity
+from metafab.cell.supercell import Supercell
+from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
+
+#: Change of a size in the central differences of an element's sums, nm.
+_STEP_NM = 0.02
+
+
+@dataclass(frozen=True)
+class OrderGradients:
+    """Orders of a supercell for one incident polarisation, and derivatives of functionals of them.
+
+    Attributes:
+        order: shape (n_orders, 2).
+        t: shape (n_orders, 2), E_x and E_y of each order over incident E.
+        gradient: shape (k, n_y, n_x, 2), derivative of the sum of weights times ``t`` by the width and the length of
+            each pillar, 1/nm; 0 at sites without a pillar.
+    """
+
+    order: IntArray
+    t: ComplexArray
+    gradient: ComplexArray
+
+
+def order_gradients(
+    supercell: Supercell, light: Polarisation, resolution: float, weights: ComplexArray
+) -> OrderGradients:
+    """Differentiate functionals of the orders by all sizes.
+
+    For a real function g of the orders, take 2 dg/dt (with t and its conjugate as independent) as weights; the real
+    part of the gradient is that of g.
+
+    Args:
+        supercell: a row along x or along y, or a block.
+        light: incident polarisation.
+        resolution: polynomial order of an element far smaller than the wavelength.
+        weights: shape (k, n_orders, 2), of each order's E_x and E_y in the k functionals.
+
+    Raises:
+        InputError: pillars that touch.
+        SolverError: the layer is singular.
+    """
+    order = supercell.propagating_orders(light)
+    if supercell.shape[1] == 1 < supercell.shape[0]:
+        other: Polarisation = "y" if light == "x" else "x"
+        turned = order_gradients(supercell.exchanged(), other, resolution, weights[..., ::-1])
+        gradient = turned.gradient.transpose(0, 2, 1, 3)[..., ::-1]
+        return OrderGradients(order, turned.t[:, ::-1], gradient)
+    with one_thread():
+        basis = basis_of(supercell, light, resolution)
+        layer = layer_of(basis, elements_of(basis), supercell.cell, order)
+        system = face_system(layer, supercell, (light,))
+        fields = system.solve(2.0 * system.source, np.zeros_like(system.source))[..., 0]
+        rows = [
+            _gradient(_Adjoint(supercell, light, basis, layer, system, fields, order, each), supercell)
+            for each in weights
+        ]
+    return OrderGradients(order, layer.orders @ fields[1], np.array(rows))
+
+
+def _gradient(adjoint: _Adjoint, supercell: Supercell) -> ComplexArray:
+    """Derivative of one functional by the sizes, shape (n_y, n_x, 2)."""
+    gradient = np.zeros((*supercell.shape, 2), dtype=np.complex128)
+    n_b, n_a = adjoint.basis.mesh.shape
+    for row, column in np.argwhere(adjoint.basis.mesh.solid):
+        around = {((2 * row + b) % n_b, (2 * column + a) % n_a) for b in (-1, 0, 1) for a in (-1, 0, 1)}
+        for axis in range(2):
+            for sign in (1.0, -1.0):
+                size_nm = supercell.size_nm.copy()
+                size_nm[row, column, axis] += sign * _STEP_NM
+                moved = replace(adjoint.basis, mesh=mesh_of(replace(supercell, size_nm=size_nm)))
+                total = sum(adjoint.of_element(moved, b, a) for b, a in around)
+                gradient[row, column, axis] += sign * total / (2.0 * _STEP_NM)
+    return gradient
+
+
+class _Adjoint:
+    """Weights of everything that an element adds to one functional of the orders."""
+
+    def __init__(
+        self,
+        supercell: Supercell,
+        light: Polarisation,
+        basis: Basis,
+        layer: Layer,
+        system: FaceSystem,
+        fields: ComplexArray,
+        order: IntArray,
+        weights: ComplexArray,
+    ) -> None:
+        self.basis, cell = basis, supercell.cell
+        axis, k0 = POLARISATIONS.index(light), supercell.cell.k0_per_nm
+        self._eps = permittivity(cell.n_ambient), permittivity(cell.n_pillar)
+        self._waves = Waves(basis, order)
+        self._weights = weights
+        functional = np.einsum("oc,ocj->j", weights, layer.orders)[:, None]
+        multiplier = system.solve(np.zeros_like(functional), functional)[..., 0]
+        (near, far), (near_m, far_m) = fields, multiplier
+        # Weights of X and Z are outer products; so are those of F.
+        gap, gap_m, mean, mean_m = near - far, near_m - far_m, near + far, near_m + far_m
+        by_p, by_f = np.linalg.solve(layer.p.T, gap_m), np.linalg.solve(system.f, mean_m)
+        f_bar = -1j * (np.outer(by_p, gap) + np.outer(system.z @ mean, by_f))
+        p_bar, q_bar = pull_back_doubled(layer.p, layer.q, k0 * cell.height_nm, f_bar, last=1)
+        p_bar = p_bar + 1j * np.outer(by_p, system.x @ gap)
+        self._of_e_eps: Matrix = q_bar + 1j * np.outer(by_f, mean)
+        self._of_curl = -self._of_e_eps / k0**2
+        grams = grams_of(basis, elements_of(basis), cell)
+        inverse, lifted = np.linalg.inv(grams.e), np.linalg.solve(grams.z_eps, grams.gradient.T).T
+        self._of_e = -inverse @ p_bar @ inverse
+        self._of_z: Matrix = lifted.T @ p_bar @ lifted / k0**2
+        # Fields of the plane waves at both faces, each the partner of a field of the layer.
+        self._faces: list[tuple[ComplexArray, tuple[ComplexArray, ComplexArray, ComplexArray]]] = []
+        for n, pair in ((cell.n_in[axis], (near, near_m)), (cell.n_out[axis], (far, far_m))):
+            eps = complex(permittivity(n))
+            tm, te = layer.weights(eps, k0)
+            for one, other in (pair, pair[::-1]):
+                waves = (tm * (layer.tm.overlap @ one), te * (layer.te.overlap @ one))
+                uniform = np.sqrt(eps) * (layer.uniform @ one)
+                self._faces.append((other, (-2.0 * waves[0], -2.0 * waves[1], -2.0 * uniform)))
+        self._source = near_m, axis, 4.0 * complex(cell.n_in[axis])
+        self._far = far
+
+    def of_element(self, basis: Basis, b: int, a: int) -> complex:
+        """Share of an element in the functional, up to a constant."""
+        each = element(basis, b, a)
+        at_e, at_z = np.ix_(each.place, each.place), np.ix_(each.place_z, each.place_z)
+        eps = self._eps[each.is_pillar]
+        of_e = self._of_e[at_e] + eps * self._of_e_eps[at_e]
+        density = sum(np.sum(component * (of_e @ component), axis=0) for component in each.e)
+        density = density + np.sum(each.curl * (self._of_curl[at_e] @ each.curl), axis=0)
+        density = density + eps * np.sum(each.e_z * (self._of_z[at_z] @ each.e_z), axis=0)
+        for coefficients, amplitude in self._faces:
+            field = np.einsum("j,cjq->cq", coefficients[each.place], each.e)
+            density = density + np.sum(field * self._waves.field(amplitude, each.at), axis=0)
+        multiplier, axis, factor = self._source
+        density = density + factor * (multiplier[each.place] @ each.e[axis])
+        turned = np.exp(-1j * (self._waves.k_order @ each.at)) / self._waves.area_nm2
+        far = np.einsum("j,cjq->cq", self._far[each.place], each.e)
+        density = density + np.einsum("oc,oq,cq->q", self._weights, turned, far, optimize=True)
+        return complex(np.sum(density * each.weight))
