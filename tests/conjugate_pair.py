@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from metafab.core.conventions import FloatArray, sensor_distance_um
+from metafab.optics.geometry.aperture import circle_um
 from metafab.optics.point_spread import Psf, PsfField
 
 WAVELENGTH_UM = 0.8
@@ -37,7 +38,17 @@ def helix_psf(
     phi_deg = np.array([_orientation_deg(one) for one in psf[0]])
     nothing = np.zeros(depth_m.size)
     return Psf(
-        depth_m, PIXEL_UM, psf, centre_um[:, :, 0, 0], phi_deg, nothing, efficiency, nothing + 1e3, distance_um, field
+        depth_m,
+        PIXEL_UM,
+        psf,
+        centre_um[:, :, 0, 0],
+        phi_deg,
+        nothing,
+        efficiency,
+        nothing + 1e3,
+        distance_um,
+        field,
+        aperture_um=circle_um(2.0 * RADIUS_UM),
     )
 
 

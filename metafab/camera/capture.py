@@ -12,6 +12,7 @@ from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.lens import Lens, partial_progress
 from metafab.camera.rendering.motion import Shutter, moved
+from metafab.camera.rendering.occlusion import PINHOLE, Occluder, seen
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import Window, sensor_windows
 from metafab.camera.sensor import FixedPattern, expose
@@ -24,10 +25,12 @@ from metafab.spec.scene import Scene
 def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress = silent) -> RawFrame:
     """Expose one frame of a scene through the lens: the first frame of its film.
 
-    Each depth is blurred by its own pair, which varies over the field where ``psf.field`` is present. Layers are
-    composed from far to near; the blurred coverage of a nearer one hides the light behind it, so that no light is
-    counted twice. This is exact for each layer alone. At an occluding edge it assumes that the part of the aperture
-    that the nearer layer blocks does not depend on where in the aperture the light passes.
+    Each depth is blurred by its own pair, which varies over the field where ``psf.field`` is present. A point sends the
+    share of its light that nearer surfaces let through to the aperture, by the geometry of each ray
+    (:mod:`metafab.camera.rendering.occlusion`), in the shape of its whole PSF. A cut aperture has a PSF of its own:
+    what differs on the mean is balanced by the law that radiance does not change along a ray, the rest is the camera's
+    error at outlines (``tests/physics/camera/test_occlusion.py``). Surfaces of equal depth touch without a seam. A pair
+    without ``aperture_um`` hides as a pinhole sees.
 
     Behind a birefringent substrate (``psf.ghost``), each image also holds light of the other polarisation: of a scene
     whose x and y polarised light are uncorrelated.
@@ -108,18 +111,20 @@ def _shutter_truth(still: Renderer, window: Window, shutter: Shutter, middle_s: 
 
 
 def _truth(renderer: Renderer, window: Window) -> Truth:
-    """Depth, label and sharp intensities of the nearest object that covers at least half of each pixel."""
-    scene, shape = renderer.scene, window.stop.shape
+    """Depth, label and sharp intensities as a pinhole sees them; depth is of what covers at least half of a pixel."""
+    shape = window.stop.shape
+    pieces = list(renderer.pieces(window.tangent_x, window.tangent_y))
+    masks = [Occluder.of(piece) for piece in pieces]
     depth_m, label = np.full(shape, np.nan), np.zeros(shape, dtype=np.int32)
-    intensity = np.stack([scene.background * window.gain] * 2)
-    for piece in renderer.pieces(window.tangent_x, window.tangent_y):
+    uncovered, intensity = np.ones(shape), np.zeros((2, *shape))
+    for number, (piece, mask) in enumerate(zip(pieces, masks, strict=True), start=1):
         crop = (piece.rows, piece.columns)
-        coverage = piece.coverage.sum(axis=0)
+        light = seen(piece, masks[number:], PINHOLE).brightness.sum(axis=0) * window.gain[crop]
         for channel in (0, 1):
-            light = piece.brightness.sum(axis=0) * piece.share[channel] * window.gain[crop]
-            intensity[channel][crop] = intensity[channel][crop] * (1.0 - coverage) + light
-        covers = coverage >= 0.5
-        mean_m = np.tensordot(piece.depth_m, piece.coverage, axes=(0, 0)) / np.maximum(coverage, 1e-12)
-        depth_m[crop] = np.where(covers, mean_m, depth_m[crop])
+            intensity[channel][crop] += light * piece.share[channel]
+        uncovered[crop] -= mask.coverage
+        covers = mask.coverage >= 0.5
+        depth_m[crop] = np.where(covers, piece.mean_depth_m, depth_m[crop])
         label[crop] = np.where(covers, piece.label, label[crop])
+    intensity += renderer.scene.background * window.gain * np.maximum(uncovered, 0.0)
     return Truth(depth_m, intensity[0], intensity[1], label)

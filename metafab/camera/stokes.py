@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
 from metafab.camera.kernels import pixel_transfer
+from metafab.camera.rendering.occlusion import PINHOLE, Occluder, seen, seen_share
 from metafab.camera.rendering.render import Renderer
+from metafab.camera.rendering.windows import shifts_px_m
 from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.splines import spline_weights
@@ -70,29 +72,30 @@ def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> Stok
         -(np.arange(n_x) - n_x // 2) * pixel_tangent, -(np.arange(n_y) - n_y // 2) * pixel_tangent
     )
     electrons = scene.photons_per_pixel * scene.quantum_efficiency
-    # The background has no structure, so that its depth does not matter, and is unpolarised.
-    gain = kernels_at(psf, float(psf.depth_m[psf.depth_m.size // 2]))[:, 0].sum(axis=(-2, -1))
-    images = electrons * scene.background * gain[:, None, None] * stop
-    stokes = np.zeros((4, n_y, n_x))
-    stokes[0] = electrons * scene.background * stop
+    pieces = list(Renderer.of(scene, pixel_tangent, seed).pieces(tangent_x, tangent_y))
+    masks = [Occluder.of(piece) for piece in pieces]
+    shifts = shifts_px_m(psf.aperture_um, tangent_x, tangent_y)
+    images, stokes = np.zeros((len(psf.psf), n_y, n_x)), np.zeros((4, n_y, n_x))
     depth_m, label = np.full((n_y, n_x), np.nan), np.zeros((n_y, n_x), dtype=np.int32)
-    for piece in Renderer.of(scene, pixel_tangent, seed).pieces(tangent_x, tangent_y):
+    for number, (piece, mask) in enumerate(zip(pieces, masks, strict=True), start=1):
         state = np.array([1.0, *scene.objects[piece.label - 1].stokes_vector])
-        blurred, hidden = np.zeros_like(images), np.zeros_like(images)
-        covered = np.zeros((n_y, n_x))
-        for step_depth_m, coverage, brightness in zip(piece.depth_m, piece.coverage, piece.brightness, strict=True):
-            step_covered, light = np.zeros((2, n_y, n_x))
-            step_covered[piece.rows, piece.columns] = coverage
-            light[piece.rows, piece.columns] = electrons * brightness
-            step_covered, light = step_covered * stop, light * stop
-            kernels = kernels_at(psf, float(step_depth_m))
-            blurred += _blurred(light, np.einsum("kjyx,j->kyx", kernels, state))
-            hidden += _blurred(step_covered, kernels[:, 0] / kernels[:, 0].sum(axis=(-2, -1), keepdims=True))
-            stokes = stokes * (1.0 - step_covered) + light * state[:, None, None]
-            depth_m = np.where(step_covered >= 0.5, step_depth_m, depth_m)
-            covered += step_covered
-        images = images * (1.0 - np.clip(hidden, 0.0, 1.0)) + blurred
-        label = np.where(covered >= 0.5, piece.label, label).astype(np.int32)
+        crop, nearer = (piece.rows, piece.columns), masks[number:]
+        for step_depth_m, brightness in zip(piece.depth_m, seen(piece, nearer, shifts).brightness, strict=True):
+            light = np.zeros((n_y, n_x))
+            light[crop] = electrons * brightness
+            images += _blurred(light * stop, np.einsum("kjyx,j->kyx", kernels_at(psf, float(step_depth_m)), state))
+        sharp = electrons * seen(piece, nearer, PINHOLE).brightness.sum(axis=0) * stop[crop]
+        stokes[:, *crop] += sharp * state[:, None, None]
+        covers = mask.coverage * stop[crop] >= 0.5
+        depth_m[crop] = np.where(covers, piece.mean_depth_m, depth_m[crop])
+        label[crop] = np.where(covers, piece.label, label[crop])
+    # The background has no structure, so that it is not blurred, and is unpolarised; it hides as at the last depth.
+    whole = (slice(0, n_y), slice(0, n_x))
+    sky = Occluder(*whole, np.ones((n_y, n_x)), np.full((n_y, n_x), 1.0 / psf.depth_m[-1]))
+    gain = kernels_at(psf, float(psf.depth_m[psf.depth_m.size // 2]))[:, 0].sum(axis=(-2, -1))
+    light = electrons * scene.background * stop
+    images += gain[:, None, None] * light * seen_share(sky, masks, shifts)
+    stokes[0] += light * seen_share(sky, masks, PINHOLE)
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0x570CE5)))
     exposed = expose(images, scene, FixedPattern.of(scene, images.shape, seed), rng)
     return StokesFrame(exposed, scene.read_noise_e, stokes, depth_m, label)

@@ -133,6 +133,8 @@ class Psf(Displayed):
         details: record of the computation.
         ghost: light that a birefringent substrate brings into the wrong image: irradiance in the window of each
             polarisation per unit power of the *other* polarisation at the aperture; None without such a substrate.
+        aperture_um: shape (n, 2), (x, y) of points of the aperture that carry equal shares of its power
+            (:mod:`metafab.optics.geometry.aperture`); None where the aperture is not known.
     """
 
     depth_m: FloatArray
@@ -147,6 +149,7 @@ class Psf(Displayed):
     field: PsfField | None = None
     details: PsfDetails = PsfDetails()
     ghost: Psf | None = None
+    aperture_um: FloatArray | None = None
 
     def key_figures(self) -> dict[str, str]:
         """Depths, window, orientation, efficiency and error."""

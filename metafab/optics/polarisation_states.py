@@ -10,6 +10,7 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.work import Work
 from metafab.core.polarisation import JONES, ORTHOGONAL, stokes_of, stokes_response
+from metafab.optics.geometry.aperture import sub_apertures_um
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.geometry.path import Ray, power_at_aperture
 from metafab.optics.propagation.image import bounding_box
@@ -36,6 +37,7 @@ class StokesPsf:
             Stokes parameter: light with the Stokes vector S has the irradiance sum_j psf[:, j] S_j.
         centre_um: shape (6, 2), (x, y) of the six places on the sensor.
         sensor_distance_um: distance of the sensor plane.
+        aperture_um: shape (n, 2), points of equal power of the aperture; None where it is not known.
     """
 
     depth_m: FloatArray
@@ -43,6 +45,7 @@ class StokesPsf:
     psf: FloatArray
     centre_um: FloatArray
     sensor_distance_um: float
+    aperture_um: FloatArray | None = None
 
     @property
     def instrument(self) -> FloatArray:
@@ -96,4 +99,5 @@ def stokes_psf(
             per_unit_power = pupils[0].cell_um2 ** 2 / power_at_aperture(imaging, ray)
             psf[place, :, index] = stokes_response(xx, xy, xy, yy) * per_unit_power
         work.progress("psf", place + 1, len(targets_um))
-    return StokesPsf(depth_m, imaging.pixel_um, psf, target.places_um, imaging.sensor_distance_um)
+    aperture_um = sub_apertures_um(pupils[0].x_um, pupils[0].y_um, pupils[0].power)
+    return StokesPsf(depth_m, imaging.pixel_um, psf, target.places_um, imaging.sensor_distance_um, aperture_um)

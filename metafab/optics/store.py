@@ -60,6 +60,11 @@ def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
             offsets = (np.arange(count) - count // 2) * psf.pixel_um
             hdf5.put(file, name, offsets, units="um", description="from the window's centre pixel", dims=(name,))
         _put_stack(file, psf)
+        if psf.aperture_um is not None:
+            about = "points of the aperture that carry equal shares of its power"
+            numbers = np.arange(len(psf.aperture_um))
+            hdf5.put(file, "point", numbers, units="1", description="number of the point", dims=("point",))
+            hdf5.put(file, "aperture_um", psf.aperture_um, units="um", description=about, dims=("point", "axis"))
         if psf.ghost is not None:
             _put_stack(file.create_group("ghost"), psf.ghost)
 
@@ -87,6 +92,7 @@ def load(path: Path | str) -> Psf:
             _stack(file, file),
             details=_details(str(file.attrs["details"])),
             ghost=_stack(file, file["ghost"]) if "ghost" in file else None,
+            aperture_um=file["aperture_um"][...] if "aperture_um" in file else None,
         )
     _check(psf, Path(path))
     return psf
@@ -129,6 +135,12 @@ def _check(psf: Psf, path: Path) -> None:
             faults.append(Fault("ghost/psf", "finite irradiance", "NaN or infinity", _REMEDY))
     if psf.depth_m.size == 0 or np.any(np.diff(psf.depth_m) <= 0.0):
         faults.append(Fault("depth_m", "ascending depths", str(psf.depth_m)))
+    if psf.aperture_um is not None and not (
+        psf.aperture_um.shape == (len(psf.aperture_um), 2)
+        and len(psf.aperture_um)
+        and np.isfinite(psf.aperture_um).all()
+    ):
+        faults.append(Fault("aperture_um", "finite points, shape (n, 2)", f"shape {psf.aperture_um.shape}", _REMEDY))
     if not np.all(np.isfinite(psf.psf)):
         faults.append(Fault("psf", "finite irradiance", "NaN or infinity", _REMEDY))
     if faults:

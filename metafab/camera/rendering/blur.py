@@ -18,6 +18,8 @@ from metafab.core.conventions import FloatArray
 BASIS_TOLERANCE = 1e-6
 #: Smallest throughput that is divided by: darker kernels, of a ghost that is absent, hide nothing and show nothing.
 _DARK = 1e-30
+#: The same for veils, which only correct the light at outlines.
+_VEIL_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -28,12 +30,14 @@ class FieldBlur:
         basis: shape (n_basis, n_y, n_x), basis kernels.
         coefficients: shape (n_field_y, n_field_x, n_basis), coefficients of each field point's kernel.
         throughput: shape (n_field_y, n_field_x), sum of each field point's kernel.
+        veil_count: number of leading basis kernels that suffice for veils.
         kernels: the calibration, for its field weights.
     """
 
     basis: FloatArray
     coefficients: FloatArray
     throughput: FloatArray
+    veil_count: int
     kernels: PairKernels
 
     @classmethod
@@ -48,34 +52,46 @@ class FieldBlur:
         table = nodes.reshape(n_field_y * n_field_x, n_y * n_x).astype(np.float64)
         left, singular, right = np.linalg.svd(table, full_matrices=False)
         energy = np.cumsum(singular**2)
-        count = 1 + int(np.searchsorted(energy, (1.0 - BASIS_TOLERANCE) * energy[-1]))
+        count, veil_count = (
+            1 + int(np.searchsorted(energy, (1.0 - tolerance) * energy[-1]))
+            for tolerance in (BASIS_TOLERANCE, _VEIL_TOLERANCE)
+        )
         coefficients = (left[:, :count] * singular[:count]).reshape(n_field_y, n_field_x, count)
-        return cls(right[:count].reshape(count, n_y, n_x), coefficients, nodes.sum(axis=(-2, -1)), kernels)
+        return cls(right[:count].reshape(count, n_y, n_x), coefficients, nodes.sum(axis=(-2, -1)), veil_count, kernels)
 
-    def __call__(
-        self, light: FloatArray, coverage: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Blur the light of a layer, and its coverage.
+    def __call__(self, light: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
+        """Blur the light of a layer.
 
         Args:
             light: shape (n_y, n_x), electrons a pixel; zero outside.
-            coverage: shape (n_y, n_x), share of each pixel that the layer covers.
             tangent_x: shape (n_y, n_x), x/z of each pixel's direction.
             tangent_y: shape (n_y, n_x), y/z of each pixel's direction.
 
         Returns:
-            The full convolutions, two arrays of shape (n_y + k_y - 1, n_x + k_x - 1); the layer's pixel [0, 0] is at
-            ``[k_y // 2, k_x // 2]``. Coverage is blurred by kernels of sum 1, so that a layer that fills the view
-            covers all of it.
+            The full convolution, shape (n_y + k_y - 1, n_x + k_x - 1); the layer's pixel [0, 0] is at
+            ``[k_y // 2, k_x // 2]``.
         """
-        weights = self.kernels.field_weights(tangent_x, tangent_y)
-        weights = weights.reshape(*light.shape, -1)
-        maps = np.moveaxis(weights @ self.coefficients.reshape(weights.shape[-1], -1), -1, 0)
+        weights = self.kernels.field_weights(tangent_x, tangent_y).reshape(*light.shape, -1)
+        return np.asarray(self._spread(light[None], weights, len(self.basis))[0])
+
+    def veil(
+        self, light: FloatArray, coverage: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Blur a layer's light and a coverage of its depth roughly; arguments and shapes are those of a call.
+
+        Coverage is blurred by kernels of sum 1, so that one that fills the view covers all of it.
+        """
+        weights = self.kernels.field_weights(tangent_x, tangent_y).reshape(*light.shape, -1)
         images = np.stack([light, coverage / np.maximum(weights @ self.throughput.ravel(), _DARK)])
-        full = tuple(n + k - 1 for n, k in zip(light.shape, self.basis.shape[-2:], strict=True))
+        spread, covered = self._spread(images, weights, self.veil_count)
+        return spread, covered
+
+    def _spread(self, images: FloatArray, weights: FloatArray, count: int) -> FloatArray:
+        """Convolutions of images (n, n_y, n_x) with the first ``count`` basis kernels, weighted over the field."""
+        maps = np.moveaxis(weights @ self.coefficients.reshape(weights.shape[-1], -1)[:, :count], -1, 0)
+        full = tuple(n + k - 1 for n, k in zip(images.shape[1:], self.basis.shape[-2:], strict=True))
         fast = tuple(scipy.fft.next_fast_len(n, real=True) for n in full)
-        total = np.zeros((2, fast[0], fast[1] // 2 + 1), dtype=np.complex128)
-        for kernel, coefficient in zip(self.basis, maps, strict=True):
+        total = np.zeros((len(images), fast[0], fast[1] // 2 + 1), dtype=np.complex128)
+        for kernel, coefficient in zip(self.basis, maps, strict=False):
             total += scipy.fft.rfft2(images * coefficient, fast) * scipy.fft.rfft2(kernel, fast)
-        spread, hidden = scipy.fft.irfft2(total, fast)[:, : full[0], : full[1]]
-        return spread, hidden
+        return np.asarray(scipy.fft.irfft2(total, fast)[:, : full[0], : full[1]])

@@ -1,16 +1,18 @@
-"""Both images of a scene at rest: layers of its objects, blurred and composed from far to near."""
+"""Both images of a scene at rest: the light of its objects that the aperture sees, blurred and added."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.blur import FieldBlur
+from metafab.camera.rendering.occlusion import Occluder, reached, seen, seen_share, shifted, widened
 from metafab.camera.rendering.render import Piece, Renderer, extent
-from metafab.camera.rendering.windows import Window
+from metafab.camera.rendering.windows import Window, shifts_px_m
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.progress import Progress
 
@@ -20,24 +22,26 @@ _MOST_BLURS = 256
 
 @dataclass(frozen=True)
 class Layer:
-    """The light of one object in an image, and the share of the light behind it that it hides.
+    """The light of one object in an image.
 
     Attributes:
         rows: rows of the image, margin included.
         columns: columns of the image.
         light: shape (n_rows, n_columns), electrons.
-        hidden: shape (n_rows, n_columns), 0 to 1.
+        mask: what the object hides; None for one out of sight.
+        flux: shape of the mask, electrons that it would send if nothing stood before it.
     """
 
     rows: slice
     columns: slice
     light: FloatArray
-    hidden: FloatArray
+    mask: Occluder | None
+    flux: FloatArray
 
     @classmethod
     def empty(cls) -> Layer:
         """The layer of an object out of sight."""
-        return cls(slice(0, 0), slice(0, 0), *np.zeros((2, 0, 0)))
+        return cls(slice(0, 0), slice(0, 0), np.zeros((0, 0)), None, np.zeros((0, 0)))
 
 
 @dataclass(frozen=True)
@@ -48,7 +52,8 @@ class Lens:
         kernels: the PSF pair.
         windows: of the x and the y image.
         blurs: blurs of both polarisations by depth.
-        still: layers of the objects that do not move, by (polarisation, number): each is blurred once in a film.
+        still: layers of the objects that do not move, by (polarisation, number): each is blurred once in a film, with
+            what other objects at rest hide of it.
         crossed: whether the kernels are of each image for light of the other polarisation, the ghosts of a substrate.
     """
 
@@ -98,59 +103,132 @@ class Lens:
         scene, window = renderer.scene, self.windows[polarisation]
         (k_y, k_x), (n_y, n_x) = self.kernels.shape, window.stop.shape
         light = np.zeros((n_y + k_y, n_x + k_x))
-        if scene.background > 0.0:
-            # The background has no structure, so that its depth does not matter.
-            inner = (slice(k_y // 2, k_y // 2 + n_y), slice(k_x // 2, k_x // 2 + n_x))
-            light[inner] = scene.background * self.kernels.mean_throughput * window.gain * window.stop
-        for done, (index, spec) in enumerate(renderer.farthest_first(), start=1):
+        nearer: list[Occluder] = []
+        veil = np.zeros_like(light)
+        for done, (index, spec) in enumerate(reversed(renderer.farthest_first()), start=1):
             layer = self.still.get((polarisation, index))
+            at_rest = [mask for mask in nearer if not mask.moves]
             if layer is None:
                 piece = renderer.piece(index, window.tangent_x, window.tangent_y)
-                layer = Layer.empty() if piece is None else self._blurred(piece, polarisation)
+                layer = self._layer(piece, polarisation, nearer if spec.moves else at_rest, moves=spec.moves)
                 if not spec.moves:
                     self.still[polarisation, index] = layer
-            part = light[layer.rows, layer.columns]
-            part *= 1.0 - layer.hidden
-            part += layer.light
+            light[layer.rows, layer.columns] += layer.light
+            if layer.mask is not None:
+                if not spec.moves and len(at_rest) < len(nearer):
+                    self._darken(light, renderer, index, polarisation, layer.mask, nearer)
+                self._balance(light, veil, layer.mask, layer.flux, polarisation, nearer)
+                nearer.append(layer.mask)
             progress("capture", done, len(scene.objects))
+        if scene.background > 0.0:
+            # The background has no structure: it is not blurred. It is hidden like a surface at the farthest
+            # calibrated depth.
+            whole = (slice(0, n_y), slice(0, n_x))
+            farthest = np.full((n_y, n_x), 1.0 / self.kernels.psf.depth_m.max())
+            share = seen_share(Occluder(*whole, np.ones((n_y, n_x)), farthest), nearer, self._shifts(window))
+            inner = (slice(k_y // 2, k_y // 2 + n_y), slice(k_x // 2, k_x // 2 + n_x))
+            light[inner] += scene.background * self.kernels.mean_throughput * window.gain * window.stop * share
         return light
 
-    def _blurred(self, piece: Piece, polarisation: int) -> Layer:
-        """The layer of a piece: the steps of its depth do not hide each other, and add up."""
+    def _shifts(self, window: Window) -> FloatArray:
+        pair = self.kernels.relative_to or self.kernels.psf
+        return shifts_px_m(pair.aperture_um, window.tangent_x, window.tangent_y)
+
+    def _share(self, piece: Piece, polarisation: int) -> float:
+        return piece.share[1 - polarisation if self.crossed else polarisation]
+
+    def _layer(self, piece: Piece | None, polarisation: int, nearer: Sequence[Occluder], *, moves: bool) -> Layer:
+        """The layer of a piece behind others."""
+        if piece is None:
+            return Layer.empty()
+        visible = seen(piece, nearer, self._shifts(self.windows[polarisation]))
+        crop = (piece.rows, piece.columns)
+        window = self.windows[polarisation]
+        flux = self._share(piece, polarisation) * window.gain[crop] * window.stop[crop] * piece.brightness.sum(axis=0)
+        return Layer(*self._blurred(visible, polarisation), Occluder.of(piece, moves=moves), flux)
+
+    def _balance(
+        self,
+        light: FloatArray,
+        veil: FloatArray,
+        mask: Occluder,
+        flux: FloatArray,
+        polarisation: int,
+        nearer: Sequence[Occluder],
+    ) -> None:
+        """Let the pixels that see a surface past others see as much of it as those others leave of their view.
+
+        A pixel that sees a share a of nearer surfaces sees the share 1 - a of what is behind, for radiance does not
+        change along a ray. The blurred share of visible points differs from it, because each depth has its own blur;
+        the difference, times the surface's mean light there, is added. ``veil`` is a, and gets the surface's own part.
+        """
+        window, shape = self.windows[polarisation], self.kernels.shape
+        margin = (shape[0] // 2, shape[1] // 2)
+        own = widened(mask, margin)
+        share = seen_share(replace(own, coverage=np.ones_like(own.coverage)), nearer, self._shifts(window))
+        depth_m = float(1.0 / np.average(mask.vergence_per_m, weights=mask.coverage + 1e-12))
+        if depth_m not in self.blurs:
+            self.blurs[depth_m] = FieldBlur.at_depth(self.kernels, depth_m)
+        blur = self.blurs[depth_m][polarisation]
+        parts = (own.rows, own.columns)
+        inside = np.ix_(
+            *(np.clip(np.arange(p.start, p.stop), 0, n - 1) for p, n in zip(parts, window.stop.shape, strict=True))
+        )
+        directions = (window.tangent_x[inside], window.tangent_y[inside])
+        whole = [slice(p.start, p.stop + k - 1) for p, k in zip(parts, shape, strict=True)]
+        place = tuple(slice(max(0, at.start), min(n, at.stop)) for at, n in zip(whole, light.shape, strict=True))
+        cut = tuple(shifted(at, -full.start) for at, full in zip(place, whole, strict=True))
+        seen_flux = np.pad(flux, [(wide, wide) for wide in margin])
+        if share.min() < 1.0 and share[own.coverage > 0.0].any():
+            mean_light, hidden = blur.veil(seen_flux, 1.0 - share, *directions)
+            light[place] += mean_light[cut] * (hidden[cut] - veil[place])
+        veil[place] += blur.veil(seen_flux, np.minimum(own.coverage, share), *directions)[1][cut]
+
+    def _darken(
+        self,
+        light: FloatArray,
+        renderer: Renderer,
+        index: int,
+        polarisation: int,
+        mask: Occluder,
+        nearer: Sequence[Occluder],
+    ) -> None:
+        """Take off the light of an object at rest that moving ones hide; only what they may hide is drawn again."""
+        window = self.windows[polarisation]
+        shifts = self._shifts(window)
+        crop = reached(mask, [other for other in nearer if other.moves], shifts, window.stop.shape)
+        piece = None if crop is None else renderer.piece(index, window.tangent_x[crop], window.tangent_y[crop])
+        if crop is None or piece is None:
+            return
+        rows, columns = shifted(piece.rows, crop[0].start), shifted(piece.columns, crop[1].start)
+        piece = replace(piece, rows=rows, columns=columns)
+        before = seen(piece, [other for other in nearer if not other.moves], shifts)
+        lost = before.brightness - seen(piece, nearer, shifts).brightness
+        place_y, place_x, dark = self._blurred(replace(piece, brightness=lost), polarisation)
+        light[place_y, place_x] -= dark
+
+    def _blurred(self, piece: Piece, polarisation: int) -> tuple[slice, slice, FloatArray]:
+        """Rows, columns and electrons of the image of a piece: the steps of its depth add up."""
         window = self.windows[polarisation]
         n_y, n_x = (n + kernel - 1 for n, kernel in zip(piece.coverage.shape[1:], self.kernels.shape, strict=True))
-        light, hidden = np.zeros((2, n_y, n_x))
-        for depth_m, coverage, brightness in zip(piece.depth_m, piece.coverage, piece.brightness, strict=True):
-            if not coverage.any():
+        light = np.zeros((n_y, n_x))
+        for depth_m, brightness in zip(piece.depth_m, piece.brightness, strict=True):
+            lit = brightness != 0.0
+            if not lit.any():
                 continue
-            rows, columns = extent(coverage.any(axis=1)), extent(coverage.any(axis=0))
-            crop = (_shifted(rows, piece.rows.start), _shifted(columns, piece.columns.start))
-            flux = (
-                piece.share[1 - polarisation if self.crossed else polarisation]
-                * window.gain[crop]
-                * brightness[rows, columns]
-            )
+            rows, columns = extent(lit.any(axis=1)), extent(lit.any(axis=0))
+            crop = (shifted(rows, piece.rows.start), shifted(columns, piece.columns.start))
+            flux = self._share(piece, polarisation) * window.gain[crop] * brightness[rows, columns]
             if depth_m not in self.blurs:
                 self.blurs[depth_m] = FieldBlur.at_depth(self.kernels, float(depth_m))
             blurred = self.blurs[depth_m][polarisation](
-                flux * window.stop[crop],
-                coverage[rows, columns] * window.stop[crop],
-                window.tangent_x[crop],
-                window.tangent_y[crop],
+                flux * window.stop[crop], window.tangent_x[crop], window.tangent_y[crop]
             )
-            height, width = blurred[0].shape
-            part = (slice(rows.start, rows.start + height), slice(columns.start, columns.start + width))
-            light[part] += blurred[0]
-            hidden[part] += blurred[1]
-        place = (slice(0, n_y), slice(0, n_x))
-        rows, columns = _shifted(place[0], piece.rows.start), _shifted(place[1], piece.columns.start)
-        return Layer(rows, columns, light, np.clip(hidden, 0.0, 1.0))
+            height, width = blurred.shape
+            light[rows.start : rows.start + height, columns.start : columns.start + width] += blurred
+        return shifted(slice(0, n_y), piece.rows.start), shifted(slice(0, n_x), piece.columns.start), light
 
 
 def partial_progress(progress: Progress, done: int, parts: int) -> Progress:
     """Progress of one of several equal parts."""
     return lambda step, current, total: progress(step, done * total + current, parts * total)
-
-
-def _shifted(part: slice, start: int) -> slice:
-    return slice(start + part.start, start + part.stop)

@@ -42,6 +42,12 @@ class Piece:
     brightness: FloatArray
     share: tuple[float, float]
 
+    @property
+    def mean_depth_m(self) -> FloatArray:
+        """Mean depth over the covered part of each pixel, shape (n_y, n_x); 0 where nothing is."""
+        covered = np.maximum(self.coverage.sum(axis=0), 1e-12)
+        return np.asarray(np.tensordot(self.depth_m, self.coverage, axes=(0, 0)) / covered)
+
 
 @dataclass(frozen=True)
 class Renderer:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.camera.geometry import ImageMap
+from metafab.camera.rendering.occlusion import PINHOLE
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.optics.point_spread import Psf
@@ -56,6 +57,23 @@ class Window:
         if scene.vignetting == "natural":
             gain /= (1.0 + tangent_x**2 + tangent_y**2) ** 2
         return cls(column, row, tangent_x, tangent_y, np.ones(shape), gain)
+
+
+def shifts_px_m(aperture_um: FloatArray | None, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
+    """Shift of outlines as seen from each point of the aperture, on a grid of directions.
+
+    Args:
+        aperture_um: shape (n, 2), points of the aperture; None for a pinhole.
+        tangent_x: shape (n_y, n_x), x/z of the grid's directions.
+        tangent_y: shape (n_y, n_x), y/z of the grid's directions.
+
+    Returns:
+        Shape (n, 2): (columns, rows) for each 1/m between the vergences of two surfaces; (0, 0) for a pinhole.
+    """
+    if aperture_um is None:
+        return PINHOLE
+    slopes = np.diff(tangent_x, axis=1).mean(), np.diff(tangent_y, axis=0).mean()
+    return np.asarray(1e-6 * aperture_um / slopes)
 
 
 def sensor_windows(scene: Scene, psf: Psf, image_map: ImageMap) -> tuple[Window, Window]:

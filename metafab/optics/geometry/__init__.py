@@ -1,5 +1,6 @@
 """Geometry of lens and sensor.
 
+- ``aperture``      points of the aperture that carry equal power
 - ``imaging``       Imaging: image points by the grating law, finest fringes, nodes over depth and field
 - ``plate``         Plate: refraction by the substrate between scene and pillars
 - ``path``          Ray: path lengths from object over lens to sensor, and incident amplitudes

@@ -29,7 +29,7 @@ def test_a_file_gives_back_the_stack(stack: Psf, tmp_path: Path) -> None:
     stack = replace(stack, details=details)
     save(stack, tmp_path / "psf.h5")
     back = load(tmp_path / "psf.h5")
-    for name in ("depth_m", "psf", "centre_um", "phi_deg", "error", "efficiency", "extinction_ratio"):
+    for name in ("depth_m", "psf", "centre_um", "phi_deg", "error", "efficiency", "extinction_ratio", "aperture_um"):
         assert np.array_equal(getattr(back, name), getattr(stack, name)), name
     assert (back.pixel_um, back.sensor_distance_um) == (stack.pixel_um, stack.sensor_distance_um)
     assert back.field is not None and stack.field is not None
@@ -39,6 +39,14 @@ def test_a_file_gives_back_the_stack(stack: Psf, tmp_path: Path) -> None:
     assert replace(back.details, camera_fit={}) == untimed, "the same pair has the same bytes, however long it took"
     assert back.details.camera_fit["all"] == float("inf")
     assert np.isnan(back.details.camera_fit["nothing"])
+
+
+def test_a_stack_of_an_unknown_aperture_and_points_that_are_no_points(stack: Psf, tmp_path: Path) -> None:
+    save(replace(stack, aperture_um=None), tmp_path / "unknown.h5")
+    assert load(tmp_path / "unknown.h5").aperture_um is None
+    save(replace(stack, aperture_um=np.array([[0.0, np.nan]])), tmp_path / "bad.h5")
+    with pytest.raises(InputError, match="aperture_um"):
+        load(tmp_path / "bad.h5")
 
 
 def test_the_contracts_datasets_carry_units_and_scales(stack: Psf, tmp_path: Path) -> None:
