@@ -13,7 +13,20 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError, MissingToolError
 from metafab.core.parallel.progress import Progress, silent
 
-ROOMS = ("cell", "meep", "library", "phase", "layout", "drc", "psf", "crystal", "decode", "scenes", "end_to_end")
+ROOMS = (
+    "cell",
+    "meep",
+    "library",
+    "phase",
+    "layout",
+    "drc",
+    "expose",
+    "psf",
+    "crystal",
+    "decode",
+    "scenes",
+    "end_to_end",
+)
 #: Rooms whose cases can be chosen, and repeated with other seeds.
 SEEDED_ROOMS = ("scenes",)
 

@@ -4,6 +4,9 @@
 - ``energy``     energy in the resist at every pillar of a lens
 - ``printing``   printed edges by the threshold model
 - ``sums``       compiled loops over pillars
+- ``prediction``  printed sizes of all pillars: statistics, map, process window
+- ``shape``      sizes to draw at one dose
+- ``etch``       sizes after the etch: bias and microloading
 - ``expose``     :func:`expose`: printed sizes, corrected doses, dose classes
 
 In: a :class:`~metafab.layout.pillars.PillarMap` of drawn rectangles and a :class:`BeamPsf`. Out: an :class:`Exposure`.

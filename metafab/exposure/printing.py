@@ -10,6 +10,7 @@ at the s that solves dose S(s) = clearing energy - energy of the others, by a ta
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,38 @@ class EdgeTables:
                 slope[axis] += middle * peak / (np.sqrt(np.pi) * beta)
         parts = (displacement, energy, energy[:, :, _NODES // 2], slope)
         return cls(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
+
+
+def corner_radius_nm(
+    psf: BeamPsf, size_nm: FloatArray, dose: FloatArray, others: FloatArray, moved_nm: FloatArray, clearing: float
+) -> FloatArray:
+    """Return the radii of printed corners, from the place where the printed outline crosses the corner's diagonal.
+
+    A quarter of a circle of radius r that touches both edges leaves r (1 - 1 / sqrt(2)) along each axis.
+
+    Args:
+        psf: point-spread function of the beam.
+        size_nm: shape (n, 2), drawn width and length.
+        dose: shape (n,).
+        others: shape (n,), energy of all other pillars at the corners.
+        moved_nm: shape (n, 2), displacement of the printed edges outwards.
+        clearing: energy above which the resist stays.
+
+    Returns:
+        Shape (n,); NaN where a pillar does not print.
+    """
+    # The outline crosses the diagonal from the printed sharp corner (outside) to half the smaller side (inside).
+    outer, inner = -moved_nm.mean(axis=1), 0.5 * size_nm.min(axis=1)
+    for _ in range(40):
+        inset = 0.5 * (outer + inner)
+        own = np.zeros(len(size_nm))
+        for weight, beta in zip(psf.weight, psf.range_nm, strict=True):
+            along = erf((size_nm - inset[:, None]) / beta) + erf(inset[:, None] / beta)
+            own += 0.25 * weight * along[:, 0] * along[:, 1]
+        printed = dose * own + others > clearing
+        outer, inner = np.where(printed, outer, inset), np.where(printed, inset, inner)
+    gap = np.maximum(0.5 * (outer + inner) + moved_nm.mean(axis=1), 0.0)
+    return np.where(np.isfinite(moved_nm).all(axis=1), gap / (1.0 - math.sqrt(0.5)), np.nan)
 
 
 @compiled

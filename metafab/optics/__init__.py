@@ -26,7 +26,7 @@ from metafab.optics.numerics import PsfNumerics
 from metafab.optics.point_spread import Psf
 from metafab.optics.propagation.image import relative_l2
 from metafab.optics.sources.apodisation import Apodisation, apodised
-from metafab.optics.sources.source import Source, WrittenField, ideal_field, written_field
+from metafab.optics.sources.source import Source, WrittenField, ideal_field, made_field, written_field
 from metafab.optics.stack import psf
 from metafab.optics.store import load, save
 
@@ -48,6 +48,7 @@ __all__ = [
     "psf",
     "relative_l2",
     "save",
+    "made_field",
     "written_field",
 ]
 

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from metafab.spec.cell import SidewallAngle
 from metafab.spec.fields import CONFIG, Flag, Index, NonNegative, Positive, Real
 
 #: Most dose classes by size or density.
@@ -194,6 +195,8 @@ class ExposureProcess:
     base_over_clearing_dose: Positive | None = None
     """Base dose over the clearing dose of a large pad; without the key that at which printed sizes equal drawn ones in
     the mean."""
+    correction: Literal["dose", "shape"] = "dose"
+    """Whether a correction gives each pillar one of some doses, or changes the drawn sizes, for tools with one dose."""
     classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 64
     """Number of doses that a correction may use."""
     source: str = "assumption"
@@ -209,8 +212,36 @@ class ExposureProcess:
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Etch:
+    """Dry etch (``[process.etch]``): made less printed pillars."""
+
+    bias_nm: Real = 0.0
+    """Change of width and length at the mean density."""
+    microloading_nm: Real = 0.0
+    """Further change where the local density is larger by 1."""
+    microloading_range_um: Positive = 50.0
+    """Range of the Gaussian that averages the density."""
+    height_nm: Positive | None = None
+    """Height of the made pillar; without the key the unit cell's."""
+    sidewall_angle_deg: SidewallAngle | None = None
+    """Angle of the made sidewalls; without the key the unit cell's."""
+    corner_radius_nm: NonNegative | None = None
+    """Radius of the made corners; without the key that of the printed ones."""
+    source: str = "assumption"
+    """Reference of the numbers."""
+
+    @property
+    def corner(self) -> dict[str, float]:
+        """Axes of the cell that differ from the unit cell's, by the names of a library's axes."""
+        axes = {name: getattr(self, name) for name in ("height_nm", "sidewall_angle_deg", "corner_radius_nm")}
+        return {name: value for name, value in axes.items() if value is not None}
+
+
+@dataclass(frozen=True, config=CONFIG)
 class Process:
     """Fabrication process (``[process]``)."""
 
     exposure: ExposureProcess | None = None
     """Electron-beam exposure."""
+    etch: Etch | None = None
+    """Dry etch; without the table the printed pillars remain as they are."""

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import whole_file
 from metafab.spec import Design, Dose
+from metafab.spec.mask import Etch
+from metafab.steps.job import Job
+from metafab.steps.library import open_library
 
 if TYPE_CHECKING:
-    from metafab.exposure import BeamPsf, Exposure
+    from metafab.exposure import BeamPsf, Exposure, ExposureFigures
+    from metafab.exposure.etch import MadePillars
     from metafab.layout import PillarMap
+    from metafab.tolerance import CornerField
+
+#: "plain": printed with one dose; "corrected": with the correction of ``[process.exposure]``.
+Printed = Literal["plain", "corrected"]
 
 
 @dataclass(frozen=True)
@@ -32,16 +41,70 @@ class ExposedMask:
     exposure: Exposure
 
 
-def expose_mask(path: Path, design: Design, correct: bool, samples: int, copy: int, work: Work) -> ExposedMask:
+@dataclass(frozen=True)
+class MadeMask:
+    """Light behind the pillars that exposure and etch make of a written mask.
+
+    Attributes:
+        field: the made pillars with their amplitudes, compared with the drawn ones.
+        made: sizes of the pillars.
+        exposure: printed sizes.
+    """
+
+    field: CornerField
+    made: MadePillars
+    exposure: ExposureFigures
+
+
+def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask:
+    """Predict the pillars of a written mask by ``[process]``, and the light behind them.
+
+    Printed corners and the made height and sidewalls change the amplitudes like the corners of a tolerance study
+    (:mod:`metafab.tolerance.corners`).
+
+    Args:
+        job: the design, with ``[process.exposure]``.
+        path: the mask file.
+        printed: "plain" for one dose, "corrected" for the correction of ``[process.exposure]``.
+        copy: lens of ``mask.copies``, counted from 1.
+
+    Raises:
+        InputError: as :func:`expose_mask`; or sizes too far beyond the library.
+    """
+    from metafab import optics, tolerance
+    from metafab.exposure.etch import EtchBias, made_pillars
+
+    design, work = job.design, job.work
+    exposed = expose_mask(path, design, printed == "corrected", 0, copy, work, keep_sizes=True)
+    assert design.process is not None
+    assert design.process.exposure is not None
+    correction = design.process.exposure.correction
+    etch = design.process.etch or Etch()
+    bias = EtchBias(etch.bias_nm, etch.microloading_nm, etch.microloading_range_um)
+    made = made_pillars(exposed.drawn, exposed.exposure, bias)
+    figures = exposed.exposure.figures
+    library = open_library(job)
+    corner = {"corner_radius_nm": round(figures.corner_radius_nm, 3), **etch.corner}
+    with work.processes() as executor:
+        field = optics.made_field(made.pillars, library, executor)
+        corners = [("printed, one dose" if printed == "plain" else f"printed, corrected {correction}s", corner)]
+        (at,) = tolerance.fields_at(field, library, corners, executor=executor, progress=work.progress)
+    return MadeMask(at, made, figures)
+
+
+def expose_mask(
+    path: Path, design: Design, correct: bool, samples: int, copy: int, work: Work, *, keep_sizes: bool = False
+) -> ExposedMask:
     """Read a mask and expose its drawn pillars.
 
     Args:
         path: the mask file.
         design: design of the mask, with ``[process.exposure]``.
-        correct: whether the dose of each pillar is corrected.
+        correct: whether the pillars are corrected, by ``correction`` of ``[process.exposure]``.
         samples: number of random pillars to list.
         copy: lens of ``mask.copies``, counted from 1.
         work: threads and progress.
+        keep_sizes: whether the printed sizes of all pillars are kept.
 
     Raises:
         InputError: the design has no ``[process.exposure]``; a key of it is not available with the exposure; or the
@@ -63,42 +126,49 @@ def expose_mask(path: Path, design: Design, correct: bool, samples: int, copy: i
         back.pillars,
         psf,
         base_over_clearing_dose=process.base_over_clearing_dose,
-        correct=correct,
-        numerics=exposure.ExposureNumerics(classes=process.classes, samples=samples),
+        correction=process.correction if correct else "none",
+        numerics=exposure.ExposureNumerics(classes=process.classes, samples=samples, keep_sizes=keep_sizes),
         work=work,
     )
     return ExposedMask(back.pillars, psf, found)
 
 
 def write_corrected(exposed: ExposedMask, design: Design, folder: Path, progress: Progress) -> tuple[Path, ...]:
-    """Write the mask with one datatype for each dose class, and ``doses.csv``.
+    """Write the corrected mask; with corrected doses one datatype for each class, ``doses.csv`` and ``doses.jdi``.
 
-    The table has the columns ``datatype`` and ``dose_over_base_dose``. A design with ``[mask.dose]``,
-    ``by = "proximity"`` and as many classes reads the mask back.
+    The table has the columns ``datatype`` and ``dose_over_base_dose``; the second file is the shot modulation of JEOL
+    writers. A design with ``[mask.dose]``, ``by = "proximity"`` and as many classes reads the mask back.
 
     Args:
         exposed: the corrected exposure.
         design: design of the mask.
         folder: created if missing.
         progress: callback with the number of written sites.
-
-    Raises:
-        InputError: the exposure is not corrected.
     """
     from metafab import mask
 
     found = exposed.exposure
-    if found.dose_class is None:
-        raise InputError.single("--correct", "correct", "corrected doses in classes", "none")
-    dose = Dose(by="proximity", classes=len(found.class_dose))
     # The drawn pillars hold the bias already.
-    dosed = replace(design, mask=replace(design.mask, dose=dose, bias_nm=0.0))
-    files = mask.write(exposed.drawn, folder, dosed, progress=progress, dose_class=found.dose_class)
-    table = folder / "doses.csv"
-    with whole_file(table) as part:
-        rows = [f"{design.mask.datatype + k},{value:.6f}\n" for k, value in enumerate(found.class_dose)]
-        part.write_text("datatype,dose_over_base_dose\n" + "".join(rows), encoding="utf-8")
-    return (*(file.path for file in files), table)
+    plain = replace(design, mask=replace(design.mask, bias_nm=0.0))
+    if found.dose_class is None:
+        return tuple(file.path for file in mask.write(found.drawn, folder, plain, progress=progress))
+    dosed = replace(plain, mask=replace(plain.mask, dose=Dose(by="proximity", classes=len(found.class_dose))))
+    files = mask.write(found.drawn, folder, dosed, progress=progress, dose_class=found.dose_class)
+    doses = [(design.mask.datatype + k, float(value)) for k, value in enumerate(found.class_dose)]
+    tables = {
+        "doses.csv": ["datatype,dose_over_base_dose", *(f"{datatype},{dose:.6f}" for datatype, dose in doses)],
+        "doses.jdi": _shot_modulation(mask.top_name(design.name), doses),
+    }
+    for name, lines in tables.items():
+        with whole_file(folder / name) as part:
+            part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return (*(file.path for file in files), *(folder / name for name in tables))
+
+
+def _shot_modulation(name: str, doses: Sequence[tuple[int, float]]) -> list[str]:
+    """Lines of a MODULAT table: the change of dose in percent for each shot rank, which is the datatype."""
+    ranks = [f"({datatype:4d}, {100.0 * (dose - 1.0):8.3f} )" for datatype, dose in doses]
+    return [f"{name}: MODULAT ({ranks[0]}", *(f"-  , {rank}" for rank in ranks[1:-1]), f"-  , {ranks[-1]})"]
 
 
 def _unavailable(design: Design) -> list[Fault]:

@@ -20,6 +20,7 @@ from metafab.core.storage.latest import Latest, file_mark
 from metafab.core.storage.provenance import contents_sha256
 from metafab.core.storage.tables import optional, typed
 from metafab.spec import Design, Scene
+from metafab.steps.exposure import Printed, made_mask
 from metafab.steps.job import Job, Step, in_folder
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import library_path, open_library
@@ -254,6 +255,7 @@ def point_spread(
     target_error: float,
     copy: int = 1,
     centre_um: tuple[float, float] | None = None,
+    printed: Printed | None = None,
 ) -> tuple[Psf, Places | None]:
     """PSF pair of a written file, or of the target phases, and where its light is if a window misses it.
 
@@ -267,6 +269,7 @@ def point_spread(
         target_error: largest relative L2 error.
         copy: number of the lens in a file that holds several, from 1.
         centre_um: centre of the window on the sensor, um from the axis; None for the image point of the design.
+        printed: pillars as ``[process]`` makes them; None for those of the file.
 
     Raises:
         InputError: the file cannot be used, or an object at infinity has a position.
@@ -289,7 +292,7 @@ def point_spread(
             f"{x_mm:g} {y_mm:g} mm at infinity",
             "leave inf out of --depths-m: a position in mm is no direction there",
         )
-    source = _source_of(job, path, copy)
+    source = _source_of(job, path, copy, printed)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
     numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design), job.design.verify.vectorial)
     passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
@@ -302,23 +305,24 @@ def point_spread(
     return concatenate(stacks), light_elsewhere(source, imaging, stacks[middle], tangents[middle])
 
 
-def calibration(job: Job, path: Path | None, *, copy: int = 1) -> Psf:
+def calibration(job: Job, path: Path | None, *, copy: int = 1, printed: Printed | None = None) -> Psf:
     """PSF pair over the depths and the field of the design's scene, as a run computes it for the decoder.
 
     Args:
         job: the design.
         path: the mask file; None for the target phases.
         copy: number of the lens in a file that holds several, from 1.
+        printed: pillars as ``[process]`` makes them; None for those of the file.
 
     Raises:
         InputError: the design has no scene.
     """
     if job.design.scene is None:
         raise InputError.single(job.design.name, "scene", "one, whose depths and field are covered", "none", "add it")
-    return _calibration(job, _source_of(job, path, copy))
+    return _calibration(job, _source_of(job, path, copy, printed))
 
 
-def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1) -> Psf:
+def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1, printed: Printed | None = None) -> Psf:
     """PSF pair at the exact depths and directions of a scene, without interpolation over depth.
 
     Args:
@@ -326,21 +330,26 @@ def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1) -> P
         path: the mask file; None for the target phases.
         scene: the scene, in all of its frames.
         copy: number of the lens in a file that holds several, from 1.
+        printed: pillars as ``[process]`` makes them; None for those of the file.
     """
     from metafab import camera, optics
     from metafab.camera.exact import EXACT
 
-    source, imaging = _source_of(job, path, copy), optics.Imaging.of(job.design)
+    source, imaging = _source_of(job, path, copy, printed), optics.Imaging.of(job.design)
     numerics = replace(EXACT, filter_fwhm_nm=filter_fwhm_nm(job.design), vectorial=job.design.verify.vectorial)
     return camera.exact_psf(scene, source, imaging, numerics, work=Work(progress=job.work.progress))
 
 
-def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int = 1) -> None:
+def save_psf(
+    job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int = 1, printed: Printed | None = None
+) -> None:
     """Write a PSF pair with the fingerprint of its mask (None for target phases) and of the design."""
     from metafab import optics
 
     design = job.design
     source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job)), copy]
+    if printed is not None:
+        source = [source, printed, design.process]
     sampling: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
     if design.optics is not None:
         sampling += [design.optics, contents_sha256(design.optics)]
@@ -349,8 +358,12 @@ def save_psf(job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int =
     optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, sampling))
 
 
-def _source_of(job: Job, path: Path | None, copy: int) -> Source:
-    return lit_source(job, ideal_source(job) if path is None else mask_source(job, path, copy))
+def _source_of(job: Job, path: Path | None, copy: int, printed: Printed | None) -> Source:
+    if path is None:
+        return lit_source(job, ideal_source(job))
+    if printed is None:
+        return lit_source(job, mask_source(job, path, copy))
+    return lit_source(job, made_mask(job, path, printed, copy).field.field)
 
 
 def _verified_psf(job: Job) -> Callable[..., Psf]:

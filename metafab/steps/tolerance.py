@@ -8,6 +8,7 @@ from metafab.core.figures import ToleranceTable
 from metafab.core.storage.files import file_sha256
 from metafab.spec import Design
 from metafab.spec.design import Tolerances
+from metafab.steps.exposure import Printed, made_mask
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
@@ -17,10 +18,17 @@ FILE = "tolerance.json"
 
 
 def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
-    """Compute the corners of a written file, for the design's ``[tolerance]`` or default faults."""
+    """Compute the corners of a written file, for the design's ``[tolerance]`` or default faults.
+
+    A design with ``[process.exposure]`` adds the printed pillars, with one dose and corrected.
+    """
     from metafab import layout, optics, tolerance
 
     design = job.design
+    made = []
+    if design.process is not None and design.process.exposure is not None:
+        kinds: tuple[Printed, ...] = ("plain", "corrected")
+        made = [made_mask(job, path, printed, copy).field for printed in kinds]
     return tolerance.tolerance_table(
         mask_source(job, path, copy),
         open_library(job),
@@ -29,6 +37,7 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
         design.tolerance or Tolerances(),
         min(layout.field_sites(design)),
         optics.PsfNumerics(design.verify.window_px, design.verify.target_error, filter_fwhm_nm(design)),
+        made=made,
         transmission=optics.Apodisation.of(design),
         work=job.work,
     )
@@ -64,9 +73,9 @@ def _not_requested(design: Design) -> str | None:
 
 TOLERANCE = Step(
     name="tolerance",
-    rooms=("mask", "cell", "library", "optics", "tolerance"),
+    rooms=("mask", "cell", "library", "exposure", "optics", "tolerance"),
     after=("library", "layout"),
-    inputs=lambda d: (d.tolerance, d.sensor, d.verify, d.optics, d.substrate, d.mask.write_field_um),
+    inputs=lambda d: (d.tolerance, d.process, d.sensor, d.verify, d.optics, d.substrate, d.mask.write_field_um),
     outputs=in_folder(FILE),
     work=_tolerance,
     figures=ToleranceTable,

@@ -10,7 +10,7 @@ a design. Out: a :class:`ToleranceTable`.
 """
 
 from metafab.core.figures import ToleranceRow, ToleranceTable
-from metafab.tolerance.corners import CornerField, corner_fields
+from metafab.tolerance.corners import CornerField, corner_fields, fields_at
 from metafab.tolerance.study import tolerance_table
 from metafab.tolerance.table import load_tolerance, save_tolerance
 
@@ -19,6 +19,7 @@ __all__ = [
     "ToleranceRow",
     "ToleranceTable",
     "corner_fields",
+    "fields_at",
     "load_tolerance",
     "save_tolerance",
     "tolerance_table",

@@ -14,7 +14,7 @@ change. Leave-one-out prediction gives the error: below 1e-2 of the field for th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 
@@ -22,26 +22,24 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from metafab.cell import PillarCell, is_square
-from metafab.cell.rcwa import zero_order
+from metafab.cell import is_square
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.axes import CornerBox, corner_cell
 from metafab.library.library import Library
-from metafab.optics.sources.source import WrittenField, written_field
+from metafab.library.use.any_size import SOLVER_ERROR, response_of_sizes, solve_amplitudes
+from metafab.optics.sources.source import WrittenField, made_field
 
 #: Sizes solved at a corner; twice as many for cells whose x and y axes differ.
 _SAMPLES = 28
-#: Truncation order, at which changes of t are exact to some 1e-3, and slices of a sloped sidewall.
-_ORDERS, _SLICES = 5, 8
+#: Slices of a sloped sidewall.
+_SLICES = 8
 #: Sizes solved once more with half the slices, for the error of the slices.
 SLICE_CHECKS = 4
 _DEGREE = 2
 #: Half of the step of the numerical derivatives of the library's surface, nm.
 _SHIFT_NM = 0.5
-#: Relative error of amplitudes that are solved or looked up without an error of their own.
-_SOLVER_ERROR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -88,19 +86,39 @@ def corner_fields(
     Returns:
         Two corners per axis, in the order of ``deviations``.
     """
-    sizes, unit_cell = MaskSizes.of(written, library), library.unit_cell
     corners = [
-        (f"{axis} {sign * deviation:+g}", {axis: unit_cell.nominal(axis) + sign * deviation})
+        (f"{axis} {sign * deviation:+g}", {axis: library.unit_cell.nominal(axis) + sign * deviation})
         for axis, deviation in deviations.items()
         for sign in (-1.0, 1.0)
     ]
+    return fields_at(written, library, corners, executor=executor, progress=progress)
+
+
+def fields_at(
+    written: WrittenField,
+    library: Library,
+    corners: Sequence[tuple[str, Mapping[str, float]]],
+    *,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> list[CornerField]:
+    """Return the mask at some corners.
+
+    Args:
+        written: upright pillars of any size with their amplitudes.
+        library: library of the mask.
+        corners: name of each corner and its values, by axis (of :class:`metafab.spec.cell.Axes`).
+        executor: solves cells; None for this process. The result does not depend on it.
+        progress: called as cells are solved.
+    """
+    sizes = MaskSizes.of(written, library)
     plans = [_plan(sizes, library, corner) for _, corner in corners]
     nominal = _Plan(sizes.sample) if any(plan.sampled for plan in plans) else _Plan()
     tasks = []
     for plan, corner in zip([nominal, *plans], [{}, *(corner for _, corner in corners)], strict=True):
         for slices, chosen in ((_SLICES, plan.solved), (_SLICES // 2, plan.checked)):
             for width_nm, length_nm in sizes.size_nm[chosen].tolist():
-                tasks.append((corner_cell(unit_cell, width_nm, length_nm, corner), slices))
+                tasks.append((corner_cell(library.unit_cell, width_nm, length_nm, corner), slices))
     amplitudes = np.empty((len(tasks), 2), dtype=np.complex128)
     # One thread of linear algebra here as in worker processes, so that results are bit-identical.
     with threadpool_limits(1, "blas"):
@@ -112,15 +130,6 @@ def corner_fields(
         sizes.corner_field(written, library, name, corner, plan, before, solved)
         for (name, corner), plan, solved in zip(corners, plans, after, strict=True)
     ]
-
-
-def solve_amplitudes(task: tuple[PillarCell, int]) -> ComplexArray:
-    """Return (t_xx, t_yy), shape (2,), of a cell with a number of slices of its sidewall.
-
-    The truncation is fixed, so that its error is nearly the same with and without a small change.
-    """
-    cell, slices = task
-    return np.diagonal(zero_order(cell, _ORDERS, "adaptive", slices).t).copy()
 
 
 def slice_error(before: ComplexArray, fine: ComplexArray, coarse: ComplexArray) -> float:
@@ -189,7 +198,7 @@ class MaskSizes:
             counts += np.bincount(tile.size_index.ravel(), minlength=counts.size)
         index = np.flatnonzero(counts[1:]) + 1
         size_nm, count = pillars.size_nm()[index], counts[index]
-        stored = library.at_sizes(*size_nm.T)
+        stored = response_of_sizes(library, size_nm)
         samples = min(_SAMPLES if is_square(library.unit_cell) else 2 * _SAMPLES, index.size)
         chosen = np.random.default_rng(0).choice(index.size, samples, replace=False, p=count / count.sum())
         place = {tuple(size): k for k, size in enumerate(size_nm.tolist())}
@@ -219,8 +228,8 @@ class MaskSizes:
         """
         if _in_library(library, corner):
             there = library.at(**corner)
-            table = written_field(written.pillars, there).table
-            error = self._rms(there.at_sizes(*self.size_nm.T).error)
+            table = made_field(written.pillars, there).table
+            error = self._rms(response_of_sizes(there, self.size_nm).error)
         else:
             if plan.sampled:
                 n = self.sample.size
@@ -255,7 +264,7 @@ class MaskSizes:
             mirrored = self.mirror[solved] < self.index.size
         images = self.mirror[solved[mirrored]]
         inside = np.setdiff1d(np.arange(self.index.size), np.concatenate([solved, images]))
-        t, error = np.empty_like(self.t), np.full(self.index.size, _SOLVER_ERROR)
+        t, error = np.empty_like(self.t), np.full(self.index.size, SOLVER_ERROR)
         if inside.size:
             response = library.surface(*(self.size_nm[inside] + bias_nm).T)
             t[inside] = np.stack([response.t_xx, response.t_yy], axis=1)
@@ -267,7 +276,7 @@ class MaskSizes:
     def _fitted(self, library: Library, before: ComplexArray, after: ComplexArray) -> tuple[ComplexArray, float]:
         """Amplitudes by a least-squares fit to the change of the sample, and their relative leave-one-out error."""
         if self.sample.size == self.index.size:
-            return self.t * (after / before), _SOLVER_ERROR
+            return self.t * (after / before), SOLVER_ERROR
         basis = self._basis(library)
         fitted, residuals = np.empty_like(self.t), []
         groups = [(0, 1)] if is_square(library.unit_cell) else [(0,), (1,)]
@@ -291,7 +300,7 @@ class MaskSizes:
         for axis in (0, 1):
             ends = []
             for sign in (-1.0, 1.0):
-                at = self.size_nm.copy()
+                at = np.clip(self.size_nm, low, high)
                 at[:, axis] = np.clip(at[:, axis] + sign * _SHIFT_NM, low[axis], high[axis])
                 response = library.surface(*at.T)
                 ends.append((at[:, axis], np.stack([response.t_xx, response.t_yy], axis=1)))

@@ -33,7 +33,7 @@ from metafab.optics.propagation.pupil import Carrier, Pupil, reduce_field
 from metafab.optics.sources.apodisation import Transmission, apodised
 from metafab.optics.sources.source import Source, WrittenField
 from metafab.spec.design import Tolerances
-from metafab.tolerance.corners import corner_fields
+from metafab.tolerance.corners import CornerField, corner_fields
 from metafab.tolerance.scatter import Fault, Misplaced, Missing, Stitched
 
 #: Trial depths of the decoder: their margin beyond the table's depths, as a share of the range of vergence, and their
@@ -258,6 +258,7 @@ def tolerance_table(
     field_sites: int,
     numerics: PsfNumerics = PsfNumerics(),
     *,
+    made: Sequence[CornerField] = (),
     transmission: Transmission | None = None,
     work: Work = Work(workers=1),
 ) -> ToleranceTable:
@@ -271,6 +272,7 @@ def tolerance_table(
         tolerances: deviations of the fabrication; zeros leave corners out.
         field_sites: sites along a side of a write field.
         numerics: window, target error and filter of every PSF. Unwanted light is that of the design wavelength.
+        made: the mask as processes make it, for the first rows of the table.
         transmission: stop or amplitude in the plane of the pillars; None for none.
         work: processes or cluster that solve cells, and progress over the corners. The result does not depend on them.
 
@@ -285,7 +287,8 @@ def tolerance_table(
         require_block_memory(faults, written, block)
         reference = Reference.of(optics, pupils, error)
         with work.processes() as executor:
-            corners = corner_fields(
+            corners = [*made]
+            corners += corner_fields(
                 written, library, _deviations(tolerances), executor=executor, progress=work.progress
             )
         rows = []

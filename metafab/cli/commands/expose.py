@@ -22,7 +22,7 @@ def expose_command(
     layout: LayoutFile,
     design: DesignOption,
     correct: Annotated[
-        bool, typer.Option("--correct", help="Correct the dose of each pillar for proximity effects.")
+        bool, typer.Option("--correct", help="Correct doses (or shapes) for proximity effects.")
     ] = False,
     sample: Annotated[
         int, typer.Option("--sample", min=0, max=1_000_000, metavar="N", help="Number of random pillars to list.")
@@ -37,7 +37,8 @@ def expose_command(
 ) -> None:
     """Predict printed sizes from the electron exposure of a mask, and correct its doses.
 
-    With --correct and -o DIR, the corrected mask (one datatype per dose class) and doses.csv are written to DIR.
+    With --correct and -o DIR, the corrected mask is written to DIR: one datatype per dose class with the tables
+    doses.csv and doses.jdi, or corrected shapes.
     """
     from metafab.core.parallel.measure import measured
     from metafab.spec import load_design

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -54,6 +54,10 @@ def psf_command(
         int | None, typer.Option(min=4, max=2048, metavar="N", help="Side of the window [default: the design's].")
     ] = None,
     target_error: TargetError = None,
+    printed: Annotated[
+        Literal["plain", "corrected"] | None,
+        typer.Option("--printed", help="Pillars as the design's [process] makes them, with one or corrected doses."),
+    ] = None,
     copy: Copy = 1,
     workers: Workers = None,
     cluster: Cluster = None,
@@ -70,6 +74,8 @@ def psf_command(
         require_hdf5_name(output)
     if ideal == (layout is not None):
         raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
+    if printed is not None and ideal:
+        raise InputError.single("psf", "--printed", "a mask file", "--ideal", "name the mask")
     options = {
         "--depths-m": depths_m,
         "--object-mm": object_mm,
@@ -92,9 +98,9 @@ def psf_command(
         job = open_job(design, None, work)
         verify, light_at_um = job.design.verify, None
         if calibration:
-            pair = optics.calibration(job, layout, copy=copy)
+            pair = optics.calibration(job, layout, copy=copy, printed=printed)
         elif scene is not None:
-            pair = optics.scene_pair(job, layout, load_scene(scene), copy=copy)
+            pair = optics.scene_pair(job, layout, load_scene(scene), copy=copy, printed=printed)
         else:
             pair, light_at_um = optics.point_spread(
                 job,
@@ -106,9 +112,10 @@ def psf_command(
                 target_error=verify.target_error if target_error is None else target_error,
                 copy=copy,
                 centre_um=centre_um,
+                printed=printed,
             )
     if output is not None:
-        optics.save_psf(job, pair, layout, output, copy)
+        optics.save_psf(job, pair, layout, output, copy, printed)
     figures = optics.PairFigures.of(pair, light_at_um)
     announce(figures.warnings())
     show(figures, json_, seconds=cost.seconds, file=output)

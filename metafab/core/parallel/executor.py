@@ -26,7 +26,7 @@ Result = TypeVar("Result")
 
 _kept_threads: ContextVar[ThreadPoolExecutor | None] = ContextVar("_kept_threads", default=None)
 
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class SerialExecutor(Executor):
@@ -94,12 +94,15 @@ def default_workers() -> int:
 
 
 def _single_threaded() -> None:
-    """Initialise a worker process: one BLAS thread, Ctrl-C is left to the parent, and no life without it."""
+    """Initialise a worker: one thread of BLAS and numba, Ctrl-C is left to the parent, and no life without it."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    import numba
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)
+    # Not by its variable: numba refuses another value of it in the parent, once its threads run there.
+    numba.set_num_threads(1)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.library.library import Library
+from metafab.library.surface import SizeResponse
 from metafab.materials import refractive_index
 from metafab.spec import UnitCell
 
@@ -44,7 +45,7 @@ def empty_cell_t(unit_cell: UnitCell) -> ComplexArray:
 
 
 def power_amplitudes(library: Library, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
-    """Return t sqrt(n_out / n_in) of upright pillars, zero order.
+    """Return t sqrt(n_out / n_in) of upright pillars of the library's grid, zero order.
 
     Args:
         library: response over width and length.
@@ -57,8 +58,20 @@ def power_amplitudes(library: Library, width_nm: FloatArray, length_nm: FloatArr
     Raises:
         InputError: the library does not hold a size.
     """
-    n_in, n_out = half_space_indices(library.unit_cell)
-    response = library.at_sizes(width_nm, length_nm)
+    return power_normalised(library.at_sizes(width_nm, length_nm), library.unit_cell)
+
+
+def power_normalised(response: SizeResponse, unit_cell: UnitCell) -> ComplexArray:
+    """Return t sqrt(n_out / n_in) of upright pillars, zero order.
+
+    Args:
+        response: transmission of n sizes.
+        unit_cell: unit cell of the pillars.
+
+    Returns:
+        Shape (n, 2), for x and y polarisation.
+    """
+    n_in, n_out = half_space_indices(unit_cell)
     return np.stack([response.t_xx, response.t_yy], axis=-1) * np.sqrt(n_out.real / n_in.real)
 
 

@@ -7,6 +7,7 @@ efficiencies add up in a propagation that conserves the integral of |a|^2.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.layout.pillars import Lattice, PillarMap, SizeIndexArray
 from metafab.library.library import Library
-from metafab.library.use.amplitudes import power_amplitudes, turned_jones
+from metafab.library.use.amplitudes import power_amplitudes, power_normalised, turned_jones
+from metafab.library.use.any_size import response_of_sizes
 from metafab.spec import Device
 
 _IDEAL_TILE_SITES = 256
@@ -174,8 +176,27 @@ def written_field(pillars: PillarMap, library: Library) -> WrittenField:
     table = power_amplitudes(library, width_nm, length_nm) if width_nm.size else np.empty((0, 2), dtype=np.complex128)
     if pillars.angle_deg is not None:
         table = turned_jones(table, pillars.angle_deg[1:])
-    table = np.concatenate([np.zeros((1, table.shape[1]), dtype=np.complex128), table])
-    return WrittenField(pillars, table)
+    return _with_dark(pillars, table)
+
+
+def made_field(pillars: PillarMap, library: Library, executor: Executor | None = None) -> WrittenField:
+    """Return the field behind upright pillars of any size, such as printed or measured ones.
+
+    Args:
+        pillars: the pillars.
+        library: library of the mask.
+        executor: solves sizes beyond the library's sweep.
+
+    Raises:
+        InputError: too many sizes lie beyond the sweep.
+    """
+    response = response_of_sizes(library, pillars.size_nm()[1:], executor)
+    return _with_dark(pillars, power_normalised(response, library.unit_cell))
+
+
+def _with_dark(pillars: PillarMap, table: ComplexArray) -> WrittenField:
+    """Field of amplitudes of each size, shape (n_sizes, n_polarisations); sites without a pillar are dark."""
+    return WrittenField(pillars, np.concatenate([np.zeros((1, table.shape[1]), dtype=np.complex128), table]))
 
 
 def ideal_field(profile: Target, lattice: Lattice, device: Device) -> IdealField:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +12,9 @@ import pytest
 
 from metafab import layout, mask
 from metafab.core.conventions import FloatArray
-from metafab.library import Library
+from metafab.library import Library, build, save
 from metafab.phase.terms.profile import PhaseProfile
-from metafab.spec import load_design
+from metafab.spec import UnitCell, load_design
 from tests.layout.conftest import OffAxisLens, sizes_at_sites
 from tests.main_job import ROOT, SMALL, metafab
 
@@ -68,6 +70,10 @@ def test_figures_and_the_corrected_mask(folder: Path, tmp_path: Path) -> None:
     doses = [float(row["dose_over_base_dose"]) for row in rows]
     assert doses == sorted(doses)
     assert doses[0] == pytest.approx(corrected.json["dose_min"], abs=1e-6)
+    ranks = (tmp_path / "doses.jdi").read_text(encoding="utf-8")
+    percent = [float(word) for word in re.findall(r"\( *\d+, +([-0-9.]+) \)", ranks)]
+    assert ranks.startswith("helix_small: MODULAT (")
+    np.testing.assert_allclose(1.0 + 0.01 * np.array(percent), doses, atol=1e-5)
     checked = metafab("drc", tmp_path / "layout.oas", "--design", folder / "read.toml", "--json")
     assert (checked.code, checked.json["pillars"]) == (0, corrected.json["pillars"]), checked.stderr
 
@@ -139,3 +145,31 @@ def test_options_that_need_each_other(folder: Path, tmp_path: Path) -> None:
     uncorrected = metafab(*common, "-o", tmp_path)
     assert uncorrected.code == 2
     assert "--correct" in uncorrected.stderr
+
+
+def test_light_of_printed_pillars(unit_cell: UnitCell, tmp_path: Path) -> None:
+    """An etch that narrows all pillars changes the transmitted power; corrected pillars keep it within 1 %."""
+    span = (100.0, 160.0)
+    sweep = replace(unit_cell.sweep, width_nm=span, length_nm=span, size_grid_nm=10.0, target_error=1e-2)
+    save(build(replace(unit_cell, sweep=sweep)), tmp_path / "library.h5")
+    etch = "\n[process.etch]\nbias_nm = -12.0\nsidewall_angle_deg = 89.0\n"
+    transmitted = []
+    for further, printed in (("", ()), ("", ("--printed", "corrected")), (etch, ("--printed", "plain"))):
+        path = design_file(
+            tmp_path / "design.toml", SMALL, PROCESS + further, aperture_um="20.0", library='"library.h5"'
+        )
+        if not transmitted:
+            design = load_design(path)
+            lattice = layout.lattice_of(design)
+            side = 2 * np.arange(110, 160, 10)
+            table = np.array([(0, 0), *((w, length) for w in side for length in side)], dtype=np.int32)
+            index = np.random.default_rng(1).integers(1, len(table), lattice.shape).astype(np.uint16)
+            mask.write(layout.PillarMap.from_array(lattice, table, index, 64), tmp_path, design)
+        answer = metafab("psf", tmp_path / "layout.oas", "--design", path, "--depths-m", "0.003", *printed, "--json")
+        assert answer.code == 0, answer.stderr
+        transmitted.append(answer.json["transmitted_x"])
+    assert transmitted[1] == pytest.approx(transmitted[0], rel=0.01)
+    assert abs(transmitted[2] - transmitted[0]) > 0.02 * transmitted[0]
+    refused = metafab("psf", "--ideal", "--design", path, "--printed", "plain")
+    assert refused.code == 2
+    assert "--printed" in refused.stderr

@@ -17,11 +17,12 @@ from metafab.core.parallel.executor import open_executor
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.axes import corner_cell
 from metafab.library.library import Library
+from metafab.library.use.any_size import solve_amplitudes
 from metafab.optics import PsfNumerics, WrittenField, psf, relative_l2, written_field
 from metafab.spec import UnitCell
 from metafab.spec.design import Tolerances
 from metafab.tolerance import ToleranceTable, corner_fields, load_tolerance, save_tolerance, tolerance_table
-from metafab.tolerance.corners import SLICE_CHECKS, MaskSizes, slice_error, solve_amplitudes
+from metafab.tolerance.corners import SLICE_CHECKS, MaskSizes, slice_error
 from metafab.tolerance.scatter import Stitched
 from metafab.tolerance.study import DepthDecoder, Light, MaskOptics, Reference, require_block_memory
 from tests import optics_lens as lens

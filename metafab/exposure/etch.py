@@ -1,0 +1,125 @@
+"""Sizes of etched pillars: printed sizes, changed by the etch bias and by its dependence on the local density.
+
+Microloading is linear: where the pillars cover more of the surface than on average, the etch consumes its reactants and
+leaves wider pillars (or narrower ones, by the sign),
+
+    size = printed + bias + microloading (density - mean density),
+
+with the density of the printed pillars, averaged by a Gaussian of the given range.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.core.conventions import Float32Array, FloatArray
+from metafab.core.errors import InputError
+from metafab.exposure.electrons.beam import BeamPsf, BeamTerm
+from metafab.exposure.energy.far import BLOCK_SITES, LONG_PERIODS, LongRange, block_masses
+from metafab.exposure.expose import Exposure
+from metafab.layout import PillarMap
+from metafab.layout.resized import bands, resized
+
+
+@dataclass(frozen=True)
+class EtchBias:
+    """Change of sizes by the etch.
+
+    Attributes:
+        bias_nm: etched less printed width and length at the mean density.
+        microloading_nm: further change for a local density larger by 1 (full in place of empty).
+        range_um: range of the Gaussian exp(-r^2 / range^2) that averages the density.
+    """
+
+    bias_nm: float = 0.0
+    microloading_nm: float = 0.0
+    range_um: float = 50.0
+
+
+@dataclass(frozen=True)
+class MadePillars:
+    """Pillars as they are made.
+
+    Attributes:
+        pillars: sizes after the etch, in steps of the database unit; unprinted pillars are missing.
+        bias_nm: mean of made less drawn size.
+        bias_rms_nm: rms of made less drawn size about the mean.
+        missing: pillars that are not printed, or etched away.
+        density: mean share of the surface under printed pillars, weighted by pillars.
+    """
+
+    pillars: PillarMap
+    bias_nm: float
+    bias_rms_nm: float
+    missing: int
+    density: float
+
+
+def made_pillars(wanted: PillarMap, exposed: Exposure, etch: EtchBias = EtchBias()) -> MadePillars:
+    """Return the pillars that an exposure and an etch leave.
+
+    Args:
+        wanted: pillars of the mask before correction; the bias counts from their sizes.
+        exposed: its exposure, with ``keep_sizes``.
+        etch: change of sizes.
+
+    Raises:
+        InputError: printed sizes were not kept, or ``range_um`` is below 12 periods.
+    """
+    change = exposed.printed_less_drawn_nm
+    if change is None:
+        raise InputError.single("exposure", "keep_sizes", "true", "false")
+    drawn, index = exposed.drawn, exposed.drawn.to_array()
+    drawn_nm = drawn.size_nm().astype(np.float32).T
+    wanted_nm, wanted_index = wanted.size_nm().astype(np.float32).T, wanted.to_array()
+
+    def printed_nm(rows: slice) -> Float32Array:
+        size = drawn_nm[:, index[rows]] + change[:, rows]
+        return np.asarray(np.where((index[rows] > 0) & np.isfinite(size).all(axis=0), size, 0.0), dtype=np.float32)
+
+    density, mean = _density(drawn, printed_nm, etch) if etch.microloading_nm else (None, 0.0)
+
+    def made_nm(rows: slice) -> FloatArray:
+        size = printed_nm(rows)
+        shift: Float32Array | float = etch.bias_nm
+        if density is not None:
+            local = density.at(rows, slice(0, index.shape[1]))
+            shift = np.float32(etch.bias_nm) + np.float32(etch.microloading_nm) * (local - np.float32(mean))
+        return np.asarray(np.where(size > 0.0, size + shift, np.nan), dtype=np.float64)
+
+    pillars = resized(drawn, made_nm)
+    made_sizes, made_index = pillars.size_nm().T, pillars.to_array()
+    total, square, count = 0.0, 0.0, 0
+    for rows in bands(index):
+        stand = made_index[rows] > 0
+        bias = made_sizes[:, made_index[rows][stand]] - wanted_nm[:, wanted_index[rows][stand]]
+        total, square, count = total + float(bias.sum()), square + float((bias**2).sum()), count + bias.size
+    bias_nm = total / max(1, count)
+    rms_nm = float(np.sqrt(max(0.0, square / max(1, count) - bias_nm**2)))
+    return MadePillars(pillars, bias_nm, rms_nm, int(np.count_nonzero(index)) - count // 2, mean)
+
+
+def _density(
+    pillars: PillarMap, printed_nm: Callable[[slice], Float32Array], etch: EtchBias
+) -> tuple[LongRange, float]:
+    """Local density on blocks, and its mean over the pillars."""
+    lattice, index = pillars.lattice, pillars.to_array()
+    period_nm = [side * lattice.database_unit_nm for side in lattice.period_dbu]
+    if etch.range_um * 1e3 < LONG_PERIODS * min(period_nm):
+        expected = f"at least {LONG_PERIODS:g} periods, {LONG_PERIODS * min(period_nm) * 1e-3:g} um"
+        raise InputError.single("process.etch", "microloading_range_um", expected, f"{etch.range_um:g} um")
+    masses = []
+    for rows in bands(index):
+        masses.append(block_masses(np.prod(printed_nm(rows).astype(np.float64), axis=0)))
+    beam = BeamPsf.of([BeamTerm("gauss", 1.0, etch.range_um * 1e3)], "")
+    block_nm = (BLOCK_SITES * period_nm[0], BLOCK_SITES * period_nm[1])
+    density = LongRange.of(beam, np.concatenate(masses), block_nm)
+    assert density is not None
+    total, count = 0.0, 0
+    for rows in bands(index):
+        local = density.at(rows, slice(0, index.shape[1]))[index[rows] > 0]
+        total, count = total + float(local.sum(dtype=np.float64)), count + local.size
+    return density, total / max(1, count)

@@ -1,0 +1,252 @@
+"""Printed sizes of all pillars at given doses: their statistics, their map over the lens, and the process window."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import Float32Array, FloatArray
+from metafab.exposure.energy.resist import TILE_SITES, ResistEnergy, TileEnergy
+from metafab.exposure.printing import EdgeTables, add_edge_displacements
+from metafab.exposure.sums import dose_to_size_sums, size_statistics
+
+#: Tiles from which the dose to size and the process window are found.
+_SAMPLED_TILES = 16
+#: Bins of the histogram of size errors, and their width (nm).
+BINS, BIN_NM = 1200, 0.05
+#: Least number of blocks along the lens in a map of size errors.
+_MAP_BLOCKS = 64
+
+
+@dataclass(frozen=True)
+class Printing:
+    """A pattern with its process.
+
+    Attributes:
+        resist: energy of the drawn pattern.
+        tables: energy of each size at its own edges.
+        base_over_clearing_dose: base dose over the clearing dose of a large pad.
+        executor: threads that compute tiles.
+        wanted_less_drawn_nm: shape (2, n_y, n_x), width and length that should be printed, less those that are drawn;
+            None where they are equal.
+    """
+
+    resist: ResistEnergy
+    tables: EdgeTables
+    base_over_clearing_dose: float
+    executor: Executor
+    wanted_less_drawn_nm: Float32Array | None = None
+
+    def edges(self, tile: TileEnergy, base_over_clearing_dose: float) -> Float32Array:
+        """Displacement of the printed edges of a tile from the drawn ones: shape (2, n_y, n_x), nm."""
+        moved = np.zeros_like(tile.others)
+        tables = (self.tables.displacement_nm, self.tables.energy)
+        clearing = 1.0 / base_over_clearing_dose
+        add_edge_displacements(tile.size_index, tile.dose, tile.others, clearing, *tables, moved)
+        return moved
+
+    def errors(self, tile: TileEnergy, moved: Float32Array) -> Float32Array:
+        """Half of printed less wanted size: shape (2, n_y, n_x), nm."""
+        if self.wanted_less_drawn_nm is None:
+            return moved
+        return moved - np.float32(0.5) * self.wanted_less_drawn_nm[:, tile.rows, tile.columns]
+
+
+@dataclass(frozen=True)
+class SizeSums:
+    """Sums over all pillars of :func:`metafab.exposure.sums.size_statistics`."""
+
+    pillars: int
+    unprinted: int
+    total_nm: float
+    square_nm2: float
+    largest_nm: float
+    latitude_nm: float
+    dose_min: float
+    dose_max: float
+
+    @property
+    def sides(self) -> float:
+        """Number of printed widths and lengths, at least 1."""
+        return max(1.0, 2.0 * (self.pillars - self.unprinted))
+
+    @property
+    def bias_nm(self) -> float:
+        """Mean size error."""
+        return self.total_nm / self.sides
+
+    @property
+    def rms_nm(self) -> float:
+        """Rms size error."""
+        return math.sqrt(self.square_nm2 / self.sides)
+
+    @classmethod
+    def of(cls, parts: FloatArray) -> SizeSums:
+        """Add up the results of tiles, shape (n_tiles, 8)."""
+        added, least, most = parts.sum(axis=0), parts.min(axis=0), parts.max(axis=0)
+        pillars, unprinted, total, square, _, latitude, *_ = added.tolist()
+        return cls(
+            int(pillars), int(unprinted), total, square, float(most[4]), latitude, float(least[6]), float(most[7])
+        )
+
+
+@dataclass(frozen=True)
+class SizeMap:
+    """Mean size errors over the lens.
+
+    Attributes:
+        bias_nm: shape (n_y, n_x), mean of printed less wanted width and length in each block; NaN without pillars.
+        block_um: side of a block (x, y).
+    """
+
+    bias_nm: Float32Array
+    block_um: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class WindowPoint:
+    """Size errors of a sample of tiles at a changed dose.
+
+    Attributes:
+        dose_change_percent: change of all doses.
+        bias_nm: mean of printed less wanted sizes.
+        rms_nm: rms of printed less wanted sizes.
+        unprinted_share: share of pillars that do not print.
+    """
+
+    dose_change_percent: float
+    bias_nm: float
+    rms_nm: float
+    unprinted_share: float
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Printed sizes of all pillars.
+
+    Attributes:
+        sums: sums over all pillars.
+        histogram: shape (BINS,), widths and lengths in each bin of size errors.
+        listed: for each listed pillar, shape (5,): energy at the centre, the x and the y edges over the clearing
+            energy, and printed less drawn width and length.
+        size_map: mean size errors over the lens.
+        printed_less_drawn_nm: shape (2, n_y, n_x), of width and length; -inf where a pillar does not print. None unless
+            asked for.
+    """
+
+    sums: SizeSums
+    histogram: NDArray[np.int64]
+    listed: dict[tuple[int, int], FloatArray]
+    size_map: SizeMap
+    printed_less_drawn_nm: Float32Array | None
+
+
+def dose_to_size(resist: ResistEnergy, tables: EdgeTables, dose: Float32Array, executor: Executor) -> float:
+    """Base over clearing dose for a mean linear size error of zero at dose 1, from a part of the tiles."""
+
+    def sums(tile: TileEnergy) -> FloatArray:
+        return np.array(dose_to_size_sums(tile.size_index, tile.dose, tile.others, tables.at_edge, tables.slope_per_nm))
+
+    every = max(1, len(resist.tiles) // _SAMPLED_TILES)
+    parts = [found for _, found in resist.map_tiles(dose, executor, sums, resist.tiles[::every])]
+    energy, count = np.sum(parts, axis=0)
+    return float(count / energy)
+
+
+def predict(
+    process: Printing, dose: Float32Array, places: NDArray[np.int64], *, keep_sizes: bool = False
+) -> Prediction:
+    """Predict the printed sizes.
+
+    Args:
+        process: the pattern.
+        dose: shape (n_y, n_x).
+        places: shape (n, 2), rows and columns of listed pillars.
+        keep_sizes: whether the sizes of all pillars are kept.
+    """
+    tables, ratio, resist = process.tables, process.base_over_clearing_dose, process.resist
+    shape = resist.size_index.shape
+    side = min(TILE_SITES, 1 << max(0, (max(shape) // _MAP_BLOCKS).bit_length() - 1))
+    bias_nm = np.full((-(-shape[0] // side), -(-shape[1] // side)), np.nan, dtype=np.float32)
+    kept = np.zeros((2, *shape), dtype=np.float32) if keep_sizes else None
+
+    def printed(tile: TileEnergy) -> FloatArray:
+        moved = process.edges(tile, ratio)
+        if kept is not None:
+            kept[:, tile.rows, tile.columns] = 2.0 * moved
+        errors = process.errors(tile, moved)
+        counts = np.zeros(BINS, dtype=np.int64)
+        sums = size_statistics(tile.size_index, tile.dose, tables.slope_per_nm, errors, ratio, BIN_NM, counts)
+        blocks = _block_means(tile.size_index, errors, side)
+        first = tile.rows.start // side, tile.columns.start // side
+        bias_nm[first[0] : first[0] + blocks.shape[0], first[1] : first[1] + blocks.shape[1]] = blocks
+        y, x = (inside(places, tile.rows, tile.columns) - (tile.rows.start, tile.columns.start)).T
+        at_edges = tables.at_edge[:, tile.size_index[y, x]] * tile.dose[y, x] + tile.others[:, y, x]
+        rows = np.concatenate([ratio * tile.centre[None, y, x], ratio * at_edges, 2.0 * moved[:, y, x]])
+        return np.concatenate([sums, counts, rows.T.ravel()])
+
+    parts, counts = [], np.zeros(BINS, dtype=np.int64)
+    listed: dict[tuple[int, int], FloatArray] = {}
+    for block, result in resist.map_tiles(dose, process.executor, printed):
+        statistics, bins, rows = np.split(result, [8, 8 + BINS])
+        parts.append(statistics)
+        counts += bins.astype(np.int64)
+        listed.update(zip(map(tuple, inside(places, *block).tolist()), rows.reshape(-1, 5), strict=True))
+    block_um = (side * resist.period_nm[0] * 1e-3, side * resist.period_nm[1] * 1e-3)
+    return Prediction(SizeSums.of(np.array(parts)), counts, listed, SizeMap(bias_nm, block_um), kept)
+
+
+def process_window(
+    process: Printing, dose: Float32Array, dose_change_percent: Sequence[float]
+) -> tuple[WindowPoint, ...]:
+    """Predict the size errors of a sample of tiles at changed doses.
+
+    Args:
+        process: the pattern.
+        dose: shape (n_y, n_x).
+        dose_change_percent: changes of all doses.
+    """
+
+    def changed(tile: TileEnergy) -> FloatArray:
+        rows = []
+        for percent in dose_change_percent:
+            ratio = process.base_over_clearing_dose * (1.0 + 0.01 * percent)
+            errors = process.errors(tile, process.edges(tile, ratio))
+            slope = process.tables.slope_per_nm
+            rows.append(
+                size_statistics(tile.size_index, tile.dose, slope, errors, ratio, BIN_NM, np.zeros(2, np.int64))
+            )
+        return np.array(rows)
+
+    parts = np.array([found for _, found in process.resist.map_tiles(dose, process.executor, changed, _some(process))])
+    points = []
+    for percent, row in zip(dose_change_percent, np.swapaxes(parts, 0, 1), strict=True):
+        sums = SizeSums.of(row)
+        points.append(WindowPoint(percent, sums.bias_nm, sums.rms_nm, sums.unprinted / max(1, sums.pillars)))
+    return tuple(points)
+
+
+def _some(process: Printing) -> Sequence[tuple[slice, slice]]:
+    tiles = process.resist.tiles
+    return tiles[:: max(1, len(tiles) // _SAMPLED_TILES)]
+
+
+def _block_means(size_index: NDArray[np.uint16], errors: Float32Array, side: int) -> Float32Array:
+    """Mean over both axes of twice the errors in blocks of ``side`` sites; NaN without printed pillars."""
+    stand = (size_index > 0) & np.isfinite(errors).all(axis=0)
+    total = np.where(stand, errors.sum(axis=0), 0.0)
+    edges = [np.arange(0, n, side) for n in size_index.shape]
+    sums, count = (np.add.reduceat(np.add.reduceat(v, edges[0], 0), edges[1], 1) for v in (total, stand.astype(float)))
+    return np.asarray(np.divide(sums, count, out=np.full(sums.shape, np.nan), where=count > 0), dtype=np.float32)
+
+
+def inside(places: NDArray[np.int64], rows: slice, columns: slice) -> NDArray[np.int64]:
+    """The places within a tile, shape (n, 2), in their order."""
+    row, column = places.T
+    within = (rows.start <= row) & (row < rows.stop) & (columns.start <= column) & (column < columns.stop)
+    return np.asarray(places[within])

@@ -1,0 +1,91 @@
+"""Response of pillars of any size: stored on the grid, interpolated between, solved beyond the sweep."""
+
+from __future__ import annotations
+
+from concurrent.futures import Executor
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from metafab.cell import PillarCell, is_square
+from metafab.cell.rcwa import zero_order
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.errors import InputError
+from metafab.core.parallel.executor import SerialExecutor, in_order
+from metafab.library.library import Library
+from metafab.library.surface import SizeResponse
+
+#: Truncation order of solved sizes, and their relative error.
+_ORDERS, SOLVER_ERROR = 5, 1e-3
+#: Most sizes beyond the sweep that are solved: about a minute.
+MOST_SOLVED = 4000
+_SAME_NM = 1e-6
+
+
+def solve_amplitudes(task: tuple[PillarCell, int]) -> ComplexArray:
+    """Return (t_xx, t_yy), shape (2,), of a cell with a number of slices of its sidewall.
+
+    The truncation is fixed, so that its error is nearly the same with and without a small change.
+    """
+    cell, slices = task
+    return np.diagonal(zero_order(cell, _ORDERS, "adaptive", slices).t).copy()
+
+
+def response_of_sizes(library: Library, size_nm: FloatArray, executor: Executor | None = None) -> SizeResponse:
+    """Return the transmission of any sizes.
+
+    Args:
+        library: library of the pillars.
+        size_nm: shape (n, 2), width and length, positive.
+        executor: solves sizes beyond the sweep; None for this process. The result does not depend on it.
+
+    Raises:
+        InputError: more than :data:`MOST_SOLVED` sizes lie beyond the sweep, or the library is not continuous.
+    """
+    t, error = np.empty((len(size_nm), 2), dtype=np.complex128), np.empty(len(size_nm))
+    stored, outside = _on_grid(library, size_nm), _outside(library, size_nm)
+    between = ~(stored | outside)
+    if stored.any():
+        found = library.at_sizes(*size_nm[stored].T)
+        t[stored], error[stored] = np.stack([found.t_xx, found.t_yy], axis=1), found.error
+    if between.any():
+        found = library.surface(*size_nm[between].T)
+        t[between], error[between] = np.stack([found.t_xx, found.t_yy], axis=1), found.error
+    if outside.any():
+        t[outside], error[outside] = _solved(library, size_nm[outside], executor), SOLVER_ERROR
+    return SizeResponse(t[:, 0], t[:, 1], error)
+
+
+def _on_grid(library: Library, size_nm: FloatArray) -> NDArray[np.bool_]:
+    """Whether the library stores each size, shape (n,)."""
+    place = []
+    for grid, size in zip((library.width_nm, library.length_nm), size_nm.T, strict=True):
+        nearest = np.clip(np.searchsorted(grid, size - _SAME_NM), 0, grid.size - 1)
+        place.append(np.where(np.abs(grid[nearest] - size) <= _SAME_NM, nearest, -1))
+    column, row = place
+    return np.asarray((column >= 0) & (row >= 0) & library.known[row, column])
+
+
+def _outside(library: Library, size_nm: FloatArray) -> NDArray[np.bool_]:
+    """Whether each size lies beyond the sweep, shape (n,)."""
+    low = np.array([library.width_nm[0], library.length_nm[0]]) - _SAME_NM
+    high = np.array([library.width_nm[-1], library.length_nm[-1]]) + _SAME_NM
+    return np.asarray(np.any((size_nm < low) | (size_nm > high), axis=1))
+
+
+def _solved(library: Library, beyond: FloatArray, executor: Executor | None) -> ComplexArray:
+    """Amplitudes of solved sizes, shape (n, 2)."""
+    # A square cell's response is that of its mirror image, x and y exchanged.
+    swapped = (beyond[:, 0] < beyond[:, 1]) & is_square(library.unit_cell)
+    solved, number = np.unique(np.where(swapped[:, None], beyond[:, ::-1], beyond), axis=0, return_inverse=True)
+    if len(solved) > MOST_SOLVED:
+        sweep = f"{library.width_nm[0]:g} to {library.width_nm[-1]:g} nm"
+        got = f"{len(solved)} sizes beyond it, {beyond.min():g} to {beyond.max():g} nm"
+        raise InputError.single("library", "sweep", f"sizes within {sweep}", got, "build a library of a wider sweep")
+    tasks = [(library.pillar(width_nm, length_nm), 8) for width_nm, length_nm in solved.tolist()]
+    # One thread of linear algebra here as in worker processes, so that results are bit-identical.
+    with threadpool_limits(1, "blas"):
+        amplitudes = np.array(list(in_order(executor or SerialExecutor(), solve_amplitudes, tasks))).reshape(-1, 2)
+    one_each = amplitudes[number.ravel()]
+    return np.where(swapped[:, None], one_each[:, ::-1], one_each)

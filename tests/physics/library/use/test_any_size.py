@@ -1,0 +1,51 @@
+"""Response of sizes on the grid, between it, and beyond the sweep."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.library import Library
+from metafab.library.use import any_size
+from metafab.library.use.any_size import response_of_sizes
+from metafab.spec import UnitCell
+
+
+@pytest.fixture(scope="module")
+def library(unit_cell: UnitCell) -> Library:
+    """49 sizes of the paper's cell, away from its sharpest resonances."""
+    from metafab.library import build
+
+    span = (100.0, 160.0)
+    sweep = replace(unit_cell.sweep, width_nm=span, length_nm=span, size_grid_nm=10.0, target_error=1e-2)
+    return build(replace(unit_cell, sweep=sweep))
+
+
+def test_stored_sizes_are_unchanged_and_others_are_the_surface(library: Library) -> None:
+    sizes = np.array([[120.0, 150.0], [121.3, 150.0], [160.0, 100.0]])
+    found = response_of_sizes(library, sizes)
+    stored = library.at_sizes(*sizes[[0, 2]].T)
+    np.testing.assert_array_equal(found.t_xx[[0, 2]], stored.t_xx)
+    assert found.t_yy[1] == library.surface(121.3, 150.0).t_yy
+
+
+def test_solved_sizes_continue_the_library(library: Library) -> None:
+    """A hundredth of a nanometre beyond the sweep: within both errors, and mirror images exchange x and y."""
+    sizes = np.array([[160.01, 130.0], [130.0, 160.01], [99.99, 99.99]])
+    found = response_of_sizes(library, sizes)
+    edge = library.at_sizes(*np.round(sizes).T)
+    bound = found.error + edge.error + 2e-3
+    assert np.all(np.abs(found.t_xx - edge.t_xx) < bound)
+    assert np.all(np.abs(found.t_yy - edge.t_yy) < bound)
+    assert found.t_xx[0] == found.t_yy[1]
+
+
+def test_a_mask_far_beyond_the_library_is_refused(library: Library) -> None:
+    side = np.linspace(161.0, 300.0, 100)
+    sizes = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    assert len(sizes) > any_size.MOST_SOLVED
+    with pytest.raises(InputError, match="wider sweep"):
+        response_of_sizes(library, sizes)
