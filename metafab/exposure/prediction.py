@@ -147,7 +147,14 @@ class Prediction:
 
 
 def dose_to_size(resist: ResistEnergy, tables: EdgeTables, dose: Float32Array, executor: Executor) -> float:
-    """Base over clearing dose for a mean linear size error of zero at dose 1, from a part of the tiles."""
+    """Return the base over clearing dose for a mean linear size error of zero, from a part of the tiles.
+
+    Args:
+        resist: energy of the pattern.
+        tables: energy of each size at its own edges.
+        dose: shape (n_y, n_x), relative to the base dose.
+        executor: threads that compute tiles.
+    """
 
     def sums(tile: TileEnergy) -> FloatArray:
         return np.array(dose_to_size_sums(tile.size_index, tile.dose, tile.others, tables.at_edge, tables.slope_per_nm))
@@ -246,7 +253,13 @@ def _block_means(size_index: NDArray[np.uint16], errors: Float32Array, side: int
 
 
 def inside(places: NDArray[np.int64], rows: slice, columns: slice) -> NDArray[np.int64]:
-    """The places within a tile, shape (n, 2), in their order."""
+    """Return the places within a tile, shape (m, 2), in their order.
+
+    Args:
+        places: shape (n, 2), rows and columns.
+        rows: rows of the tile.
+        columns: columns of the tile.
+    """
     row, column = places.T
     within = (rows.start <= row) & (row < rows.stop) & (columns.start <= column) & (column < columns.stop)
     return np.asarray(places[within])
