@@ -16,6 +16,7 @@ from metafab.core.parallel.forked import shared
 from metafab.core.parallel.progress import Progress
 from metafab.core.storage.pictures import read_grey
 from metafab.layout import Outline
+from metafab.optics import Psf
 from metafab.optics.measures.mtf import modulation_transfer
 from metafab.report.accounts import depths_against_truth, loss_chain
 from metafab.report.figures import accounts, image, library, mask, phases, psf, study
@@ -24,6 +25,7 @@ from metafab.report.render import save_both
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import BARS, MAP, PICTURE, PLOT, Margins, depth_text, panel
 from metafab.spec.terms import Picture
+from metafab.steps.merit import MeritFigures
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,9 @@ def _accounts(run: RunFolder) -> Iterator[Plan]:
     # Bars compare lengths, so each unit has its own panel.
     for number, unit in enumerate(dict.fromkeys(line.unit for line in budget), 1):
         lines = [line for line in budget if line.unit == unit]
-        paint = partial(accounts.error_budget, lines)
-        yield _bars(f"error_budget_{number}", f"Error budget, {unit}", paint, len(lines))
+        if len(lines) > 1:  # One bar alone compares nothing; the table has its value.
+            paint = partial(accounts.error_budget, lines)
+            yield _bars(f"error_budget_{number}", f"Error budget, {unit}", paint, len(lines))
     if seconds:
         yield _bars("seconds", "Seconds of each step", partial(accounts.seconds, seconds), len(seconds))
 
@@ -207,25 +210,16 @@ def _light(run: RunFolder) -> Iterator[Plan]:
     if pair is None:
         return
     size = (1.15 * psf.shown_depths(pair).size + 0.4, 2.66)
-    yield Plan("psf_pair", "PSF pair over depth", partial(psf.pair_over_depth, pair), size, (0.3, 0.1, 0.05, 0.3))
+    both = partial(psf.pair_over_depth, pair, arrows=run.outline.has_lobe)
+    yield Plan("psf_pair", "PSF pair over depth", both, size, (0.3, 0.1, 0.05, 0.3))
     yield Plan("psf_orientation", "Orientation over depth", partial(psf.orientation, pair, ideal=ideal))
     peak = partial(psf.peak, pair, ideal=ideal, source=run.psf_source)
     yield Plan("psf_peak", "Peak irradiance over depth", peak)
-    if merit is not None:
-        transfer, depth_m = merit.modulation, merit.depth_m
-        chosen = _three(len(depth_m))
-        curves = {depth_text(depth_m[d]): transfer.pair_x[d] for d in chosen}
-        lens = [transfer.lens[d] for d in chosen]
-        mtf = partial(psf.modulation, transfer.frequency_per_mm, curves, lens=lens)
-        yield Plan("psf_mtf", "Modulation transfer at three depths, and of a standard lens", mtf)
-        if merit.focus is not None:
-            paint = partial(psf.focus_section, merit.focus)
-            yield Plan("psf_focus", "Cross-sections of the focus, and of an ideal flat lens", paint)
-    else:
-        frequency_per_um, pairs = modulation_transfer(pair)
-        curves = {depth_text(float(pair.depth_m[d])): pairs[0, d] for d in _three(pair.depth_m.size)}
-        mtf = partial(psf.modulation, 1e3 * frequency_per_um, curves)
-        yield Plan("psf_mtf", "Modulation transfer at three depths", mtf)
+    if merit is not None and merit.focus is not None:
+        paint = partial(psf.focus_section, merit.focus)
+        yield Plan("psf_focus", "Cross-sections of the focus, and of an ideal flat lens", paint)
+    if run.outline.forms_images:
+        yield _modulation(pair, merit)
     space = None if merit is None else merit.space_variance
     if space is not None and space.tangent_x.size > 1:
         yield Plan("depth_bias", "Depth bias of both polarisations over the field", partial(psf.depth_bias, space))
@@ -235,6 +229,18 @@ def _light(run: RunFolder) -> Iterator[Plan]:
         for p in POLARISATIONS:
             paint = partial(psf.over_field, pair, polarisation=p)
             yield Plan(f"psf_field_{p}", f"PSF of {p} polarisation over the field of view", paint, (4.0, 3.6))
+
+
+def _modulation(pair: Psf, merit: MeritFigures | None) -> Plan:
+    if merit is None:
+        frequency_per_um, pairs = modulation_transfer(pair)
+        curves = {depth_text(float(pair.depth_m[d])): pairs[0, d] for d in _three(pair.depth_m.size)}
+        return Plan("psf_mtf", "Modulation transfer", partial(psf.modulation, 1e3 * frequency_per_um, curves))
+    transfer, chosen = merit.modulation, _three(len(merit.depth_m))
+    curves = {depth_text(merit.depth_m[d]): transfer.pair_x[d] for d in chosen}
+    lens = [transfer.lens[d] for d in chosen]
+    mtf = partial(psf.modulation, transfer.frequency_per_mm, curves, lens=lens)
+    return Plan("psf_mtf", "Modulation transfer, and that of a standard lens", mtf)
 
 
 def _three(count: int) -> list[int]:

@@ -71,6 +71,17 @@ class DesignOutline:
             has_scene="scene" in table,
         )
 
+    @property
+    def has_lobe(self) -> bool:
+        """Whether a lobe beside the image point carries the light; assumed if the phase terms are unknown."""
+        return not self.terms or bool({"spiral_zones", "double_helix", "array", "zernike"} & set(self.terms))
+
+    @property
+    def forms_images(self) -> bool:
+        """Whether the device is made to image points: not a hologram, not a deflector; assumed if unknown."""
+        focuses = bool({"lens", "split_lens", "array"} & set(self.terms))
+        return not self.terms or (focuses and "hologram" not in self.terms)
+
 
 @dataclass(frozen=True)
 class AperturePhases:

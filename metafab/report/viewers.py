@@ -29,15 +29,22 @@ _BLANK = 255
 _NO_VALUE = 65535
 
 
-def psf_view(psf: Psf, ideal: Psf | None, source: str = "written file") -> dict[str, Any]:
-    """Data of the PSF view: a strip of pictures over depth and their figures, for the pair and the target phases."""
-    views = [_psf_strip(source, psf)]
+def psf_view(psf: Psf, ideal: Psf | None, source: str = "written file", *, has_lobe: bool = True) -> dict[str, Any]:
+    """Data of the PSF view: a strip of pictures over depth and their figures, for the pair and the target phases.
+
+    Args:
+        psf: the PSF pair.
+        ideal: that of the target phases.
+        source: name of the first.
+        has_lobe: whether the maximum is a lobe beside the image point, whose direction is shown.
+    """
+    views = [_psf_strip(source, psf, has_lobe)]
     if ideal is not None:
-        views.append(_psf_strip("target phases", ideal))
+        views.append(_psf_strip("target phases", ideal, has_lobe))
     return {"views": views}
 
 
-def _psf_strip(name: str, psf: Psf) -> dict[str, Any]:
+def _psf_strip(name: str, psf: Psf, has_lobe: bool) -> dict[str, Any]:
     centre_y, centre_x = (count // 2 for count in psf.psf.shape[2:])
     half = lit_half_px(psf)
     lit = psf.psf[:, :, centre_y - half : centre_y + half + 1, centre_x - half : centre_x + half + 1]
@@ -55,11 +62,11 @@ def _psf_strip(name: str, psf: Psf) -> dict[str, Any]:
         "depth": [depth_text(float(depth)) for depth in psf.depth_m],
         # A maximum on the image point has no direction.
         "phi_deg": [
-            round(float(phi), 2) if (at != (n_y // 2) * n_x + n_x // 2).any() else None
+            round(float(phi), 2) if has_lobe and (at != (n_y // 2) * n_x + n_x // 2).any() else None
             for phi, at in zip(psf.phi_deg, peaks.T, strict=True)
         ],
         "efficiency": np.round(psf.efficiency, 5).tolist(),
-        "peak": np.stack([column - n_x // 2, row - n_y // 2], axis=-1).tolist(),
+        "peak": (np.stack([column - n_x // 2, row - n_y // 2], axis=-1) * int(has_lobe)).tolist(),
         "strips": [_palette_png(strip, matplotlib.colormaps[LIGHT_MAP]) for strip in strips],
     }
 

@@ -49,7 +49,7 @@ def lit_half_px(psf: Psf) -> int:
     return min(most, reach + 2)
 
 
-def pair_over_depth(psf: Psf, axes: Axes) -> Axes:
+def pair_over_depth(psf: Psf, axes: Axes, *, arrows: bool = True) -> Axes:
     """Draw both PSFs over depth on one scale (Fig. 2h of Shen 2023).
 
     Crosshairs mark the geometric image point; arrows point from it to the maximum.
@@ -72,7 +72,8 @@ def pair_over_depth(psf: Psf, axes: Axes) -> Axes:
             peak_y, peak_x = np.unravel_index(int(np.argmax(picture)), picture.shape)
             tip = (x + (peak_x - half) * psf.pixel_um, y + (peak_y - half) * psf.pixel_um)
             arrow = {"arrowstyle": "->", "color": "#7fe3c4", "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0}
-            axes.annotate("", tip, (x, y), arrowprops=arrow)
+            if arrows:
+                axes.annotate("", tip, (x, y), arrowprops=arrow)
             if row == 0:
                 above: dict[str, Any] = {"textcoords": "offset points", "fontsize": 9.5, "color": INK}
                 axes.annotate(depth_text(float(psf.depth_m[depth])), (x - reach, y + reach), (0, 7), **above)

@@ -34,18 +34,22 @@ def phases(run: RunFolder, drawn: Drawn) -> str:
         html.figures(drawn, "hologram_wanted", "hologram_found"),
         html.figures(drawn, "lobe_peak", "lobe_orientation"),
         html.figures(drawn, "bounds_point", "bounds_texture"),
-        html.paragraph(bounds, "caption")
-        if "bounds_point" in drawn
-        else html.note(run.notes.get("study", "a single depth has no bounds over depth")),
+        html.paragraph(bounds, "caption") if "bounds_point" in drawn else _without_bounds(run),
         _filter(run, drawn),
     )
+
+
+def _without_bounds(run: RunFolder) -> str:
+    """Note where no bounds of depth are drawn; a device without a lobe measures no depth."""
+    reason = run.notes.get("study", "a single depth has no bounds over depth" if run.outline.has_lobe else "")
+    return html.note(reason) if reason else ""
 
 
 def _flat(run: RunFolder) -> str:
     """Note where no phases are drawn."""
     if run.phases is None:
         return html.note(run.notes.get("phases", "no phases"))
-    return "" if run.phases.vary else html.note("lens, split and gratings only: without them the phase is flat")
+    return "" if run.phases.vary else html.note("the target is the phase of lens, split and gratings alone")
 
 
 def _filter(run: RunFolder, drawn: Drawn) -> str:

@@ -29,10 +29,8 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
     if run.psf is None:
         return html.section("psf", "Point-spread functions", html.note(run.notes.get("psf", "no PSF")))
     several = run.psf.depth_m.size > 1
-    text = (
-        f"Simulated from {_SOURCE[run.outline.has_mask]}. The crosshairs mark the geometric image point; the arrows "
-        "point from it to the maximum."
-    )
+    text = f"Simulated from {_SOURCE[run.outline.has_mask]}. The crosshairs mark the geometric image point"
+    text += "; the arrows point from it to the maximum." if run.outline.has_lobe else "."
     lacks_ideal = run.ideal_psf is None and run.outline.has_mask
     return html.section(
         "psf",

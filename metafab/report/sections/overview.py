@@ -8,6 +8,7 @@ from metafab.report import html
 from metafab.report.accounts import loss_chain
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
+from metafab.steps.merit import MeritFigures
 
 #: Mean relative depth error below which the headline is marked as good.
 _GOOD_DEPTH_ERROR = 0.01
@@ -27,6 +28,8 @@ def headlines(run: RunFolder) -> str:
             items.append(html.headline(f"{abs(rotation):.0f}°", "rotation of the PSF pair over the depths"))
         if painted is not None:
             items.append(html.headline(f"{100 * painted:.0f}\u202f%", "of the light in the picture"))
+    if summary.merit is not None and run.outline.forms_images and nmae is None:
+        items += _focus(summary.merit)
     if summary.layout is not None:
         items.append(html.headline(html.number(summary.layout.pillars), "pillars"))
     if summary.drc is not None:
@@ -37,6 +40,17 @@ def headlines(run: RunFolder) -> str:
         last = "PSF" if nmae is None else "depth map"
         items.append(html.headline(f"{sum(summary.seconds.values()):.3g}\u202fs", f"from {first} to {last}"))
     return f'<ul class="headlines">{"".join(items)}</ul>' if items else ""
+
+
+def _focus(merit: MeritFigures) -> list[str]:
+    """Efficiency of a lens, and its focus beside the limit."""
+    efficiency = 0.5 * (merit.pinhole_efficiency_x[0] + merit.pinhole_efficiency_y[0])
+    items = [html.headline(f"{100 * efficiency:.0f}\u202f%", f"of the light in a pinhole of {merit.pinhole_um:.3g} µm")]
+    if merit.focus is not None:
+        width_um = 0.5 * (merit.focus.fwhm_x_um + merit.focus.fwhm_y_um)
+        items.append(html.headline(f"{merit.focus.strehl:.3f}", "Strehl ratio"))
+        items.append(html.headline(f"{width_um:.3g} µm", f"FWHM; ideal lens {merit.focus.fwhm_limit_um:.3g} µm"))
+    return items
 
 
 def subtitle(run: RunFolder) -> str:
