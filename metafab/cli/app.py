@@ -43,8 +43,13 @@ def _called(ctx: Any) -> str:
 
 
 class _Program(typer.Typer):
+    """A program, or a group of its commands with the group's name as ``prefix``."""
+
+    prefix = ""
+
     def command(self, *args: Any, **options: Any) -> Callable[[CommandFunctionType], CommandFunctionType]:
-        return super().command(*args, **{"cls": _Command, "epilog": epilog(str(args[0])), **options})
+        name = f"{self.prefix} {args[0]}".strip()
+        return super().command(*args, **{"cls": _Command, "epilog": epilog(name), **options})
 
 
 app = _Program(
@@ -57,7 +62,8 @@ app = _Program(
 library_app = _Program(
     help="Build, check and show phase libraries.", context_settings=HELP, no_args_is_help=True, rich_markup_mode=None
 )
-app.add_typer(library_app, name="library")
+library_app.prefix = "library"
+app.add_typer(library_app, name=library_app.prefix)
 
 
 def _show_version(wanted: bool) -> None:

@@ -5,16 +5,17 @@ from __future__ import annotations
 _RUN = "runs/helix_small"
 _MASK = f"{_RUN}/layout.oas --design layouts/helix_small.toml"
 
-#: Example of each command, by the last word of its name.
+#: Example of each command, by its name.
 EXAMPLES = {
     "new": "metafab new mylens --kind metalens",
     "run": "metafab run layouts/helix_small.toml",
     "propose": "metafab propose --range-m 0.25 0.60 --aperture-um 2000",
     "compare": "metafab compare layouts/helix_small.toml",
     "cell": "metafab cell unitcell_lib/sos_800nm.toml --width-nm 150 --length-nm 210 --target-error 1e-3",
-    "build": "metafab library build unitcell_lib/sos_800nm.toml",
-    "check": "metafab library check unitcell_lib/sos_800nm.h5 --samples 100",
-    "show": "metafab library show unitcell_lib/sos_800nm.h5",
+    "library build": "metafab library build unitcell_lib/sos_800nm.toml",
+    "library check": "metafab library check unitcell_lib/sos_800nm.h5 --samples 100",
+    "library show": "metafab library show unitcell_lib/sos_800nm.h5",
+    "library import": "metafab library import sweep.csv --unit-cell cell.toml --quantity field -o sweep.h5",
     "layout": "metafab layout layouts/helix_small.toml",
     "drc": f"metafab drc {_MASK}",
     "expose": f"metafab expose {_MASK} --correct -o exposed",
