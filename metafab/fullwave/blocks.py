@@ -8,8 +8,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias, get_args
 
@@ -19,12 +23,13 @@ from pydantic.dataclasses import dataclass
 
 from metafab.cell import pillar_cell
 from metafab.cell import solve as solve_cell
-from metafab.cell.elements import supercell_orders
+from metafab.cell.elements import ElementNumerics, supercell_orders
 from metafab.cell.meep import Pool
 from metafab.cell.meep.supercell import extrapolated_orders
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
+from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library import Library
 from metafab.library.neighbours import solve_supercell
@@ -107,35 +112,57 @@ def read_blocks(path: Path, library: Library) -> list[Supercell]:
     return supercells
 
 
-def solve_block(
-    supercell: Supercell,
+@dataclasses.dataclass(frozen=True)
+class BlockNumerics:
+    """Numerics of the full-wave solvers.
+
+    Attributes:
+        rcwa: target error and resolutions.
+        pixels_per_period: grids of Meep, two or more.
+    """
+
+    rcwa: ElementNumerics = dataclasses.field(default_factory=ElementNumerics)
+    pixels_per_period: tuple[int, ...] = (12, 16, 20)
+
+
+def solve_blocks(
+    supercells: Sequence[Supercell],
     library: Library,
     solver: Solver,
+    numerics: BlockNumerics = BlockNumerics(),
     *,
+    executor: Executor | None = None,
     pool: Pool | None = None,
     progress: Progress = silent,
-) -> SupercellOrders:
-    """Solve one supercell for both incident polarisations.
+) -> Iterator[SupercellOrders]:
+    """Solve supercells for both incident polarisations; yield the results in their order.
 
     Args:
-        supercell: pillars in the library's unit cell.
+        supercells: pillars in the library's unit cell.
         library: library for ``lone`` and ``model``.
         solver: method.
+        numerics: numerics of ``rcwa`` and ``meep``.
+        executor: runs ``rcwa`` in parallel; by default this process.
         pool: workers of Meep; by default one that lives as long as this process.
-        progress: callback of Meep.
+        progress: called after each supercell, and during runs of Meep.
 
     Raises:
-        InputError: the solver does not treat the supercell, or the library has no model.
+        InputError: the solver does not treat a supercell, or the library has no model.
         MissingToolError: Meep is asked for but not installed.
         SolverError: the solver failed.
     """
-    if solver == "lone":
-        return lone_orders(supercell, library)
-    if solver == "rcwa":
-        return supercell_orders(supercell)
-    if solver == "meep":
-        return extrapolated_orders(supercell, pool=pool, progress=progress)
-    return solve_supercell(library, supercell)
+    solve: dict[Solver, Callable[[Supercell], SupercellOrders]] = {
+        "lone": partial(lone_orders, library=library),
+        "rcwa": partial(supercell_orders, numerics=numerics.rcwa),
+        "meep": partial(
+            extrapolated_orders, pixels_per_period=numerics.pixels_per_period, pool=pool, progress=progress
+        ),
+        "model": partial(solve_supercell, library),
+    }
+    runner = executor if executor is not None and solver == "rcwa" else SerialExecutor()
+    for done, found in enumerate(in_order(runner, solve[solver], supercells), start=1):
+        progress("supercells", done, len(supercells))
+        yield found
 
 
 def lone_orders(supercell: Supercell, library: Library) -> SupercellOrders:

@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from metafab.cli.app import DesignOption, Json, LayoutFile, Output, app, open_job, require_positive
+from metafab.cli.app import (
+    DesignOption,
+    Json,
+    LayoutFile,
+    Output,
+    TargetError,
+    Workers,
+    app,
+    open_job,
+    require_positive,
+)
 from metafab.cli.console import open_work, show
 from metafab.core.errors import InputError
 
@@ -221,24 +231,30 @@ def fullwave_command(
     blocks: Annotated[Path, typer.Argument(metavar="BLOCKS.json", help="Pillar sizes of one or more supercells.")],
     library: Annotated[Path, typer.Option("--library", metavar="LIB.h5", help="Library with the unit cell.")],
     solver: Annotated[Literal["model", "rcwa", "meep", "lone"], typer.Option(help="Solver.")] = "rcwa",
+    target_error: TargetError = 5e-3,
+    pixels_per_period: Annotated[
+        list[int] | None, typer.Option(min=8, help="Grid of Meep; give two or more, ascending [default: 12, 16, 20].")
+    ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", "--out", metavar="PATH", help="JSON file.")] = None,
+    workers: Workers = None,
     json_: Json = False,
 ) -> None:
     """Transmitted orders of supercells: by the library's model, RCWA, Meep, or lone pillars."""
+    from metafab.cell.elements import ElementNumerics
     from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import write_json
-    from metafab.fullwave.blocks import read_blocks, solve_block
+    from metafab.fullwave.blocks import BlockNumerics, read_blocks, solve_blocks
     from metafab.library import load
 
     opened = load(library)
+    supercells = read_blocks(blocks, opened)
+    rcwa = ElementNumerics() if target_error is None else ElementNumerics(target_error)
+    numerics = BlockNumerics(rcwa, tuple(pixels_per_period or BlockNumerics().pixels_per_period))
     answers = []
-    with open_work() as work, measured() as cost:
-        supercells = read_blocks(blocks, opened)
-        for done, supercell in enumerate(supercells, start=1):
-            found = solve_block(supercell, opened, solver, progress=work.progress)
+    with open_work(workers) as work, measured() as cost, work.processes() as executor:
+        for found in solve_blocks(supercells, opened, solver, numerics, executor=executor, progress=work.progress):
             (t_xx, t_xy), (t_yx, t_yy) = found.t.transpose(1, 2, 0)
             answers.append(BlockAnswer(found.order, t_xx, t_xy, t_yx, t_yy, found.error, found.seconds))
-            work.progress("supercells", done, len(supercells))
     result = {"solver": solver, "blocks": answers}
     if output is not None:
         write_json(output, result)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from metafab.cell import pillar_cell
-from metafab.cell.supercell import Supercell
+from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.errors import InputError
-from metafab.fullwave.blocks import read_blocks, solve_block
+from metafab.fullwave.blocks import Solver, read_blocks, solve_blocks
 from metafab.library import Library
 from tests.fake_meep import UncoupledPillars, response
 
@@ -41,6 +41,13 @@ def test_faulty_blocks_are_refused(smooth_library: Library, tmp_path: Path, bloc
     assert message in str(refused.value)
 
 
+def _solved(
+    supercell: Supercell, library: Library, solver: Solver, pool: UncoupledPillars | None = None
+) -> SupercellOrders:
+    (found,) = solve_blocks([supercell], library, solver, pool=pool)
+    return found
+
+
 def test_no_json_is_refused(smooth_library: Library, tmp_path: Path) -> None:
     path = tmp_path / "text.json"
     path.write_text("{", encoding="utf-8")
@@ -53,16 +60,16 @@ def test_equal_lone_pillars_have_the_error_of_the_library_and_unlike_ones_more(s
     equal, unlike = (
         Supercell(cell, np.array([[(w, 150.0) for w in widths]])) for widths in ((120,) * 3, (120, 240, 180))
     )
-    assert solve_block(equal, smooth_library, "lone").error < 2e-3
-    assert solve_block(unlike, smooth_library, "lone").error > 0.1
+    assert _solved(equal, smooth_library, "lone").error < 2e-3
+    assert _solved(unlike, smooth_library, "lone").error > 0.1
     small = Supercell(cell, np.array([[(20.0, 150.0)]]))
     with pytest.raises(InputError, match="sweep"):
-        solve_block(small, smooth_library, "lone")
+        _solved(small, smooth_library, "lone")
 
 
 def test_a_site_without_a_pillar_is_the_bare_substrate(smooth_library: Library) -> None:
     cell = pillar_cell(smooth_library.unit_cell, 0.0, 0.0)
-    found = solve_block(Supercell(cell, np.zeros((1, 1, 2))), smooth_library, "lone")
+    found = _solved(Supercell(cell, np.zeros((1, 1, 2))), smooth_library, "lone")
     bare = 2.0 * 1.7601 / 2.7601 * np.exp(2j * np.pi * 600.0 / 800.0)
     np.testing.assert_allclose(found.t[0], bare * np.eye(2), atol=2e-4)
 
@@ -71,7 +78,7 @@ def test_fdtd_of_several_grids_extrapolates_both_polarisations(smooth_library: L
     """Pillars in place of Meep that do not couple, alike on all grids: the limit is their own response."""
     cell = replace(pillar_cell(smooth_library.unit_cell, 0.0, 0.0), n_pillar=3.7)
     row = Supercell(cell, np.stack([ROW["width_nm"], ROW["length_nm"]], axis=-1))
-    found = solve_block(row, smooth_library, "meep", pool=UncoupledPillars({(1, 0): 0.03}, tail=0.0))
+    found = _solved(row, smooth_library, "meep", UncoupledPillars({(1, 0): 0.03}, tail=0.0))
     own = np.array([response(*size) for size in row.size_nm[0]])
     expected = row.local_period(found.order, own[None]) + 0.03 * (found.order[:, 0] == 1)
     for axis in range(2):
