@@ -26,6 +26,7 @@ from metafab.optics.numerics import PsfNumerics
 from metafab.optics.point_spread import Psf
 from metafab.optics.propagation.image import relative_l2
 from metafab.optics.sources.apodisation import Apodisation, apodised
+from metafab.optics.sources.neighbours import NeighbourField, neighbour_field
 from metafab.optics.sources.source import Source, WrittenField, ideal_field, made_field, written_field
 from metafab.optics.stack import psf
 from metafab.optics.store import load, save
@@ -50,6 +51,8 @@ __all__ = [
     "save",
     "made_field",
     "written_field",
+    "NeighbourField",
+    "neighbour_field",
 ]
 
 if not TYPE_CHECKING:

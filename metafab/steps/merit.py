@@ -207,7 +207,7 @@ def _focus(job: Job, imaging: Imaging) -> dict[str, Any]:
     perfect = optics.ideal_field(PerfectLens(imaging, depth_m), layout.lattice_of(design), design.device)
     lenses = [term.polarisation for term in design.phase if isinstance(term, Lens | SplitLens)]
     figures = focus(
-        lit_source(job, mask_source(job, mask_paths(job)[-1])),
+        lit_source(job, written_light(job, mask_paths(job)[-1])),
         lit_source(job, perfect),
         imaging,
         depth_m,
@@ -248,10 +248,12 @@ def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_pa
     from metafab.optics.measures.chain import loss_chain, wavefront
 
     depth = int(np.argmin(np.abs(1.0 / written.depth_m - 1.0 / job.design.sensor.focus_depth_m)))
-    source = mask_source(job, mask_paths(job)[-1])
+    source = written_light(job, mask_paths(job)[-1])
     front = wavefront(source, job.profile, job.design.device, open_library(job))
     coupling = recorded_coupling(job)
-    kept = None if coupling is None else coupling.efficiency_ratio
+    # With the model of neighbours, what they take is missing in the written field already.
+    has_neighbours = isinstance(source, optics.NeighbourField)
+    kept = None if coupling is None or has_neighbours else coupling.efficiency_ratio
     transmitted = _transmitted(written)
     open_ahead = optics.Apodisation.of(job.design) is None and job.design.substrate is None
     stopped = None if open_ahead else _transmitted(ideal)

@@ -209,6 +209,26 @@ def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) 
     return optics.written_field(pillars, open_library(job))
 
 
+def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | NeighbourField:
+    """Transmitted field of the pillars of a written file, among their neighbours if design and library say so.
+
+    Args:
+        job: the design; ``[optics] neighbours`` decides. Without it, the library's model is used if it has one.
+        path: the mask file.
+        copy: number of the lens in a file that holds several, from 1.
+
+    Raises:
+        InputError: as :func:`mask_source`; the design asks for neighbours that the library has no model of.
+    """
+    from metafab import optics
+
+    lone = mask_source(job, path, copy)
+    asked, library = job.design.optics and job.design.optics.neighbours, open_library(job)
+    if asked is False or (asked is None and library.neighbours is None):
+        return lone
+    return optics.neighbour_field(lone.pillars, library, job.work.workers)
+
+
 def _read_pillars(job: Job, path: Path, copy: int, angles: int | None) -> PillarMap:
     """Pillars of a file, without the bias with which they are drawn."""
     from metafab import mask
@@ -362,7 +382,7 @@ def _source_of(job: Job, path: Path | None, copy: int, printed: Printed | None) 
     if path is None:
         return lit_source(job, ideal_source(job))
     if printed is None:
-        return lit_source(job, mask_source(job, path, copy))
+        return lit_source(job, written_light(job, path, copy))
     return lit_source(job, made_mask(job, path, printed, copy).field.field)
 
 
@@ -429,7 +449,7 @@ def _psf(job: Job) -> PsfFigures:
     design, psf_of = job.design, _verified_psf(job)
     ideal_light = lit_source(job, ideal_source(job))
     mask_path = mask_paths(job)[-1] if design.has_mask else None
-    source = ideal_light if mask_path is None else lit_source(job, mask_source(job, mask_path))
+    source = ideal_light if mask_path is None else lit_source(job, written_light(job, mask_path))
     written = _calibration(job, source)
     save_psf(job, written, mask_path, job.folder / "psf.h5")
     ideal = None

@@ -121,7 +121,7 @@ def _prior(shape: LineShape) -> FloatArray:
     weight = (1.0 + degree) ** 2.0
     r, _ = shape.pairs
     parts = [np.repeat(weight, n) for n in (r.size, shape.even, shape.even, shape.modes)]
-    return np.concatenate([*parts, np.ones(shape.reach * shape.hop_pairs[0].size)])
+    return np.concatenate([*parts, np.ones(shape.hop_pairs[0].size)])
 
 
 def _residuals(rows: RowSet, correction: ComplexArray) -> ComplexArray:

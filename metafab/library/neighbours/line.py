@@ -3,16 +3,16 @@
 Each site m carries the amplitudes a_m of a few modes, even or odd under the mirror that exchanges the two directions of
 the line. They obey
 
-    H(s_m) a_m - sum over d of (W_d a_{m-d} + W_d^T a_{m+d}) = c(s_m).
+    H(s_m) a_m - W a_{m-1} - W^T a_{m+1} = c(s_m).
 
-The symmetric matrix H and the source c (even modes only) depend on the size s, along the line and across it; the hops
-W_d are constant. Reciprocity makes the left side symmetric. The mirror makes W_d^T = Pi W_d Pi, with Pi = +1 for even
-and -1 for odd modes. Pillar m transmits
+The symmetric matrix H and the source c (even modes only) depend on the size s, along the line and across it; the hop W
+is constant. Reciprocity makes the left side symmetric. The mirror makes W^T = Pi W Pi, with Pi = +1 for even and -1 for
+odd modes. Light still reaches far: it is guided from site to site. Pillar m transmits
 
     t_m = t(s_m) + y_m - y(s_m),      y_m = e(s_m) a_m + g(s_{m-1}) a_{m-1} + Pi g(s_{m+1}) a_{m+1}.
 
 Here t(s) is the library's value and y(s) the same sum in a line of equal pillars of size s, so that equal pillars are
-exact. H, c, e and g are polynomials of the size. Their coefficients and the hops are the parameters.
+exact. H, c, e and g are polynomials of the size. Their coefficients and the hop are the parameters.
 """
 
 from __future__ import annotations
@@ -35,18 +35,16 @@ PARAMETERS = ("site", "source", "own", "side", "hop")
 
 @dataclass(frozen=True)
 class LineShape:
-    """Number of modes, hops and polynomial terms of a line model.
+    """Number of modes and polynomial terms of a line model.
 
     Attributes:
         even: even modes of a site.
         odd: odd modes of a site.
-        reach: sites that a hop spans, at most.
         degree: total degree of the polynomials of width and length.
     """
 
     even: int = 3
     odd: int = 2
-    reach: int = 2
     degree: int = 4
 
     @property
@@ -80,7 +78,7 @@ class LineShape:
 
     @property
     def hop_pairs(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """(r, s), r <= s, and the sign of element (s, r): the free elements of a hop; shape (n,) each."""
+        """(r, s), r <= s, and the sign of element (s, r): the free elements of W; shape (n,) each."""
         row, column = np.triu_indices(self.modes)
         return row, column, self.parity[row] * self.parity[column]
 
@@ -97,7 +95,7 @@ class LineModel:
         source: shape (terms, even), of c.
         own: shape (terms, even), of e.
         side: shape (terms, modes), of g.
-        hop: shape (reach, n_hop_pairs), free elements of the hops W_d, d = 1, 2, ...
+        hop: shape (n_hop_pairs,), free elements of W.
     """
 
     shape: LineShape
@@ -141,12 +139,12 @@ class LineModel:
         return matrix
 
     @cached_property
-    def hops(self) -> ComplexArray:
-        """W_d, shape (reach, modes, modes)."""
+    def hop_matrix(self) -> ComplexArray:
+        """W, shape (modes, modes)."""
         r, s, sign = self.shape.hop_pairs
-        matrix = np.zeros((self.shape.reach, self.shape.modes, self.shape.modes), dtype=np.complex128)
-        matrix[:, s, r] = self.hop * sign
-        matrix[:, r, s] = self.hop
+        matrix = np.zeros((self.shape.modes, self.shape.modes), dtype=np.complex128)
+        matrix[s, r] = self.hop * sign
+        matrix[r, s] = self.hop
         return matrix
 
     def periodic_matrix(self, terms: FloatArray) -> ComplexArray:
@@ -156,21 +154,20 @@ class LineModel:
         site = np.arange(count)
         # The advanced indices come first: (n, ..., modes, modes).
         matrix[..., site, :, site, :] = np.moveaxis(self.site_matrix(terms), -3, 0)
-        for d, hop in enumerate(self.hops, start=1):
-            for m in range(count):
-                matrix[..., m, :, (m - d) % count, :] -= hop
-                matrix[..., m, :, (m + d) % count, :] -= hop.T
+        for m in range(count):
+            matrix[..., m, :, (m - 1) % count, :] -= self.hop_matrix
+            matrix[..., m, :, (m + 1) % count, :] -= self.hop_matrix.T
         return matrix.reshape(*terms.shape[:-2], count * modes, count * modes)
 
     @property
     def uniform_hop(self) -> ComplexArray:
-        """Sum of all hops between the even modes of equal pillars, shape (even, even)."""
+        """Sum of both hops between the even modes of equal pillars, shape (even, even)."""
         even = self.shape.even
-        return np.asarray(2.0 * self.hops[:, :even, :even].sum(axis=0))
+        return np.asarray(2.0 * self.hop_matrix[:even, :even])
 
 
 def initial_model(shape: LineShape, along_nm: Span, across_nm: Span, seed: int) -> LineModel:
-    """Random model to start a fit from: damped modes, weak sources, hops that fall with distance."""
+    """Random model to start a fit from: damped modes, weak sources and hops."""
     rng = np.random.default_rng(seed)
 
     def noise(scale: float, *of: int) -> ComplexArray:
@@ -184,6 +181,5 @@ def initial_model(shape: LineShape, along_nm: Span, across_nm: Span, seed: int) 
     source[0] += 0.5
     own, side = noise(0.01, shape.terms, shape.even), noise(0.01, shape.terms, shape.modes)
     own[0] += 0.03
-    n_hop = shape.hop_pairs[0].size
-    hop = np.stack([noise(0.15 / d**1.5, n_hop) for d in range(1, shape.reach + 1)])
+    hop = noise(0.15, shape.hop_pairs[0].size)
     return LineModel(shape, along_nm, across_nm, site, source, own, side, hop)

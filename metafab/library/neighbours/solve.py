@@ -126,21 +126,17 @@ def _site_derivatives(
 def _hop_derivatives(
     model: LineModel, a: ComplexArray, adjoint: ComplexArray, uniform: ComplexArray, adjoint_even: ComplexArray
 ) -> ComplexArray:
-    """Derivatives by the free elements of the hops, shape (lines, sites, reach, pairs)."""
-    lines, count, _ = a.shape
+    """Derivatives by the free elements of the hop, shape (lines, sites, pairs)."""
     shape, even = model.shape, model.shape.even
     hr, hs, sign = shape.hop_pairs
-    d_hop = np.empty((lines, count, shape.reach, hr.size), dtype=np.complex128)
-    equal = hr == hs
+    # W[r, s] and sign W[s, r], of a_{m-1}; and of a_{m+1} with W^T.
+    by_mode = adjoint.transpose(0, 1, 3, 2)
+    left, right = (by_mode @ np.roll(a, shift, axis=1)[:, None] for shift in (1, -1))
+    by_element = left + right.swapaxes(-1, -2)
+    d_hop = by_element[..., hr, hs] + np.where(hr == hs, 0.0, sign * by_element[..., hs, hr])
     within = np.flatnonzero((hr < even) & (hs < even))
-    for d in range(1, shape.reach + 1):
-        # W[r, s] and sign W[s, r], of a_{m-d}; and of a_{m+d} with W^T.
-        left = adjoint.transpose(0, 1, 3, 2) @ np.roll(a, d, axis=1)[:, None]
-        right = adjoint.transpose(0, 1, 3, 2) @ np.roll(a, -d, axis=1)[:, None]
-        by_element = left + right.swapaxes(-1, -2)
-        d_hop[:, :, d - 1] = by_element[..., hr, hs] + np.where(equal, 0.0, sign * by_element[..., hs, hr])
-        wr, ws = hr[within], hs[within]
-        product = adjoint_even[..., wr] * uniform[..., ws]
-        product = product + np.where(wr != ws, adjoint_even[..., ws] * uniform[..., wr], 0.0)
-        d_hop[:, :, d - 1, within] -= 2.0 * product
+    wr, ws = hr[within], hs[within]
+    product = adjoint_even[..., wr] * uniform[..., ws]
+    product = product + np.where(wr != ws, adjoint_even[..., ws] * uniform[..., wr], 0.0)
+    d_hop[..., within] -= 2.0 * product
     return d_hop

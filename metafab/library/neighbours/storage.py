@@ -17,7 +17,7 @@ _TEXT = {
     "source": "excitation of the even modes, by term",
     "own": "field of the even modes at their own site, by term",
     "side": "field of the modes at the neighbouring site, by term",
-    "hop": "free elements of the hops, by distance",
+    "hop": "free elements of the hop to the next site",
 }
 _STATISTIC = "detail_"
 
@@ -71,7 +71,7 @@ def _line(group: h5py.Group) -> TrainedLine:
         "source": (shape.terms, shape.even),
         "own": (shape.terms, shape.even),
         "side": (shape.terms, shape.modes),
-        "hop": (shape.reach, n_hops),
+        "hop": (n_hops,),
     }
     for name, array in arrays.items():
         if array.shape != expected[name]:

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.figures import Loss, Wavefront
 from metafab.library.library import Library
+from metafab.optics.sources.neighbours import NeighbourField
 from metafab.optics.sources.source import WrittenField
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Device
@@ -28,7 +29,9 @@ _MOST_SITES, _TARGETS = 3_000_000, 20_000
 _FINE_NM = 0.5
 
 
-def wavefront(written: WrittenField, profile: PhaseProfile, device: Device, library: Library) -> Wavefront:
+def wavefront(
+    written: WrittenField | NeighbourField, profile: PhaseProfile, device: Device, library: Library
+) -> Wavefront:
     """Compare the field of the written pillars with the target phases, on sampled rows of the lens."""
     sums = np.zeros((2, 2), dtype=np.complex128)  # [half of the rows, polarisation]
     powers, counts, inside = np.zeros((2, 2)), np.zeros(2), 0
@@ -103,7 +106,7 @@ def _loss(stage: str, factor: FloatArray) -> Loss:
 
 
 def _rows(
-    written: WrittenField, profile: PhaseProfile, device: Device
+    written: WrittenField | NeighbourField, profile: PhaseProfile, device: Device
 ) -> Iterator[tuple[int, ComplexArray, FloatArray]]:
     """Row number, amplitudes (2, n) and target phases (2, n) of the sites inside the aperture, for sampled rows."""
     lattice = written.lattice
@@ -125,7 +128,7 @@ def _rows(
                 yield int(tile.row + row) // every, amplitude[:, i, inside[i]], target_rad[:, i, inside[i]]
 
 
-def _best_overlap(written: WrittenField, target_rad: FloatArray, library: Library) -> FloatArray:
+def _best_overlap(written: WrittenField | NeighbourField, target_rad: FloatArray, library: Library) -> FloatArray:
     """|<a u*>|^2 / <|a|^2> of continuous sizes in the range of the mask.
 
     The largest inner product with the target wave becomes a nearest-neighbour search once a fifth coordinate makes the

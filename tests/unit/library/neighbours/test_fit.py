@@ -14,7 +14,7 @@ SPAN = (100.0, 250.0)
 def _rows(seed: int, rows: int, sites: int) -> RowSet:
     """Rows by a chain with strong coupling, all orders propagating."""
     rng = np.random.default_rng(seed)
-    truth = initial_model(LineShape(2, 1, 1, 1), SPAN, SPAN, 7)
+    truth = initial_model(LineShape(2, 1, 1), SPAN, SPAN, 7)
     size_nm = rng.uniform(*SPAN, (rows, sites, 2))
     local = np.exp(2j * np.pi * (size_nm[..., 0] - 100.0) / 150.0)
     order = np.arange(sites) - sites // 2
@@ -25,7 +25,7 @@ def _rows(seed: int, rows: int, sites: int) -> RowSet:
 
 def test_fit_predicts_rows_it_has_not_seen() -> None:
     held_out = _rows(2, 20, 7)
-    start = initial_model(LineShape(2, 1, 1, 1), SPAN, SPAN, 1)
+    start = initial_model(LineShape(2, 1, 1), SPAN, SPAN, 1)
     model = fit(start, [_rows(1, 60, 5), _rows(3, 30, 4)], FitLimits(steps=80, ridge=1e-8))
     lone = np.sqrt(np.mean(held_out.errors(None) ** 2))
     assert lone > 0.1
@@ -41,7 +41,7 @@ def test_orders_of_a_row_are_its_fourier_series() -> None:
 def test_a_fit_reports_its_steps() -> None:
     seen: list[tuple[int, int]] = []
     fit(
-        initial_model(LineShape(1, 1, 1, 0), SPAN, SPAN, 1),
+        initial_model(LineShape(1, 1, 0), SPAN, SPAN, 1),
         [_rows(1, 4, 3)],
         FitLimits(steps=3),
         lambda step, total: seen.append((step, total)),

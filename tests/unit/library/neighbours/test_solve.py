@@ -9,7 +9,7 @@ from metafab.library.neighbours.line import LineModel, LineShape, initial_model
 from metafab.library.neighbours.solve import corrections_and_jacobian, line_corrections, uniform_field
 
 SPAN = (100.0, 250.0)
-SHAPES = [LineShape(3, 2, 2, 3), LineShape(4, 2, 1, 3), LineShape(2, 0, 1, 2), LineShape(1, 1, 1, 1)]
+SHAPES = [LineShape(3, 2, 3), LineShape(4, 2, 3), LineShape(2, 0, 2), LineShape(1, 1, 1)]
 
 
 def _lines(shape: LineShape, sites: int, seed: int = 1) -> tuple[LineModel, np.ndarray]:

@@ -21,7 +21,7 @@ from metafab.spec import UnitCell
 from metafab.spec.cell import Neighbours as Training
 from metafab.spec.toml import validate
 
-SMALL_SHAPE = LineShape(2, 1, 1, 1)
+SMALL_SHAPE = LineShape(2, 1, 1)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,246 @@
+"""Corrections of the field along many open lines of pillars at once: a block-tridiagonal solve along each line.
+
+The matrix of a chain is symmetric, and its elimination from one end to the other needs one small symmetric matrix a site:
+
+    D_m = H_m - W D_{m-1}^-1 W^T,      D_m (X_m, r_m) = (W^T, c_m + W r_{m-1}),      a_m = r_m + X_m a_{m+1}.
+
+Lines are solved side by side, so that the innermost loops run over lines and use the vector units. Single precision:
+the amplitudes of random lines differ from those in double precision by 1e-5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.numeric.compiled import compiled
+from metafab.library.neighbours.line import LineModel
+from metafab.library.neighbours.solve import uniform_field
+
+SingleArray = NDArray[np.float32]
+IndexArray = NDArray[np.uint16]
+
+#: Lines solved side by side: with 64 a site takes 0.45 us on one busy core, with 16 1.5 us.
+_LANES = 64
+#: Diagonal of the matrix of a site without a pillar, which thereby carries no light.
+_NO_PILLAR = 1e8
+
+
+@dataclass(frozen=True)
+class SizeTables:
+    """What the solve needs of each size, real and imaginary parts.
+
+    Attributes:
+        site: shape (2, sizes, modes (modes + 1) / 2), upper triangle of H.
+        source: shape (2, sizes, modes), c; 0 for odd modes.
+        own: shape (2, sizes, modes), e; 0 for odd modes.
+        side: shape (2, sizes, modes), g.
+        uniform: shape (2, sizes), y in a line of equal pillars.
+        hop: shape (2, modes, modes), W.
+        even: number of even modes, which come first.
+    """
+
+    site: SingleArray
+    source: SingleArray
+    own: SingleArray
+    side: SingleArray
+    uniform: SingleArray
+    hop: SingleArray
+    even: int
+
+    @classmethod
+    def of(cls, model: LineModel, size_nm: FloatArray) -> SizeTables:
+        """Tables of sizes, shape (sizes, 2), along and across the line; (0, 0) is a site without a pillar."""
+        shape = model.shape
+        pillar = np.all(size_nm > 0.0, axis=1)
+        terms = model.polynomials(np.where(pillar[:, None], size_nm, model.along_nm[0]))
+        r, s = np.triu_indices(shape.modes)
+        site = model.site_matrix(terms)[:, r, s]
+        site[~pillar] = np.where(r == s, _NO_PILLAR, 0.0)
+        source, own = (np.zeros((len(size_nm), shape.modes), dtype=np.complex128) for _ in range(2))
+        source[:, : shape.even], own[:, : shape.even] = terms @ model.source, terms @ model.own
+        side, uniform = terms @ model.side, uniform_field(model, terms)
+        for values in (source, own, side, uniform):
+            values[~pillar] = 0.0
+        return cls(
+            _parts(site),
+            _parts(source),
+            _parts(own),
+            _parts(side),
+            _parts(uniform),
+            _parts(model.hop_matrix),
+            shape.even,
+        )
+
+
+def open_line_corrections(tables: SizeTables, size_index: IndexArray) -> ComplexArray:
+    """t_m - t(s_m) of lines whose ends have no neighbours.
+
+    Args:
+        tables: tables of the sizes.
+        size_index: shape (lines, sites), sizes of the pillars.
+
+    Returns:
+        Shape (lines, sites), complex64.
+    """
+    corrections = np.empty((2, *size_index.shape), dtype=np.float32)
+    _solve_lines(
+        np.ascontiguousarray(size_index),
+        tables.site,
+        tables.source,
+        tables.own,
+        tables.side,
+        tables.uniform,
+        tables.hop,
+        tables.even,
+        corrections,
+    )
+    return np.asarray(corrections[0] + np.complex64(1j) * corrections[1])
+
+
+def _parts(values: ComplexArray) -> SingleArray:
+    return np.ascontiguousarray([values.real, values.imag], dtype=np.float32)
+
+
+@compiled
+def _solve_lines(
+    size_index: IndexArray,
+    site: SingleArray,
+    source: SingleArray,
+    own: SingleArray,
+    side: SingleArray,
+    uniform: SingleArray,
+    hop: SingleArray,
+    even: int,
+    corrections: SingleArray,
+) -> None:
+    """Fill ``corrections``, shape (2, lines, sites); ``_LANES`` lines at a time."""
+    lines, sites = size_index.shape
+    modes = source.shape[2]
+    # Columns 0..modes-1 hold X, the last one r.
+    x_re = np.zeros((sites, modes, modes + 1, _LANES), dtype=np.float32)
+    x_im = np.zeros((sites, modes, modes + 1, _LANES), dtype=np.float32)
+    d_re, d_im = np.empty((modes, modes, _LANES), np.float32), np.empty((modes, modes, _LANES), np.float32)
+    f_re, f_im = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
+    a_re, a_im = np.empty((modes, _LANES), np.float32), np.empty((modes, _LANES), np.float32)
+    b_re, b_im = np.empty((modes, _LANES), np.float32), np.empty((modes, _LANES), np.float32)
+    at = np.empty(_LANES, np.intp)
+    for first in range(0, lines, _LANES):
+        for m in range(sites):
+            for lane in range(_LANES):
+                at[lane] = size_index[min(first + lane, lines - 1), m]
+            place = 0
+            for i in range(modes):
+                for j in range(i, modes):
+                    for lane in range(_LANES):
+                        d_re[i, j, lane], d_im[i, j, lane] = site[0, at[lane], place], site[1, at[lane], place]
+                    place += 1
+                for j in range(modes):
+                    x_re[m, i, j], x_im[m, i, j] = hop[0, j, i], hop[1, j, i]
+                for lane in range(_LANES):
+                    x_re[m, i, modes, lane] = source[0, at[lane], i]
+                    x_im[m, i, modes, lane] = source[1, at[lane], i]
+            if m > 0:
+                for i in range(modes):
+                    for k in range(modes):
+                        w_re, w_im = hop[0, i, k], hop[1, i, k]
+                        for j in range(i, modes):
+                            _subtract(d_re[i, j], d_im[i, j], w_re, w_im, x_re[m - 1, k, j], x_im[m - 1, k, j])
+                        _subtract(
+                            x_re[m, i, modes], x_im[m, i, modes], -w_re, -w_im,
+                            x_re[m - 1, k, modes], x_im[m - 1, k, modes],
+                        )  # fmt: skip
+            # L D L^T without pivots: the loss of the modes keeps them away from zero.
+            for k in range(modes):
+                _invert(d_re[k, k], d_im[k, k])
+                for i in range(k + 1, modes):
+                    _product(f_re, f_im, d_re[k, i], d_im[k, i], d_re[k, k], d_im[k, k])
+                    for j in range(i, modes):
+                        _subtract_product(d_re[i, j], d_im[i, j], f_re, f_im, d_re[k, j], d_im[k, j])
+                    for j in range(modes + 1):
+                        _subtract_product(x_re[m, i, j], x_im[m, i, j], f_re, f_im, x_re[m, k, j], x_im[m, k, j])
+            for i in range(modes - 1, -1, -1):
+                for j in range(modes + 1):
+                    for k in range(i + 1, modes):
+                        _subtract_product(
+                            x_re[m, i, j], x_im[m, i, j], d_re[i, k], d_im[i, k], x_re[m, k, j], x_im[m, k, j]
+                        )
+                    _scale(x_re[m, i, j], x_im[m, i, j], d_re[i, i], d_im[i, i])
+        count = min(_LANES, lines - first)
+        for line in range(first, first + count):
+            for m in range(sites):
+                corrections[0, line, m] = -uniform[0, size_index[line, m]]
+                corrections[1, line, m] = -uniform[1, size_index[line, m]]
+        b_re[:], b_im[:] = 0.0, 0.0
+        for m in range(sites - 1, -1, -1):
+            for i in range(modes):
+                a_re[i], a_im[i] = x_re[m, i, modes], x_im[m, i, modes]
+                for k in range(modes):
+                    _subtract_product(a_re[i], a_im[i], x_re[m, i, k], x_im[m, i, k], b_re[k], b_im[k])
+            for i in range(modes):
+                # X a_{m+1} is added: b holds -a_{m+1}.
+                b_re[i], b_im[i] = -a_re[i], -a_im[i]
+            for lane in range(count):
+                line = first + lane
+                s = size_index[line, m]
+                for i in range(modes):
+                    re, im = a_re[i, lane], a_im[i, lane]
+                    corrections[0, line, m] += own[0, s, i] * re - own[1, s, i] * im
+                    corrections[1, line, m] += own[0, s, i] * im + own[1, s, i] * re
+                    g_re = side[0, s, i] * re - side[1, s, i] * im
+                    g_im = side[0, s, i] * im + side[1, s, i] * re
+                    if m + 1 < sites and size_index[line, m + 1] > 0:
+                        corrections[0, line, m + 1] += g_re
+                        corrections[1, line, m + 1] += g_im
+                    if m > 0 and size_index[line, m - 1] > 0:
+                        sign = 1.0 if i < even else -1.0
+                        corrections[0, line, m - 1] += sign * g_re
+                        corrections[1, line, m - 1] += sign * g_im
+
+
+@compiled
+def _subtract(
+    c_re: SingleArray, c_im: SingleArray, w_re: float, w_im: float, x_re: SingleArray, x_im: SingleArray
+) -> None:
+    for lane in range(_LANES):
+        re, im = x_re[lane], x_im[lane]
+        c_re[lane] -= w_re * re - w_im * im
+        c_im[lane] -= w_re * im + w_im * re
+
+
+@compiled
+def _subtract_product(
+    c_re: SingleArray, c_im: SingleArray, f_re: SingleArray, f_im: SingleArray, x_re: SingleArray, x_im: SingleArray
+) -> None:
+    for lane in range(_LANES):
+        re, im = x_re[lane], x_im[lane]
+        c_re[lane] -= f_re[lane] * re - f_im[lane] * im
+        c_im[lane] -= f_re[lane] * im + f_im[lane] * re
+
+
+@compiled
+def _product(
+    f_re: SingleArray, f_im: SingleArray, a_re: SingleArray, a_im: SingleArray, b_re: SingleArray, b_im: SingleArray
+) -> None:
+    for lane in range(_LANES):
+        f_re[lane] = a_re[lane] * b_re[lane] - a_im[lane] * b_im[lane]
+        f_im[lane] = a_re[lane] * b_im[lane] + a_im[lane] * b_re[lane]
+
+
+@compiled
+def _scale(x_re: SingleArray, x_im: SingleArray, b_re: SingleArray, b_im: SingleArray) -> None:
+    for lane in range(_LANES):
+        re, im = x_re[lane], x_im[lane]
+        x_re[lane] = re * b_re[lane] - im * b_im[lane]
+        x_im[lane] = re * b_im[lane] + im * b_re[lane]
+
+
+@compiled
+def _invert(d_re: SingleArray, d_im: SingleArray) -> None:
+    for lane in range(_LANES):
+        re, im = d_re[lane], d_im[lane]
+        squared = re * re + im * im
+        d_re[lane], d_im[lane] = re / squared, -im / squared

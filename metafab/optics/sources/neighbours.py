@@ -1,0 +1,134 @@
+"""Field behind the pillars of a mask, each among its own neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from metafab.core.conventions import ComplexArray
+from metafab.core.errors import InputError
+from metafab.core.parallel.executor import in_order, open_threads
+from metafab.layout.pillars import Lattice, PillarMap, PillarTile, SizeIndexArray
+from metafab.library.library import Library
+from metafab.library.neighbours import require_neighbours
+from metafab.library.neighbours.windows import HALO_SITES, NeighbourTables
+from metafab.library.use.amplitudes import half_space_indices
+from metafab.optics.sources.source import FieldTile, WrittenField, written_field
+
+#: Sites of a tile along each side. Its neighbours on all sides are solved with it: 48 more sites a side cost a sixth.
+_TILE_SITES = 512
+
+
+@dataclass(frozen=True)
+class NeighbourField:
+    """Pillars of a mask with the amplitudes that they have among their neighbours.
+
+    Attributes:
+        lone: the same pillars with the amplitudes of lattices of equal pillars.
+        tables: chains of coupled modes at the sizes of the mask.
+        power_factor: sqrt(n_out / n_in) for x and y polarisation.
+        workers: threads; None for one per core.
+    """
+
+    lone: WrittenField
+    tables: NeighbourTables
+    power_factor: tuple[float, float]
+    workers: int | None = None
+
+    @property
+    def lattice(self) -> Lattice:
+        """Lattice of the pillars."""
+        return self.lone.lattice
+
+    @property
+    def pillars(self) -> PillarMap:
+        """Pillars of the mask."""
+        return self.lone.pillars
+
+    @cached_property
+    def columns(self) -> list[int]:
+        """First column of each tile."""
+        return list(range(0, self.lattice.shape[1], _TILE_SITES))
+
+    def tiles(self) -> Iterator[FieldTile]:
+        """Return the tiles with pillars; threads solve them, and the amplitudes do not depend on their number."""
+        with open_threads(self.workers) as threads:
+            yield from in_order(threads, self._tile, self._windows(), ahead=4)
+
+    def _windows(self) -> Iterator[tuple[int, int, SizeIndexArray]]:
+        """(row, column) of each tile with pillars, and its size indices with ``HALO_SITES`` neighbours a side."""
+        n_y, n_x = self.lattice.shape
+        for row, band in _bands(self.pillars, _TILE_SITES, HALO_SITES):
+            height = min(_TILE_SITES, n_y - row)
+            wide = np.pad(band[: height + 2 * HALO_SITES], ((0, 0), (HALO_SITES, HALO_SITES)))
+            for column in self.columns:
+                window = wide[:, column : min(column + _TILE_SITES, n_x) + 2 * HALO_SITES]
+                if window[HALO_SITES:-HALO_SITES, HALO_SITES:-HALO_SITES].any():
+                    yield row, column, window
+
+    def _tile(self, window: tuple[int, int, SizeIndexArray]) -> FieldTile:
+        row, column, size_index = window
+        inner = size_index[HALO_SITES:-HALO_SITES, HALO_SITES:-HALO_SITES]
+        amplitudes = np.empty((2, *inner.shape), dtype=np.complex128)
+        for polarisation in (0, 1):
+            corrections = self.tables.corrections(size_index, polarisation)
+            amplitudes[polarisation] = self.lone.table[inner, polarisation]
+            amplitudes[polarisation] += self.power_factor[polarisation] * corrections
+        return FieldTile(row, column, amplitudes=_passive(amplitudes))
+
+
+def neighbour_field(pillars: PillarMap, library: Library, workers: int | None = None) -> NeighbourField:
+    """Return the field behind the pillars of a mask by the library's model of unlike neighbours.
+
+    Args:
+        pillars: upright pillars in a rectangular lattice.
+        library: library with a model of neighbours.
+        workers: threads; None for one per core.
+
+    Raises:
+        InputError: the library has no model of neighbours, lacks a size of the mask, or the pillars are turned.
+    """
+    neighbours = require_neighbours(library)
+    if pillars.angle_deg is not None or pillars.lattice.hexagonal:
+        got = "turned pillars" if pillars.angle_deg is not None else "a hexagonal lattice"
+        remedy = "set `neighbours = false` in `[optics]`"
+        raise InputError.single("optics", "neighbours", "upright pillars in a rectangular lattice", got, remedy)
+    n_in, n_out = half_space_indices(library.unit_cell)
+    factor = np.sqrt(n_out.real / n_in.real)
+    tables = NeighbourTables.of(neighbours, pillars.size_nm())
+    return NeighbourField(written_field(pillars, library), tables, (float(factor[0]), float(factor[1])), workers)
+
+
+def _bands(pillars: PillarMap, sites: int, halo: int) -> Iterator[tuple[int, SizeIndexArray]]:
+    """First row and size indices, shape (sites + 2 halo, n_x), of bands of rows with their neighbours on both sides.
+
+    Rows outside the lattice hold no pillars. At most two bands and one row of tiles are in memory.
+    """
+    n_y, n_x = pillars.lattice.shape
+    tiles = pillars.tiles()
+    pending: list[PillarTile] = []
+    for row in range(0, n_y, sites):
+        first, last = row - halo, row + sites + halo
+        while not pending or pending[-1].row < last:
+            following = next(tiles, None)
+            if following is None:
+                break
+            pending.append(following)
+        pending = [tile for tile in pending if tile.row + tile.size_index.shape[0] > first]
+        band = np.zeros((sites + 2 * halo, n_x), dtype=np.uint16)
+        for tile in pending:
+            top, bottom = max(tile.row, first), min(tile.row + tile.size_index.shape[0], last)
+            if top < bottom:
+                columns = slice(tile.column, tile.column + tile.size_index.shape[1])
+                band[top - first : bottom - first, columns] = tile.size_index[top - tile.row : bottom - tile.row]
+        yield row, band
+
+
+def _passive(amplitudes: ComplexArray) -> ComplexArray:
+    """Amplitudes whose mean power over a tile is at most that of the incident light, shape (2, n_y, n_x)."""
+    lit = np.count_nonzero(amplitudes, axis=(1, 2))
+    power = np.sum(np.abs(amplitudes) ** 2, axis=(1, 2)) / np.maximum(lit, 1)
+    return np.asarray(amplitudes / np.sqrt(np.maximum(power, 1.0))[:, None, None])
