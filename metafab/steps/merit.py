@@ -16,7 +16,7 @@ from metafab.spec.terms import Lens, SplitLens
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
-from metafab.steps.optics import lit_source, mask_source
+from metafab.steps.optics import lit_source, written_light
 
 if TYPE_CHECKING:
     from metafab.optics import Imaging, Psf

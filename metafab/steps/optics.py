@@ -27,7 +27,7 @@ from metafab.steps.library import library_path, open_library
 
 if TYPE_CHECKING:
     from metafab.layout import PillarMap
-    from metafab.optics import Imaging, Psf, Source, WrittenField
+    from metafab.optics import Imaging, NeighbourField, Psf, Source, WrittenField
     from metafab.optics.measures.landing import Places
 
 #: The pillars that were read last, shared by the steps of a run.

@@ -24,7 +24,7 @@ class LineStatistics:
         error_alike: rms error on held-out rows with phases that change steadily, as in a lens.
         error_p90: 90th percentile of the errors on rows with steady phases.
         error_fitted: rms error on the rows of the fit.
-        solver_error: rms truncation error of the rows, from a sample solved at finer truncation.
+        solver_error: rms error of the solved rows, from a sample solved more finely.
         error_floor: smallest stated error of a row.
         error_share: stated error per relative correction of the field, on top of the floor.
     """

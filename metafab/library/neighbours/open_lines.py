@@ -1,8 +1,8 @@
 """Corrections of the field along many open lines of pillars at once: a block-tridiagonal solve along each line.
 
-The matrix of a chain is symmetric, and its elimination from one end to the other needs one small symmetric matrix a site:
+The matrix of a chain is symmetric. Its elimination from one end to the other needs one small symmetric matrix a site:
 
-    D_m = H_m - W D_{m-1}^-1 W^T,      D_m (X_m, r_m) = (W^T, c_m + W r_{m-1}),      a_m = r_m + X_m a_{m+1}.
+    D_m = H_m - W D_{m-1}^-1 W^T,    D_m (X_m, r_m) = (W^T, c_m + W r_{m-1}),    a_m = r_m + X_m a_{m+1}.
 
 Lines are solved side by side, so that the innermost loops run over lines and use the vector units. Single precision:
 the amplitudes of random lines differ from those in double precision by 1e-5.
@@ -121,84 +121,110 @@ def _solve_lines(
     lines, sites = size_index.shape
     modes = source.shape[2]
     # Columns 0..modes-1 hold X, the last one r.
-    x_re = np.zeros((sites, modes, modes + 1, _LANES), dtype=np.float32)
-    x_im = np.zeros((sites, modes, modes + 1, _LANES), dtype=np.float32)
-    d_re, d_im = np.empty((modes, modes, _LANES), np.float32), np.empty((modes, modes, _LANES), np.float32)
-    f_re, f_im = np.empty(_LANES, np.float32), np.empty(_LANES, np.float32)
-    a_re, a_im = np.empty((modes, _LANES), np.float32), np.empty((modes, _LANES), np.float32)
-    b_re, b_im = np.empty((modes, _LANES), np.float32), np.empty((modes, _LANES), np.float32)
+    x = np.zeros((sites, 2, modes, modes + 1, _LANES), dtype=np.float32)
+    d = np.empty((2, modes, modes, _LANES), np.float32)
+    factor = np.empty((2, _LANES), np.float32)
+    a, behind = np.empty((2, modes, _LANES), np.float32), np.empty((2, modes, _LANES), np.float32)
     at = np.empty(_LANES, np.intp)
     for first in range(0, lines, _LANES):
+        count = min(_LANES, lines - first)
         for m in range(sites):
             for lane in range(_LANES):
                 at[lane] = size_index[min(first + lane, lines - 1), m]
-            place = 0
-            for i in range(modes):
-                for j in range(i, modes):
-                    for lane in range(_LANES):
-                        d_re[i, j, lane], d_im[i, j, lane] = site[0, at[lane], place], site[1, at[lane], place]
-                    place += 1
-                for j in range(modes):
-                    x_re[m, i, j], x_im[m, i, j] = hop[0, j, i], hop[1, j, i]
-                for lane in range(_LANES):
-                    x_re[m, i, modes, lane] = source[0, at[lane], i]
-                    x_im[m, i, modes, lane] = source[1, at[lane], i]
+            _load_site(at, site, source, hop, d, x[m])
             if m > 0:
-                for i in range(modes):
-                    for k in range(modes):
-                        w_re, w_im = hop[0, i, k], hop[1, i, k]
-                        for j in range(i, modes):
-                            _subtract(d_re[i, j], d_im[i, j], w_re, w_im, x_re[m - 1, k, j], x_im[m - 1, k, j])
-                        _subtract(
-                            x_re[m, i, modes], x_im[m, i, modes], -w_re, -w_im,
-                            x_re[m - 1, k, modes], x_im[m - 1, k, modes],
-                        )  # fmt: skip
-            # L D L^T without pivots: the loss of the modes keeps them away from zero.
-            for k in range(modes):
-                _invert(d_re[k, k], d_im[k, k])
-                for i in range(k + 1, modes):
-                    _product(f_re, f_im, d_re[k, i], d_im[k, i], d_re[k, k], d_im[k, k])
-                    for j in range(i, modes):
-                        _subtract_product(d_re[i, j], d_im[i, j], f_re, f_im, d_re[k, j], d_im[k, j])
-                    for j in range(modes + 1):
-                        _subtract_product(x_re[m, i, j], x_im[m, i, j], f_re, f_im, x_re[m, k, j], x_im[m, k, j])
-            for i in range(modes - 1, -1, -1):
-                for j in range(modes + 1):
-                    for k in range(i + 1, modes):
-                        _subtract_product(
-                            x_re[m, i, j], x_im[m, i, j], d_re[i, k], d_im[i, k], x_re[m, k, j], x_im[m, k, j]
-                        )
-                    _scale(x_re[m, i, j], x_im[m, i, j], d_re[i, i], d_im[i, i])
-        count = min(_LANES, lines - first)
+                _add_previous(hop, d, x[m], x[m - 1])
+            _eliminate(d, x[m], factor)
         for line in range(first, first + count):
             for m in range(sites):
                 corrections[0, line, m] = -uniform[0, size_index[line, m]]
                 corrections[1, line, m] = -uniform[1, size_index[line, m]]
-        b_re[:], b_im[:] = 0.0, 0.0
+        # ``behind`` holds -a_{m+1}, so that X a_{m+1} is added.
+        behind[:] = 0.0
         for m in range(sites - 1, -1, -1):
             for i in range(modes):
-                a_re[i], a_im[i] = x_re[m, i, modes], x_im[m, i, modes]
+                a[0, i], a[1, i] = x[m, 0, i, modes], x[m, 1, i, modes]
                 for k in range(modes):
-                    _subtract_product(a_re[i], a_im[i], x_re[m, i, k], x_im[m, i, k], b_re[k], b_im[k])
+                    _subtract_product(a[0, i], a[1, i], x[m, 0, i, k], x[m, 1, i, k], behind[0, k], behind[1, k])
             for i in range(modes):
-                # X a_{m+1} is added: b holds -a_{m+1}.
-                b_re[i], b_im[i] = -a_re[i], -a_im[i]
+                behind[0, i], behind[1, i] = -a[0, i], -a[1, i]
             for lane in range(count):
-                line = first + lane
-                s = size_index[line, m]
-                for i in range(modes):
-                    re, im = a_re[i, lane], a_im[i, lane]
-                    corrections[0, line, m] += own[0, s, i] * re - own[1, s, i] * im
-                    corrections[1, line, m] += own[0, s, i] * im + own[1, s, i] * re
-                    g_re = side[0, s, i] * re - side[1, s, i] * im
-                    g_im = side[0, s, i] * im + side[1, s, i] * re
-                    if m + 1 < sites and size_index[line, m + 1] > 0:
-                        corrections[0, line, m + 1] += g_re
-                        corrections[1, line, m + 1] += g_im
-                    if m > 0 and size_index[line, m - 1] > 0:
-                        sign = 1.0 if i < even else -1.0
-                        corrections[0, line, m - 1] += sign * g_re
-                        corrections[1, line, m - 1] += sign * g_im
+                _radiate(size_index[first + lane], m, a, lane, own, side, even, corrections[:, first + lane])
+
+
+@compiled
+def _load_site(
+    at: NDArray[np.intp], site: SingleArray, source: SingleArray, hop: SingleArray, d: SingleArray, x: SingleArray
+) -> None:
+    """H to ``d``, W^T and c to ``x``, for the size ``at`` of each lane."""
+    modes, place = source.shape[2], 0
+    for i in range(modes):
+        for j in range(i, modes):
+            for lane in range(_LANES):
+                d[0, i, j, lane], d[1, i, j, lane] = site[0, at[lane], place], site[1, at[lane], place]
+            place += 1
+        for j in range(modes):
+            x[0, i, j], x[1, i, j] = hop[0, j, i], hop[1, j, i]
+        for lane in range(_LANES):
+            x[0, i, modes, lane], x[1, i, modes, lane] = source[0, at[lane], i], source[1, at[lane], i]
+
+
+@compiled
+def _add_previous(hop: SingleArray, d: SingleArray, x: SingleArray, previous: SingleArray) -> None:
+    """Subtract W X_{m-1} from ``d`` and add W r_{m-1} to the last column of ``x``."""
+    modes = hop.shape[1]
+    for i in range(modes):
+        for k in range(modes):
+            re, im = hop[0, i, k], hop[1, i, k]
+            for j in range(i, modes):
+                _subtract(d[0, i, j], d[1, i, j], re, im, previous[0, k, j], previous[1, k, j])
+            _subtract(x[0, i, modes], x[1, i, modes], -re, -im, previous[0, k, modes], previous[1, k, modes])
+
+
+@compiled
+def _eliminate(d: SingleArray, x: SingleArray, factor: SingleArray) -> None:
+    """Replace ``x`` by D^-1 x. L D L^T without pivots: the loss of the modes keeps them away from zero."""
+    modes = d.shape[1]
+    for k in range(modes):
+        _invert(d[0, k, k], d[1, k, k])
+        for i in range(k + 1, modes):
+            _product(factor[0], factor[1], d[0, k, i], d[1, k, i], d[0, k, k], d[1, k, k])
+            for j in range(i, modes):
+                _subtract_product(d[0, i, j], d[1, i, j], factor[0], factor[1], d[0, k, j], d[1, k, j])
+            for j in range(modes + 1):
+                _subtract_product(x[0, i, j], x[1, i, j], factor[0], factor[1], x[0, k, j], x[1, k, j])
+    for i in range(modes - 1, -1, -1):
+        for j in range(modes + 1):
+            for k in range(i + 1, modes):
+                _subtract_product(x[0, i, j], x[1, i, j], d[0, i, k], d[1, i, k], x[0, k, j], x[1, k, j])
+            _scale(x[0, i, j], x[1, i, j], d[0, i, i], d[1, i, i])
+
+
+@compiled
+def _radiate(
+    size_index: IndexArray,
+    m: int,
+    a: SingleArray,
+    lane: int,
+    own: SingleArray,
+    side: SingleArray,
+    even: int,
+    corrections: SingleArray,
+) -> None:
+    """Add the light of the modes of site ``m`` to the site and to its two neighbours."""
+    sites, s = len(size_index), size_index[m]
+    for i in range(a.shape[1]):
+        re, im = a[0, i, lane], a[1, i, lane]
+        corrections[0, m] += own[0, s, i] * re - own[1, s, i] * im
+        corrections[1, m] += own[0, s, i] * im + own[1, s, i] * re
+        g_re, g_im = side[0, s, i] * re - side[1, s, i] * im, side[0, s, i] * im + side[1, s, i] * re
+        if m + 1 < sites and size_index[m + 1] > 0:
+            corrections[0, m + 1] += g_re
+            corrections[1, m + 1] += g_im
+        if m > 0 and size_index[m - 1] > 0:
+            sign = 1.0 if i < even else -1.0
+            corrections[0, m - 1] += sign * g_re
+            corrections[1, m - 1] += sign * g_im
 
 
 @compiled

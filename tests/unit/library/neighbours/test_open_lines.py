@@ -1,0 +1,60 @@
+"""Open lines by block elimination in single precision, against a dense solve in double precision."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metafab.core.conventions import ComplexArray
+from metafab.library.neighbours.line import LineModel, LineShape, initial_model
+from metafab.library.neighbours.open_lines import SizeTables, open_line_corrections
+from metafab.library.neighbours.solve import line_corrections, uniform_field
+
+SPAN = (100.0, 250.0)
+
+
+def _dense(model: LineModel, size_nm: np.ndarray) -> ComplexArray:
+    """Corrections of one open line, shape (sites, 2) to (sites,)."""
+    terms, count, modes = model.polynomials(size_nm), len(size_nm), model.shape.modes
+    matrix = np.zeros((count, modes, count, modes), dtype=np.complex128)
+    for m in range(count):
+        matrix[m, :, m] = model.site_matrix(terms[m])
+        if m > 0:
+            matrix[m, :, m - 1] = -model.hop_matrix
+            matrix[m - 1, :, m] = -model.hop_matrix.T
+    source = np.zeros((count, modes), dtype=np.complex128)
+    source[:, : model.shape.even] = terms @ model.source
+    a = np.linalg.solve(matrix.reshape(count * modes, -1), source.ravel()).reshape(count, modes)
+    side = (terms @ model.side) * a
+    field = np.sum(terms @ model.own * a[:, : model.shape.even], axis=1)
+    field[1:] += side.sum(axis=1)[:-1]
+    field[:-1] += (side * model.shape.parity).sum(axis=1)[1:]
+    return np.asarray(field - uniform_field(model, terms))
+
+
+def test_lines_with_gaps_are_those_of_a_dense_solve() -> None:
+    rng = np.random.default_rng(1)
+    model = initial_model(LineShape(4, 2, 3), SPAN, SPAN, 1)
+    sizes = np.concatenate([[[0.0, 0.0]], rng.uniform(*SPAN, (50, 2))])
+    index = rng.integers(1, 51, (70, 24)).astype(np.uint16)
+    index[3, 10] = 0
+    found = open_line_corrections(SizeTables.of(model, sizes), index)
+    assert found.dtype == np.complex64
+    for line in (0, 1, 64, 69):
+        assert np.abs(found[line] - _dense(model, sizes[index[line]])).max() < 1e-5
+    # A site without a pillar is dark and cuts the line into two.
+    assert found[3, 10] == 0.0
+    assert np.abs(found[3, :10] - _dense(model, sizes[index[3, :10]])).max() < 1e-5
+    assert np.abs(found[3, 11:] - _dense(model, sizes[index[3, 11:]])).max() < 1e-5
+
+
+def test_long_lines_end_in_closed_ones() -> None:
+    """Far from its ends an open line of repeated periods has the field of the closed period."""
+    rng = np.random.default_rng(2)
+    model = initial_model(LineShape(4, 2, 3), SPAN, SPAN, 1)
+    period = rng.uniform(*SPAN, (6, 2))
+    closed = line_corrections(model, model.polynomials(period))
+    tables = SizeTables.of(model, np.concatenate([[[0.0, 0.0]], period]))
+    line = np.tile(np.arange(1, 7, dtype=np.uint16), 15)[None]
+    middle = open_line_corrections(tables, line)[0, 42:48]
+    assert np.abs(closed).max() > 1e-3
+    assert np.abs(middle - closed).max() < 1e-5

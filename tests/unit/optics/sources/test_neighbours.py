@@ -1,0 +1,83 @@
+"""Field of a mask among its neighbours: tiles, workers, and refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from metafab.core.conventions import ComplexArray
+from metafab.core.errors import InputError
+from metafab.layout.pillars import Lattice, PillarMap
+from metafab.library.library import Library
+from metafab.library.neighbours.evaluation import block_corrections
+from metafab.library.neighbours.line import LineShape, initial_model
+from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
+from metafab.optics import neighbour_field, written_field
+from metafab.optics.sources import neighbours
+
+SPAN = (100.0, 250.0)
+
+
+@pytest.fixture
+def library(smooth_library: Library) -> Library:
+    """A library with chains of random parameters."""
+    along, across = (
+        TrainedLine(initial_model(LineShape(4, 2, 3), SPAN, SPAN, seed), LineStatistics()) for seed in (1, 2)
+    )
+    return replace(smooth_library, neighbours=Neighbours((along, along), (across, across)))
+
+
+def _map(index: np.ndarray, tile_sites: int) -> PillarMap:
+    sizes = 2 * np.random.default_rng(3).integers(100, 251, (41, 2)).astype(np.int32)
+    sizes[0] = 0
+    return PillarMap.from_array(Lattice((700, 700), index.shape, 0.5), sizes - sizes % 4, index, tile_sites)
+
+
+def _whole(field: neighbours.NeighbourField) -> ComplexArray:
+    whole = np.zeros((2, *field.lattice.shape), dtype=np.complex128)
+    for tile in field.tiles():
+        for polarisation in (0, 1):
+            amplitude = tile.amplitude(polarisation)
+            n_y, n_x = amplitude.shape
+            whole[polarisation, tile.row : tile.row + n_y, tile.column : tile.column + n_x] = amplitude
+    return whole
+
+
+def test_tiles_and_workers_do_not_change_the_field(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    index = np.random.default_rng(1).integers(0, 41, (90, 150)).astype(np.uint16)
+    index[:20, :30] = 0
+    whole = _whole(neighbour_field(_map(index, 90), library, workers=1))
+    assert np.array_equal(whole == 0.0, np.broadcast_to(index == 0, whole.shape))
+    monkeypatch.setattr(neighbours, "_TILE_SITES", 40)
+    tiled = _whole(neighbour_field(_map(index, 24), library, workers=1))
+    assert np.array_equal(tiled, _whole(neighbour_field(_map(index, 24), library, workers=3)))
+    lone = written_field(_map(index, 90), library).table[index].transpose(2, 0, 1)
+    assert np.abs(whole - lone).max() > 1e-2
+    # Tiles end with 24 neighbours a side.
+    assert np.abs(tiled - whole).max() < 1e-4 * np.abs(whole - lone).max()
+
+
+def test_a_periodic_mask_has_the_field_of_its_period(library: Library) -> None:
+    assert library.neighbours is not None
+    period = np.random.default_rng(2).integers(1, 41, (3, 4)).astype(np.uint16)
+    pillars = _map(np.tile(period, (35, 30)), 100)
+    field = _whole(neighbour_field(pillars, library))
+    sizes = pillars.size_nm()[period]
+    stored = library.at_sizes(sizes[..., 0], sizes[..., 1])
+    for axis, t in enumerate((stored.t_xx, stored.t_yy)):
+        closed = t + block_corrections(library.neighbours, sizes, axis).sum(axis=0)
+        # Scaled to power, n_out / n_in = 1 / 1.7601, and to no more light than arrives.
+        inner = field[axis, 51:54, 60:64]
+        ratio = inner / closed
+        assert np.abs(ratio - ratio[0, 0]).max() < 1e-4
+        assert abs(ratio[0, 0]) <= 1.7601**-0.5 + 1e-6
+
+
+def test_libraries_without_a_model_and_turned_pillars_are_refused(library: Library, smooth_library: Library) -> None:
+    pillars = _map(np.ones((4, 4), dtype=np.uint16), 4)
+    with pytest.raises(InputError, match="a model of neighbours"):
+        neighbour_field(pillars, smooth_library)
+    with pytest.raises(InputError, match="upright pillars in a rectangular lattice"):
+        neighbour_field(replace(pillars, angle_deg=np.zeros(41)), library)
