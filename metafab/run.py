@@ -2,17 +2,19 @@
 
 A step is up to date when the fingerprint of all that it depends on is unchanged and its files are as it left them. The
 fingerprint covers its part of the design, the files named there, the files of earlier steps, and the code of the rooms
-that it uses. ``steps.json`` in the run folder holds these records.
+that it uses. ``steps.json`` in the run folder holds these records. Times stand in ``summary.json`` alone, so that
+one design gives the same bytes in every folder.
 """
 
 from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from metafab import __version__
@@ -25,10 +27,10 @@ from metafab.core.storage.provenance import code_sha256, contents_sha256
 from metafab.core.storage.tables import DAMAGED, typed
 from metafab.spec import Design, canonical_toml
 from metafab.steps import RESULT_STEPS
-from metafab.steps.job import Job, Step
+from metafab.steps.job import Job, Step, relative_to
 from metafab.steps.merit import recorded_coupling
 from metafab.steps.preflight import PREFLIGHT
-from metafab.steps.summary import RunSummary, SkippedStep, error_budget
+from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, RunSummary, SkippedStep, error_budget
 from metafab.steps.tolerance import recorded_tolerance
 
 STEPS_FILE = "steps.json"
@@ -74,25 +76,22 @@ class FileMark:
 
     Attributes:
         bytes: size.
-        mtime_ns: time of the last change.
         sha256: hash of the content.
     """
 
     bytes: int
-    mtime_ns: int
     sha256: str
 
     @classmethod
     def of(cls, path: Path) -> FileMark:
         """State of a file now."""
-        status = path.stat()
-        return cls(status.st_size, status.st_mtime_ns, file_sha256(path))
+        return cls(path.stat().st_size, file_sha256(path))
 
-    def holds(self, path: Path) -> bool:
-        """Whether the file is unchanged: equal size, and equal time or content."""
+    def holds(self, path: Path, modified_ns: int | None = None) -> bool:
+        """Whether the file is unchanged: equal size, and equal content or the known time of its last change."""
         if not path.is_file() or path.stat().st_size != self.bytes:
             return False
-        return path.stat().st_mtime_ns == self.mtime_ns or file_sha256(path) == self.sha256
+        return path.stat().st_mtime_ns == modified_ns or file_sha256(path) == self.sha256
 
 
 @dataclass(frozen=True)
@@ -101,21 +100,17 @@ class Record:
 
     Attributes:
         inputs_sha256: fingerprint of all that the step depends on.
-        outputs: state of each file, by its path relative to the run folder, or absolute outside of it.
+        outputs: state of each file, by its path relative to the run folder.
         summary: figures of the step; None where an older version wrote them in another form.
-        seconds: time of the step.
-        peak_rss_mb: peak memory of the step.
     """
 
     inputs_sha256: str
     outputs: dict[str, FileMark]
     summary: Any
-    seconds: float
-    peak_rss_mb: float
 
-    def files_unchanged(self, folder: Path) -> bool:
-        """Whether every file is as the step left it."""
-        return all(mark.holds(folder / name) for name, mark in self.outputs.items())
+    def files_unchanged(self, folder: Path, modified_ns: Mapping[str, int] = MappingProxyType({})) -> bool:
+        """Whether every file is as the step left it; ``modified_ns`` are times of its last change, by name."""
+        return all(mark.holds(folder / name, modified_ns.get(name)) for name, mark in self.outputs.items())
 
 
 def run(
@@ -144,11 +139,11 @@ def run(
         InputError: another process runs in this folder.
     """
     job = Job(design, folder, work)
-    state = _State(job, _read_records(folder, (check, *steps)))
+    state = _State(job, _read_records(folder, (check, *steps)), _read_log(folder))
     if not state.is_current(check):
         figures = check.work(job)
         say(figures.announcements)
-        state.records[check.name] = Record(state.fingerprint(check), {}, figures, 0.0, 0.0)
+        state.records[check.name] = Record(state.fingerprint(check), {}, figures)
     folder.mkdir(parents=True, exist_ok=True)
     with alone_in(folder):
         for place in (folder, folder / "figures"):
@@ -159,19 +154,29 @@ def run(
         for step in steps:
             # The page shows the summary, which is written before the page and again with the cost of the page.
             if step.shows_summary and not state.is_current(step):
-                state.summary().save(folder / "summary.json")
+                state.summary().save(folder / SUMMARY_FILE)
             state.bring_up_to_date(step)
         summary = state.summary()
-        summary.save(folder / "summary.json")
+        summary.save(folder / SUMMARY_FILE)
         return summary
+
+
+@dataclass(frozen=True)
+class _Log:
+    """Times and memory of steps and files, by name, which no other file than ``summary.json`` holds."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+    peak_rss_mb: dict[str, float] = field(default_factory=dict)
+    modified_ns: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass
 class _State:
-    """Records of earlier runs, and the progress of this one."""
+    """Records and times of earlier runs, and the progress of this one."""
 
     job: Job
     records: dict[str, Record]
+    log: _Log
     used: dict[str, Record] = field(default_factory=dict)
     skipped: list[SkippedStep] = field(default_factory=list)
 
@@ -182,16 +187,15 @@ class _State:
             self.skipped.append(SkippedStep(step.name, why))
             return
         if self.is_current(step):
-            self.skipped.append(SkippedStep(step.name, "its inputs and its files are unchanged"))
+            self.skipped.append(SkippedStep(step.name, UNCHANGED))
         else:
             with noted(f"step `{step.name}`"), measured() as cost:
                 figures = step.work(self.job)
-            folder = self.job.folder
-            marks = {
-                str(path.relative_to(folder) if path.is_relative_to(folder) else path.resolve()): FileMark.of(path)
-                for path in step.outputs(self.job)
-            }
-            self.records[step.name] = Record(self.fingerprint(step), marks, figures, cost.seconds, cost.peak_rss_mb)
+            paths = {relative_to(self.job.folder, path): path for path in step.outputs(self.job)}
+            marks = {name: FileMark.of(path) for name, path in paths.items()}
+            self.records[step.name] = Record(self.fingerprint(step), marks, figures)
+            self.log.seconds[step.name], self.log.peak_rss_mb[step.name] = cost.seconds, cost.peak_rss_mb
+            self.log.modified_ns.update({name: path.stat().st_mtime_ns for name, path in paths.items()})
             self.save_records()
         self.used[step.name] = self.records[step.name]
 
@@ -200,6 +204,7 @@ class _State:
         record = self.records.pop(step.name, None)
         if record is not None:
             for name in record.outputs:
+                self.log.modified_ns.pop(name, None)
                 path = self.job.folder / name
                 # A file elsewhere, such as a library, may serve other runs.
                 if path.is_file() and path.resolve().is_relative_to(self.job.folder.resolve()):
@@ -215,7 +220,7 @@ class _State:
         record = self.records.get(step.name)
         if record is None or record.summary is None or record.inputs_sha256 != self.fingerprint(step):
             return False
-        return record.files_unchanged(self.job.folder)
+        return record.files_unchanged(self.job.folder, self.log.modified_ns)
 
     def fingerprint(self, step: Step) -> str:
         """Hash of all that a step depends on; the files of earlier steps count by content."""
@@ -227,15 +232,17 @@ class _State:
 
     def summary(self) -> RunSummary:
         """Summary of the steps so far."""
-        names = {item.name for item in fields(RunSummary)}
+        names, log = {item.name for item in fields(RunSummary)}, self.log
+        written = {name for record in self.used.values() for name in record.outputs}
         summary = RunSummary(
             name=self.job.design.name,
             **{name: record.summary for name, record in self.used.items() if name in names},
-            seconds={name: record.seconds for name, record in self.used.items()},
-            peak_rss_mb={name: record.peak_rss_mb for name, record in self.used.items()},
+            seconds={name: log.seconds[name] for name in self.used if name in log.seconds},
+            peak_rss_mb={name: log.peak_rss_mb[name] for name in self.used if name in log.peak_rss_mb},
             skipped=tuple(self.skipped),
             versions=versions(),
             coupling=recorded_coupling(self.job),
+            modified_ns={name: time_ns for name, time_ns in sorted(log.modified_ns.items()) if name in written},
         )
         tolerance = recorded_tolerance(self.job) or summary.tolerance
         return replace(summary, tolerance=tolerance, error_budget=error_budget(summary))
@@ -266,6 +273,14 @@ def _read_records(folder: Path, steps: Sequence[Step]) -> dict[str, Record]:
             continue
         records[step.name] = replace(record, summary=_figures(step, record.summary))
     return records
+
+
+def _read_log(folder: Path) -> _Log:
+    """Times of earlier runs; none where the summary is missing or damaged."""
+    try:
+        return typed(_Log, json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")))
+    except (OSError, *DAMAGED):
+        return _Log()
 
 
 def _figures(step: Step, table: Any) -> Any:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.storage.files import whole_file, write_json
+from metafab.core.storage.files import untimed, whole_file, write_json
 from metafab.drc.rules import RULES
 
 Engine = Literal["lattice", "rectangles", "polygons"]
@@ -117,12 +117,12 @@ def spanning_boxes(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
 
 
 def save(reports: Sequence[DrcReport], directory: Path, top_cell: str = "TOP") -> tuple[Path, Path]:
-    """Write ``drc.json``, every report by its file, and ``drc.lyrdb``, which KLayout opens at the violations.
+    """Write ``drc.json``, every report by its file and without its time, and ``drc.lyrdb`` for KLayout.
 
     The files of one mask hold the same pillars, so that the database shows the report with the most violations.
     """
     json_path, database_path = directory / "drc.json", directory / "drc.lyrdb"
-    write_json(json_path, {report.file: report for report in reports})
+    write_json(json_path, {report.file: untimed(vars(report)) for report in reports})
     worst = max(reports, key=lambda report: sum(report.violations.values()))
     with whole_file(database_path) as part:
         part.write_text(report_database(worst, top_cell), encoding="utf-8")

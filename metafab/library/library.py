@@ -22,7 +22,7 @@ from metafab.library.corners import Corners
 from metafab.library.fit.rational import RationalModel
 from metafab.library.neighbours.model import Neighbours
 from metafab.library.surface import SMALLEST_SURFACE, SizeResponse, Surface
-from metafab.spec import UnitCell, canonical_toml
+from metafab.spec import UnitCell
 from metafab.spec.load import LIBRARY_FORMAT
 
 if TYPE_CHECKING:
@@ -286,7 +286,7 @@ def inputs_of(unit_cell: UnitCell) -> str:
     The table ``[neighbours]`` is left out: its model has a fingerprint of its own.
     """
     code, unit_cell = sources_sha256(BUILT_BY, TABLES), replace(unit_cell, neighbours=None)
-    return fingerprint(canonical_toml(unit_cell), contents_sha256(unit_cell), LIBRARY_FORMAT, code)
+    return fingerprint(unit_cell, contents_sha256(unit_cell), LIBRARY_FORMAT, code)
 
 
 def _index(grid_nm: FloatArray, size_nm: FloatArray, name: str) -> NDArray[np.intp]:

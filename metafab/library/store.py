@@ -7,7 +7,6 @@ models over further axes, and in ``/neighbours`` the model of unlike neighbours.
 from __future__ import annotations
 
 import math
-import tomllib
 from pathlib import Path
 from typing import TypeVar
 
@@ -24,8 +23,7 @@ from metafab.library.fit.rational import Range, RationalModel, Shape
 from metafab.library.library import BuildStatistics, Library, inputs_of
 from metafab.library.neighbours.storage import neighbours_of, put_neighbours
 from metafab.spec import UnitCell, canonical_toml
-from metafab.spec.load import LIBRARY_FORMAT, LIBRARY_KIND
-from metafab.spec.toml import validate
+from metafab.spec.load import LIBRARY_FORMAT, LIBRARY_KIND, embedded_unit_cell
 
 Statistics = TypeVar("Statistics", BuildStatistics, CornerStatistics)
 
@@ -56,7 +54,7 @@ def save(library: Library, path: Path) -> None:
     with hdf5.create(
         path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, inputs_sha256=library.inputs_sha256
     ) as file:
-        file.attrs["unit_cell_toml"] = canonical_toml(library.unit_cell)
+        file.attrs["unit_cell_toml"] = canonical_toml(library.unit_cell, path.parent)
         for name, text in _AXES.items():
             hdf5.put(file, name, getattr(library, name), units="nm", description=text, dims=(name,))
         for name, text in _AMPLITUDES.items():
@@ -95,7 +93,7 @@ def load(path: Path | str) -> Library:
         if model_error is not None and model_error.shape != shape[1:]:
             raise InputError.single(str(path), "model/error", f"shape {shape[1:]}", f"{model_error.shape}", _REMEDY)
         return Library(
-            validate(UnitCell, tomllib.loads(str(file.attrs["unit_cell_toml"])), str(path)),
+            embedded_unit_cell(str(file.attrs["unit_cell_toml"]), Path(path)),
             wavelength_nm,
             width_nm,
             length_nm,

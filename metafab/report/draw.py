@@ -76,7 +76,7 @@ def _drawn(plan: Plan, folder: Path) -> str:
 
 
 def _accounts(run: RunFolder) -> Iterator[Plan]:
-    chain, seconds = loss_chain(run), run.summary.seconds
+    chain = loss_chain(run)
     budget = [line for line in run.summary.error_budget if line.value is not None and line.value > 0.0]
     if chain:
         yield _bars("loss_chain", "Loss chain", partial(accounts.loss_chain, chain), len(chain))
@@ -86,8 +86,6 @@ def _accounts(run: RunFolder) -> Iterator[Plan]:
         if len(lines) > 1:  # One bar alone compares nothing; the table has its value.
             paint = partial(accounts.error_budget, lines)
             yield _bars(f"error_budget_{number}", f"Error budget, {unit}", paint, len(lines))
-    if seconds:
-        yield _bars("seconds", "Seconds of each step", partial(accounts.seconds, seconds), len(seconds))
 
 
 def _bars(name: str, label: str, paint: Callable[[Axes], object], count: int) -> Plan:

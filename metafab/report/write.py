@@ -58,7 +58,7 @@ def compose(run: RunFolder, drawn: dict[str, str]) -> str:
         device.mask(run, drawn),
         device.fullwave(run, drawn),
         device.library(run, drawn),
-        provenance.cost(run, drawn),
+        provenance.skipped_steps(run),
         provenance.provenance(run),
     ]
     views: dict[str, Any] = {}

@@ -38,8 +38,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: the file is missing, unreadable, no plain file, larger than any design, or no TOML.
     """
     try:
-        table: dict[str, Any] = _resolved(tomllib.loads(_text(path)), path.parent)
-        return table
+        return parse_toml(_text(path), path.parent)
     except FileNotFoundError:
         got, remedy = "no file at that path", "check the path"
     except (OSError, UnicodeDecodeError) as error:
@@ -49,6 +48,16 @@ def read_toml(path: Path) -> dict[str, Any]:
     except ValueError as error:  # TOML's own error is one, as is that of a number with thousands of digits
         got, remedy = f"invalid TOML: {error}", "correct the syntax at that place"
     raise InputError.single(str(path), "file", "a TOML file", got, remedy)
+
+
+def parse_toml(text: str, folder: Path) -> dict[str, Any]:
+    """Parse TOML and make its paths, which are relative to ``folder``, absolute.
+
+    Raises:
+        ValueError, RecursionError: no TOML.
+    """
+    table: dict[str, Any] = _resolved(tomllib.loads(text), folder)
+    return table
 
 
 def _text(path: Path) -> str:

@@ -268,7 +268,8 @@ def _capture(job: Job) -> CaptureFigures:
 
 def _decode(job: Job) -> DecodeFigures:
     raw, psf, decoded = (job.folder / name for name in ("raw.h5", "psf.h5", "decoded.h5"))
-    return DecodeFigures.of(decode_file(raw, psf, decoded, unfit="empty", progress=job.work.progress))
+    figures = DecodeFigures.of(decode_file(raw, psf, decoded, unfit="empty", progress=job.work.progress))
+    return replace(figures, seconds=None)
 
 
 CAPTURE = Step(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +36,11 @@ class Job:
         from metafab.phase import profile_of
 
         return profile_of(self.design, progress=self.work.progress)
+
+
+def relative_to(folder: Path, path: Path) -> str:
+    """``path`` from ``folder``, ".." included, so that a project gives the same text wherever it stands."""
+    return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()
 
 
 @dataclass(frozen=True)

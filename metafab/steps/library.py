@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from metafab.core.storage.files import plain
 from metafab.core.storage.latest import Latest, file_mark
 from metafab.core.storage.tables import optional, typed
-from metafab.steps.job import Job, Step, no_mask
+from metafab.steps.job import Job, Step, no_mask, relative_to
 
 if TYPE_CHECKING:
     from metafab.library import Library
@@ -29,7 +29,7 @@ class LibraryFigures:
     :class:`metafab.library.corners.CornerStatistics`. A current run imports none of them.
 
     Attributes:
-        file: path of the library.
+        file: path of the library, relative to the run folder.
         index_phase_error_rad: see :func:`metafab.library.index_phase_error_rad`.
     """
 
@@ -81,13 +81,13 @@ class LibraryFigures:
     corner_denominator_degree: int | None = optional()
 
     @classmethod
-    def of(cls, library: Library, path: Path) -> LibraryFigures:
-        """Compute the figures of a library that is stored at ``path``."""
+    def of(cls, library: Library, file: str) -> LibraryFigures:
+        """Compute the figures of a library; ``file`` is its path from the run folder."""
         from metafab.library import index_phase_error_rad, quality
         from metafab.library.store import statistics_json
 
         index_error = {"index_phase_error_rad": index_phase_error_rad(library)}
-        return typed(cls, {"file": str(path), **plain(quality(library)), **index_error, **statistics_json(library)})
+        return typed(cls, {"file": file, **plain(quality(library)), **index_error, **statistics_json(library)})
 
 
 def library_path(job: Job) -> Path:
@@ -123,7 +123,7 @@ LIBRARY = Step(
     after=(),
     inputs=lambda design: (design.unit_cell, design.library if design.library.suffix == ".h5" else None),
     outputs=lambda job: (library_path(job),),
-    work=lambda job: LibraryFigures.of(open_library(job), library_path(job)),
+    work=lambda job: LibraryFigures.of(open_library(job), relative_to(job.folder, library_path(job))),
     figures=LibraryFigures,
     not_needed=no_mask,
 )

@@ -107,7 +107,6 @@ class PsfFigures(PairFigures):
             following are None for a pair that was not computed by :func:`metafab.optics.psf`.
         field_error: relative L2 error of the PSFs over the field; NaN without a field.
         filter_fwhm_nm: width of the colour filter; None for one wavelength.
-        seconds: time of the computation.
     """
 
     depth_interpolation_error: float | None
@@ -116,7 +115,6 @@ class PsfFigures(PairFigures):
     block_sites: float | None = optional()
     blocks: float | None = optional()
     field_error: float | None = optional()
-    seconds: float | None = optional()
     ideal_phi_deg: tuple[float, ...] | None = optional()
     ideal_efficiency_x: tuple[float, ...] | None = optional()
     ideal_efficiency_y: tuple[float, ...] | None = optional()

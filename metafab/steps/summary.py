@@ -17,6 +17,11 @@ from metafab.steps.merit import CouplingFigures, MeritFigures
 from metafab.steps.optics import PsfFigures
 from metafab.steps.phase import StudyFigures
 
+#: The file of the summary. It is the run's only file that holds times: equal designs give equal bytes in all others.
+SUMMARY_FILE = "summary.json"
+#: Reason for skipping a step that is up to date.
+UNCHANGED = "its inputs and its files are unchanged"
+
 
 @dataclass(frozen=True)
 class BudgetLine:
@@ -61,6 +66,7 @@ class RunSummary:
         versions: versions of metafab, Python and the libraries.
         coupling: figures of ``metafab coupling``; None where it was not run on this mask.
         error_budget: sources of error, in the order of the pipeline.
+        modified_ns: time of the last change of each file when its step had written it, by its name in ``steps.json``.
     """
 
     name: str = ""
@@ -80,6 +86,7 @@ class RunSummary:
     versions: dict[str, str] = field(default_factory=dict)
     coupling: CouplingFigures | None = None
     error_budget: tuple[BudgetLine, ...] = ()
+    modified_ns: dict[str, int] = field(default_factory=dict)
 
     @property
     def violations(self) -> int:

@@ -31,7 +31,7 @@ def done(design: Design, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     folder = tmp_path_factory.mktemp("phases_alone")
     # What an earlier variant of the design left of its mask goes.
     (folder / "layout.oas").write_bytes(b"pillars")
-    record = Record("", {"layout.oas": FileMark(7, 0, "")}, {}, 0.0, 0.0)
+    record = Record("", {"layout.oas": FileMark(7, "")}, {})
     write_json(folder / STEPS_FILE, {"layout": record})
     return folder, run(design, folder)
 
@@ -56,7 +56,6 @@ def test_nothing_is_said_of_pillars(done: tuple[Path, RunSummary]) -> None:
     assert not files & {"layout.oas", "layout.gds", "drc.json", "merit.json", "ideal_psf.h5"}
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "writes no mask" in page
-    assert "from target phases to depth map" in page
     assert "written file" not in page
     assert 'id="mask"' not in page
     assert 'id="library"' not in page

@@ -229,7 +229,7 @@ def test_figures_are_read_back_as_they_were_written(tmp_path: Path, small_design
 
 
 def test_a_record_without_files_is_unchanged(tmp_path: Path) -> None:
-    assert Record("", {}, {}, 0.0, 0.0).files_unchanged(tmp_path)
+    assert Record("", {}, {}).files_unchanged(tmp_path)
 
 
 def test_the_design_is_checked_once(tmp_path: Path, small_design: Design, chain: Chain) -> None:

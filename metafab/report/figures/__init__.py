@@ -6,7 +6,7 @@
 - ``mask``      the written mask at three zooms, fields of a simulated patch
 - ``psf``       the pair over depth and field, orientation, peak, modulation transfer
 - ``image``     raw frame, decoded intensities, contrast, depth, depth against truth
-- ``accounts``  loss chain, error budget, seconds, error against time
+- ``accounts``  loss chain, error budget, error against time
 """
 
 from typing import TYPE_CHECKING
@@ -17,9 +17,7 @@ if not TYPE_CHECKING:
     __getattr__ = further_names(
         __name__,
         {
-            "metafab.report.figures.accounts": (
-                "error_against_photons error_against_time error_budget loss_chain seconds"
-            ),
+            "metafab.report.figures.accounts": "error_against_photons error_against_time error_budget loss_chain",
             "metafab.report.figures.image": "confidence contrast depth depth_against_truth intensity raw_frame",
             "metafab.report.figures.library": "coverage error_map phase_map sensitivity_map transmittance_map",
             "metafab.report.figures.mask": "fill_map patch_amplitude patch_phase pillar_outlines",

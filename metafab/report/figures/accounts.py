@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -46,14 +46,6 @@ def error_budget(lines: Sequence[BudgetLine], axes: Axes) -> Axes:
     if values:
         axes.set_xlim(min(values) / 3.0, max(values) * 1.5)
     return dress(axes, f"error / {lines[0].unit}" if lines else "", "", "Error budget")
-
-
-def seconds(step_seconds: Mapping[str, float], axes: Axes) -> Axes:
-    """Draw the time of every step."""
-    _bars(list(step_seconds), list(step_seconds.values()), axes, Y_COLOUR, [f"{s:.2f}" for s in step_seconds.values()])
-    longest = max(step_seconds.values(), default=1.0)
-    axes.set_xlim(0.0, longest or 1.0)
-    return dress(axes, "seconds", "", "Time")
 
 
 def error_against_time(rows: Sequence[BenchmarkRow], axes: Axes) -> Axes:

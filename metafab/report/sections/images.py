@@ -49,7 +49,7 @@ def _decoder(run: RunFolder) -> str:
     figures = run.summary.decode
     if figures is None:
         return ""
-    line = html.facts({"mean |Δz| / z": figures.nmae, "seconds to decode": figures.seconds})
+    line = html.facts({"mean |Δz| / z": figures.nmae})
     return line + (html.note(figures.warning) if figures.warning is not None else "")
 
 

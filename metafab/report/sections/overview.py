@@ -35,10 +35,6 @@ def headlines(run: RunFolder) -> str:
     if summary.drc is not None:
         broken = summary.violations
         items.append(html.headline(html.number(broken), "rules broken", "bad" if broken else "good"))
-    if summary.seconds:
-        first = "unit cell" if run.outline.has_mask else "target phases"
-        last = "PSF" if nmae is None else "depth map"
-        items.append(html.headline(f"{sum(summary.seconds.values()):.3g}\u202fs", f"from {first} to {last}"))
     return f'<ul class="headlines">{"".join(items)}</ul>' if items else ""
 
 

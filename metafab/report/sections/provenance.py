@@ -1,31 +1,23 @@
-"""Time and memory of the steps, skipped steps, versions and files of a run."""
+"""Skipped steps, versions and files of a run."""
 
 from __future__ import annotations
 
 from html import escape
 
 from metafab.report import html
-from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
+from metafab.steps.summary import SUMMARY_FILE, UNCHANGED
 
 
-def cost(run: RunFolder, drawn: Drawn) -> str:
-    """Time and memory of each step, and the skipped steps."""
-    summary = run.summary
-    rows = [
-        [escape(step), html.number(seconds), html.number(summary.peak_rss_mb.get(step))]
-        for step, seconds in summary.seconds.items()
-    ]
-    skipped = [[escape(entry.step), html.prose(entry.why)] for entry in summary.skipped]
+def skipped_steps(run: RunFolder) -> str:
+    """Steps that the design does not need. Times and memory stand in ``summary.json`` alone: pages do not tell time."""
+    rows = [[escape(entry.step), html.prose(entry.why)] for entry in run.summary.skipped if entry.why != UNCHANGED]
     return html.section(
-        "cost",
-        "Time, memory and skipped steps",
-        html.grid([html.figure(drawn["seconds"]), html.table(["step", "seconds", "peak MB"], rows, ["", "n", "n"])])
-        if "seconds" in drawn
-        else html.note("summary.json holds no timings"),
-        html.table(["skipped step", "reason"], skipped, kind="stack")
-        if skipped
-        else html.note("nothing was skipped: every step ran"),
+        "skipped",
+        "Skipped steps",
+        html.table(["skipped step", "reason"], rows, kind="stack")
+        if rows
+        else html.note("the design needs every step"),
     )
 
 
@@ -36,7 +28,7 @@ def provenance(run: RunFolder) -> str:
     rows = [
         [f'<a href="{escape(p.name)}">{escape(p.name)}</a>', html.number(p.stat().st_size)]
         for p in files
-        if p.name != "report.html"
+        if p.name not in {"report.html", SUMMARY_FILE}
     ]
     design = ""
     if (run.path / "design.toml") in files:

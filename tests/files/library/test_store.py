@@ -12,6 +12,7 @@ import pytest
 from metafab import library
 from metafab.core.errors import InputError
 from metafab.library import Library
+from metafab.library.library import inputs_of
 from metafab.spec import UnitCell
 from metafab.spec.load import unit_cell_of_library
 from tests import library_ridges as ridges
@@ -83,3 +84,20 @@ def test_missing_and_misshapen_datasets_are_refused(path: Path) -> None:
         file["t_yy"] = values[:, :-1]
     with pytest.raises(InputError, match="shape"):
         library.load(path)
+
+
+def test_the_library_of_a_moved_project_is_the_same_file(smooth_library: Library, tmp_path: Path) -> None:
+    contents = []
+    for place in ("here", "some/where/else"):
+        folder = tmp_path / place
+        folder.mkdir(parents=True)
+        (folder / "glass.csv").write_text("wavelength_nm,n,k\n600,2.41,0\n1000,2.39,0\n")
+        materials = smooth_library.unit_cell.materials
+        glass = replace(materials.pillar, n=None, record=str(folder / "glass.csv"))
+        cell = replace(smooth_library.unit_cell, materials=replace(materials, pillar=glass))
+        path = folder / "glass.h5"
+        library.save(replace(smooth_library, unit_cell=cell, inputs_sha256=inputs_of(cell)), path)
+        assert library.load(path).unit_cell == unit_cell_of_library(path) == cell
+        assert library.is_current(path, cell)
+        contents.append(path.read_bytes())
+    assert contents[0] == contents[1]
