@@ -71,6 +71,26 @@ class SolverError(MetafabError):
     """A solver reached no trustworthy answer."""
 
 
+class WorkerLostError(MetafabError):
+    """Worker processes died again and again on one piece of work.
+
+    Args:
+        piece: the piece, function and arguments.
+        losses: number of workers that it cost.
+    """
+
+    def __init__(self, piece: str, losses: int) -> None:
+        self.piece, self.losses = piece, losses
+        super().__init__(
+            f"{losses} worker processes ended, one after another, on {piece}; memory is the usual reason: use fewer "
+            "`--workers`, and run it again to go on from what is kept"
+        )
+
+    def __reduce__(self) -> tuple[type[WorkerLostError], tuple[str, int]]:
+        """Keep the piece when the error crosses a process boundary."""
+        return (type(self), (self.piece, self.losses))
+
+
 class MissingToolError(MetafabError):
     """A missing optional program or package; the message says how to install it."""
 

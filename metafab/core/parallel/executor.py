@@ -10,7 +10,7 @@ import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from functools import partial
@@ -18,8 +18,8 @@ from itertools import islice
 from typing import Any, TypeVar, cast
 
 from metafab.core.errors import InputError, MissingToolError
-from metafab.core.parallel.interrupts import held_interrupts
 from metafab.core.parallel.orphans import end_with_parent
+from metafab.core.parallel.processes import WorkerProcesses
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -79,15 +79,6 @@ def _call(function: Callable[[Item], Result], item: Item) -> Result:
     return function(item)
 
 
-class _Processes(ProcessPoolExecutor):
-    """Process pool whose start cannot be interrupted halfway."""
-
-    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
-        """Submit a call; the first call starts the processes."""
-        with held_interrupts():
-            return super().submit(fn, *args, **kwargs)
-
-
 def default_workers() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
@@ -142,7 +133,7 @@ def open_executor(workers: int | None = None, cluster: str | None = None) -> Ite
     saved = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
     context = multiprocessing.get_context("spawn")
-    pool = _Processes(count, mp_context=context, initializer=_single_threaded)
+    pool = WorkerProcesses(count, context, _single_threaded)
     try:
         yield pool
     finally:

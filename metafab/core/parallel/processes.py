@@ -1,0 +1,162 @@
+"""Worker processes of this machine: a worker that dies is replaced, and its work is done again.
+
+A dead worker breaks its pool, and all pieces in flight are lost with it; which of them ended the worker is unknown. The
+first time they all start again in a new pool. A piece that is lost twice goes on alone, in a pool of one worker. A
+piece that is lost there too ends in :class:`metafab.core.errors.WorkerLostError`, which names it.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
+from multiprocessing.context import BaseContext
+from typing import Any, TypeVar
+
+from metafab.core.errors import WorkerLostError
+from metafab.core.parallel.interrupts import held_interrupts
+
+Result = TypeVar("Result")
+
+#: Losses after which a piece is given up.
+MOST_LOSSES = 3
+#: Largest length of a piece's name in messages (characters).
+_LONGEST_NAME = 160
+
+
+class _Piece(Future[Any]):
+    """The result of a call, whatever pool it comes from.
+
+    Args:
+        call: the function with its arguments.
+    """
+
+    def __init__(self, call: partial[Any]) -> None:
+        super().__init__()
+        self.call = call
+        self.losses = 0
+        self.running_in: Future[Any] | None = None
+
+    def cancel(self) -> bool:
+        """Cancel the call if it has not begun."""
+        inner = self.running_in
+        return (inner is None or inner.cancel()) and super().cancel()
+
+
+class WorkerProcesses(Executor):
+    """Process pool that replaces workers that die.
+
+    Args:
+        count: number of workers.
+        context: how processes are started.
+        initializer: called in every new worker.
+    """
+
+    def __init__(self, count: int, context: BaseContext, initializer: Callable[[], None]) -> None:
+        self._count, self._context, self._initializer = count, context, initializer
+        self._lock = threading.RLock()
+        self._pool: ProcessPoolExecutor | None = None
+        self._lone_pool: ProcessPoolExecutor | None = None
+        self._alone: deque[_Piece] = deque()
+        self._closed = False
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Submit a call; the first one starts the processes.
+
+        Raises:
+            RuntimeError: the pool is shut down.
+        """
+        piece = _Piece(partial(fn, *args, **kwargs))
+        with self._lock:
+            if self._closed:
+                raise RuntimeError("cannot schedule new futures after shutdown")
+            self._start(piece)
+        return piece
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the workers, after the work in progress if ``wait``."""
+        with self._lock:
+            self._closed = True
+            pools = [pool for pool in (self._pool, self._lone_pool) if pool is not None]
+        for pool in pools:
+            pool.shutdown(wait=wait, cancel_futures=cancel_futures)
+
+    def _start(self, piece: _Piece) -> None:
+        """Start a piece among the others; the lock is held."""
+        while True:
+            if self._pool is None:
+                self._pool = self._new_pool(self._count)
+            try:
+                with held_interrupts():
+                    inner = self._pool.submit(piece.call)
+            except BrokenProcessPool:  # it broke just now
+                self._pool = None
+                continue
+            self._follow(piece, inner, self._pool)
+            return
+
+    def _start_alone(self) -> None:
+        """Start the first lonely piece, unless one is running; the lock is held."""
+        piece = self._alone[0]
+        if self._lone_pool is None:
+            self._lone_pool = self._new_pool(1)
+        with held_interrupts():
+            inner = self._lone_pool.submit(piece.call)
+        self._follow(piece, inner, self._lone_pool)
+
+    def _new_pool(self, count: int) -> ProcessPoolExecutor:
+        return ProcessPoolExecutor(count, mp_context=self._context, initializer=self._initializer)
+
+    def _follow(self, piece: _Piece, inner: Future[Any], pool: ProcessPoolExecutor) -> None:
+        piece.running_in = inner
+        inner.add_done_callback(partial(self._ended, piece, pool))
+
+    def _ended(self, piece: _Piece, pool: ProcessPoolExecutor, inner: Future[Any]) -> None:
+        if inner.cancelled():
+            Future.cancel(piece)
+            piece.set_running_or_notify_cancel()
+            return
+        error = inner.exception()
+        lost = isinstance(error, BrokenProcessPool)
+        if lost:
+            self._lose(piece, pool)
+        elif error is not None:
+            piece.set_exception(error)
+        else:
+            piece.set_result(inner.result())
+        with self._lock:
+            if self._alone and self._alone[0] is piece and not (lost and piece.losses < MOST_LOSSES):
+                self._alone.popleft()
+                if self._alone and not self._closed:
+                    self._start_alone()
+
+    def _lose(self, piece: _Piece, pool: ProcessPoolExecutor) -> None:
+        """Start a piece again whose pool broke, or give it up."""
+        with self._lock:
+            if pool is self._pool:
+                self._pool = None
+            if pool is self._lone_pool:
+                self._lone_pool = None
+            piece.losses += 1
+            if piece.losses < MOST_LOSSES and not self._closed:
+                if piece.losses == 1:
+                    self._start(piece)
+                    return
+                self._alone.append(piece)
+                if self._alone[0] is piece:
+                    self._start_alone()
+                return
+        piece.set_exception(WorkerLostError(_name(piece.call), piece.losses))
+
+
+def _name(call: partial[Any]) -> str:
+    """Function and arguments of a call, shortened."""
+    function = call.func
+    while isinstance(function, partial):
+        function = function.func
+    arguments = ", ".join(repr(argument) for argument in call.args)
+    text = f"{getattr(function, '__name__', repr(function))}({arguments})"
+    return text if len(text) <= _LONGEST_NAME else text[: _LONGEST_NAME - 3] + "..."
