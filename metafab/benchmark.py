@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -15,6 +15,7 @@ from metafab.core.parallel.progress import Progress, silent
 
 ROOMS = (
     "cell",
+    "certificates",
     "meep",
     "library",
     "phase",
@@ -25,10 +26,13 @@ ROOMS = (
     "crystal",
     "decode",
     "scenes",
+    "files",
     "end_to_end",
 )
-#: Rooms whose cases can be chosen, and repeated with other seeds.
-SEEDED_ROOMS = ("scenes",)
+#: Options of rooms whose cases can be chosen, or drawn with other seeds.
+ROOM_OPTIONS = {"scenes": ("only", "seeds"), "certificates": ("seed", "samples"), "files": ("seed", "samples")}
+#: Name of a room's row that sums up all others.
+ALL_CASES = "all answers"
 
 
 @dataclass(frozen=True)
@@ -107,31 +111,29 @@ class BenchmarkRow:
         return columns | dict(self.further)
 
 
-def rows_of(
-    room: str, *, quick: bool = False, only: Sequence[str] = (), seeds: int | None = None, progress: Progress = silent
-) -> list[BenchmarkRow]:
+def rows_of(room: str, *, quick: bool = False, progress: Progress = silent, **options: Any) -> list[BenchmarkRow]:
     """Run the benchmark of one room, or of all.
 
     Args:
         room: one of :data:`ROOMS`, or "all".
         quick: run fewer and smaller cases.
-        only: names of the cases of one of :data:`SEEDED_ROOMS`; all by default.
-        seeds: number of seeds of such a room's cases.
         progress: called once for each room.
+        options: those of the room in :data:`ROOM_OPTIONS`; None, or an empty list, for the default.
 
     Returns:
         One row for each case. With "all", a room whose tools are not installed gives a row with the reason.
 
     Raises:
-        InputError: ``room`` is unknown.
+        InputError: ``room`` is unknown, or has no such option.
         MissingToolError: metafab was installed without its repository, or the room's tools are missing.
     """
     if room not in (*ROOMS, "all"):
         raise InputError.single("benchmark", "room", f"one of {', '.join(ROOMS)} or all", repr(room))
-    options = {name: value for name, value in (("only", tuple(only)), ("seeds", seeds)) if value}
-    if options and room not in SEEDED_ROOMS:
-        got = " and ".join(f"--{name}" for name in options)
-        raise InputError.single("benchmark", "room", f"{' or '.join(SEEDED_ROOMS)} with {got}", repr(room))
+    options = {name: value for name, value in options.items() if value is not None and value != []}
+    for name in options:
+        if name not in ROOM_OPTIONS.get(room, ()):
+            having = " or ".join(other for other, names in ROOM_OPTIONS.items() if name in names)
+            raise InputError.single("benchmark", "room", f"{having} with --{name}", repr(room))
     chosen = ROOMS if room == "all" else (room,)
     rows: list[BenchmarkRow] = []
     for done, name in enumerate(chosen):

@@ -165,6 +165,11 @@ def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, prog
     """Put the shapes of all cells at their sites."""
     lattice, place, unit_nm = lattice_of(design), lens_copy(design, copy), reader.unit_nm
     ratio = Fraction(unit_nm / design.mask.database_unit_nm).limit_denominator(1_000_000)
+    if not ratio:
+        expected = f"a database unit of about {design.mask.database_unit_nm:g} nm, as in the design"
+        raise InputError.single(
+            str(path), "database unit", expected, f"{unit_nm:g} nm", "export the file with that unit"
+        )
     others = OtherCopies(design, copy, ratio)
     hierarchy = Hierarchy(reader.cells, str(path))
     total = hierarchy.count()

@@ -14,9 +14,9 @@ the ladder has not begun to converge counts in full.
 The error of a sloped pillar's steps is added (:mod:`metafab.cell.rcwa.slicing`), and no bound is below the rounding of
 ill-conditioned modes (:mod:`metafab.cell.rcwa.scattering.modes`).
 
-Cells unlike the measured ones (:func:`is_measured`) take the largest error that any earlier rung implies,
+Cells unlike the measured ones (:func:`is_measured`) take the largest error that the three rungs before imply,
 
-    error(M) <= max( floor g, 4 min(1, 5 e_M / e_k) d(M, k) ... ),
+    error(M) <= max( floor g, 3 min(1, 5 e_M / e_k) d(M, k) ... ),
 
 with e_M the typical error of M cosines: an error that is five times larger beside its neighbours than usual is still
 covered. On random cells errors grew as the first power of the height (exponents 0.8 to 1.1 at 3 to 10 cosines): a
@@ -120,9 +120,9 @@ _TYPICAL: dict[Formulation, dict[int, float]] = {
     },
     "fourier": {3: 1.0, 4: 0.5, 6: 0.18, 8: 0.09, 12: 0.03, 16: 0.015, 24: 0.006},
 }  # fmt: skip
-#: Where nothing was measured: factor from the error that a difference implies to the bound, factor besides where there
-#: is a single difference, and the largest expected deviation of the convergence from the typical one.
-_MARGIN, _LONE_MARGIN, _ATYPICAL = 4.0, 3.0, 5.0
+#: Where nothing was measured: factor from an implied error to the bound, factor besides where there is a single
+#: difference, largest expected deviation of the convergence from the typical one, and number of differences.
+_MARGIN, _LONE_MARGIN, _ATYPICAL, _NEAREST = 3.0, 4.0, 5.0, 3
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,7 @@ class PowerLaw:
         return float(_LAW_MARGIN * max(implied))
 
 
-#: Curved outlines, and rows of pillars that share a coordinate map, converge more slowly than corners between straight
-#: walls.
+#: Curved outlines converge more slowly than corners between straight walls.
 _CURVED, _STRAIGHT = PowerLaw(1.5, 7), PowerLaw(2.0, 6)
 #: Margin over the largest implied error.
 _LAW_MARGIN = 2.0
@@ -319,16 +318,17 @@ def implied_bound(
         law: convergence of a cell that follows a power law.
     """
     typical, alone = _TYPICAL[formulation], _LONE_MARGIN if len(earlier) == 1 else 1.0
-    implied = (min(1.0, _ATYPICAL * typical[orders] / typical[count]) * apart for count, apart in earlier.items())
+    nearest = sorted(earlier)[-_NEAREST:]
+    implied = (min(1.0, _ATYPICAL * typical[orders] / typical[count]) * earlier[count] for count in nearest)
     return max(0.0 if law is None else law.bound(orders, earlier), alone * _MARGIN * max(implied))
 
 
 def power_law(cell: PillarCell) -> PowerLaw | None:
     """Power law of a cell's convergence; None for a dielectric rectangle in a rectangular lattice."""
-    if cell.shape == "ellipse" or cell.is_staggered:
+    if cell.shape == "ellipse":
         return _CURVED
     is_metal = (complex(cell.n_pillar) ** 2).real < 0.0
-    return _STRAIGHT if cell.is_shaped or is_metal else None
+    return _STRAIGHT if cell.is_shaped or cell.is_staggered or is_metal else None
 
 
 def floor_growth(cell: PillarCell) -> float:

@@ -34,16 +34,26 @@ def benchmark_command(
     seeds: Annotated[
         int | None, typer.Option("--seeds", min=1, metavar="N", help="Seeds of each case of `scenes` [default: 5].")
     ] = None,
+    seed: Annotated[
+        int | None, typer.Option("--seed", min=0, metavar="S", help="Seed of `certificates` and `files` [default: 0].")
+    ] = None,
+    samples: Annotated[
+        int | None,
+        typer.Option(
+            "--samples", min=1, metavar="N", help="Number of random cells of `certificates`, or of hostile `files`."
+        ),
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Measure error against time and memory; write a table, plots and JSON."""
     from metafab import report
-    from metafab.benchmark import rows_of
+    from metafab.benchmark import ALL_CASES, rows_of
 
     with progress_bars() as progress:
-        rows = rows_of(room, quick=quick, only=only or (), seeds=seeds, progress=progress)
+        rows = rows_of(room, quick=quick, progress=progress, only=only, seeds=seeds, seed=seed, samples=samples)
+    whole = next((dict(row.further) for row in rows if row.name == ALL_CASES), {})
     page = report.benchmark_page(rows, output or Path("runs") / "benchmark" / room)
-    show({"rows": [row.table() for row in rows], "files": page}, json_)
+    show(whole | {"rows": [row.table() for row in rows], "files": page}, json_)
 
 
 @app.command("keys")

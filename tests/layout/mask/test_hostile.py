@@ -101,6 +101,9 @@ REFUSED: dict[str, Callable[[], bytes]] = {
     "unit 5e-324": lambda: _oasis(
         _cell("A", _PILLAR), start=b"\x01" + string("1.0") + b"\x07" + struct.pack("<d", 5e-324) + b"\x01"
     ),
+    "unit of a billionth of the design's": lambda: _oasis(
+        _cell("A", _PILLAR), start=b"\x01" + string("1.0") + real(1e12) + b"\x01"
+    ),
     "blocks of 2 GB": lambda: _oasis(_cell("A", *[_block(bytes(1 << 27))] * 16)),
     "block of single records": lambda: _oasis(_cell("A", _block(b"\x0f\x10" * (1 << 23)))),
     "GDSII nested 1000 deep": lambda: _gdsii(

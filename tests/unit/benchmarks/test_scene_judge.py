@@ -140,4 +140,4 @@ def test_cases_have_names_of_their_own_and_unknown_ones_are_refused() -> None:
     with pytest.raises(InputError, match="--only"):
         rows(True, only=("nothing",))
     with pytest.raises(InputError, match="scenes with --only"):
-        benchmark.rows_of("psf", only=("edge",))
+        benchmark.rows_of("psf", only=["edge"])
