@@ -15,6 +15,7 @@ import resource
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ import numpy as np
 from metafab.cell import CellNumerics, PillarCell, solve
 from metafab.cell.rcwa import zero_order
 from metafab.cell.rcwa.cost import seconds_of_truncation
-from metafab.cell.rcwa.jones import distance
+from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.core.conventions import Side
 
 TARGETS = (1e-2, 1e-3, 1e-4)
@@ -103,14 +104,18 @@ def rows(quick: bool, seed: int = 0, samples: int | None = None) -> list[dict[st
 
 
 def audit(seed: int, samples: int) -> Iterator[Case]:
-    """Draw cells, solve them and their references, one by one."""
-    rng = np.random.default_rng(seed)
-    for _ in range(samples):
-        yield judge(*draw(rng))
+    """Draw cells, and solve each to every target; ``samples`` is the number of answers."""
+    rng, left = np.random.default_rng(seed), samples
+    while left > 0:
+        kind, cell = draw(rng)
+        references: dict[int, ZeroOrder] = {}
+        for target_error in TARGETS[:left]:
+            yield judge(kind, cell, target_error, references)
+        left -= len(TARGETS)
 
 
-def judge(kind: str, cell: PillarCell, target_error: float) -> Case:
-    """Solve a cell to a target, and compare with a reference."""
+def judge(kind: str, cell: PillarCell, target_error: float, references: dict[int, ZeroOrder]) -> Case:
+    """Solve a cell to a target, and compare with a reference, which is kept in ``references`` by its cosines."""
     most = max((rung for rung in _RUNGS if _seconds(rung, cell) <= _ANSWER_S), default=_RUNGS[0])
     start = time.thread_time()
     answer = solve(cell, CellNumerics(target_error, max_orders=most))
@@ -118,11 +123,12 @@ def judge(kind: str, cell: PillarCell, target_error: float) -> Case:
     orders = int((math.isqrt(answer.resolution) - 1) // 2)
     affordable = [rung for rung in _RUNGS if rung > orders + 1 and _seconds(rung, cell) <= _REFERENCE_S]
     true, reference_error = math.nan, math.inf
-    below = zero_order(cell, affordable[0]) if affordable else None
-    for rung in affordable[1:]:
-        assert below is not None
-        finer = zero_order(cell, rung, by_modes=rung <= _BY_MODES)
-        true, reference_error, below = distance(answer, finer), distance(below, finer), finer
+    for below, rung in pairwise(affordable):
+        for orders_there in (below, rung):
+            if orders_there not in references:
+                references[orders_there] = zero_order(cell, orders_there, by_modes=orders_there <= _BY_MODES)
+        finer = references[rung]
+        true, reference_error = distance(answer, finer), distance(references[below], finer)
         if reference_error <= _FINE * answer.error:
             break
     return Case(
@@ -130,10 +136,9 @@ def judge(kind: str, cell: PillarCell, target_error: float) -> Case:
     )  # fmt: skip
 
 
-def draw(rng: np.random.Generator) -> tuple[str, PillarCell, float]:
-    """Draw the kind of a cell, the cell, and a target error."""
+def draw(rng: np.random.Generator) -> tuple[str, PillarCell]:
+    """Draw the kind of a cell, and the cell."""
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
-    target_error = float(rng.choice(TARGETS))
     x_nm, y_nm = (float(period) for period in rng.uniform(200.0, 600.0, 2))
     if kind == "hexagonal lattice":
         y_nm = 0.5 * math.sqrt(3.0) * x_nm
@@ -157,7 +162,7 @@ def draw(rng: np.random.Generator) -> tuple[str, PillarCell, float]:
     cell = PillarCell(
         (x_nm, y_nm), width_nm, length_nm, height_nm, n_pillar, (n_substrate,) * 2, n_ambient, wavelength_nm, side
     )
-    return kind, _varied(kind, cell, rng), target_error
+    return kind, _varied(kind, cell, rng)
 
 
 def _varied(kind: str, cell: PillarCell, rng: np.random.Generator) -> PillarCell:
