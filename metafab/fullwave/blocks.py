@@ -2,7 +2,7 @@
 
 - ``model``  the library's model of coupled modes (:mod:`metafab.library.neighbours`)
 - ``rcwa``   modes of the layer in spectral elements, plane waves in the half spaces (:mod:`metafab.cell.elements`)
-- ``meep``   FDTD at several resolutions, extrapolated to vanishing pixels
+- ``meep``   FDTD on several grids
 - ``lone``   the local-period approximation: each pillar as in a lattice of its like
 """
 
@@ -25,7 +25,7 @@ from metafab.cell import pillar_cell
 from metafab.cell import solve as solve_cell
 from metafab.cell.elements import ElementNumerics, supercell_orders
 from metafab.cell.meep import Pool
-from metafab.cell.meep.supercell import extrapolated_orders
+from metafab.cell.meep.supercell import refined_orders
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
@@ -39,8 +39,9 @@ from metafab.spec.toml import validate
 Solver: TypeAlias = Literal["model", "rcwa", "meep", "lone"]
 SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
-#: Error of the local-period approximation over the rms step of t from site to site; both relative to the rms of t.
-_PER_STEP = 1.0
+#: Bound on the error of the local-period approximation over the rms step of t from site to site. On seven silicon rows
+#: (lens-like, random, nearly equal) the share was 0.16 to 0.47.
+_PER_STEP = 0.5
 
 _Sizes = Annotated[list[Annotated[list[NonNegative], Field(min_length=1)]], Field(min_length=1)]
 
@@ -122,7 +123,7 @@ class BlockNumerics:
     """
 
     rcwa: ElementNumerics = dataclasses.field(default_factory=ElementNumerics)
-    pixels_per_period: tuple[int, ...] = (12, 16, 20)
+    pixels_per_period: tuple[int, ...] = (16, 24)
 
 
 def solve_blocks(
@@ -154,9 +155,7 @@ def solve_blocks(
     solve: dict[Solver, Callable[[Supercell], SupercellOrders]] = {
         "lone": partial(lone_orders, library=library),
         "rcwa": partial(supercell_orders, numerics=numerics.rcwa),
-        "meep": partial(
-            extrapolated_orders, pixels_per_period=numerics.pixels_per_period, pool=pool, progress=progress
-        ),
+        "meep": partial(refined_orders, pixels_per_period=numerics.pixels_per_period, pool=pool, progress=progress),
         "model": partial(solve_supercell, library),
     }
     runner = executor if executor is not None and solver == "rcwa" else SerialExecutor()

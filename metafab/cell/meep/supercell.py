@@ -125,14 +125,19 @@ def solve_supercell(
     )
 
 
-def extrapolated_orders(
+def refined_orders(
     supercell: Supercell,
-    pixels_per_period: Sequence[int] = (12, 16, 20),
+    pixels_per_period: Sequence[int] = (16, 24),
     decay: float = 1e-3,
     pool: Pool | None = None,
     progress: Progress = silent,
 ) -> SupercellOrders:
-    """Orders of a supercell for both incident polarisations, extrapolated to vanishing pixels.
+    """Orders of a supercell for both incident polarisations on several grids.
+
+    Where all walls lie on nodes of all grids the result is the limit of the coarsest and the finest grid in h^2.
+    Elsewhere it is that of the finest grid: the error then changes with the places of the walls within their pixels,
+    and limits are worse (0.11 to 0.43 on a row of three pillars, whose finest grid of 24 pixels was off by 0.09). The
+    error is the step from the finest grid to that limit, and what is left of the fields.
 
     Args:
         supercell: the supercell.
@@ -140,9 +145,6 @@ def extrapolated_orders(
         decay: as in :class:`SupercellSettings`.
         pool: workers; by default a pool that lives as long as this process.
         progress: callback with the simulated optical periods.
-
-    Returns:
-        The limit; its error is the step from the finest grid to the limit, and what is left of the fields.
 
     Raises:
         InputError: the solver does not treat the cell, or a grid does not fit.
@@ -164,10 +166,18 @@ def extrapolated_orders(
             t[:, :, axis], left = _run(workers, plan(supercell, light, settings, order), progress)
             tail = max(tail, left)
         grids.append(t)
-    limit = richardson([1.0 / pixels for pixels in pixels_per_period], [t.ravel() for t in grids])
-    value = limit.value.reshape(t.shape)
-    error = relative_rms(value - t, t) + limit.gain * tail
-    return SupercellOrders(supercell, order, value, error, time.perf_counter() - start)
+    ends = 1.0 / pixels_per_period[0], 1.0 / pixels_per_period[-1]
+    limit = richardson(ends, [grids[0].ravel(), t.ravel()])
+    step = relative_rms(limit.value.reshape(t.shape) - t, t)
+    on_nodes = all(_walls_on_nodes(supercell, pixels) for pixels in pixels_per_period)
+    value = limit.value.reshape(t.shape) if on_nodes else t
+    return SupercellOrders(supercell, order, value, step + limit.gain * tail, time.perf_counter() - start)
+
+
+def _walls_on_nodes(supercell: Supercell, pixels_per_period: int) -> bool:
+    """Whether every wall of every pillar lies on a node of the grid."""
+    half_pixels = supercell.size_nm * pixels_per_period / (2.0 * supercell.cell.period_nm[0])
+    return bool(np.all(np.abs(half_pixels - np.rint(half_pixels)) < 1e-6))
 
 
 def _lone(cell: PillarCell) -> Supercell:

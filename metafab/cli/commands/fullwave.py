@@ -233,7 +233,7 @@ def fullwave_command(
     solver: Annotated[Literal["model", "rcwa", "meep", "lone"], typer.Option(help="Solver.")] = "rcwa",
     target_error: TargetError = 5e-3,
     pixels_per_period: Annotated[
-        list[int] | None, typer.Option(min=8, help="Grid of Meep; give two or more, ascending [default: 12, 16, 20].")
+        list[int] | None, typer.Option(min=8, help="Grid of Meep; give two or more, ascending [default: 16, 24].")
     ] = None,
     output: Annotated[Path | None, typer.Option("-o", "--output", "--out", metavar="PATH", help="JSON file.")] = None,
     workers: Workers = None,

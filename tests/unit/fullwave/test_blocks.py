@@ -74,8 +74,8 @@ def test_a_site_without_a_pillar_is_the_bare_substrate(smooth_library: Library) 
     np.testing.assert_allclose(found.t[0], bare * np.eye(2), atol=2e-4)
 
 
-def test_fdtd_of_several_grids_extrapolates_both_polarisations(smooth_library: Library) -> None:
-    """Pillars in place of Meep that do not couple, alike on all grids: the limit is their own response."""
+def test_fdtd_solves_both_polarisations_on_all_grids(smooth_library: Library) -> None:
+    """Pillars in place of Meep that do not couple and are alike on all grids, so that nothing is left as error."""
     cell = replace(pillar_cell(smooth_library.unit_cell, 0.0, 0.0), n_pillar=3.7)
     row = Supercell(cell, np.stack([ROW["width_nm"], ROW["length_nm"]], axis=-1))
     found = _solved(row, smooth_library, "meep", UncoupledPillars({(1, 0): 0.03}, tail=0.0))

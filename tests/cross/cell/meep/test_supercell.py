@@ -9,7 +9,8 @@ import pytest
 
 from metafab.cell import elements
 from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
-from metafab.cell.supercell import Supercell
+from metafab.cell.meep.supercell import refined_orders
+from metafab.cell.supercell import Supercell, relative_rms
 from metafab.core.errors import InputError
 from tests.paper_cell import EMPTY
 
@@ -85,3 +86,13 @@ def test_rcwa_finds_the_same_orders_and_the_same_coupling(pool: Pool) -> None:
 def test_grids_that_do_not_fit_are_refused(pixels: int) -> None:
     with pytest.raises(InputError, match="pixels_per_period"):
         solve_supercell(_row(*RAMP), "x", SupercellSettings(pixels))
+
+
+@pytest.mark.meep
+@pytest.mark.slow
+def test_spectral_elements_and_fdtd_agree_in_both_polarisations(pool: Pool) -> None:
+    """Walls on nodes, so that both grids extrapolate; Meep states the step to the limit, most of which it removes."""
+    row = _row((100.0, 150.0), (200.0, 200.0), (100.0, 150.0))
+    found = refined_orders(row, (14, 28), pool=pool)
+    reference = elements.supercell_orders(row)
+    assert relative_rms(found.t - reference.t, reference.t) < found.error + reference.error
