@@ -19,6 +19,7 @@ from metafab.layout import PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.turned import outline_of
 from metafab.mask.drawing.cells import top_name
 from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.drawing.include import included_cells
 from metafab.mask.drawing.scan import count_sizes
 from metafab.mask.drawing.stamps import Stamps
 from metafab.mask.drawing.surroundings import surroundings
@@ -192,6 +193,12 @@ def sidecar(design: Design, figures: MaskFigures, files: Mapping[str, Path]) -> 
     layers = {f"{layer.layer}/0": layer.name for layer in surroundings(design)}
     if layers:
         options["beside"] = layers
+    if mask.include:
+        cells = included_cells(design, surroundings(design))
+        options["include"] = [
+            {"file": item.file.name, "cell": cell.cell, "polygons": cell.counts, "texts_left_out": cell.texts}
+            for item, cell in zip(mask.include, cells, strict=True)
+        ]
     counts = {name: value for name, value in plain(figures).items() if value not in (None, [])}
     table: dict[str, Any] = plain(
         {

@@ -21,6 +21,7 @@ from metafab.layout.geometry import whole_dbu
 from metafab.mask.drawing.cell_writer import Drawing, EncodedTile, MaskWriter, TileEncoder
 from metafab.mask.drawing.cells import top_name
 from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.drawing.include import all_polygons, included_cells
 from metafab.mask.drawing.stamps import Stamps
 from metafab.mask.drawing.surroundings import surroundings
 from metafab.mask.gdsii.writer import GdsiiWriter
@@ -117,7 +118,9 @@ def write_drawings(
     drawn = biased(pillars, design.mask.bias_nm)
     for copy in design.mask.copies:
         biased(drawn, copy.bias_nm)  # Refuses a bad bias now rather than after an hour.
-    in_top_cell = [(layer.layer, layer.rectangles) for layer in surroundings(design)]
+    around = surroundings(design)
+    in_top_cell = [(layer.layer, layer.rectangles) for layer in around]
+    included = [(p.layer, p.datatype, p.corners) for p in all_polygons(included_cells(design, around))]
     stamps = Stamps(drawn, design, dose_class)
     sums = MaskSums(drawn, design)
     with ExitStack() as stack:
@@ -137,7 +140,7 @@ def write_drawings(
             progress("mask", sums.sites, sites)
         in_top_cell += stamps.without_pillars(sums.filled)
         for writer in writers:
-            writer.close(in_top_cell)
+            writer.close(in_top_cell, included)
         progress("mask", sites, sites)
     return sums.figures(stamps)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -82,6 +84,27 @@ class Copy:
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Include:
+    """A cell of another file, drawn beside the lenses (``[[mask.include]]``)."""
+
+    file: Path
+    """GDSII or OASIS file."""
+    cell: str | None = None
+    """Name of the cell; without the key the only top cell."""
+    at_um: tuple[Real, Real] = (0.0, 0.0)
+    """Place (x, y) of the cell's origin."""
+    layers: dict[str, str] = field(default_factory=dict)
+    """New "layer/datatype" of each "layer/datatype" of the file; others keep theirs."""
+
+    @model_validator(mode="after")
+    def _pairs(self) -> Include:
+        for pair in (*self.layers, *self.layers.values()):
+            if not re.fullmatch(r"\d{1,5}/\d{1,5}", pair):
+                raise ValueError(f'`layers` must name each layer as "layer/datatype", got {pair!r}')
+        return self
+
+
+@dataclass(frozen=True, config=CONFIG)
 class Exposure:
     """Exposure settings that determine the write time."""
 
@@ -126,6 +149,8 @@ class Mask:
     """Marks, frame, text and dicing street; the lens alone without the table."""
     copies: tuple[Copy, ...] = ()
     """Several lenses on the chip; one in the middle without them."""
+    include: tuple[Include, ...] = ()
+    """Cells of other files on the chip: marks, logos, test structures."""
     exposure: Exposure | None = None
     """Exposure settings; no write time is estimated without the table."""
 

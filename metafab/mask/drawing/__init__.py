@@ -8,5 +8,6 @@
 - ``stamps``: all shapes on the sites of a lens
 - ``font``: letters as rectangles
 - ``surroundings``: write field, marks, frame, label, dicing street
+- ``include``: cells of other files
 - ``cell_writer``: streaming of tiles into a file, for both formats
 """

@@ -114,11 +114,16 @@ class MaskWriter(ABC):
         if not self._drawing.flat:
             self._end_cell()
 
-    def close(self, surroundings: Iterable[tuple[int, IntArray]] = ()) -> None:
+    def close(
+        self,
+        surroundings: Iterable[tuple[int, IntArray]] = (),
+        polygons: Iterable[tuple[int, int, IntArray]] = (),
+    ) -> None:
         """Write the top cell and the end of the file.
 
         Args:
             surroundings: (layer, rectangles of shape (n, 4)) to draw in the top cell.
+            polygons: (layer, datatype, corners of shape (n, 2)) to draw in the top cell.
 
         Raises:
             InputError: the format cannot hold a rectangle.
@@ -129,6 +134,8 @@ class MaskWriter(ABC):
             self._begin_top()
         for layer, rectangles in surroundings:
             self._draw(layer, rectangles)
+        for layer, datatype, corners in polygons:
+            self._draw_polygon(layer, datatype, corners)
         self._end_cell()
         self._end_file()
 
@@ -165,6 +172,10 @@ class MaskWriter(ABC):
     @abstractmethod
     def _draw(self, layer: int, rectangles: IntArray) -> None:
         """Write rectangles, shape (n, 4), on datatype 0."""
+
+    @abstractmethod
+    def _draw_polygon(self, layer: int, datatype: int, corners: IntArray) -> None:
+        """Write a polygon, shape (n, 2), not closed."""
 
     @abstractmethod
     def _end_cell(self) -> None: ...

@@ -143,6 +143,12 @@ class GdsiiWriter(MaskWriter):
             corners = np.array([[x, y], [x + width, y], [x + width, y + height], [x, y + height]])
             self._write(boundary(corners, layer, 0).byteswap().tobytes())
 
+    def _draw_polygon(self, layer: int, datatype: int, corners: IntArray) -> None:
+        reach = int(np.abs(corners).max())
+        if reach >= 2**31 or max(layer, datatype) >= 2**15:
+            raise _out_of_range(reach, f"{layer}/{datatype}")
+        self._write(boundary(corners, layer, datatype).byteswap().tobytes())
+
     def _end_cell(self) -> None:
         self._write(record(records.ENDSTR))
 

@@ -28,7 +28,7 @@ RECTANGLE, POLYGON = 20, 21
 
 # Info byte of RECTANGLE, SWHXYRDL from the top bit, and of POLYGON, 00PXYRDL: fields that are given explicitly.
 W, H, X, Y, _REPETITION, DATATYPE_LAYER = 0b100_0000, 0b10_0000, 0b1_0000, 0b1000, 0b100, 0b011
-_POINTS = 0b10_0000
+POINTS = 0b10_0000
 _ARBITRARY_ON_GRID = 11
 
 # Level of libdeflate, which takes half of zlib's time for fewer bytes. docs/benchmarks.md has the bytes and seconds of
@@ -98,12 +98,12 @@ def _point_lists(stamp: Stamp) -> tuple[ByteArray, NDArray[np.int64]]:
     """
     if stamp.polygons is None:
         return np.empty(0, dtype=np.uint8), np.empty(0, dtype=np.int64)
-    lists = [_point_list(polygon.tobytes()) for polygon in stamp.polygons]
+    lists = [point_list(polygon.tobytes()) for polygon in stamp.polygons]
     return np.frombuffer(b"".join(lists), dtype=np.uint8), np.cumsum([len(one) for one in lists])
 
 
 @lru_cache(maxsize=1 << 16)
-def _point_list(polygon: bytes) -> bytes:
+def point_list(polygon: bytes) -> bytes:
     """Point list of one polygon, whose corners are the bytes of an int64 array of shape (n, 2)."""
     steps = np.diff(np.frombuffer(polygon, dtype=np.int64).reshape(-1, 2), axis=0).tolist()
     moves = (elements.unsigned(abs(x) << 2 | (x < 0) << 1 | 1) + elements.signed(y) for x, y in steps)
@@ -139,7 +139,7 @@ def _write_records(
         y = first_dbu[1] + row[here] * period[1] + corner_dbu[size, 1]
         info = (_REPETITION if count > 1 else 0) | (DATATYPE_LAYER if here == 0 else 0)
         changed = (W if width != modal[0] else 0) | (H if length != modal[1] else 0)
-        info |= _POINTS if points.size else changed
+        info |= POINTS if points.size else changed
         info |= (X if here == 0 or x != modal[2] else 0) | (Y if here == 0 or y != modal[3] else 0)
         end = put(out, put(out, end, POLYGON if points.size else RECTANGLE), info)
         if here == 0:

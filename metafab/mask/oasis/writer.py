@@ -15,7 +15,20 @@ from metafab.layout.pillars import PillarTile
 from metafab.mask.drawing.cell_writer import MaskWriter, TileEncoder
 from metafab.mask.drawing.cells import Stamp, TileCell
 from metafab.mask.oasis.elements import real, signed, string, unsigned
-from metafab.mask.oasis.records import DATATYPE_LAYER, RECTANGLE, H, W, X, Y, best_scan, deflate, pillar_records
+from metafab.mask.oasis.records import (
+    DATATYPE_LAYER,
+    POINTS,
+    POLYGON,
+    RECTANGLE,
+    H,
+    W,
+    X,
+    Y,
+    best_scan,
+    deflate,
+    pillar_records,
+    point_list,
+)
 from metafab.mask.shapes.hierarchy import IntArray
 
 MAGIC = b"%SEMI-OASIS\r\n"
@@ -55,6 +68,11 @@ class OasisWriter(MaskWriter):
         head = bytes([RECTANGLE, W | H | X | Y | DATATYPE_LAYER]) + unsigned(layer) + unsigned(0)
         for x, y, width, height in rectangles.tolist():
             self._write(head + unsigned(width) + unsigned(height) + signed(x) + signed(y))
+
+    def _draw_polygon(self, layer: int, datatype: int, corners: IntArray) -> None:
+        head = bytes([POLYGON, POINTS | X | Y | DATATYPE_LAYER]) + unsigned(layer) + unsigned(datatype)
+        points = point_list((corners - corners[0]).tobytes())
+        self._write(head + points + signed(int(corners[0, 0])) + signed(int(corners[0, 1])))
 
     def _end_cell(self) -> None:
         """A cell ends where the next cell or the END record begins."""

@@ -1,0 +1,137 @@
+"""Cells of other files: each polygon reaches both formats, pillars are read back as before, and nothing touches."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import gdstk
+import numpy as np
+import pytest
+
+from metafab import drc, mask
+from metafab.core.errors import InputError
+from metafab.layout import Assignment
+from metafab.spec import Chip, Copy, Design
+from metafab.spec.mask import Include
+from tests.layout.conftest import sizes_at_sites
+
+FORMATS = ("gds", "oas")
+
+
+@pytest.fixture(scope="module")
+def shop(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cell of two marks by reference, a ring of a path, a triangle and a text, in units of 1 nm."""
+    library = gdstk.Library(unit=1e-6, precision=1e-9)
+    mark = gdstk.Cell("MARK")
+    mark.add(gdstk.rectangle((-1.0, -0.25), (1.0, 0.25), layer=20, datatype=3))
+    cell = gdstk.Cell("SHOP")
+    cell.add(gdstk.Reference(mark, (0.0, 3.0), columns=2, rows=1, spacing=(4.0, 0.0)))
+    cell.add(gdstk.Polygon([(0.0, 0.0), (2.001, 0.0), (1.0, 1.5)], layer=21))
+    cell.add(gdstk.FlexPath([(0.0, -2.0), (3.0, -2.0), (3.0, -4.0)], 0.2, layer=22))
+    cell.add(gdstk.Label("LOT 7", (0.0, 0.0), layer=23))
+    library.add(mark, cell)
+    path = tmp_path_factory.mktemp("shop") / "shop.gds"
+    library.write_gds(path)
+    return path
+
+
+def with_shop(design: Design, *items: Include, **options: object) -> Design:
+    return replace(design, mask=replace(design.mask, include=items, **options))  # type: ignore[arg-type]
+
+
+def test_every_polygon_reaches_both_files_and_pillars_are_read_as_before(
+    tiny: Assignment, tiny_design: Design, shop: Path, tmp_path: Path
+) -> None:
+    """Exclusive or by gdstk, which reads both files; the file's other layers are counted, not judged."""
+    half = 0.5 * tiny_design.device.aperture_um
+    item = Include(shop, "SHOP", at_um=(half + 10.0, -3.5), layers={"20/3": "40/7"})
+    design = with_shop(tiny_design, item)
+    mask.write(tiny.pillars, tmp_path, design)
+    expected = gdstk.read_gds(shop).cells
+    drawn = next(cell for cell in expected if cell.name == "SHOP").get_polygons()
+    for suffix in FORMATS:
+        path = tmp_path / f"layout.{suffix}"
+        read = gdstk.read_oas(path) if suffix == "oas" else gdstk.read_gds(path)
+        (top,) = read.top_level()
+        for (layer, datatype), source in {(40, 7): (20, 3), (21, 0): (21, 0), (22, 0): (22, 0)}.items():
+            found = top.get_polygons(layer=layer, datatype=datatype)
+            wanted = [p.copy().translate(half + 10.0, -3.5) for p in drawn if (p.layer, p.datatype) == source]
+            assert len(found) == len(wanted) > 0
+            assert sum(p.area() for p in gdstk.boolean(found, wanted, "xor", precision=1e-5)) < 1e-6
+        back = mask.read(path, design)
+        assert np.array_equal(sizes_at_sites(back.pillars), sizes_at_sites(tiny.pillars))
+        assert back.other_layers == {"40/7": 2, "21/0": 1, "22/0": 1}
+        assert sum(drc.check(path, design).violations.values()) == 0
+    entry = json.loads((tmp_path / "layout.json").read_text(encoding="utf-8"))["include"]
+    polygons = {"21/0": 1, "22/0": 1, "40/7": 2}
+    assert entry == [{"file": "shop.gds", "cell": "SHOP", "polygons": polygons, "texts_left_out": 1}]
+
+
+def test_without_cells_no_byte_changes(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
+    mask.write(tiny.pillars, tmp_path / "one", tiny_design)
+    mask.write(tiny.pillars, tmp_path / "two", with_shop(tiny_design))
+    for suffix in FORMATS:
+        one, two = (tmp_path / name / f"layout.{suffix}" for name in ("one", "two"))
+        assert one.read_bytes() == two.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"at_um": (0.0, 0.0)}, "in lens 1"),
+        ({"cell": "NONE"}, "one of MARK, SHOP"),
+        ({"layers": {"20/3": "1/0"}}, "on which the design draws"),
+        ({"layers": {"99/0": "40/0"}}, "layers of cell SHOP"),
+        ({"at_um": (100.0001, 0.0)}, "at_um"),
+        ({"file": Path("missing.gds")}, "GDSII or OASIS"),
+    ],
+)
+def test_what_cannot_be_included_is_refused(
+    change: dict[str, object], named: str, tiny: Assignment, tiny_design: Design, shop: Path, tmp_path: Path
+) -> None:
+    item = replace(Include(shop, "SHOP", at_um=(100.0, 0.0)), **change)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=named):
+        mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, item))
+
+
+def test_marks_frames_and_other_cells_are_never_touched(
+    tiny: Assignment, tiny_design: Design, shop: Path, tmp_path: Path
+) -> None:
+    half = 0.5 * tiny_design.device.aperture_um
+    chip = Chip(
+        margin_um=12.0, mark_um=8.0, mark_line_um=1.0, frame_um=2.0, street_um=5.0, label="A", text_um=4.2,
+        scale_bar_um=0.0,
+    )  # fmt: skip
+    on_frame = Include(shop, "SHOP", at_um=(half + 12.0, 0.0))
+    with pytest.raises(InputError, match="touches: frame"):
+        mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, on_frame, chip=chip))
+    beside = Include(shop, "SHOP", at_um=(half + 10.0, 0.0))
+    with pytest.raises(InputError, match=r"mask.include\[1\]"):
+        mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, beside, beside))
+    other_lens = (Copy((0.0, 0.0)), Copy((2.5 * half, 0.0)))
+    with pytest.raises(InputError, match="in lens 2"):
+        mask.write(
+            tiny.pillars, tmp_path, with_shop(tiny_design, Include(shop, "SHOP", (2.5 * half, 0.0)), copies=other_lens)
+        )
+
+
+def test_coordinates_off_the_grid_are_refused(
+    tiny: Assignment, tiny_design: Design, shop: Path, tmp_path: Path
+) -> None:
+    """A quarter of a nanometre on a grid of half a nanometre."""
+    library = gdstk.read_gds(shop)
+    library.precision = 1e-10
+    cell = gdstk.Cell("FINE")
+    cell.add(gdstk.rectangle((0.0, 0.0), (1.00025, 1.0), layer=30))
+    library.add(cell)
+    path = tmp_path / "fine.gds"
+    library.write_gds(path)
+    with pytest.raises(InputError, match=r"on the grid of 0\.5 nm"):
+        mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, Include(path, "FINE", at_um=(100.0, 0.0))))
+
+
+def test_layers_are_pairs() -> None:
+    with pytest.raises(ValueError, match="layer/datatype"):
+        Include(Path("shop.gds"), layers={"20": "30/0"})
