@@ -78,7 +78,7 @@ class Copy:
     at_um: tuple[Real, Real]
     """Centre (x, y) of the lens."""
     bias_nm: Real = 0.0
-    """Added to `mask.bias_nm`; the mapping leaves no room for it, so a positive one may violate the rules."""
+    """Added to `mask.bias_nm`; the mapping leaves no room for it, and one that breaks a design rule is refused."""
     label: str | None = None
     """Text above the lens, on the chip's text layer."""
 

@@ -70,7 +70,7 @@ def write_layout(job: Job) -> LayoutFigures:
     """Map the target phases to pillars and write the mask files.
 
     Raises:
-        InputError: the design asks for no file.
+        InputError: the design asks for no file, or a biased lens of ``mask.copies`` violates the design rules.
     """
     from metafab import layout, mask
 
@@ -88,8 +88,30 @@ def write_layout(job: Job) -> LayoutFigures:
             progress=progress,
             mapping=assignment.to_json(),
         )
+    _require_rules_of_copies(job)
     files = [FileFigures(file.path.name, file.bytes) for file in written]
     return typed(LayoutFigures, {**assignment.to_json(), "files": files})
+
+
+def _require_rules_of_copies(job: Job) -> None:
+    """Check the design rules of each bias of ``mask.copies``, for which the mapping leaves no room."""
+    from metafab import drc
+
+    path, checked = mask_paths(job)[-1], {0.0}
+    for number, copy in enumerate(job.design.mask.copies, start=1):
+        if copy.bias_nm in checked:
+            continue
+        checked.add(copy.bias_nm)
+        report = drc.check(path, job.design, work=job.work, copy=number)
+        broken = ", ".join(f"{rule}: {count}" for rule, count in report.violations.items() if count)
+        if broken:
+            gap = "" if report.min_gap_nm is None else f"; smallest gap {report.min_gap_nm:g} nm"
+            remedy = (
+                f"lower the bias or widen `rules.min_gap_nm`; `metafab drc {path.name} --copy {number}` lists places"
+            )
+            expected = "a bias that keeps the design rules"
+            key = f"mask.copies[{number}].bias_nm"
+            raise InputError.single(job.design.name, key, expected, f"{copy.bias_nm:g} nm ({broken}{gap})", remedy)
 
 
 def _check_rules(job: Job) -> DrcFigures:
@@ -108,7 +130,7 @@ def _check_rules(job: Job) -> DrcFigures:
 
 LAYOUT = Step(
     name="layout",
-    rooms=("layout", "mask"),
+    rooms=("layout", "mask", "drc"),
     after=("library", "phase"),
     inputs=lambda d: (d.name, d.rules, d.mask, d.device, d.numerics),
     outputs=lambda job: (*mask_paths(job), *in_folder("layout.lyp", "layout.json")(job)),

@@ -1,0 +1,38 @@
+"""Mask of a design, and the design rules of its biased copies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from metafab.core.errors import InputError
+from metafab.library import Library, save
+from metafab.spec import load_design
+from metafab.steps import Job, write_layout
+from tests.main_job import SMALL
+
+COPIES = "\n[[mask.copies]]\nat_um = [0.0, 0.0]\n[[mask.copies]]\nat_um = [40.0, 0.0]\nbias_nm = {bias}\n"
+
+
+def job(folder: Path, library: Library, bias_nm: float) -> Job:
+    """A lens of 20 um and a biased copy; sizes are up to 250 nm on a lattice of 350 nm."""
+    save(library, folder / "library.h5")
+    text = SMALL.read_text(encoding="utf-8").replace("../unitcell_lib/sos_800nm.toml", "library.h5")
+    text = text.replace("aperture_um = 200.0", "aperture_um = 20.0").replace('optimise = "peak"', 'optimise = "none"')
+    (folder / "design.toml").write_text(text + COPIES.format(bias=bias_nm), encoding="utf-8")
+    return Job(load_design(folder / "design.toml"), folder)
+
+
+def test_a_copy_that_breaks_a_rule_is_refused_when_it_is_laid_out(smooth_library: Library, tmp_path: Path) -> None:
+    """10 nm more leave less than 100 nm between pillars; 10 nm less leave less than 100 nm of the smallest ones."""
+    with pytest.raises(InputError, match=r"mask\.copies\[2\]\.bias_nm") as refused:
+        write_layout(job(tmp_path, smooth_library, 10.0))
+    assert "smallest gap 9" in str(refused.value)
+    with pytest.raises(InputError, match=r"mask\.copies\[2\]\.bias_nm"):
+        write_layout(job(tmp_path, smooth_library, -10.0))
+
+
+def test_equal_copies_are_written(smooth_library: Library, tmp_path: Path) -> None:
+    figures = write_layout(job(tmp_path, smooth_library, 0.0))
+    assert {"layout.gds", "layout.oas"} <= {file.name for file in figures.files}
