@@ -13,6 +13,7 @@ from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.lens import Lens, partial_progress
 from metafab.camera.rendering.motion import Shutter, moved
 from metafab.camera.rendering.occlusion import PINHOLE, Occluder, seen
+from metafab.camera.rendering.picture import DepthPicture
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import Window, sensor_windows
 from metafab.camera.sensor import FixedPattern, expose
@@ -76,7 +77,7 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
         for each in lenses:
             each.drop_blurs()
         for index, time_s in enumerate(shutter.instants_s.tolist()):
-            renderer = Renderer(moved(scene, time_s), still.textures)
+            renderer = replace(still, scene=moved(scene, time_s))
             part = partial_progress(progress, index, shutter.instants_s.size)
             mean_e += shutter.weights[:, index, None] * sum(each.light(renderer, part) for each in lenses)
         rng = np.random.default_rng(np.random.SeedSequence((seed, 0x0C0FFEE, *((number,) if number else ()))))
@@ -97,7 +98,7 @@ def _shutter_truth(still: Renderer, window: Window, shutter: Shutter, middle_s: 
     """The truth of each row at the middle of its exposure; of a rolling shutter, at the nearest instant."""
 
     def at(time_s: float) -> Truth:
-        return _truth(Renderer(moved(still.scene, time_s), still.textures), window)
+        return _truth(replace(still, scene=moved(still.scene, time_s)), window)
 
     if middle_s[0] == middle_s[-1] or shutter.instants_s.size == 1:
         return at(float(middle_s[middle_s.size // 2]))
@@ -113,6 +114,8 @@ def _shutter_truth(still: Renderer, window: Window, shutter: Shutter, middle_s: 
 def _truth(renderer: Renderer, window: Window) -> Truth:
     """Depth, label and sharp intensities as a pinhole sees them; depth is of what covers at least half of a pixel."""
     shape = window.stop.shape
+    if renderer.scene.rgbd is not None:
+        return _picture_truth(renderer, window)
     pieces = list(renderer.pieces(window.tangent_x, window.tangent_y))
     masks = [Occluder.of(piece) for piece in pieces]
     depth_m, label = np.full(shape, np.nan), np.zeros(shape, dtype=np.int32)
@@ -128,3 +131,12 @@ def _truth(renderer: Renderer, window: Window) -> Truth:
         label[crop] = np.where(covers, piece.label, label[crop])
     intensity += renderer.scene.background * window.gain * np.maximum(uncovered, 0.0)
     return Truth(depth_m, intensity[0], intensity[1], label)
+
+
+def _picture_truth(renderer: Renderer, window: Window) -> Truth:
+    """The picture itself: depth and label (1) where the depth is known, light nowhere else."""
+    picture = DepthPicture.of(renderer.scene, renderer.pixel_tangent)
+    light, depth_m, contrast = picture.at(window.tangent_x, window.tangent_y)
+    known = np.isfinite(depth_m)
+    electrons = np.where(known, light * window.gain * 2.0 / (1.0 + contrast), 0.0)
+    return Truth(depth_m, electrons * contrast, electrons, known.astype(np.int32))

@@ -6,9 +6,13 @@ import math
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.core.storage.pictures import read_counts
 from metafab.spec.fields import CONFIG, Fraction, NonNegative, Positive, Real
 
 
@@ -89,10 +93,57 @@ class SceneObject:
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Rgbd:
+    """A picture with its depth, which fills the field (table ``[rgbd]`` of a scene file).
+
+    All files have one shape. Integer depths need ``depth_range_m``, and 0 marks their unknown pixels.
+    """
+
+    image_file: Annotated[Path, Field(description="brightness: .png, .tif, .npy; colours are averaged")]
+    depth_file: Annotated[Path, Field(description="depth in m, NaN where it is unknown: .npy, .npz, .tif, .png")]
+    contrast_file: Annotated[Path | None, Field(description="I_x / I_y: .npy, .npz, .tif")] = None
+    depth_range_m: Annotated[
+        tuple[Positive, Positive] | None, Field(description="[near, far] that the file's depths are scaled into")
+    ] = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Rgbd:
+        if self.depth_range_m is not None and self.depth_range_m[0] >= self.depth_range_m[1]:
+            raise ValueError("`depth_range_m` must be [near, far] with near < far")
+        return self
+
+    def depths_m(self) -> FloatArray:
+        """Depths of the file, shape (n_y, n_x), top row first; NaN where they are unknown.
+
+        Raises:
+            InputError: the file cannot be read, or its depths make no sense.
+        """
+        values, largest_count = read_counts(self.depth_file)
+        source, field = str(self.depth_file), "rgbd.depth_file"
+        if largest_count is not None:
+            if self.depth_range_m is None:
+                got = "whole numbers without a scale"
+                raise InputError.single(source, field, "depths in m", got, "add `depth_range_m = [near, far]`")
+            values = np.where(values > 0.0, values, np.nan)
+        known = np.isfinite(values)
+        if not known.any():
+            raise InputError.single(source, field, "known depths", "none: no value is finite")
+        values = np.where(known, values, np.nan)
+        low, high = float(values[known].min()), float(values[known].max())
+        if self.depth_range_m is not None:
+            near, far = self.depth_range_m
+            return np.asarray(near + (values - low) * ((far - near) / (high - low if high > low else 1.0)))
+        if low <= 0.0:
+            raise InputError.single(source, field, "depths above zero, in m", f"{low:g}", "mark unknown ones by NaN")
+        return values
+
+
+@dataclass(frozen=True, config=CONFIG)
 class Scene:
     """A scene (table ``[scene]`` of a design, or a file of its own)."""
 
-    objects: Annotated[tuple[SceneObject, ...], Field(min_length=1)]
+    objects: tuple[SceneObject, ...] = ()
+    rgbd: Annotated[Rgbd | None, Field(description="a picture with its depth, in place of objects")] = None
     """Opaque surfaces; nearer ones hide farther ones."""
     photons_per_pixel: Positive = 3000.0
     """Photons on an axial pixel at brightness 1, mean of both images."""
@@ -130,6 +181,12 @@ class Scene:
     """Seed of texture and noise."""
 
     @model_validator(mode="after")
+    def _surfaces(self) -> Scene:
+        if bool(self.objects) == (self.rgbd is not None):
+            raise ValueError("a scene must have `objects` or a picture with its depth (`rgbd`), one of both")
+        return self
+
+    @model_validator(mode="after")
     def _counts(self) -> Scene:
         if self.full_well_e is None and (self.bit_depth is not None or self.hot_pixels > 0.0):
             raise ValueError("`bit_depth` and `hot_pixels` need `full_well_e`")
@@ -157,6 +214,9 @@ class Scene:
     @property
     def depths_m(self) -> tuple[float, ...]:
         """The nearest and farthest depth of every object in any of the frames, ascending, each once."""
+        if self.rgbd is not None:
+            depth_m = self.rgbd.depths_m()
+            return float(np.nanmin(depth_m)), float(np.nanmax(depth_m))
         depths = set()
         for piece in self.objects:
             for time_s in (0.0, self.end_s):

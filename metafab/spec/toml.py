@@ -21,7 +21,7 @@ from metafab.spec.keys.faults import faults_of
 Spec = TypeVar("Spec")
 
 #: Keys whose values are paths relative to their file.
-_FILE_KEYS = {"file", "texture_file", "amplitude_file", "table_file"}
+_FILE_KEYS = {"file", "texture_file", "amplitude_file", "table_file", "image_file", "depth_file", "contrast_file"}
 
 #: Largest accepted file (bytes); an outline of 100 000 vertices is smaller.
 _LARGEST_BYTES = 4 * 10**6

@@ -11,6 +11,7 @@ import numpy as np
 from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.blur import FieldBlur
 from metafab.camera.rendering.occlusion import Occluder, reached, seen, seen_share, shifted, widened
+from metafab.camera.rendering.picture import DepthPicture, pieces
 from metafab.camera.rendering.render import Piece, Renderer, extent
 from metafab.camera.rendering.windows import Window, shifts_px_m
 from metafab.core.conventions import FloatArray
@@ -103,6 +104,14 @@ class Lens:
         scene, window = renderer.scene, self.windows[polarisation]
         (k_y, k_x), (n_y, n_x) = self.kernels.shape, window.stop.shape
         light = np.zeros((n_y + k_y, n_x + k_x))
+        if scene.rgbd is not None:
+            directions = (window.tangent_x, window.tangent_y)
+            picture = DepthPicture.of(scene, renderer.pixel_tangent)
+            channel = 1 - polarisation if self.crossed else polarisation
+            for surface in pieces(picture, *directions, self.kernels.psf.depth_m, self._shifts(window), channel):
+                rows, columns, image = self._blurred(surface, polarisation)
+                light[rows, columns] += image
+            return light
         nearer: list[Occluder] = []
         veil = np.zeros_like(light)
         for done, (index, spec) in enumerate(reversed(renderer.farthest_first()), start=1):

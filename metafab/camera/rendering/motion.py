@@ -76,6 +76,9 @@ def _travel(scene: Scene, start_s: float, span_s: float) -> float:
     """Largest motion of any edge in a time, as a tangent."""
     first, last = moved(scene, start_s), moved(scene, start_s + span_s)
     return max(
-        math.dist(a.centre, b.centre) + 0.5 * max(abs(a.size[0] - b.size[0]), abs(a.size[1] - b.size[1]))
-        for a, b in zip(first.objects, last.objects, strict=True)
+        (
+            math.dist(a.centre, b.centre) + 0.5 * max(abs(a.size[0] - b.size[0]), abs(a.size[1] - b.size[1]))
+            for a, b in zip(first.objects, last.objects, strict=True)
+        ),
+        default=0.0,
     )

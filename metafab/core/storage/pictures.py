@@ -13,7 +13,7 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 
-_SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy"}
+_SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy", ".npz": "npz"}
 #: Most pixels of a picture, times its colours or pages; as floats they take 512 MiB.
 _MOST_SAMPLES = 1 << 26
 #: Longest side of a picture (pixels); no image sensor has more.
@@ -34,7 +34,7 @@ def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float
     """Read a grey picture and its saturation level.
 
     Args:
-        path: .tif, .tiff, .png or .npy.
+        path: .tif, .tiff, .png or .npy, or an .npz of one array.
         colours: whether colours are averaged; otherwise they are refused.
 
     Returns:
@@ -46,7 +46,7 @@ def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float
     """
     kind = _SUFFIXES.get(path.suffix.lower())
     if kind is None:
-        raise InputError.single(str(path), "file", "a .tif, .tiff, .png or .npy file", repr(path.suffix), _REMEDY)
+        raise InputError.single(str(path), "file", "a .tif, .tiff, .png, .npy or .npz file", repr(path.suffix), _REMEDY)
     if not path.is_file():
         raise InputError.single(str(path), "file", f"a {kind} file", "no file at that path", "check the path")
     try:
@@ -95,7 +95,15 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
         _require_few(*mapped.shape)
         return np.array(mapped)
 
-    return {"tiff": tiff, "png": png, "npy": npy}
+    def npz(path: Path) -> np.ndarray:
+        with np.load(path, allow_pickle=False) as file:
+            if len(file.files) != 1:
+                raise ValueError(f"{len(file.files)} arrays ({', '.join(file.files)}), not one")
+            values = file[file.files[0]]
+        _require_few(*values.shape)
+        return np.asarray(values)
+
+    return {"tiff": tiff, "png": png, "npy": npy, "npz": npz}
 
 
 def _require_few(*shape: int) -> None:

@@ -1,0 +1,229 @@
+"""A picture with its depth (RGB-D) as surfaces: continuous depths, holes, and what geometry hides at outlines.
+
+The blur between calibrated depths is a sum over them with the weights of a cubic spline in vergence. The light of each
+pixel is therefore shared among as many layers as the calibration has depths, with no error beyond the calibration's.
+Behind an outline the farther side is taken to go on as it is at the outline, as far as some point of the aperture sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
+
+from metafab.camera.rendering.render import Piece
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.core.numeric.compiled import compiled
+from metafab.core.numeric.splines import spline_weights
+from metafab.core.storage.pictures import read_grey
+from metafab.spec.scene import Scene
+
+#: Smallest brightness relative to the picture's mean: no surface is blacker.
+_DARKEST = 0.02
+#: Smallest weight of a layer that is blurred.
+_LEAST_WEIGHT = 1e-5
+#: Jump of depth that is an outline, as the pixels by which the aperture's rim shifts one side against the other.
+_OUTLINE_PX = 1.0
+
+
+@dataclass(frozen=True)
+class DepthPicture:
+    """A picture with its depth on the pixels of a field.
+
+    Attributes:
+        brightness: shape (n_y, n_x), mean 1, top row first.
+        depth_m: shape (n_y, n_x), nearest neighbour of the file's; NaN for a hole.
+        contrast: shape (n_y, n_x), I_x / I_y.
+        extent: (x/z, y/z) from the middle to the sides.
+    """
+
+    brightness: FloatArray
+    depth_m: FloatArray
+    contrast: FloatArray
+    extent: tuple[float, float]
+
+    @classmethod
+    def of(cls, scene: Scene, pixel_tangent: float) -> DepthPicture:
+        """Read the files of a scene.
+
+        Raises:
+            InputError: a file cannot be read, or shapes and values do not fit.
+        """
+        if scene.rgbd is None:
+            raise InputError.single("scene", "rgbd", "a picture with its depth", "none")
+        spec, shape = scene.rgbd, scene.field_px
+        depth_m = spec.depths_m()
+        grey = read_grey(spec.image_file)
+        contrast = np.ones(grey.shape) if spec.contrast_file is None else read_grey(spec.contrast_file)
+        for name, values in (("depth_file", depth_m), ("contrast_file", contrast)):
+            if values.shape != grey.shape:
+                raise InputError.single(f"{spec.image_file}", f"rgbd.{name}", f"shape {grey.shape}", f"{values.shape}")
+        if not np.isfinite(grey).all() or grey.min() < 0.0 or grey.max() <= 0.0:
+            raise InputError.single(
+                str(spec.image_file), "rgbd.image_file", "finite light, not below zero", "otherwise"
+            )
+        if not (np.isfinite(contrast) & (contrast > 0.0)).all():
+            expected = "ratios I_x / I_y above zero"
+            raise InputError.single(str(spec.contrast_file), "rgbd.contrast_file", expected, "otherwise")
+        brightness = np.maximum(_averaged(grey, shape) / grey.mean(), _DARKEST)
+        half = (0.5 * pixel_tangent * shape[1], 0.5 * pixel_tangent * shape[0])
+        return cls(brightness, _nearest(depth_m, shape), _averaged(contrast, shape), half)
+
+    def at(self, tangent_x: FloatArray, tangent_y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Brightness, depth and contrast in directions of shape (n_y, n_x); the rim goes on beyond the picture."""
+        n_y, n_x = self.brightness.shape
+        column = 0.5 * (tangent_x / self.extent[0] + 1.0) * n_x - 0.5
+        row = 0.5 * (1.0 - tangent_y / self.extent[1]) * n_y - 0.5
+        place = np.stack([row, column])
+        brightness, contrast = (
+            map_coordinates(values, place, order=1, mode="nearest") for values in (self.brightness, self.contrast)
+        )
+        return brightness, map_coordinates(self.depth_m, place, order=0, mode="nearest"), contrast
+
+
+def pieces(
+    picture: DepthPicture,
+    tangent_x: FloatArray,
+    tangent_y: FloatArray,
+    layers_m: FloatArray,
+    shifts_px_m: FloatArray,
+    polarisation: int,
+) -> Iterator[Piece]:
+    """Yield what is seen of a picture through the aperture: its surface, and the surface behind its outlines.
+
+    Args:
+        picture: the picture.
+        tangent_x: shape (n_y, n_x), x/z of the grid's directions.
+        tangent_y: shape (n_y, n_x), y/z of the grid's directions.
+        layers_m: shape (n,), calibrated depths.
+        shifts_px_m: shape (n, 2), shift (columns, rows) of outlines by each aperture point, pixels per 1/m.
+        polarisation: 0 for x, 1 for y.
+
+    Raises:
+        InputError: a depth is outside the calibrated range.
+    """
+    light, depth_m, contrast = picture.at(tangent_x, tangent_y)
+    light = light * (2.0 * contrast if polarisation == 0 else 2.0) / (1.0 + contrast)
+    known = np.isfinite(depth_m)
+    if not known.any():
+        return
+    near, far = layers_m.min() * (1.0 - 1e-9), layers_m.max() * (1.0 + 1e-9)
+    if depth_m[known].min() < near or depth_m[known].max() > far:
+        got = f"{depth_m[known].min():g} to {depth_m[known].max():g} m"
+        expected = f"depths inside the PSF calibration, {layers_m.min():g} to {layers_m.max():g} m"
+        raise InputError.single("scene", "rgbd.depth_file", expected, got, "scale them by `depth_range_m`")
+    # Holes hide nothing and shine nowhere: they lie farther than everything else.
+    vergence = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0)
+    reach = float(np.abs(shifts_px_m).max())
+    yield _piece(light, vergence, known, layers_m, _open_share(vergence, vergence, known, shifts_px_m, _jump(reach)))
+    if reach == 0.0:
+        return
+    behind, behind_light, hidden = _behind(vergence, light, known, reach)
+    if hidden.any():
+        share = _open_share(vergence, behind, hidden, shifts_px_m, _jump(reach))
+        yield _piece(behind_light, behind, hidden, layers_m, share)
+
+
+def _jump(reach_px_m: float) -> float:
+    return _OUTLINE_PX / reach_px_m if reach_px_m > 0.0 else np.inf
+
+
+def _behind(
+    vergence: FloatArray, light: FloatArray, known: FloatArray, reach_px_m: float
+) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Vergence and light of the farthest known surface within the aperture's reach, and where it is behind another."""
+    margin = int(np.ceil(reach_px_m * float(np.ptp(vergence[known])))) + 1
+    order = np.argsort(np.where(known, vergence, np.inf), axis=None)
+    rank = np.empty(order.size)
+    rank[order] = np.arange(order.size)
+    farthest = order[minimum_filter(rank.reshape(vergence.shape), 2 * margin + 1, mode="nearest").astype(np.intp)]
+    behind, behind_light = vergence.ravel()[farthest], light.ravel()[farthest]
+    return behind, behind_light, np.logical_and(known, vergence - behind > _jump(reach_px_m))
+
+
+def _piece(
+    light: FloatArray, vergence: FloatArray, covered: NDArray[np.bool_], layers_m: FloatArray, share: FloatArray
+) -> Piece:
+    n_y, n_x = light.shape
+    layers = 1.0 / layers_m
+    weights = np.zeros((layers.size, n_y, n_x))
+    weights[:, covered] = spline_weights(layers, vergence[covered]).T
+    weights[np.abs(weights) < _LEAST_WEIGHT] = 0.0
+    coverage = weights * covered
+    return Piece(1, layers_m, slice(0, n_y), slice(0, n_x), coverage, coverage * (light * share), (1.0, 1.0))
+
+
+def _open_share(
+    vergence: FloatArray, start: FloatArray, asked: NDArray[np.bool_], shifts_px_m: FloatArray, jump: float
+) -> FloatArray:
+    """Share of the aperture that points of vergence ``start`` see past the surface: shape (n_y, n_x); 1 elsewhere."""
+    reach = float(np.abs(shifts_px_m).max())
+    margin = int(np.ceil(reach * float(np.ptp(vergence)))) + 1
+    nearer = maximum_filter(vergence, 2 * margin + 1, mode="nearest") - start > jump
+    share = np.ones(vergence.shape)
+    rows, columns = np.nonzero(np.logical_and(asked, nearer))
+    if reach > 0.0 and rows.size:
+        share[rows, columns] = _march(vergence, start[rows, columns], rows, columns, shifts_px_m, jump)
+    return share
+
+
+@compiled
+def _march(
+    vergence: FloatArray,
+    start: FloatArray,
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    points: FloatArray,
+    jump: float,
+) -> FloatArray:
+    """Share of the rays to the aperture points that meet no surface: shape of ``rows``.
+
+    A ray is followed in steps of half a pixel from vergence ``start`` to the nearest surface's. It is stopped where it
+    comes out of the back of a surface that goes on there, and passes where the surface ends in a jump.
+    """
+    n_y, n_x = vergence.shape
+    highest = vergence.max()
+    share = np.zeros(rows.size)
+    for index in range(rows.size):
+        for point in range(points.shape[0]):
+            x_px, y_px = points[point, 0], points[point, 1]
+            length = np.hypot(x_px, y_px) * (highest - start[index])
+            steps = int(np.ceil(2.0 * length)) + 1
+            step = (highest - start[index]) / steps
+            last = vergence[rows[index], columns[index]]
+            below = start[index] - last < -jump
+            is_open = 1.0
+            for number in range(1, steps + 1):
+                ray = start[index] + number * step
+                row = min(max(int(rows[index] + y_px * number * step + 0.5), 0), n_y - 1)
+                column = min(max(int(columns[index] + x_px * number * step + 0.5), 0), n_x - 1)
+                here = vergence[row, column]
+                is_below = ray < here - 0.5 * jump
+                if below and not is_below and abs(here - last) <= jump:
+                    is_open = 0.0
+                    break
+                below, last = is_below, here
+            if below:
+                is_open = 0.0
+            share[index] += is_open
+    share /= points.shape[0]
+    return share
+
+
+def _averaged(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """A picture at another size: mean over each pixel."""
+    from PIL import Image
+
+    image = Image.fromarray(values.astype(np.float32), mode="F")
+    return np.asarray(image.resize(shape[::-1], Image.Resampling.BOX), dtype=np.float64)
+
+
+def _nearest(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    indices = [
+        np.minimum(((np.arange(n) + 0.5) * m / n).astype(int), m - 1) for n, m in zip(shape, values.shape, strict=True)
+    ]
+    return np.asarray(values[np.ix_(*indices)])
