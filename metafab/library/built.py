@@ -44,16 +44,15 @@ def build_file(
     """
     if target_error is not None:
         unit_cell = replace(unit_cell, sweep=replace(unit_cell.sweep, target_error=target_error))
-    if unit_cell.neighbours is not None and store.is_current(path, unit_cell):
-        library = replace(store.load(path), unit_cell=unit_cell)
+    asked = unit_cell.neighbours is not None
+    if store.is_current(path, unit_cell) and (asked or not is_current(path, unit_cell)):
+        library = replace(store.load(path), unit_cell=unit_cell, neighbours=None)
     else:
         library = build.build_file(unit_cell, path, executor=executor, progress=progress, solver=solver)
-    if unit_cell.neighbours is None:
-        return library
-    inputs = inputs_of_training(unit_cell)
-    checkpoint = path.with_name(f"{path.stem}.{inputs[:8]}.neighbours.partial")
-    trained = train(library, executor=executor, checkpoint=checkpoint, progress=progress)
-    library = replace(library, neighbours=trained)
+    checkpoint = path.with_name(f"{path.stem}.{inputs_of_training(unit_cell)[:8]}.neighbours.partial")
+    if asked:
+        trained = train(library, executor=executor, checkpoint=checkpoint, progress=progress)
+        library = replace(library, neighbours=trained)
     store.save(library, path)
     checkpoint.unlink(missing_ok=True)
     return library

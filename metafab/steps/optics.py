@@ -107,6 +107,7 @@ class PsfFigures(PairFigures):
             following are None for a pair that was not computed by :func:`metafab.optics.psf`.
         field_error: relative L2 error of the PSFs over the field; NaN without a field.
         filter_fwhm_nm: width of the colour filter; None for one wavelength.
+        with_neighbours: True where the library's model of unlike neighbours gave the light of the pillars, else None.
     """
 
     depth_interpolation_error: float | None
@@ -121,6 +122,7 @@ class PsfFigures(PairFigures):
     ideal_extinction_ratio: tuple[float, ...] | None = optional()
     ideal_error: tuple[float, ...] | None = optional()
     filter_fwhm_nm: float | None = optional()
+    with_neighbours: bool | None = optional()
 
     @classmethod
     def compared(
@@ -441,13 +443,14 @@ def _psf_files(job: Job) -> tuple[Path, ...]:
 
 
 def _psf(job: Job) -> PsfFigures:
-    from metafab.optics import Imaging
+    from metafab.optics import Imaging, NeighbourField
     from metafab.optics.measures.landing import light_elsewhere
 
     design, psf_of = job.design, _verified_psf(job)
     ideal_light = lit_source(job, ideal_source(job))
     mask_path = mask_paths(job)[-1] if design.has_mask else None
-    source = ideal_light if mask_path is None else lit_source(job, written_light(job, mask_path))
+    pillars = None if mask_path is None else written_light(job, mask_path)
+    source = ideal_light if pillars is None else lit_source(job, pillars)
     written = _calibration(job, source)
     save_psf(job, written, mask_path, job.folder / "psf.h5")
     ideal = None
@@ -455,7 +458,7 @@ def _psf(job: Job) -> PsfFigures:
         ideal = psf_of(ideal_light, depths_m=design.verify.depths_m)
         save_psf(job, ideal, None, job.folder / "ideal_psf.h5")
     verified = np.isin(written.depth_m, design.verify.depths_m)
-    return PsfFigures.compared(
+    figures = PsfFigures.compared(
         written,
         ideal,
         verified=verified,
@@ -463,6 +466,7 @@ def _psf(job: Job) -> PsfFigures:
         field_interpolation_error=_field_interpolation_error(written, psf_of, source),
         light_at_um=light_elsewhere(source, Imaging.of(design), written),
     )
+    return replace(figures, with_neighbours=isinstance(pillars, NeighbourField) or None)
 
 
 PSF = Step(

@@ -131,6 +131,7 @@ _OF_PILLARS = {
     "size snapping and finite library",
     "index of the pillar",
     "local-period approximation",
+    "model of unlike neighbours",
 }
 
 
@@ -141,13 +142,30 @@ def _library_error(library: LibraryFigures | None, layout: LayoutFigures | None)
     return None if library is None else library.max_error
 
 
+def _neighbours_line(summary: RunSummary) -> BudgetLine:
+    """Error of the light of unlike neighbours: of the model if the PSFs used it, else of the approximation."""
+    psf, library, coupling = summary.psf, summary.library, summary.coupling
+    if psf is not None and psf.with_neighbours and library is not None:
+        return BudgetLine(
+            "model of unlike neighbours",
+            library.neighbours_error_alike,
+            "relative L2",
+            "field of held-out rows whose phases change steadily, by the library's model against the solver",
+        )
+    return BudgetLine(
+        "local-period approximation",
+        None if coupling is None else coupling.coupling_error,
+        "relative L2",
+        "field behind rows of one local period, full-wave, against the stitched library; `metafab coupling`",
+    )
+
+
 def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
     """Collect the measured contributions to the error of the whole, in the order of the pipeline.
 
     Errors of images are left out for a design without a scene, errors of pillars for a design without a mask.
     """
     library, layout, psf, decode = summary.library, summary.layout, summary.psf, summary.decode
-    coupling = summary.coupling
     lines = [
         BudgetLine(
             "solver and library",
@@ -167,12 +185,7 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
             "rad rms",
             "phases solved again with the index raised by its standard uncertainty, common phase taken out",
         ),
-        BudgetLine(
-            "local-period approximation",
-            None if coupling is None else coupling.coupling_error,
-            "relative L2",
-            "field behind rows of one local period, full-wave, against the stitched library; `metafab coupling`",
-        ),
+        _neighbours_line(summary),
         BudgetLine(
             "pupil reduction and sampling",
             None if psf is None else max(psf.error),

@@ -21,8 +21,8 @@ from metafab.library.neighbours.solve import line_corrections
 if TYPE_CHECKING:
     from metafab.library.library import Library
 
-#: Error of a block over its larger correction, that of its rows or of its columns. Measured with Meep on 5 x 5 pillars
-#: of a lens: 0.131 of the field was left of 0.334.
+#: Error of a block over its larger correction, that of its rows or of its columns. Measured by spectral elements: 0.058
+#: of 0.231 was left for 3 x 3 pillars as in a lens, 0.209 of 0.340 for 2 x 2 random ones.
 _BLOCK_SHARE = 0.5
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from metafab.spec import Design
 from metafab.steps.images import DecodeFigures
 from metafab.steps.job import Job
 from metafab.steps.layout import LayoutFigures, mask_paths
+from metafab.steps.library import LibraryFigures
 from metafab.steps.merit import CouplingFigures, recorded_coupling
 from metafab.steps.optics import PsfFigures
 from metafab.steps.summary import BudgetLine, RunSummary, error_budget
@@ -83,3 +85,18 @@ def test_what_only_a_photograph_meets_is_left_out_without_one(photographed: bool
 def test_what_only_pillars_have_is_left_out_without_a_mask() -> None:
     sources = [line.source for line in error_budget(RunSummary(psf=PSF))]
     assert sources == ["pupil reduction and sampling"]
+
+
+def test_the_model_of_neighbours_replaces_the_approximation_where_the_psf_used_it() -> None:
+    library = LibraryFigures("library.h5", *[1.0] * 11, neighbours_error_alike=0.03)
+    coupling = CouplingFigures(0.12, 0.96, 1, ("rcwa",))
+    for psf, source, value in (
+        (PSF, "local-period approximation", 0.12),
+        (replace(PSF, with_neighbours=True), "model of unlike neighbours", 0.03),
+    ):
+        lines = {
+            line.source: line
+            for line in error_budget(RunSummary(library=library, layout=LAYOUT, psf=psf, coupling=coupling))
+        }
+        assert lines[source].value == value
+        assert len({"local-period approximation", "model of unlike neighbours"} & lines.keys()) == 1

@@ -1,0 +1,49 @@
+"""Library files with the model of neighbours that their unit cell asks for, or without one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab.library import build_file, built, is_current, load, save
+from metafab.library.library import Library, inputs_of
+from metafab.library.neighbours.line import LineShape, initial_model
+from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
+from metafab.library.neighbours.training import inputs_of_training
+from metafab.spec.cell import Neighbours as Training
+
+
+def _train(library: Library, **_: object) -> Neighbours:
+    """Chains of random parameters in place of a training."""
+    line = TrainedLine(initial_model(LineShape(2, 1, 1), (100.0, 250.0), (100.0, 250.0), 1), LineStatistics(10, 2, 0.5))
+    return Neighbours((line, line), (line, line), inputs_of_training(library.unit_cell))
+
+
+def test_the_model_follows_the_unit_cell(
+    smooth_library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(built, "train", _train)
+    path, lone = tmp_path / "library.h5", smooth_library.unit_cell
+    save(replace(smooth_library, inputs_sha256=inputs_of(lone)), path)
+    before = path.read_bytes()
+    assert is_current(path, lone)
+
+    asked = replace(lone, neighbours=Training(rows=100))
+    assert not is_current(path, asked)
+    trained = build_file(asked, path)
+    # The pillars were kept: building them would have replaced the closed form.
+    assert np.array_equal(trained.t_xx, smooth_library.t_xx)
+    assert is_current(path, asked)
+    assert not is_current(path, replace(lone, neighbours=Training(rows=200)))
+    stored = load(path)
+    assert stored.unit_cell == asked
+    assert stored.neighbours is not None
+    assert stored.neighbours.along[0].statistics.rows == 10
+
+    assert not is_current(path, lone)
+    assert build_file(lone, path).neighbours is None
+    assert is_current(path, lone)
+    assert path.read_bytes() == before
