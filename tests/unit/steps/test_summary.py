@@ -34,7 +34,6 @@ PSF = PsfFigures(
     block_sites=6.0,
     blocks=64.0,
     field_error=1e-3,
-    seconds=1.0,
 )
 
 
