@@ -99,12 +99,14 @@ class Rgbd:
     All files have one shape. Integer depths need ``depth_range_m``, and 0 marks their unknown pixels.
     """
 
-    image_file: Annotated[Path, Field(description="brightness: .png, .tif, .npy; colours are averaged")]
-    depth_file: Annotated[Path, Field(description="depth in m, NaN where it is unknown: .npy, .npz, .tif, .png")]
-    contrast_file: Annotated[Path | None, Field(description="I_x / I_y: .npy, .npz, .tif")] = None
-    depth_range_m: Annotated[
-        tuple[Positive, Positive] | None, Field(description="[near, far] that the file's depths are scaled into")
-    ] = None
+    image_file: Path
+    """Brightness: .png, .tif, .npy or .npz; colours are averaged."""
+    depth_file: Path
+    """Depth, NaN where it is unknown: .npy, .npz, .tif, .png."""
+    contrast_file: Path | None = None
+    """I_x / I_y of each pixel; 1 without the key."""
+    depth_range_m: tuple[Positive, Positive] | None = None
+    """[near, far] that the file's depths are scaled into."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Rgbd:
@@ -143,8 +145,9 @@ class Scene:
     """A scene (table ``[scene]`` of a design, or a file of its own)."""
 
     objects: tuple[SceneObject, ...] = ()
-    rgbd: Annotated[Rgbd | None, Field(description="a picture with its depth, in place of objects")] = None
     """Opaque surfaces; nearer ones hide farther ones."""
+    rgbd: Rgbd | None = None
+    """Picture with its depth, in place of objects."""
     photons_per_pixel: Positive = 3000.0
     """Photons on an axial pixel at brightness 1, mean of both images."""
     quantum_efficiency: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
