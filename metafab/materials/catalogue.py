@@ -20,6 +20,8 @@ _SAPPHIRE = "Malitson and Dodge, J. Opt. Soc. Am. 62, 1405 (1972), formula in Do
 _SAPPHIRE_NM = (200.0, 5000.0)
 _SAPPHIRE_O = sellmeier([(1.4313493, 0.0726631), (0.65054713, 0.1193242), (5.3414021, 18.028251)])
 _SAPPHIRE_E = sellmeier([(1.5039759, 0.0740288), (0.55069141, 0.1216529), (6.5927379, 20.072248)])
+_SILICON = "Salzberg and Villa, J. Opt. Soc. Am. 47, 244 (1957), formula by Tatian (1984); crystalline silicon, 26 C"
+_SILICON_N = sellmeier([(10.6684293, 0.301516485), (0.0030434748, 1.13475115), (1.54133408, 1104.0)])
 _RUTILE = "Devore, J. Opt. Soc. Am. 41, 416 (1951); rutile, room temperature"
 _RUTILE_NM = (430.0, 1530.0)
 
@@ -48,6 +50,7 @@ def _formulas() -> list[IndexRecord]:
     return [
         IndexRecord("SiO2/Malitson", _SILICA, (210.0, 3710.0), isotropic(_SILICA_N)),
         IndexRecord("Si3N4/Luke", _NITRIDE, (310.0, 5504.0), isotropic(_NITRIDE_N)),
+        IndexRecord("Si/Salzberg", _SILICON, (1360.0, 11000.0), isotropic(_SILICON_N)),
         _sapphire("Malitson", "C-plane (both axes ordinary)", o, o),
         _sapphire("Malitson-e", "extraordinary index", e, e),
         _sapphire("Malitson-A-x", "A-plane, optic axis along x", e, o),

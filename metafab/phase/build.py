@@ -23,9 +23,9 @@ from metafab.phase.pupil import Pupil, phasor, pupil_field, rim_defocus_rad
 from metafab.phase.terms.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.terms.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase, spiral_field
 from metafab.phase.terms.hologram import ImagePlane, design_hologram
-from metafab.phase.terms.profile import PhaseProfile, Term
+from metafab.phase.terms.profile import PhaseProfile, SumTerm, Term
 from metafab.phase.terms.sampled import SampledPhase, load_array
-from metafab.phase.terms.zernike import ZernikePhase
+from metafab.phase.terms.zernike import RadialPhase, ZernikePhase, zernike_number
 from metafab.spec import terms as spec
 from metafab.spec.design import Design
 
@@ -39,7 +39,7 @@ _LIMITED_SAMPLES = 64
 #: Places along a side of the aperture at which the mean slope of a target is taken.
 _SLOPE_PLACES = 128
 #: Terms of the user's own, whose light may go anywhere.
-_OWN_PHASES = (spec.UserArray, spec.Zernike)
+_OWN_PHASES = (spec.UserArray, spec.Zernike, spec.Zernikes)
 #: The direction that was found last; each step of a run needs it.
 _DIRECTIONS: Latest[tuple[tuple[float, float], tuple[float, float]]] = Latest()
 
@@ -96,6 +96,18 @@ def _plain_term(design: Design, term: spec.PhaseTerm) -> Term:
         return DoubleHelixPhase(radius_um, term.waist, term.modes, polarisation=only)
     if isinstance(term, spec.Zernike):
         return ZernikePhase(term.degree, term.order, term.amplitude_rad, radius_um, polarisation=only)
+    if isinstance(term, spec.Zernikes):
+        numbered = enumerate(term.coefficients_rad, start=1)
+        found = [(zernike_number(number, term.convention), value) for number, value in numbered if value]
+        return SumTerm(
+            tuple(ZernikePhase(n, m, norm * value, radius_um, polarisation=only) for (n, m, norm), value in found)
+            or (ZernikePhase(0, 0, 0.0, radius_um),)
+        )
+    if isinstance(term, spec.Radial):
+        if term.convention == "binary2":
+            return RadialPhase(term.coefficients, term.norm_radius_um or radius_um, polarisation=only)
+        per_mm = 2e3 * math.pi / wavelength_um
+        return RadialPhase(tuple(per_mm * value for value in term.coefficients), 1e3, polarisation=only)
     if isinstance(term, spec.UserArray):
         # The radius of a square aperture is its half side.
         return load_array(term.file, term.pitch_um, term.dataset, radius_um, only)

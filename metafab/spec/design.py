@@ -17,7 +17,7 @@ from metafab.spec.fields import CONFIG, DepthOrInfinity, Flag, Name, NonNegative
 from metafab.spec.mask import Mask, Process
 from metafab.spec.scene import Scene
 from metafab.spec.substrate import Substrate
-from metafab.spec.terms import Axicon, DoubleHelix, Lens, PhaseTerm, Picture, SpiralZones, SplitLens, Vortex
+from metafab.spec.terms import Axicon, DoubleHelix, Lens, PhaseTerm, Picture, Radial, SpiralZones, SplitLens, Vortex
 
 FieldPoints = Annotated[int, Field(strict=True, ge=1, le=65)]
 
@@ -348,7 +348,7 @@ class Design:
     @property
     def is_lens(self) -> bool:
         """Whether the phase is that of a lens with one focus, aberrations included."""
-        focusing = any(isinstance(term, Lens | SplitLens) for term in self.phase)
+        focusing = any(isinstance(term, Lens | Radial | SplitLens) for term in self.phase)
         return focusing and not any(isinstance(term, _SHAPED) for term in self.phase)
 
     @property

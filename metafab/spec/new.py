@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from string import Template
@@ -13,7 +14,7 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage.files import whole_file
-from metafab.spec.cell import UnitCell
+from metafab.spec.cell import Sweep, UnitCell
 from metafab.spec.keys.reference import near
 from metafab.spec.load import load_unit_cell_of
 
@@ -29,7 +30,51 @@ def kinds() -> dict[str, str]:
     return {name.removesuffix(".toml"): _title(texts[name]) for name in sorted(texts)}
 
 
-def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -> tuple[Path, ...]:
+@dataclass(frozen=True)
+class NewLens:
+    """Aperture of a new metalens.
+
+    Attributes:
+        numerical_aperture: in air, above 0 and below 1.
+        aperture_um: diameter.
+    """
+
+    numerical_aperture: float = 0.2
+    aperture_um: float = 100.0
+
+    def filled(self, unit_cell: UnitCell) -> dict[str, str]:
+        """Return the placeholders of the kind "metalens": focal length, pixel and rules that fit the unit cell.
+
+        Raises:
+            InputError: an aperture out of range.
+        """
+        if not 0.0 < self.numerical_aperture < 1.0:
+            got = f"{self.numerical_aperture:g}"
+            raise InputError.single("new", "--na", "above 0 and below 1 (the lens focuses in air)", got)
+        if not 0.0 < self.aperture_um < math.inf:
+            raise InputError.single("new", "--aperture-um", "a diameter above 0", f"{self.aperture_um:g}")
+        focal_um = 0.5 * self.aperture_um / math.tan(math.asin(self.numerical_aperture))
+        sweep, period_nm = unit_cell.sweep, unit_cell.cell.period_nm
+        gap_nm = min(period - high for period, (_, high) in zip(period_nm, _spans(sweep), strict=True))
+        pixel_um = min(0.5, 1e-3 * unit_cell.illumination.wavelength_nm / (8.0 * self.numerical_aperture))
+        return {
+            "numerical_aperture": f"{self.numerical_aperture:g}",
+            "aperture_um": f"{self.aperture_um:.10g}" if self.aperture_um % 1.0 else f"{self.aperture_um:.1f}",
+            "focal_length_mm": f"{1e-3 * focal_um:.6g}",
+            "pixel_um": f"{pixel_um:.3g}",
+            # Sizes up to the period leave no gap between equals; the usual rule then limits them.
+            "min_gap_nm": f"{gap_nm if gap_nm > 0.0 else 100.0:.1f}",
+            "min_feature_nm": f"{min(low for low, _ in _spans(sweep)):.1f}",
+        }
+
+
+def _spans(sweep: Sweep) -> tuple[tuple[float, float], tuple[float, float]]:
+    return sweep.width_nm, sweep.length_nm
+
+
+def write_new(
+    name: str, kind: str, folder: Path, library: Path | None = None, lens: NewLens | None = None
+) -> tuple[Path, ...]:
     """Write ``folder/name.toml`` and the sample files of its kind.
 
     Args:
@@ -38,6 +83,7 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
         folder: output folder, created if missing.
         library: unit-cell file or built library; None for the paper's: that in ``unitcell_lib`` of the folder or of
             a folder above it, else a copy that is written beside the design.
+        lens: aperture, for the kind "metalens"; None for its default.
 
     Returns:
         The files written, the design first.
@@ -54,7 +100,9 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
     known = _unit_cell_near(folder) if library is None else library
     unit_cell = folder / _UNIT_CELL if known is None else known
     with resources.as_file(supplied) as copy:
-        field_um = write_field_um(load_unit_cell_of(copy if known is None else known))
+        cell = load_unit_cell_of(copy if known is None else known)
+    if lens is not None and kind != "metalens":
+        raise InputError.single("new", "--na, --aperture-um", "the kind metalens", repr(kind), "edit the file instead")
     text = (resources.files("metafab.spec") / "kinds" / f"{kind}.toml").read_text(encoding="utf-8")
     relative = Path(os.path.relpath(unit_cell.resolve(), folder.resolve())).as_posix()
     sample = {"hologram": folder / f"{name}.png", "own_phase": folder / f"{name}.npy"}.get(kind)
@@ -64,6 +112,8 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
         if path.exists():
             remedy = "choose another name, or move it away"
             raise InputError.single(str(path), "file", "a name that is free", "a file", remedy)
+    places = {"name": name, "library": relative, "write_field_um": f"{write_field_um(cell):.10g}"}
+    filled = Template(text).substitute(places | (lens or NewLens()).filled(cell))
     if known is None:
         with whole_file(unit_cell) as part:
             part.write_bytes(supplied.read_bytes())
@@ -71,7 +121,6 @@ def write_new(name: str, kind: str, folder: Path, library: Path | None = None) -
     if sample is not None:
         with whole_file(sample) as part:
             _write_picture(part) if kind == "hologram" else _write_phase(part)
-    filled = Template(text).substitute(name=name, library=relative, write_field_um=f"{field_um:.10g}")
     with whole_file(design) as part:
         part.write_text(filled, encoding="utf-8")
     return tuple(written)

@@ -11,6 +11,9 @@ from pydantic.dataclasses import dataclass
 from metafab.core.conventions import Polarisation
 from metafab.spec.fields import CONFIG, Positive, Real
 
+#: Largest numbers of Zernike polynomials and of radial coefficients, those of Zemax' Binary 2 surface.
+_MOST_ZERNIKES, _MOST_RADIAL = 231, 240
+
 
 @dataclass(frozen=True, config=CONFIG)
 class _Term:
@@ -132,6 +135,46 @@ class Zernike(_Term):
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Zernikes(_Term):
+    """A sum of Zernike polynomials by their numbers in a named convention, from number 1 on."""
+
+    term: Literal["zernikes"] = "zernikes"
+    coefficients_rad: tuple[Real, ...] = ()
+    """Coefficients of numbers 1, 2, 3, ...; piston is the first."""
+    convention: Literal["noll", "fringe"] = "noll"
+    """Numbers and norm: rms 1 over the circle for "noll", 1 at the rim for "fringe"."""
+
+    @model_validator(mode="after")
+    def _some(self) -> Zernikes:
+        if not 1 <= len(self.coefficients_rad) <= _MOST_ZERNIKES:
+            raise ValueError(
+                f"`coefficients_rad` must hold 1 to {_MOST_ZERNIKES} numbers, got {len(self.coefficients_rad)}"
+            )
+        return self
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Radial(_Term):
+    """An even polynomial of the radius, as lens-design programs have it; a negative first coefficient focuses."""
+
+    term: Literal["radial"] = "radial"
+    coefficients: tuple[Real, ...] = ()
+    """Coefficients of r^2, r^4, r^6, ..."""
+    convention: Literal["binary2", "path_mm"] = "binary2"
+    """Zemax Binary 2 in order 1: radians, of r over ``norm_radius_um``. CODE V: optical path in mm, of r in mm."""
+    norm_radius_um: Positive | None = None
+    """Norm radius of "binary2"; omitted: the radius of the aperture."""
+
+    @model_validator(mode="after")
+    def _some(self) -> Radial:
+        if not 1 <= len(self.coefficients) <= _MOST_RADIAL:
+            raise ValueError(f"`coefficients` must hold 1 to {_MOST_RADIAL} numbers, got {len(self.coefficients)}")
+        if self.convention == "path_mm" and self.norm_radius_um is not None:
+            raise ValueError("`norm_radius_um` belongs to `convention` = 'binary2'; with 'path_mm', r is in mm")
+        return self
+
+
+@dataclass(frozen=True, config=CONFIG)
 class UserArray(_Term):
     """A phase map from a file."""
 
@@ -157,6 +200,17 @@ class Picture(_Term):
 
 
 PhaseTerm = Annotated[
-    SpiralZones | SplitLens | Lens | Vortex | Grating | Axicon | DoubleHelix | Zernike | UserArray | Picture,
+    SpiralZones
+    | SplitLens
+    | Lens
+    | Radial
+    | Vortex
+    | Grating
+    | Axicon
+    | DoubleHelix
+    | Zernike
+    | Zernikes
+    | UserArray
+    | Picture,
     Field(discriminator="term"),
 ]

@@ -12,7 +12,7 @@ from metafab.core.figures import FocusFigures, Loss, Wavefront
 from metafab.core.storage.files import file_sha256, write_json
 from metafab.core.storage.tables import optional, typed
 from metafab.spec.design import Measured
-from metafab.spec.terms import Lens, SplitLens
+from metafab.spec.terms import Lens, Radial, SplitLens
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
@@ -205,7 +205,7 @@ def _focus(job: Job, imaging: Imaging) -> dict[str, Any]:
         return {}
     depth_m = design.sensor.focus_depth_m
     perfect = optics.ideal_field(PerfectLens(imaging, depth_m), layout.lattice_of(design), design.device)
-    lenses = [term.polarisation for term in design.phase if isinstance(term, Lens | SplitLens)]
+    lenses = [term.polarisation for term in design.phase if isinstance(term, Lens | Radial | SplitLens)]
     figures = focus(
         lit_source(job, written_light(job, mask_paths(job)[-1])),
         lit_source(job, perfect),

@@ -25,16 +25,56 @@ def new_command(
     library: Annotated[
         Path | None, typer.Option(metavar="UNITCELL.toml", help="Unit cell or built library [default: the paper's].")
     ] = None,
+    na: Annotated[float | None, typer.Option("--na", help="Numerical aperture of a metalens.")] = None,
+    aperture_um: Annotated[float | None, typer.Option(help="Diameter of a metalens.")] = None,
+    wavelength_nm: Annotated[float | None, typer.Option(help="Wavelength of a new unit cell.")] = None,
+    material: Annotated[str | None, typer.Option(help="Its pillars: TiO2, Si, a-Si, SiN or a record.")] = None,
+    substrate: Annotated[str | None, typer.Option(help="Its substrate [default: SiO2].")] = None,
+    shape: Annotated[str | None, typer.Option(help="Its shape: rectangle, circle, ellipse or cross.")] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the files.")] = Path(),
     json_: Json = False,
 ) -> None:
-    """Write a commented design file to start from; without a kind, list the kinds."""
+    """Write a commented design file to start from; without a kind, list the kinds.
+
+    With --wavelength-nm and --material, a unit cell NAME_cell.toml that fits them is written, too.
+    """
+    from metafab.cell.starting import starting_cell
+    from metafab.core.errors import InputError
+    from metafab.core.storage.files import whole_file
     from metafab.spec import kinds, write_new
+    from metafab.spec.new import NewLens
 
     if name is None or kind is None:
         show(kinds(), json_)
         return
-    show({"files": write_new(name, kind, output, library)}, json_)
+    files: list[Path] = []
+    lens = None if na is None and aperture_um is None else NewLens(0.2 if na is None else na, aperture_um or 100.0)
+    if any(given is not None for given in (wavelength_nm, material, substrate, shape)):
+        if wavelength_nm is None or material is None or library is not None:
+            expected = "--wavelength-nm and --material together for a new unit cell, or --library for one of your own"
+            got = "--library beside them" if library is not None else "one of them"
+            raise InputError.single("new", "unit cell", expected, got)
+        library = output / f"{name}_cell.toml"
+        if library.exists():
+            raise InputError.single(str(library), "file", "a name that is free", "a file", "choose another name")
+        text = starting_cell(
+            wavelength_nm,
+            material,
+            substrate=substrate or "SiO2",
+            shape=shape or "rectangle",
+            numerical_aperture=0.0 if lens is None else lens.numerical_aperture,
+        )
+        output.mkdir(parents=True, exist_ok=True)
+        with whole_file(library) as part:
+            part.write_text(text, encoding="utf-8")
+        files = [library]
+    try:
+        written = write_new(name, kind, output, library, lens)
+    except InputError:
+        for path in files:
+            path.unlink()
+        raise
+    show({"files": [*written, *files]}, json_)
 
 
 @app.command("run")

@@ -50,6 +50,21 @@ class PolarisedTerm(ABC):
 
 
 @dataclass(frozen=True)
+class SumTerm:
+    """The sum of several terms.
+
+    Attributes:
+        terms: summands.
+    """
+
+    terms: tuple[Term, ...]
+
+    def __call__(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
+        """Evaluate the phase on a rectangular grid; shapes and units as in :class:`Term`."""
+        return np.asarray(sum(term(x_um, y_um, polarisation) for term in self.terms))
+
+
+@dataclass(frozen=True)
 class PhaseProfile:
     """The target transmission phase of both polarisations.
 

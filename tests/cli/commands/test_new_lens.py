@@ -1,0 +1,50 @@
+"""``metafab new`` for a lens of one's own: wavelength, material, shape and aperture give files that fit each other."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from metafab.spec import load_design
+from metafab.steps.preflight import preflight
+from tests.main_job import metafab
+
+OWN = ["--na", "0.6", "--aperture-um", "100", "--wavelength-nm", "532", "--shape", "circle", "--material", "TiO2"]
+
+
+def test_a_lens_of_ones_own(tmp_path: Path) -> None:
+    answer = metafab("new", "own", "--kind", "metalens", *OWN, "-o", tmp_path, "--json")
+    assert answer.code == 0, answer.stderr
+    assert [Path(name).name for name in answer.json["files"]] == ["own.toml", "own_cell.toml"]
+    design = load_design(tmp_path / "own.toml")
+    preflight(design)
+    assert design.unit_cell.cell.shape == "circle"
+    assert design.wavelength_um == pytest.approx(0.532)
+    focal_um = 50.0 / math.tan(math.asin(0.6))
+    assert design.device.aperture_um == 100.0
+    assert design.device.focal_length_mm == pytest.approx(1e-3 * focal_um, rel=1e-4)
+    # An eighth of wavelength / NA: four samples per finest fringe.
+    assert design.sensor.pixel_um == pytest.approx(0.532 / 0.6 / 8.0, rel=0.01)
+    assert design.rules.min_gap_nm == design.unit_cell.cell.period_nm[0] - design.unit_cell.sweep.width_nm[1]
+    assert design.rules.min_feature_nm == design.unit_cell.sweep.width_nm[0]
+    text = (tmp_path / "own.toml").read_text(encoding="utf-8")
+    assert "numerical aperture is 0.6" in text
+    again = metafab("new", "own", "--kind", "metalens", *OWN, "-o", tmp_path)
+    assert again.code == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--na", "1.2"], "--na"),
+        (["--wavelength-nm", "532"], "--wavelength-nm and --material"),
+        (["--wavelength-nm", "2500", "--material", "TiO2"], "a record with 2500 nm"),
+    ],
+)
+def test_what_does_not_go_together_leaves_no_file(options: list[str], message: str, tmp_path: Path) -> None:
+    answer = metafab("new", "own", "--kind", "metalens", *options, "-o", tmp_path)
+    assert answer.code == 2
+    assert message in answer.stderr
+    assert list(tmp_path.iterdir()) == []
