@@ -276,6 +276,7 @@ def point_spread(
     copy: int = 1,
     centre_um: tuple[float, float] | None = None,
     printed: Printed | None = None,
+    sizes: Path | None = None,
 ) -> tuple[Psf, Places | None]:
     """PSF pair of a written file, or of the target phases, and where its light is if a window misses it.
 
@@ -290,9 +291,10 @@ def point_spread(
         copy: number of the lens in a file that holds several, from 1.
         centre_um: centre of the window on the sensor, um from the axis; None for the image point of the design.
         printed: pillars as ``[process]`` makes them; None for those of the file.
+        sizes: table of measured sizes (:func:`metafab.optics.sources.measured.with_measured_sizes`); None for none.
 
     Raises:
-        InputError: the file cannot be used, or an object at infinity has a position.
+        InputError: a file cannot be used, or an object at infinity has a position.
     """
     from metafab import optics
     from metafab.optics.interpolation import concatenate
@@ -312,7 +314,7 @@ def point_spread(
             f"{x_mm:g} {y_mm:g} mm at infinity",
             "leave inf out of --depths-m: a position in mm is no direction there",
         )
-    source = _source_of(job, path, copy, printed)
+    source = _source_of(job, path, copy, printed, sizes)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
     numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design), job.design.verify.vectorial)
     passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
@@ -361,7 +363,13 @@ def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1, prin
 
 
 def save_psf(
-    job: Job, psf: Psf, mask_path: Path | None, path: Path, copy: int = 1, printed: Printed | None = None
+    job: Job,
+    psf: Psf,
+    mask_path: Path | None,
+    path: Path,
+    copy: int = 1,
+    printed: Printed | None = None,
+    sizes: Path | None = None,
 ) -> None:
     """Write a PSF pair with the fingerprint of its mask (None for target phases) and of the design."""
     from metafab import optics
@@ -370,6 +378,8 @@ def save_psf(
     source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job)), copy]
     if printed is not None:
         source = [source, printed, design.process]
+    if sizes is not None:
+        source = [source, file_sha256(sizes)]
     sampling: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
     if design.optics is not None:
         sampling += [design.optics, contents_sha256(design.optics)]
@@ -378,9 +388,20 @@ def save_psf(
     optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, sampling))
 
 
-def _source_of(job: Job, path: Path | None, copy: int, printed: Printed | None) -> Source:
+def _measured_field(job: Job, path: Path, copy: int, sizes: Path) -> WrittenField:
+    """Field of the pillars of a file with measured sizes."""
+    from metafab.optics.sources.measured import with_measured_sizes
+    from metafab.optics.sources.source import made_field
+
+    library = open_library(job)
+    return made_field(with_measured_sizes(mask_source(job, path, copy).pillars, sizes, library), library)
+
+
+def _source_of(job: Job, path: Path | None, copy: int, printed: Printed | None, sizes: Path | None = None) -> Source:
     if path is None:
         return lit_source(job, ideal_source(job))
+    if sizes is not None:
+        return lit_source(job, _measured_field(job, path, copy, sizes))
     if printed is None:
         return lit_source(job, written_light(job, path, copy))
     return lit_source(job, made_mask(job, path, printed, copy).field.field)

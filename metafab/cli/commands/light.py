@@ -58,6 +58,9 @@ def psf_command(
         Literal["plain", "corrected"] | None,
         typer.Option("--printed", help="Pillars as the design's [process] makes them, with one or corrected doses."),
     ] = None,
+    sizes: Annotated[
+        Path | None, typer.Option("--sizes", metavar="SEM.csv", help="Measured sizes: x_um, y_um, width_nm, length_nm.")
+    ] = None,
     copy: Copy = 1,
     workers: Workers = None,
     cluster: Cluster = None,
@@ -76,6 +79,9 @@ def psf_command(
         raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
     if printed is not None and ideal:
         raise InputError.single("psf", "--printed", "a mask file", "--ideal", "name the mask")
+    if sizes is not None and (ideal or printed is not None):
+        given = "--ideal" if ideal else "--printed"
+        raise InputError.single("psf", "--sizes", "a mask file, and no other sizes", given, f"leave {given} out")
     options = {
         "--depths-m": depths_m,
         "--object-mm": object_mm,
@@ -83,6 +89,7 @@ def psf_command(
         "--pixel-um": pixel_um,
         "--window-px": window_px,
         "--target-error": target_error,
+        "--sizes": sizes,
         "--calibration": calibration or None,
         "--scene": scene,
     }
@@ -113,9 +120,10 @@ def psf_command(
                 copy=copy,
                 centre_um=centre_um,
                 printed=printed,
+                sizes=sizes,
             )
     if output is not None:
-        optics.save_psf(job, pair, layout, output, copy, printed)
+        optics.save_psf(job, pair, layout, output, copy, printed, sizes)
     figures = optics.PairFigures.of(pair, light_at_um)
     announce(figures.warnings())
     show(figures, json_, seconds=cost.seconds, file=output)
