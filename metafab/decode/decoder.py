@@ -202,7 +202,7 @@ class Decoder:
             return f"the frame starts at {frame.origin_um} um on the sensor, the decoder is for {origin_um} um"
         if values.shape != grid.frame_shape or values.dtype.kind not in "buif":
             return f"expected a grey frame of {grid.frame_shape}, got one of {values.shape}, {values.dtype}"
-        return PreparedFrame.of(frame, grid, self.filters.downsampling, levels)
+        return PreparedFrame.of(frame, grid, self.filters.downsampling, levels, self.calibration.spill)
 
     def match(self, prepared: PreparedFrame, progress: Progress = silent) -> CostVolume:
         """Cost volume of the twins over the candidate depths."""

@@ -27,6 +27,7 @@ from metafab.decode.images.deconvolution import SharpImages, TileSpectra
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.registration.downsampling import relative_slices, repeated
+from metafab.decode.registration.pedestal import without_pedestal
 from metafab.decode.registration.twins import Twins, extract_part
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import Regions, find_regions, layer_separation_per_m, near_texture
@@ -176,6 +177,7 @@ class VideoDecoder:
     def _matched(self, frame: RawFrame, last: DecodedFrame, parts: list[Part]) -> tuple[PreparedFrame, CostVolume]:
         """The last frame's twins and cost volume with those of the changed parts."""
         before, grid = last.prepared, self.decoder.calibration.grid
+        frame = without_pedestal(frame, before.levels.pedestal_e)
         twin_images, bad = before.twins.image.copy(), before.twins.bad.copy()
         images, products = before.images.copy(), last.volume.products.copy()
         for part in parts:
@@ -188,7 +190,7 @@ class VideoDecoder:
             small = filters.downsampling.images(spectra)[:, *filters.downsampling.inner]
             m = filters.downsampling.margin
             images[:, part[0].start + m : part[0].stop + m, part[1].start + m : part[1].stop + m] = small
-            lit = small.sum(axis=0) > before.floor_e
+            lit = small.sum(axis=0) > before.dark_e
             products[:, :, *part] = filters.volume(spectra, before.levels, lit, silent).products
         prepared = replace(before, twins=Twins(grid, twin_images, bad), images=images)
         return prepared, replace(last.volume, products=products)

@@ -101,7 +101,7 @@ class PixelMaps:
         with kept_threads() as pool:
             depths = pool.submit(depth_maps, pixels, regions, step, shape)
             light = window_means(sharp.images[0] + sharp.images[1], 3)
-            lit = np.asarray(light > prepared.floor_e) & ~prepared.twins.bad
+            lit = np.asarray(light > repeated(prepared.floor_e, step, shape)) & ~prepared.twins.bad
             contrast, contrast_error = pixel_contrast(sharp, prepared.levels.read_noise_e, lit)
         maps = depths.result()
         intensity_x, intensity_y = sharp.images.astype(np.float64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -26,6 +27,9 @@ _WIDE_WINDOW = 8
 _SAME_DEPTH = 1.5
 #: Points per candidate at which splines through the correlation are evaluated.
 _POINTS_PER_CANDIDATE = 32
+#: Weights of five equally spaced values in the coefficients of the quartic through them, rising powers.
+_QUARTIC = np.linalg.inv(np.vander(np.arange(-2.0, 3.0), increasing=True)).astype(np.float32)
+_NEWTON_ROUNDS = 3
 #: Root mean square below which a picture is dark.
 _DARK = 1e-15
 
@@ -117,7 +121,7 @@ def pixel_depth(volume: CostVolume, window: int, noise_variance: FloatArray) -> 
 
 
 def window_depth(volume: CostVolume, window: int) -> WindowDepth:
-    """Depth at the parabolic peak of the correlation in the window about each pixel, claimed inside the range.
+    """Depth at the peak of the correlation in the window about each pixel, claimed inside the range.
 
     Args:
         volume: cost volume of at least three candidates.
@@ -125,9 +129,8 @@ def window_depth(volume: CostVolume, window: int) -> WindowDepth:
     """
     count = volume.vergences_per_m.size
     best, around, largest_product = best_candidates(volume.products, window)
-    peak = parabolic_peak(*around)
-    shift = np.clip(peak.place, -1.0, 1.0)
-    vergence = volume.vergences_per_m[np.clip(best, 1, count - 2)] + volume.step_per_m * shift
+    peak = quartic_peak(around)
+    vergence = volume.vergences_per_m[np.clip(best, 1, count - 2)] + volume.step_per_m * peak.place
     curvature = peak.curvature / volume.step_per_m**2
     error = standard_error(peak.height, curvature, window**2 * volume.samples) / np.abs(vergence)
     # At an end of the range the true depth may lie beyond it.
@@ -146,6 +149,40 @@ def parabolic_peak(below: FloatArray, at: FloatArray, above: FloatArray) -> Peak
     curvature = np.maximum(2.0 * at - below - above, 1e-12)
     shift = 0.5 * (above - below) / curvature
     return Peak(shift, at + 0.25 * (above - below) * shift, curvature, np.abs(shift) <= 1.0)
+
+
+def quartic_peak(values: NDArray[np.float32]) -> Peak:
+    """Maximum of the quartic through five values at every half step; its place counts in steps from the middle one.
+
+    A parabola through three candidates leans by up to a tenth of a step where the maximum is as narrow as two steps:
+    0.9 % of the depth at the sides of the paper's field, calibrated from 0.23 to 0.71 m.
+
+    Args:
+        values: shape (5, ...).
+
+    Returns:
+        The peak within a step of the middle, of shape (...).
+    """
+    best = np.clip(values.argmax(axis=0), 1, 3)
+    nearest = np.stack([np.take_along_axis(values, (best + d)[None], axis=0)[0] for d in (-1, 0, 1)])
+    start = parabolic_peak(*nearest)
+    lowest, highest = best - 3.0, best - 1.0
+    place = np.clip(best - 2.0 + start.place, lowest, highest)
+    coefficients = np.tensordot(_QUARTIC, values, axes=1)  # of x^0 to x^4, in half steps
+    least = 0.25 * start.curvature
+    for _ in range(_NEWTON_ROUNDS):
+        slope, bend = (_polynomial(coefficients, place, order) for order in (1, 2))
+        place = np.clip(place - slope / np.minimum(bend, -least), lowest, highest)
+    curvature = np.maximum(-_polynomial(coefficients, place, 2), least)
+    return Peak(0.5 * place, _polynomial(coefficients, place, 0), 4.0 * curvature, start.inside)
+
+
+def _polynomial(coefficients: FloatArray, place: FloatArray, order: int) -> FloatArray:
+    """Derivative of a polynomial, coefficients (n, ...) of rising powers, at places of shape (...): shape (...)."""
+    total = np.zeros_like(place)
+    for power in range(coefficients.shape[0] - 1, order - 1, -1):
+        total = total * place + math.perm(power, order) * coefficients[power]
+    return total
 
 
 def spline_peaks(values: FloatArray) -> Peak:
@@ -202,10 +239,18 @@ def best_candidates(
         window: side of the window, odd.
 
     Returns:
-        Number of the best candidate, shape (n_y, n_x); the correlation below, at and above it (of the nearest candidate
-        that has both neighbours), shape (3, n_y, n_x); the largest mean of a b, shape (n_y, n_x).
+        Number of the best candidate, shape (n_y, n_x); the correlation at every half step from the candidate below to
+        the one above it (of the nearest candidate that has both neighbours), shape (5, n_y, n_x); the largest mean of
+        a b, shape (n_y, n_x).
     """
-    return _best_candidates(np.ascontiguousarray(products), window // 2)
+    return _best_candidates(np.ascontiguousarray(products), window // 2, _half_step_weights(products.shape[1]))
+
+
+@lru_cache(maxsize=8)
+def _half_step_weights(count: int) -> NDArray[np.float32]:
+    """Weights of ``count`` values in the spline through them, half a step above each but the last."""
+    half = _POINTS_PER_CANDIDATE // 2
+    return np.ascontiguousarray(_spline_table(count)[half::_POINTS_PER_CANDIDATE], dtype=np.float32)
 
 
 @compiled
@@ -235,11 +280,11 @@ def _row_means(
 
 @compiled_parallel
 def _best_candidates(
-    products: NDArray[np.float32], reach: int
+    products: NDArray[np.float32], reach: int, half_steps: NDArray[np.float32]
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
     _, count, n_y, n_x = products.shape
     best = np.zeros((n_y, n_x), dtype=np.intp)
-    around = np.empty((3, n_y, n_x), dtype=np.float32)
+    around = np.zeros((5, n_y, n_x), dtype=np.float32)
     largest_product = np.empty((n_y, n_x), dtype=np.float32)
     for i in prange(n_y):
         padded = np.empty(n_x + 2 * reach, dtype=np.float32)
@@ -257,5 +302,8 @@ def _best_candidates(
         for j in range(n_x):
             inner = min(max(best[i, j], 1), count - 2)
             for d in range(3):
-                around[d, i, j] = rho[inner - 1 + d, j]
+                around[2 * d, i, j] = rho[inner - 1 + d, j]
+            for v in range(count):
+                around[1, i, j] += half_steps[inner - 1, v] * rho[v, j]
+                around[3, i, j] += half_steps[inner, v] * rho[v, j]
     return best, around, largest_product

@@ -29,13 +29,15 @@ class Levels:
         signal: brightness, electrons a pixel; 0 for a dark frame.
         noise_variance: variance of a pixel, electrons squared.
         texture_rms: rms of the texture that filters are made for, electrons.
-        read_noise_e: standard deviation of a pixel without light, electrons.
+        read_noise_e: standard deviation of a pixel without light, electrons; with the photon noise of the pedestal.
+        pedestal_e: light that forms no image, subtracted from the frame, electrons a pixel.
     """
 
     signal: float
     noise_variance: float
     texture_rms: float
     read_noise_e: float
+    pedestal_e: float = 0.0
 
     @classmethod
     def of(cls, images: NDArray[np.floating[Any]], read_noise_e: float) -> Levels:

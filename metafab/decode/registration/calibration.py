@@ -21,6 +21,11 @@ from metafab.core.numeric.splines import spline_weights
 from metafab.decode.registration.tiles import Tiling
 from metafab.decode.registration.twins import TwinGrid
 
+#: Distances from a straight outline at which the light beyond it is tabulated, pixels.
+_SPILL_PX = (8, 16, 24, 32)
+#: Quantile of that light over field and depth: the pair is widest at the corners.
+_SPILL_QUANTILE = 0.9
+
 
 @dataclass(frozen=True)
 class Calibration:
@@ -79,6 +84,21 @@ class Calibration:
                 if np.abs(stretch - np.eye(2)).max() > 1e-6:
                     nodes[1, :, j, i] = stretched(nodes[1, :, j, i], stretch)
         return nodes.reshape(*nodes.shape[:2], -1, *nodes.shape[-2:])
+
+    @cached_property
+    def spill(self) -> tuple[tuple[int, float], ...]:
+        """Distances from a straight outline, pixels, and the share of a surface's light that falls beyond them."""
+        middle_y, middle_x = (n // 2 for n in self.stack.shape[-2:])
+        along_y, along_x = self.stack.sum(axis=-1, dtype=np.float64), self.stack.sum(axis=-2, dtype=np.float64)
+        shares = []
+        for px in _SPILL_PX:
+            sides = [
+                part.sum(axis=-1) / line.sum(axis=-1)
+                for line, middle in ((along_y, middle_y), (along_x, middle_x))
+                for part in (line[..., middle + px :], line[..., : max(0, middle - px + 1)])
+            ]
+            shares.append(float(np.quantile(np.max(sides, axis=0), _SPILL_QUANTILE)))
+        return tuple(zip(_SPILL_PX, shares, strict=True))
 
     def _stretch(self, tangent_x: float, tangent_y: float) -> FloatArray:
         """d(place in the y image) / d(place in the x image), shape (2, 2) over (x, y)."""

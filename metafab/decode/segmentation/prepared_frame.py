@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.registration.downsampling import Downsampling
+from metafab.decode.registration.pedestal import pedestal_e, without_pedestal
 from metafab.decode.registration.twins import TwinGrid, Twins, extract
 from metafab.decode.segmentation.distance import distance
 
@@ -22,6 +24,10 @@ WINDOW_PX = 28
 _FAINT = 0.01
 #: Distance from an outline up to which light of the other side is mixed in, frame pixels.
 _BLUR_PX = 12
+#: Deviations of the read noise, in the sum of both images, that are dark.
+_DARK_DEVIATIONS = 6.0
+#: Share of a surface's light at which its outline stands, next to the dark.
+_OUTLINE_SHARE = 0.175
 #: Distance from a lit pixel up to which images are deconvolved, downsampled pixels.
 _LIT_MARGIN_PX = 2
 #: Reason for an empty image of a dark frame.
@@ -38,6 +44,7 @@ class PreparedFrame:
         downsampling: the pixels that are compared.
         spectra: shape (2, n_ky, n_kx), transforms of the downsampled images.
         images: shape (2, n_y + 2 margin, n_x + 2 margin), the downsampled images, electrons.
+        spill: distances from an outline, frame pixels, and the share of a surface's light beyond them.
     """
 
     twins: Twins
@@ -45,10 +52,16 @@ class PreparedFrame:
     downsampling: Downsampling
     spectra: NDArray[np.complex64]
     images: NDArray[np.float32]
+    spill: tuple[tuple[int, float], ...] = ()
 
     @classmethod
     def of(
-        cls, frame: RawFrame, grid: TwinGrid, downsampling: Downsampling, levels: Levels | None = None
+        cls,
+        frame: RawFrame,
+        grid: TwinGrid,
+        downsampling: Downsampling,
+        levels: Levels | None = None,
+        spill: tuple[tuple[int, float], ...] = (),
     ) -> PreparedFrame | str:
         """Register and downsample a frame.
 
@@ -57,26 +70,29 @@ class PreparedFrame:
             grid: place of its twins.
             downsampling: of the grid's window.
             levels: of an earlier frame in the same light; measured by default.
+            spill: of the calibration.
 
         Returns:
             The prepared frame, or the reason why the frame cannot be decoded.
         """
+        level_e = pedestal_e(frame) if levels is None else levels.pedestal_e
+        frame = without_pedestal(frame, level_e)
         twins = extract(frame, grid)
         if twins.bad.all():
             return "all pixels are saturated or invalid"
         spectra = downsampling.spectra(twins.image)
         images = downsampling.images(spectra)
-        levels = Levels.of(images, frame.read_noise_e) if levels is None else levels
+        levels = replace(Levels.of(images, frame.read_noise_e), pedestal_e=level_e) if levels is None else levels
         if levels.signal <= 0.0:
             return NO_LIGHT
-        return cls(twins, levels, downsampling, spectra, images)
+        return cls(twins, levels, downsampling, spectra, images, spill)
 
     def within(self, rows: slice, columns: slice) -> PreparedFrame:
         """A part of the window (slices of downsampled pixels), without ``spectra``."""
         m, part = self.downsampling.margin, self.downsampling.within(rows, columns)
         images = self.images[:, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
         twins = self.twins.within(*self.downsampling.frame_slices(rows, columns))
-        return PreparedFrame(twins, self.levels, part, self.spectra[:0], images)
+        return PreparedFrame(twins, self.levels, part, self.spectra[:0], images, self.spill)
 
     @property
     def window(self) -> int:
@@ -84,9 +100,24 @@ class PreparedFrame:
         return round(WINDOW_PX / self.downsampling.step) | 1
 
     @property
-    def floor_e(self) -> float:
-        """Sum of both images below which a pixel is dark, electrons."""
-        return max(0.35 * self.levels.signal, 6.0 * self.levels.read_noise_e)
+    def dark_e(self) -> float:
+        """Sum of both images below which a pixel shows no light beyond noise, electrons."""
+        return _DARK_DEVIATIONS * self.levels.read_noise_e
+
+    @cached_property
+    def floor_e(self) -> NDArray[np.float32]:
+        """Sum of both images below which a pixel is dark, electrons: noise, or blur of what is bright about it.
+
+        Shape (n_y, n_x), downsampled pixels.
+        """
+        light, half = self.mean.sum(axis=0), self.window // 2
+        floor = np.full(light.shape, self.dark_e, dtype=np.float32)
+        shares = [_OUTLINE_SHARE, *(share for _, share in self.spill)]
+        for (reach_px, _), share in zip(self.spill, shares, strict=False):
+            # A window about a bright surface's outline holds half of it: the brightest is half a window farther in.
+            side = 2 * (half + reach_px // self.downsampling.step) + 1
+            np.maximum(floor, np.float32(share) * maximum_filter(light, side, mode="nearest"), out=floor)
+        return floor
 
     @property
     def inner(self) -> NDArray[np.float32]:

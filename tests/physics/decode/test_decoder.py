@@ -86,6 +86,28 @@ def test_intensities_are_sharp_and_in_electrons(psf: Psf) -> None:
     assert got.mean() == pytest.approx(truth.mean(), rel=0.02)
 
 
+def test_haze_is_no_signal(psf: Psf) -> None:
+    """1500 electrons a pixel on all of the sensor, half of the light: taken as signal, a contrast of 2.5 read 1.7."""
+    scene = Scene(objects=(plane(0.0029, polarisation_contrast=2.5),), seed=5)
+    frame = capture(scene, psf)
+    haze = np.random.default_rng(1).poisson(1500.0, frame.frame.shape)
+    hazy, clear = decode(dataclasses.replace(frame, frame=frame.frame + haze), psf), decode(frame, psf)
+    assert hazy.figures.contrast_error < clear.figures.contrast_error + 0.01
+    assert hazy.nmae == pytest.approx(0.0, abs=5e-3)
+
+
+def test_an_object_of_a_tenth_of_the_light_is_decoded(psf: Psf) -> None:
+    """Dark is what noise, or the blur of what is bright about it, explains: no share of the brightest light."""
+    bright, dim = (
+        SceneObject(depth_m=z, centre=(0.0, y), size=(0.14, 0.14), brightness=b)
+        for z, y, b in ((0.0026, -0.13, 1.0), (0.0031, 0.13, 0.1))
+    )
+    frame = capture(Scene(objects=(bright, dim), field_px=(260, 130), photons_per_pixel=1e4, seed=5), psf)
+    image = decode(frame, psf)
+    assert image.figures.share_decoded > 0.97
+    assert image.figures.worst_object_error < 1e-2
+
+
 def test_no_texture_no_depth(psf: Psf) -> None:
     """A uniform plane beyond the field stop on all sides shows no structure but noise: nothing is claimed."""
     flat = SceneObject(depth_m=0.003, size=(0.4, 0.4), texture="uniform")
