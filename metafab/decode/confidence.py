@@ -1,39 +1,70 @@
 """Confidence of a decoded depth: the one place that defines it.
 
-The confidence of a pixel falls with the relative error e of its depth as 1 / (1 + (e / e_half)^2). The error is the
-smaller one of the pixel's and its segment's standard error, plus (in quadrature) the disagreement between the two
-depths, as far as the pixel's own noise does not explain it.
+The confidence of a pixel is the probability that its depth is within 5 % of the truth: the probability that its segment
+is the right one, times that of noise staying within 5 %.
+
+A segment is doubted where the twins do not fit at its depth (misfit > 1), and near an outline, more so where they fit
+the depth across it no worse. The log odds of a wrong segment are linear in these measures. Their weights were fitted
+by maximum likelihood to the pixels of eight scenes of the paper's lens, each scene with the same weight: two natural
+ones, an edge, small objects, bars, a ball, some with two textures. Of the pixels of a scene that was left out of the
+fit, those of confidence 0.5 were right in 0.53 to 0.83 of the cases, of 0.7 in 0.62 to 0.92, of 0.99 in 0.97 to 1.
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf, expit
 
 from metafab.core.conventions import FloatArray
 
-#: Relative standard error of depth at which the confidence is one half.
-HALF_CONFIDENCE = 0.01
+Reals = NDArray[np.floating[Any]]
+
+#: Relative error up to which a depth is right.
+RIGHT_WITHIN = 0.05
 #: Relative standard error from which no depth is claimed.
-LARGEST_ERROR = 4.0 * HALF_CONFIDENCE
-#: Standard errors of the pixel's depth that explain a disagreement with the segment's depth.
-_EXPLAINED_ERRORS = 2.0
+LARGEST_ERROR = 0.04
+#: Probability of the right segment below which no depth is claimed: it is more likely wrong.
+LEAST_RIGHT = 0.5
+#: Weights of the log odds of a wrong segment: 1, log misfit, nearness of an outline within 8 and within 20 pixels, the
+#: first times log misfit across the outline over the pixel's own, the second times log misfit.
+_WEIGHTS = (-6.21, 2.23, 1.60, 4.41, -0.47, -2.61)
+_NEAR_PX, _FAR_PX = 8.0, 20.0
+#: Range of the misfit, below and above which it says no more.
+_MISFITS = (0.3, 20.0)
 
 
-def confidence(
-    pixel_error: FloatArray, segment_error: FloatArray, disagreement: FloatArray, claimed: np.ndarray
-) -> FloatArray:
+def right_segment(misfit: Reals, misfit_across: Reals, outline_px: Reals) -> FloatArray:
+    """Probability that each pixel's segment is the right one.
+
+    Args:
+        misfit: shape (n_y, n_x), null energy of the twins at the segment's depth over what noise explains.
+        misfit_across: shape (n_y, n_x), the same at the depth across the nearest outline.
+        outline_px: shape (n_y, n_x), distance of that outline, frame pixels; inf without one.
+
+    Returns:
+        Shape (n_y, n_x), 0 to 1.
+    """
+    own, across = (np.log(np.clip(one, *_MISFITS)) for one in (misfit, misfit_across))
+    near, far = (np.exp(-np.minimum(outline_px, 1e3) / px) for px in (_NEAR_PX, _FAR_PX))
+    misfits = np.maximum(own, 0.0)
+    measures = (1.0, misfits, near, far, near * np.clip(across - own, -2.0, 3.0), far * misfits)
+    wrong = sum(weight * measure for weight, measure in zip(_WEIGHTS, measures, strict=True))
+    return np.asarray(expit(-wrong))
+
+
+def confidence(pixel_error: FloatArray, segment_error: FloatArray, right: FloatArray | float) -> FloatArray:
     """Confidence of each pixel's depth, 0 to 1.
 
     Args:
         pixel_error: shape (n_y, n_x), relative standard error of the depth from the window about the pixel.
         segment_error: shape (n_y, n_x), relative standard error of the depth of the pixel's segment.
-        disagreement: shape (n_y, n_x), relative difference of the two depths, not negative.
-        claimed: shape (n_y, n_x), whether the pixel has a depth of its own.
+        right: shape (n_y, n_x), probability that the segment is the right one.
 
     Returns:
         Shape (n_y, n_x).
     """
-    error = np.minimum(np.where(claimed, pixel_error, np.inf), segment_error)
-    unexplained = np.maximum(disagreement - _EXPLAINED_ERRORS * pixel_error, 0.0)
-    error = np.hypot(error, np.where(claimed, unexplained, 0.0))
-    return np.asarray(1.0 / (1.0 + (error / HALF_CONFIDENCE) ** 2))
+    error = np.maximum(np.minimum(pixel_error, segment_error), 1e-12)
+    return np.asarray(right * erf(RIGHT_WITHIN / (np.sqrt(2.0) * error)))

@@ -98,7 +98,11 @@ def track(last: Regions, current: Regions, part: Part, surroundings: Part, separ
         label = np.where(np.append(True, stays)[before], before, 0).astype(np.int32)
         label[part] = number[now[inside]]
         labels.append(renumbered[label])
-    regions = Regions(last.layers, tuple(one for one in depths if one is not None), *labels)
+    right = None if last.right is None or current.right is None else last.right.copy()
+    if right is not None and current.right is not None:
+        right[part] = current.right[inside]
+    label, interior, grown = labels
+    regions = Regions(last.layers, tuple(one for one in depths if one is not None), label, interior, grown, right)
     return TrackedRegions(regions, np.append(0, np.where(stays, renumbered[1 : count + 1], 0)).astype(np.int32))
 
 

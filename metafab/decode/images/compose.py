@@ -12,7 +12,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.confidence import confidence
+from metafab.decode.confidence import LEAST_RIGHT, confidence
 from metafab.decode.image import Image4D
 from metafab.decode.images.contrast import SegmentLight, pixel_contrast
 from metafab.decode.images.deconvolution import SharpImages
@@ -101,7 +101,7 @@ class PixelMaps:
         with kept_threads() as pool:
             depths = pool.submit(depth_maps, pixels, regions, step, shape)
             light = window_means(sharp.images[0] + sharp.images[1], 3)
-            lit = np.asarray(light > repeated(prepared.floor_e, step, shape)) & ~prepared.twins.bad
+            lit = np.asarray(light > repeated(prepared.sharp_floor_e, step, shape)) & ~prepared.twins.bad
             contrast, contrast_error = pixel_contrast(sharp, prepared.levels.read_noise_e, lit)
         maps = depths.result()
         intensity_x, intensity_y = sharp.images.astype(np.float64)
@@ -196,9 +196,11 @@ def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int
     claimed = pixels.claimed & (regions.grown > 0)
     known = (regions.grown > 0) & (distance(claimed) <= WINDOW_PX / step)
     segment_error = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])[regions.grown]
+    right = np.ones(regions.grown.shape) if regions.right is None else regions.right
+    known &= right >= LEAST_RIGHT
     vergence = regions.vergence_per_m(regions.grown)
-    disagreement = np.abs(pixels.vergence_per_m / vergence - 1.0)
-    trust = np.where(known, confidence(pixels.relative_error, segment_error, disagreement, claimed), 0.0)
+    pixel_error = np.where(claimed, pixels.relative_error, np.inf)
+    trust = np.where(known, confidence(pixel_error, segment_error, right), 0.0)
     depth_m = np.where(known, 1.0 / vergence, np.nan)
     own = full_depth_m(replace(pixels, claimed=claimed), step, shape)
     return DepthMaps(

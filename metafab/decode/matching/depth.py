@@ -168,7 +168,7 @@ def quartic_peak(values: NDArray[np.float32]) -> Peak:
     start = parabolic_peak(*nearest)
     lowest, highest = best - 3.0, best - 1.0
     place = np.clip(best - 2.0 + start.place, lowest, highest)
-    coefficients = np.tensordot(_QUARTIC, values, axes=1)  # of x^0 to x^4, in half steps
+    coefficients = np.asarray(np.tensordot(_QUARTIC, values, axes=1), dtype=np.float32)  # of x^0 to x^4, in half steps
     least = 0.25 * start.curvature
     for _ in range(_NEWTON_ROUNDS):
         slope, bend = (_polynomial(coefficients, place, order) for order in (1, 2))
@@ -177,7 +177,7 @@ def quartic_peak(values: NDArray[np.float32]) -> Peak:
     return Peak(0.5 * place, _polynomial(coefficients, place, 0), 4.0 * curvature, start.inside)
 
 
-def _polynomial(coefficients: FloatArray, place: FloatArray, order: int) -> FloatArray:
+def _polynomial(coefficients: NDArray[np.float32], place: FloatArray, order: int) -> FloatArray:
     """Derivative of a polynomial, coefficients (n, ...) of rising powers, at places of shape (...): shape (...)."""
     total = np.zeros_like(place)
     for power in range(coefficients.shape[0] - 1, order - 1, -1):

@@ -13,7 +13,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.pooling import window_means
-from metafab.decode.registration.downsampling import Downsampling
+from metafab.decode.registration.downsampling import Downsampling, blocks_with
 from metafab.decode.registration.pedestal import pedestal_e, without_pedestal
 from metafab.decode.registration.twins import TwinGrid, Twins, extract
 from metafab.decode.segmentation.distance import distance
@@ -28,6 +28,10 @@ _BLUR_PX = 12
 _DARK_DEVIATIONS = 6.0
 #: Share of a surface's light at which its outline stands, next to the dark.
 _OUTLINE_SHARE = 0.175
+#: Share of the blur of a bright surface that is left beside its sharp image.
+_SHARP_SHARE = 0.4
+#: Reach of the blur of a highlight, frame pixels.
+_SPOILED_PX = 24
 #: Distance from a lit pixel up to which images are deconvolved, downsampled pixels.
 _LIT_MARGIN_PX = 2
 #: Reason for an empty image of a dark frame.
@@ -120,6 +124,11 @@ class PreparedFrame:
         return floor
 
     @property
+    def sharp_floor_e(self) -> NDArray[np.float32]:
+        """Sum of both sharp images below which a pixel is dark, electrons: deconvolution leaves little of the blur."""
+        return np.asarray(np.maximum(np.float32(_SHARP_SHARE) * self.floor_e, np.float32(self.dark_e)))
+
+    @property
     def inner(self) -> NDArray[np.float32]:
         """The downsampled images without margin: shape (2, n_y, n_x)."""
         return self.images[:, *self.downsampling.inner]
@@ -133,6 +142,15 @@ class PreparedFrame:
     def near_light(self) -> NDArray[np.bool_]:
         """Downsampled pixels near a lit one, at which images are deconvolved: shape (n_y, n_x)."""
         return near_light(self.lit)
+
+    @cached_property
+    def spoiled(self) -> NDArray[np.bool_]:
+        """Downsampled pixels that the blur of a saturated or invalid pixel reaches: shape (n_y, n_x)."""
+        if not self.twins.bad.any():
+            return np.zeros(self.downsampling.shape, dtype=bool)
+        step, (n_y, n_x) = self.downsampling.step, self.downsampling.shape
+        bad = blocks_with(self.twins.bad, (step, step), (n_y, n_x))
+        return np.asarray(distance(bad) * step <= _SPOILED_PX)
 
     @cached_property
     def mean(self) -> NDArray[np.float32]:

@@ -11,15 +11,17 @@ from scipy.ndimage import binary_opening
 
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.confidence import LARGEST_ERROR
+from metafab.decode.confidence import LARGEST_ERROR, right_segment
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.segmentation.distance import distance
+from metafab.decode.segmentation.fit import across_outlines, misfit_at
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, fit_plane, ransac_planes
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segments import (
     SegmentDepth,
+    adjacency,
     assign_layers,
     connected_segments,
     depth_layers,
@@ -31,8 +33,23 @@ from metafab.decode.segmentation.segments import (
     textured_components,
 )
 
-#: Separation of layers, as a share of the calibrated range of vergence.
+#: Largest separation of layers, as a share of the calibrated range of vergence.
 LAYER_SHARE = 1.0 / 24.0
+#: Separation of layers in median standard errors of the pixels' depths, which scatter by 1.5 times what they state.
+_SEPARATION_ERRORS = 2.0
+#: Standard errors, and relative difference, within which adjacent segments have one depth.
+_ONE_DEPTH_ERRORS, _ONE_DEPTH = 2.5, 1.5e-3
+#: Ratio of misfits below which finer layers replace coarser ones, or planes.
+_CLEARLY_BETTER = 0.93
+#: Misfit from which a pixel is left out of its segment's depth: 12 samples of noise reach it in one of 10^3 windows.
+_LARGEST_MISFIT = 2.5
+#: Share of such pixels that changes no depth, and share of the interior that is kept at least.
+_FEW_OUTLIERS, _LEAST_KEPT = 0.01, 0.3
+_ROBUST_ROUNDS = 3
+#: Rounds of the reweighted fit of a plane to a segment's pixels.
+_REFITS = 3
+#: Square of a pixel's distance from its segment, in standard errors, from which it is an outlier.
+_OUTLIER = 16.0
 #: Distance from an outline up to which a window, with the pair's main lobes, contains it; frame pixels.
 _OUTLINE_REACH_PX = 40
 #: Number of layers from which they may be stripes of a tilted surface.
@@ -51,6 +68,7 @@ class Regions:
         label: shape (n_y, n_x), number of each pixel's segment from 1; 0 for none.
         interior: shape (n_y, n_x), ``label`` where the segment's depth is measured; 0 elsewhere.
         grown: shape (n_y, n_x), ``label`` grown over the pixels along the outlines.
+        right: shape (n_y, n_x), probability that a pixel of ``grown`` is in the right segment; None for certainty.
     """
 
     layers: int
@@ -58,12 +76,14 @@ class Regions:
     label: NDArray[np.int32]
     interior: NDArray[np.int32]
     grown: NDArray[np.int32]
+    right: FloatArray | None = None
 
     def within(self, rows: slice, columns: slice) -> Regions:
         """The segments in a part of the window, with the same numbers."""
         depths = tuple(replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
         part = (rows, columns)
-        return Regions(self.layers, depths, self.label[part], self.interior[part], self.grown[part])
+        right = None if self.right is None else self.right[part]
+        return Regions(self.layers, depths, self.label[part], self.interior[part], self.grown[part], right)
 
     def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
         """1/depth of each pixel's segment, for a label of shape (n_y, n_x): the same shape; NaN for none."""
@@ -98,8 +118,17 @@ class Regions:
 
 
 def layer_separation_per_m(volume: CostVolume) -> float:
-    """Vergence by which layers differ."""
+    """Largest vergence by which layers differ: that of tilted planes, and of segments in successive frames."""
     return float(volume.vergences_per_m[-1] - volume.vergences_per_m[0]) * LAYER_SHARE
+
+
+def noise_separation_per_m(volume: CostVolume, pixels: PixelDepth) -> float:
+    """Vergence by which the noise of the pixels' depths lets layers be told apart."""
+    largest = layer_separation_per_m(volume)
+    if not pixels.claimed.any():
+        return largest
+    error = float(np.median((pixels.relative_error * pixels.vergence_per_m)[pixels.claimed]))
+    return float(np.clip(_SEPARATION_ERRORS * error, 0.02 * largest, largest))
 
 
 def textured_pixel_depth(prepared: PreparedFrame, volume: CostVolume) -> PixelDepth:
@@ -129,10 +158,7 @@ def find_regions(
     known: Sequence[Plane] = (),
     outline_rounds: int = ROUNDS,
 ) -> Regions:
-    """Segment a frame.
-
-    At first each layer has one depth. If some of its segments are tilted, or are stripes of a tilted surface, the
-    layers become planes, and pixels are assigned to them once more.
+    """Segment a frame, with the probability that each pixel is in the right segment.
 
     Args:
         prepared: the frame.
@@ -141,20 +167,138 @@ def find_regions(
         known: planes of the picture; if some are tilted, pixels are assigned to them at once.
         outline_rounds: most rounds of the refinement of outlines.
     """
+    regions = _find_regions(prepared, volume, pixels, known, outline_rounds)
+    if not regions.depths:
+        return regions
+    label = regions.grown
+
+    def misfit_of(number: NDArray[np.int32]) -> NDArray[np.float32]:
+        return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior)
+
+    own = misfit_of(label)
+    for _ in range(_ROBUST_ROUNDS):
+        judged = np.where(prepared.spoiled, np.float32(np.inf), own)
+        trimmed = without_outliers(regions, volume, judged, prepared.downsampling.step)
+        if trimmed is regions:
+            break
+        regions = trimmed
+        own = misfit_of(label)
+    across, away = across_outlines(label)
+    other = misfit_of(across)
+    return replace(regions, right=right_segment(own, other, away * prepared.downsampling.step))
+
+
+def without_outliers(regions: Regions, volume: CostVolume, misfits: NDArray[np.float32], step: int) -> Regions:
+    """Measure the depths of segments again without the pixels that they do not explain; ``regions`` if there are few.
+
+    Args:
+        regions: segments.
+        volume: cost volume.
+        misfits: shape (n_y, n_x), misfit of each pixel at its segment's depth.
+        step: frame pixels from one downsampled pixel to the next.
+    """
+    count = len(regions.depths)
+    kept = np.where(misfits < _LARGEST_MISFIT, regions.interior, 0)
+    before, after = (np.bincount(label.ravel(), minlength=count + 1)[1:] for label in (regions.interior, kept))
+    again = np.flatnonzero((after < (1.0 - _FEW_OUTLIERS) * before) & (after > _LEAST_KEPT * before))
+    if not again.size:
+        return regions
+    number = np.zeros(count + 1, dtype=np.int32)
+    number[again + 1] = np.arange(1, again.size + 1)
+    depths = list(regions.depths)
+    for index, cells in zip(again.tolist(), Cells.of_each(volume, number[kept], again.size, step), strict=True):
+        measured = measured_depth(volume, cells, depths[index].plane)
+        if measured is not None:
+            depths[index] = replace(measured, pixels=depths[index].pixels)
+    return replace(regions, depths=tuple(depths))
+
+
+def _find_regions(
+    prepared: PreparedFrame, volume: CostVolume, pixels: PixelDepth, known: Sequence[Plane], outline_rounds: int
+) -> Regions:
+    """The segments of a frame.
+
+    At first each layer has one depth. If some of its segments are tilted, or are stripes of a tilted surface, the
+    layers become planes, and pixels are assigned to them once more. Where noise tells more layers apart, those replace
+    them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane.
+    """
     segmentation = _Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
     if any(plane.tilted for plane in known):
         return segmentation.of_planes(list(known))
-    layers = [Plane(vergence) for vergence in depth_layers(pixels, segmentation.separation_per_m).tolist()]
-    if not layers:
+    coarse = segmentation.layers
+    if not coarse:
         none = np.zeros(volume.shape, dtype=np.int32)
         return Regions(0, (), none, none, none)
-    regions = segmentation.of_layers(layers)
-    if len(layers) >= _MANY_LAYERS or any(depth.plane.tilted for depth in regions.depths):
+    regions = segmentation.of_layers(coarse)
+    if len(coarse) >= _MANY_LAYERS or any(depth.plane.tilted for depth in regions.depths):
         cells = Cells.of(volume, pixels.claimed & prepared.lit, prepared.downsampling.step)
         planes = planes_across(cells, cell_side(prepared.downsampling.step), volume, pixels, regions)
         if any(plane.tilted for plane in planes):
-            return segmentation.of_planes(planes)
-    return regions
+            regions = segmentation.of_planes(planes)
+    finer = replace(segmentation, separation_per_m=noise_separation_per_m(volume, pixels))
+    layers = finer.layers
+    if len(layers) <= len(coarse):
+        return regions
+    of_noise = finer.of_layers(layers)
+    needed = distinct_layers(of_noise, layers)
+    if len(needed) < len(layers):
+        of_noise = finer.of_layers(needed)
+    # Next to outlines, where depths mix, more layers always fit better.
+    inside = pixels.claimed & (regions.interior > 0)
+    better = misfit(of_noise, pixels, inside) < _CLEARLY_BETTER * misfit(regions, pixels, inside, refitted=True)
+    return of_noise if better else regions
+
+
+def misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_], *, refitted: bool = False) -> float:
+    """Mean square distance of the pixels' depths from their segments', in standard errors; inf without pixels.
+
+    Args:
+        regions: segments.
+        pixels: depth of each pixel.
+        inside: shape (n_y, n_x), pixels that count; those without a segment count as outliers.
+        refitted: whether each segment is moved and tilted to its pixels first, whose depths may lean together.
+    """
+    if not inside.any():
+        return float("inf")
+    error = (pixels.relative_error * pixels.vergence_per_m)[inside]
+    away = (pixels.vergence_per_m - regions.vergence_per_m(regions.grown))[inside] / error
+    if refitted:
+        number, place = regions.grown[inside], np.nonzero(inside)
+        for one in np.unique(number[number > 0]).tolist():
+            mask = number == one
+            away[mask] = _plane_residual(away[mask], error[mask], *(axis[mask].astype(np.float64) for axis in place))
+    return float(np.minimum(np.nan_to_num(away * away, nan=_OUTLIER), _OUTLIER).mean())
+
+
+def _plane_residual(away: FloatArray, error: FloatArray, row: FloatArray, column: FloatArray) -> FloatArray:
+    """What a robust plane through distances in standard errors, shape (n,), leaves of them: the same shape."""
+    design = np.stack([np.ones_like(row), row - row.mean(), column - column.mean()], axis=1) / error[:, None]
+    left = away
+    for _ in range(_REFITS):
+        weight = 1.0 / (1.0 + left * left / _OUTLIER)
+        normal = design.T @ (design * weight[:, None])
+        left = away - design @ (np.linalg.pinv(normal, hermitian=True) @ (design.T @ (weight * away)))
+    return left
+
+
+def distinct_layers(regions: Regions, layers: list[Plane]) -> list[Plane]:
+    """Layers without those whose segments all have the depth of a larger neighbour within their errors."""
+    count = len(regions.depths) + 1
+    sizes, touching = np.bincount(regions.grown.ravel(), minlength=count), adjacency(regions.grown, count)
+    vergence = np.array([0.0, *(depth.vergence_per_m for depth in regions.depths)])
+    error = np.array([0.0, *(depth.relative_error for depth in regions.depths)])
+    own = np.abs(np.array([plane.vergence_per_m for plane in layers])[:, None] - vergence[1:]).argmin(axis=0)
+    kept = np.zeros(len(layers), dtype=bool)
+    for number in range(1, count):
+        larger = np.flatnonzero(
+            touching[number] & ((sizes > sizes[number]) | ((sizes == sizes[number]) & (np.arange(count) < number)))
+        )
+        larger = larger[larger > 0]
+        difference = np.abs(vergence[larger] / vergence[number] - 1.0)
+        allowed = np.maximum(_ONE_DEPTH_ERRORS * np.hypot(error[larger], error[number]), _ONE_DEPTH)
+        if not (difference < allowed).any():
+            kept[own[number - 1]] = True
+    return [plane for plane, stays in zip(layers, kept.tolist(), strict=True) if stays] or layers
 
 
 def planes_across(cells: Cells, side: int, volume: CostVolume, pixels: PixelDepth, regions: Regions) -> list[Plane]:
@@ -205,6 +349,11 @@ class _Segmentation:
     pixels: PixelDepth
     separation_per_m: float
     outline_rounds: int
+
+    @property
+    def layers(self) -> list[Plane]:
+        """Layers of one depth at the peaks of the pixels' depths."""
+        return [Plane(vergence) for vergence in depth_layers(self.pixels, self.separation_per_m).tolist()]
 
     def of_planes(self, planes: list[Plane]) -> Regions:
         """Segments of planes, and of the depths of pixels that clearly lie on none of them.

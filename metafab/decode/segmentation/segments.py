@@ -295,7 +295,7 @@ def fragment_targets(depths: Sequence[SegmentDepth], label: NDArray[np.int32]) -
     count = len(depths) + 1
     target = np.arange(count, dtype=np.int32)
     sizes = np.bincount(label.ravel(), minlength=count)
-    adjacent = _adjacency(label, count)
+    adjacent = adjacency(label, count)
     smallest_first: list[int] = (1 + np.argsort(sizes[1:], kind="stable")).tolist()
     for number in smallest_first:
         depth = depths[number - 1]
@@ -313,8 +313,16 @@ def fragment_targets(depths: Sequence[SegmentDepth], label: NDArray[np.int32]) -
     return target
 
 
-def _adjacency(label: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
-    """Which segments touch each other: shape (count, count)."""
+def adjacency(label: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
+    """Whether segments touch each other.
+
+    Args:
+        label: shape (n_y, n_x), numbers of the segments from 1; 0 for none.
+        count: the largest number plus one.
+
+    Returns:
+        Shape (count, count).
+    """
     adjacent = np.zeros(count * count, dtype=bool)
     for one, other in ((label[:-1], label[1:]), (label[:, :-1], label[:, 1:])):
         codes = np.bincount((one * np.int32(count) + other).ravel(), minlength=count * count)

@@ -67,16 +67,18 @@ def test_a_decoder_refuses_frames_from_elsewhere_on_the_sensor(psf: Psf) -> None
         assert word in str(image.figures.reason)
 
 
-def test_pixels_that_say_another_depth_doubt_their_segment() -> None:
+def test_no_depth_is_claimed_where_it_is_more_likely_wrong() -> None:
     shape = (20, 30)
-    own = np.full(shape, 2.0)
-    own[:, 15:] = 2.2
+    right = np.ones(shape)
+    right[:, 10:20], right[:, 20:] = 0.6, 0.3
     everywhere, one = np.ones(shape, dtype=bool), np.ones(shape, dtype=np.int32)
-    regions = Regions(1, (SegmentDepth(2.0, 1e-3, 0.9, 1.0, Plane(2.0)),), one, one, one)
-    maps = depth_maps(PixelDepth(own, np.full(shape, 5e-3), everywhere), regions, 1, shape)
-    assert (maps.depth_m == 0.5).all()
-    assert (maps.confidence[:, :15] > 0.9).all()
-    assert (maps.confidence[:, 15:] < 0.1).all()
+    regions = Regions(1, (SegmentDepth(2.0, 1e-3, 0.9, 1.0, Plane(2.0)),), one, one, one, right)
+    maps = depth_maps(PixelDepth(np.full(shape, 2.0), np.full(shape, 5e-3), everywhere), regions, 1, shape)
+    assert (maps.depth_m[:, :20] == 0.5).all() and np.isnan(maps.depth_m[:, 20:]).all()
+    # A standard error of 0.1 % is never off by 5 %: what remains is the probability of the segment.
+    np.testing.assert_allclose(maps.confidence[:, :10], 1.0)
+    np.testing.assert_allclose(maps.confidence[:, 10:20], 0.6)
+    assert (maps.confidence[:, 20:] == 0.0).all()
 
 
 @pytest.mark.parametrize("ratio", [0.1, 1.0, 5.0])

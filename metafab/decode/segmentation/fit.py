@@ -1,0 +1,110 @@
+"""Goodness of fit by place: what is left of the twins where a segment's depth should make them equal.
+
+At the right depth the filtered twins a and b of a texture are equal up to the contrast, and what is left of their
+difference is noise. Its square over the noise's variance, the null energy, is 1 in the mean. At a wrong depth, or where
+the blur of two depths mixes, it is larger. The noise is known, so that no other scale is needed but the calibration's
+own error, a share of the texture's energy that the segments' interiors show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.pooling import window_means
+from metafab.decode.segmentation.distance import nearest
+from metafab.decode.segmentation.prepared_frame import PreparedFrame
+
+#: Side of the window over which the null energy is averaged, frame pixels.
+_WINDOW_PX = 13
+#: Least error of a calibration, as a share of the texture's energy: that of filters mixed from a basis within 2 %.
+_LEAST_MODEL_ERROR = 1e-3
+
+
+@dataclass(frozen=True)
+class TwinEnergies:
+    """Mean products of the filtered twins over the variance of their noise.
+
+    Attributes:
+        products: shape (3, ...): a b, a^2 and b^2.
+    """
+
+    products: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, products: NDArray[np.float32], prepared: PreparedFrame, noise_gain: float) -> TwinEnergies:
+        """Products (3, ..., n_y, n_x) of a cost volume of ``noise_gain``, divided by their noise."""
+        noise = (noise_gain * prepared.variance).astype(np.float32)
+        return cls(
+            np.stack([products[0] / np.sqrt(noise[0] * noise[1]), products[1] / noise[0], products[2] / noise[1]])
+        )
+
+    @property
+    def energy(self) -> NDArray[np.float32]:
+        """Energy of the texture, 0 for noise alone: shape (...)."""
+        return np.asarray(np.maximum(self.products[1] + self.products[2] - np.float32(2.0), np.float32(0.0)))
+
+    @property
+    def null_energy(self) -> NDArray[np.float32]:
+        """What is left of the twins at their own contrast, shape (...): total least squares of a against b.
+
+        The contrast may be negative: an object brighter than what it hides in one image, and darker in the other.
+        """
+        product, square_x, square_y = self.products
+        half = np.float32(0.5) * (square_x + square_y)
+        root = np.hypot(np.float32(0.5) * (square_x - square_y), product)
+        return np.asarray(np.maximum(half - root, np.float32(0.0)))
+
+
+def misfit_at(
+    prepared: PreparedFrame, volume: CostVolume, vergence_per_m: FloatArray, interior: NDArray[np.int32]
+) -> NDArray[np.float32]:
+    """Null energy at each pixel's depth over what noise and the calibration's error explain.
+
+    Args:
+        prepared: the frame.
+        volume: its cost volume.
+        vergence_per_m: shape (n_y, n_x), 1/depth of each pixel; any value where it has none.
+        interior: shape (n_y, n_x), number of the segment whose interior holds the pixel, 0 for none.
+
+    Returns:
+        Shape (n_y, n_x): about 1 where the depth is right.
+    """
+    window = max(3, _WINDOW_PX // prepared.downsampling.step | 1)
+    products = volume.at(np.nan_to_num(vergence_per_m, nan=float(volume.vergences_per_m[0]))[None])[:, 0]
+    local = TwinEnergies.of(window_means(products, window), prepared, volume.noise_gain)
+    null, energy = local.null_energy, local.energy
+    inside = interior > 0
+    # Medians: what does not belong to a segment must not excuse itself.
+    share = _LEAST_MODEL_ERROR
+    if inside.any():
+        excess, textured = float(np.median(null[inside])) - 1.0, float(np.median(energy[inside]))
+        share = max(share, excess / max(textured, 1e-9))
+    return (null / (np.float32(1.0) + np.float32(share) * energy)).astype(np.float32)
+
+
+def across_outlines(label: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The segment across the outline nearest to each pixel, and the distance of that outline.
+
+    Args:
+        label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
+
+    Returns:
+        Number of the other segment, 0 for none, and distance in pixels, inf without an outline: shapes (n_y, n_x).
+    """
+    beside = np.zeros_like(label)
+    for one, other in (
+        ((slice(1, None),), (slice(None, -1),)),
+        ((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
+    ):
+        meet = (label[one] != label[other]) & (label[one] > 0) & (label[other] > 0)
+        np.copyto(beside[one], label[other], where=meet)
+        np.copyto(beside[other], label[one], where=meet)
+    away, row, column = nearest(beside > 0)
+    # The nearest pixel along an outline may lie beyond it: then it belongs to the other segment.
+    same = label[row, column] == label
+    return np.where(same, beside[row, column], label[row, column]).astype(np.int32), away
