@@ -24,6 +24,7 @@ ROOMS = (
     "expose",
     "psf",
     "crystal",
+    "made_lens",
     "decode",
     "scenes",
     "files",

@@ -1,0 +1,57 @@
+"""Sums over sizes give the wanted wave of a mask; the crystal's limits are those of the closed form."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.made_lens import Interval, PrintedLens, Sizes, SizeSums, ghost_over_own
+from metafab.layout.pillars import Lattice, PillarMap
+from metafab.spec import Device, load_design
+from tests.main_job import SMALL
+
+
+def test_sums_over_sizes_are_the_mean_of_all_sites() -> None:
+    """120 x 120 random pillars of two sizes with random targets, site by site and by size, and a bias by 2 nm."""
+    rng = np.random.default_rng(3)
+    lattice = Lattice((700, 700), (120, 120), 0.5)
+    index = rng.integers(0, 3, lattice.shape).astype(np.uint16)
+    sizes = np.array([[0, 0], [240, 320], [400, 200]], dtype=np.int32)  # 120 x 160 and 200 x 100 nm
+    target_rad = rng.uniform(-math.pi, math.pi, (2, *lattice.shape))
+    x_um, y_um = lattice.x_um(), lattice.y_um()
+
+    def profile(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        here = np.searchsorted(y_um, rows - 1e-6), np.searchsorted(x_um, columns - 1e-6)
+        return target_rad[:, here[0][:, None], here[1]]
+
+    design = load_design(SMALL)
+    object.__setattr__(design, "device", Device(42.0, 1.0, "square"))
+    sums = SizeSums.of(PillarMap.from_array(lattice, sizes, index, 50), profile, design)  # type: ignore[arg-type]
+    table = rng.normal(size=(106, 106, 2)) + 1j * rng.normal(size=(106, 106, 2))
+    lens = PrintedLens.of(sums, Sizes(table), 2.0, 2.0)
+    amplitude = np.zeros((3, 2), dtype=complex)
+    for number, (width, length) in enumerate(((122, 162), (202, 102)), start=1):
+        amplitude[number] = table[(length - 70) // 2, (width - 70) // 2]
+    a = np.moveaxis(amplitude[index], -1, 0)
+    wanted = np.abs((a * np.exp(-1j * target_rad)).mean(axis=(1, 2))) ** 2
+    np.testing.assert_allclose((lens.wanted_x, lens.wanted_y), wanted, rtol=1e-9)
+    assert lens.transmitted == pytest.approx((np.abs(a) ** 2).mean(), rel=1e-9)
+    assert lens.straight == pytest.approx((np.abs(a.mean(axis=(1, 2))) ** 2).mean(), rel=1e-9)
+
+
+def test_light_in_the_wrong_image_is_that_of_a_wave_plate() -> None:
+    """At 500 um 3.54 waves: nearly all light at 45 degrees, none when aligned; 4.8 degrees leave 35.6."""
+    angles = np.array([0.0, 4.8, 45.0])
+    ghost = ghost_over_own(angles, np.full(3, 500.0))
+    assert ghost[0] == 0.0
+    assert 1.0 / ghost[1] == pytest.approx(35.6, rel=0.02)
+    assert ghost[2] > 20.0
+
+
+def test_quantiles_are_weighted() -> None:
+    values = np.arange(101.0)
+    interval = Interval.of(values, np.where(values >= 50.0, 1.0, 0.0))
+    assert (interval.low, interval.high) == pytest.approx((52.0, 98.0), abs=1.0)
+    assert interval.middle == pytest.approx(75.0, abs=1.0)
