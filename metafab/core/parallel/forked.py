@@ -9,10 +9,14 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 from typing import Any, TypeVar
 
+from metafab.core.errors import WorkerLostError
 from metafab.core.parallel.executor import default_workers
 from metafab.core.parallel.orphans import end_with_forking_thread
+from metafab.core.parallel.processes import MOST_LOSSES, call_name
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -26,21 +30,35 @@ def shared(function: Callable[[Item], Result], items: Sequence[Item], workers: i
 
     A fork starts without imports and without sending data, which pays for work of a few seconds; use
     :mod:`metafab.core.parallel.executor` for longer work. Only results are pickled. The work is done in this process,
-    with the same results, for one worker, with other threads running, or on systems other than Linux.
+    with the same results, for one worker, with other threads running, or on systems other than Linux. Work of a process
+    that is killed is done again.
 
     Args:
         function: has no side effects in this process and starts no compiled parallel loop.
         items: arguments of ``function``.
         workers: processes; None for all cores.
+
+    Raises:
+        WorkerLostError: three processes in a row ended on one item.
     """
     count = min(default_workers() if workers is None else workers, len(items))
     if count < 2 or sys.platform != "linux" or threading.active_count() > 1:
         yield from map(function, items)
         return
     context = multiprocessing.get_context("fork")
-    # With the fork context, the arguments of the initialiser are inherited, not pickled.
-    with ProcessPoolExecutor(count, mp_context=context, initializer=_inherit, initargs=(function, items)) as pool:
-        yield from pool.map(_apply, range(len(items)))
+    done = losses = 0
+    while done < len(items):
+        workers = 1 if losses == MOST_LOSSES - 1 else count  # alone, the next item is the one that is lost
+        try:
+            # With the fork context, the arguments of the initialiser are inherited, not pickled.
+            with ProcessPoolExecutor(workers, context, initializer=_inherit, initargs=(function, items)) as pool:
+                for result in pool.map(_apply, range(done, len(items))):
+                    done, losses = done + 1, 0
+                    yield result
+        except BrokenProcessPool:
+            losses += 1
+            if losses == MOST_LOSSES:
+                raise WorkerLostError(call_name(partial(function, items[done])), losses) from None
 
 
 def _inherit(function: Callable[[Any], Any], items: Sequence[Any]) -> None:

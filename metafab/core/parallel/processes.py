@@ -149,11 +149,11 @@ class WorkerProcesses(Executor):
                 if self._alone[0] is piece:
                     self._start_alone()
                 return
-        piece.set_exception(WorkerLostError(_name(piece.call), piece.losses))
+        piece.set_exception(WorkerLostError(call_name(piece.call), piece.losses))
 
 
-def _name(call: partial[Any]) -> str:
-    """Function and arguments of a call, shortened."""
+def call_name(call: partial[Any]) -> str:
+    """Function and arguments of a call for messages, shortened."""
     function = call.func
     while isinstance(function, partial):
         function = function.func

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from metafab.core.errors import WorkerLostError
 from metafab.core.parallel.forked import shared
 from metafab.core.parallel.interrupts import raised_interrupts
 
@@ -51,3 +52,34 @@ def test_beside_other_threads_nothing_is_copied() -> None:
 def test_files_written_by_copies_are_there(tmp_path: Path) -> None:
     list(shared(lambda item: (tmp_path / str(item)).write_text(str(item)), range(5), workers=2))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0", "1", "2", "3", "4"]
+
+
+alone = pytest.mark.skipif("threading.active_count() > 1", reason="beside other threads nothing is copied")
+
+
+@alone
+def test_the_work_of_a_killed_process_is_done_again(tmp_path: Path) -> None:
+    mark, parent = tmp_path / "killed", os.getpid()
+
+    def squared(value: int) -> int:
+        if value == 2 and not mark.exists() and os.getpid() != parent:
+            mark.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return value * value
+
+    assert list(shared(squared, range(6), workers=2)) == [value * value for value in range(6)]
+    assert mark.exists()
+
+
+@alone
+def test_an_item_that_ends_every_process_is_named() -> None:
+    parent = os.getpid()
+
+    def squared(value: int) -> int:
+        if value == 2 and os.getpid() != parent:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return value * value
+
+    found: list[int] = []
+    with pytest.raises(WorkerLostError, match=r"squared\(2\)"):
+        found.extend(shared(squared, range(6), workers=2))
