@@ -87,7 +87,7 @@ def test_text_of_a_run_cannot_become_markup(page: str) -> None:
 
 def test_every_figure_is_a_png_and_a_drawing(page: str, full_run: RunFolder) -> None:
     pictures = sorted((full_run.path / "figures").glob("*.png"))
-    assert len(pictures) == 27
+    assert len(pictures) == 26
     for picture in pictures:
         assert picture.read_bytes().startswith(b"\x89PNG")
     assert page.count('class="plot"') == len(pictures)
