@@ -37,7 +37,7 @@ class TwinEnergies:
 
     @classmethod
     def of(cls, products: NDArray[np.float32], prepared: PreparedFrame, noise_gain: float) -> TwinEnergies:
-        """Products (3, ..., n_y, n_x) of a cost volume of ``noise_gain``, divided by their noise."""
+        """Products of a cost volume of ``noise_gain``, shape (3, ..., n_y, n_x), divided by their noise."""
         noise = (noise_gain * prepared.variance).astype(np.float32)
         return cls(
             np.stack([products[0] / np.sqrt(noise[0] * noise[1]), products[1] / noise[0], products[2] / noise[1]])

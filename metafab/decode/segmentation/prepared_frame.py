@@ -125,7 +125,10 @@ class PreparedFrame:
 
     @property
     def sharp_floor_e(self) -> NDArray[np.float32]:
-        """Sum of both sharp images below which a pixel is dark, electrons: deconvolution leaves little of the blur."""
+        """Sum of both sharp images below which a pixel is dark, electrons: shape (n_y, n_x), downsampled pixels.
+
+        Deconvolution leaves little of the blur.
+        """
         return np.asarray(np.maximum(np.float32(_SHARP_SHARE) * self.floor_e, np.float32(self.dark_e)))
 
     @property
