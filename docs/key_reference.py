@@ -8,7 +8,8 @@ from typing import Any
 from docutils import nodes
 from docutils.parsers.rst import Directive
 
-from metafab.spec.keys.reference import Key, files
+from metafab.spec.keys.reference import Key
+from metafab.spec.keys.search import files
 
 COLUMNS = {"key": 22, "type and range": 28, "default": 12, "meaning": 50}
 

@@ -67,7 +67,7 @@ def keys_command(
     json_: Json = False,
 ) -> None:
     """Explain the keys of design, unit-cell and scene files: type, unit, range, default, meaning."""
-    from metafab.spec.keys.reference import search
+    from metafab.spec.keys.search import search
 
     keys = search(place or "")
     if json_:

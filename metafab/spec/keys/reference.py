@@ -17,8 +17,6 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from pydantic.fields import FieldInfo
 
-from metafab.core.errors import InputError
-
 _PLAIN = {float: "number", int: "whole number", bool: "true or false", str: "text", Path: "path of a file"}
 
 #: Units at the ends of names, the longest first.
@@ -60,30 +58,6 @@ class Key:
     default: str
     allowed: str
     meaning: str
-
-
-@cache
-def files() -> dict[str, tuple[Key, ...]]:
-    """Return the keys of each kind of file: "design", "unit cell"; a scene file holds the design's ``scene`` keys."""
-    from metafab.spec.cell import UnitCell
-    from metafab.spec.design import Design
-
-    design = [key for key in keys_of(Design) if not key.path.startswith("unit_cell")]
-    return {"design": tuple(design), "unit cell": keys_of(UnitCell)}
-
-
-def search(place: str) -> tuple[Key, ...]:
-    """Return the keys whose path contains ``place``.
-
-    Raises:
-        InputError: there is none.
-    """
-    keys = [key for group in files().values() for key in group]
-    found = tuple(key for key in keys if place.lower() in key.path.lower())
-    if not found:
-        names = {name.removesuffix("[]") for key in keys for name in (key.path, *key.path.split("."))}
-        raise InputError.single("keys", "KEY", "part of a key", repr(place), near(place, sorted(names)))
-    return found
 
 
 @cache

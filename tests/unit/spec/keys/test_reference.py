@@ -6,7 +6,8 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.spec import Design, Scene, UnitCell
-from metafab.spec.keys.reference import files, keys_of, names_at, near, search
+from metafab.spec.keys.reference import keys_of, names_at, near
+from metafab.spec.keys.search import files, search
 from tests.main_job import metafab
 
 KEYS = {key.path: key for spec in (Design, UnitCell, Scene) for key in keys_of(spec)}
