@@ -23,7 +23,7 @@ from metafab.library.fit.rational import RationalModel
 from metafab.library.neighbours.model import Neighbours
 from metafab.library.surface import SMALLEST_SURFACE, SizeResponse, Surface
 from metafab.spec import UnitCell
-from metafab.spec.load import LIBRARY_FORMAT
+from metafab.spec.toml import LIBRARY_FORMAT
 
 if TYPE_CHECKING:
     import xarray

@@ -23,7 +23,7 @@ from metafab.library.fit.rational import Range, RationalModel, Shape
 from metafab.library.library import BuildStatistics, Library, inputs_of
 from metafab.library.neighbours.storage import neighbours_of, put_neighbours
 from metafab.spec import UnitCell, canonical_toml
-from metafab.spec.load import LIBRARY_FORMAT, LIBRARY_KIND, embedded_unit_cell
+from metafab.spec.toml import LIBRARY_FORMAT, LIBRARY_KIND, embedded_unit_cell
 
 Statistics = TypeVar("Statistics", BuildStatistics, CornerStatistics)
 

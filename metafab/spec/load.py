@@ -14,10 +14,7 @@ from metafab.spec.cell import UnitCell
 from metafab.spec.design import Design
 from metafab.spec.keys.faults import faults_of
 from metafab.spec.scene import Scene
-from metafab.spec.toml import adapter, parse_toml, read_toml, validate
-
-LIBRARY_KIND = "metafab library"
-LIBRARY_FORMAT = 1
+from metafab.spec.toml import adapter, read_toml, unit_cell_of_library, validate
 
 
 def load_unit_cell(path: Path | str) -> UnitCell:
@@ -38,33 +35,6 @@ def load_unit_cell_of(library: Path) -> UnitCell:
     if library.suffix == ".h5":
         return unit_cell_of_library(library)
     return load_unit_cell(library)
-
-
-def unit_cell_of_library(path: Path) -> UnitCell:
-    """The unit-cell spec stored in a built library (attribute ``unit_cell_toml``).
-
-    Raises:
-        InputError: the file is missing, truncated, foreign or of a newer format.
-    """
-    from metafab.core.storage import hdf5  # Loaded late: designs alone do not need HDF5.
-
-    remedy = "build it with `metafab library build UNITCELL.toml`"
-    with hdf5.open_kind(path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, remedy=remedy) as file:
-        return embedded_unit_cell(str(file.attrs["unit_cell_toml"]), Path(path))
-
-
-def embedded_unit_cell(text: str, path: Path) -> UnitCell:
-    """The unit-cell spec of a library file; tables that it names are relative to the file's folder.
-
-    Args:
-        text: attribute ``unit_cell_toml``, as :func:`metafab.spec.toml.canonical_toml` wrote it for that folder.
-        path: the library file.
-
-    Raises:
-        InputError: faults of the spec.
-        ValueError, RecursionError: no TOML.
-    """
-    return validate(UnitCell, parse_toml(text, path.parent), str(path))
 
 
 def load_scene(path: Path | str) -> Scene:

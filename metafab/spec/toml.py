@@ -1,4 +1,4 @@
-"""TOML -> spec, reporting all faults of a file; spec -> canonical TOML."""
+"""TOML -> spec, reporting all faults of a file; spec -> canonical TOML, also within a library file."""
 
 from __future__ import annotations
 
@@ -16,9 +16,13 @@ import tomli_w
 from pydantic import TypeAdapter, ValidationError
 
 from metafab.core.errors import InputError
+from metafab.spec.cell import UnitCell
 from metafab.spec.keys.faults import faults_of
 
 Spec = TypeVar("Spec")
+
+LIBRARY_KIND = "metafab library"
+LIBRARY_FORMAT = 1
 
 #: Keys whose values are paths relative to their file.
 _FILE_KEYS = {"file", "texture_file", "amplitude_file", "table_file", "image_file", "depth_file", "contrast_file"}
@@ -84,6 +88,33 @@ def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
     except ValidationError as error:
         raise InputError(source, faults_of(error, spec)) from error
     return checked
+
+
+def unit_cell_of_library(path: Path) -> UnitCell:
+    """The unit-cell spec stored in a built library (attribute ``unit_cell_toml``).
+
+    Raises:
+        InputError: the file is missing, truncated, foreign or of a newer format.
+    """
+    from metafab.core.storage import hdf5  # Loaded late: designs alone do not need HDF5.
+
+    remedy = "build it with `metafab library build UNITCELL.toml`"
+    with hdf5.open_kind(path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, remedy=remedy) as file:
+        return embedded_unit_cell(str(file.attrs["unit_cell_toml"]), Path(path))
+
+
+def embedded_unit_cell(text: str, path: Path) -> UnitCell:
+    """The unit-cell spec of a library file; tables that it names are relative to the file's folder.
+
+    Args:
+        text: attribute ``unit_cell_toml``, as :func:`canonical_toml` wrote it for that folder.
+        path: the library file.
+
+    Raises:
+        InputError: faults of the spec.
+        ValueError, RecursionError: no TOML.
+    """
+    return validate(UnitCell, parse_toml(text, path.parent), str(path))
 
 
 def canonical_toml(spec: Any, folder: Path | None = None) -> str:

@@ -31,7 +31,7 @@ from metafab.library import Library
 from metafab.materials.record import read_table
 from metafab.phase.terms.sampled import load_array
 from metafab.spec import Design, load_design, load_scene, load_unit_cell
-from metafab.spec.load import unit_cell_of_library
+from metafab.spec.toml import unit_cell_of_library
 from tests.closed_form_run import decoded_image, raw_frame, turning_psf
 from tests.main_job import SMALL, UNIT_CELL
 

@@ -14,7 +14,7 @@ from metafab.core.errors import InputError
 from metafab.library import Library
 from metafab.library.library import inputs_of
 from metafab.spec import UnitCell
-from metafab.spec.load import unit_cell_of_library
+from metafab.spec.toml import unit_cell_of_library
 from tests import library_ridges as ridges
 
 
