@@ -4,7 +4,6 @@
 - ``sweep/``   adaptive sampling and checkpoints: UnitCell -> Library
 - ``foreign/`` sweeps of other programs
 - ``use/``     target phases -> sizes, figures of merit, checks
-- ``neighbours/``  what unlike neighbours do
 - ``neighbours/``  fields of unlike pillars side by side: chains of coupled modes
 - ``axes``     corners of a sweep (wavelength, height, walls, bias, index, angle), and the cells there
 - ``corners``  models over the axes, and the response at one corner

@@ -232,16 +232,23 @@ class Library(Displayed):
         return SizeResponse(self.t_xx[0, row, column], self.t_yy[0, row, column], self.error_of_sizes[row, column])
 
     def warnings(self) -> list[str]:
-        """Return a sentence about sizes whose error bound is beyond the target error."""
+        """Return sentences about sizes beyond the target error, and about a model of neighbours that does not pay."""
         target, error = self.unit_cell.sweep.target_error, self.error_of_sizes
+        found = []
+        if self.neighbours is not None and not self.neighbours.pays:
+            found.append(
+                f"the model of neighbours does not pay: {self.neighbours.summary}; it is used only where a design asks "
+                "for it. Raise `neighbours.rows` in the unit cell"
+            )
         beyond = int(np.count_nonzero(error > target))
         if not beyond:
-            return []
+            return found
         row, column = np.unravel_index(int(np.nanargmax(error)), error.shape)
         return [
+            *found,
             f"{beyond} of {int(self.known.sum())} sizes are beyond the target error {target:g}; the worst, "
             f"{self.width_nm[column]:g} x {self.length_nm[row]:g} nm, is known to {error[row, column]:.2g}. "
-            "A layout takes others where they serve; another height or period moves resonances"
+            "A layout takes others where they serve; another height or period moves resonances",
         ]
 
     def key_figures(self) -> dict[str, str]:

@@ -146,7 +146,7 @@ class Optics:
     amplitude_dataset: str = "amplitude"
     """Name of the map in an .h5 file."""
     neighbours: Annotated[bool, Field(strict=True)] | None = None
-    """Whether the pillars' light depends on their neighbours; by default where the library has a model of them."""
+    """Whether the pillars' light depends on their neighbours; by default where the library has a model of them that pays."""
 
     @model_validator(mode="after")
     def _samples_have_a_pitch(self) -> Optics:

@@ -213,7 +213,8 @@ def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | Neighbo
     """Transmitted field of the pillars of a written file, among their neighbours if design and library say so.
 
     Args:
-        job: the design; ``[optics] neighbours`` decides. Without it, the library's model is used if it has one.
+        job: the design; ``[optics] neighbours`` decides. Without it, the library's model is used if it
+            has one that pays.
         path: the mask file.
         copy: number of the lens in a file that holds several, from 1.
 
@@ -224,7 +225,8 @@ def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | Neighbo
 
     lone = mask_source(job, path, copy)
     asked, library = job.design.optics and job.design.optics.neighbours, open_library(job)
-    if asked is False or (asked is None and library.neighbours is None):
+    pays = library.neighbours is not None and library.neighbours.pays
+    if asked is False or (asked is None and not pays):
         return lone
     return optics.neighbour_field(lone.pillars, library, job.work.workers)
 

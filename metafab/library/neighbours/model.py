@@ -96,6 +96,11 @@ class Neighbours:
         return LineStatistics(sum(one.rows for one in every), sum(one.held_out for one in every), **errors)
 
     @property
+    def pays(self) -> bool:
+        """Whether no chain is known to be worse on its held-out rows than the local-period approximation."""
+        return not any(line.statistics.error >= line.statistics.local_period_error for line in self.lines)
+
+    @property
     def summary(self) -> str:
         """Errors on held-out rows with and without the model, in one line."""
         overall = self.overall

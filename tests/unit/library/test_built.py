@@ -34,6 +34,7 @@ def test_the_model_follows_the_unit_cell(
     asked = replace(lone, neighbours=Training(rows=100))
     assert not is_current(path, asked)
     trained = build_file(asked, path)
+    assert trained.neighbours is not None and trained.neighbours.pays
     # The pillars were kept: building them would have replaced the closed form.
     assert np.array_equal(trained.t_xx, smooth_library.t_xx)
     assert is_current(path, asked)
@@ -47,3 +48,13 @@ def test_the_model_follows_the_unit_cell(
     assert build_file(lone, path).neighbours is None
     assert is_current(path, lone)
     assert path.read_bytes() == before
+
+
+def test_a_model_that_is_worse_than_lone_pillars_is_said_not_to_pay(smooth_library: Library) -> None:
+    good = _train(smooth_library)
+    worse = replace(good.along[0], statistics=LineStatistics(60, 6, local_period_error=0.45, error=0.91))
+    bad = replace(good, along=(worse, worse))
+    assert good.pays and not bad.pays
+    (sentence,) = replace(smooth_library, neighbours=bad).warnings()
+    assert "does not pay" in sentence and "neighbours.rows" in sentence
+    assert replace(smooth_library, neighbours=good).warnings() == []
