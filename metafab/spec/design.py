@@ -145,8 +145,8 @@ class Optics:
     """Pitch of that file's square grid, which is centred on the axis."""
     amplitude_dataset: str = "amplitude"
     """Name of the map in an .h5 file."""
-    neighbours: Annotated[bool, Field(strict=True)] | None = None
-    """Whether the pillars' light depends on their neighbours; by default where the library has a model of them that pays."""
+    neighbours: Flag | None = None
+    """Whether the light of pillars depends on their neighbours; by default where the library's model of them pays."""
 
     @model_validator(mode="after")
     def _samples_have_a_pitch(self) -> Optics:
