@@ -62,7 +62,7 @@ REPORT = Step(
     outputs=lambda job: (job.folder / "report.html", *sorted((job.folder / "figures").glob("*.png"))),
     work=_report,
     figures=ReportFigures,
-    reads=("coupling.json", "patch.h5", "tolerance.json"),
+    reads=("coupling.json", "exposure.json", "patch.h5", "tolerance.json"),
     shows_summary=True,
 )
 

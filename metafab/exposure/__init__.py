@@ -8,6 +8,7 @@
 - ``shape``      sizes to draw at one dose
 - ``etch``       sizes after the etch: bias and microloading
 - ``expose``     :func:`expose`: printed sizes, corrected doses, dose classes
+- ``record``     size errors before and after the correction, for the report; ``exposure.json``
 
 In: a :class:`~metafab.layout.pillars.PillarMap` of drawn rectangles and a :class:`BeamPsf`. Out: an :class:`Exposure`.
 Energies are relative to that of a large pad at the base dose, or to the clearing energy where stated.
@@ -17,6 +18,7 @@ from metafab.exposure.electrons.beam import BeamPsf, BeamTerm
 from metafab.exposure.electrons.process import beam_psf
 from metafab.exposure.energy.resist import ResistEnergy
 from metafab.exposure.expose import Exposure, ExposureFigures, ExposureNumerics, SampledPillar, expose
+from metafab.exposure.record import ExposureRecord, SizeErrors, load_record, save_record
 
 __all__ = [
     "BeamPsf",
@@ -24,8 +26,12 @@ __all__ = [
     "Exposure",
     "ExposureFigures",
     "ExposureNumerics",
+    "ExposureRecord",
     "ResistEnergy",
     "SampledPillar",
+    "SizeErrors",
     "beam_psf",
     "expose",
+    "load_record",
+    "save_record",
 ]

@@ -19,13 +19,16 @@ from metafab.layout import Outline
 from metafab.optics import Psf
 from metafab.optics.measures.mtf import modulation_transfer
 from metafab.report.accounts import depths_against_truth, loss_chain
-from metafab.report.figures import accounts, image, library, mask, phases, psf, study
+from metafab.report.figures import accounts, exposure, image, library, mask, phases, psf, study
 from metafab.report.mask_picture import picture_of
 from metafab.report.render import save_both
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import BARS, MAP, PICTURE, PLOT, Margins, depth_text, panel
 from metafab.spec.terms import Picture
 from metafab.steps.merit import MeritFigures
+
+#: Least end of the scale of size errors (nm), for lenses that print without any.
+_LEAST_NM = 1e-3
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ def draw(run: RunFolder, progress: Progress, workers: int | None = None) -> dict
     """Draw all figures of a run into ``figures/``; return them as SVG by name, and remove those of earlier runs."""
     folder = run.path / "figures"
     folder.mkdir(exist_ok=True)
-    rooms = (_accounts, _library, _design, _hologram, _fullwave, _study, _light, _image, _comparison)
+    rooms = (_accounts, _library, _design, _exposure, _hologram, _fullwave, _study, _light, _image, _comparison)
     plans = [plan for room in rooms for plan in room(run)]
     drawn: dict[str, str] = {}
     progress("figures", 0, len(plans))
@@ -142,6 +145,23 @@ def _design(run: RunFolder) -> Iterator[Plan]:
     if close.size:
         paint = partial(mask.pillar_outlines, close, title="Single pillars", outline=outline, label_nearest=True)
         yield Plan("mask_close", "Single pillars with their sizes", paint, (4.0, 3.4))
+
+
+def _exposure(run: RunFolder) -> Iterator[Plan]:
+    record = run.exposure
+    if record is None:
+        return
+    parts = {"one dose": record.plain}
+    if record.corrected is not None:
+        parts[f"corrected {record.correction}s"] = record.corrected
+    # Blocks on the rim hold few pillars and do not set the scale, which both maps share.
+    bias_nm = np.abs(record.plain.size_map.bias_nm[np.isfinite(record.plain.size_map.bias_nm)])
+    largest_nm = max(_LEAST_NM, float(np.percentile(bias_nm, 99.0))) if bias_nm.size else 1.0
+    for name, (title, errors) in zip(("plain", "corrected"), parts.items(), strict=False):
+        paint = partial(exposure.size_map, errors.size_map, title=title.capitalize(), largest_nm=largest_nm)
+        yield Plan(f"exposure_map_{name}", f"Mean size error over the lens, {title}", paint, (4.0, 3.4), PICTURE)
+    yield Plan("exposure_histogram", "Size errors of all pillars", partial(exposure.size_histogram, parts))
+    yield Plan("exposure_window", "Size errors over the dose", partial(exposure.process_window, parts))
 
 
 def _hologram(run: RunFolder) -> Iterator[Plan]:

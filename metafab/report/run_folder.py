@@ -14,8 +14,10 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.comparison import Comparison
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import MetafabError
+from metafab.core.storage.files import file_sha256
 from metafab.core.storage.tables import DAMAGED
 from metafab.decode.image import Image4D
+from metafab.exposure.record import ExposureRecord, load_record
 from metafab.fullwave.coupling import Coupling
 from metafab.fullwave.patch import Patch
 from metafab.layout.pillars import PillarMap
@@ -119,6 +121,7 @@ class RunFolder:
         ideal_psf: PSF pair of the target phases.
         raw: raw frame.
         decoded: 4D image.
+        exposure: result of ``metafab expose`` on the written mask.
         coupling: result of ``metafab coupling``.
         patch: result of ``metafab patch``.
         comparison: result of ``metafab compare``.
@@ -138,6 +141,7 @@ class RunFolder:
     ideal_psf: Psf | None = None
     raw: RawFrame | None = None
     decoded: Image4D | None = None
+    exposure: ExposureRecord | None = None
     coupling: Coupling | None = None
     patch: Patch | None = None
     comparison: Comparison | None = None
@@ -188,6 +192,7 @@ def open_run(path: Path) -> RunFolder:
         raw=_attempt(notes, "raw", path / "raw.h5", camera.load),
         decoded=_attempt(notes, "decoded", path / "decoded.h5", decode.load),
         # Files of other commands: no note where they are missing.
+        exposure=_exposure(notes, path / "exposure.json", masks),
         coupling=fullwave.load_coupling(path / "coupling.json"),
         patch=_attempt(notes, "patch", patch_file, fullwave.load_patch) if patch_file.is_file() else None,
         comparison=comparison.load_comparison(path / "comparison.json"),
@@ -205,6 +210,17 @@ def _attempt(notes: dict[str, str], name: str, file: Path, load: Callable[[Path]
     except (MetafabError, OSError, *DAMAGED) as error:
         notes[name] = f"{file.name} could not be used: {error}"
         return None
+
+
+def _exposure(notes: dict[str, str], file: Path, masks: list[Path]) -> ExposureRecord | None:
+    """Load ``exposure.json``; None if it is missing, and with a note if it is damaged or of another mask."""
+    record = load_record(file)
+    if record is not None and record.mask_sha256 in {file_sha256(mask) for mask in masks if mask.is_file()}:
+        return record
+    if file.is_file():
+        reason = "could not be read" if record is None else "is of another mask"
+        notes["exposure"] = f"{file.name} {reason}: make it with `metafab expose`"
+    return None
 
 
 def _read_phases(path: Path) -> AperturePhases:

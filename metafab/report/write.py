@@ -56,6 +56,7 @@ def compose(run: RunFolder, drawn: dict[str, str]) -> str:
         images.comparison(run, drawn),
         device.phases(run, drawn),
         device.mask(run, drawn),
+        device.exposure(run, drawn),
         device.fullwave(run, drawn),
         device.library(run, drawn),
         provenance.skipped_steps(run),

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Literal
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
-from metafab.core.storage.files import whole_file
+from metafab.core.storage.files import file_sha256, whole_file
 from metafab.spec import Design, Dose
 from metafab.spec.mask import Etch
 from metafab.steps.job import Job
 from metafab.steps.library import open_library
 
 if TYPE_CHECKING:
-    from metafab.exposure import BeamPsf, Exposure, ExposureFigures
+    from metafab.exposure import BeamPsf, Exposure, ExposureFigures, SizeErrors
     from metafab.exposure.etch import MadePillars
     from metafab.layout import PillarMap
     from metafab.tolerance import CornerField
@@ -34,11 +34,13 @@ class ExposedMask:
         drawn: pillars of the mask, with their bias.
         psf: point-spread function of the beam.
         exposure: printed sizes and doses.
+        plain: size errors with one dose; None unless ``keep_plain``.
     """
 
     drawn: PillarMap
     psf: BeamPsf
     exposure: Exposure
+    plain: SizeErrors | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,15 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
 
 
 def expose_mask(
-    path: Path, design: Design, correct: bool, samples: int, copy: int, work: Work, *, keep_sizes: bool = False
+    path: Path,
+    design: Design,
+    correct: bool,
+    samples: int,
+    copy: int,
+    work: Work,
+    *,
+    keep_sizes: bool = False,
+    keep_plain: bool = False,
 ) -> ExposedMask:
     """Read a mask and expose its drawn pillars.
 
@@ -105,6 +115,7 @@ def expose_mask(
         copy: lens of ``mask.copies``, counted from 1.
         work: threads and progress.
         keep_sizes: whether the printed sizes of all pillars are kept.
+        keep_plain: whether the size errors with one dose are kept beside those of the correction.
 
     Raises:
         InputError: the design has no ``[process.exposure]``; a key of it is not available with the exposure; or the
@@ -122,15 +133,48 @@ def expose_mask(
     psf = exposure.beam_psf(process)
     back = mask.read(path, design, progress=work.progress, copy=copy)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
+    ratio, plain = process.base_over_clearing_dose, None
+    if correct and keep_plain:
+        before = exposure.expose(back.pillars, psf, base_over_clearing_dose=ratio, work=work)
+        ratio, plain = before.figures.base_over_clearing_dose, exposure.SizeErrors.of(before)
+        del before  # its doses are as large as the lens
     found = exposure.expose(
         back.pillars,
         psf,
-        base_over_clearing_dose=process.base_over_clearing_dose,
+        base_over_clearing_dose=ratio,
         correction=process.correction if correct else "none",
         numerics=exposure.ExposureNumerics(classes=process.classes, samples=samples, keep_sizes=keep_sizes),
         work=work,
     )
-    return ExposedMask(back.pillars, psf, found)
+    if keep_plain and not correct:
+        plain = exposure.SizeErrors.of(found)
+    return ExposedMask(back.pillars, psf, found, plain)
+
+
+def save_exposure(exposed: ExposedMask, mask_file: Path, design: Design, path: Path) -> None:
+    """Write ``exposure.json`` for the report of the mask's run.
+
+    Args:
+        exposed: the exposure with its ``plain`` size errors.
+        mask_file: the exposed mask.
+        design: design of the mask, with ``[process.exposure]``.
+        path: the file.
+    """
+    from metafab import exposure
+
+    assert exposed.plain is not None
+    assert design.process is not None
+    assert design.process.exposure is not None
+    found = exposed.exposure
+    corrected = found.figures.rounds > 0
+    record = exposure.ExposureRecord(
+        file_sha256(mask_file),
+        exposed.psf.source,
+        design.process.exposure.correction if corrected else "none",
+        exposed.plain,
+        exposure.SizeErrors.of(found) if corrected else None,
+    )
+    exposure.save_record(record, path)
 
 
 def write_corrected(exposed: ExposedMask, design: Design, folder: Path, progress: Progress) -> tuple[Path, ...]:

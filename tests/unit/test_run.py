@@ -259,7 +259,7 @@ def test_a_design_that_cannot_work_leaves_no_folder(tmp_path: Path, small_design
 def test_the_page_comes_last_and_after_every_step() -> None:
     assert (*RESULT_STEPS, REPORT) == STEPS
     assert REPORT.after == tuple(step.name for step in RESULT_STEPS)
-    assert REPORT.reads == ("coupling.json", "patch.h5", "tolerance.json")
+    assert REPORT.reads == ("coupling.json", "exposure.json", "patch.h5", "tolerance.json")
     assert {step.name for step in RESULT_STEPS} <= set(RunSummary.__dataclass_fields__)
 
 

@@ -38,21 +38,28 @@ def expose_command(
     """Predict printed sizes from the electron exposure of a mask, and correct its doses.
 
     With --correct and -o DIR, the corrected mask is written to DIR: one datatype per dose class with the tables
-    doses.csv and doses.jdi, or corrected shapes.
+    doses.csv and doses.jdi, or corrected shapes. With -o DIR/exposure.json in a run folder, the next report shows the
+    size errors, before and after the correction with --correct.
     """
     from metafab.core.parallel.measure import measured
     from metafab.spec import load_design
-    from metafab.steps.exposure import expose_mask, write_corrected
+    from metafab.steps.exposure import expose_mask, save_exposure, write_corrected
 
     if (sample > 0) != (sample_csv is not None):
         expected = "`--sample N` together with `--sample-csv OUT.csv`"
         raise InputError.single("--sample", "sample", expected, "one of them")
-    if output is not None and not correct:
-        raise InputError.single("--output", "output", "`--correct` with it", "no correction", "add `--correct`")
+    record = output if output is not None and output.suffix.lower() == ".json" else None
+    folder = output if record is None else None
+    if folder is not None and not correct:
+        expected = "a name ending with .json, or `--correct` with a folder"
+        raise InputError.single("--output", "output", expected, f"{folder} without a correction", "add `--correct`")
     spec = load_design(design)
     with open_work(workers) as work, measured() as cost:
-        exposed = expose_mask(layout, spec, correct, sample, copy, work)
-        files = () if output is None else write_corrected(exposed, spec, output, work.progress)
+        exposed = expose_mask(layout, spec, correct, sample, copy, work, keep_plain=record is not None)
+        files = () if folder is None else write_corrected(exposed, spec, folder, work.progress)
+        if record is not None:
+            save_exposure(exposed, layout, spec, record)
+            files = (record,)
     result = exposed.exposure
     if sample_csv is not None:
         _write_samples(result.samples, sample_csv)
@@ -69,7 +76,7 @@ def expose_command(
 
 
 def _described(psf: BeamPsf) -> dict[str, object]:
-    """Every parameter of the point-spread function."""
+    """Every parameter of the point-spread function, and the sum that gives the listed energies."""
     gaussians = [
         {"kind": "gauss", "weight": float(weight), "range_nm": float(beta)}
         for weight, beta in zip(psf.weight, psf.range_nm, strict=True)
@@ -77,7 +84,10 @@ def _described(psf: BeamPsf) -> dict[str, object]:
     return {
         "source": psf.source,
         "form": "sum over terms of weight / (pi range_nm^2) exp(-r^2 / range_nm^2)",
+        "energy": "base_over_clearing_dose times the sum over pillars of dose times the integral of the form over the "
+        "drawn rectangle; at edges the mean of the middles of both",
         "given": [asdict(term) for term in psf.terms],
+        "blur_nm": psf.blur_nm,
         "fit_error": psf.fit_error,
         "terms": gaussians,
     }

@@ -63,6 +63,7 @@ class BeamPsf:
         source: reference of the numbers, or "assumption".
         fit_error: largest difference between the fitted and the tabulated share of energy within any radius; 0 without
             a table.
+        blur_nm: range of the Gaussian that ``terms`` or the table are convolved with in ``range_nm``.
     """
 
     weight: FloatArray
@@ -70,6 +71,7 @@ class BeamPsf:
     terms: tuple[BeamTerm, ...]
     source: str
     fit_error: float = 0.0
+    blur_nm: float = 0.0
 
     @classmethod
     def of(cls, terms: Sequence[BeamTerm], source: str) -> BeamPsf:
@@ -134,7 +136,8 @@ class BeamPsf:
 
     def blurred(self, range_nm: float) -> BeamPsf:
         """The function convolved with a Gaussian of range ``range_nm``."""
-        return replace(self, range_nm=np.hypot(self.range_nm, range_nm))
+        ranges = np.hypot(self.range_nm, range_nm)
+        return replace(self, range_nm=ranges, blur_nm=math.hypot(self.blur_nm, range_nm))
 
     def between(self, low_nm: float, high_nm: float) -> BeamPsf:
         """The Gaussians with ``low_nm`` <= range < ``high_nm``; their weights are kept, not normalised."""

@@ -4,6 +4,7 @@
 - ``phases``    phases over the aperture, picture of a hologram
 - ``study``     main lobe over one turn, depth bounds, colour filter, proposals, comparison with other cameras
 - ``mask``      the written mask at three zooms, fields of a simulated patch
+- ``exposure``  printed sizes: maps, histogram, process window
 - ``psf``       the pair over depth and field, orientation, peak, modulation transfer
 - ``image``     raw frame, decoded intensities, contrast, depth, depth against truth
 - ``accounts``  loss chain, error budget, error against time
@@ -18,6 +19,7 @@ if not TYPE_CHECKING:
         __name__,
         {
             "metafab.report.figures.accounts": "error_against_photons error_against_time error_budget loss_chain",
+            "metafab.report.figures.exposure": "process_window size_histogram size_map",
             "metafab.report.figures.image": "confidence contrast depth depth_against_truth intensity raw_frame",
             "metafab.report.figures.library": "coverage error_map phase_map sensitivity_map transmittance_map",
             "metafab.report.figures.mask": "fill_map patch_amplitude patch_phase pillar_outlines",

@@ -3,7 +3,7 @@
 - ``overview``    subtitle, headlines, loss chain and error budget
 - ``light``       PSF pair over depth and field, figures of merit, fabrication errors
 - ``images``      raw frame and decoded image, comparison with other cameras
-- ``device``      target phases, mask, full-wave simulations, library
+- ``device``      target phases, mask, exposure, full-wave simulations, library
 - ``provenance``  time, memory, skipped steps, versions, files
 
 A section whose files are missing says so in one line.

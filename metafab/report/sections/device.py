@@ -1,10 +1,11 @@
-"""Target phases, mask, full-wave simulations of its parts, and library."""
+"""Target phases, mask, its exposure, full-wave simulations of its parts, and library."""
 
 from __future__ import annotations
 
 from html import escape
 
 from metafab.core.figures import MappingFigures
+from metafab.exposure import SizeErrors
 from metafab.fullwave import Coupling, Patch
 from metafab.report import html
 from metafab.report.html import Drawn
@@ -133,6 +134,36 @@ def _rules(run: RunFolder) -> str:
         + html.table(["rule", "violations", ""], rows, ["", "n"])
         + "</div>"
     )
+
+
+def exposure(run: RunFolder, drawn: Drawn) -> str:
+    """Printed sizes with one dose and after the correction; empty without ``exposure.json``."""
+    title, record = "Exposure: printed sizes", run.exposure
+    if record is None:
+        return html.section("exposure", title, html.note(run.notes["exposure"])) if "exposure" in run.notes else ""
+    head = ["", "rms / nm", "largest / nm", "mean / nm", "nm for 1 % of dose", "doses", "classes", "not printed"]
+    rows = [_printed("one dose", record.plain)]
+    if record.corrected is not None:
+        rows.append(_printed(f"corrected {record.correction}s", record.corrected))
+    caption = (
+        f"Printed less drawn widths and lengths by the threshold model. Beam: {record.psf_source}. Maps: means over "
+        "blocks. Process window: mean and one standard deviation."
+    )
+    return html.section(
+        "exposure",
+        title,
+        html.table(head, rows, ["", *["n"] * 7]),
+        html.figures(drawn, "exposure_map_plain", "exposure_map_corrected"),
+        html.figures(drawn, "exposure_histogram", "exposure_window"),
+        html.paragraph(escape(caption), "caption"),
+    )
+
+
+def _printed(name: str, errors: SizeErrors) -> list[str]:
+    found = errors.figures
+    sizes = (found.cd_error_rms_nm, found.cd_error_max_nm, found.cd_bias_nm, found.latitude_nm_per_percent)
+    doses = f"{html.number(found.dose_min)} to {html.number(found.dose_max)}"
+    return [escape(name), *map(html.number, sizes), doses, html.number(found.classes), html.number(found.unprinted)]
 
 
 def fullwave(run: RunFolder, drawn: Drawn) -> str:

@@ -6,12 +6,16 @@ import csv
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import gdstk
 import numpy as np
 import pytest
+from scipy.special import erf
 
-from metafab import layout, mask
+from metafab import exposure, layout, mask
 from metafab.core.conventions import FloatArray
+from metafab.core.storage.files import file_sha256
 from metafab.library import Library, build, save
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import UnitCell, load_design
@@ -74,49 +78,82 @@ def test_figures_and_the_corrected_mask(folder: Path, tmp_path: Path) -> None:
     percent = [float(word) for word in re.findall(r"\( *\d+, +([-0-9.]+) \)", ranks)]
     assert ranks.startswith("helix_small: MODULAT (")
     np.testing.assert_allclose(1.0 + 0.01 * np.array(percent), doses, atol=1e-5)
+    record = tmp_path / "exposure.json"
+    recorded = metafab("expose", *common, "--correct", "-o", record)
+    assert recorded.code == 0, recorded.stderr
+    assert list(recorded.json["files"]) == ["exposure.json"]
+    kept = exposure.load_record(record)
+    assert kept is not None and kept.corrected is not None
+    assert kept.mask_sha256 == file_sha256(folder / "layout.oas")
+    assert kept.plain.figures.cd_error_rms_nm == plain.json["cd_error_rms_nm"]
+    assert kept.corrected.figures.cd_error_rms_nm == corrected.json["cd_error_rms_nm"]
     checked = metafab("drc", tmp_path / "layout.oas", "--design", folder / "read.toml", "--json")
     assert (checked.code, checked.json["pillars"]) == (0, corrected.json["pillars"]), checked.stderr
 
 
-def _direct(weight: FloatArray, beta: FloatArray, lens: mask.ReadBack, dose: FloatArray, at_nm: FloatArray) -> float:
-    """Energy at a place over that of a large pad at the base dose, summed over all pillars and Gaussians."""
-    from scipy.special import erf
+def _rectangles(path: Path, doses: Path) -> FloatArray:
+    """Centre, width and length (nm) and dose of each polygon of a mask, by gdstk: shape (n, 5)."""
+    drawn = gdstk.read_oas(path)
+    (top,) = drawn.top_level()
+    rows = csv.DictReader(doses.open(encoding="utf-8"))
+    dose = {int(row["datatype"]): float(row["dose_over_base_dose"]) for row in rows}
+    table = []
+    for polygon in top.get_polygons():
+        (left, low), (right, high) = polygon.bounding_box()
+        sides = (0.5 * (left + right), 0.5 * (low + high), right - left, high - low)
+        table.append((*(side * drawn.unit * 1e9 for side in sides), dose[polygon.datatype]))
+    return np.array(table)
 
-    pillars = lens.pillars
-    size = pillars.size_nm()[pillars.to_array()]
-    x = at_nm[0] - 1e3 * pillars.lattice.x_um()[None, :]
-    y = at_nm[1] - 1e3 * pillars.lattice.y_um()[:, None]
+
+def _direct(terms: list[dict[str, Any]], drawn: FloatArray, x_nm: float, y_nm: float) -> float:
+    """Energy at a place over that of a large pad at the base dose, summed over all rectangles and terms."""
+    x, y, (width, length) = x_nm - drawn[:, 0], y_nm - drawn[:, 1], 0.5 * drawn[:, 2:4].T
     total = 0.0
-    for share, reach in zip(weight, beta, strict=True):
-        along_x = erf((x + 0.5 * size[..., 0]) / reach) - erf((x - 0.5 * size[..., 0]) / reach)
-        along_y = erf((y + 0.5 * size[..., 1]) / reach) - erf((y - 0.5 * size[..., 1]) / reach)
-        total += float(0.25 * share * (dose * along_x * along_y).sum())
+    for term in terms:
+        beta = term["range_nm"]
+        along_x = erf((x + width) / beta) - erf((x - width) / beta)
+        along_y = erf((y + length) / beta) - erf((y - length) / beta)
+        total += float(0.25 * term["weight"] * (drawn[:, 4] * along_x * along_y).sum())
     return total
 
 
-def test_sampled_energies_agree_with_a_direct_sum_of_the_stated_function(folder: Path, tmp_path: Path) -> None:
-    """From the CSV, the mask and ``psf`` in the JSON alone; 2e-4 is the error that the command may state."""
+def test_samples_agree_with_a_direct_sum_from_outside(folder: Path, tmp_path: Path) -> None:
+    """From the CSV, the corrected mask by gdstk, and ``psf`` of the JSON; the command may state an error of 2e-4.
+
+    Printed edges: the profile of the pillar itself moves, the energy of all others is that at the drawn edge.
+    """
     table = tmp_path / "samples.csv"
     answer = metafab(
         "expose", folder / "layout.oas", "--design", folder / "design.toml", "--sample", "5", "--sample-csv", table,
-        "--json",
+        "--correct", "-o", tmp_path, "--json",
     )  # fmt: skip
     assert answer.code == 0, answer.stderr
     rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(table.open(encoding="utf-8"))]
     assert len(rows) == 5
-    weight = np.array([term["weight"] for term in answer.json["psf"]["terms"]])
-    beta = np.array([term["range_nm"] for term in answer.json["psf"]["terms"]])
-    back = mask.read(folder / "layout.oas", load_design(folder / "design.toml"))
-    ratio = answer.json["base_over_clearing_dose"]
+    assert list(rows[0]) == [
+        "x_um", "y_um", "width_nm", "length_nm", "dose", "energy_centre", "energy_edge_x", "energy_edge_y",
+        "printed_width_nm", "printed_length_nm", "printed_corner_radius_nm",
+    ]  # fmt: skip
+    psf, ratio = answer.json["psf"], answer.json["base_over_clearing_dose"]
+    terms = psf["terms"]
+    assert {term["kind"] for term in terms} == {"gauss"}
+    assert psf["blur_nm"] == 5.0
+    drawn = _rectangles(tmp_path / "layout.oas", tmp_path / "doses.csv")
+    assert len(drawn) == answer.json["pillars"]
     for row in rows:
-        place = 1e3 * np.array([row["x_um"], row["y_um"]])
-        half = 0.5 * np.array([row["width_nm"], row["length_nm"]])
-        dose = np.ones(back.pillars.lattice.shape)
-        right, left = (_direct(weight, beta, back, dose, place + s * half * [1, 0]) for s in (1, -1))
-        upper, lower = (_direct(weight, beta, back, dose, place + s * half * [0, 1]) for s in (1, -1))
-        assert row["energy_centre"] == pytest.approx(ratio * _direct(weight, beta, back, dose, place), abs=2e-4)
-        assert row["energy_edge_x"] == pytest.approx(ratio * 0.5 * (right + left), abs=2e-4)
-        assert row["energy_edge_y"] == pytest.approx(ratio * 0.5 * (upper + lower), abs=2e-4)
+        x, y, w, length = 1e3 * row["x_um"], 1e3 * row["y_um"], row["width_nm"], row["length_nm"]
+        (own,) = drawn[np.hypot(drawn[:, 0] - x, drawn[:, 1] - y) < 0.1]
+        np.testing.assert_allclose(own, [x, y, w, length, row["dose"]], rtol=0.0, atol=1e-6)
+        assert row["energy_centre"] == pytest.approx(ratio * _direct(terms, drawn, x, y), abs=2e-4)
+        for side, (right, up) in (("width", (0.5 * w, 0.0)), ("length", (0.0, 0.5 * length))):
+            edges = [_direct(terms, drawn, x + sign * right, y + sign * up) for sign in (1, -1)]
+            stated = row[f"energy_edge_{'x' if side == 'width' else 'y'}"]
+            assert stated == pytest.approx(ratio * 0.5 * sum(edges), abs=2e-4)
+            moved = 0.5 * (row[f"printed_{side}_nm"] - row[f"{side}_nm"])
+            at_drawn = _direct(terms, own[None], x + right, y + up)
+            at_printed = _direct(terms, own[None], x + right + np.sign(right) * moved, y + up + np.sign(up) * moved)
+            # The edge of a pillar falls by 0.03 a nanometre: 1e-3 is 0.03 nm.
+            assert stated + ratio * (at_printed - at_drawn) == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(
