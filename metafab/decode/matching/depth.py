@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -28,7 +27,7 @@ _SAME_DEPTH = 1.5
 #: Points per candidate at which splines through the correlation are evaluated.
 _POINTS_PER_CANDIDATE = 32
 #: Weights of five equally spaced values in the coefficients of the quartic through them, rising powers.
-_QUARTIC = np.linalg.inv(np.vander(np.arange(-2.0, 3.0), increasing=True)).astype(np.float32)
+_QUARTIC = np.linalg.inv(np.vander(np.arange(-2.0, 3.0), increasing=True))
 _NEWTON_ROUNDS = 3
 #: Root mean square below which a picture is dark.
 _DARK = 1e-15
@@ -163,26 +162,49 @@ def quartic_peak(values: NDArray[np.float32]) -> Peak:
     Returns:
         The peak within a step of the middle, of shape (...).
     """
-    best = np.clip(values.argmax(axis=0), 1, 3)
-    nearest = np.stack([np.take_along_axis(values, (best + d)[None], axis=0)[0] for d in (-1, 0, 1)])
-    start = parabolic_peak(*nearest)
-    lowest, highest = best - 3.0, best - 1.0
-    place = np.clip(best - 2.0 + start.place, lowest, highest)
-    coefficients = np.asarray(np.tensordot(_QUARTIC, values, axes=1), dtype=np.float32)  # of x^0 to x^4, in half steps
-    least = 0.25 * start.curvature
-    for _ in range(_NEWTON_ROUNDS):
-        slope, bend = (_polynomial(coefficients, place, order) for order in (1, 2))
-        place = np.clip(place - slope / np.minimum(bend, -least), lowest, highest)
-    curvature = np.maximum(-_polynomial(coefficients, place, 2), least)
-    return Peak(0.5 * place, _polynomial(coefficients, place, 0), 4.0 * curvature, start.inside)
+    flat = np.ascontiguousarray(values, dtype=np.float32).reshape(5, -1)
+    place, height, curvature, inside = _quartic_peaks(flat, _QUARTIC)
+    shape = values.shape[1:]
+    return Peak(place.reshape(shape), height.reshape(shape), curvature.reshape(shape), inside.reshape(shape))
 
 
-def _polynomial(coefficients: NDArray[np.float32], place: FloatArray, order: int) -> FloatArray:
-    """Derivative of a polynomial, coefficients (n, ...) of rising powers, at places of shape (...): shape (...)."""
-    total = np.zeros_like(place)
-    for power in range(coefficients.shape[0] - 1, order - 1, -1):
-        total = total * place + math.perm(power, order) * coefficients[power]
-    return total
+@compiled_parallel
+def _quartic_peaks(
+    values: NDArray[np.float32], quartic: NDArray[np.float64]
+) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
+    n = values.shape[1]
+    place, height, curvature = np.empty(n), np.empty(n), np.empty(n)
+    inside = np.empty(n, dtype=np.bool_)
+    for i in prange(n):
+        best = 1
+        for k in range(2, 4):
+            if values[k, i] > values[best, i]:
+                best = k
+        if values[4, i] > max(values[0, i], values[best, i]):
+            best = 3
+        elif values[0, i] >= values[best, i]:
+            best = 1
+        below, at, above = np.float64(values[best - 1, i]), np.float64(values[best, i]), np.float64(values[best + 1, i])
+        bend = max(2.0 * at - below - above, 1e-12)
+        shift = 0.5 * (above - below) / bend
+        lowest, highest, least = best - 3.0, best - 1.0, 0.25 * bend
+        x = min(max(best - 2.0 + shift, lowest), highest)
+        c0 = c1 = c2 = c3 = c4 = 0.0
+        for k in range(5):
+            value = np.float64(values[k, i])
+            c0 += quartic[0, k] * value
+            c1 += quartic[1, k] * value
+            c2 += quartic[2, k] * value
+            c3 += quartic[3, k] * value
+            c4 += quartic[4, k] * value
+        for _ in range(_NEWTON_ROUNDS):
+            slope = c1 + x * (2.0 * c2 + x * (3.0 * c3 + x * 4.0 * c4))
+            second = 2.0 * c2 + x * (6.0 * c3 + x * 12.0 * c4)
+            x = min(max(x - slope / min(second, -least), lowest), highest)
+        place[i], height[i] = 0.5 * x, c0 + x * (c1 + x * (c2 + x * (c3 + x * c4)))
+        curvature[i] = 4.0 * max(-(2.0 * c2 + x * (6.0 * c3 + x * 12.0 * c4)), least)
+        inside[i] = abs(shift) <= 1.0
+    return place, height, curvature, inside
 
 
 def spline_peaks(values: FloatArray) -> Peak:

@@ -117,7 +117,10 @@ class PreparedFrame:
         light, half = self.mean.sum(axis=0), self.window // 2
         floor = np.full(light.shape, self.dark_e, dtype=np.float32)
         shares = [_OUTLINE_SHARE, *(share for _, share in self.spill)]
+        brightest = np.float32(light.max(initial=0.0))
         for (reach_px, _), share in zip(self.spill, shares, strict=False):
+            if np.float32(share) * brightest <= floor.min():  # in even light, the first reach is enough
+                continue
             # A window about a bright surface's outline holds half of it: the brightest is half a window farther in.
             side = 2 * (half + reach_px // self.downsampling.step) + 1
             np.maximum(floor, np.float32(share) * maximum_filter(light, side, mode="nearest"), out=floor)

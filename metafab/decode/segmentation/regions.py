@@ -46,6 +46,8 @@ _LARGEST_MISFIT = 2.5
 #: Share of such pixels that changes no depth, and share of the interior that is kept at least.
 _FEW_OUTLIERS, _LEAST_KEPT = 0.01, 0.3
 _ROBUST_ROUNDS = 3
+#: Change of a depth, in standard errors, below which its outliers stay the same.
+_SETTLED = 0.25
 #: Rounds of the reweighted fit of a plane to a segment's pixels.
 _REFITS = 3
 #: Square of a pixel's distance from its segment, in standard errors, from which it is an outlier.
@@ -175,20 +177,32 @@ def find_regions(
     def misfit_of(number: NDArray[np.int32]) -> NDArray[np.float32]:
         return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior)
 
-    own = misfit_of(label)
+    own, moving = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool)
     for _ in range(_ROBUST_ROUNDS):
         judged = np.where(prepared.spoiled, np.float32(np.inf), own)
-        trimmed = without_outliers(regions, volume, judged, prepared.downsampling.step)
-        if trimmed is regions:
+        before, step = regions.depths, prepared.downsampling.step
+        regions = without_outliers(regions, volume, judged, step, moving)
+        moving[1:] = [not _is_settled(*both, label.shape) for both in zip(regions.depths, before, strict=True)]
+        if not moving[1:].any():
             break
-        regions = trimmed
         own = misfit_of(label)
     across, away = across_outlines(label)
-    other = misfit_of(across)
+    other = misfit_of(across) if across.any() else own
     return replace(regions, right=right_segment(own, other, away * prepared.downsampling.step))
 
 
-def without_outliers(regions: Regions, volume: CostVolume, misfits: NDArray[np.float32], step: int) -> Regions:
+def _is_settled(depth: SegmentDepth, before: SegmentDepth, shape: tuple[int, ...]) -> bool:
+    """Whether two measurements of a segment's depth agree all over the picture within a small share of their error."""
+    if depth is before:
+        return True
+    row, column = (np.array([0.0, n])[at] for n, at in zip(shape, ([0, 0, 1, 1], [0, 1, 0, 1]), strict=True))
+    ratio = depth.plane.at(row, column) / before.plane.at(row, column)
+    return bool(np.abs(ratio - 1.0).max() < _SETTLED * depth.relative_error)
+
+
+def without_outliers(
+    regions: Regions, volume: CostVolume, misfits: NDArray[np.float32], step: int, which: NDArray[np.bool_]
+) -> Regions:
     """Measure the depths of segments again without the pixels that they do not explain; ``regions`` if there are few.
 
     Args:
@@ -196,11 +210,12 @@ def without_outliers(regions: Regions, volume: CostVolume, misfits: NDArray[np.f
         volume: cost volume.
         misfits: shape (n_y, n_x), misfit of each pixel at its segment's depth.
         step: frame pixels from one downsampled pixel to the next.
+        which: shape (n_segments + 1,), segments that are measured, by number.
     """
     count = len(regions.depths)
     kept = np.where(misfits < _LARGEST_MISFIT, regions.interior, 0)
     before, after = (np.bincount(label.ravel(), minlength=count + 1)[1:] for label in (regions.interior, kept))
-    again = np.flatnonzero((after < (1.0 - _FEW_OUTLIERS) * before) & (after > _LEAST_KEPT * before))
+    again = np.flatnonzero(which[1:] & (after < (1.0 - _FEW_OUTLIERS) * before) & (after > _LEAST_KEPT * before))
     if not again.size:
         return regions
     number = np.zeros(count + 1, dtype=np.int32)
