@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 from typer.models import CommandFunctionType
 
 from metafab.cli.examples import epilog
@@ -37,6 +37,16 @@ class _Command(TyperCommand):
             return super().invoke(ctx)
 
 
+class _TwoWords(TyperGroup):
+    """A group that finds a command of two words before that of the first: ``psf import`` before ``psf``."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        name = " ".join(args[:2])
+        if len(args) > 1 and name in self.commands:
+            return name, self.commands[name], args[2:]
+        return super().resolve_command(ctx, args)
+
+
 def _called(ctx: Any) -> str:
     """The command with its parents, such as ``metafab library build``."""
     return f"{_called(ctx.parent)} {ctx.info_name}" if ctx.parent else "metafab"
@@ -53,6 +63,7 @@ class _Program(typer.Typer):
 
 
 app = _Program(
+    cls=_TwoWords,
     help="From unit cell to mask to decoded image.",
     context_settings=HELP,
     no_args_is_help=True,

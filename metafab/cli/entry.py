@@ -30,7 +30,8 @@ from metafab.cli.commands import service  # noqa: F401
 
 #: Variables that set the number of threads of the linear-algebra libraries.
 _ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-_DEPTHS = "--depths-m"
+#: Options with a list of depths; the second may be followed by a file's name instead.
+_DEPTHS = ("--depths-m", "--depths")
 
 
 def main() -> None:
@@ -61,7 +62,7 @@ def _end(error: BaseException, message: str, exit_code: int) -> NoReturn:
 
 
 def spread_depths(arguments: list[str]) -> list[str]:
-    """Turn ``--depths-m 0.25 0.3`` and ``--depths-m 0.25,0.3`` into one option for each depth.
+    """Turn ``--depths-m 0.25 0.3`` and ``--depths-m 0.25,0.3`` into one option for each depth, likewise ``--depths``.
 
     Raises:
         InputError: no number follows ``--depths-m``.
@@ -71,16 +72,17 @@ def spread_depths(arguments: list[str]) -> list[str]:
     while rest:
         argument = rest.popleft()
         name, equals, value = argument.partition("=")
-        if name != _DEPTHS:
+        following = value if equals else rest[0] if rest else ""
+        if name not in _DEPTHS or (name == "--depths" and not _are_numbers(following)):
             spread.append(argument)
             continue
         if equals:
             rest.appendleft(value)
         if not (rest and _are_numbers(rest[0])):
-            raise InputError.single(_DEPTHS, "depths.m", "one or more depths", repr(rest[0]) if rest else "nothing")
+            raise InputError.single(name, "depths.m", "one or more depths", repr(rest[0]) if rest else "nothing")
         while rest and _are_numbers(rest[0]):
             # With "=", a minus sign does not begin an option.
-            spread += [f"{_DEPTHS}={number}" for number in rest.popleft().split(",")]
+            spread += [f"{name}={number}" for number in rest.popleft().split(",")]
     return spread
 
 

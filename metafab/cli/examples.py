@@ -23,6 +23,7 @@ EXAMPLES = {
     "patch": f"metafab patch {_MASK} --at-um 30 0 --size-um 6",
     "fullwave": "metafab fullwave blocks.json --library unitcell_lib/sos_800nm.h5 --solver rcwa",
     "psf": f"metafab psf {_MASK} --depths-m 0.0025 0.003 -o psf.h5",
+    "psf import": "metafab psf import stack.tif --depths 0.25 0.3 0.35 --pixel-um 3.45 --split-um 1800 0 -o psf.h5",
     "tolerance": f"metafab tolerance {_MASK}",
     "capture": f"metafab capture layouts/helix_small.toml --psf {_RUN}/psf.h5 -o raw.h5",
     "film": f"metafab film layouts/helix_small.toml --psf {_RUN}/psf.h5 --frames 5 -o film.gif",

@@ -5,6 +5,8 @@
 - ``numerics``             PsfNumerics: window, target error and filter; valid inputs
 - ``point_spread``         Psf, the result, with PsfField and PsfDetails
 - ``store``                ``psf.h5``
+- ``stack_files``          pictures of a point in files of other programs
+- ``measured_stack``       :func:`~metafab.optics.measured_stack.psf_of_stack`: the pair of such pictures
 - ``geometry``             lens and sensor, substrate, path lengths
 - ``sources``              the field behind the metasurface, apodisation
 - ``propagation``          block sums of the pillars, and their propagation to the sensor

@@ -20,7 +20,7 @@ def _leaves(command: Any, words: tuple[str, ...] = ()) -> Iterator[tuple[tuple[s
         yield words, command
         return
     for name, leaf in inner.items():
-        yield from _leaves(leaf, (*words, name))
+        yield from _leaves(leaf, (*words, *name.split()))
 
 
 COMMANDS = dict(_leaves(typer.main.get_command(app)))

@@ -1,10 +1,10 @@
-"""Commands ``psf`` and ``tolerance``: point-spread functions of a written mask."""
+"""Commands ``psf``, ``psf import`` and ``tolerance``: point-spread functions of a written mask, or measured ones."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -24,6 +24,9 @@ from metafab.cli.app import (
 )
 from metafab.cli.console import announce, open_work, show
 from metafab.core.errors import InputError
+
+if TYPE_CHECKING:
+    from metafab.core.conventions import FloatArray
 
 
 @app.command("psf")
@@ -127,6 +130,96 @@ def psf_command(
     figures = optics.PairFigures.of(pair, light_at_um)
     announce(figures.warnings())
     show(figures, json_, seconds=cost.seconds, file=output)
+
+
+@app.command("psf import")
+def import_command(
+    stack: Annotated[Path, typer.Argument(metavar="STACK", help="Pictures of a point: .mat, .h5, .npy or .tif.")],
+    depths: Annotated[
+        list[str], typer.Option("--depths", metavar="Z ...", help="Depths in m, or a .csv or .npy file of them.")
+    ],
+    pixel_um: Annotated[float, typer.Option("--pixel-um", metavar="P", help="Pixel pitch of the pictures.")],
+    split_um: Annotated[
+        tuple[float, float] | None,
+        typer.Option("--split-um", metavar="X Y", help="From the x to the y image on the sensor [default: made]."),
+    ] = None,
+    distance_mm: Annotated[
+        float | None, typer.Option("--distance-mm", metavar="D", help="From the lens to the sensor [default: made].")
+    ] = None,
+    zero_m: Annotated[
+        float | None,
+        typer.Option("--zero-m", metavar="Z", help="Distance from the lens of depth 0 [default: 0, or made]."),
+    ] = None,
+    channels: Annotated[
+        int | None, typer.Option(min=1, max=2, metavar="N", help="Channels to expect [default: the file's].")
+    ] = None,
+    datasets: Annotated[
+        list[str] | None,
+        typer.Option("--dataset", metavar="NAME", help="Array of a .mat or .h5; one for each channel."),
+    ] = None,
+    centring: Annotated[
+        Literal["auto", "mass", "brightest", "turn", "none"],
+        typer.Option("--centre", help="Centre: mass, main lobe, circle on which it turns, or middle pixel."),
+    ] = "auto",
+    sampled: Annotated[
+        bool, typer.Option("--sampled", help="Values are samples at pixel centres, not integrals over pixels.")
+    ] = False,
+    split_lens: Annotated[
+        bool, typer.Option("--split-lens", help="Images of a lens that splits by a grating along x: with distortion.")
+    ] = False,
+    first_row: Annotated[
+        Literal["top", "bottom"], typer.Option("--first-row", help="Side of the pictures' first row.")
+    ] = "top",
+    output: Output = None,
+    json_: Json = False,
+) -> None:
+    """Make a PSF pair for the decoder from pictures of a point at known depths."""
+    from metafab import optics
+    from metafab.core.storage.files import file_sha256, fingerprint, plain, require_hdf5_name
+    from metafab.optics.measured_stack import psf_of_stack
+    from metafab.optics.stack_files import read_stack
+
+    path = output or Path("psf.h5")
+    require_hdf5_name(path)
+    if path.is_file() and len(depths) == 1 and Path(depths[0]).is_file() and path.samefile(depths[0]):
+        raise InputError.single("--output", "output", "a file of its own", f"{path}, which is read", "name another")
+    require_positive("--pixel-um", pixel_um)
+    require_positive("--distance-mm", *([] if distance_mm is None else [distance_mm]))
+    require_finite("--split-um", *(split_um or ()))
+    require_finite("--zero-m", *([] if zero_m is None else [zero_m]))
+    depth_m = _depths_m(depths)
+    values = read_stack(stack, len(depth_m), datasets or ())
+    if channels is not None and channels != len(values):
+        raise InputError.single(str(stack), "--channels", f"{channels}", f"{len(values)}", "name them with --dataset")
+    psf, figures = psf_of_stack(
+        values[..., ::-1, :] if first_row == "top" else values,
+        depth_m,
+        pixel_um,
+        split_um=split_um,
+        distance_mm=distance_mm,
+        zero_m=zero_m,
+        centring=centring,
+        integrated=not sampled,
+        split_lens=split_lens,
+    )
+    optics.save(psf, path, inputs_sha256=fingerprint(file_sha256(stack), plain(figures)))
+    announce([*(f"made: {sentence}" for sentence in figures.made), *figures.warnings])
+    show(figures, json_, file=path)
+
+
+def _depths_m(words: list[str]) -> FloatArray:
+    """Depths of ``--depths``: numbers, or the name of one file."""
+    import numpy as np
+
+    from metafab.optics.stack_files import read_depths
+
+    try:
+        return np.array([float(word) for word in words])
+    except ValueError:
+        if len(words) > 1:
+            expected, got = "numbers, or one file of them", ", ".join(words[:4])
+            raise InputError.single("--depths", "depths", expected, got) from None
+        return read_depths(Path(words[0]))
 
 
 @app.command("tolerance")

@@ -1,4 +1,4 @@
-"""Reader of grey pictures: TIFF and PNG of 8, 12 or 16 bit, and NumPy arrays."""
+"""Reader of grey pictures and stacks of them: TIFF and PNG of 8, 12 or 16 bit, and NumPy arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from metafab.core.errors import InputError
 
 _SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy", ".npz": "npz"}
 #: Most pixels of a picture, times its colours or pages; as floats they take 512 MiB.
-_MOST_SAMPLES = 1 << 26
+MOST_SAMPLES = 1 << 26
 #: Longest side of a picture (pixels); no image sensor has more.
 _LONGEST_SIDE_PX = 1 << 16
 _REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
@@ -44,16 +44,7 @@ def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float
     Raises:
         InputError: the file cannot be read, or is no grey picture.
     """
-    kind = _SUFFIXES.get(path.suffix.lower())
-    if kind is None:
-        raise InputError.single(str(path), "file", "a .tif, .tiff, .png, .npy or .npz file", repr(path.suffix), _REMEDY)
-    if not path.is_file():
-        raise InputError.single(str(path), "file", f"a {kind} file", "no file at that path", "check the path")
-    try:
-        values = _decoders()[kind](path)
-    except Exception as error:  # image libraries raise errors of any type on a broken file
-        got = f"a truncated or foreign file ({type(error).__name__}: {error})"
-        raise InputError.single(str(path), "file", f"a readable {kind} file", got, _REMEDY) from error
+    values = read_array(path)
     if values.ndim == 3 and colours:
         values = values[..., :3].mean(axis=-1).astype(values.dtype)
     if values.ndim != 2 or values.size == 0:
@@ -62,6 +53,27 @@ def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float
     if values.dtype.kind not in "buif":
         raise InputError.single(str(path), "type", "real numbers", str(values.dtype), _REMEDY)
     return values.astype(np.float64), _saturation(values)
+
+
+def read_array(path: Path) -> np.ndarray:
+    """Read the array of a picture file, of any shape and type: the pages of a TIFF are its first axis.
+
+    Args:
+        path: .tif, .tiff, .png or .npy, or an .npz of one array; at most 2**26 values.
+
+    Raises:
+        InputError: the file cannot be read.
+    """
+    kind = _SUFFIXES.get(path.suffix.lower())
+    if kind is None:
+        raise InputError.single(str(path), "file", "a .tif, .tiff, .png, .npy or .npz file", repr(path.suffix), _REMEDY)
+    if not path.is_file():
+        raise InputError.single(str(path), "file", f"a {kind} file", "no file at that path", "check the path")
+    try:
+        return _decoders()[kind](path)
+    except Exception as error:  # image libraries raise errors of any type on a broken file
+        got = f"a truncated or foreign file ({type(error).__name__}: {error})"
+        raise InputError.single(str(path), "file", f"a readable {kind} file", got, _REMEDY) from error
 
 
 def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
@@ -108,8 +120,8 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
 
 def _require_few(*shape: int) -> None:
     """Refuse a picture by the size in its header, before it is decoded."""
-    if math.prod(shape) > _MOST_SAMPLES:
-        raise ValueError(f"{' x '.join(map(str, shape))} pixels, more than {_MOST_SAMPLES} in all")
+    if math.prod(shape) > MOST_SAMPLES:
+        raise ValueError(f"{' x '.join(map(str, shape))} pixels, more than {MOST_SAMPLES} in all")
 
 
 def _saturation(values: np.ndarray) -> float | None:

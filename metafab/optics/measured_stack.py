@@ -1,0 +1,328 @@
+"""PSF pair from photographs or foreign simulations of a point at known depths: background, centre, twin and scale.
+
+A calibration by photographs lacks part of what a computed pair holds. What is missing is made, and each entry of
+:attr:`StackImport.made` names it: the twin by point reflection, the efficiency, the distance of the sensor, the split
+of the images, the zero of the depths.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+import scipy.fft
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import Fault, InputError
+from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.measures.metrics import main_lobe_px, orientation_deg
+from metafab.optics.point_spread import Psf, PsfField
+
+#: Rule for the centre of a channel: mean over depth of the mass centres or of the main lobes, the centre of the circle
+#: on which the main lobe turns, or the middle pixel. "auto" is "turn" where a circle fits and "mass" elsewhere.
+Centring: TypeAlias = Literal["auto", "mass", "brightest", "turn", "none"]
+
+FEWEST_DEPTHS = 3
+#: Smallest side of a picture, pixels: a border and a lobe.
+_SMALLEST_PX = 8
+#: Width of the border that measures the background, as a share of the shorter side.
+_BORDER = 1.0 / 16.0
+#: Standard deviations of the border's noise below which a pixel counts as dark.
+_SIGMAS = 3.0
+#: Standard deviation of normal noise over its median absolute deviation.
+_MAD = 1.4826
+#: A circle fits main lobes with an rms residual up to this share of its radius, over this arc at least (degrees).
+_CIRCLE, _LEAST_ARC_DEG = 0.1, 45.0
+#: Share of a picture's light within the border from which the window is called too small.
+_CROWDED = 0.01
+#: Distance of the sensor where it is not given, mm; the decoder's depth does not depend on it.
+_DISTANCE_MM = 20.0
+#: Directions along each axis of a split lens's field: opposite distortion is quadratic in the tangent.
+_FIELD_NODES = 3
+#: Distance between the two images where it is not given, pixels; frames simulated with the pair have it.
+_SPLIT_PX = 512
+
+
+@dataclass(frozen=True)
+class StackImport:
+    """Figures of an imported stack.
+
+    Attributes:
+        channels: channels of the file; with one, the other is its point reflection.
+        window_px: rows and columns.
+        depth_m: object depths of the pair.
+        centring: rule by which each channel was centred.
+        centre_px: (x, y) of each channel's centre from its middle pixel; this place is now the middle pixel.
+        background: median of the border, mean over the pictures, in the file's units; subtracted.
+        noise: standard deviation of the border, likewise.
+        error: largest relative L2 error of a picture by this noise.
+        border_light: largest share of a picture's light in its border after the subtraction.
+        channel_ratio: light of the x channel over that of the y channel, over all depths.
+        split_um: (x, y) from the x image to the y image on the sensor.
+        distance_mm: distance of the sensor.
+        zero_m: distance from the lens of the file's depth 0.
+        made: sentences on what the file does not hold.
+        warnings: sentences on what may spoil the pair.
+    """
+
+    channels: int
+    window_px: tuple[int, int]
+    depth_m: tuple[float, ...]
+    centring: str
+    centre_px: tuple[tuple[float, float], ...]
+    background: float
+    noise: float
+    error: float
+    border_light: float
+    channel_ratio: float
+    split_um: tuple[float, float]
+    distance_mm: float
+    zero_m: float
+    made: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def psf_of_stack(
+    stack: FloatArray,
+    depth_m: FloatArray,
+    pixel_um: float,
+    *,
+    split_um: tuple[float, float] | None = None,
+    distance_mm: float | None = None,
+    zero_m: float | None = None,
+    centring: Centring = "auto",
+    integrated: bool = True,
+    split_lens: bool = False,
+) -> tuple[Psf, StackImport]:
+    """Make the PSF pair of a stack of pictures of a point on the axis.
+
+    One shift centres all depths of a channel, since a lobe that turns has to keep its place about the centre. The place
+    of the channel's image moves with it: ``split_um`` is the distance between the middle pixels of both channels'
+    pictures in the camera's frame, or between the centres of the images for one channel.
+
+    Args:
+        stack: shape (channels, n_depth, n_y, n_x), one or two channels, lowest row first; counts of any scale.
+        depth_m: shape (n_depth,), increasing, relative to ``zero_m``.
+        pixel_um: pixel pitch.
+        split_um: (x, y) from the x to the y image; made by default.
+        distance_mm: distance of the sensor; made by default.
+        zero_m: distance from the lens of depth 0; by default 0, or made where a depth is not positive.
+        centring: rule for the centre.
+        integrated: whether values are integrals over the pixel, as a camera's are, or samples at its centre. The pair
+            is stored as samples: integrals are divided by the pixel's transfer function.
+        split_lens: whether the images are those of a lens that splits by a grating along x, whose opposite distortion
+            follows from ``split_um`` and ``distance_mm``; otherwise both images have no distortion.
+
+    Raises:
+        InputError: other shapes, values or depths, all faults of the depths at once; a split lens without its geometry.
+    """
+    depth, zero, made = _checked(stack, np.asarray(depth_m, dtype=np.float64), pixel_um, zero_m)
+    lit, background, noise = _without_background(stack, depth)
+    channels, _, n_y, n_x = stack.shape
+    rules, centres = zip(*(_centre_px(channel, centring) for channel in lit), strict=True)
+    pair = np.array([_moved(channel, place, integrated) for channel, place in zip(lit, centres, strict=True)])
+    if channels == 1:
+        made.append("the y image: the point reflection of the x image, of equal light")
+        pair = np.concatenate([pair, _reflected(pair)])
+    ratio = float(pair[0].sum() / pair[1].sum())
+    made.append("efficiency: 1 for the mean of both images at each depth")
+    pair = pair / (pair.sum(axis=(-2, -1)).mean(axis=0)[None, :, None, None] * pixel_um**2)
+    if split_lens and (split_um is None or distance_mm is None or split_um[1] != 0.0 or split_um[0] == 0.0):
+        expected = "the distance of the sensor and a split along x alone, from which the distortion follows"
+        raise InputError.single("PSF stack", "split_lens", expected, f"{distance_mm} mm and {split_um} um")
+    if split_um is None:
+        split_um = (_SPLIT_PX * pixel_um, 0.0)
+        made.append(f"split of the images: {split_um[0]:g} um along x; a real camera's frames need their own")
+    if distance_mm is None:
+        distance_mm = _DISTANCE_MM
+        made.append(f"distance of the sensor: {distance_mm:g} mm; depths do not depend on it")
+    offset_um = pixel_um * np.array(centres if channels == 2 else [(0.0, 0.0)] * 2)
+    places = offset_um + 0.5 * np.array([[-1.0], [1.0]]) * np.array(split_um)
+    # Noise against the signal of each picture; the y image made of x has the same.
+    error = (noise * math.sqrt(n_y * n_x) / np.linalg.norm(lit, axis=(-2, -1))).max(axis=0)
+    crowded = float(((lit * _border((n_y, n_x))).sum(axis=(-2, -1)) / lit.sum(axis=(-2, -1))).max())
+    warnings = []
+    if crowded > _CROWDED:
+        warnings.append(f"{100.0 * crowded:.2g} % of a picture's light lies in its border: photograph a larger window")
+    psf = Psf(
+        depth_m=depth,
+        pixel_um=pixel_um,
+        psf=pair,
+        centre_um=np.repeat(places[:, None], depth.size, axis=1),
+        phi_deg=orientation_deg(pair[0]),
+        error=error,
+        efficiency=pair.sum(axis=(-2, -1)) * pixel_um**2,
+        extinction_ratio=np.full(depth.size, np.nan),
+        sensor_distance_um=1e3 * distance_mm,
+    )
+    if split_lens:
+        psf = replace(psf, field=_distorted_field(psf, split_um[0], offset_um))
+    figures = StackImport(
+        channels=channels,
+        window_px=(n_y, n_x),
+        depth_m=tuple(depth.tolist()),
+        centring=" and ".join(dict.fromkeys(rules)),
+        centre_px=tuple(centres),
+        background=float(background.mean()),
+        noise=float(noise.mean()),
+        error=float(error.max()),
+        border_light=crowded,
+        channel_ratio=ratio,
+        split_um=split_um,
+        distance_mm=distance_mm,
+        zero_m=zero,
+        made=tuple(made),
+        warnings=tuple(warnings),
+    )
+    return psf, figures
+
+
+def _checked(
+    stack: FloatArray, depth_m: FloatArray, pixel_um: float, zero_m: float | None
+) -> tuple[FloatArray, float, list[str]]:
+    """Depths from the lens, their zero, and what was made for them."""
+    faults = []
+    if stack.ndim != 4 or stack.shape[0] not in {1, 2} or min(stack.shape[2:]) < _SMALLEST_PX:
+        expected = f"(1 or 2 channels, depths, rows, columns), {_SMALLEST_PX} pixels a side or more"
+        faults.append(Fault("stack", expected, f"shape {stack.shape}"))
+    elif depth_m.shape != stack.shape[1:2]:
+        faults.append(Fault("depths", f"one for each of {stack.shape[1]} pictures", f"shape {depth_m.shape}"))
+    if not np.isfinite(stack).all():
+        got = f"{int((~np.isfinite(stack)).sum())} values NaN or infinite"
+        faults.append(Fault("stack", "finite values", got, "repair dead pixels before the import"))
+    if depth_m.size < FEWEST_DEPTHS:
+        faults.append(Fault("depths", f"{FEWEST_DEPTHS} or more, as decoding needs", f"{depth_m.size}"))
+    elif not (np.isfinite(depth_m).all() and (np.diff(depth_m) > 0.0).all()):
+        remedy = "sort the pictures by depth, nearest first"
+        faults.append(Fault("depths", "finite, increasing depths in metres", _listed(depth_m), remedy))
+    if not 0.0 < pixel_um < math.inf:
+        faults.append(Fault("pixel_um", "a number above zero", f"{pixel_um:g}"))
+    if faults:
+        raise InputError("PSF stack", faults)
+    made = []
+    zero = 0.0 if zero_m is None else zero_m
+    if zero_m is None and depth_m[0] <= 0.0:
+        # The nearest depth is one range from the lens: 1/depth then changes by a factor of two over the stack.
+        zero = float(np.ptp(depth_m) - depth_m[0])
+        made.append(f"depth 0 of the file: {zero:g} m from the lens; subtract it from decoded depths")
+    depth = depth_m + zero
+    if not (math.isfinite(zero) and depth[0] > 0.0):
+        expected, got = "a distance that puts all depths before the lens", f"{zero:g} m, nearest depth {depth[0]:g} m"
+        raise InputError.single("PSF stack", "zero_m", expected, got)
+    return depth, zero, made
+
+
+def _listed(depth_m: FloatArray) -> str:
+    text = ", ".join(f"{value:g}" for value in depth_m[:8])
+    return f"{text}, ..." if depth_m.size > 8 else text
+
+
+def _border(shape: tuple[int, int]) -> FloatArray:
+    """1 in the border of a picture, 0 inside, shape (n_y, n_x)."""
+    width = max(1, round(_BORDER * min(shape)))
+    border = np.ones(shape)
+    border[width:-width, width:-width] = 0.0
+    return border
+
+
+def _without_background(stack: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Pictures less the median of their border, 0 below three standard deviations of its noise.
+
+    Returns:
+        The pictures; background and standard deviation of each, shape (channels, n_depth).
+    """
+    ring = stack[..., _border(stack.shape[2:]) > 0.0]
+    background = np.median(ring, axis=-1)
+    noise = _MAD * np.median(np.abs(ring - background[..., None]), axis=-1)
+    lit = stack - background[..., None, None]
+    lit = np.where(lit > _SIGMAS * noise[..., None, None], lit, 0.0)
+    dark = np.argwhere(lit.sum(axis=(-2, -1)) <= 0.0)
+    if dark.size:
+        where = ", ".join(f"channel {c + 1} at {depth_m[d]:g} m" for c, d in dark[:4])
+        expected = "light above the background in each picture"
+        raise InputError.single("PSF stack", "stack", expected, f"none in {where}", "expose longer, or leave it out")
+    return lit, background, noise
+
+
+def _centre_px(channel: FloatArray, centring: Centring) -> tuple[str, tuple[float, float]]:
+    """Rule and centre (x, y) from the middle pixel of a channel's pictures, shape (n_depth, n_y, n_x)."""
+    if centring == "none":
+        return "none", (0.0, 0.0)
+    if centring in {"auto", "turn", "brightest"}:
+        lobes = np.array([main_lobe_px(picture)[:2] for picture in channel])
+        if centring == "brightest":
+            return "brightest", _pair(lobes.mean(axis=0))
+        centre = _circle_centre(lobes)
+        if centre is not None:
+            return "turn", _pair(centre)
+        if centring == "turn":
+            expected = f"main lobes on a circle, over {_LEAST_ARC_DEG:g} degrees or more"
+            raise InputError.single("PSF stack", "centring", expected, "other places", "choose `mass`")
+    n_y, n_x = channel.shape[1:]
+    total = channel.sum(axis=(1, 2))
+    x = (channel.sum(axis=1) @ (np.arange(n_x) - n_x // 2)) / total
+    y = (channel.sum(axis=2) @ (np.arange(n_y) - n_y // 2)) / total
+    return "mass", (float(x.mean()), float(y.mean()))
+
+
+def _pair(place: FloatArray) -> tuple[float, float]:
+    return float(place[0]), float(place[1])
+
+
+def _circle_centre(places: FloatArray) -> FloatArray | None:
+    """Centre of the least-squares circle (Kasa 1976) through places, shape (n, 2); None where none fits them."""
+    if len(places) < 4:  # three places always have a circle
+        return None
+    matrix = np.column_stack([places, np.ones(len(places))])
+    solved, _, rank, _ = np.linalg.lstsq(matrix, (places**2).sum(axis=1), rcond=None)
+    if rank < 3:
+        return None
+    centre = 0.5 * solved[:2]
+    spokes = places - centre
+    radius = np.hypot(*spokes.T)
+    arc_deg = np.degrees(np.ptp(np.unwrap(np.arctan2(spokes[:, 1], spokes[:, 0]))))
+    fits = np.std(radius) <= _CIRCLE * radius.mean() and radius.mean() >= 1.0 and arc_deg >= _LEAST_ARC_DEG
+    return np.asarray(centre) if fits else None
+
+
+def _moved(channel: FloatArray, centre_px: tuple[float, float], integrated: bool) -> FloatArray:
+    """Pictures with ``centre_px`` at the middle pixel, as samples, by Fourier transform."""
+    if centre_px == (0.0, 0.0) and not integrated:
+        return channel
+    shape = (channel.shape[1], channel.shape[2])
+    ky, kx = scipy.fft.fftfreq(shape[0])[:, None], scipy.fft.rfftfreq(shape[1])[None, :]
+    transfer = np.exp(2j * np.pi * (kx * centre_px[0] + ky * centre_px[1]))
+    if integrated:
+        # At least (2/pi)^2 = 0.41; the decoder's kernels are multiplied by it again.
+        transfer = transfer / (np.sinc(ky) * np.sinc(kx))
+    return np.asarray(scipy.fft.irfft2(scipy.fft.rfft2(channel) * transfer, shape))
+
+
+def _reflected(pictures: FloatArray) -> FloatArray:
+    """Point reflection about the middle pixel ``[n_y // 2, n_x // 2]``, shape (..., n_y, n_x)."""
+    turned = pictures[..., ::-1, ::-1]
+    n_y, n_x = pictures.shape[-2:]
+    return np.roll(turned, (1 - n_y % 2, 1 - n_x % 2), axis=(-2, -1))
+
+
+def _distorted_field(psf: Psf, split_um: float, offset_um: FloatArray) -> PsfField:
+    """The pair of the axis in all directions, at the places of a split lens's images.
+
+    The field reaches to where the two images meet, and as far along y.
+    """
+    distance_um = psf.sensor_distance_um
+    angle_deg = math.degrees(math.atan(0.5 * split_um / distance_um))
+    lens = Imaging(1.0, 1.0, angle_deg, distance_um, psf.pixel_um, 1.0)
+    tangents = np.linspace(-0.5, 0.5, _FIELD_NODES) * abs(split_um) / distance_um
+    places = [[[lens.image_point_um(p, (x, y)) for x in tangents] for y in tangents] for p in (0, 1)]
+    centre_um = np.array(places) + offset_um[:, None, None]
+    n_depth, n_y, n_x = psf.psf.shape[1:]
+    shape = (2, n_depth, _FIELD_NODES, _FIELD_NODES)
+    return PsfField(
+        tangents,
+        tangents,
+        np.broadcast_to(psf.psf[:, :, None, None].astype(np.float32), (*shape, n_y, n_x)),
+        np.broadcast_to(centre_um[:, None], (*shape, 2)),
+    )

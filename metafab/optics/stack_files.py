@@ -1,0 +1,150 @@
+"""Stacks of pictures in files of other programs: MATLAB, HDF5, NumPy and TIFF; and tables of depths."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
+from metafab.core.storage import hdf5
+from metafab.core.storage.files import HDF5_SUFFIXES
+from metafab.core.storage.pictures import MOST_SAMPLES, read_array
+
+_REMEDY = "export the stack as .npy of shape (depths, rows, columns) or (2, depths, rows, columns)"
+
+
+def read_stack(path: Path, depths: int, names: Sequence[str] = ()) -> FloatArray:
+    """Read a stack of pictures over depth, of one or two channels.
+
+    The axes may stand as (depths, rows, columns), as (rows, columns, depths), or either with an axis of two channels on
+    the outer or inner side of the depths. If a shape fits several, the last axis is the depth in a MATLAB file and the
+    first in all others.
+
+    Args:
+        path: .mat (version 5 or 7.3), .h5, .npy, .npz of one array, or .tif with a page for each picture.
+        depths: number of depths.
+        names: arrays of a MATLAB or HDF5 file, one for both channels or one for each; by default the only array of 3
+            or 4 axes.
+
+    Returns:
+        Shape (channels, depths, rows, columns), first row as in the file.
+
+    Raises:
+        InputError: the file cannot be read, is too large, or holds no such stack of finite real numbers.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in {".mat", *HDF5_SUFFIXES}:
+        if names:
+            expected = "a MATLAB or HDF5 file, where an array has a name"
+            raise InputError.single(str(path), "--dataset", expected, f"a {suffix} file", "leave --dataset out")
+        arrays = [read_array(path)]
+    else:
+        if not path.is_file():
+            raise InputError.single(str(path), "file", "a stack of pictures", "no file at that path", "check the path")
+        read = _read_hdf5 if h5py.is_hdf5(path) else _read_matlab
+        try:
+            arrays = read(path, names)
+        except InputError:
+            raise
+        except Exception as error:  # readers raise errors of any type on a broken file
+            got = f"a truncated or foreign file ({type(error).__name__}: {error})"
+            raise InputError.single(str(path), "file", "a readable MATLAB or HDF5 file", got, _REMEDY) from error
+    stacks = [_ordered(values, depths, path, depth_last=suffix == ".mat") for values in arrays]
+    if len({stack.shape[1:] for stack in stacks}) > 1 or sum(len(stack) for stack in stacks) > 2:
+        got = " and ".join(str(stack.shape) for stack in stacks)
+        raise InputError.single(str(path), "shape", "two channels of equal shape at most", got, "choose with --dataset")
+    return np.concatenate(stacks)
+
+
+def read_depths(path: Path) -> FloatArray:
+    """Read depths from a .npy file, or from a text file of numbers separated by commas, blanks or lines (# comments).
+
+    Returns:
+        Shape (n,), in the file's order and units.
+
+    Raises:
+        InputError: the file cannot be read, or holds something other than numbers.
+    """
+    if path.suffix.lower() == ".npy":
+        values = read_array(path)
+        if values.dtype.kind not in "iuf":
+            raise InputError.single(str(path), "depths", "real numbers", str(values.dtype))
+        return values.astype(np.float64).ravel()
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        words = [word for line in lines for word in line.partition("#")[0].replace(",", " ").split()]
+        return np.array([float(word) for word in words])
+    except (OSError, ValueError) as error:
+        remedy = "one depth in metres a line"
+        raise InputError.single(str(path), "depths", "a readable table of numbers", str(error), remedy) from error
+
+
+def _read_hdf5(path: Path, names: Sequence[str]) -> list[np.ndarray]:
+    """Arrays of an HDF5 file; those of MATLAB 7.3 in MATLAB's order of axes."""
+    with h5py.File(path, "r") as file:
+        shapes: dict[str, tuple[int, ...]] = {}
+
+        def visit(name: str, item: Any) -> None:
+            if isinstance(item, h5py.Dataset):
+                shapes[name] = item.shape or ()
+
+        file.visititems(visit)
+        chosen = _chosen(path, shapes, names)
+        hdf5.require_modest(file, path, names=[f"/{name}" for name in chosen])
+        arrays = [np.asarray(file[name][...]) for name in chosen]
+    return [array.transpose() for array in arrays] if path.suffix.lower() == ".mat" else arrays
+
+
+def _read_matlab(path: Path, names: Sequence[str]) -> list[np.ndarray]:
+    """Arrays of a MATLAB file of version 5."""
+    from scipy.io import loadmat, whosmat
+
+    chosen = _chosen(path, {name: tuple(shape) for name, shape, _ in whosmat(path)}, names)
+    content = loadmat(path, variable_names=chosen)
+    return [np.asarray(content[name]) for name in chosen]
+
+
+def _chosen(path: Path, shapes: dict[str, tuple[int, ...]], names: Sequence[str]) -> list[str]:
+    """Names of the arrays to read: those asked for, or the only one of 3 or 4 axes."""
+    stacks = [name for name, shape in shapes.items() if len(shape) in {3, 4}]
+    held = ", ".join(f"{name} {shapes[name]}" for name in stacks) or "none"
+    wanted = [name.strip("/") for name in names]
+    if len(wanted) > 2 or len(set(wanted)) < len(wanted):
+        raise InputError.single(str(path), "--dataset", "one name, or one for each of two channels", ", ".join(names))
+    if missing := [name for name in wanted if name not in shapes]:
+        expected = f"an array of the file ({held})"
+        raise InputError.single(str(path), "--dataset", expected, ", ".join(missing), "choose one of these")
+    if not wanted and len(stacks) != 1:
+        raise InputError.single(
+            str(path), "content", "one array of 3 or 4 axes", held, "choose with --dataset NAME, once for each channel"
+        )
+    chosen = wanted or stacks
+    for name in chosen:
+        if math.prod(shapes[name]) > MOST_SAMPLES:
+            expected = f"at most {MOST_SAMPLES} values"
+            raise InputError.single(str(path), name, expected, f"shape {shapes[name]}", "crop the pictures")
+    return chosen
+
+
+def _ordered(values: np.ndarray, depths: int, path: Path, *, depth_last: bool) -> FloatArray:
+    """The array as (channels, depths, rows, columns)."""
+    if values.dtype.kind not in "buif":
+        raise InputError.single(str(path), "type", "real numbers", str(values.dtype), "export the irradiance")
+    first, last = {3: ("dyx", "yxd"), 4: ("cdyx", "yxdc")}.get(values.ndim, ("", ""))
+    orders = [first, last] if values.ndim == 3 else [first, "dcyx", last, "yxcd"] if values.ndim == 4 else []
+    if depth_last:
+        orders.reverse()
+    for order in orders:
+        size = dict(zip(order, values.shape, strict=True))
+        if size["d"] == depths and size.get("c", 1) in {1, 2} and min(size["x"], size["y"]) > 1:
+            target = [order.index(axis) for axis in "cdyx" if axis in order]
+            ordered = values.transpose(target).astype(np.float64)
+            return ordered if values.ndim == 4 else ordered[None]
+    expected = f"{depths} pictures, one for each of the {depths} depths, of one or two channels"
+    raise InputError.single(str(path), "shape", expected, f"an array of shape {values.shape}", _REMEDY)
