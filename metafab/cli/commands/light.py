@@ -155,7 +155,7 @@ def import_command(
     ] = None,
     datasets: Annotated[
         list[str] | None,
-        typer.Option("--dataset", metavar="NAME", help="Array of a .mat or .h5; one for each channel."),
+        typer.Option("--dataset", metavar="NAME", help="Its name in a .mat or .h5; one for each channel."),
     ] = None,
     centring: Annotated[
         Literal["auto", "mass", "brightest", "turn", "none"],
