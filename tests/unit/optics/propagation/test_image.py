@@ -54,14 +54,14 @@ def test_blocks_beyond_memory_are_refused() -> None:
 
 
 def test_high_numerical_aperture_keeps_the_stated_error() -> None:
-    """NA 0.8 without a split: the compiled pass must use blocks of few sites, and says what is left."""
+    """NA 0.8 without a split, scalar as the direct sum is: the compiled pass uses blocks of few sites."""
     from benchmarks.direct_sum import direct_irradiance
     from metafab.optics import psf
 
     optics = Imaging(0.8, 0.0225, 0.0, 22.5, 0.2, 60.0)
     f = 22.5
     source = lens.ideal(optics, lambda x, y, p: -optics.wavenumber * (np.hypot(np.hypot(x, y[:, None]), f) - f))
-    result = psf(source, optics, [2e-3], PsfNumerics(window_px=24, target_error=1e-3))
+    result = psf(source, optics, [2e-3], PsfNumerics(window_px=24, target_error=1e-3, vectorial=False))
     points = lens.window_points(optics, np.zeros(2), 24)
     true = direct_irradiance(source, optics, 2e-3, (0.0, 0.0), *points, 0)
     assert relative_l2(result.psf[0, 0].ravel(), true) <= result.error[0] <= 1.5e-3
