@@ -131,7 +131,7 @@ class Library(Displayed):
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Mask of the sizes with a response, shape (n_length, n_width): all sizes, or the diagonal for circles."""
+        """Mask of the sizes with a response (all, or the diagonal for circles), shape (n_length, n_width)."""
         return np.asarray(np.isfinite(self.error_of_sizes))
 
     @property
@@ -141,7 +141,7 @@ class Library(Displayed):
 
     @property
     def t(self) -> ComplexArray:
-        """Both transmissions at the design wavelength, shape (n_length, n_width, 2): t_xx, t_yy."""
+        """Both transmissions, t_xx and t_yy, at the design wavelength, shape (n_length, n_width, 2)."""
         return np.stack([self.t_xx[0], self.t_yy[0]], axis=-1)
 
     @property

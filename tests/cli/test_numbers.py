@@ -26,7 +26,7 @@ VALID: dict[str, list[Any]] = {
 }
 NO_NUMBERS = ["nan", "inf", "-inf", "abc", "", "1,5", "0x10"]
 #: Options whose numbers may have any sign; a lens has copies from 1.
-SIGNED = {"--azimuth-deg", "--object-mm"}
+SIGNED = {"--azimuth-deg", "--object-mm", "--centre-um"}
 
 
 def _numeric_options(name: str) -> Iterator[tuple[str, int, bool]]:

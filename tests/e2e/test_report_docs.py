@@ -7,6 +7,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,8 @@ import typer
 
 from metafab.cli import app
 from metafab.core.errors import InputError
-from metafab.spec import kinds, load_design, load_unit_cell
+from metafab.spec import Scene, UnitCell, kinds, load_design, load_unit_cell
+from metafab.spec.toml import validate
 
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(path for path in (ROOT / "docs").rglob("*.md") if "_build" not in path.parts)
@@ -67,10 +69,13 @@ def _holds_tables_alone(value: Any) -> bool:
 def test_toml_is_accepted(block: str, tmp_path: Path) -> None:
     """A table of a page takes the place of the same table in the small design, or in its unit cell.
 
-    A table inside a table (``[sweep.axes]``) is added to the outer one.
+    A table inside a table (``[sweep.axes]``) is added to the outer one. The keys of a scene file are a whole scene.
     """
     tables = tomllib.loads(block)
-    known_to_cell = set(tables) <= set(tomllib.loads(UNIT_CELL))
+    if set(tables) <= {item.name for item in fields(Scene)}:
+        validate(Scene, tables, "scene file of the page")
+        return
+    known_to_cell = set(tables) <= {item.name for item in fields(UnitCell)}
     base = tomllib.loads(UNIT_CELL if known_to_cell else DESIGN)
     merged = {
         name: {**base[name], **table} if name in base and _holds_tables_alone(table) else table

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -43,7 +44,10 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _output(*arguments: str | Path, folder: Path) -> str:
-    done = subprocess.run([*map(str, arguments)], cwd=folder, capture_output=True, text=True, check=False)
+    # The source tree may be on the path of this process; the wheel must do without.
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    command = [*map(str, arguments)]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
