@@ -12,6 +12,7 @@ import numpy as np
 
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
+from metafab.decode.registration.twins import BRIGHTEST
 
 #: Depth and length of the blocks along the edge, pixels.
 _BLOCK_PX = (4, 32)
@@ -69,6 +70,6 @@ def _edge_means(values: np.ndarray) -> FloatArray:
         count = strip.shape[1] // long
         if strip.shape[0] == deep and count:
             blocks = strip[:, : count * long].astype(np.float64).reshape(deep, count, long)
-            means.append(blocks.mean(axis=(0, 2)))
+            means.append(np.where(np.abs(blocks) < BRIGHTEST, blocks, np.nan).mean(axis=(0, 2)))
     all_means = np.concatenate(means) if means else np.zeros(0)
     return np.asarray(all_means[np.isfinite(all_means)])

@@ -130,9 +130,10 @@ class PreparedFrame:
     def sharp_floor_e(self) -> NDArray[np.float32]:
         """Sum of both sharp images below which a pixel is dark, electrons: shape (n_y, n_x), downsampled pixels.
 
-        Deconvolution leaves little of the blur.
+        Deconvolution leaves little of the blur, but all of it about a saturated or invalid pixel, which is not known.
         """
-        return np.asarray(np.maximum(np.float32(_SHARP_SHARE) * self.floor_e, np.float32(self.dark_e)))
+        share = np.where(self.spoiled, np.float32(1.0), np.float32(_SHARP_SHARE))
+        return np.asarray(np.maximum(share * self.floor_e, np.float32(self.dark_e)))
 
     @property
     def inner(self) -> NDArray[np.float32]:
