@@ -48,6 +48,8 @@ _FEW_OUTLIERS, _LEAST_KEPT = 0.01, 0.3
 _ROBUST_ROUNDS = 3
 #: Change of a depth, in standard errors, below which its outliers stay the same.
 _SETTLED = 0.25
+#: Parameters of a plane that are fitted to a segment's pixels: its depth, or its depth and slopes.
+_MOVED, _TILTED = 1, 3
 #: Rounds of the reweighted fit of a plane to a segment's pixels.
 _REFITS = 3
 #: Square of a pixel's distance from its segment, in standard errors, from which it is an outlier.
@@ -260,34 +262,39 @@ def _find_regions(
         of_noise = finer.of_layers(needed)
     # Next to outlines, where depths mix, more layers always fit better.
     inside = pixels.claimed & (regions.interior > 0)
-    better = misfit(of_noise, pixels, inside) < _CLEARLY_BETTER * misfit(regions, pixels, inside, refitted=True)
+    # Outliers leave a segment's depth only later: finer layers may move, but a slope must not pass for their steps.
+    moved, tilted = misfit(of_noise, pixels, inside, free=_MOVED), misfit(regions, pixels, inside, free=_TILTED)
+    better = moved < _CLEARLY_BETTER * tilted
     return of_noise if better else regions
 
 
-def misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_], *, refitted: bool = False) -> float:
+def misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_], *, free: int = 0) -> float:
     """Mean square distance of the pixels' depths from their segments', in standard errors; inf without pixels.
 
     Args:
         regions: segments.
         pixels: depth of each pixel.
         inside: shape (n_y, n_x), pixels that count; those without a segment count as outliers.
-        refitted: whether each segment is moved and tilted to its pixels first, whose depths may lean together.
+        free: parameters of each segment that are fitted to its pixels first, whose depths may lean together: none,
+            its depth (1), or its depth and slopes (3).
     """
     if not inside.any():
         return float("inf")
     error = (pixels.relative_error * pixels.vergence_per_m)[inside]
     away = (pixels.vergence_per_m - regions.vergence_per_m(regions.grown))[inside] / error
-    if refitted:
+    if free:
         number, place = regions.grown[inside], np.nonzero(inside)
         for one in np.unique(number[number > 0]).tolist():
             mask = number == one
-            away[mask] = _plane_residual(away[mask], error[mask], *(axis[mask].astype(np.float64) for axis in place))
+            away[mask] = _plane_residual(
+                away[mask], error[mask], free, *(axis[mask].astype(np.float64) for axis in place)
+            )
     return float(np.minimum(np.nan_to_num(away * away, nan=_OUTLIER), _OUTLIER).mean())
 
 
-def _plane_residual(away: FloatArray, error: FloatArray, row: FloatArray, column: FloatArray) -> FloatArray:
-    """What a robust plane through distances in standard errors, shape (n,), leaves of them: the same shape."""
-    design = np.stack([np.ones_like(row), row - row.mean(), column - column.mean()], axis=1) / error[:, None]
+def _plane_residual(away: FloatArray, error: FloatArray, free: int, row: FloatArray, column: FloatArray) -> FloatArray:
+    """What a robust plane of ``free`` parameters through distances in standard errors, shape (n,), leaves of them."""
+    design = np.stack([np.ones_like(row), row - row.mean(), column - column.mean()][:free], axis=1) / error[:, None]
     left = away
     for _ in range(_REFITS):
         weight = 1.0 / (1.0 + left * left / _OUTLIER)
