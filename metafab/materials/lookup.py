@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ from metafab.core.errors import InputError, MissingToolError
 from metafab.materials.catalogue import built_in
 from metafab.materials.record import IndexPair, IndexRecord, isotropic, read_table
 from metafab.spec.cell import Material
+from metafab.spec.keys.reference import near
 
 #: Names with this many parts belong to refractiveindex.info: shelf/book/page.
 _DATABASE_PARTS = 3
@@ -49,10 +49,8 @@ def _record(name: str) -> IndexRecord:
     parts = name.split("/")
     if len(parts) == _DATABASE_PARTS:
         return _database_record(name, *parts)
-    near = difflib.get_close_matches(name, built_in(), n=3, cutoff=0.3)
     expected = f"one of {', '.join(built_in())}; a CSV file; or shelf/book/page of refractiveindex.info"
-    remedy = f"did you mean {' or '.join(near)}?" if near else ""
-    raise InputError.single("materials", "record", expected, repr(name), remedy)
+    raise InputError.single("materials", "record", expected, repr(name), near(name, built_in(), likeness=0.3))
 
 
 def _database_record(name: str, shelf: str, book: str, page: str) -> IndexRecord:

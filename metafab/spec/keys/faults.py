@@ -61,9 +61,10 @@ def _fault(item: Any, spec: Any) -> Fault:
             return Fault(_path(place[:-1]), f"a list of at least {place[-1] + 1}", f"a list of {place[-1]}")
         return Fault(field, "a value", "nothing", "add the key")
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
-        return _unknown_choice(f"{field}.term".lstrip("."), limits, str(limits.get("tag", "")))
+        choices = limits.get("expected_tags", "the name of a phase term")
+        return _unknown_choice(f"{field}.term".lstrip("."), choices, limits.get("tag", ""))
     if kind == "literal_error":
-        return _unknown_choice(field, {"expected_tags": limits["expected"]}, item["input"])
+        return _unknown_choice(field, limits["expected"], item["input"])
     if kind == "value_error" and not isinstance(item["input"], str | int | float | list | tuple):
         return Fault(field, item["msg"].removeprefix("Value error, "), "")
     if kind == "tuple_type" and isinstance(item["input"], dict):
@@ -71,8 +72,7 @@ def _fault(item: Any, spec: Any) -> Fault:
     return Fault(field or "file", _expected(kind, item["msg"], limits), _got(item["input"]))
 
 
-def _unknown_choice(field: str, limits: dict[str, Any], got: Any) -> Fault:
-    choices = str(limits.get("expected_tags", "the name of a phase term"))
+def _unknown_choice(field: str, choices: str, got: Any) -> Fault:
     known = [word.strip(" '") for word in choices.replace(" or ", ",").split(",")]
     remedy = near(got, known) if isinstance(got, str) else ""
     return Fault(field, choices, _got(got) if got != "" else "nothing", remedy)

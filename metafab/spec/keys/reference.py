@@ -99,9 +99,16 @@ def names_at(spec: Any, location: Iterable[int | str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(item.name for table in tables for item in dataclasses.fields(table)))
 
 
-def near(name: str, known: Iterable[str]) -> str:
-    """Return "did you mean `a` or `b`?" for the known names that resemble ``name``; empty if none does."""
-    close = difflib.get_close_matches(name.lower(), list(known), n=2, cutoff=0.6)
+def near(name: str, known: Iterable[str], *, likeness: float = 0.6) -> str:
+    """Return "did you mean `a` or `b`?" for the known names that resemble ``name``; empty if none does.
+
+    Args:
+        name: the misspelt name; upper and lower case are alike.
+        known: names to choose from.
+        likeness: least ratio of resemblance, 0 to 1.
+    """
+    words = {word.lower(): word for word in known}
+    close = [words[word] for word in difflib.get_close_matches(name.lower(), words, n=3, cutoff=likeness)]
     return f"did you mean {' or '.join(f'`{word}`' for word in close)}?" if close else ""
 
 
