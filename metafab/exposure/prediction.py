@@ -159,8 +159,7 @@ def dose_to_size(resist: ResistEnergy, tables: EdgeTables, dose: Float32Array, e
     def sums(tile: TileEnergy) -> FloatArray:
         return np.array(dose_to_size_sums(tile.size_index, tile.dose, tile.others, tables.at_edge, tables.slope_per_nm))
 
-    every = max(1, len(resist.tiles) // _SAMPLED_TILES)
-    parts = [found for _, found in resist.map_tiles(dose, executor, sums, resist.tiles[::every])]
+    parts = [found for _, found in resist.map_tiles(dose, executor, sums, _sampled_tiles(resist))]
     energy, count = np.sum(parts, axis=0)
     return float(count / energy)
 
@@ -230,7 +229,8 @@ def process_window(
             )
         return np.array(rows)
 
-    parts = np.array([found for _, found in process.resist.map_tiles(dose, process.executor, changed, _some(process))])
+    sampled = process.resist.map_tiles(dose, process.executor, changed, _sampled_tiles(process.resist))
+    parts = np.array([found for _, found in sampled])
     points = []
     for percent, row in zip(dose_change_percent, np.swapaxes(parts, 0, 1), strict=True):
         sums = SizeSums.of(row)
@@ -238,9 +238,9 @@ def process_window(
     return tuple(points)
 
 
-def _some(process: Printing) -> Sequence[tuple[slice, slice]]:
-    tiles = process.resist.tiles
-    return tiles[:: max(1, len(tiles) // _SAMPLED_TILES)]
+def _sampled_tiles(resist: ResistEnergy) -> Sequence[tuple[slice, slice]]:
+    """Every n-th tile, at least :data:`_SAMPLED_TILES` of them, or all."""
+    return resist.tiles[:: max(1, len(resist.tiles) // _SAMPLED_TILES)]
 
 
 def _block_means(size_index: NDArray[np.uint16], errors: Float32Array, side: int) -> Float32Array:
