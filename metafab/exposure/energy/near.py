@@ -63,9 +63,13 @@ def near_tables(psf: BeamPsf, size_nm: FloatArray, period_nm: tuple[float, float
             centre[pair] += weight * x * y
             edge_x[pair] += weight * _at_edges(a * period_nm[0], width, beta)[:, width_of] * y
             edge_y[pair] += weight * _at_edges(b * period_nm[1], length, beta)[:, length_of] * x
-    parts = (np.ascontiguousarray(part, dtype=np.float32) for part in (centre, edge_x, edge_y))
-    first, second, third = parts
-    return NearTables(first, second, third, width_of.astype(np.int32), length_of.astype(np.int32))
+    return NearTables(
+        centre.astype(np.float32),
+        edge_x.astype(np.float32),
+        edge_y.astype(np.float32),
+        width_of.astype(np.int32),
+        length_of.astype(np.int32),
+    )
 
 
 def _at(place: FloatArray, offset: float, size: FloatArray, beta: float) -> FloatArray:

@@ -17,7 +17,7 @@ from metafab.core.numeric.compiled import compiled_parallel, prange
 from metafab.core.parallel.executor import in_order
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.far import BLOCK_SITES, LONG_PERIODS, LongRange, MiddleRange, block_masses
-from metafab.exposure.energy.near import NearTables, add_near, near_tables
+from metafab.exposure.energy.near import add_near, near_tables
 from metafab.layout import PillarMap
 
 Scalar = TypeVar("Scalar", bound=np.generic)
@@ -159,7 +159,7 @@ class ResistEnergy:
         if long_range is not None:
             energy += long_range.at(rows, columns)
         inner = slice(margin - 1, index.shape[0] - margin + 1), slice(margin - 1, index.shape[1] - margin + 1)
-        near: NearTables = self._near
+        near = self._near
         add_near(
             index[inner], doses[inner], near.centre, near.edge_x, near.edge_y, near.width_of, near.length_of, energy
         )
