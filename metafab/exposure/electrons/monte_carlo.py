@@ -36,6 +36,8 @@ _STOP_KEV = 0.5
 _ELECTRON_SINE2 = 0.1464
 #: Fine-structure constant.
 _FINE_STRUCTURE = 1.0 / 137.036
+#: Avogadro constant (1/mol).
+_AVOGADRO = 6.02214e23
 #: Histories of one random sequence; sequences do not depend on the number of threads.
 _BATCH = 500
 #: Radii of the table: bins per decade, from 1 nm to 1 mm.
@@ -132,10 +134,9 @@ def simulate(
     number = np.zeros((len(stack), most))
     per_nm3, excitation_kev = np.zeros_like(number), np.zeros(len(stack))
     for i, layer in enumerate(stack):
-        weight = sum(count * ELEMENTS[z][0] for z, count in layer.formula)
         for j, (z, count) in enumerate(layer.formula):
             number[i, j] = z
-            per_nm3[i, j] = layer.density_g_per_cm3 * 6.02214e23 / weight * count * 1e-21
+            per_nm3[i, j] = _per_nm3(layer, count)
         excitation_kev[i] = mean_excitation_kev(layer.formula)
     bottom = np.cumsum([layer.thickness_nm for layer in stack])
     batches = -(-electrons // _BATCH)
@@ -165,12 +166,16 @@ def mean_excitation_kev(formula: tuple[tuple[int, float], ...]) -> float:
     return math.exp(sum(z * count * math.log(ELEMENTS[z][place]) for z, count in formula) / electrons)
 
 
+def _per_nm3(layer: Layer, count: float) -> float:
+    """Number density (1/nm^3) of particles of which each formula unit of a layer has ``count``."""
+    weight = sum(number * ELEMENTS[z][0] for z, number in layer.formula)
+    return layer.density_g_per_cm3 * _AVOGADRO / weight * count * 1e-21
+
+
 def energy_loss_kev_per_nm(layer: Layer, energy_kev: float) -> float:
     """Mean energy loss per path in a layer."""
-    weight = sum(count * ELEMENTS[z][0] for z, count in layer.formula)
     electrons = sum(z * count for z, count in layer.formula)
-    per_nm3 = layer.density_g_per_cm3 * 6.02214e23 / weight * electrons * 1e-21
-    return per_nm3 * float(_stopping_kev_nm2(mean_excitation_kev(layer.formula), energy_kev))
+    return _per_nm3(layer, electrons) * float(_stopping_kev_nm2(mean_excitation_kev(layer.formula), energy_kev))
 
 
 @compiled
