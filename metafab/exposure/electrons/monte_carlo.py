@@ -326,8 +326,9 @@ def _run(
                 energy = max(energy, 0.01)
                 alpha = _elastic(z_atom, energy)[1]
                 r = np.random.random()
-                if not _accepted(z_atom, energy, alpha * r / (1.0 + alpha - r), np.random.random()):
+                sine2 = alpha * r / (1.0 + alpha - r)
+                if not _accepted(z_atom, energy, sine2, np.random.random()):
                     continue
-                cos_theta = 1.0 - 2.0 * alpha * r / (1.0 + alpha - r)
+                cos_theta = 1.0 - 2.0 * sine2
                 sin_theta = math.sqrt(max(0.0, 1.0 - cos_theta * cos_theta))
                 cx, cy, cz = _turned(cx, cy, cz, cos_theta, sin_theta, 2.0 * math.pi * np.random.random())
