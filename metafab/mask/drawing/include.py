@@ -110,7 +110,7 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
     unit_nm = design.mask.database_unit_nm
     shift = np.array([whole_dbu(at_um * 1e3, unit_nm, f"{key}.at_um") for at_um in item.at_um])
     per_unit = library.unit * 1e9 / unit_nm
-    polygons = []
+    polygons, present = [], set()
     for polygon in found[name].get_polygons(apply_repetitions=True, include_paths=True):
         exact = np.asarray(polygon.points) * per_unit
         corners = np.rint(exact).astype(np.int64)
@@ -123,11 +123,11 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
             expected = f"polygons of at most {_MOST_CORNERS} corners"
             raise InputError.single(design.name, f"{key}.file", expected, f"{len(corners)}", "fracture the cell")
         source = f"{polygon.layer}/{polygon.datatype}"
+        present.add(source)
         layer, datatype = (int(part) for part in item.layers.get(source, source).split("/"))
         polygons.append(IncludedPolygon(layer, datatype, corners + shift))
     if not polygons:
         raise InputError.single(design.name, f"{key}.cell", "a cell with shapes", f"{name}, which holds none")
-    present = {f"{polygon.layer}/{polygon.datatype}" for polygon in found[name].get_polygons()}
     if absent := sorted(set(item.layers) - present):
         expected = f"layers of cell {name}: {', '.join(sorted(present))}"
         raise InputError.single(design.name, f"{key}.layers", expected, ", ".join(absent))
