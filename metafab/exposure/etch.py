@@ -18,7 +18,7 @@ import numpy as np
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
 from metafab.exposure.electrons.beam import BeamPsf, BeamTerm
-from metafab.exposure.energy.far import BLOCK_SITES, LONG_PERIODS, LongRange, block_masses
+from metafab.exposure.energy.far import LONG_PERIODS, LongRange, block_masses
 from metafab.exposure.expose import Exposure
 from metafab.layout import PillarMap
 from metafab.layout.resized import bands, resized
@@ -107,16 +107,15 @@ def _density(
 ) -> tuple[LongRange, float]:
     """Local density on blocks, and its mean over the pillars."""
     lattice, index = pillars.lattice, pillars.to_array()
-    period_nm = [side * lattice.database_unit_nm for side in lattice.period_dbu]
-    if etch.range_um * 1e3 < LONG_PERIODS * min(period_nm):
-        expected = f"at least {LONG_PERIODS:g} periods, {LONG_PERIODS * min(period_nm) * 1e-3:g} um"
+    least_nm = LONG_PERIODS * min(lattice.period_nm)
+    if etch.range_um * 1e3 < least_nm:
+        expected = f"at least {LONG_PERIODS:g} periods, {least_nm * 1e-3:g} um"
         raise InputError.single("process.etch", "microloading_range_um", expected, f"{etch.range_um:g} um")
     masses = []
     for rows in bands(index):
         masses.append(block_masses(np.prod(printed_nm(rows).astype(np.float64), axis=0)))
     beam = BeamPsf.of([BeamTerm("gauss", 1.0, etch.range_um * 1e3)], "")
-    block_nm = (BLOCK_SITES * period_nm[0], BLOCK_SITES * period_nm[1])
-    density = LongRange.of(beam, np.concatenate(masses), block_nm)
+    density = LongRange.of(beam, np.concatenate(masses), lattice.period_nm)
     assert density is not None
     total, count = 0.0, 0
     for rows in bands(index):

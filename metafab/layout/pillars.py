@@ -58,6 +58,11 @@ class Lattice:
                 raise InputError.single("mask", "database_unit_nm", expected, f"a period of {period} units", remedy)
 
     @property
+    def period_nm(self) -> tuple[float, float]:
+        """(x, y) pitch of the grid."""
+        return self.period_dbu[0] * self.database_unit_nm, self.period_dbu[1] * self.database_unit_nm
+
+    @property
     def cell_dbu(self) -> tuple[int, int]:
         """(x, y) sides of the rectangle that belongs to one pillar; these rectangles tile the plane."""
         p_x, p_y = self.period_dbu

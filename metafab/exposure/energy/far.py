@@ -103,20 +103,21 @@ class LongRange:
     energy: FloatArray
 
     @classmethod
-    def of(cls, psf: BeamPsf, block_mass: FloatArray, block_nm: tuple[float, float]) -> LongRange | None:
+    def of(cls, psf: BeamPsf, block_mass: FloatArray, period_nm: tuple[float, float]) -> LongRange | None:
         """Convolve masses of blocks.
 
         Args:
             psf: the long Gaussians.
             block_mass: shape (blocks_y, blocks_x), dose times area, nm^2.
-            block_nm: size of a block (x, y).
+            period_nm: lattice period (x, y); a block has :data:`BLOCK_SITES` sites a side.
         """
         if psf.range_nm.size == 0:
             return None
         total = np.zeros_like(block_mass)
         for weight, beta in zip(psf.weight, psf.range_nm, strict=True):
             profile = [
-                _blurred_block(beta, side, count) for side, count in zip(block_nm[::-1], block_mass.shape, strict=True)
+                _blurred_block(beta, BLOCK_SITES * side_nm, count)
+                for side_nm, count in zip(period_nm[::-1], block_mass.shape, strict=True)
             ]
             blurred = _convolved(_convolved(block_mass, profile[0], axis=0), profile[1], axis=1)
             total += weight * blurred

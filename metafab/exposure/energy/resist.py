@@ -16,7 +16,7 @@ from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled_parallel, prange
 from metafab.core.parallel.executor import in_order
 from metafab.exposure.electrons.beam import BeamPsf
-from metafab.exposure.energy.far import BLOCK_SITES, LONG_PERIODS, LongRange, MiddleRange, block_masses
+from metafab.exposure.energy.far import LONG_PERIODS, LongRange, MiddleRange, block_masses
 from metafab.exposure.energy.near import add_near, near_tables
 from metafab.layout import PillarMap
 
@@ -67,8 +67,7 @@ class ResistEnergy:
         self.psf = psf
         self.size_nm = pillars.size_nm()
         self.size_index = pillars.to_array()
-        unit_nm = lattice.database_unit_nm
-        self.period_nm = (lattice.period_dbu[0] * unit_nm, lattice.period_dbu[1] * unit_nm)
+        self.period_nm = lattice.period_nm
         smallest = min(self.period_nm)
         self._near = near_tables(psf.between(0.0, LONG_PERIODS * smallest), self.size_nm, self.period_nm)
         middle = psf.between(_MIDDLE_PERIODS * smallest, LONG_PERIODS * smallest)
@@ -142,8 +141,7 @@ class ResistEnergy:
             return block_masses(np.asarray(self._area[self.size_index[part]] * dose[part], dtype=np.float64))
 
         masses = np.concatenate(list(in_order(executor, band, rows)))
-        block_nm = (BLOCK_SITES * self.period_nm[0], BLOCK_SITES * self.period_nm[1])
-        return LongRange.of(self._long_psf, masses, block_nm)
+        return LongRange.of(self._long_psf, masses, self.period_nm)
 
     def _tile(self, dose: Float32Array, long_range: LongRange | None, block: tuple[slice, slice]) -> TileEnergy:
         rows, columns = block

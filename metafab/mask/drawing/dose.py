@@ -48,8 +48,9 @@ class DoseClasses:
             self._of_size = _classes(area, area[1:], dose.classes)
             return
         lattice = pillars.lattice
-        period_nm = [period * lattice.database_unit_nm for period in lattice.period_dbu]
-        self._block_columns, self._block_rows = [max(1, round(dose.block_um * 1e3 / side)) for side in period_nm]
+        self._block_columns, self._block_rows = [
+            max(1, round(dose.block_um * 1e3 / side)) for side in lattice.period_nm
+        ]
         covered = np.zeros((-(-lattice.shape[0] // self._block_rows), -(-lattice.shape[1] // self._block_columns)))
         for tile in pillars.tiles():
             np.add.at(covered, self._blocks(tile), area[tile.size_index])
