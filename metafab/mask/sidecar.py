@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -19,7 +19,7 @@ from metafab.layout import PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.turned import outline_of
 from metafab.mask.drawing.cells import top_name
 from metafab.mask.drawing.copies import lens_copies
-from metafab.mask.drawing.include import included_cells
+from metafab.mask.drawing.include import IncludedCell
 from metafab.mask.drawing.scan import count_sizes
 from metafab.mask.drawing.stamps import Stamps
 from metafab.mask.drawing.surroundings import surroundings
@@ -78,6 +78,23 @@ class CopyFigures:
     area_um2: float
 
 
+@dataclass(frozen=True)
+class IncludeFigures:
+    """One cell of ``mask.include``.
+
+    Attributes:
+        file: name of its file.
+        cell: name of the cell.
+        polygons: number of polygons on each "layer/datatype".
+        texts_left_out: number of texts, which are not written.
+    """
+
+    file: str
+    cell: str
+    polygons: dict[str, int]
+    texts_left_out: int
+
+
 @dataclass(frozen=True, eq=False)
 class MaskFigures:
     """Counts and areas of a written mask; those of one lens, if there are several.
@@ -91,6 +108,7 @@ class MaskFigures:
             lowest y and columns from the lowest x.
         copies: the lenses of ``mask.copies``.
         exposure: write time of all lenses; None without ``mask.exposure``.
+        include: the cells of ``mask.include``.
     """
 
     pillars: int
@@ -100,6 +118,7 @@ class MaskFigures:
     field_density: FloatArray
     copies: tuple[CopyFigures, ...] = ()
     exposure: WriteTime | None = None
+    include: tuple[IncludeFigures, ...] = ()
 
 
 class MaskSums:
@@ -138,8 +157,8 @@ class MaskSums:
         self.sites += tile.size_index.size
         self.filled.add((tile.row, tile.column))
 
-    def figures(self, stamps: Stamps) -> MaskFigures:
-        """Return the figures of the mask whose shapes are ``stamps``."""
+    def figures(self, stamps: Stamps, included: Sequence[IncludedCell]) -> MaskFigures:
+        """Return the figures of the mask with the shapes ``stamps`` and the cells ``included`` of other files."""
         mask, lattice, copies = self._design.mask, self._map.lattice, lens_copies(self._design)
         pillars = int(self._used[1:].sum())
         dbu2_um2 = (lattice.database_unit_nm * 1e-3) ** 2
@@ -167,6 +186,7 @@ class MaskSums:
             field_density=np.round(self._twice_area_in_dbu / 2 * dbu2_um2 / field_um2, 6),
             copies=tuple(each_copy),
             exposure=exposure,
+            include=tuple(IncludeFigures(cell.file, cell.cell, cell.counts, cell.texts) for cell in included),
         )
 
     def _area_dbu(self, bias_dbu: int) -> float:
@@ -193,12 +213,6 @@ def sidecar(design: Design, figures: MaskFigures, files: Mapping[str, Path]) -> 
     layers = {f"{layer.layer}/0": layer.name for layer in surroundings(design)}
     if layers:
         options["beside"] = layers
-    if mask.include:
-        cells = included_cells(design, surroundings(design))
-        options["include"] = [
-            {"file": item.file.name, "cell": cell.cell, "polygons": cell.counts, "texts_left_out": cell.texts}
-            for item, cell in zip(mask.include, cells, strict=True)
-        ]
     counts = {name: value for name, value in plain(figures).items() if value not in (None, [])}
     table: dict[str, Any] = plain(
         {

@@ -21,7 +21,7 @@ from metafab.layout.geometry import whole_dbu
 from metafab.mask.drawing.cell_writer import Drawing, EncodedTile, MaskWriter, TileEncoder
 from metafab.mask.drawing.cells import top_name
 from metafab.mask.drawing.copies import lens_copies
-from metafab.mask.drawing.include import all_polygons, included_cells
+from metafab.mask.drawing.include import included_cells
 from metafab.mask.drawing.stamps import Stamps
 from metafab.mask.drawing.surroundings import surroundings
 from metafab.mask.gdsii.writer import GdsiiWriter
@@ -120,7 +120,8 @@ def write_drawings(
         biased(drawn, copy.bias_nm)  # Refuses a bad bias now rather than after an hour.
     around = surroundings(design)
     in_top_cell = [(layer.layer, layer.rectangles) for layer in around]
-    included = [(p.layer, p.datatype, p.corners) for p in all_polygons(included_cells(design, around))]
+    included = included_cells(design, around)
+    polygons = [(one.layer, one.datatype, one.corners) for cell in included for one in cell.polygons]
     stamps = Stamps(drawn, design, dose_class)
     sums = MaskSums(drawn, design)
     with ExitStack() as stack:
@@ -140,9 +141,9 @@ def write_drawings(
             progress("mask", sums.sites, sites)
         in_top_cell += stamps.without_pillars(sums.filled)
         for writer in writers:
-            writer.close(in_top_cell, included)
+            writer.close(in_top_cell, polygons)
         progress("mask", sites, sites)
-    return sums.figures(stamps)
+    return sums.figures(stamps, included)
 
 
 @dataclass(frozen=True)

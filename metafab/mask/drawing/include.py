@@ -7,7 +7,6 @@ paths become their outlines. Layers are renamed by a table. Texts draw nothing; 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -52,11 +51,13 @@ class IncludedCell:
     """Everything drawn by one entry of ``mask.include``.
 
     Attributes:
+        file: name of the file, without its folder.
         cell: name of the cell.
         polygons: its polygons.
         texts: number of texts, which are not written.
     """
 
+    file: str
     cell: str
     polygons: tuple[IncludedPolygon, ...]
     texts: int
@@ -131,7 +132,7 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
     if absent := sorted(set(item.layers) - present):
         expected = f"layers of cell {name}: {', '.join(sorted(present))}"
         raise InputError.single(design.name, f"{key}.layers", expected, ", ".join(absent))
-    return IncludedCell(name, tuple(polygons), len(found[name].get_labels()))
+    return IncludedCell(item.file.name, name, tuple(polygons), len(found[name].get_labels()))
 
 
 def _opened(design: Design, key: str, path: Path) -> gdstk.Library:
@@ -180,9 +181,3 @@ def _require_apart(design: Design, key: str, boxes: IntArray, others: IntArray, 
             um = design.mask.database_unit_nm * 1e-3
             got = f"a shape at ({left * um:g}, {bottom * um:g}) um that touches: {name}"
             raise InputError.single(design.name, f"{key}.at_um", "a free place", got, "move it")
-
-
-def all_polygons(cells: tuple[IncludedCell, ...]) -> Iterator[IncludedPolygon]:
-    """Yield the polygons of all cells."""
-    for cell in cells:
-        yield from cell.polygons
