@@ -46,6 +46,9 @@ BIAS_NM = np.arange(-30.0, 30.1, 2.0)
 #: Sizes of the library that is solved, nm, its step and error; and of the tables: mask sizes, biased by up to 30 nm.
 _SOLVED_NM, _SOLVED_STEP_NM, _TARGET_ERROR = (70.0, 290.0), 5.0, 1e-2
 _TABLE_NM = np.arange(70.0, 280.1, 2.0)
+#: Wavelength, um, and one micrometre of the substrate's crystal.
+_WAVELENGTH_UM = 0.8
+_CRYSTAL = Crystal(Substrate(thickness_um=1.0, cut="r-plane"), _WAVELENGTH_UM)
 #: Width of the band-pass filter, nm, and depth of the propagation, m.
 _FILTER_NM, _DEPTH_M = 10.0, 0.30
 #: Ranges of the other factors, each with its source. Uniform: nothing is known about where in the range they lie.
@@ -199,9 +202,8 @@ def pinhole_shares(design: Design) -> dict[str, float]:
 
 def ghost_over_own(azimuth_deg: FloatArray, thickness_um: FloatArray) -> FloatArray:
     """Light that the crystal brings into the wrong image over the light in the right one, over the filter."""
-    unit = Crystal(Substrate(thickness_um=1.0, cut="r-plane"), 0.8)
-    wavelengths = np.linspace(0.8 - 0.5e-3 * _FILTER_NM, 0.8 + 0.5e-3 * _FILTER_NM, 9)
-    per_um = np.array([unit.at_wavelength(float(w)).retardance_rad for w in wavelengths])
+    wavelengths = np.linspace(_WAVELENGTH_UM - 0.5e-3 * _FILTER_NM, _WAVELENGTH_UM + 0.5e-3 * _FILTER_NM, 9)
+    per_um = np.array([_CRYSTAL.at_wavelength(float(w)).retardance_rad for w in wavelengths])
     crossed = (np.sin(0.5 * per_um[:, None] * np.ravel(thickness_um)) ** 2).mean(axis=0).reshape(thickness_um.shape)
     share = np.sin(2.0 * np.radians(azimuth_deg)) ** 2 * crossed
     return np.asarray(share / (1.0 - share))
@@ -377,8 +379,7 @@ def explain(folder: Path, aperture_um: float) -> tuple[MadeLens, Explanation, di
         save(library.build(design.unit_cell), folder / "cell.h5")
     table = load(folder / "cell.h5")
     sums, pillars = mapped(design, table)
-    index = float(Crystal(Substrate(thickness_um=1.0, cut="r-plane"), 0.8).n_ordinary)
-    face = 4.0 * index / (1.0 + index) ** 2
+    face = 4.0 * _CRYSTAL.n_ordinary / (1.0 + _CRYSTAL.n_ordinary) ** 2
     known = Explanation.of(sums, sizes, face * shares["filter"])
     plain = PrintedLens.of(sums, sizes)
     chain = {
