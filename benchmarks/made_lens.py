@@ -66,7 +66,7 @@ _DRAWS, _SEED = 400_000, 1
 
 @dataclass(frozen=True)
 class SizeSums:
-    """The mask as far as its wanted wave depends on it.
+    """Sums over the sites of each pillar size, which give the light in the target wave.
 
     Attributes:
         width_nm: shape (n,), distinct sizes.
@@ -82,7 +82,7 @@ class SizeSums:
 
     @classmethod
     def of(cls, pillars: PillarMap, profile: PhaseProfile, design: Design) -> SizeSums:
-        """One pass over the mask."""
+        """Add up the sites of a mask, tile by tile."""
         sizes = pillars.size_nm()
         count = np.zeros(len(sizes))
         real, imag = np.zeros((2, len(sizes), 2))
@@ -227,14 +227,14 @@ class Interval:
 
 @dataclass(frozen=True)
 class Explanation:
-    """All that is known, as tables over roughness and bias, for vertical walls.
+    """Shares of the light of a mask, tabulated over roughness and bias for vertical walls.
 
     Attributes:
         roughness_nm: shape (n_roughness,), ascending.
         bias_nm: shape (n_bias,), ascending.
         wanted: shape (n_roughness, n_bias), share in the target wave, of the light inside the substrate.
-        transmitted: the same shape; share behind the pillars.
-        straight: the same shape; share in the zero order.
+        transmitted: shape (n_roughness, n_bias), share behind the pillars.
+        straight: shape (n_roughness, n_bias), share in the zero order.
         fixed: factor that no draw changes: first face, and target wave through the pinhole over the filter.
     """
 
@@ -299,7 +299,7 @@ class Candidate:
         beam: share of the measured input that falls on the aperture.
         efficiency: through the pinhole, over the measured input.
         transmitted: behind the pillars, over the light inside the substrate.
-        straight: in the zero order, over the same.
+        straight: in the zero order, over the light inside the substrate.
         underfilled: efficiency in a beam that is smaller than the aperture.
     """
 
@@ -314,7 +314,7 @@ class Candidate:
 
 
 def candidates(known: Explanation, efficiency: float) -> list[Candidate]:
-    """Causes that alone make up for the difference, all others in the middle of their ranges."""
+    """Sets of causes that each explain a measured efficiency; other factors are in the middle of their ranges."""
     found, neighbours = [], float(np.mean(RANGES["neighbours"]))
     overfilled = RANGES["beam on the aperture"][0]
     for name, rough, beam, sign in (
