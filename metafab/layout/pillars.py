@@ -236,8 +236,8 @@ class PillarMap(Displayed):
     ) -> gdstk.Cell:
         """Return the pillars as a gdstk cell centred on the optical axis, in micrometres: one polygon a size.
 
-        Each polygon carries its places as a repetition. For chips composed with gdstk or gdsfactory;
-        ``metafab.mask.write`` is made for millions of pillars (gdstk takes 10 s and 1 GB for 25 million).
+        Each polygon carries its places as a repetition. For chips composed with gdstk or gdsfactory, up to some million
+        pillars; ``metafab.mask.write`` streams any number to a file.
 
         Args:
             name: name of the cell.
