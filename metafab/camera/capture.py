@@ -63,11 +63,12 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
         ``scene.frames`` frames.
     """
     seed = scene.seed if seed is None else seed
-    lens = Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)))
+    pixel_tangent = psf.pixel_um / psf.sensor_distance_um
+    picture = None if scene.rgbd is None else DepthPicture.of(scene, pixel_tangent)
+    lens = Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)), picture=picture)
     lenses = [lens]
     if psf.ghost is not None:
-        lenses.append(Lens(PairKernels(psf.ghost, psf), lens.windows, crossed=True))
-    pixel_tangent = psf.pixel_um / psf.sensor_distance_um
+        lenses.append(Lens(PairKernels(psf.ghost, psf), lens.windows, picture=picture, crossed=True))
     still = Renderer.of(scene, pixel_tangent, seed)
     pattern = FixedPattern.of(scene, lens.shape, seed)
     first, pixel_um = lens.windows[0], psf.pixel_um
@@ -87,7 +88,7 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
             pixel_um,
             (lens.left * pixel_um, lens.bottom * pixel_um),
             scene.read_noise_e,
-            _shutter_truth(still, first, shutter, middle_s),
+            _shutter_truth(still, first, shutter, middle_s) if picture is None else _picture_truth(picture, first),
             (first.column * pixel_um, first.row * pixel_um),
             (first.row - lens.bottom, first.column - lens.left, *scene.field_px),
             scene.full_well_e,
@@ -114,8 +115,6 @@ def _shutter_truth(still: Renderer, window: Window, shutter: Shutter, middle_s: 
 def _truth(renderer: Renderer, window: Window) -> Truth:
     """Depth, label and sharp intensities as a pinhole sees them; depth is of what covers at least half of a pixel."""
     shape = window.stop.shape
-    if renderer.scene.rgbd is not None:
-        return _picture_truth(renderer, window)
     pieces = list(renderer.pieces(window.tangent_x, window.tangent_y))
     masks = [Occluder.of(piece) for piece in pieces]
     depth_m, label = np.full(shape, np.nan), np.zeros(shape, dtype=np.int32)
@@ -133,9 +132,8 @@ def _truth(renderer: Renderer, window: Window) -> Truth:
     return Truth(depth_m, intensity[0], intensity[1], label)
 
 
-def _picture_truth(renderer: Renderer, window: Window) -> Truth:
+def _picture_truth(picture: DepthPicture, window: Window) -> Truth:
     """The picture itself: depth and label (1) where the depth is known, light nowhere else."""
-    picture = DepthPicture.of(renderer.scene, renderer.pixel_tangent)
     light, depth_m, contrast = picture.at(window.tangent_x, window.tangent_y)
     known = np.isfinite(depth_m)
     electrons = np.where(known, light * window.gain * 2.0 / (1.0 + contrast), 0.0)

@@ -55,6 +55,7 @@ class Lens:
         blurs: blurs of both polarisations by depth.
         still: layers of the objects that do not move, by (polarisation, number): each is blurred once in a film, with
             what other objects at rest hide of it.
+        picture: picture with its depth that is photographed in place of objects; it does not move.
         crossed: whether the kernels are of each image for light of the other polarisation, the ghosts of a substrate.
     """
 
@@ -62,6 +63,7 @@ class Lens:
     windows: tuple[Window, Window]
     blurs: dict[float, tuple[FieldBlur, FieldBlur]] = field(default_factory=dict)
     still: dict[tuple[int, int], Layer] = field(default_factory=dict)
+    picture: DepthPicture | None = None
     crossed: bool = False
 
     @property
@@ -104,14 +106,12 @@ class Lens:
         scene, window = renderer.scene, self.windows[polarisation]
         (k_y, k_x), (n_y, n_x) = self.kernels.shape, window.stop.shape
         light = np.zeros((n_y + k_y, n_x + k_x))
-        if scene.rgbd is not None:
-            directions = (window.tangent_x, window.tangent_y)
-            picture = DepthPicture.of(scene, renderer.pixel_tangent)
-            channel = 1 - polarisation if self.crossed else polarisation
-            for surface in pieces(picture, *directions, self.kernels.psf.depth_m, self._shifts(window), channel):
-                rows, columns, image = self._blurred(surface, polarisation)
-                light[rows, columns] += image
-            return light
+        if self.picture is not None:
+            if (polarisation, 0) not in self.still:
+                self._add_picture(light, self.picture, polarisation)
+                whole = (slice(0, light.shape[0]), slice(0, light.shape[1]))
+                self.still[polarisation, 0] = Layer(*whole, light, None, np.zeros((0, 0)))
+            return self.still[polarisation, 0].light
         nearer: list[Occluder] = []
         veil = np.zeros_like(light)
         for done, (index, spec) in enumerate(reversed(renderer.farthest_first()), start=1):
@@ -139,12 +139,25 @@ class Lens:
             light[inner] += scene.background * self.kernels.mean_throughput * window.gain * window.stop * share
         return light
 
+    def _add_picture(self, light: FloatArray, picture: DepthPicture, polarisation: int) -> None:
+        """Add the blurred surfaces of a picture to an image."""
+        window = self.windows[polarisation]
+        directions = (window.tangent_x, window.tangent_y)
+        channel = self._channel(polarisation)
+        for surface in pieces(picture, *directions, self.kernels.psf.depth_m, self._shifts(window), channel):
+            rows, columns, image = self._blurred(surface, polarisation)
+            light[rows, columns] += image
+
     def _shifts(self, window: Window) -> FloatArray:
         pair = self.kernels.relative_to or self.kernels.psf
         return shifts_px_m(pair.aperture_um, window.tangent_x, window.tangent_y)
 
+    def _channel(self, polarisation: int) -> int:
+        """Polarisation of the light that forms an image."""
+        return 1 - polarisation if self.crossed else polarisation
+
     def _share(self, piece: Piece, polarisation: int) -> float:
-        return piece.share[1 - polarisation if self.crossed else polarisation]
+        return piece.share[self._channel(polarisation)]
 
     def _layer(self, piece: Piece | None, polarisation: int, nearer: Sequence[Occluder], *, moves: bool) -> Layer:
         """The layer of a piece behind others."""

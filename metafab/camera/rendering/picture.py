@@ -133,7 +133,7 @@ def _jump(reach_px_m: float) -> float:
 
 
 def _behind(
-    vergence: FloatArray, light: FloatArray, known: FloatArray, reach_px_m: float
+    vergence: FloatArray, light: FloatArray, known: NDArray[np.bool_], reach_px_m: float
 ) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Vergence and light of the farthest known surface within the aperture's reach, and where it is behind another."""
     margin = int(np.ceil(reach_px_m * float(np.ptp(vergence[known])))) + 1

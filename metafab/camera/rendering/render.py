@@ -56,12 +56,10 @@ class Renderer:
     Attributes:
         scene: objects and light.
         textures: texture of each object.
-        pixel_tangent: a pixel's size as a tangent.
     """
 
     scene: Scene
     textures: tuple[Texture, ...]
-    pixel_tangent: float = 0.0
 
     @classmethod
     def of(cls, scene: Scene, pixel_tangent: float, seed: int) -> Renderer:
@@ -71,7 +69,7 @@ class Renderer:
         for spec, sequence in zip(scene.objects, sequences, strict=True):
             width, height = (max(4, math.ceil(side / pixel_tangent)) for side in spec.size)
             textures.append(make_texture(spec, (min(height, 4096), min(width, 4096)), np.random.default_rng(sequence)))
-        return cls(scene, tuple(textures), pixel_tangent)
+        return cls(scene, tuple(textures))
 
     def pieces(self, tangent_x: FloatArray, tangent_y: FloatArray) -> Iterator[Piece]:
         """Yield all objects in sight, farthest first.
