@@ -24,7 +24,7 @@ from metafab.decode.matching.depth import window_depth
 from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.planes import Cells, Plane, fit_plane
-from metafab.decode.segmentation.regions import LAYER_SHARE
+from metafab.decode.segmentation.regions import layer_separation_per_m
 from metafab.decode.segmentation.segments import (
     assign_layers,
     connected_segments,
@@ -144,7 +144,7 @@ def _segments(volume: CostVolume, lit: NDArray[np.bool_]) -> tuple[NDArray[np.in
     of_window = window_depth(volume, _WINDOW_PX)
     claimed = of_window.pixels.claimed & lit & (of_window.correlation >= _LEAST_CORRELATION)
     pixels = replace(of_window.pixels, claimed=claimed)
-    separation = LAYER_SHARE * float(np.ptp(volume.vergences_per_m))
+    separation = layer_separation_per_m(volume)
     layers = [Plane(vergence) for vergence in depth_layers(pixels, separation).tolist()]
     label, planes = np.zeros(lit.shape, dtype=np.int32), list[Plane]()
     if not layers:

@@ -34,7 +34,7 @@ from metafab.decode.segmentation.segments import (
 )
 
 #: Largest separation of layers, as a share of the calibrated range of vergence.
-LAYER_SHARE = 1.0 / 24.0
+_LAYER_SHARE = 1.0 / 24.0
 #: Separation of layers in median standard errors of the pixels' depths, which scatter by 1.5 times what they state.
 _SEPARATION_ERRORS = 2.0
 #: Standard errors, and relative difference, within which adjacent segments have one depth.
@@ -123,7 +123,7 @@ class Regions:
 
 def layer_separation_per_m(volume: CostVolume) -> float:
     """Largest vergence by which layers differ: that of tilted planes, and of segments in successive frames."""
-    return float(volume.vergences_per_m[-1] - volume.vergences_per_m[0]) * LAYER_SHARE
+    return float(volume.vergences_per_m[-1] - volume.vergences_per_m[0]) * _LAYER_SHARE
 
 
 def noise_separation_per_m(volume: CostVolume, pixels: PixelDepth) -> float:
@@ -197,8 +197,8 @@ def _is_settled(depth: SegmentDepth, before: SegmentDepth, shape: tuple[int, ...
     """Whether two measurements of a segment's depth agree all over the picture within a small share of their error."""
     if depth is before:
         return True
-    row, column = (np.array([0.0, n])[at] for n, at in zip(shape, ([0, 0, 1, 1], [0, 1, 0, 1]), strict=True))
-    ratio = depth.plane.at(row, column) / before.plane.at(row, column)
+    corners = np.array([[0.0], [shape[0]]]), np.array([[0.0, shape[1]]])
+    ratio = depth.plane.at(*corners) / before.plane.at(*corners)
     return bool(np.abs(ratio - 1.0).max() < _SETTLED * depth.relative_error)
 
 
@@ -233,7 +233,7 @@ def without_outliers(
 def _find_regions(
     prepared: PreparedFrame, volume: CostVolume, pixels: PixelDepth, known: Sequence[Plane], outline_rounds: int
 ) -> Regions:
-    """The segments of a frame.
+    """Segment a frame; depths still hold the outliers of their segments.
 
     At first each layer has one depth. If some of its segments are tilted, or are stripes of a tilted surface, the
     layers become planes, and pixels are assigned to them once more. Where noise tells more layers apart, those replace
@@ -263,37 +263,36 @@ def _find_regions(
     # Next to outlines, where depths mix, more layers always fit better.
     inside = pixels.claimed & (regions.interior > 0)
     # Outliers leave a segment's depth only later: finer layers may move, but a slope must not pass for their steps.
-    moved, tilted = misfit(of_noise, pixels, inside, free=_MOVED), misfit(regions, pixels, inside, free=_TILTED)
-    better = moved < _CLEARLY_BETTER * tilted
-    return of_noise if better else regions
+    moved, tilted = misfit(of_noise, pixels, inside, _MOVED), misfit(regions, pixels, inside, _TILTED)
+    return of_noise if moved < _CLEARLY_BETTER * tilted else regions
 
 
-def misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_], *, free: int = 0) -> float:
-    """Mean square distance of the pixels' depths from their segments', in standard errors; inf without pixels.
+def misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_], free: int) -> float:
+    """Mean square distance of the pixels' depths from robust fits to their segments, in standard errors.
 
     Args:
         regions: segments.
         pixels: depth of each pixel.
         inside: shape (n_y, n_x), pixels that count; those without a segment count as outliers.
-        free: parameters of each segment that are fitted to its pixels first, whose depths may lean together: none,
-            its depth (1), or its depth and slopes (3).
+        free: fitted parameters of each segment: its depth (1), or its depth and slopes (3).
+
+    Returns:
+        The misfit, at most ``_OUTLIER``; inf without pixels.
     """
     if not inside.any():
         return float("inf")
     error = (pixels.relative_error * pixels.vergence_per_m)[inside]
     away = (pixels.vergence_per_m - regions.vergence_per_m(regions.grown))[inside] / error
-    if free:
-        number, place = regions.grown[inside], np.nonzero(inside)
-        for one in np.unique(number[number > 0]).tolist():
-            mask = number == one
-            away[mask] = _plane_residual(
-                away[mask], error[mask], free, *(axis[mask].astype(np.float64) for axis in place)
-            )
+    number, place = regions.grown[inside], np.nonzero(inside)
+    for one in np.unique(number[number > 0]).tolist():
+        mask = number == one
+        row, column = (axis[mask].astype(np.float64) for axis in place)
+        away[mask] = _plane_residual(away[mask], error[mask], free, row, column)
     return float(np.minimum(np.nan_to_num(away * away, nan=_OUTLIER), _OUTLIER).mean())
 
 
 def _plane_residual(away: FloatArray, error: FloatArray, free: int, row: FloatArray, column: FloatArray) -> FloatArray:
-    """What a robust plane of ``free`` parameters through distances in standard errors, shape (n,), leaves of them."""
+    """Residual of a plane of ``free`` parameters, fitted to distances in standard errors by robust least squares."""
     design = np.stack([np.ones_like(row), row - row.mean(), column - column.mean()][:free], axis=1) / error[:, None]
     left = away
     for _ in range(_REFITS):
