@@ -9,6 +9,7 @@ polarisations, in the ratio of the calibrated pair to its ghosts:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
@@ -51,10 +52,20 @@ class Unmixing:
             share[:, row] = np.einsum("xji,pji->px", weights, at_nodes)
         return cls(np.clip(share, 0.0, 1.0))
 
-    @property
+    @cached_property
     def is_possible(self) -> bool:
         """Whether the polarisations can be told apart in all of the window."""
-        return bool((np.abs(1.0 - self.share.sum(axis=0)) >= _LEAST_DETERMINANT).all())
+        return bool(self._possible.all())
+
+    @cached_property
+    def _determinant(self) -> NDArray[np.float32]:
+        """Determinant of the mixture of each pixel, 1 - s_x - s_y: shape (n_y, n_x)."""
+        return np.asarray(1.0 - self.share.sum(axis=0))
+
+    @cached_property
+    def _possible(self) -> NDArray[np.bool_]:
+        """Pixels whose polarisations can be told apart: shape (n_y, n_x)."""
+        return np.asarray(np.abs(self._determinant) >= _LEAST_DETERMINANT)
 
     def separate(self, images: NDArray[np.float32], noise_gain: NDArray[np.float32]) -> None:
         """Replace both images, and their noise gain, by those of the object's polarisations.
@@ -65,12 +76,10 @@ class Unmixing:
             images: shape (2, n_y, n_x), electrons; negative values become 0.
             noise_gain: shape (2, n_y, n_x).
         """
-        determinant = 1.0 - self.share.sum(axis=0)
-        possible = np.abs(determinant) >= _LEAST_DETERMINANT
-        other = np.where(possible, self.share, np.float32(0.0))
+        other = np.where(self._possible, self.share, np.float32(0.0))
         own = np.float32(1.0) - other[::-1]
-        scale = np.float32(1.0) / np.where(possible, determinant, np.float32(1.0))
-        separated = np.where(possible, (own * images - other * images[::-1]) * scale, images)
+        scale = np.float32(1.0) / np.where(self._possible, self._determinant, np.float32(1.0))
+        separated = np.where(self._possible, (own * images - other * images[::-1]) * scale, images)
         noise_gain[...] = (own**2 * noise_gain + other**2 * noise_gain[::-1]) * scale**2
         np.maximum(separated, 0.0, out=images)
 
