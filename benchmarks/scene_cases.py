@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -147,14 +147,11 @@ def _three(pixel: float, wall_brightness: float = 1.0) -> tuple[SceneObject, ...
 def _highlights(pixel: float, seed: int) -> Scene:
     rng = np.random.default_rng((seed, 40))
     lights = []
-    for wall_or_object in range(40):
-        inside = wall_or_object % 2 == 0
-        x, y = (
-            (rng.uniform(-340, -80), rng.uniform(-130, 130))
-            if inside
-            else (rng.uniform(-30, 30), rng.uniform(-220, 220))
-        )
-        depth_m = 0.3 if inside else 0.5
+    for number in range(40):
+        on_object = number % 2 == 0
+        (left, right), half = ((-340, -80), 130) if on_object else ((-30, 30), 220)
+        x, y = rng.uniform(left, right), rng.uniform(-half, half)
+        depth_m = 0.3 if on_object else 0.5
         lights.append(
             _object(pixel, 0.9999 * depth_m, (x, y), (4, 4), outline="ellipse", texture="uniform", brightness=30.0)
         )
@@ -271,6 +268,4 @@ CASES = (
 
 def scene_of(case: Case, stacks: Stacks, seed: int) -> Scene:
     """The scene of a case, as that of a film with its draws."""
-    from dataclasses import replace
-
     return replace(case.scene(stacks.pixel_tangent, seed), frames=case.draws)

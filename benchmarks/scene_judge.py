@@ -70,12 +70,10 @@ class Decoded:
     def edge_px(self) -> FloatArray:
         """Distance of each pixel from the nearest change of object, pixels."""
         label, edge = self.truth.label, np.zeros(self.truth.label.shape, dtype=np.bool_)
-        for axis in (0, 1):
-            change = np.diff(label, axis=axis) != 0
-            ahead, behind = [slice(None)] * 2, [slice(None)] * 2
-            ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
-            edge[tuple(ahead)] |= change
-            edge[tuple(behind)] |= change
+        for across, changed in ((label, edge), (label.T, edge.T)):
+            change = across[1:] != across[:-1]
+            changed[1:] |= change
+            changed[:-1] |= change
         return np.asarray(distance_transform_edt(~edge))
 
     @cached_property
