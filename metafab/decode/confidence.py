@@ -32,7 +32,7 @@ LEAST_RIGHT = 0.5
 #: first times log misfit across the outline over the pixel's own, the second times log misfit.
 _WEIGHTS = (-6.21, 2.23, 1.60, 4.41, -0.47, -2.61)
 _NEAR_PX, _FAR_PX = 8.0, 20.0
-#: Range of the misfit, below and above which it says no more.
+#: Range to which the misfit is clipped.
 _MISFITS = (0.3, 20.0)
 
 

@@ -16,8 +16,6 @@ from metafab.optics.geometry.polarisation import Quantity, vectorial_effect
 #: Single precision leaves an error of 2e-6, and the low-rank kernel a fifth of the target. A filter halves the share
 #: of the pupil blocks.
 _SMALLEST_TARGET, _SMALLEST_TARGET_IN_BAND = 4e-6, 1e-5
-
-
 #: Scalar propagation is used if its error is below this share of the target error, and of the largest that counts.
 _SCALAR_SHARE, _LARGEST_SCALAR_TARGET = 0.1, 1e-2
 

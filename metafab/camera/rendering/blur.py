@@ -16,10 +16,10 @@ from metafab.core.conventions import FloatArray
 
 #: Share of the kernels' energy over the field that the basis may leave out.
 BASIS_TOLERANCE = 1e-6
-#: Smallest throughput that is divided by: darker kernels, of a ghost that is absent, hide nothing and show nothing.
-_DARK = 1e-30
 #: The same for veils, which only correct the light at outlines.
 _VEIL_TOLERANCE = 1e-3
+#: Smallest throughput that is divided by: darker kernels, of a ghost that is absent, hide nothing and show nothing.
+_DARK = 1e-30
 
 
 @dataclass(frozen=True)

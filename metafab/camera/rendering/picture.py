@@ -119,12 +119,12 @@ def pieces(
     # Holes hide nothing and shine nowhere: they lie farther than everything else.
     vergence = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0)
     reach = float(np.abs(shifts_px_m).max())
-    yield _piece(light, vergence, known, layers_m, _open_share(vergence, vergence, known, shifts_px_m, _jump(reach)))
+    yield _piece(light, vergence, known, layers_m, _open_share(vergence, vergence, known, shifts_px_m))
     if reach == 0.0:
         return
     behind, behind_light, hidden = _behind(vergence, light, known, reach)
     if hidden.any():
-        share = _open_share(vergence, behind, hidden, shifts_px_m, _jump(reach))
+        share = _open_share(vergence, behind, hidden, shifts_px_m)
         yield _piece(behind_light, behind, hidden, layers_m, share)
 
 
@@ -158,11 +158,11 @@ def _piece(
 
 
 def _open_share(
-    vergence: FloatArray, start: FloatArray, asked: NDArray[np.bool_], shifts_px_m: FloatArray, jump: float
+    vergence: FloatArray, start: FloatArray, asked: NDArray[np.bool_], shifts_px_m: FloatArray
 ) -> FloatArray:
     """Share of the aperture that points of vergence ``start`` see past the surface: shape (n_y, n_x); 1 elsewhere."""
     reach = float(np.abs(shifts_px_m).max())
-    margin = int(np.ceil(reach * float(np.ptp(vergence)))) + 1
+    jump, margin = _jump(reach), int(np.ceil(reach * float(np.ptp(vergence)))) + 1
     nearer = maximum_filter(vergence, 2 * margin + 1, mode="nearest") - start > jump
     share = np.ones(vergence.shape)
     rows, columns = np.nonzero(np.logical_and(asked, nearer))

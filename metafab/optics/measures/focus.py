@@ -12,6 +12,7 @@ from metafab.core.figures import FocusFigures
 from metafab.core.parallel.work import Work
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.geometry.path import Ray
+from metafab.optics.measures.metrics import main_lobe_px
 from metafab.optics.numerics import PsfNumerics
 from metafab.optics.point_spread import Psf
 from metafab.optics.sources.source import Source
@@ -131,8 +132,6 @@ class _Spot:
 
     @classmethod
     def of(cls, image: FloatArray, pixel_um: float) -> _Spot:
-        from metafab.optics.measures.metrics import main_lobe_px
-
         axis = (np.arange(image.shape[0]) - image.shape[0] // 2) * pixel_um
         x, y, peak = main_lobe_px(image) if image.any() else (0.0, 0.0, 0.0)
         spline = RectBivariateSpline(axis, axis, image, kx=5, ky=5)
