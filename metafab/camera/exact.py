@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from metafab.camera.rendering.motion import Shutter, moved
+from metafab.camera.rendering.picture import require_objects
 from metafab.camera.rendering.render import step_depths_m
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
@@ -80,9 +81,7 @@ def exact_psf(
     Raises:
         InputError: more than 256 depths, or a field that 64 points a side do not resolve.
     """
-    if scene.rgbd is not None:
-        remedy = "give `objects`, or photograph it with a pair over depth"
-        raise InputError.single("scene", "rgbd", "objects at depths of their own", "a picture with its depth", remedy)
+    require_objects(scene)
     pixel_tangent = imaging.pixel_um / imaging.sensor_distance_um
     depths_m = scene_depths_m(scene, pixel_tangent, scene.field_px[0] + numerics.window_px)
     if depths_m.size > _MOST_DEPTHS:

@@ -11,11 +11,11 @@ from scipy.signal import fftconvolve
 
 from metafab.camera.kernels import pixel_transfer
 from metafab.camera.rendering.occlusion import PINHOLE, Occluder, seen, seen_share
+from metafab.camera.rendering.picture import require_objects
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import shifts_px_m
 from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
-from metafab.core.errors import InputError
 from metafab.core.numeric.splines import spline_weights
 from metafab.optics.polarisation_states import StokesPsf
 from metafab.spec import Scene
@@ -64,9 +64,7 @@ def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> Stok
         psf: PSFs over the depths of the scene.
         seed: of textures and noise; ``scene.seed`` by default.
     """
-    if scene.rgbd is not None:
-        remedy = "give `objects`, or photograph it with a pair over depth"
-        raise InputError.single("scene", "rgbd", "objects at depths of their own", "a picture with its depth", remedy)
+    require_objects(scene)
     seed = scene.seed if seed is None else seed
     pixel_tangent = psf.pixel_um / psf.sensor_distance_um
     margin = psf.psf.shape[-1] // 2

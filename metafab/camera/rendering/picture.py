@@ -30,6 +30,17 @@ _LEAST_WEIGHT = 1e-5
 _OUTLINE_PX = 1.0
 
 
+def require_objects(scene: Scene) -> None:
+    """Refuse a picture with its depth where only objects can be photographed.
+
+    Raises:
+        InputError: the scene is a picture with its depth.
+    """
+    if scene.rgbd is not None:
+        remedy = "give `objects`, or photograph it with a pair over depth"
+        raise InputError.single("scene", "rgbd", "objects at depths of their own", "a picture with its depth", remedy)
+
+
 @dataclass(frozen=True)
 class DepthPicture:
     """A picture with its depth on the pixels of a field.
