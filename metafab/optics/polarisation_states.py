@@ -10,7 +10,6 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.work import Work
 from metafab.core.polarisation import JONES, ORTHOGONAL, stokes_of, stokes_response
-from metafab.optics.geometry.aperture import sub_apertures_um
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.geometry.path import Ray, power_at_aperture
 from metafab.optics.propagation.image import bounding_box
@@ -99,5 +98,5 @@ def stokes_psf(
             per_unit_power = pupils[0].cell_um2 ** 2 / power_at_aperture(imaging, ray)
             psf[place, :, index] = stokes_response(xx, xy, xy, yy) * per_unit_power
         work.progress("psf", place + 1, len(targets_um))
-    aperture_um = sub_apertures_um(pupils[0].x_um, pupils[0].y_um, pupils[0].power)
-    return StokesPsf(depth_m, imaging.pixel_um, psf, target.places_um, imaging.sensor_distance_um, aperture_um)
+    places_um, distance_um = target.places_um, imaging.sensor_distance_um
+    return StokesPsf(depth_m, imaging.pixel_um, psf, places_um, distance_um, pupils[0].sub_apertures_um)

@@ -12,7 +12,6 @@ from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.work import Work
-from metafab.optics.geometry.aperture import sub_apertures_um
 from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.path import Ray, power_at_aperture
 from metafab.optics.measures.metrics import orientation_deg
@@ -122,7 +121,7 @@ def psf(
             filter_fwhm_nm=numerics.filter_fwhm_nm,
             seconds=time.perf_counter() - begun,
         ),
-        aperture_um=_aperture_um(pyramids[0][0]),
+        aperture_um=pyramids[0][0].sub_apertures_um,
     )
 
 
@@ -148,10 +147,6 @@ def _pair(
         sensor_distance_um=imaging.sensor_distance_um,
         field=None if field is None else _field(imaging, *field),
     )
-
-
-def _aperture_um(pupil: Pupil) -> FloatArray | None:
-    return sub_apertures_um(pupil.x_um, pupil.y_um, pupil.power) if pupil.power.any() else None
 
 
 def _grid(field_tangents: FieldGrid) -> FieldGrid | None:

@@ -23,6 +23,7 @@ from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import default_workers
 from metafab.core.parallel.work import Work
 from metafab.layout.pillars import Lattice
+from metafab.optics.geometry.aperture import sub_apertures_um
 from metafab.optics.geometry.path import Ray, RayNumbers, path_um
 from metafab.optics.sources.source import FieldTile, Source
 
@@ -79,6 +80,11 @@ class Pupil:
         block = self.carrier.block_sites
         along_x, along_y = (pitch * pitch * (block * block - 1) / 12.0 for pitch in self.pitch_um)
         return along_x, along_y
+
+    @property
+    def sub_apertures_um(self) -> FloatArray | None:
+        """(x, y) of points that carry equal shares of the power, shape (n, 2); None for a dark pupil."""
+        return sub_apertures_um(self.x_um, self.y_um, self.power) if self.power.any() else None
 
     def coarsened(self) -> Pupil:
         """Return blocks of twice the side, each the sum of four."""

@@ -93,3 +93,10 @@ def test_a_dark_mask_lets_nothing_through() -> None:
     source.table[:] = 0.0
     (pupil,) = reduce_field(source, [Carrier(0, _ray(), 4)], K)
     assert not pupil.sums.any() and not pupil.power.any()
+
+
+def test_a_dark_pupil_has_no_sub_apertures() -> None:
+    (pupil,) = reduce_field(lens.ideal(OPTICS, lens.eq_3_and_4(OPTICS)), [Carrier(0, _ray(), 4)], K)
+    points_um = pupil.sub_apertures_um
+    assert points_um is not None and points_um.shape == (128, 2)
+    assert replace(pupil, power=np.zeros_like(pupil.power)).sub_apertures_um is None
