@@ -16,7 +16,7 @@ import numpy as np
 from metafab.cell.elements.assembly import Layer, Waves, grams_of, layer_of
 from metafab.cell.elements.basis import Basis, basis_of, element, elements_of
 from metafab.cell.elements.mesh import mesh_of
-from metafab.cell.elements.solve import FaceSystem, face_system
+from metafab.cell.elements.solve import FaceSystem, exchanged_places, face_system, other_light
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.jones import one_thread
 from metafab.cell.rcwa.scattering.doubling import pull_back_doubled
@@ -64,10 +64,11 @@ def order_gradients(
     """
     order = supercell.propagating_orders(light)
     if supercell.shape[1] == 1 < supercell.shape[0]:
-        other: Polarisation = "y" if light == "x" else "x"
-        turned = order_gradients(supercell.exchanged(), other, resolution, weights[..., ::-1])
+        places = exchanged_places(supercell, light)
+        of_turned = weights[:, np.argsort(places), ::-1]
+        turned = order_gradients(supercell.exchanged(), other_light(light), resolution, of_turned)
         gradient = turned.gradient.transpose(0, 2, 1, 3)[..., ::-1]
-        return OrderGradients(order, turned.t[:, ::-1], gradient)
+        return OrderGradients(order, turned.t[places, ::-1], gradient)
     with one_thread():
         basis = basis_of(supercell, light, resolution)
         layer = layer_of(basis, elements_of(basis), supercell.cell, order)

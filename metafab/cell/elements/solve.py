@@ -16,7 +16,7 @@ import numpy as np
 
 from metafab.cell.elements.assembly import Layer, incident, layer_of
 from metafab.cell.elements.basis import basis_of, elements_of
-from metafab.cell.rcwa.basis.coordinates import Matrix
+from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.certificate import solve
 from metafab.cell.rcwa.jones import one_thread
 from metafab.cell.rcwa.scattering.doubling import doubled
@@ -108,8 +108,8 @@ def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: 
         SolverError: as :func:`supercell_orders`.
     """
     if supercell.shape[1] == 1 < supercell.shape[0]:
-        turned = orders_at(supercell.exchanged(), [_other(light) for light in lights], resolution)
-        return _exchanged_orders(supercell, turned[:, ::-1])
+        turned = orders_at(supercell.exchanged(), [other_light(light) for light in lights], resolution)
+        return np.asarray(turned[exchanged_places(supercell, lights[0]), ::-1])
     order = supercell.propagating_orders(lights[0])
     with one_thread():
         together = [tuple(lights)] if supercell.shape[0] > 1 else [(light,) for light in lights]
@@ -122,15 +122,15 @@ def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: 
     return np.concatenate(found, axis=2)
 
 
-def _other(light: Polarisation) -> Polarisation:
+def other_light(light: Polarisation) -> Polarisation:
+    """The polarisation that ``light`` becomes when x and y are exchanged."""
     return "y" if light == "x" else "x"
 
 
-def _exchanged_orders(supercell: Supercell, t: ComplexArray) -> ComplexArray:
-    """``t``, shape (n_orders, 2, any), from the order of the exchanged supercell's orders to that of ``supercell``."""
-    order, turned = supercell.propagating_orders("x"), supercell.exchanged().propagating_orders("x")[:, ::-1]
-    place = {(int(m), int(n)): i for i, (m, n) in enumerate(turned)}
-    return np.asarray(t[[place[int(m), int(n)] for m, n in order]])
+def exchanged_places(supercell: Supercell, light: Polarisation) -> IntArray:
+    """Index of each order of ``supercell`` among those of the exchanged supercell, shape (n_orders,)."""
+    turned = supercell.exchanged().propagating_orders(other_light(light))
+    return np.lexsort((turned[:, 1], turned[:, 0]))
 
 
 def _converged(

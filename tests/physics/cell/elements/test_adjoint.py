@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -49,6 +51,30 @@ def test_each_size_of_a_row_along_y_against_differences() -> None:
         direction[place] = 1.0
         slope = np.sum(weights[0] * _along(column.size_nm, direction, "x"))
         assert abs(found[place] - slope) < RTOL * np.abs(found).max()
+
+
+@pytest.mark.parametrize("light", POLARISATIONS)
+def test_orders_across_a_row_along_y_keep_their_places(light: Polarisation) -> None:
+    """Light into a birefringent substrate: several orders along both axes, not equally many of x and of y light."""
+    cell = replace(EMPTY, period_nm=(500.0, 250.0), side="ambient", n_substrate=(2.1, 1.7))
+    column = Supercell(cell, SIZES[:, :2].transpose(1, 0, 2))
+    order = column.propagating_orders(light)
+    assert min(np.ptp(order, axis=0)) > 0
+    t = orders_at(column, (light,), 2.0)[:, :, 0]
+    turned = column.exchanged()
+    other = POLARISATIONS[1 - POLARISATIONS.index(light)]
+    of_row = dict(zip(map(tuple, turned.propagating_orders(other)), orders_at(turned, (other,), 2.0), strict=True))
+    np.testing.assert_array_equal(t, [of_row[n, m][::-1, 0] for m, n in order])
+    weights = RNG.normal(size=(1, len(order), 2)) + 1j * RNG.normal(size=(1, len(order), 2))
+    found = order_gradients(column, light, 2.0, weights)
+    np.testing.assert_allclose(found.t, t, atol=1e-12)
+    direction = RNG.normal(size=column.size_nm.shape)
+    ahead, back = (
+        orders_at(Supercell(cell, column.size_nm + sign * STEP_NM * direction), (light,), 2.0)[:, :, 0]
+        for sign in (1, -1)
+    )
+    slope = np.sum(weights[0] * (ahead - back)) / (2.0 * STEP_NM)
+    assert np.sum(found.gradient[0] * direction) == pytest.approx(slope, rel=RTOL)
 
 
 def test_a_block_with_a_bare_site() -> None:
