@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metafab.cell.elements.assembly import Layer, Waves, grams_of, layer_of
-from metafab.cell.elements.basis import Basis, basis_of, element, elements_of
+from metafab.cell.elements.basis import Basis, Element, basis_of, element, elements_of
 from metafab.cell.elements.mesh import mesh_of
 from metafab.cell.elements.solve import FaceSystem, exchanged_places, face_system, other_light
+from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.jones import one_thread
 from metafab.cell.rcwa.scattering.doubling import pull_back_doubled
@@ -71,54 +72,74 @@ def order_gradients(
         return OrderGradients(order, turned.t[places, ::-1], gradient)
     with one_thread():
         basis = basis_of(supercell, light, resolution)
-        layer = layer_of(basis, elements_of(basis), supercell.cell, order)
-        system = face_system(layer, supercell, (light,))
-        fields = system.solve(2.0 * system.source, np.zeros_like(system.source))[..., 0]
-        rows = [
-            _gradient(_Adjoint(supercell, light, basis, layer, system, fields, order, each), supercell)
-            for each in weights
-        ]
-    return OrderGradients(order, layer.orders @ fields[1], np.array(rows))
+        solved = _Solved.of(supercell, light, basis, order)
+        gradient = _gradients([_Adjoint(solved, each) for each in weights], supercell, basis)
+    return OrderGradients(order, solved.layer.orders @ solved.fields[1], gradient)
 
 
-def _gradient(adjoint: _Adjoint, supercell: Supercell) -> ComplexArray:
-    """Derivative of one functional by the sizes, shape (n_y, n_x, 2)."""
-    gradient = np.zeros((*supercell.shape, 2), dtype=np.complex128)
-    n_b, n_a = adjoint.basis.mesh.shape
-    for row, column in np.argwhere(adjoint.basis.mesh.solid):
+def _gradients(adjoints: list[_Adjoint], supercell: Supercell, basis: Basis) -> ComplexArray:
+    """Derivatives of the functionals by the sizes, shape (k, n_y, n_x, 2)."""
+    gradient = np.zeros((len(adjoints), *supercell.shape, 2), dtype=np.complex128)
+    n_b, n_a = basis.mesh.shape
+    for row, column in np.argwhere(basis.mesh.solid):
         around = {((2 * row + b) % n_b, (2 * column + a) % n_a) for b in (-1, 0, 1) for a in (-1, 0, 1)}
         for axis in range(2):
             for sign in (1.0, -1.0):
                 size_nm = supercell.size_nm.copy()
                 size_nm[row, column, axis] += sign * _STEP_NM
-                moved = replace(adjoint.basis, mesh=mesh_of(replace(supercell, size_nm=size_nm)))
-                total = sum(adjoint.of_element(moved, b, a) for b, a in around)
-                gradient[row, column, axis] += sign * total / (2.0 * _STEP_NM)
+                moved = replace(basis, mesh=mesh_of(replace(supercell, size_nm=size_nm)))
+                for each in (element(moved, b, a) for b, a in around):
+                    shares = [adjoint.of_element(each) for adjoint in adjoints]
+                    gradient[:, row, column, axis] += np.array(shares) * sign / (2.0 * _STEP_NM)
     return gradient
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """A solved supercell: all that the functionals of its orders share.
+
+    Attributes:
+        cell: materials and light.
+        axis: index of the incident polarisation.
+        waves: plane waves and transmitted orders.
+        layer: P, Q and overlaps.
+        system: equations at both faces.
+        fields: shape (2, N), e at both faces.
+        inverse: shape (N, N), inverse of the Gram matrix of E.
+        lifted: shape (N, n_z), D S_eps^-1.
+    """
+
+    cell: PillarCell
+    axis: int
+    waves: Waves
+    layer: Layer
+    system: FaceSystem
+    fields: ComplexArray
+    inverse: Matrix
+    lifted: Matrix
+
+    @classmethod
+    def of(cls, supercell: Supercell, light: Polarisation, basis: Basis, order: IntArray) -> _Solved:
+        """Solve a row along x or a block."""
+        cell, elements, waves = supercell.cell, elements_of(basis), Waves(basis, order)
+        grams = grams_of(basis, elements, cell)
+        layer = layer_of(elements, grams, waves, cell.k0_per_nm)
+        system = face_system(layer, supercell, (light,))
+        fields = system.solve(2.0 * system.source, np.zeros_like(system.source))[..., 0]
+        inverse, lifted = np.linalg.inv(grams.e), np.linalg.solve(grams.z_eps, grams.gradient.T).T
+        return cls(cell, POLARISATIONS.index(light), waves, layer, system, fields, inverse, lifted)
 
 
 class _Adjoint:
     """Weights of everything that an element adds to one functional of the orders."""
 
-    def __init__(
-        self,
-        supercell: Supercell,
-        light: Polarisation,
-        basis: Basis,
-        layer: Layer,
-        system: FaceSystem,
-        fields: ComplexArray,
-        order: IntArray,
-        weights: ComplexArray,
-    ) -> None:
-        self.basis, cell = basis, supercell.cell
-        axis, k0 = POLARISATIONS.index(light), supercell.cell.k0_per_nm
+    def __init__(self, solved: _Solved, weights: ComplexArray) -> None:
+        cell, layer, system, axis, k0 = solved.cell, solved.layer, solved.system, solved.axis, solved.cell.k0_per_nm
         self._eps = permittivity(cell.n_ambient), permittivity(cell.n_pillar)
-        self._waves = Waves(basis, order)
-        self._weights = weights
+        self._waves, self._weights = solved.waves, weights
         functional = np.einsum("oc,ocj->j", weights, layer.orders)[:, None]
         multiplier = system.solve(np.zeros_like(functional), functional)[..., 0]
-        (near, far), (near_m, far_m) = fields, multiplier
+        (near, far), (near_m, far_m) = solved.fields, multiplier
         # Weights of X and Z are outer products; so are those of F.
         gap, gap_m, mean, mean_m = near - far, near_m - far_m, near + far, near_m + far_m
         by_p, by_f = np.linalg.solve(layer.p.T, gap_m), np.linalg.solve(system.f, mean_m)
@@ -127,10 +148,8 @@ class _Adjoint:
         p_bar = p_bar + 1j * np.outer(by_p, system.x @ gap)
         self._of_e_eps: Matrix = q_bar + 1j * np.outer(by_f, mean)
         self._of_curl = -self._of_e_eps / k0**2
-        grams = grams_of(basis, elements_of(basis), cell)
-        inverse, lifted = np.linalg.inv(grams.e), np.linalg.solve(grams.z_eps, grams.gradient.T).T
-        self._of_e = -inverse @ p_bar @ inverse
-        self._of_z: Matrix = lifted.T @ p_bar @ lifted / k0**2
+        self._of_e = -solved.inverse @ p_bar @ solved.inverse
+        self._of_z: Matrix = solved.lifted.T @ p_bar @ solved.lifted / k0**2
         # Fields of the plane waves at both faces, each the partner of a field of the layer.
         self._faces: list[tuple[ComplexArray, tuple[ComplexArray, ComplexArray, ComplexArray]]] = []
         for n, pair in ((cell.n_in[axis], (near, near_m)), (cell.n_out[axis], (far, far_m))):
@@ -143,9 +162,8 @@ class _Adjoint:
         self._source = near_m, axis, 4.0 * complex(cell.n_in[axis])
         self._far = far
 
-    def of_element(self, basis: Basis, b: int, a: int) -> complex:
+    def of_element(self, each: Element) -> complex:
         """Share of an element in the functional, up to a constant."""
-        each = element(basis, b, a)
         at_e, at_z = np.ix_(each.place, each.place), np.ix_(each.place_z, each.place_z)
         eps = self._eps[each.is_pillar]
         of_e = self._of_e[at_e] + eps * self._of_e_eps[at_e]

@@ -113,19 +113,17 @@ def grams_of(basis: Basis, elements: list[Element], cell: PillarCell) -> Grams:
     return Grams(gram, gram_eps, curl, gram_z, _gradient(basis, n_e, n_z))
 
 
-def layer_of(basis: Basis, elements: list[Element], cell: PillarCell, orders: IntArray) -> Layer:
+def layer_of(elements: list[Element], grams: Grams, waves: Waves, k0_per_nm: float) -> Layer:
     """P and Q of a supercell, and its overlaps with plane waves.
 
     Args:
-        basis: mesh and numbering.
-        elements: its elements.
-        cell: materials and light.
-        orders: shape (n_orders, 2), transmitted orders.
+        elements: all elements.
+        grams: their Gram matrices.
+        waves: plane waves and transmitted orders.
+        k0_per_nm: wave number in vacuum.
     """
-    grams = grams_of(basis, elements, cell)
-    q = grams.e_eps - grams.curl / cell.k0_per_nm**2
-    p = np.linalg.inv(grams.e) - grams.gradient @ np.linalg.solve(grams.z_eps, grams.gradient.T) / cell.k0_per_nm**2
-    waves = Waves(basis, orders)
+    q = grams.e_eps - grams.curl / k0_per_nm**2
+    p = np.linalg.inv(grams.e) - grams.gradient @ np.linalg.solve(grams.z_eps, grams.gradient.T) / k0_per_nm**2
     return waves.overlaps(elements, 0.5 * (p + p.T), q)
 
 

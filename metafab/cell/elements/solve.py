@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.cell.elements.assembly import Layer, incident, layer_of
+from metafab.cell.elements.assembly import Layer, Waves, grams_of, incident, layer_of
 from metafab.cell.elements.basis import basis_of, elements_of
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.certificate import solve
@@ -116,7 +116,9 @@ def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: 
         found = []
         for some in together:
             basis = basis_of(supercell, some[0], resolution)
-            layer = layer_of(basis, elements_of(basis), supercell.cell, order)
+            elements = elements_of(basis)
+            grams = grams_of(basis, elements, supercell.cell)
+            layer = layer_of(elements, grams, Waves(basis, order), supercell.cell.k0_per_nm)
             system = face_system(layer, supercell, some)
             found.append(layer.orders @ system.solve(2.0 * system.source, np.zeros_like(system.source))[1])
     return np.concatenate(found, axis=2)
