@@ -28,8 +28,8 @@ def build_file(
 ) -> Library:
     """Build a library, train its model of neighbours if the unit cell asks for one, and save both.
 
-    What is in the file already and current is kept. A killed build or training continues where it stopped: files in
-    the library's folder keep what was solved.
+    Lone pillars that are in the file and current serve a training, or stay alone where the unit cell asks for no model
+    any more. A killed build or training continues where it stopped: files in the library's folder keep what was solved.
 
     Args:
         unit_cell: unit cell with its sweep and, for a model of neighbours, the table ``[neighbours]``.
@@ -42,17 +42,20 @@ def build_file(
     Raises:
         InputError: a checkpoint is damaged.
     """
-    if target_error is not None:
-        unit_cell = replace(unit_cell, sweep=replace(unit_cell.sweep, target_error=target_error))
+    unit_cell = build.with_target(unit_cell, target_error)
     asked = unit_cell.neighbours is not None
-    if store.is_current(path, unit_cell) and (asked or not is_current(path, unit_cell)):
+    kept = store.is_current(path, unit_cell) and (asked or not is_current(path, unit_cell))
+    if kept:
         library = replace(store.load(path), unit_cell=unit_cell, neighbours=None)
     else:
         library = build.build_file(unit_cell, path, executor=executor, progress=progress, solver=solver)
+    if not asked:
+        if kept:
+            store.save(library, path)
+        return library
     checkpoint = path.with_name(f"{path.stem}.{inputs_of_training(unit_cell)[:8]}.neighbours.partial")
-    if asked:
-        trained = train(library, executor=executor, checkpoint=checkpoint, progress=progress)
-        library = replace(library, neighbours=trained)
+    trained = train(library, executor=executor, checkpoint=checkpoint, progress=progress)
+    library = replace(library, neighbours=trained)
     store.save(library, path)
     checkpoint.unlink(missing_ok=True)
     return library

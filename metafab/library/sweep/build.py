@@ -95,7 +95,7 @@ def build(
     Raises:
         InputError: ``checkpoint`` belongs to another build.
     """
-    unit_cell = _with_target(unit_cell, target_error)
+    unit_cell = with_target(unit_cell, target_error)
     with Checkpoint(checkpoint, inputs_of(unit_cell)) as record:
         return _build(unit_cell, record, executor or SerialExecutor(), progress, solver, numerics)
 
@@ -128,7 +128,7 @@ def build_file(
     Raises:
         InputError: the checkpoint is damaged.
     """
-    unit_cell = _with_target(unit_cell, target_error)
+    unit_cell = with_target(unit_cell, target_error)
     inputs = inputs_of(unit_cell)
     with Checkpoint(path.with_name(f"{path.stem}.{inputs[:8]}.partial"), inputs) as record:
         if record.waited and is_current(path, unit_cell):
@@ -169,7 +169,8 @@ def estimate_cost(unit_cell: UnitCell, *, target_error: float | None = None) -> 
     return BuildCost((few, many), (least, most))
 
 
-def _with_target(unit_cell: UnitCell, target_error: float | None) -> UnitCell:
+def with_target(unit_cell: UnitCell, target_error: float | None) -> UnitCell:
+    """The unit cell with another target error; None keeps its own."""
     if target_error is None:
         return unit_cell
     return replace(unit_cell, sweep=replace(unit_cell.sweep, target_error=target_error))
