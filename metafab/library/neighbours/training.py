@@ -103,7 +103,7 @@ def _trained(
     """Fit one chain and measure it; ``part`` is its number and the number of chains, for the progress."""
     held = {number for number in answers if _is_held_out(number)}
     fitted = _row_sets(sampler, answers, sorted(answers.keys() - held))
-    limits, spans = FitLimits(), [(float(axis.min()), float(axis.max())) for axis in sampler.size_nm.T]
+    spans = [(float(axis.min()), float(axis.max())) for axis in sampler.size_nm.T]
     number, count = part
 
     def report(step: int, total: int) -> None:
@@ -112,7 +112,7 @@ def _trained(
     starts = [initial_model(SHAPE, spans[0], spans[1], seed) for seed in range(STARTS)]
     models = [fit(start, fitted, FitLimits(FIRST_STEPS)) for start in starts]
     best = min(models, key=lambda model: _rms([rows.errors(model) for rows in fitted]))
-    model = fit(best, fitted, limits, report)
+    model = fit(best, fitted, report=report)
     return TrainedLine(model, _measured(sampler, model, answers, fitted, sorted(held)))
 
 
@@ -140,8 +140,9 @@ def _measured(
 ) -> LineStatistics:
     alike = _row_sets(sampler, answers, [number for number in held if is_steady(number)])
     unlike = _row_sets(sampler, answers, [number for number in held if not is_steady(number)])
-    errors = np.concatenate([rows.errors(model) for rows in (*alike, *unlike)])
-    corrections = np.concatenate([relative_corrections(rows, model) for rows in (*alike, *unlike)])
+    errors_alike, errors_unlike = ([rows.errors(model) for rows in sets] for sets in (alike, unlike))
+    errors = np.concatenate([*errors_alike, *errors_unlike])
+    corrections = np.concatenate([_relative_corrections(rows, model) for rows in (*alike, *unlike)])
     checked = []
     for number in held[:_CHECKED_ROWS]:
         fine = np.array(sampler.solve(number, RESOLUTION + _FINER))
@@ -153,9 +154,9 @@ def _measured(
         held_out=len(held),
         local_period_error=_rms([rows.errors(None) for rows in (*alike, *unlike)]),
         error=_rms([errors]),
-        error_unlike=_rms([rows.errors(model) for rows in unlike]),
-        error_alike=_rms([rows.errors(model) for rows in alike]),
-        error_p90=float(np.quantile(np.concatenate([rows.errors(model) for rows in alike]), 0.9)),
+        error_unlike=_rms(errors_unlike),
+        error_alike=_rms(errors_alike),
+        error_p90=float(np.quantile(np.concatenate(errors_alike), 0.9)),
         error_fitted=_rms([rows.errors(model) for rows in fitted]),
         solver_error=solver_error,
         error_floor=floor + solver_error,
@@ -163,7 +164,7 @@ def _measured(
     )
 
 
-def relative_corrections(rows: RowSet, model: LineModel) -> FloatArray:
+def _relative_corrections(rows: RowSet, model: LineModel) -> FloatArray:
     """Correction of the field of each row over the library's field, rms over the sites, shape (rows,)."""
     corrections = line_corrections(model, model.polynomials(rows.size_nm))
     return np.asarray(np.linalg.norm(corrections, axis=1) / np.linalg.norm(rows.local, axis=1))
