@@ -61,9 +61,7 @@ class Supercell:
 
     def exchanged(self) -> Supercell:
         """The supercell with x and y exchanged; polarisations and orders exchange with them."""
-        cell = self.cell
-        turned = replace(cell, period_nm=cell.period_nm[::-1], n_substrate=cell.n_substrate[::-1])
-        return Supercell(turned, np.ascontiguousarray(self.size_nm.transpose(1, 0, 2)[:, :, ::-1]))
+        return Supercell(exchanged_site(self.cell), np.ascontiguousarray(self.size_nm.transpose(1, 0, 2)[:, :, ::-1]))
 
     def periodic_cells(self) -> dict[tuple[float, float], PillarCell]:
         """Each distinct (width, length) -> the cell of a lattice of such pillars alone."""
@@ -119,6 +117,11 @@ class Supercell:
         along_x = np.exp(-2j * np.pi * orders[:, :1] * x)
         along_y = np.exp(-2j * np.pi * orders[:, 1:] * y)
         return np.asarray(np.einsum("oy,yx,ox->o", along_y, responses, along_x, optimize=True) / (n_x * n_y))
+
+
+def exchanged_site(cell: PillarCell) -> PillarCell:
+    """The cell of a supercell's sites with x and y exchanged; its own pillar size stays."""
+    return replace(cell, period_nm=cell.period_nm[::-1], n_substrate=cell.n_substrate[::-1])
 
 
 @dataclass(frozen=True)

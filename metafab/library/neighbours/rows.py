@@ -10,14 +10,14 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
 from metafab.cell import PillarCell, pillar_cell
 from metafab.cell.elements import orders_at
-from metafab.cell.supercell import Supercell
+from metafab.cell.supercell import Supercell, exchanged_site
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 from metafab.core.parallel.executor import SerialExecutor, stream
 from metafab.core.parallel.progress import Progress
@@ -65,7 +65,7 @@ class RowSampler:
         size_nm, t = np.stack([width, length], axis=-1).reshape(-1, 2), library.t.reshape(-1, 2)
         cell = pillar_cell(library.unit_cell, 0.0, 0.0)
         if direction == 1:
-            cell = replace(cell, period_nm=cell.period_nm[::-1], n_substrate=cell.n_substrate[::-1])
+            cell = exchanged_site(cell)
             size_nm, t = size_nm[:, ::-1], t[:, ::-1]
         return cls(cell, polarisation, size_nm, t, 2 * direction + POLARISATIONS.index(polarisation))
 
