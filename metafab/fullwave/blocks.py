@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias, get_args
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -37,7 +37,6 @@ from metafab.spec.fields import CONFIG, NonNegative
 from metafab.spec.toml import validate
 
 Solver: TypeAlias = Literal["model", "rcwa", "meep", "lone"]
-SOLVERS: tuple[Solver, ...] = get_args(Solver)
 
 #: Bound on the error of the local-period approximation over the rms step of t from site to site. On seven silicon rows
 #: (lens-like, random, nearly equal) the share was 0.16 to 0.47.

@@ -23,7 +23,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 
 #: Smallest gap between pillars, as a share of the period: below it an element degenerates.
-SMALLEST_GAP = 0.01
+_SMALLEST_GAP = 0.01
 #: Size of the elements of a site without a pillar, as a share of the period.
 _EMPTY_SITE = 0.5
 #: Unit of distance from a corner, nm, for functions of order one.
@@ -75,8 +75,8 @@ def mesh_of(supercell: Supercell) -> Mesh:
     period = np.array(supercell.cell.period_nm)
     size = supercell.size_nm
     solid = np.all(size > 0.0, axis=-1)
-    if np.any(size > period * (1.0 - SMALLEST_GAP)):
-        expected = f"pillars that leave a gap of {SMALLEST_GAP:.0%} of the period"
+    if np.any(size > period * (1.0 - _SMALLEST_GAP)):
+        expected = f"pillars that leave a gap of {_SMALLEST_GAP:.0%} of the period"
         raise InputError.single("supercell", "size_nm", expected, f"{size.max():g} nm", "use meep")
     half = 0.5 * np.where(solid[..., None], size, _EMPTY_SITE * period)
     middle_x = (np.arange(n_x) + 0.5 - n_x / 2) * period[0]

@@ -32,7 +32,7 @@ SHAPE = LineShape(even=4, odd=2, degree=3)
 #: One row in so many is held out of the fit.
 _HELD_OUT = 6
 #: Starts of a fit from different random parameters; the best on the rows of the fit goes on.
-STARTS, FIRST_STEPS = 3, 25
+STARTS, _FIRST_STEPS = 3, 25
 #: Stated errors over the smallest that hold on all held-out rows: a margin for rows yet unseen.
 _MARGIN = 1.15
 #: Rows solved again at a resolution higher by so much, to measure the error of the rows themselves.
@@ -110,7 +110,7 @@ def _trained(
         progress("fit of the chains", number + step / total, count)
 
     starts = [initial_model(SHAPE, spans[0], spans[1], seed) for seed in range(STARTS)]
-    models = [fit(start, fitted, FitLimits(FIRST_STEPS)) for start in starts]
+    models = [fit(start, fitted, FitLimits(_FIRST_STEPS)) for start in starts]
     best = min(models, key=lambda model: _rms([rows.errors(model) for rows in fitted]))
     model = fit(best, fitted, report=report)
     return TrainedLine(model, _measured(sampler, model, answers, fitted, sorted(held)))
