@@ -21,8 +21,8 @@ def require_turnable(design: Design) -> None:
         "rules.polarisation_independent": rules.polarisation_independent,
         "mask.tone": mask.tone == "inverted",
         "mask.draw_corners": mask.draw_corners and bool(cell.corner_radius_nm),
+        "substrate": design.substrate is not None,
     }
-    unavailable["substrate"] = design.substrate is not None
     if design.optics is not None:
         unavailable["optics.filter_fwhm_nm"] = design.optics.filter_fwhm_nm is not None
         unavailable["optics.substrate_um"] = design.optics.substrate_um > 0.0
