@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[1]
 INK, PILLAR = "#20242c", "#2c7f62"
 #: Place and half side of the pillars shown (um).
 PLACE_UM, HALF_UM = (420.0, 230.0), 2.6
-#: Orders of the four depths shown.
+#: Number of depths shown.
 DEPTHS = 4
 
 
