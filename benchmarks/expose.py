@@ -13,6 +13,7 @@ import os
 import runpy
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,6 +27,7 @@ from scipy.special import erf
 
 from metafab import layout, mask
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.core.parallel.measure import measured
 from metafab.exposure import BeamPsf, BeamTerm, Exposure, ExposureNumerics, beam_psf, expose
 from metafab.exposure.expose import Correction
@@ -36,31 +38,58 @@ _lens = runpy.run_path(str(Path(__file__).with_name("lens.py")))
 
 #: Random pillars whose energies are compared with direct sums, and in a quick run.
 CHECKED, QUICK_CHECKED = 1000, 100
+#: Parts that can be run by themselves, and ranges of further blur of the beam at which sizes are corrected (nm).
+PARTS = ("energy", "dose", "shape", "peer")
+BLURS_NM = (0.0, 19.4)
 #: Field of the peer: pillars a side, pixels a period, pixel (nm), range of the beam (nm), threshold.
 FIELD_PILLARS, PERIOD_PX, PIXEL_NM, RANGE_NM, THRESHOLD = 10, 70, 5.0, 60.0, 0.5
 
 
-def rows(quick: bool) -> list[dict[str, Any]]:
-    """One row per step; the small lens if ``quick``, else 25.6 million pillars."""
-    design = _lens["lens_design"](quick)
-    library = _lens["closed_form_library"](design.unit_cell)
-    pillars = layout.assign(_lens["lens_profile"](design), library, design).pillars
-    psf = beam_psf(ExposureProcess(preset="hsq_sos_100kv"))
-    expose(_field()[0], psf, correction="dose")  # Loads the compiled kernels.
-    table = [_energies(pillars, psf, QUICK_CHECKED if quick else CHECKED)]
-    corrections: tuple[Correction, ...] = ("dose", "shape")
-    for correction in corrections:
+def rows(quick: bool, only: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """One row per step; the small lens if ``quick``, else 25.6 million pillars.
+
+    Args:
+        quick: run the small lens.
+        only: some of :data:`PARTS`; all by default.
+
+    Raises:
+        InputError: a part is unknown.
+    """
+    if unknown := sorted(set(only) - set(PARTS)):
+        raise InputError.single("benchmark", "--only", f"some of {', '.join(PARTS)}", ", ".join(unknown))
+    chosen = [part for part in PARTS if not only or part in only]
+    expose(*_field(), correction="dose")  # Loads the compiled kernels.
+    table: list[dict[str, Any]] = []
+    if set(chosen) - {"peer"}:
+        design = _lens["lens_design"](quick)
+        library = _lens["closed_form_library"](design.unit_cell)
+        pillars = layout.assign(_lens["lens_profile"](design), library, design).pillars
+        psf = beam_psf(ExposureProcess(preset="hsq_sos_100kv"))
+    for part in chosen:
+        if part == "energy":
+            table += _energies(pillars, psf, QUICK_CHECKED if quick else CHECKED)
+        elif part == "peer":
+            table += _peer()
+        else:
+            table += _correction(pillars, psf, "dose" if part == "dose" else "shape", design)
+    return table
+
+
+def _correction(pillars: PillarMap, psf: BeamPsf, correction: Correction, design: Any) -> list[dict[str, Any]]:
+    """Rows of a correction at two blurs of the beam; corrected doses also as a file of classes."""
+    table = []
+    for blur_nm in BLURS_NM:
         with measured() as cost:
-            found = expose(pillars, psf, correction=correction)
-        table.append(_row(f"correction by {correction}", found.figures.cd_error_rms_nm, cost, found))
+            found = expose(pillars, psf.blurred(blur_nm), correction=correction)
+        name = f"correction by {correction}, blur {math.hypot(psf.blur_nm, blur_nm):.3g} nm"
+        table.append(_row(name, found.figures.cd_error_rms_nm, cost, found))
         if correction == "dose":
-            dosed = found
-    with TemporaryDirectory() as folder:
-        table.append(_file(pillars, dosed, design, Path(folder)))
-    return [*table, *_peer()]
+            with TemporaryDirectory() as folder:
+                table.append(_file(pillars, found, design, Path(folder)))
+    return table
 
 
-def _energies(pillars: PillarMap, psf: BeamPsf, checked: int) -> dict[str, Any]:
+def _energies(pillars: PillarMap, psf: BeamPsf, checked: int) -> list[dict[str, Any]]:
     """Row of the energies of all pillars, some of them compared with direct sums."""
     with measured() as cost:
         found = expose(pillars, psf, numerics=ExposureNumerics(samples=checked))
@@ -75,7 +104,8 @@ def _energies(pillars: PillarMap, psf: BeamPsf, checked: int) -> dict[str, Any]:
         listed = np.array([sample.energy_centre, sample.energy_edge_x, sample.energy_edge_y])
         errors.append(np.abs(listed - found.figures.base_over_clearing_dose * direct).max())
     name = f"energy, printed sizes; {len(errors)} pillars by direct sums"
-    return _row(name, float(np.max(errors)), cost, found) | {"error_rms": float(np.sqrt(np.mean(np.square(errors))))}
+    rms = float(np.sqrt(np.mean(np.square(errors))))
+    return [_row(name, float(np.max(errors)), cost, found) | {"error_rms": rms, "error_stated": found.figures.error}]
 
 
 def _direct(index: NDArray[np.uint16], size_nm: FloatArray, lattice: Lattice, psf: BeamPsf, at_nm: FloatArray) -> float:

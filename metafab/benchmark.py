@@ -31,7 +31,12 @@ ROOMS = (
     "end_to_end",
 )
 #: Options of rooms whose cases can be chosen, or drawn with other seeds.
-ROOM_OPTIONS = {"scenes": ("only", "seeds"), "certificates": ("seed", "samples"), "files": ("seed", "samples")}
+ROOM_OPTIONS = {
+    "scenes": ("only", "seeds"),
+    "expose": ("only",),
+    "certificates": ("seed", "samples"),
+    "files": ("seed", "samples"),
+}
 #: Name of a room's row that sums up all others.
 ALL_CASES = "all answers"
 

@@ -127,9 +127,9 @@ class Exposure:
     Attributes:
         figures: summary.
         drawn: the pillars to draw: those of the mask, or corrected shapes.
-        dose: shape (n_y, n_x) of the lattice, relative to the base dose; 1 everywhere without correction.
+        dose: shape (n_y, n_x) of the lattice, relative to the base dose; equal everywhere without correction.
         dose_class: shape (n_y, n_x) of the lattice, index into ``class_dose``; None for continuous or equal doses.
-        class_dose: shape (classes,), ascending.
+        class_dose: shape (classes,), ascending, without the dose of the lens.
         samples: random pillars.
         cd_histogram: shape (n,), number of widths and lengths in each bin of ``cd_edges_nm``.
         cd_edges_nm: shape (n + 1,), bins of printed less wanted size.
@@ -157,6 +157,7 @@ def expose(
     psf: BeamPsf,
     *,
     base_over_clearing_dose: float | None = None,
+    lens_dose: float = 1.0,
     correction: Correction = "none",
     numerics: ExposureNumerics = ExposureNumerics(),
     work: Work = Work(),
@@ -168,6 +169,7 @@ def expose(
         psf: point-spread function of the beam.
         base_over_clearing_dose: base dose over the clearing dose of a large pad; None for the dose at which printed
             sizes equal drawn ones in the mean without correction ("dose to size").
+        lens_dose: dose of the whole lens relative to the base dose, on top of that of each pillar.
         correction: "dose" finds a dose for each pillar so that it prints at size; "shape" finds sizes to draw at one
             dose.
         numerics: classes and samples.
@@ -195,6 +197,8 @@ def expose(
         elif correction == "shape":
             drawn, rounds = corrected_shapes(pillars, psf, ratio, executor, work.progress)
             process = printing_of(drawn, pillars, psf, ratio, executor)
+        if lens_dose != 1.0:
+            dose *= np.float32(lens_dose)
         places = _random_pillars(resist.size_index, max(numerics.samples, _CORNERS), numerics.seed)
         found = predict(process, dose, places, keep_sizes=numerics.keep_sizes)
         window = process_window(process, dose, _WINDOW_PERCENT)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,15 +15,16 @@ from numpy.typing import NDArray
 from metafab import __version__
 from metafab.core.conventions import FloatArray
 from metafab.core.storage.files import fingerprint, plain
-from metafab.layout import PillarMap, PillarTile, field_sites, lattice_of
+from metafab.layout import Outline, PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.turned import outline_of
 from metafab.mask.drawing.cells import top_name
-from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.drawing.copies import LensCopy, lens_copies
 from metafab.mask.drawing.include import IncludedCell
 from metafab.mask.drawing.scan import count_sizes
 from metafab.mask.drawing.stamps import Stamps
 from metafab.mask.drawing.surroundings import surroundings
-from metafab.spec import Design, Exposure
+from metafab.mask.writing import FieldTimes, LensLoad, WriteTime, beam_seconds, field_times, fracture
+from metafab.spec import Design
 
 _TONES = {
     "negative": "what is drawn is exposed and stays (negative resist): pillars",
@@ -33,47 +34,24 @@ _TONES = {
 
 
 @dataclass(frozen=True)
-class WriteTime:
-    """Time that the e-beam takes, without blanking, alignment, further stage moves and loading.
-
-    Attributes:
-        area_um2: exposed area.
-        shapes: exposed shapes.
-        fields: write fields that hold any.
-        beam_seconds: dose x area / current.
-        settling_seconds: settling of shapes and fields.
-        seconds: sum of both.
-    """
-
-    area_um2: float
-    shapes: int
-    fields: int
-    beam_seconds: float
-    settling_seconds: float
-    seconds: float
-
-    @classmethod
-    def of(cls, exposure: Exposure, area_um2: float, shapes: int, fields: int) -> WriteTime:
-        """Estimate the time from dose, current and settling times; all dose classes count with the nominal dose."""
-        micro_coulomb = exposure.dose_uc_per_cm2 * area_um2 * 1e-8
-        beam_s = micro_coulomb / (exposure.beam_current_na * 1e-3)
-        settling_s = shapes * exposure.settle_shape_us * 1e-6 + fields * exposure.settle_field_ms * 1e-3
-        return cls(area_um2, shapes, fields, beam_s, settling_s, beam_s + settling_s)
-
-
-@dataclass(frozen=True)
 class CopyFigures:
     """One lens of ``mask.copies``.
 
     Attributes:
         at_um: (x, y) of its optical axis.
         bias_nm: its own bias.
+        dose: relative to the base dose.
+        focus_um: focus of the beam.
+        datatypes: first and last datatype of its pillars.
         label: text above it.
         area_um2: drawn area of its pillars.
     """
 
     at_um: tuple[float, float]
     bias_nm: float
+    dose: float
+    focus_um: float
+    datatypes: tuple[int, int]
     label: str | None
     area_um2: float
 
@@ -109,6 +87,7 @@ class MaskFigures:
         copies: the lenses of ``mask.copies``.
         exposure: write time of all lenses; None without ``mask.exposure``.
         include: the cells of ``mask.include``.
+        fields: write fields in the order of writing; None without ``mask.exposure``, or where the field is exposed.
     """
 
     pillars: int
@@ -119,6 +98,7 @@ class MaskFigures:
     copies: tuple[CopyFigures, ...] = ()
     exposure: WriteTime | None = None
     include: tuple[IncludeFigures, ...] = ()
+    fields: FieldTimes | None = None
 
 
 class MaskSums:
@@ -142,6 +122,8 @@ class MaskSums:
         self._twice_area_in_dbu = np.zeros_like(self._pillars_in)
         self._outline = outline_of(pillars, design)
         self._twice_area_dbu = self._twice_area(0)
+        self._fracture = _fractured(pillars, design, self._outline)
+        self._load_in = np.zeros((2, *self._pillars_in.shape), dtype=np.int64)
         self._used = np.zeros(len(pillars.size_dbu), dtype=np.int64)
         self.sites = 0
         self.filled: set[tuple[int, int]] = set()
@@ -153,6 +135,8 @@ class MaskSums:
         used = count_sizes(tile.size_index, self._used.size)
         self._pillars_in[field] += used[1:].sum()
         self._twice_area_in_dbu[field] += used @ self._twice_area_dbu
+        if self._fracture is not None:
+            self._load_in[:, field[0], field[1]] += self._fracture @ used
         self._used += used
         self.sites += tile.size_index.size
         self.filled.add((tile.row, tile.column))
@@ -164,20 +148,14 @@ class MaskSums:
         dbu2_um2 = (lattice.database_unit_nm * 1e-3) ** 2
         area_um2 = self._area_dbu(0) * dbu2_um2
         field_um2 = math.prod(self._field_sites) * math.prod(lattice.period_dbu) * dbu2_um2
-        areas_um2 = [self._area_dbu(copy.bias_dbu) * dbu2_um2 for copy in copies]
-        each_copy = [
-            CopyFigures(copy.at_um, copy.bias_nm, copy.label, copy_um2)
-            for copy, copy_um2 in zip(mask.copies, areas_um2, strict=False)
-        ]
-        exposure = None
-        if mask.exposure is not None:
-            exposed_um2, fields = sum(areas_um2), int(np.count_nonzero(self._pillars_in))
-            if mask.tone != "negative":
-                sites_um2 = math.prod(lattice.shape) * math.prod(lattice.period_dbu) * dbu2_um2
-                # The field reaches to the corners of the square, where no pillar stands.
-                exposed_um2, fields = len(copies) * sites_um2 - exposed_um2, self._pillars_in.size
-            shapes = stamps.exposed(self._used, self.filled)
-            exposure = WriteTime.of(mask.exposure, exposed_um2, shapes, len(copies) * fields)
+        areas_um2 = [self._area_dbu(copy.variant.bias_dbu) * dbu2_um2 for copy in copies]
+        each_copy = []
+        for copy, place, copy_um2 in zip(mask.copies, copies, areas_um2, strict=False):
+            first = mask.datatype + place.variant.dose_number * mask.dose_classes
+            datatypes = (first, first + mask.dose_classes - 1)
+            figures = CopyFigures(copy.at_um, copy.bias_nm, copy.dose, copy.focus_um, datatypes, copy.label, copy_um2)
+            each_copy.append(figures)
+        exposure, fields = self._write_time(stamps, areas_um2) if mask.exposure is not None else (None, None)
         return MaskFigures(
             pillars=pillars,
             distinct_sizes=int(np.count_nonzero(self._used[1:])),
@@ -187,7 +165,58 @@ class MaskSums:
             copies=tuple(each_copy),
             exposure=exposure,
             include=tuple(IncludeFigures(cell.file, cell.cell, cell.counts, cell.texts) for cell in included),
+            fields=fields,
         )
+
+    def _write_time(self, stamps: Stamps, areas_um2: Sequence[float]) -> tuple[WriteTime, FieldTimes | None]:
+        """Write time of all lenses with the areas ``areas_um2`` of their pillars, and their fields in order."""
+        mask, lattice, copies = self._design.mask, self._map.lattice, lens_copies(self._design)
+        assert mask.exposure is not None
+        doses = [mask.doses[copy.variant.dose_number] for copy in copies]
+        shapes = stamps.exposed(self._used, self.filled)
+        if mask.tone != "negative" or self._fracture is None:
+            sites_um2 = (
+                math.prod(lattice.shape) * math.prod(lattice.period_dbu) * (lattice.database_unit_nm * 1e-3) ** 2
+            )
+            # The field reaches to the corners of the square, where no pillar stands.
+            each = np.full(len(copies), shapes // len(copies))
+            each[: shapes % len(copies)] += 1
+            loads = [
+                LensLoad(1.0, sites_um2 - area_um2, count, None)
+                for area_um2, count in zip(areas_um2, each.tolist(), strict=True)
+            ]
+            return WriteTime.of(mask.exposure, loads, shapes, len(copies) * self._pillars_in.size), None
+        trapezoids, shots = (int(total) for total in self._load_in.sum(axis=(1, 2)))
+        plain_um2, counted = self._area_dbu(0) * (lattice.database_unit_nm * 1e-3) ** 2, shots > 0
+        loads, times = [], []
+        field_share = self._twice_area_in_dbu / max(1, int(self._twice_area_in_dbu.sum()))
+        for dose, area_um2 in zip(doses, areas_um2, strict=True):
+            grown = area_um2 / plain_um2 if plain_um2 else 0.0  # A bias changes the shots of a Gaussian beam alike.
+            scale = grown if mask.exposure.shot_pitch_nm is not None else 1.0
+            loads.append(LensLoad(dose, area_um2, trapezoids, round(shots * scale) if counted else None))
+            settling_s = self._load_in[0] * mask.exposure.settle_shape_us * 1e-6
+            settling_s = settling_s + (self._pillars_in > 0) * mask.exposure.settle_field_ms * 1e-3
+            beam_s = beam_seconds(mask.exposure, dose, field_share * area_um2, self._load_in[1] * scale)
+            times.append(np.asarray(beam_s + settling_s, dtype=np.float64))
+        centres = [self._field_centres_um(copy) for copy in copies]
+        fields = field_times(mask.exposure, times, centres)
+        stitching = fields.stitching_nm if mask.exposure.drift_nm_per_min else None
+        filled = len(copies) * int(np.count_nonzero(self._pillars_in))
+        return WriteTime.of(mask.exposure, loads, shapes, filled, stitching), fields
+
+    def _field_centres_um(self, copy: LensCopy) -> FloatArray:
+        """Centre (x, y) of each write field of a lens, shape (rows, columns, 2); fields at the rim are cut off."""
+        lattice, um = self._map.lattice, self._map.lattice.database_unit_nm * 1e-3
+        centres = []
+        for site, count, sites in (
+            (lattice.x_dbu(), self._pillars_in.shape[1], self._field_sites[0]),
+            (lattice.y_dbu(), self._pillars_in.shape[0], self._field_sites[1]),
+        ):
+            first = np.arange(count) * sites
+            last = np.minimum(first + sites, site.size) - 1
+            centres.append(0.5 * (site[first] + site[last]))
+        x, y = np.meshgrid(centres[0] + copy.x_dbu, centres[1] + copy.y_dbu)
+        return np.stack([x, y], axis=-1) * um
 
     def _area_dbu(self, bias_dbu: int) -> float:
         """Drawn area of one lens with a bias, squared database units."""
@@ -210,10 +239,14 @@ def sidecar(design: Design, figures: MaskFigures, files: Mapping[str, Path]) -> 
         options["flat"] = True
     if mask.dose is not None:
         options["dose"] = mask.dose
-    layers = {f"{layer.layer}/0": layer.name for layer in surroundings(design)}
-    if layers:
-        options["beside"] = layers
-    counts = {name: value for name, value in plain(figures).items() if value not in (None, [])}
+    around = surroundings(design)
+    if around:
+        options["beside"] = {f"{layer.layer}/0": layer.name for layer in around}
+    if mask.kit is not None:
+        pillars = [f"{mask.layer}/{datatype}" for datatype in range(mask.datatypes[0], mask.datatypes[1] + 1)]
+        first, second = ([f"{one.layer}/0" for one in around if one.exposure == number] for number in (1, 2))
+        options["exposures"] = [first, pillars + second] if first else [pillars + second]
+    counts = {name: value for name, value in plain(replace(figures, fields=None)).items() if value not in (None, [])}
     table: dict[str, Any] = plain(
         {
             "kind": "metafab mask",
@@ -275,3 +308,13 @@ def layer_properties(design: Design) -> str:
         for name, source, (frame, fill) in layers
     )
     return f'<?xml version="1.0" encoding="utf-8"?>\n<layer-properties>\n{entries}</layer-properties>\n'
+
+
+def _fractured(pillars: PillarMap, design: Design, outline: Outline) -> NDArray[np.int64] | None:
+    """Trapezoids and shots of each size, shape (2, n_sizes + 1); None where no pillar is exposed."""
+    if design.mask.exposure is None or design.mask.tone != "negative":
+        return None
+    size_dbu = pillars.size_dbu.astype(np.int64)
+    cut = fracture(outline.polygons(size_dbu), design.mask.database_unit_nm, design.mask.exposure)
+    shots = np.zeros_like(cut.trapezoids) if cut.shots is None else cut.shots
+    return np.stack([cut.trapezoids, shots])

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
@@ -21,6 +22,7 @@ from metafab.layout.geometry import whole_dbu
 from metafab.mask.drawing.cell_writer import Drawing, EncodedTile, MaskWriter, TileEncoder
 from metafab.mask.drawing.cells import top_name
 from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.drawing.dose import DOSE_TABLES, dose_tables
 from metafab.mask.drawing.include import included_cells
 from metafab.mask.drawing.stamps import Stamps
 from metafab.mask.drawing.surroundings import surroundings
@@ -54,8 +56,12 @@ def write(
     mapping: Mapping[str, Any] | None = None,
     executor: Executor | None = None,
     dose_class: NDArray[np.uint8] | None = None,
+    class_dose: FloatArray | None = None,
 ) -> tuple[WrittenFile, ...]:
     """Write ``layout.gds`` and ``layout.oas`` (those in ``mask.formats``), ``layout.lyp`` and ``layout.json``.
+
+    Where doses are known, of ``mask.copies`` or of classes, ``doses.csv`` and ``doses.jdi`` give that of each datatype;
+    with ``mask.exposure``, ``fields.csv`` lists the write fields in order.
 
     Equal pillars and designs give equal bytes. Only a few tiles are held in memory.
 
@@ -72,9 +78,10 @@ def write(
         mapping: figures of the mapping, for ``layout.json``.
         executor: encodes tiles, by default threads of this process. The file is written in this process.
         dose_class: shape (n_y, n_x) of the lattice, dose class of each site, for ``mask.dose.by = "proximity"``.
+        class_dose: shape (classes,), dose of each class relative to the base dose, if it is known.
 
     Returns:
-        The files in the order of their names above.
+        The masks, ``layout.lyp``, ``layout.json`` and the tables.
 
     Raises:
         InputError: dose classes are missing or do not fit, edges would lie off the grid, or a format cannot hold the
@@ -84,11 +91,18 @@ def write(
     figures = write_drawings(pillars, files, design, progress, executor, dose_class)
     with whole_file(directory / "layout.lyp") as part:
         part.write_text(layer_properties(design), encoding="utf-8")
+    tables = {"fields.csv": figures.fields.table()} if figures.fields is not None else {}
+    tables |= dose_tables(design, class_dose)
+    for name, lines in tables.items():
+        with whole_file(directory / name) as part:
+            part.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    for other in {"fields.csv", *DOSE_TABLES} - tables.keys():
+        (directory / other).unlink(missing_ok=True)
     for other in WRITERS.keys() - files.keys():
         (directory / f"layout.{other}").unlink(missing_ok=True)
     table = sidecar(design, figures, files)
     write_json(directory / "layout.json", table if mapping is None else {**table, "mapping": dict(mapping)})
-    paths = [*files.values(), directory / "layout.lyp", directory / "layout.json"]
+    paths = [*files.values(), *(directory / name for name in ("layout.lyp", "layout.json", *sorted(tables)))]
     return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
 
 

@@ -4,7 +4,7 @@
 - ``cell``     UnitCell: geometry, materials and illumination of one cell, and the sweep of a library
 - ``design``   Design: device, rules, sensor, verification
 - ``terms``    phase terms of a design
-- ``mask``     Mask: formats, layers, bias, tone, dose classes, chip, copies, exposure; Process
+- ``mask/``    Mask: formats, layers, bias, tone, chip, copies, test structures, exposure; Process
 - ``scene``    Scene: objects at depths, photons, noise
 - ``substrate``  Substrate: birefringent plate before the pillars
 - ``turned``   keys that turned pillars and full-Stokes imaging do not support

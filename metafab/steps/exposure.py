@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
-from metafab.core.storage.files import file_sha256, whole_file
+from metafab.core.storage.files import file_sha256
 from metafab.spec import Design, Dose
 from metafab.spec.mask import Etch
 from metafab.steps.job import Job
@@ -127,21 +126,23 @@ def expose_mask(
     if process is None:
         remedy = 'add `[process.exposure]` with `preset = "hsq_sos_100kv"`, or with your own `terms`'
         raise InputError.single(design.name, "process.exposure", "a table", "none", remedy)
-    faults = _unavailable(design)
+    faults = _unavailable(design, correct)
     if faults:
         raise InputError(design.name, faults)
     psf = exposure.beam_psf(process)
     back = mask.read(path, design, progress=work.progress, copy=copy)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
     ratio, plain = process.base_over_clearing_dose, None
+    lens_dose = design.mask.copies[copy - 1].dose if design.mask.copies else 1.0
     if correct and keep_plain:
-        before = exposure.expose(back.pillars, psf, base_over_clearing_dose=ratio, work=work)
+        before = exposure.expose(back.pillars, psf, base_over_clearing_dose=ratio, lens_dose=lens_dose, work=work)
         ratio, plain = before.figures.base_over_clearing_dose, exposure.SizeErrors.of(before)
         del before  # its doses are as large as the lens
     found = exposure.expose(
         back.pillars,
         psf,
         base_over_clearing_dose=ratio,
+        lens_dose=lens_dose,
         correction=process.correction if correct else "none",
         numerics=exposure.ExposureNumerics(classes=process.classes, samples=samples, keep_sizes=keep_sizes),
         work=work,
@@ -177,6 +178,17 @@ def save_exposure(exposed: ExposedMask, mask_file: Path, design: Design, path: P
     exposure.save_record(record, path)
 
 
+def corrected_folder(folder: Path, mask_file: Path) -> Path:
+    """Return where a corrected mask goes: ``folder``, or a folder in it where the plain mask or a run would be lost.
+
+    Args:
+        folder: the folder that was asked for.
+        mask_file: the mask that is corrected.
+    """
+    holds_mask = folder.is_dir() and folder.samefile(mask_file.parent)
+    return folder / "corrected" if holds_mask or (folder / "summary.json").is_file() else folder
+
+
 def write_corrected(exposed: ExposedMask, design: Design, folder: Path, progress: Progress) -> tuple[Path, ...]:
     """Write the corrected mask; with corrected doses one datatype for each class, ``doses.csv`` and ``doses.jdi``.
 
@@ -197,26 +209,14 @@ def write_corrected(exposed: ExposedMask, design: Design, folder: Path, progress
     if found.dose_class is None:
         return tuple(file.path for file in mask.write(found.drawn, folder, plain, progress=progress))
     dosed = replace(plain, mask=replace(plain.mask, dose=Dose(by="proximity", classes=len(found.class_dose))))
-    files = mask.write(found.drawn, folder, dosed, progress=progress, dose_class=found.dose_class)
-    doses = [(design.mask.datatype + k, float(value)) for k, value in enumerate(found.class_dose)]
-    tables = {
-        "doses.csv": ["datatype,dose_over_base_dose", *(f"{datatype},{dose:.6f}" for datatype, dose in doses)],
-        "doses.jdi": _shot_modulation(mask.top_name(design.name), doses),
-    }
-    for name, lines in tables.items():
-        with whole_file(folder / name) as part:
-            part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return (*(file.path for file in files), *(folder / name for name in tables))
+    files = mask.write(
+        found.drawn, folder, dosed, progress=progress, dose_class=found.dose_class, class_dose=found.class_dose
+    )
+    return tuple(file.path for file in files)
 
 
-def _shot_modulation(name: str, doses: Sequence[tuple[int, float]]) -> list[str]:
-    """Lines of a MODULAT table: the change of dose in percent for each shot rank, which is the datatype."""
-    ranks = [f"({datatype:4d}, {100.0 * (dose - 1.0):8.3f} )" for datatype, dose in doses]
-    return [f"{name}: MODULAT ({ranks[0]}", *(f"-  , {rank}" for rank in ranks[1:-1]), f"-  , {ranks[-1]})"]
-
-
-def _unavailable(design: Design) -> list[Fault]:
-    """Keys of a design that the exposure does not support."""
+def _unavailable(design: Design, correct: bool) -> list[Fault]:
+    """Keys of a design that the exposure, or its correction, does not support."""
     cell, faults = design.unit_cell.cell, []
     if cell.shape != "rectangle":
         faults.append(Fault("cell.shape", "'rectangle'", repr(cell.shape), "not available with the exposure"))
@@ -225,7 +225,7 @@ def _unavailable(design: Design) -> list[Fault]:
     if design.mask.tone != "negative":
         expected = "'negative', where the drawn pillars are exposed"
         faults.append(Fault("mask.tone", expected, repr(design.mask.tone), "not available with the exposure"))
-    if any(copy.bias_nm for copy in design.mask.copies):
-        expected, remedy = "copies without a bias of their own", "expose each variant as a design of its own"
+    if correct and any(copy.bias_nm for copy in design.mask.copies):
+        expected, remedy = "copies without a bias of their own", "correct each variant as a design of its own"
         faults.append(Fault("mask.copies", expected, "biased copies", remedy))
     return faults

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metafab.cli.app import Copy, DesignOption, Json, LayoutFile, Output, Workers, app
-from metafab.cli.console import open_work, show
+from metafab.cli.console import announce, open_work, show
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -38,12 +38,13 @@ def expose_command(
     """Predict printed sizes from the electron exposure of a mask, and correct its doses.
 
     With --correct and -o DIR, the corrected mask is written to DIR: one datatype per dose class with the tables
-    doses.csv and doses.jdi, or corrected shapes. With -o DIR/exposure.json in a run folder, the next report shows the
+    doses.csv and doses.jdi, or corrected shapes. If DIR holds the mask itself, or a run, it is written to
+    DIR/corrected. With -o DIR/exposure.json in a run folder, the next report shows the
     size errors, before and after the correction with --correct.
     """
     from metafab.core.parallel.measure import measured
     from metafab.spec import load_design
-    from metafab.steps.exposure import expose_mask, save_exposure, write_corrected
+    from metafab.steps.exposure import corrected_folder, expose_mask, save_exposure, write_corrected
 
     if (sample > 0) != (sample_csv is not None):
         expected = "`--sample N` together with `--sample-csv OUT.csv`"
@@ -54,6 +55,10 @@ def expose_command(
         expected = "a name ending with .json, or `--correct` with a folder"
         raise InputError.single("--output", "output", expected, f"{folder} without a correction", "add `--correct`")
     spec = load_design(design)
+    if folder is not None:
+        asked, folder = folder, corrected_folder(folder, layout)
+        if folder != asked:
+            announce([f"{asked} keeps its mask: the corrected one goes to {folder}"])
     with open_work(workers) as work, measured() as cost:
         exposed = expose_mask(layout, spec, correct, sample, copy, work, keep_plain=record is not None)
         files = () if folder is None else write_corrected(exposed, spec, folder, work.progress)
@@ -64,7 +69,9 @@ def expose_command(
     if sample_csv is not None:
         _write_samples(result.samples, sample_csv)
     sizes = {path.name: path.stat().st_size for path in files}
-    further = {"files": sizes} if files else {}
+    further: dict[str, object] = {"files": sizes} if files else {}
+    if folder is not None:
+        further["folder"] = str(folder)
     show(
         result.figures,
         json_,

@@ -29,7 +29,8 @@ def benchmark_command(
     output: Output = None,
     quick: Annotated[bool, typer.Option("--quick", help="Run fewer and smaller cases.")] = False,
     only: Annotated[
-        list[str] | None, typer.Option("--only", metavar="NAME", help="Case of `scenes` to run; may be repeated.")
+        list[str] | None,
+        typer.Option("--only", metavar="NAME", help="Case of `scenes` or part of `expose`; may be repeated."),
     ] = None,
     seeds: Annotated[
         int | None, typer.Option("--seeds", min=1, metavar="N", help="Seeds of each case of `scenes` [default: 5].")

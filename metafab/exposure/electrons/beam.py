@@ -27,6 +27,8 @@ from scipy.special import gammaln
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 
+#: Least range of backscattered electrons (nm).
+BACKSCATTER_NM = 2000.0
 #: Step of log s in the mixture of a power law: the ripple of the density is below 1e-4 of itself.
 _LOG_STEP = 0.7
 #: Largest range of a Gaussian in a power law (nm): the range of 100 keV electrons in silicon, which ends the law.
@@ -138,6 +140,27 @@ class BeamPsf:
         """The function convolved with a Gaussian of range ``range_nm``."""
         ranges = np.hypot(self.range_nm, range_nm)
         return replace(self, range_nm=ranges, blur_nm=math.hypot(self.blur_nm, range_nm))
+
+    def scattered(self) -> tuple[BeamPsf, BeamPsf, float]:
+        """Split into the forward and the backscattered part, each of weight 1, and their ratio eta.
+
+        Raises:
+            InputError: there is no backscattered, or no forward, part.
+        """
+        parts = self.between(0.0, BACKSCATTER_NM), self.between(BACKSCATTER_NM, math.inf)
+        forward, back = (float(part.weight.sum()) for part in parts)
+        if not forward or not back:
+            expected = f"ranges below and above {BACKSCATTER_NM:g} nm, forward-scattered and backscattered electrons"
+            got = f"{self.range_nm.min():g} to {self.range_nm.max():g} nm"
+            raise InputError.single("exposure", "backscatter_ratio", expected, got, "add a term")
+        split = [replace(part, weight=part.weight / part.weight.sum()) for part in parts]
+        return split[0], split[1], back / forward
+
+    def with_backscatter(self, ratio: float) -> BeamPsf:
+        """The function with the ratio of its backscattered to its forward-scattered energy changed to ``ratio``."""
+        forward, back, _ = self.scattered()
+        weight = np.concatenate([forward.weight, ratio * back.weight]) / (1.0 + ratio)
+        return replace(self, weight=weight)
 
     def between(self, low_nm: float, high_nm: float) -> BeamPsf:
         """The Gaussians with ``low_nm`` <= range < ``high_nm``; their weights are kept, not normalised."""

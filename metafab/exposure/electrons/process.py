@@ -20,7 +20,7 @@ def beam_psf(process: ExposureProcess) -> BeamPsf:
     """Build the function from a preset, terms or a table, with the process' blur.
 
     Raises:
-        InputError: an unknown preset, or an unreadable table.
+        InputError: an unknown preset, an unreadable table, or a ratio for a function without backscattered part.
     """
     if process.preset is not None:
         plain = preset(process.preset)
@@ -29,6 +29,8 @@ def beam_psf(process: ExposureProcess) -> BeamPsf:
         plain = BeamPsf.of(terms, process.source)
     else:
         plain = _from_table(process)
+    if process.backscatter_ratio is not None:
+        plain = plain.with_backscatter(process.backscatter_ratio)
     return plain.blurred(process.blur_nm)
 
 

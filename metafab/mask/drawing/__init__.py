@@ -7,7 +7,9 @@
 - ``inverse``: the field around the pillars, as rectangles
 - ``stamps``: all shapes on the sites of a lens
 - ``font``: letters as rectangles
-- ``surroundings``: write field, marks, frame, label, dicing street
+- ``surroundings``: write field, marks, frame, label, dicing street, test structures
 - ``include``: cells of other files
+- ``kit``: test structures
+- ``clearance``: distances between the lenses and everything beside them
 - ``cell_writer``: streaming of tiles into a file, for both formats
 """

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from metafab.layout.pillars import Lattice, PillarTile
 from metafab.mask.drawing.cells import Stamp, TileCell, lens_name, tile_cell
-from metafab.mask.drawing.copies import LensCopy, biases_dbu
+from metafab.mask.drawing.copies import PLAIN, LensCopy, Variant, variants
 from metafab.mask.shapes.hierarchy import IntArray
 
 
@@ -38,13 +38,13 @@ class EncodedTile:
     """The shapes of one stamp on the sites of a tile, in the bytes of a format.
 
     Attributes:
-        bias_dbu: bias of the copies of the lens that the shapes belong to.
+        variant: bias and dose of the copies of the lens that the shapes belong to.
         cell: cell of the shapes.
         content: bytes of the elements, shape (n,) each; a flat mask has one array for each copy of the lens.
         cells: encoded cells to which the elements refer, by name.
     """
 
-    bias_dbu: int
+    variant: Variant
     cell: TileCell
     content: tuple[NDArray[np.uint8], ...]
     cells: Mapping[str, bytes] = field(default_factory=dict)
@@ -64,10 +64,10 @@ class TileEncoder(ABC):
         """Encode ``stamp`` on the sites of ``tile``. Safe to call from several threads."""
         cell = tile_cell(self.drawing.lattice, tile, stamp)
         if not self.drawing.flat:
-            return EncodedTile(stamp.bias_dbu, cell, (self._content(tile, cell, stamp),), self._cells(tile, stamp))
-        copies = (copy for copy in self.drawing.copies if copy.bias_dbu == stamp.bias_dbu)
+            return EncodedTile(stamp.variant, cell, (self._content(tile, cell, stamp),), self._cells(tile, stamp))
+        copies = (copy for copy in self.drawing.copies if copy.variant == stamp.variant)
         pieces = (self._content(tile, cell.flattened(copy.x_dbu, copy.y_dbu), stamp) for copy in copies)
-        return EncodedTile(stamp.bias_dbu, cell, tuple(pieces))
+        return EncodedTile(stamp.variant, cell, tuple(pieces))
 
     def _cells(self, tile: PillarTile, stamp: Stamp) -> dict[str, bytes]:
         """Encoded cells to which the elements of a tile refer; by default none."""
@@ -97,7 +97,7 @@ class MaskWriter(ABC):
     def __init__(self, stream: BinaryIO, drawing: Drawing) -> None:
         self._stream = stream
         self._drawing = drawing
-        self._placed: dict[int, list[TileCell]] = {bias: [] for bias in biases_dbu(drawing.copies) or (0,)}
+        self._placed: dict[Variant, list[TileCell]] = {one: [] for one in variants(drawing.copies) or (PLAIN,)}
         self._cells: dict[str, bytes] = {}
         self._begin_file()
         if drawing.flat:
@@ -107,7 +107,7 @@ class MaskWriter(ABC):
         """Append the cell of a tile. The caller must not read the tile afterwards: its memory may be used again."""
         self._cells.update(tile.cells)
         if not self._drawing.flat:
-            self._placed[tile.bias_dbu].append(tile.cell)
+            self._placed[tile.variant].append(tile.cell)
             self._begin_cell(tile.cell.name)
         for piece in tile.content:
             self._write(piece.data)  # Not copied: a tile may have tens of megabytes.
@@ -143,18 +143,18 @@ class MaskWriter(ABC):
         """Write the cells of the lenses, and the top cell that places them; without copies it places the tiles."""
         drawing = self._drawing
         if drawing.copies:
-            for bias_dbu in self._placed:
-                self._begin_cell(lens_name(bias_dbu, drawing.top))
-                self._place_tiles(bias_dbu)
+            for variant in self._placed:
+                self._begin_cell(lens_name(variant, drawing.top))
+                self._place_tiles(variant)
                 self._end_cell()
         self._begin_cell(drawing.top)
         if not drawing.copies:
-            self._place_tiles(0)
+            self._place_tiles(PLAIN)
         for copy in drawing.copies:
-            self._place(lens_name(copy.bias_dbu, drawing.top), copy.x_dbu, copy.y_dbu)
+            self._place(lens_name(copy.variant, drawing.top), copy.x_dbu, copy.y_dbu)
 
-    def _place_tiles(self, bias_dbu: int) -> None:
-        for cell in self._placed[bias_dbu]:
+    def _place_tiles(self, variant: Variant) -> None:
+        for cell in self._placed[variant]:
             self._place(cell.name, cell.x_dbu, cell.y_dbu)
 
     def _write(self, data: bytes | memoryview) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import Lattice, PillarTile
 from metafab.layout.turned import TurnedRectangles
+from metafab.mask.drawing.copies import PLAIN, Variant
 
 _LONGEST_NAME = 32  # Every GDSII reader takes names of this length.
 
@@ -49,7 +50,7 @@ class Stamp:
             corner of a polygon.
         layer: GDSII or OASIS layer.
         datatype: GDSII or OASIS datatype.
-        bias_dbu: bias of the copies of the lens that the shapes belong to.
+        variant: bias and dose of the copies of the lens that the shapes belong to.
         tag: suffix that distinguishes the cells of several stamps of one tile.
         polygons: corners of each size relative to its first corner, shape (n, 2) each; None for rectangles.
         turned: whether several polygons share one width and length, at different angles.
@@ -59,7 +60,7 @@ class Stamp:
     corner_dbu: NDArray[np.int64]
     layer: int
     datatype: int
-    bias_dbu: int = 0
+    variant: Variant = PLAIN
     tag: str = ""
     polygons: tuple[NDArray[np.int64], ...] | None = None
     turned: bool = False
@@ -70,22 +71,22 @@ def pillar_stamp(
     layer: int,
     datatype: int,
     dose_class: int = 0,
-    bias_dbu: int = 0,
+    variant: Variant = PLAIN,
     outline: Outline = RECTANGLE,
 ) -> Stamp:
-    """Return the stamp of centred pillars of one dose class and one bias.
+    """Return the stamp of centred pillars of one dose class and one variant of the lens.
 
     Args:
         size_dbu: shape (n_sizes + 1, 2), width and length without the bias; row 0 means no pillar.
         layer: layer of the pillars.
-        datatype: datatype of dose class 0; the others follow.
+        datatype: datatype of dose class 0 of the variant; the others follow.
         dose_class: dose class.
-        bias_dbu: added to width and length.
+        variant: bias and dose of the copies.
         outline: outline of the pillars.
     """
-    drawn = size_dbu.astype(np.int64) + bias_dbu
+    drawn = size_dbu.astype(np.int64) + variant.bias_dbu
     tag = f"_D{dose_class:02d}" if dose_class else ""
-    stamp = Stamp(drawn, -(drawn // 2), layer, datatype + dose_class, bias_dbu, tag)
+    stamp = Stamp(drawn, -(drawn // 2), layer, datatype + dose_class, variant, tag)
     if outline.is_rectangle:
         return stamp
     polygons = outline.polygons(drawn)
@@ -103,19 +104,14 @@ def tile_cell(lattice: Lattice, tile: PillarTile, stamp: Stamp) -> TileCell:
     (p_x, p_y), (n_y, n_x) = lattice.period_dbu, lattice.shape
     centre_x = (2 * tile.column - (n_x - 1)) * p_x // 2
     centre_y = (2 * tile.row - (n_y - 1)) * p_y // 2
-    name = f"TILE_R{tile.row:06d}_C{tile.column:06d}{stamp.tag}{_bias_tag(stamp.bias_dbu)}"
+    name = f"TILE_R{tile.row:06d}_C{tile.column:06d}{stamp.tag}{stamp.variant.tag}"
     return TileCell(name, centre_x - p_x // 2, centre_y - p_y // 2, p_x // 2, p_y // 2)
 
 
-def lens_name(bias_dbu: int, top: str) -> str:
+def lens_name(variant: Variant, top: str) -> str:
     """Cell name of a lens that the chip holds several copies of; never equal to the name ``top`` of the top cell."""
-    name = f"LENS{_bias_tag(bias_dbu)}"
+    name = f"LENS{variant.tag}"
     return f"{name}_" if name == top else name
-
-
-def _bias_tag(bias_dbu: int) -> str:
-    """Suffix that distinguishes the cells of corner variants; empty without a bias."""
-    return f"_{'P' if bias_dbu > 0 else 'M'}{abs(bias_dbu):05d}" if bias_dbu else ""
 
 
 def top_name(design_name: str) -> str:

@@ -1,4 +1,4 @@
-"""Several lenses on one chip: the place and the bias of each copy, and which copy a rectangle of a file belongs to."""
+"""Several lenses on one chip: place, bias and dose of each copy, and which copy a rectangle of a file belongs to."""
 
 from __future__ import annotations
 
@@ -15,6 +15,31 @@ from metafab.mask.shapes.hierarchy import IntArray
 from metafab.spec import Design
 
 
+@dataclass(frozen=True, order=True)
+class Variant:
+    """Properties of a lens that its cells depend on; copies with equal ones share their cells.
+
+    Attributes:
+        bias_dbu: added to the drawn width and length, on top of ``mask.bias_nm``.
+        dose_number: number of its dose among those of all copies, ascending, from 0.
+    """
+
+    bias_dbu: int = 0
+    dose_number: int = 0
+
+    @property
+    def tag(self) -> str:
+        """Suffix of cell names, short enough for 32 characters; empty without a bias, at the first dose."""
+        sign = "P" if self.bias_dbu > 0 else "M"
+        if not self.dose_number:
+            return f"_{sign}{abs(self.bias_dbu):05d}" if self.bias_dbu else ""
+        return f"_{f'{sign}{abs(self.bias_dbu)}' if self.bias_dbu else ''}E{self.dose_number}"
+
+
+#: A lens without a bias, at the first dose.
+PLAIN = Variant()
+
+
 @dataclass(frozen=True)
 class LensCopy:
     """One lens of the chip.
@@ -22,13 +47,13 @@ class LensCopy:
     Attributes:
         x_dbu: x of its optical axis.
         y_dbu: y of its optical axis.
-        bias_dbu: added to the drawn width and length, on top of ``mask.bias_nm``.
+        variant: bias and dose.
         label: text drawn above it; None for nothing.
     """
 
     x_dbu: int
     y_dbu: int
-    bias_dbu: int = 0
+    variant: Variant = PLAIN
     label: str | None = None
 
 
@@ -48,7 +73,8 @@ def lens_copies(design: Design) -> tuple[LensCopy, ...]:
             if max(abs(x_dbu - before.x_dbu), abs(y_dbu - before.y_dbu)) < aperture_dbu(design):
                 expected = f"at least {design.device.aperture_um:g} um from copy {other}, along x or along y"
                 raise InputError.single(design.name, f"{key}.at_um", expected, f"{copy.at_um}", "move it")
-        copies.append(LensCopy(x_dbu, y_dbu, bias_dbu, copy.label))
+        variant = Variant(bias_dbu, design.mask.doses.index(copy.dose))
+        copies.append(LensCopy(x_dbu, y_dbu, variant, copy.label))
     return tuple(copies) or (LensCopy(0, 0),)
 
 
@@ -64,9 +90,14 @@ def lens_copy(design: Design, number: int) -> LensCopy:
     return copies[number - 1]
 
 
+def variants(copies: Sequence[LensCopy]) -> tuple[Variant, ...]:
+    """Distinct biases and doses in rising order; each has its own cells."""
+    return tuple(sorted({copy.variant for copy in copies}))
+
+
 def biases_dbu(copies: Sequence[LensCopy]) -> tuple[int, ...]:
-    """Distinct biases in rising order; each has its own cells."""
-    return tuple(sorted({copy.bias_dbu for copy in copies}))
+    """Distinct biases in rising order."""
+    return tuple(sorted({copy.variant.bias_dbu for copy in copies}))
 
 
 class OtherCopies:

@@ -1,4 +1,4 @@
-"""Dose classes: each class of pillars has its own datatype."""
+"""Dose classes: each class of pillars has its own datatype; tables with the dose of each datatype."""
 
 from __future__ import annotations
 
@@ -11,7 +11,11 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.layout import PillarMap, PillarTile
 from metafab.layout.outlines import RECTANGLE, Outline
-from metafab.spec import Dose
+from metafab.mask.drawing.cells import top_name
+from metafab.spec import Design, Dose
+
+#: Files that give the dose of each datatype.
+DOSE_TABLES = ("doses.csv", "doses.jdi")
 
 
 class DoseClasses:
@@ -78,6 +82,33 @@ class DoseClasses:
         n_y, n_x = tile.size_index.shape
         rows, columns = tile.row + np.arange(n_y), tile.column + np.arange(n_x)
         return (rows // self._block_rows)[:, None], (columns // self._block_columns)[None]
+
+
+def dose_tables(design: Design, class_dose: FloatArray | None = None) -> dict[str, list[str]]:
+    """Dose of each datatype relative to the base dose, as a table and as the shot modulation of JEOL writers.
+
+    Args:
+        design: copies with their doses, datatypes.
+        class_dose: shape (classes,), dose of each class; None if it is not known, so that the table holds the copies'
+            doses alone.
+
+    Returns:
+        Lines of each of :data:`DOSE_TABLES`; empty where no dose is known.
+    """
+    mask = design.mask
+    if class_dose is None and mask.doses == (1.0,):
+        return {}
+    of_class = np.ones(mask.dose_classes) if class_dose is None else class_dose
+    doses = np.outer(mask.doses, of_class).ravel().tolist()
+    table = [(mask.datatype + number, dose) for number, dose in enumerate(doses)]
+    rows = ["datatype,dose_over_base_dose", *(f"{datatype},{dose:.6f}" for datatype, dose in table)]
+    # The shot rank is the datatype, the modulation a change of dose in percent.
+    ranks = [f"({datatype:4d}, {100.0 * (dose - 1.0):8.3f} )" for datatype, dose in table]
+    name = f"{top_name(design.name)}: MODULAT ("
+    starts = [name, *["-  , "] * (len(ranks) - 1)]
+    ends = [""] * (len(ranks) - 1) + [")"]
+    modulation = [start + rank + end for start, rank, end in zip(starts, ranks, ends, strict=True)]
+    return dict(zip(DOSE_TABLES, (rows, modulation), strict=True))
 
 
 def _require_classes(shape: tuple[int, int], dose: Dose | None, of_site: NDArray[np.uint8] | None) -> None:

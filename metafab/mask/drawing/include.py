@@ -14,8 +14,8 @@ import gdstk
 import numpy as np
 
 from metafab.core.errors import InputError
-from metafab.layout.geometry import aperture_dbu, whole_dbu
-from metafab.mask.drawing.copies import lens_copies
+from metafab.layout.geometry import whole_dbu
+from metafab.mask.drawing.clearance import boxes_of, require_apart, require_clear_of_lenses
 from metafab.mask.drawing.surroundings import Surroundings
 from metafab.mask.shapes.hierarchy import IntArray
 from metafab.spec import Design
@@ -39,12 +39,6 @@ class IncludedPolygon:
     datatype: int
     corners: IntArray
 
-    @property
-    def box(self) -> tuple[int, int, int, int]:
-        """Left, bottom, right and top."""
-        (left, bottom), (right, top) = self.corners.min(axis=0).tolist(), self.corners.max(axis=0).tolist()
-        return left, bottom, right, top
-
 
 @dataclass(frozen=True)
 class IncludedCell:
@@ -61,6 +55,12 @@ class IncludedCell:
     cell: str
     polygons: tuple[IncludedPolygon, ...]
     texts: int
+
+    @property
+    def boxes(self) -> IntArray:
+        """Bounding box (left, bottom, right, top) of each polygon, shape (n, 4)."""
+        corners = [np.concatenate([p.corners.min(axis=0), p.corners.max(axis=0)]) for p in self.polygons]
+        return np.array(corners, dtype=np.int64).reshape(-1, 4)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -84,15 +84,12 @@ def included_cells(design: Design, around: tuple[Surroundings, ...]) -> tuple[In
     for number, cell in enumerate(cells, start=1):
         key = f"mask.include[{number}]"
         _require_layers(design, key, cell)
-        _require_clear_of_lenses(design, key, cell)
-        boxes = np.array([polygon.box for polygon in cell.polygons]).reshape(-1, 4)
+        boxes = cell.boxes
+        require_clear_of_lenses(design, key, boxes, f"a polygon of {cell.cell}")
         for layer in around:
-            rectangles = layer.rectangles
-            others = np.concatenate([rectangles[:, :2], rectangles[:, :2] + rectangles[:, 2:]], axis=1)
-            _require_apart(design, key, boxes, others, layer.name)
+            require_apart(design, key, boxes, boxes_of(layer.rectangles), layer.name)
         for other, before in enumerate(cells[: number - 1], start=1):
-            others = np.array([polygon.box for polygon in before.polygons]).reshape(-1, 4)
-            _require_apart(design, key, boxes, others, f"mask.include[{other}]")
+            require_apart(design, key, boxes, before.boxes, f"mask.include[{other}]")
     return cells
 
 
@@ -151,33 +148,8 @@ def _require_layers(design: Design, key: str, cell: IncludedCell) -> None:
     mask = design.mask
     own = {mask.layer, *((mask.field_layer,) if mask.tone != "negative" else ())}
     own |= set(mask.chip.layers) if mask.chip is not None else set()
+    own |= set(mask.kit.layers) if mask.kit is not None else set()
     taken = sorted(f"{p.layer}/{p.datatype}" for p in cell.polygons if p.layer in own)
     if taken:
         expected = f"layers other than {', '.join(map(str, sorted(own)))}, on which the design draws"
         raise InputError.single(design.name, f"{key}.layers", expected, taken[0], "rename it in `layers`")
-
-
-def _require_clear_of_lenses(design: Design, key: str, cell: IncludedCell) -> None:
-    """Refuse polygons that reach into a lens."""
-    half = aperture_dbu(design) // 2
-    for number, copy in enumerate(lens_copies(design), start=1):
-        for polygon in cell.polygons:
-            left, bottom, right, top = polygon.box
-            near = np.array(
-                [max(left - copy.x_dbu, 0, copy.x_dbu - right), max(bottom - copy.y_dbu, 0, copy.y_dbu - top)]
-            )
-            reach = np.hypot(*near) if design.device.aperture_shape == "circle" else near.max()
-            if reach <= half:
-                um = design.mask.database_unit_nm * 1e-3
-                got = f"a polygon of {cell.cell} at ({left * um:g}, {bottom * um:g}) um in lens {number}"
-                raise InputError.single(design.name, f"{key}.at_um", "a place beside the lenses", got, "move it")
-
-
-def _require_apart(design: Design, key: str, boxes: IntArray, others: IntArray, name: str) -> None:
-    """Refuse bounding boxes, shape (n, 4), that touch others, shape (m, 4): left, bottom, right, top."""
-    for left, bottom, right, top in boxes.tolist():
-        touching = (others[:, 0] <= right) & (others[:, 2] >= left) & (others[:, 1] <= top) & (others[:, 3] >= bottom)
-        if touching.any():
-            um = design.mask.database_unit_nm * 1e-3
-            got = f"a shape at ({left * um:g}, {bottom * um:g}) um that touches: {name}"
-            raise InputError.single(design.name, f"{key}.at_um", "a free place", got, "move it")

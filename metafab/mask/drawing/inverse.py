@@ -16,7 +16,7 @@ from metafab.core.errors import InputError
 from metafab.layout import PillarMap, PillarTile
 from metafab.layout.pillars import SizeIndexArray
 from metafab.mask.drawing.cells import Stamp
-from metafab.mask.drawing.copies import LensCopy
+from metafab.mask.drawing.copies import LensCopy, Variant
 from metafab.mask.shapes.hierarchy import IntArray
 
 #: Rectangles that a unit cell with a pillar leaves, at most.
@@ -59,7 +59,7 @@ class InvertedField:
             right = (w, -h, p_x - half_x - w, 2 * h)
             for number, (x, y, width, height) in enumerate((below, above, left, right)):
                 shape = np.stack([width, height], axis=1)
-                stamp = Stamp(shape, np.stack([x, y], axis=1), layer, 0, bias_dbu, f"_F{number}")
+                stamp = Stamp(shape, np.stack([x, y], axis=1), layer, 0, Variant(bias_dbu), f"_F{number}")
                 self._stamps.append(stamp)
                 drawn = np.all(shape > 0, axis=1)
                 drawn[0] = False
@@ -83,7 +83,7 @@ class InvertedField:
         """
         total = len(self.without_pillars(filled, copies))
         for stamp, drawn in zip(self._stamps, self._drawn, strict=True):
-            lenses = sum(copy.bias_dbu == stamp.bias_dbu for copy in copies)
+            lenses = sum(copy.variant == stamp.variant for copy in copies)
             total += lenses * int(used @ drawn[1:])
         return total
 

@@ -11,7 +11,7 @@ from metafab.core.errors import InputError
 from metafab.layout import PillarMap, PillarTile
 from metafab.layout.turned import outline_of
 from metafab.mask.drawing.cells import Stamp, pillar_stamp
-from metafab.mask.drawing.copies import biases_dbu, lens_copies
+from metafab.mask.drawing.copies import Variant, biases_dbu, lens_copies, variants
 from metafab.mask.drawing.dose import DoseClasses
 from metafab.mask.drawing.inverse import FIELD_RECTANGLES, InvertedField
 from metafab.mask.shapes.hierarchy import IntArray
@@ -34,30 +34,31 @@ class Stamps:
         self._size_dbu = drawn.size_dbu
         self._mask = design.mask
         self._copies = lens_copies(design)
-        self._biases = biases_dbu(self._copies)
+        self._variants = variants(self._copies)
         self._outline = outline_of(drawn, design)
         self._classes = DoseClasses(drawn, design.mask.dose, self._outline, dose_class)
-        self._pillars: dict[tuple[int, int], Stamp] = {}
+        self._pillars: dict[tuple[int, Variant], Stamp] = {}
         inverted = design.mask.tone == "inverted"
         if inverted and not self._outline.is_rectangle:
             expected, got = "rectangular pillars, around which the field is rectangles", repr(self._outline.shape)
             raise InputError.single("mask", "tone", expected, f"pillars of shape {got}", "use 'positive'")
-        self._field = InvertedField(drawn, design.mask.field_layer, self._biases) if inverted else None
+        self._field = InvertedField(drawn, design.mask.field_layer, biases_dbu(self._copies)) if inverted else None
 
     def of(self, tile: PillarTile) -> Iterator[tuple[PillarTile, Stamp]]:
         """Yield size indices, and the stamp to which they refer. Safe to call from several threads."""
         for number, part in self._classes.split(tile):
-            for bias in self._biases:
-                yield part, self._pillar_stamp(number, bias)
+            for variant in self._variants:
+                yield part, self._pillar_stamp(number, variant)
         if self._field is not None:
             yield from self._field.of(tile)
 
-    def _pillar_stamp(self, dose_class: int, bias_dbu: int) -> Stamp:
-        """Stamp of a dose class and a bias; two threads may each compute it."""
-        key = dose_class, bias_dbu
+    def _pillar_stamp(self, dose_class: int, variant: Variant) -> Stamp:
+        """Stamp of a dose class and a variant of the lens; two threads may each compute it."""
+        key = dose_class, variant
         if key not in self._pillars:
             mask = self._mask
-            self._pillars[key] = pillar_stamp(self._size_dbu, mask.layer, mask.datatype, *key, self._outline)
+            first = mask.datatype + variant.dose_number * mask.dose_classes
+            self._pillars[key] = pillar_stamp(self._size_dbu, mask.layer, first, *key, self._outline)
         return self._pillars[key]
 
     def exposed(self, used: NDArray[np.int64], filled: set[tuple[int, int]]) -> int:
@@ -81,5 +82,5 @@ class Stamps:
 def shapes_per_pillar(design: Design) -> int:
     """Largest number of shapes that one pillar of the lens becomes in the file."""
     copies = lens_copies(design)
-    drawings = len(copies) if design.mask.flat else len(biases_dbu(copies))
+    drawings = len(copies) if design.mask.flat else len(variants(copies))
     return drawings * (1 + (FIELD_RECTANGLES if design.mask.tone == "inverted" else 0))

@@ -1,4 +1,4 @@
-"""Shapes around the lenses of a chip: write fields, marks, frame, labels, scale bar and dicing street."""
+"""Shapes around the lenses of a chip: write fields, marks, frame, labels, scale bar, street, test structures."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.layout import lattice_of
 from metafab.layout.geometry import aperture_dbu
+from metafab.mask.drawing.clearance import boxes_of
 from metafab.mask.drawing.copies import LensCopy, lens_copies
 from metafab.mask.drawing.font import ROWS, text_rectangles, width_squares
+from metafab.mask.drawing.kit import kit_structures, require_clear_kit, windows
 from metafab.mask.shapes.hierarchy import IntArray
 from metafab.spec import Chip, Design
+from metafab.spec.mask import Kit
 
 
 @dataclass(frozen=True)
@@ -24,18 +27,21 @@ class Surroundings:
         name: description in lists of layers.
         layer: GDSII or OASIS layer; the datatype is 0.
         rectangles: shape (n, 4), x, y of the lower left corner, width, height in database units.
+        exposure: number of the exposure that writes them, 1 for marks that the second one is aligned to; 0 for windows
+            that the shop uses as it needs.
     """
 
     name: str
     layer: int
     rectangles: IntArray
+    exposure: int = 2
 
 
 def surroundings(design: Design) -> tuple[Surroundings, ...]:
-    """Return the layers that the design draws around its lenses; empty without ``mask.chip`` and a positive tone.
+    """Return the layers that the design draws around its lenses; empty for a lens alone in negative tone.
 
     Raises:
-        InputError: marks, label or scale bar do not fit in their place.
+        InputError: marks, label or scale bar do not fit in their place, or a test structure touches something.
     """
     layers, copies = [], lens_copies(design)
     if design.mask.tone == "positive":
@@ -46,6 +52,8 @@ def surroundings(design: Design) -> tuple[Surroundings, ...]:
         layers.append(Surroundings("write field: expose field NOT pillars", design.mask.field_layer, field))
     if design.mask.chip is not None:
         layers += _chip(design, design.mask.chip, copies)
+    if design.mask.kit is not None:
+        layers += _kit(design, design.mask.kit, layers)
     return tuple(layer for layer in layers if len(layer.rectangles))
 
 
@@ -71,10 +79,35 @@ def _chip(design: Design, chip: Chip, copies: Sequence[LensCopy]) -> list[Surrou
     outer = inner.grown(_dbu(design, chip.frame_um))
     text = np.concatenate([_text(design, chip, lenses, margin), *_copy_labels(design, chip, copies, lens)])
     return [
-        Surroundings("alignment marks", chip.mark_layer, _marks(design, chip, lenses.grown(margin // 2))),
+        Surroundings("alignment marks", chip.mark_layer, _marks(design, chip, lenses.grown(margin // 2)), exposure=1),
         Surroundings("frame", chip.frame_layer, _ring(inner, outer)),
         Surroundings("label and scale bar", chip.text_layer, text),
         Surroundings("dicing street", chip.street_layer, _ring(outer, outer.grown(_dbu(design, chip.street_um)))),
+    ]
+
+
+def _kit(design: Design, kit: Kit, around: Sequence[Surroundings]) -> list[Surroundings]:
+    """Test structures, and windows around all that the first exposure draws."""
+    structures = kit_structures(design)
+    require_clear_kit(design, structures, [(layer.name, layer.rectangles) for layer in around])
+    nothing = [np.empty((0, 4), dtype=np.int64)]
+    first = np.concatenate([*nothing, *(one.first for one in structures)])
+    second = np.concatenate([*nothing, *(one.second for one in structures)])
+    marks = [layer.rectangles for layer in around if layer.exposure == 1]
+    # A cross is three rectangles.
+    boxes = [boxes_of(cross) for one in marks for cross in one.reshape(-1, 3, 4)]
+    corners = [np.concatenate([box[:, :2].min(axis=0), box[:, 2:].max(axis=0)])[None] for box in boxes]
+    corners += [one.box(0) for one in structures if len(one.first)]
+    margin = _dbu(design, kit.clear_um)
+    return [
+        Surroundings("test structures of the first exposure", kit.first_layer, first, exposure=1),
+        Surroundings("test structures", kit.layer, second),
+        Surroundings(
+            "windows around marks",
+            kit.clear_layer,
+            windows(np.concatenate([*nothing, *corners]), margin) if margin else nothing[0],
+            exposure=0,
+        ),
     ]
 
 
@@ -82,6 +115,10 @@ def _marks(design: Design, chip: Chip, centres: _Box) -> IntArray:
     """Crosses centred at the corners of ``centres``; each is three rectangles that do not overlap."""
     if chip.mark_um > chip.margin_um:
         raise _no_room(design, "mark_um", f"at most the margin of {chip.margin_um:g} um", f"{chip.mark_um:g} um")
+    clear_um = design.mask.kit.clear_um if design.mask.kit is not None else 0.0
+    if clear_um and chip.mark_um + 2.0 * clear_um >= chip.margin_um:
+        expected = f"with `mask.kit.clear_um` on both sides less than the margin of {chip.margin_um:g} um"
+        raise _no_room(design, "mark_um", expected, f"{chip.mark_um + 2.0 * clear_um:g} um")
     arm, line = _dbu(design, chip.mark_um), _dbu(design, chip.mark_line_um)
     if not arm:
         return np.empty((0, 4), dtype=np.int64)

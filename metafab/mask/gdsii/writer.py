@@ -168,8 +168,16 @@ def _size_name(stamp: Stamp, size: int) -> str:
     """
     width, length = stamp.size_dbu[size].tolist()
     if stamp.turned:
-        return f"T{size:05d}W{width:06d}D{stamp.datatype % 100:02d}"
-    return f"W{width:06d}L{length:05d}D{stamp.datatype % 100:02d}"
+        return f"T{size:05d}W{width:06d}D{_two_characters(stamp.datatype)}"
+    return f"W{width:06d}L{length:05d}D{_two_characters(stamp.datatype)}"
+
+
+def _two_characters(datatype: int) -> str:
+    """Datatype in two characters: digits below 100, then a letter and a letter or digit."""
+    if datatype < 100:
+        return f"{datatype:02d}"
+    first, second = divmod((datatype - 100) % 936, 36)
+    return "ABCDEFGHIJKLMNOPQRSTUVWXYZ"[first] + "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"[second]
 
 
 def _reference(stamp: Stamp, size: int) -> NDArray[np.int32]:

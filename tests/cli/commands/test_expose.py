@@ -122,12 +122,16 @@ def test_samples_agree_with_a_direct_sum_from_outside(folder: Path, tmp_path: Pa
 
     Printed edges: the profile of the pillar itself moves, the energy of all others is that at the drawn edge.
     """
-    table = tmp_path / "samples.csv"
+    table, before = tmp_path / "samples.csv", file_sha256(folder / "layout.oas")
     answer = metafab(
         "expose", folder / "layout.oas", "--design", folder / "design.toml", "--sample", "5", "--sample-csv", table,
-        "--correct", "-o", tmp_path, "--json",
+        "--correct", "-o", folder, "--json",
     )  # fmt: skip
     assert answer.code == 0, answer.stderr
+    # The folder of the plain mask keeps it.
+    assert file_sha256(folder / "layout.oas") == before
+    assert answer.json["folder"] == str(folder / "corrected")
+    assert str(folder / "corrected") in answer.stderr
     rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(table.open(encoding="utf-8"))]
     assert len(rows) == 5
     assert list(rows[0]) == [
@@ -138,7 +142,7 @@ def test_samples_agree_with_a_direct_sum_from_outside(folder: Path, tmp_path: Pa
     terms = psf["terms"]
     assert {term["kind"] for term in terms} == {"gauss"}
     assert psf["blur_nm"] == 5.0
-    drawn = _rectangles(tmp_path / "layout.oas", tmp_path / "doses.csv")
+    drawn = _rectangles(folder / "corrected" / "layout.oas", folder / "corrected" / "doses.csv")
     assert len(drawn) == answer.json["pillars"]
     for row in rows:
         x, y, w, length = 1e3 * row["x_um"], 1e3 * row["y_um"], row["width_nm"], row["length_nm"]

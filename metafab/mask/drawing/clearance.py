@@ -1,0 +1,61 @@
+"""Distances between the lenses and everything beside them, by bounding boxes (left, bottom, right, top)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from metafab.core.errors import InputError
+from metafab.layout.geometry import aperture_dbu
+from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.shapes.hierarchy import IntArray
+from metafab.spec import Design
+
+
+def boxes_of(rectangles: IntArray) -> IntArray:
+    """Convert rectangles (x, y, width, height) to boxes; shape (n, 4) both."""
+    return np.concatenate([rectangles[:, :2], rectangles[:, :2] + rectangles[:, 2:]], axis=1)
+
+
+def require_clear_of_lenses(design: Design, key: str, boxes: IntArray, name: str) -> None:
+    """Refuse boxes that reach into a lens.
+
+    Args:
+        design: the chip.
+        key: table of the boxes in the design.
+        boxes: shape (n, 4), database units.
+        name: description of the shapes.
+
+    Raises:
+        InputError: a box touches a lens.
+    """
+    half = aperture_dbu(design) // 2
+    for number, copy in enumerate(lens_copies(design), start=1):
+        at = np.array([copy.x_dbu, copy.y_dbu])
+        away = np.maximum(np.maximum(boxes[:, :2] - at, at - boxes[:, 2:]), 0)
+        is_round = design.device.aperture_shape in {"circle", "ring"}
+        reach = np.hypot(*away.T) if is_round else away.max(axis=1)
+        for left, bottom, *_ in boxes[reach <= half][:1].tolist():
+            um = design.mask.database_unit_nm * 1e-3
+            got = f"{name} at ({left * um:g}, {bottom * um:g}) um in lens {number}"
+            raise InputError.single(design.name, f"{key}.at_um", "a place beside the lenses", got, "move it")
+
+
+def require_apart(design: Design, key: str, boxes: IntArray, others: IntArray, name: str) -> None:
+    """Refuse boxes, shape (n, 4), that touch ``others``, shape (m, 4), described by ``name``.
+
+    Args:
+        design: the chip.
+        key: table of the boxes in the design.
+        boxes: shape (n, 4), database units.
+        others: shape (m, 4), database units.
+        name: description of the other shapes.
+
+    Raises:
+        InputError: two boxes touch.
+    """
+    for left, bottom, right, top in boxes.tolist():
+        touching = (others[:, 0] <= right) & (others[:, 2] >= left) & (others[:, 1] <= top) & (others[:, 3] >= bottom)
+        if touching.any():
+            um = design.mask.database_unit_nm * 1e-3
+            got = f"a shape at ({left * um:g}, {bottom * um:g}) um that touches: {name}"
+            raise InputError.single(design.name, f"{key}.at_um", "a free place", got, "move it")

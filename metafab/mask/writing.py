@@ -1,0 +1,263 @@
+"""Writing of a mask by the e-beam: fracture into trapezoids and shots, time, and order of the write fields.
+
+Machines write trapezoids with two horizontal sides. A polygon is cut at the height of each of its corners; a rectangle
+is one trapezoid. A Gaussian beam fills a trapezoid with shots at even distances; a shaped beam covers it with one shot,
+or several where it is larger than the largest shot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+from metafab.spec import Exposure
+
+BoolArray = NDArray[np.bool_]
+IntegerArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class WriteTime:
+    """Time that the e-beam takes, without blanking, alignment, further stage moves and loading.
+
+    Attributes:
+        area_um2: exposed area.
+        shapes: exposed shapes.
+        trapezoids: trapezoids of these shapes.
+        shots: shots of the trapezoids; None without a shot size, or where the field is exposed and not the pillars.
+        fields: write fields that hold any.
+        beam_seconds: dose x area / current; longer where the largest rate of shots limits it.
+        settling_seconds: settling of trapezoids and fields.
+        seconds: sum of both.
+        stitching_rms_nm: rms of the drift between neighbouring fields; None without a drift.
+        stitching_max_nm: its largest value.
+    """
+
+    area_um2: float
+    shapes: int
+    trapezoids: int
+    shots: int | None
+    fields: int
+    beam_seconds: float
+    settling_seconds: float
+    seconds: float
+    stitching_rms_nm: float | None = None
+    stitching_max_nm: float | None = None
+
+    @classmethod
+    def of(
+        cls,
+        exposure: Exposure,
+        lenses: Sequence[LensLoad],
+        shapes: int,
+        fields: int,
+        stitching_nm: tuple[float, float] | None = None,
+    ) -> WriteTime:
+        """Estimate the time from dose, current and settling times.
+
+        Dose classes within a lens count with the dose of the lens.
+
+        Args:
+            exposure: the machine.
+            lenses: area, dose, trapezoids and shots of each lens.
+            shapes: exposed shapes of all lenses.
+            fields: write fields of all lenses that hold any.
+            stitching_nm: rms and largest drift between neighbouring fields.
+        """
+        trapezoids = sum(lens.trapezoids for lens in lenses)
+        shots = [lens.shots for lens in lenses if lens.shots is not None]
+        beam_s = sum(
+            float(beam_seconds(exposure, lens.dose, np.array(lens.area_um2), np.array(float(lens.shots or 0))))
+            for lens in lenses
+        )
+        settling_s = trapezoids * exposure.settle_shape_us * 1e-6 + fields * exposure.settle_field_ms * 1e-3
+        return cls(
+            area_um2=sum(lens.area_um2 for lens in lenses),
+            shapes=shapes,
+            trapezoids=trapezoids,
+            shots=sum(shots) if len(shots) == len(lenses) else None,
+            fields=fields,
+            beam_seconds=beam_s,
+            settling_seconds=settling_s,
+            seconds=beam_s + settling_s,
+            stitching_rms_nm=None if stitching_nm is None else stitching_nm[0],
+            stitching_max_nm=None if stitching_nm is None else stitching_nm[1],
+        )
+
+
+@dataclass(frozen=True)
+class LensLoad:
+    """Load of one lens on the machine.
+
+    Attributes:
+        dose: relative to the base dose.
+        area_um2: exposed area.
+        trapezoids: number of trapezoids.
+        shots: number of shots; None if it is not known.
+    """
+
+    dose: float
+    area_um2: float
+    trapezoids: int
+    shots: int | None
+
+
+def beam_seconds(exposure: Exposure, dose: float, area_um2: FloatArray, shots: FloatArray) -> FloatArray:
+    """Time of the beam for areas and shots of equal shape: the charge over the current, or the shots over their rate.
+
+    Args:
+        exposure: the machine.
+        dose: relative to the base dose.
+        area_um2: exposed areas.
+        shots: numbers of shots; 0 where they are not known.
+    """
+    # 1 uC/cm2 is 1e-8 uC/um2; nA are 1e-3 uC/s.
+    charge_s = exposure.dose_uc_per_cm2 * dose * area_um2 * 1e-8 / (exposure.beam_current_na * 1e-3)
+    if exposure.clock_mhz is None:
+        return np.asarray(charge_s)
+    return np.maximum(charge_s, shots / (exposure.clock_mhz * 1e6))
+
+
+@dataclass(frozen=True)
+class Fracture:
+    """Trapezoids and shots of each size.
+
+    Attributes:
+        trapezoids: shape (n_sizes + 1,), 0 without a pillar.
+        shots: shape (n_sizes + 1,); None without a shot size.
+    """
+
+    trapezoids: IntegerArray
+    shots: IntegerArray | None
+
+
+def fracture(polygons: Sequence[NDArray[np.int64]], unit_nm: float, exposure: Exposure) -> Fracture:
+    """Cut polygons into trapezoids and shots.
+
+    Args:
+        polygons: corners of each size, shape (n, 2), database units; a single point for no pillar.
+        unit_nm: database unit.
+        exposure: shot size of the machine.
+    """
+    trapezoids = np.zeros(len(polygons), dtype=np.int64)
+    shots = np.zeros(len(polygons), dtype=np.int64)
+    for number, polygon in enumerate(polygons):
+        cut = _trapezoids(polygon.astype(np.float64) * unit_nm)
+        trapezoids[number] = len(cut)
+        height, width = cut.T
+        if exposure.max_shot_um is not None:
+            largest_nm = exposure.max_shot_um * 1e3
+            shots[number] = int((np.ceil(height / largest_nm) * np.ceil(width / largest_nm)).sum())
+        elif exposure.shot_pitch_nm is not None:
+            shots[number] = math.ceil(float((height * width).sum()) / exposure.shot_pitch_nm**2 - 1e-9)
+    known = exposure.max_shot_um is not None or exposure.shot_pitch_nm is not None
+    return Fracture(trapezoids, shots if known else None)
+
+
+def _trapezoids(polygon: FloatArray) -> FloatArray:
+    """Height and mean width of each trapezoid of a polygon cut at all its corners, shape (n, 2)."""
+    found = []
+    start, end = polygon, np.roll(polygon, -1, axis=0)
+    levels = np.unique(polygon[:, 1])
+    for low, high in pairwise(levels):
+        middle = 0.5 * (low + high)
+        crossed = (np.minimum(start[:, 1], end[:, 1]) < middle) & (np.maximum(start[:, 1], end[:, 1]) > middle)
+        first, last = start[crossed], end[crossed]
+        share = (middle - first[:, 1]) / (last[:, 1] - first[:, 1])
+        x = np.sort(first[:, 0] + share * (last[:, 0] - first[:, 0]))
+        found += [(high - low, right - left) for left, right in zip(x[::2], x[1::2], strict=True)]
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class FieldTimes:
+    """Write fields in the order of writing, lens by lens.
+
+    Attributes:
+        lens: shape (n,), number of the lens of ``mask.copies``, from 1.
+        place: shape (n, 2), row and column of the field in its lens.
+        at_um: shape (n, 2), x and y of the field's centre.
+        start_s: shape (n,), time at which it begins.
+        seconds: shape (n,), its duration.
+        drift_nm: shape (n,), drift at the middle of its time.
+        stitching_nm: rms and largest difference of the drift of neighbouring fields of a lens.
+    """
+
+    lens: IntegerArray
+    place: IntegerArray
+    at_um: FloatArray
+    start_s: FloatArray
+    seconds: FloatArray
+    drift_nm: FloatArray
+    stitching_nm: tuple[float, float]
+
+    def table(self) -> list[str]:
+        """Lines of ``fields.csv``."""
+        lines = ["lens,row,column,x_um,y_um,start_s,seconds,drift_nm"]
+        columns = (self.lens, *self.place.T, *self.at_um.T, self.start_s, self.seconds, self.drift_nm)
+        for lens, row, column, x, y, start, seconds, drift in zip(*(c.tolist() for c in columns), strict=True):
+            lines.append(f"{lens},{row},{column},{x:.4f},{y:.4f},{start:.6f},{seconds:.6f},{drift:.4f}")
+        return lines
+
+
+def field_times(exposure: Exposure, lens_seconds: Sequence[FloatArray], centre_um: Sequence[FloatArray]) -> FieldTimes:
+    """Order the write fields of all lenses and add up their times.
+
+    Args:
+        exposure: order and drift.
+        lens_seconds: time of each field of each lens, shape (rows, columns); 0 for a field without shapes.
+        centre_um: centre (x, y) of each field of each lens, shape (rows, columns, 2).
+    """
+    rate = exposure.drift_nm_per_min / 60.0
+    lens, place, at, seconds = [], [], [], []
+    for number, (times, centres) in enumerate(zip(lens_seconds, centre_um, strict=True), start=1):
+        order = field_order(times > 0.0, exposure.field_order)
+        lens.append(np.full(len(order), number))
+        place.append(order)
+        at.append(centres[order[:, 0], order[:, 1]])
+        seconds.append(times[order[:, 0], order[:, 1]])
+    duration = np.concatenate(seconds)
+    start = np.cumsum(duration) - duration
+    drift = rate * (start + 0.5 * duration)
+    numbers, places = np.concatenate(lens), np.concatenate(place)
+    steps = [
+        _steps(drift[numbers == number], places[numbers == number], times.shape)
+        for number, times in enumerate(lens_seconds, start=1)
+    ]
+    step = np.concatenate(steps)
+    stitching = (float(np.sqrt(np.mean(step**2))), float(step.max())) if step.size else (0.0, 0.0)
+    return FieldTimes(numbers, places, np.concatenate(at), start, duration, drift, stitching)
+
+
+def field_order(filled: BoolArray, order: str) -> IntegerArray:
+    """Order the fields of one lens.
+
+    Args:
+        filled: shape (rows, columns), whether a field holds shapes.
+        order: "rows", "serpentine", "spiral" or "inwards", as ``mask.exposure.field_order``.
+
+    Returns:
+        Shape (n, 2), row and column of each field.
+    """
+    row, column = np.nonzero(filled)
+    if order in {"rows", "serpentine"}:
+        along = np.where((row % 2 == 1) & (order == "serpentine"), -column, column)
+        return np.stack([row, column], axis=1)[np.lexsort((along, row))]
+    away = np.stack([row - 0.5 * (filled.shape[0] - 1), column - 0.5 * (filled.shape[1] - 1)])
+    ring, angle = np.abs(away).max(axis=0), np.arctan2(*away)
+    outwards = np.stack([row, column], axis=1)[np.lexsort((angle, ring))]
+    return outwards[::-1] if order == "inwards" else outwards
+
+
+def _steps(drift_nm: FloatArray, place: IntegerArray, shape: tuple[int, ...]) -> FloatArray:
+    """Magnitudes of the differences of the drift between fields that share a side, shape (n,)."""
+    grid = np.full(shape, np.nan)
+    grid[place[:, 0], place[:, 1]] = drift_nm
+    steps = np.abs(np.concatenate([np.diff(grid, axis=0).ravel(), np.diff(grid, axis=1).ravel()]))
+    return np.asarray(steps[np.isfinite(steps)])
