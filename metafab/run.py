@@ -30,7 +30,7 @@ from metafab.steps import RESULT_STEPS
 from metafab.steps.job import Job, Step, relative_to
 from metafab.steps.merit import recorded_coupling
 from metafab.steps.preflight import PREFLIGHT
-from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, RunSummary, SkippedStep, error_budget
+from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, RunSummary, SkippedStep, error_budget, ledger
 from metafab.steps.tolerance import recorded_tolerance
 
 STEPS_FILE = "steps.json"
@@ -120,6 +120,7 @@ def run(
     steps: Sequence[Step] = STEPS,
     check: Step = PREFLIGHT,
     work: Work = Work(),
+    skips: bool = True,
     say: Callable[[Sequence[str]], None] = lambda sentences: None,
 ) -> RunSummary:
     """Run every step that is not up to date.
@@ -130,6 +131,8 @@ def run(
         steps: the steps, in their order.
         check: step that checks the design before the folder is made.
         work: workers, cluster and progress.
+        skips: whether to leave out what need not be computed; with False, every step runs, and computes what it
+            otherwise interpolates.
         say: called with announcements before the work begins.
 
     Returns:
@@ -138,7 +141,7 @@ def run(
     Raises:
         InputError: another process runs in this folder.
     """
-    job = Job(design, folder, work)
+    job = Job(design, folder, work, skips)
     state = _State(job, _read_records(folder, (check, *steps)), _read_log(folder))
     if not state.is_current(check):
         figures = check.work(job)
@@ -186,8 +189,8 @@ class _State:
             self.forget(step)
             self.skipped.append(SkippedStep(step.name, why))
             return
-        if self.is_current(step):
-            self.skipped.append(SkippedStep(step.name, UNCHANGED))
+        if self.job.skips and self.is_current(step):
+            self.skipped.append(SkippedStep(step.name, UNCHANGED, self.log.seconds.get(step.name)))
         else:
             with noted(f"step `{step.name}`"), measured() as cost:
                 figures = step.work(self.job)
@@ -228,7 +231,8 @@ class _State:
         earlier = [self.used[name] for name in step.after if name in self.used]
         before = [[mark.sha256 for mark in record.outputs.values()] for record in earlier]
         left = [file_sha256(path) for name in step.reads if (path := self.job.folder / name).is_file()]
-        return fingerprint(inputs, contents_sha256(inputs), before, left, code_sha256(step.rooms))
+        whole = () if self.job.skips else ("nothing left out",)
+        return fingerprint(inputs, contents_sha256(inputs), before, left, code_sha256(step.rooms), *whole)
 
     def summary(self) -> RunSummary:
         """Summary of the steps so far."""
@@ -245,7 +249,8 @@ class _State:
             modified_ns={name: time_ns for name, time_ns in sorted(log.modified_ns.items()) if name in written},
         )
         tolerance = recorded_tolerance(self.job) or summary.tolerance
-        return replace(summary, tolerance=tolerance, error_budget=error_budget(summary))
+        saved = ledger(self.job.design, summary.library, summary.layout, summary.psf, summary.decode)
+        return replace(summary, tolerance=tolerance, error_budget=error_budget(summary), saved=saved)
 
 
 def versions() -> dict[str, str]:

@@ -91,6 +91,25 @@ class WorkerLostError(MetafabError):
         return (type(self), (self.piece, self.losses))
 
 
+class ClusterLostError(MetafabError):
+    """The Dask scheduler went away during the work.
+
+    Args:
+        address: address of the scheduler.
+    """
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        super().__init__(
+            f"the Dask scheduler at {address} is gone; finished steps and solved cells are kept: start it again, or "
+            "leave `--cluster` out, and run it again to go on from there"
+        )
+
+    def __reduce__(self) -> tuple[type[ClusterLostError], tuple[str]]:
+        """Keep the address when the error crosses a process boundary."""
+        return (type(self), (self.address,))
+
+
 class MissingToolError(MetafabError):
     """A missing optional program or package; the message says how to install it."""
 

@@ -46,15 +46,20 @@ class DecoderNumerics:
         compensate_space_variance: whether to correct the filters for the pair's change over the field.
         outline_rounds: most rounds of the refinement of outlines.
         kept_bytes: most memory of the transfer functions that are kept for the next frame.
+        step_px: pixels from one compared pixel to the next; None for the largest step that keeps the information about
+            depth (:func:`metafab.decode.matching.filters.coarsest_step`).
     """
 
     basis_error: float = 0.02
     compensate_space_variance: bool = True
     outline_rounds: int = ROUNDS
     kept_bytes: int = KEPT_BYTES
+    step_px: int | None = None
 
 
-def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D:
+def decode(
+    frame: RawFrame, psf: Psf, *, numerics: DecoderNumerics | None = None, progress: Progress = silent
+) -> Image4D:
     """Decode depth, all-in-focus polarisation images and their contrast from one frame.
 
     A depth is claimed only where the twins correlate, at a depth inside the calibrated range, and to better than a few
@@ -64,6 +69,7 @@ def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D
     Args:
         frame: electrons or counts; saturated and invalid pixels are left out.
         psf: calibration over the depths that are to be measured, at least three.
+        numerics: how to compute.
         progress: called as images are filtered.
 
     Returns:
@@ -80,7 +86,7 @@ def decode(frame: RawFrame, psf: Psf, *, progress: Progress = silent) -> Image4D
     if not abs(frame.pixel_um / psf.pixel_um - 1.0) <= 1e-6:
         reason = f"pixels of {frame.pixel_um:g} um, but a calibration for {psf.pixel_um:g} um"
         return _empty(values.shape, frame, reason, started)
-    decoder = Decoder.of(psf, values.shape, frame.origin_um, frame.x_window)
+    decoder = Decoder.of(psf, values.shape, frame.origin_um, frame.x_window, numerics)
     if decoder is None:
         return _empty(values.shape, frame, "the frame does not hold both images", started)
     return decoder(frame, progress=progress)
@@ -153,7 +159,11 @@ class Decoder:
         calibration = Calibration(kernels, grid, image_map)
         vergences = np.linspace(1.0 / psf.depth_m.max(), 1.0 / psf.depth_m.min(), _CANDIDATES)
         filters = CrossFilters.of(
-            calibration, vergences, numerics.basis_error, compensate=numerics.compensate_space_variance
+            calibration,
+            vergences,
+            numerics.basis_error,
+            compensate=numerics.compensate_space_variance,
+            step=numerics.step_px,
         )
         unmixing = Unmixing.of(psf, grid)
         return cls(calibration, filters, Deconvolver.of(calibration, numerics.kept_bytes, unmixing), numerics)

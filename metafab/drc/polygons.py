@@ -73,7 +73,7 @@ def check_polygons(path: Path, design: Design, work: Work = Work(), tile_um: flo
     rules = _RowRules(path.resolve(), design, 1 if work.cluster else work.workers or default_workers(), tile_um)
     opened = rules.opened
     violations: _Boxes = {rule: set() for rule in rules.checked}
-    with SerialExecutor() if work.cluster is None else open_executor(cluster=work.cluster) as executor:
+    with SerialExecutor() if work.cluster is None else open_executor(None, work.cluster, work.progress) as executor:
         for done, boxes in enumerate(in_order(executor, rules, range(opened.rows), ahead=1), start=1):
             # Sets, because neighbouring tiles both see a violation on their seam.
             for rule, places in violations.items():

@@ -25,6 +25,7 @@ def build_file(
     executor: Executor | None = None,
     progress: Progress = silent,
     solver: CellSolver = solve,
+    every_size: bool = False,
 ) -> Library:
     """Build a library, train its model of neighbours if the unit cell asks for one, and save both.
 
@@ -38,6 +39,7 @@ def build_file(
         executor: runs the solvers; None for this process.
         progress: called with the number of solved sizes, and of solved rows.
         solver: solves one unit cell; must be importable by the workers.
+        every_size: solve every distinct size of the grid, none by a model.
 
     Raises:
         InputError: a checkpoint is damaged.
@@ -48,7 +50,10 @@ def build_file(
     if kept:
         library = replace(store.load(path), unit_cell=unit_cell, neighbours=None)
     else:
-        library = build.build_file(unit_cell, path, executor=executor, progress=progress, solver=solver)
+        numerics = build.BuildNumerics(every_size)
+        library = build.build_file(
+            unit_cell, path, executor=executor, progress=progress, solver=solver, numerics=numerics
+        )
     if not asked:
         if kept:
             store.save(library, path)

@@ -59,7 +59,7 @@ def compose(run: RunFolder, drawn: dict[str, str]) -> str:
         device.exposure(run, drawn),
         device.fullwave(run, drawn),
         device.library(run, drawn),
-        provenance.skipped_steps(run),
+        provenance.skipped(run),
         provenance.provenance(run),
     ]
     views: dict[str, Any] = {}

@@ -20,7 +20,7 @@ from metafab.steps.job import Job, Step, in_folder, no_images
 
 if TYPE_CHECKING:
     from metafab.camera import Counts, RawFrame
-    from metafab.decode import CameraFit, Image4D
+    from metafab.decode import CameraFit, DecoderNumerics, Image4D
 
 
 @dataclass(frozen=True)
@@ -144,6 +144,7 @@ def decode_file(
     *,
     unfit: Literal["refuse", "empty"] = "refuse",
     counts: Counts | None = None,
+    numerics: DecoderNumerics | None = None,
     progress: Progress = silent,
 ) -> Image4D:
     """Decode a stored raw frame, simulated or from a camera, with a stored PSF pair, and write the 4D image.
@@ -155,6 +156,7 @@ def decode_file(
         unfit: treatment of a frame that cannot be decoded: "refuse" raises an error, "empty" writes an empty image
             with the reason. A dark frame gives an empty image in both cases.
         counts: meaning of the counts in a camera's own file; electrons by default.
+        numerics: how to decode.
         progress: called after each candidate depth.
 
     Raises:
@@ -166,7 +168,7 @@ def decode_file(
     frame = camera.load_frame(raw_path, calibration, counts=counts or camera.Counts())
     if unfit == "refuse" and (fault := _unfit(frame.frame)) is not None:
         raise InputError(str(raw_path), [fault])
-    image = decode.decode(frame, calibration, progress=progress)
+    image = decode.decode(frame, calibration, numerics=numerics, progress=progress)
     reason = image.figures.reason or decode.NO_LIGHT
     if unfit == "refuse" and reason != decode.NO_LIGHT:
         raise InputError.single(str(raw_path), "frame", "one that can be decoded", reason, "is it this camera's?")
@@ -267,9 +269,12 @@ def _capture(job: Job) -> CaptureFigures:
 
 
 def _decode(job: Job) -> DecodeFigures:
+    from metafab.decode import DecoderNumerics
+
     raw, psf, decoded = (job.folder / name for name in ("raw.h5", "psf.h5", "decoded.h5"))
-    figures = DecodeFigures.of(decode_file(raw, psf, decoded, unfit="empty", progress=job.work.progress))
-    return replace(figures, seconds=None)
+    numerics = DecoderNumerics(step_px=None if job.skips else 1)
+    image = decode_file(raw, psf, decoded, unfit="empty", numerics=numerics, progress=job.work.progress)
+    return replace(DecodeFigures.of(image), seconds=None)
 
 
 CAPTURE = Step(

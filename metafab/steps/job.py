@@ -24,11 +24,14 @@ class Job:
         design: the validated design.
         folder: run folder, created when needed.
         work: workers, cluster and progress.
+        skips: whether steps leave out work that the target errors allow to leave out
+            (:mod:`metafab.steps.summary`).
     """
 
     design: Design
     folder: Path
     work: Work = Work()
+    skips: bool = True
 
     @cached_property
     def profile(self) -> PhaseProfile:

@@ -91,10 +91,15 @@ class LibraryFigures:
 
 
 def library_path(job: Job) -> Path:
-    """Path of the built library: beside its unit-cell file, or in the run folder if that place is read-only."""
+    """Path of the built library: beside its unit-cell file, or in the run folder if that place is read-only.
+
+    A library with every size solved stands in the run folder under a name of its own.
+    """
     source = job.design.library
     if source.suffix == ".h5":
         return source
+    if not job.skips:
+        return job.folder / f"{source.stem}_every_size.h5"
     built = source.with_suffix(".h5")
     return built if os.access(source.parent, os.W_OK) else job.folder / built.name
 
@@ -113,7 +118,13 @@ def open_library(job: Job) -> Library:
     path = library_path(job)
     if not library_is_current(job):
         with job.work.processes() as executor:
-            return library.build_file(job.design.unit_cell, path, executor=executor, progress=job.work.progress)
+            return library.build_file(
+                job.design.unit_cell,
+                path,
+                executor=executor,
+                progress=job.work.progress,
+                every_size=not job.skips,
+            )
     return _OPENED.of(file_mark(path), lambda: library.load(path))
 
 

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from metafab.optics import Imaging, NeighbourField, Psf, Source, WrittenField
     from metafab.optics.measures.landing import Places
 
+#: Share of the target error that remains to blocks of the pupil and to depths where nothing is to be left out.
+UNSKIPPED_SHARE = 0.1
 #: The pillars that were read last, shared by the steps of a run.
 _READ: Latest[PillarMap] = Latest()
 
@@ -172,8 +174,14 @@ def _over_depth(psf: Psf, chosen: NDArray[np.bool_], prefix: str = "") -> dict[s
     return {prefix + name: values[chosen].tolist() for name, values in columns.items()}
 
 
-def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
-    """Depths of the PSF stack: the verified depths, and interpolation nodes over the range of the scene."""
+def calibration_depths(design: Design, imaging: Imaging, target_error: float | None = None) -> tuple[float, ...]:
+    """Depths of the PSF stack: the verified depths, and interpolation nodes over the range of the scene.
+
+    Args:
+        design: the design.
+        imaging: lens and sensor.
+        target_error: largest relative L2 error of interpolation; that of ``[verify]`` by default.
+    """
     from metafab import optics
 
     if design.scene is None:
@@ -181,7 +189,7 @@ def calibration_depths(design: Design, imaging: Imaging) -> tuple[float, ...]:
     near, far = 1.0 / design.depths_m[0], 1.0 / design.depths_m[-1]
     margin = max(DEPTH_MARGIN * (near - far), SMALLEST_MARGIN * near)
     farthest_m = 1.0 / (far - margin) if far > margin else math.inf
-    nodes = optics.depth_nodes(imaging, 1.0 / (near + margin), farthest_m, design.verify.target_error)
+    nodes = optics.depth_nodes(imaging, 1.0 / (near + margin), farthest_m, target_error or design.verify.target_error)
     return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
 
 
@@ -409,6 +417,11 @@ def _source_of(job: Job, path: Path | None, copy: int, printed: Printed | None, 
     return lit_source(job, made_mask(job, path, printed, copy).field.field)
 
 
+def _psf_error(job: Job) -> float:
+    """Target error of PSFs; without savings, blocks and depths are those of a lower one."""
+    return job.design.verify.target_error * (1.0 if job.skips else UNSKIPPED_SHARE)
+
+
 def _verified_psf(job: Job) -> Callable[..., Psf]:
     """PSF computation with the window and the target error of the design's ``[verify]``."""
     from metafab import optics
@@ -417,9 +430,7 @@ def _verified_psf(job: Job) -> Callable[..., Psf]:
     return partial(
         optics.psf,
         imaging=optics.Imaging.of(job.design),
-        numerics=optics.PsfNumerics(
-            verify.window_px, verify.target_error, filter_fwhm_nm(job.design), verify.vectorial
-        ),
+        numerics=optics.PsfNumerics(verify.window_px, _psf_error(job), filter_fwhm_nm(job.design), verify.vectorial),
         work=job.work,
     )
 
@@ -430,7 +441,7 @@ def _calibration(job: Job, source: Source) -> Psf:
     imaging = optics.Imaging.of(job.design)
     return _verified_psf(job)(
         source,
-        depths_m=calibration_depths(job.design, imaging),
+        depths_m=calibration_depths(job.design, imaging, _psf_error(job)),
         field_tangents=optics.field_tangents(job.design, imaging),
     )
 

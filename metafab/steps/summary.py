@@ -1,15 +1,18 @@
-"""Summary of a run: the figures of all steps, the error budget, and their file ``summary.json``."""
+"""Summary of a run: figures of all steps, error budget, ledger of work left out, and their file ``summary.json``."""
 
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from metafab.core.figures import PhaseFigures, ToleranceTable
 from metafab.core.storage.files import plain, write_json
-from metafab.core.storage.tables import DAMAGED, typed
+from metafab.core.storage.tables import DAMAGED, optional, typed
+from metafab.spec import Design
 from metafab.steps.images import CaptureFigures, DecodeFigures
 from metafab.steps.layout import DrcFigures, LayoutFigures
 from metafab.steps.library import LibraryFigures
@@ -47,10 +50,40 @@ class SkippedStep:
     Attributes:
         step: its name.
         why: the reason.
+        saved_s: time of the step when it ran last; None for a step that the design does not need.
     """
 
     step: str
     why: str
+    saved_s: float | None = optional()
+
+
+@dataclass(frozen=True)
+class Saving:
+    """Work that a step left out.
+
+    Attributes:
+        step: name of the step.
+        what: the pieces of work.
+        computed: number of pieces that were computed.
+        of: number of pieces without the saving; None for a continuous range.
+        why: reason for which the others need not be computed.
+        error: measured error of leaving them out; None where nothing is lost.
+        error_of: quantity of that error.
+    """
+
+    step: str
+    what: str
+    computed: int
+    of: int | None
+    why: str
+    error: float | None = optional()
+    error_of: str | None = optional()
+
+    @property
+    def share_left_out(self) -> float | None:
+        """Share of the pieces that were not computed, 0 to 1; None for a continuous range."""
+        return None if self.of is None else 1.0 - self.computed / max(self.of, 1)
 
 
 @dataclass(frozen=True)
@@ -63,6 +96,7 @@ class RunSummary:
         seconds: time of each step when it ran.
         peak_rss_mb: peak memory of each step when it ran.
         skipped: steps that this run skipped.
+        saved: work that the steps left out, in the order of the pipeline.
         versions: versions of metafab, Python and the libraries.
         coupling: figures of ``metafab coupling``; None where it was not run on this mask.
         error_budget: sources of error, in the order of the pipeline.
@@ -83,6 +117,7 @@ class RunSummary:
     seconds: dict[str, float] = field(default_factory=dict)
     peak_rss_mb: dict[str, float] = field(default_factory=dict)
     skipped: tuple[SkippedStep, ...] = ()
+    saved: tuple[Saving, ...] = ()
     versions: dict[str, str] = field(default_factory=dict)
     coupling: CouplingFigures | None = None
     error_budget: tuple[BudgetLine, ...] = ()
@@ -213,3 +248,83 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
     ]
     absent = (set() if decode else _OF_IMAGES) | (set() if layout else _OF_PILLARS)
     return tuple(line for line in lines if line.value is not None or line.source not in absent)
+
+
+def ledger(
+    design: Design,
+    library: LibraryFigures | None,
+    layout: LayoutFigures | None,
+    psf: PsfFigures | None,
+    decode: DecodeFigures | None,
+) -> tuple[Saving, ...]:
+    """Collect the savings of all steps, in the order of the pipeline, from the figures of a run."""
+    savings: list[Saving] = []
+    if library is not None:
+        savings += _of_library(library)
+    if psf is not None:
+        savings += _of_psf(design, psf, layout)
+    if decode is not None:
+        savings += _of_decode(decode)
+    return tuple(savings)
+
+
+def _of_library(library: LibraryFigures) -> Iterator[Saving]:
+    solved, total = library.points_solved, library.points_total
+    if solved is None or total is None or solved >= total:
+        return
+    why = "mirror images about the diagonal exchange x and y polarisation"
+    if not library.max_model_error:
+        yield Saving("library", "unit cells", solved, total, why)
+        return
+    why += ", and a rational model gives the other sizes; it was tested at sizes that it was not fitted to"
+    yield Saving("library", "unit cells", solved, total, why, library.max_model_error, "complex t, bound")
+
+
+def _of_psf(design: Design, psf: PsfFigures, layout: LayoutFigures | None) -> Iterator[Saving]:
+    if layout is not None and psf.blocks is not None:
+        yield Saving(
+            "psf",
+            "places on the lens",
+            round(psf.blocks),
+            layout.pillars,
+            "the path over a block of sites is expanded to second order",
+            max(psf.error),
+            "relative L2",
+        )
+    if design.scene is None:
+        return
+    yield Saving(
+        "psf",
+        "depths",
+        psf.depths,
+        None,
+        "PSFs are interpolated between depths, which stand densely enough for the target error",
+        psf.depth_interpolation_error,
+        "relative L2",
+    )
+    yield Saving(
+        "psf",
+        "directions of the field",
+        math.prod(design.verify.field_points),
+        math.prod(design.scene.field_px),
+        "PSFs are interpolated between the directions",
+        psf.field_interpolation_error,
+        "relative L2",
+    )
+
+
+def _of_decode(decode: DecodeFigures) -> Iterator[Saving]:
+    if decode.pixels is None:
+        return
+    dark = (decode.pixels_without_signal or 0) + (decode.pixels_broken or 0)
+    if dark:
+        why = "pixels without light, saturated ones and those that are no number hold no depth"
+        yield Saving("decode", "pixels", decode.pixels - dark, decode.pixels, why)
+    if decode.step_px is not None and decode.step_px > 1:
+        yield Saving(
+            "decode",
+            "compared pixels",
+            math.ceil(decode.pixels / decode.step_px**2),
+            decode.pixels,
+            "the compared pixels keep 90 % of the Fisher information about depth, or more",
+        )

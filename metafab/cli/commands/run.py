@@ -79,16 +79,24 @@ def new_command(
 
 @app.command("run")
 def run_command(
-    design: DesignFile, output: Output = None, workers: Workers = None, cluster: Cluster = None, json_: Json = False
+    design: DesignFile,
+    output: Output = None,
+    workers: Workers = None,
+    cluster: Cluster = None,
+    skip: Annotated[
+        bool,
+        typer.Option("--skip/--no-skip", help="Leave out what need not be computed; the ledger is in the report."),
+    ] = True,
+    json_: Json = False,
 ) -> None:
     """Run the whole pipeline, from unit cell to report; steps that are up to date are skipped."""
     from metafab.run import run
     from metafab.spec import load_design
 
     spec = load_design(design)
-    folder = output or Path("runs") / spec.name
+    folder = output or Path("runs") / (spec.name if skip else f"{spec.name}_no_skip")
     with open_work(workers, cluster) as work:
-        summary = run(spec, folder, work=work, say=announce)
+        summary = run(spec, folder, work=work, skips=skip, say=announce)
     if summary.library is not None:
         announce(coverage_warning(summary.library.coverage_rad))
     if summary.layout is not None:

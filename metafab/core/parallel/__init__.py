@@ -2,6 +2,7 @@
 
 - ``work``        Work: workers, cluster and progress of a long computation
 - ``executor``    executors over processes, threads or a Dask cluster, and streams of results
+- ``cluster``     executor over a Dask cluster, watch over its scheduler and workers
 - ``forked``      short work in forked processes
 - ``interrupts``  Ctrl-C and SIGTERM
 - ``progress``    the progress callback

@@ -13,13 +13,14 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
-from functools import partial
 from itertools import islice
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
-from metafab.core.errors import InputError, MissingToolError
+from metafab.core.errors import InputError
+from metafab.core.parallel.cluster import ClusterExecutor, open_cluster
 from metafab.core.parallel.orphans import end_with_parent
 from metafab.core.parallel.processes import WorkerProcesses
+from metafab.core.parallel.progress import Progress, silent
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -42,43 +43,6 @@ class SerialExecutor(Executor):
         return future
 
 
-class ClusterExecutor(Executor):
-    """Executor over the workers of a Dask cluster.
-
-    Args:
-        client: a ``distributed.Client``; the caller closes it.
-    """
-
-    def __init__(self, client: Any) -> None:
-        self._client = client
-        self._calls = client.get_executor()
-
-    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
-        """Call ``fn`` on a worker; Dask repeats a call whose worker dies."""
-        return cast("Future[Result]", self._calls.submit(fn, *args, **kwargs))
-
-    def submit_with(self, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
-        """Return a callable that submits ``function`` of an item and sends ``function`` to each worker only once.
-
-        ``function`` is held as a task result, which Dask recomputes if every worker that holds it dies.
-        """
-        shared = self._client.submit(_same, function, pure=False)
-        return partial(self.submit, _call, shared)
-
-    @property
-    def slots(self) -> int:
-        """Number of calls that can run at the same time."""
-        return max(1, int(sum(self._client.nthreads().values())))
-
-
-def _same(function: Callable[[Item], Result]) -> Callable[[Item], Result]:
-    return function
-
-
-def _call(function: Callable[[Item], Result], item: Item) -> Result:
-    return function(item)
-
-
 def default_workers() -> int:
     """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
@@ -97,32 +61,23 @@ def _single_threaded() -> None:
 
 
 @contextmanager
-def open_executor(workers: int | None = None, cluster: str | None = None) -> Iterator[Executor]:
+def open_executor(
+    workers: int | None = None, cluster: str | None = None, progress: Progress = silent
+) -> Iterator[Executor]:
     """Open an executor over ``workers`` processes, or over the Dask scheduler at ``cluster``.
 
+    Args:
+        workers: number of processes; None for all cores.
+        cluster: address of the scheduler; None for this machine.
+        progress: called while the cluster has no worker.
+
     Raises:
-        InputError: ``workers`` is below one.
-        MissingToolError: ``cluster`` is given but dask distributed is not installed.
+        InputError: ``workers`` is below one, or no scheduler answers.
+        MissingToolError, ClusterLostError: as :func:`metafab.core.parallel.cluster.open_cluster`.
     """
     if cluster is not None:
-        try:
-            import distributed
-        except ImportError as error:
-            raise MissingToolError("`--cluster` needs Dask: pip install 'metafab[cluster]'") from error
-        try:
-            client: Any = distributed.Client(cluster)  # type: ignore[no-untyped-call]
-        except (OSError, ValueError) as error:
-            raise InputError.single(
-                "--cluster",
-                "address",
-                "the address of a running Dask scheduler",
-                f"{cluster} ({error})",
-                "start one with `dask scheduler` and give the address that it prints",
-            ) from error
-        try:
-            yield ClusterExecutor(client)
-        finally:
-            client.close()
+        with open_cluster(cluster, progress) as calls:
+            yield calls
         return
     count = default_workers() if workers is None else workers
     if count < 1:
@@ -145,13 +100,17 @@ def open_executor(workers: int | None = None, cluster: str | None = None) -> Ite
                 os.environ[name] = value
 
 
-def open_threads(workers: int | None = None, cluster: str | None = None) -> AbstractContextManager[Executor]:
+def open_threads(
+    workers: int | None = None, cluster: str | None = None, progress: Progress = silent
+) -> AbstractContextManager[Executor]:
     """Open an executor over threads of this process (for work that releases the interpreter lock), or a cluster.
 
     Raises:
-        InputError, MissingToolError: as :func:`open_executor`.
+        InputError, MissingToolError, ClusterLostError: as :func:`open_executor`.
     """
-    return ThreadPoolExecutor(workers or default_workers()) if cluster is None else open_executor(cluster=cluster)
+    if cluster is not None:
+        return open_executor(cluster=cluster, progress=progress)
+    return ThreadPoolExecutor(workers or default_workers())
 
 
 @contextmanager

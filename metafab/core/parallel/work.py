@@ -30,9 +30,10 @@ class Work:
         Raises:
             InputError: ``workers`` is below one.
             MissingToolError: ``cluster`` is set but Dask is not installed.
+            ClusterLostError: the scheduler goes away within the block.
         """
-        return open_executor(self.workers, self.cluster)
+        return open_executor(self.workers, self.cluster, self.progress)
 
     def threads(self) -> AbstractContextManager[Executor]:
         """Open an executor over threads of this process, or over the cluster."""
-        return open_threads(self.workers, self.cluster)
+        return open_threads(self.workers, self.cluster, self.progress)

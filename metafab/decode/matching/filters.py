@@ -72,7 +72,13 @@ class CrossFilters:
 
     @classmethod
     def of(
-        cls, calibration: Calibration, vergences_per_m: FloatArray, basis_error: float, *, compensate: bool = True
+        cls,
+        calibration: Calibration,
+        vergences_per_m: FloatArray,
+        basis_error: float,
+        *,
+        compensate: bool = True,
+        step: int | None = None,
     ) -> CrossFilters:
         """Compute the filters of a calibration.
 
@@ -81,9 +87,10 @@ class CrossFilters:
             vergences_per_m: shape (n_candidates,), 1/depth, equally spaced.
             basis_error: relative L2 error of the mixtures; a larger one is faster.
             compensate: whether to correct the filters for the pair's change over the field.
+            step: pixels from one compared pixel to the next; by default :func:`coarsest_step`.
         """
         grid = calibration.grid
-        step = coarsest_step(calibration)
+        step = step or coarsest_step(calibration)
         downsampling = Downsampling(step, grid.shape, grid.margin)
         filters, power = _cross_filters(calibration, vergences_per_m, step, compensate)
         basis, of_field_points = low_rank(filters, power, step, basis_error)

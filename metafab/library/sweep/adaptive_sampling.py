@@ -159,7 +159,11 @@ def fit_solved(
 
 
 def sample_grid(
-    grid: SizeGrid, solve_sizes: PointSolver, tolerance: float, fit: FitModels = fit_solved
+    grid: SizeGrid,
+    solve_sizes: PointSolver,
+    tolerance: float,
+    fit: FitModels = fit_solved,
+    first_round: int = FIRST_ROUND,
 ) -> GridSampling:
     """Solve sizes until the model's error estimate is within the tolerance at every other size.
 
@@ -168,8 +172,9 @@ def sample_grid(
         solve_sizes: solves sizes by number.
         tolerance: largest error of the model.
         fit: fits the models.
+        first_round: number of sizes of the first round.
     """
-    batch = grid.even_order if grid.diagonal else grid.even_order[:FIRST_ROUND]
+    batch = grid.even_order if grid.diagonal else grid.even_order[:first_round]
     solved = solve_sizes(batch, batch.size)
     ranking, left, factor, rounds = batch[-(batch.size // 4) :], 0, 1.0, 1
     while len(solved) < grid.distinct.size:

@@ -22,7 +22,7 @@ from metafab.library.corners import Corners
 from metafab.library.fit.size_grid import SizeGrid
 from metafab.library.library import BuildStatistics, BuildTime, Library, inputs_of
 from metafab.library.store import is_current, load, save
-from metafab.library.sweep.adaptive_sampling import GridSampling, PointSolver, amplitudes_of, sample_grid
+from metafab.library.sweep.adaptive_sampling import FIRST_ROUND, GridSampling, PointSolver, amplitudes_of, sample_grid
 from metafab.library.sweep.checkpoint import Checkpoint
 from metafab.library.sweep.corner_sampling import CornerNumerics, CornerSequence, sample_corners
 from metafab.library.sweep.off_grid import OffGridSampler, OffGridSampling, RoundLimits
@@ -45,10 +45,12 @@ class BuildNumerics:
     """Size of the adaptive sampling beyond the grid of sizes.
 
     Attributes:
+        every_size: solve every distinct size of the grid, none by a model.
         off_grid: rounds between the sizes of the grid.
         corners: sampling over the axes of the sweep.
     """
 
+    every_size: bool = False
     off_grid: RoundLimits = field(default_factory=RoundLimits)
     corners: CornerNumerics = field(default_factory=CornerNumerics)
 
@@ -108,6 +110,7 @@ def build_file(
     executor: Executor | None = None,
     progress: Progress = silent,
     solver: CellSolver = solve,
+    numerics: BuildNumerics = BuildNumerics(),
 ) -> Library:
     """Build a library and save it; a killed build continues where it stopped.
 
@@ -121,6 +124,7 @@ def build_file(
         executor: runs the solver; None for this process.
         progress: called with the number of solved sizes and the expected number.
         solver: solves one unit cell; must be importable by the workers.
+        numerics: size of the adaptive sampling.
 
     Returns:
         The library as saved.
@@ -134,7 +138,7 @@ def build_file(
         if record.waited and is_current(path, unit_cell):
             built = load(path)
         else:
-            built = _build(unit_cell, record, executor or SerialExecutor(), progress, solver, BuildNumerics())
+            built = _build(unit_cell, record, executor or SerialExecutor(), progress, solver, numerics)
             save(built, path)
         record.remove()
     return built
@@ -195,7 +199,8 @@ def _build(
     with threadpool_limits(1):
         cell_numerics = CellNumerics(SOLVER_SHARE * target, unit_cell.solver.name)
         sizes = PointSolver(partial(grid.cell, unit_cell), cell_numerics, solver, executor, record, progress)
-        sampling = sample_grid(grid, sizes, tolerance)
+        first_round = grid.size if numerics.every_size else FIRST_ROUND
+        sampling = sample_grid(grid, sizes, tolerance, first_round=first_round)
         sampler = OffGridSampler(unit_cell, sampling, sizes, numerics.off_grid)
         off_grid = sampler.sample_disagreement(tolerance)
         off_grid = sampler.sample_steep_places(off_grid, (SOLVER_SHARE + MODEL_SHARE) * target)

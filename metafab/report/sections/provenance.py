@@ -1,4 +1,4 @@
-"""Skipped steps, versions and files of a run."""
+"""Skipped work, versions and files of a run."""
 
 from __future__ import annotations
 
@@ -6,19 +6,33 @@ from html import escape
 
 from metafab.report import html
 from metafab.report.run_folder import RunFolder
-from metafab.steps.summary import SUMMARY_FILE, UNCHANGED
+from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, Saving
 
 
-def skipped_steps(run: RunFolder) -> str:
-    """Steps that the design does not need. Times and memory stand in ``summary.json`` alone: pages do not tell time."""
-    rows = [[escape(entry.step), html.prose(entry.why)] for entry in run.summary.skipped if entry.why != UNCHANGED]
+def skipped(run: RunFolder) -> str:
+    """Steps that the design does not need, and work that the others left out.
+
+    Times and memory stand in ``summary.json`` alone: pages do not tell time.
+    """
+    steps = [[escape(entry.step), html.prose(entry.why)] for entry in run.summary.skipped if entry.why != UNCHANGED]
+    savings = [_saving(entry) for entry in run.summary.saved]
+    unneeded = html.note("the design needs every step")
+    if steps:
+        unneeded = html.table(["skipped step", "reason"], steps, kind="stack")
+    head = ["step", "left out", "computed", "of", "safe because", "error"]
     return html.section(
         "skipped",
-        "Skipped steps",
-        html.table(["skipped step", "reason"], rows, kind="stack")
-        if rows
-        else html.note("the design needs every step"),
+        "Skipped work",
+        unneeded,
+        html.table(head, savings, ["", "", "n", "n", "", ""]) if savings else "",
     )
+
+
+def _saving(entry: Saving) -> list[str]:
+    """Row of a saving."""
+    of = "any" if entry.of is None else html.number(entry.of)
+    error = html.number(entry.error, 2) + (f" ({escape(entry.error_of)})" if entry.error_of else "")
+    return [entry.step, entry.what, html.number(entry.computed), of, html.prose(entry.why), error]
 
 
 def provenance(run: RunFolder) -> str:

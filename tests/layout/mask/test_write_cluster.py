@@ -14,7 +14,8 @@ import pytest
 
 from metafab import drc, layout, mask
 from metafab.core.errors import InputError
-from metafab.core.parallel.executor import ClusterExecutor, in_order, open_executor
+from metafab.core.parallel.cluster import ClusterExecutor
+from metafab.core.parallel.executor import in_order, open_executor
 from metafab.core.parallel.work import Work
 from metafab.layout import Assignment
 from metafab.library import Library

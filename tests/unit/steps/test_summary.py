@@ -1,4 +1,4 @@
-"""What full-wave rows found enters the error budget of the mask that they were cut from, and of no other."""
+"""Error budget and ledger of a run: what full-wave rows found enters that of the mask that they were cut from alone."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from metafab.steps.layout import LayoutFigures, mask_paths
 from metafab.steps.library import LibraryFigures
 from metafab.steps.merit import CouplingFigures, recorded_coupling
 from metafab.steps.optics import PsfFigures
-from metafab.steps.summary import BudgetLine, RunSummary, error_budget
+from metafab.steps.summary import BudgetLine, RunSummary, Saving, error_budget, ledger
+from tests.closed_form_run import run_summary
 
 ROW = CouplingRow(600.0, 0.0, "x", "y", "rcwa", 21, 1, 6.2, 0.8, 0.9, 0.03, 0.12, 0.01, 2.0)
 LAYOUT = LayoutFigures(1, 1, None, 0.1, 0.9, 0.9, 0.9, 1.0, 1.0, 1.0, 0.9, 0.9, 0.9, (0.0, 0.0), ())
@@ -99,3 +100,32 @@ def test_the_model_of_neighbours_replaces_the_approximation_where_the_psf_used_i
         }
         assert lines[source].value == value
         assert len({"local-period approximation", "model of unlike neighbours"} & lines.keys()) == 1
+
+
+def test_a_run_without_figures_saves_nothing(small_design: Design) -> None:
+    assert ledger(small_design, None, None, None, None) == ()
+
+
+def test_each_saving_has_its_numbers_and_its_error(small_design: Design) -> None:
+    summary = run_summary()
+    assert summary.library is not None
+    library = replace(summary.library, max_model_error=3e-4)
+    savings = ledger(small_design, library, summary.layout, summary.psf, summary.decode)
+    cells = savings[0]
+    assert (cells.step, cells.computed, cells.of, cells.error) == ("library", 120, 5776, 3e-4)
+    assert cells.share_left_out == pytest.approx(1.0 - 120 / 5776)
+    by_name = {(entry.step, entry.what): entry for entry in savings}
+    depths = by_name["psf", "depths"]
+    assert depths.of is None
+    assert depths.share_left_out is None
+    rows, columns = small_design.scene.field_px if small_design.scene else (0, 0)
+    assert by_name["psf", "directions of the field"].of == rows * columns
+
+
+def test_mirror_images_alone_lose_nothing(small_design: Design) -> None:
+    library = run_summary().library
+    assert library is not None
+    (only,) = ledger(small_design, replace(library, max_model_error=0.0), None, None, None)
+    assert only == Saving(
+        "library", "unit cells", 120, 5776, "mirror images about the diagonal exchange x and y polarisation"
+    )

@@ -1,0 +1,133 @@
+"""Executor over the workers of a Dask cluster, and the watch over its scheduler and its workers."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, Future
+from contextlib import contextmanager, suppress
+from functools import partial
+from typing import Any, TypeVar, cast
+
+from metafab.core.errors import ClusterLostError, InputError, MissingToolError
+from metafab.core.parallel.progress import Progress, silent
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+#: Time without any worker after which a warning is logged (s).
+PATIENCE_S = 30.0
+#: Time between two looks at the number of workers (s).
+_LOOK_EVERY_S = 2.0
+#: Longest time for taking leave of a scheduler that does not answer (s).
+_CLOSE_S = 3.0
+
+_log = logging.getLogger(__name__)
+
+
+class ClusterExecutor(Executor):
+    """Executor over the workers of a Dask cluster.
+
+    Args:
+        client: a ``distributed.Client``; the caller closes it.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._calls = client.get_executor()
+
+    def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
+        """Call ``fn`` on a worker; Dask repeats a call whose worker dies."""
+        return cast("Future[Result]", self._calls.submit(fn, *args, **kwargs))
+
+    def submit_with(self, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:
+        """Return a callable that submits ``function`` of an item and sends ``function`` to each worker only once.
+
+        ``function`` is held as a task result, which Dask recomputes if every worker that holds it dies.
+        """
+        shared = self._client.submit(_same, function, pure=False)
+        return partial(self.submit, _call, shared)
+
+    @property
+    def slots(self) -> int:
+        """Number of calls that can run at the same time."""
+        return max(1, int(sum(self._client.nthreads().values())))
+
+
+def _same(function: Callable[[Item], Result]) -> Callable[[Item], Result]:
+    return function
+
+
+def _call(function: Callable[[Item], Result], item: Item) -> Result:
+    return function(item)
+
+
+@contextmanager
+def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterExecutor]:
+    """Open an executor over the Dask scheduler at ``address``.
+
+    While the cluster has no worker, calls wait for one; after :data:`PATIENCE_S`, a warning is logged and the wait is
+    reported as progress.
+
+    Args:
+        address: address of the scheduler.
+        progress: called while the cluster has no worker.
+
+    Raises:
+        MissingToolError: dask distributed is not installed.
+        InputError: no scheduler answers at the address.
+        ClusterLostError: the scheduler goes away within the block.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingToolError("`--cluster` needs Dask: pip install 'metafab[cluster]'") from error
+    try:
+        client: Any = distributed.Client(address)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise InputError.single(
+            "--cluster",
+            "address",
+            "the address of a running Dask scheduler",
+            f"{address} ({error})",
+            "start one with `dask scheduler` and give the address that it prints",
+        ) from error
+    ended = threading.Event()
+    threading.Thread(target=_watch_workers, args=(client, address, progress, ended), daemon=True).start()
+    try:
+        yield ClusterExecutor(client)
+    except (CancelledError, OSError, RuntimeError) as error:
+        # Dask cancels all futures as soon as the connection to the scheduler closes, and then refuses calls.
+        if client.status == "running":
+            raise
+        raise ClusterLostError(address) from error
+    finally:
+        ended.set()
+        with suppress(TimeoutError, OSError):
+            client.close(timeout=_CLOSE_S)
+
+
+def _watch_workers(client: Any, address: str, progress: Progress, ended: threading.Event) -> None:
+    """Report the time without any worker, until ``ended`` is set."""
+    step = "waiting for a worker"
+    since, warned = time.monotonic(), False
+    while not ended.wait(_LOOK_EVERY_S):
+        try:
+            has_workers = bool(client.nthreads())
+        except Exception:  # Of a scheduler that goes away, whatever Dask raises: the caller gets its own error.
+            return
+        if has_workers:
+            if warned:
+                progress(step, 1.0, 1.0)
+                _log.warning("the cluster at %s has workers again", address)
+            since, warned = time.monotonic(), False
+            continue
+        waited_s = time.monotonic() - since
+        if waited_s >= PATIENCE_S and not warned:
+            warned = True
+            remedy = "start some with `dask worker %s`, or end this with Ctrl-C: what is finished is kept"
+            _log.warning("the cluster at %s has had no worker for %.0f s; " + remedy, address, waited_s, address)
+        if warned:
+            progress(step, waited_s, 2.0 * waited_s)
