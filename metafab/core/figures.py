@@ -80,6 +80,8 @@ class MappingFigures:
         mean_transmittance: power transmittance, mean over pillars and polarisations.
         field_overlap: |<target, t>|^2 / (<target, target> <t, t>), mean of both polarisations.
         efficiency: transmittance times overlap, the share of power in the wanted wave, mean of both polarisations.
+        neighbour_efficiency: that share by the library's model of neighbours, where sizes were chosen by it.
+        neighbour_efficiency_before: the same of the sizes that suit lone pillars best.
         library_error: error bound of the library in complex t, rms over the pillars.
         worst_library_error: largest error bound of a size that is used.
         doubtful_pillars: number of pillars whose size is beyond the library's target error.
@@ -98,6 +100,8 @@ class MappingFigures:
     efficiency: float
     efficiency_x: float
     efficiency_y: float
+    neighbour_efficiency: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
+    neighbour_efficiency_before: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     library_error: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     worst_library_error: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     doubtful_pillars: int | None = field(default=None, metadata={"optional": True}, kw_only=True)

@@ -17,7 +17,7 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import plain
 from metafab.layout.aperture import Aperture
 from metafab.layout.figures import TileSums
-from metafab.layout.gap_rule import allowed_sizes, joint_sizes
+from metafab.layout.gap_rule import allowed_sizes, joint_sizes, neighbour_choice
 from metafab.layout.geometry import tile_sites
 from metafab.layout.mapping import TileMapping
 from metafab.layout.outlines import Outline
@@ -124,9 +124,10 @@ def mapping_of(profile: PhaseProfile, library: Library, design: Design) -> TileM
     each = allowed_sizes(library, design)
     aperture = Aperture.of(design)
     joint = joint_sizes(library, design, each, aperture.lattice)
+    choice = neighbour_choice(library, design, each)
     offsets = constant_phases(profile, each, aperture)
     table = each if joint is None else joint.table
-    return TileMapping(profile, table, aperture, offsets, tile_sites(design), joint, Outline.of(design))
+    return TileMapping(profile, table, aperture, offsets, tile_sites(design), joint, choice, Outline.of(design))
 
 
 def constant_phases(profile: PhaseProfile, table: SizeTable, aperture: Aperture) -> tuple[float, float]:

@@ -29,6 +29,8 @@ class TileSums:
         used: shape (n_sizes + 1,), number of pillars of each size.
         smallest_gap_dbu: over all pairs with a pillar in the tile, neighbours in other tiles included.
         each: sums of the sizes that keep the gap independently, where sizes were then chosen jointly.
+        among: shape (2, 2), overlaps by the model of neighbours, of the sizes that suit lone pillars best and of those
+            chosen among neighbours, for x and y polarisation; None without that choice.
     """
 
     pillars: int
@@ -38,6 +40,7 @@ class TileSums:
     used: NDArray[np.int64]
     smallest_gap_dbu: float
     each: TileSums | None = None
+    among: ComplexArray | None = None
 
     @classmethod
     def of(
@@ -69,6 +72,7 @@ class TileSums:
             self.used + other.used,
             min(self.smallest_gap_dbu, other.smallest_gap_dbu),
             self.each + other.each if self.each and other.each else None,
+            None if self.among is None or other.among is None else self.among + other.among,
         )
 
     def figures(self, library: Library, table: SizeTable) -> MappingFigures:
@@ -76,10 +80,16 @@ class TileSums:
         from metafab.cell import pillar_cell
 
         cell = pillar_cell(library.unit_cell, 0.0, 0.0)
-        media = zip(self.power, cell.n_in, cell.n_out, strict=True)
-        transmittance = np.array([power_transmittance(np.sqrt(p / self.pillars), a, b) for p, a, b in media])
+        media = list(zip(cell.n_in, cell.n_out, strict=True))
+
+        def relative_power(amplitude: ComplexArray | FloatArray) -> FloatArray:
+            """Power of amplitudes of x and y polarisation over the incident power, shape (2,)."""
+            return np.array([power_transmittance(t, *indices) for t, indices in zip(amplitude, media, strict=True)])
+
+        transmittance = relative_power(np.sqrt(self.power / self.pillars))
         overlap = np.abs(self.overlap) ** 2 / (self.pillars * self.power)
         efficiency = transmittance * overlap
+        among = None if self.among is None else [relative_power(sums / self.pillars).mean() for sums in self.among]
         gap_dbu = self.smallest_gap_dbu
         used = self.used > 0
         return MappingFigures(
@@ -96,6 +106,8 @@ class TileSums:
             efficiency=float(efficiency.mean()),
             efficiency_x=float(efficiency[0]),
             efficiency_y=float(efficiency[1]),
+            neighbour_efficiency=None if among is None else float(among[1]),
+            neighbour_efficiency_before=None if among is None else float(among[0]),
             library_error=float(np.sqrt(self.used @ table.error**2 / self.pillars)),
             worst_library_error=float(table.error[used].max()),
             doubtful_pillars=int(self.used[table.error > library.unit_cell.sweep.target_error].sum()),

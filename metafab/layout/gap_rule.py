@@ -13,10 +13,14 @@ Gaps are measured by :mod:`metafab.layout.gaps`, and :mod:`metafab.drc` checks t
 
 from __future__ import annotations
 
+import numpy as np
+
 from metafab.layout.joint import JointSizes
 from metafab.layout.outlines import Outline
 from metafab.layout.pillars import Lattice
 from metafab.library import Library, SizeTable, build_size_table
+from metafab.library.neighbours import require_neighbours
+from metafab.library.neighbours.choice import NeighbourChoice
 from metafab.spec import Design
 
 
@@ -42,6 +46,23 @@ def allowed_sizes(library: Library, design: Design) -> SizeTable:
         cd_sigma_nm=design.rules.cd_sigma_nm,
         isotropic=design.rules.polarisation_independent,
     )
+
+
+def neighbour_choice(library: Library, design: Design, each: SizeTable) -> NeighbourChoice | None:
+    """Return the choice of sizes for their light among neighbours, if ``rules.neighbours`` asks for it.
+
+    Args:
+        library: library with a model of neighbours.
+        design: rules.
+        each: sizes that are allowed at every site, as :func:`allowed_sizes` returns them.
+
+    Raises:
+        InputError: the library has no model of neighbours.
+    """
+    if not design.rules.neighbours:
+        return None
+    size_nm = np.multiply(each.size_dbu, each.database_unit_nm, dtype=np.float64)
+    return NeighbourChoice.of(require_neighbours(library), size_nm, each.t)
 
 
 def joint_sizes(library: Library, design: Design, each: SizeTable, lattice: Lattice) -> JointSizes | None:

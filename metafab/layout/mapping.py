@@ -14,6 +14,8 @@ from metafab.layout.joint import JointSizes, reach_sites
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import PillarTile, SizeIndexArray
 from metafab.library import SizeTable
+from metafab.library.neighbours.choice import NeighbourChoice
+from metafab.library.neighbours.windows import HALO_SITES
 from metafab.phase.terms.profile import PhaseProfile
 
 
@@ -28,6 +30,7 @@ class TileMapping:
         offset_rad: constants added to the target phases of x and y polarisation.
         tile_sites: sites per side of a tile.
         joint: chooses sizes jointly, starting from the look-up table; None where every pillar keeps the gap alone.
+        choice: chooses sizes for their light among neighbours, starting likewise; None where the library's t counts.
         outline: outline of the pillars, for their gaps.
     """
 
@@ -37,6 +40,7 @@ class TileMapping:
     offset_rad: tuple[float, float]
     tile_sites: int
     joint: JointSizes | None = None
+    choice: NeighbourChoice | None = None
     outline: Outline = RECTANGLE
 
     def corners(self) -> list[tuple[int, int]]:
@@ -47,7 +51,11 @@ class TileMapping:
     def __call__(self, corner: tuple[int, int]) -> tuple[PillarTile, TileSums]:
         """Map the tile whose first site is ``corner``, (row, column)."""
         lattice = self.aperture.lattice
-        halo = np.array(lattice.reach) if self.joint is None else np.add(lattice.reach, reach_sites(lattice))
+        halo = np.array(lattice.reach)
+        if self.joint is not None:
+            halo += reach_sites(lattice)
+        if self.choice is not None:
+            halo += HALO_SITES
         row, column = np.maximum(np.subtract(corner, halo), 0).tolist()
         last_row, last_column = np.minimum(np.add(corner, self.tile_sites + halo), lattice.shape).tolist()
         target = self.profile(lattice.x_um()[column:last_column], lattice.y_um()[row:last_row])
@@ -55,6 +63,11 @@ class TileMapping:
         sizes = self.table.sizes_for(target[0], target[1])
         sizes *= self.aperture.inside(row, column, sizes.shape)
         inset = corner[0] - row, corner[1] - column
+        if self.choice is not None:
+            fields = self.choice.improve(sizes, target)
+            tile, sums = self._tile(corner, inset, sizes, target)
+            core = np.s_[:, inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
+            return tile, replace(sums, among=np.array([field[core].sum(axis=(1, 2)) for field in fields]))
         tile, sums = self._tile(corner, inset, sizes, target)
         if self.joint is None:
             return tile, sums

@@ -105,6 +105,8 @@ class Rules:
     cd_sigma_nm: NonNegative = 0.0
     """Standard deviation of a common bias of width and length in fabrication; the mapping then avoids sizes with a
     steep phase."""
+    neighbours: Flag = False
+    """Choose sizes for the light that pillars have among their neighbours, by the library's model of them."""
     polarisation_independent: Flag = False
     """Use only sizes that respond equally to both polarisations by symmetry: equal width and length, or crosses, in a
     square cell."""
@@ -113,6 +115,8 @@ class Rules:
     def _one_weight(self) -> Rules:
         if self.cd_sigma_nm and self.gap_rule == "pairs":
             raise ValueError('`cd_sigma_nm` weighs sizes one by one; it goes with `gap_rule = "each"`')
+        if self.neighbours and (self.gap_rule == "pairs" or self.cd_sigma_nm):
+            raise ValueError('`neighbours` goes with `gap_rule = "each"` and `cd_sigma_nm = 0`')
         return self
 
 

@@ -18,6 +18,7 @@ def require_turnable(design: Design) -> None:
         "unit_cell.cell.shape": cell.shape != "rectangle",
         "rules.gap_rule": rules.gap_rule != "each",
         "rules.cd_sigma_nm": rules.cd_sigma_nm > 0.0,
+        "rules.neighbours": rules.neighbours,
         "rules.polarisation_independent": rules.polarisation_independent,
         "mask.tone": mask.tone == "inverted",
         "mask.draw_corners": mask.draw_corners and bool(cell.corner_radius_nm),

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander2d
+from numpy.polynomial.chebyshev import chebder, chebval, chebvander, chebvander2d
 from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
@@ -129,6 +129,18 @@ class LineModel:
         i, j = self.shape.powers.T
         degree = self.shape.degree
         return np.asarray(chebvander2d(along, across, (degree, degree))[..., i * (degree + 1) + j], dtype=np.float64)
+
+    def polynomial_slopes(self, size_nm: FloatArray) -> FloatArray:
+        """Derivatives of the terms by both sizes, shape (n, 2) to (2, n, terms), per nm."""
+        degree = self.shape.degree
+        i, j = self.shape.powers.T
+        values, slopes = [], []
+        for k, span in enumerate((self.along_nm, self.across_nm)):
+            scale = 2.0 / max(span[1] - span[0], 1e-9)
+            at = scale * (size_nm[:, k] - 0.5 * (span[0] + span[1]))
+            values.append(chebvander(at, degree))
+            slopes.append(scale * chebval(at, chebder(np.eye(degree + 1))).T)
+        return np.stack([slopes[0][:, i] * values[1][:, j], values[0][:, i] * slopes[1][:, j]])
 
     def site_matrix(self, terms: FloatArray) -> ComplexArray:
         """H at sites with polynomial values ``terms``, shape (..., terms) to (..., modes, modes)."""

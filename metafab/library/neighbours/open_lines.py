@@ -6,6 +6,12 @@ The matrix of a chain is symmetric. Its elimination from one end to the other ne
 
 Lines are solved side by side, so that the innermost loops run over lines and use the vector units. Single precision:
 the amplitudes of random lines differ from those in double precision by 1e-5.
+
+A sum of the field of all sites, F = sum_m w_m y_m, changes with the size of one pillar. The same elimination with the
+light that each mode adds to the sum as its right side, q_m = w_m e_m + w_{m+1} g_m + w_{m-1} Pi g_m, gives the adjoint
+amplitudes b, and the derivative by the size s of site m (:func:`open_line_slopes`) is that of
+
+    w_m e(s) a_m + (w_{m+1} + w_{m-1} Pi) g(s) a_m + b_m c(s) - b_m H(s) a_m - w_m y(s).
 """
 
 from __future__ import annotations
@@ -18,7 +24,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.library.neighbours.line import LineModel
-from metafab.library.neighbours.solve import uniform_field
+from metafab.library.neighbours.solve import uniform_field, uniform_slopes
 
 SingleArray = NDArray[np.float32]
 IndexArray = NDArray[np.uint16]
@@ -41,6 +47,9 @@ class SizeTables:
         uniform: shape (2, sizes), y in a line of equal pillars.
         hop: shape (2, modes, modes), W.
         even: number of even modes, which come first.
+        pairs: shape (2, n_pairs), (r, s) of the free elements of H.
+        slope: shape (2, sizes, 2, n), derivatives of e, g, c, the free elements of H, and y by the size along and
+            across the line, per nm.
     """
 
     site: SingleArray
@@ -50,20 +59,26 @@ class SizeTables:
     uniform: SingleArray
     hop: SingleArray
     even: int
+    pairs: NDArray[np.intp]
+    slope: SingleArray
 
     @classmethod
     def of(cls, model: LineModel, size_nm: FloatArray) -> SizeTables:
         """Tables of sizes, shape (sizes, 2), along and across the line; (0, 0) is a site without a pillar."""
         shape = model.shape
         pillar = np.all(size_nm > 0.0, axis=1)
-        terms = model.polynomials(np.where(pillar[:, None], size_nm, model.along_nm[0]))
+        filled_nm = np.where(pillar[:, None], size_nm, model.along_nm[0])
+        terms, d_terms = model.polynomials(filled_nm), model.polynomial_slopes(filled_nm)
         r, s = np.triu_indices(shape.modes)
         site = model.site_matrix(terms)[:, r, s]
         site[~pillar] = np.where(r == s, _NO_PILLAR, 0.0)
         source, own = (np.zeros((len(size_nm), shape.modes), dtype=np.complex128) for _ in range(2))
         source[:, : shape.even], own[:, : shape.even] = terms @ model.source, terms @ model.own
         side, uniform = terms @ model.side, uniform_field(model, terms)
-        for values in (source, own, side, uniform):
+        d_uniform = uniform_slopes(model, terms, d_terms)[..., None]
+        d_parameters = (d_terms @ parameter for parameter in (model.own, model.side, model.source, model.site))
+        slope = np.concatenate([*d_parameters, d_uniform], axis=-1).transpose(1, 0, 2)
+        for values in (source, own, side, uniform, slope):
             values[~pillar] = 0.0
         return cls(
             _parts(site),
@@ -73,6 +88,8 @@ class SizeTables:
             _parts(uniform),
             _parts(model.hop_matrix),
             shape.even,
+            np.array(shape.pairs),
+            _parts(slope),
         )
 
 
@@ -86,7 +103,29 @@ def open_line_corrections(tables: SizeTables, size_index: IndexArray) -> Complex
     Returns:
         Shape (lines, sites), complex64.
     """
+    return _solved(tables, size_index, np.zeros((2, 0, 0), dtype=np.float32))[0]
+
+
+def open_line_slopes(
+    tables: SizeTables, size_index: IndexArray, weight: ComplexArray
+) -> tuple[ComplexArray, SingleArray]:
+    """:func:`open_line_corrections`, and the derivatives of their weighted sum by the size of each pillar.
+
+    Args:
+        tables: tables of the sizes.
+        size_index: shape (lines, sites), sizes of the pillars.
+        weight: shape (lines, sites), w of the sum; 0 where no pillar stands.
+
+    Returns:
+        Corrections, shape (lines, sites), and derivatives of Re F by the size along and across the line, shape (lines,
+        sites, 2), per nm.
+    """
+    return _solved(tables, size_index, _parts(weight))
+
+
+def _solved(tables: SizeTables, size_index: IndexArray, weight: SingleArray) -> tuple[ComplexArray, SingleArray]:
     corrections = np.empty((2, *size_index.shape), dtype=np.float32)
+    slopes = np.empty((*weight.shape[1:], 2), dtype=np.float32)
     _solve_lines(
         np.ascontiguousarray(size_index),
         tables.site,
@@ -96,9 +135,13 @@ def open_line_corrections(tables: SizeTables, size_index: IndexArray) -> Complex
         tables.uniform,
         tables.hop,
         tables.even,
+        tables.pairs,
+        tables.slope,
+        weight,
         corrections,
+        slopes,
     )
-    return np.asarray(corrections[0] + np.complex64(1j) * corrections[1])
+    return np.asarray(corrections[0] + np.complex64(1j) * corrections[1]), slopes
 
 
 def _parts(values: ComplexArray) -> SingleArray:
@@ -115,23 +158,32 @@ def _solve_lines(
     uniform: SingleArray,
     hop: SingleArray,
     even: int,
+    pairs: NDArray[np.intp],
+    slope: SingleArray,
+    weight: SingleArray,
     corrections: SingleArray,
+    slopes: SingleArray,
 ) -> None:
-    """Fill ``corrections``, shape (2, lines, sites); ``_LANES`` lines at a time."""
+    """Fill ``corrections``, shape (2, lines, sites), and ``slopes`` where there are weights; ``_LANES`` at a time."""
     lines, sites = size_index.shape
     modes = source.shape[2]
-    # Columns 0..modes-1 hold X, the last one r.
-    x = np.zeros((sites, 2, modes, modes + 1, _LANES), dtype=np.float32)
+    sides = 2 if weight.shape[1] > 0 else 1
+    # Columns 0..modes-1 hold X, the next r, and the last one that of the adjoint amplitudes.
+    x = np.zeros((sites, 2, modes, modes + sides, _LANES), dtype=np.float32)
     d = np.empty((2, modes, modes, _LANES), np.float32)
     factor = np.empty((2, _LANES), np.float32)
-    a, behind = np.empty((2, modes, _LANES), np.float32), np.empty((2, modes, _LANES), np.float32)
+    a, behind = np.empty((2, 2, modes, _LANES), np.float32), np.empty((2, 2, modes, _LANES), np.float32)
+    around = np.zeros((2, 3, _LANES), np.float32)
+    flow = np.empty((2, slope.shape[3], _LANES), np.float32)
     at = np.empty(_LANES, np.intp)
     for first in range(0, lines, _LANES):
         count = min(_LANES, lines - first)
         for m in range(sites):
-            for lane in range(_LANES):
-                at[lane] = size_index[min(first + lane, lines - 1), m]
+            _load_sizes(size_index, first, m, at)
             _load_site(at, site, source, hop, d, x[m])
+            if sides == 2:
+                _load_weights(weight, first, m, around)
+                _load_adjoint(at, around, own, side, even, x[m])
             if m > 0:
                 _add_previous(hop, d, x[m], x[m - 1])
             _eliminate(d, x[m], factor)
@@ -142,14 +194,93 @@ def _solve_lines(
         # ``behind`` holds -a_{m+1}, so that X a_{m+1} is added.
         behind[:] = 0.0
         for m in range(sites - 1, -1, -1):
-            for i in range(modes):
-                a[0, i], a[1, i] = x[m, 0, i, modes], x[m, 1, i, modes]
-                for k in range(modes):
-                    _subtract_product(a[0, i], a[1, i], x[m, 0, i, k], x[m, 1, i, k], behind[0, k], behind[1, k])
-            for i in range(modes):
-                behind[0, i], behind[1, i] = -a[0, i], -a[1, i]
+            for right in range(sides):
+                _substitute_back(x[m], modes + right, a[right], behind[right])
             for lane in range(count):
-                _radiate(size_index[first + lane], m, a, lane, own, side, even, corrections[:, first + lane])
+                _radiate(size_index[first + lane], m, a[0], lane, own, side, even, corrections[:, first + lane])
+            if sides == 2:
+                _load_weights(weight, first, m, around)
+                _load_sizes(size_index, first, m, at)
+                _differentiate(a[0], a[1], at, around, even, pairs, slope, flow, slopes[first : first + count, m])
+
+
+@compiled
+def _load_sizes(size_index: IndexArray, first: int, m: int, at: NDArray[np.intp]) -> None:
+    """Size of each lane at site ``m``; lanes beyond the last line repeat it."""
+    for lane in range(_LANES):
+        at[lane] = size_index[min(first + lane, len(size_index) - 1), m]
+
+
+@compiled
+def _load_weights(weight: SingleArray, first: int, m: int, around: SingleArray) -> None:
+    """w_{m-1}, w_m and w_{m+1} of each lane; 0 beyond the ends."""
+    _, lines, sites = weight.shape
+    for step in range(3):
+        n = m + step - 1
+        for lane in range(_LANES):
+            line = min(first + lane, lines - 1)
+            inside = 0 <= n < sites
+            around[0, step, lane] = weight[0, line, n] if inside else 0.0
+            around[1, step, lane] = weight[1, line, n] if inside else 0.0
+
+
+@compiled
+def _load_adjoint(
+    at: NDArray[np.intp], around: SingleArray, own: SingleArray, side: SingleArray, even: int, x: SingleArray
+) -> None:
+    """Light that each mode adds to the weighted sum, to the last column of ``x``."""
+    modes = own.shape[2]
+    for i in range(modes):
+        sign = np.float32(1.0) if i < even else np.float32(-1.0)
+        for lane in range(_LANES):
+            e_re, e_im = own[0, at[lane], i], own[1, at[lane], i]
+            g_re, g_im = side[0, at[lane], i], side[1, at[lane], i]
+            w_re, w_im = around[0, 1, lane], around[1, 1, lane]
+            n_re = around[0, 2, lane] + sign * around[0, 0, lane]
+            n_im = around[1, 2, lane] + sign * around[1, 0, lane]
+            x[0, i, modes + 1, lane] = w_re * e_re - w_im * e_im + n_re * g_re - n_im * g_im
+            x[1, i, modes + 1, lane] = w_re * e_im + w_im * e_re + n_re * g_im + n_im * g_re
+
+
+@compiled
+def _differentiate(
+    a: SingleArray,
+    b: SingleArray,
+    at: NDArray[np.intp],
+    around: SingleArray,
+    even: int,
+    pairs: NDArray[np.intp],
+    slope: SingleArray,
+    flow: SingleArray,
+    slopes: SingleArray,
+) -> None:
+    """Derivatives of the weighted sum by the sizes of one site, shape (count, 2), from both kinds of amplitudes."""
+    modes = a.shape[1]
+    # Factors of the derivatives of e, g, c, H and y, with the opposite sign until the elements of H.
+    flow[:] = 0.0
+    for i in range(modes):
+        sign = np.float32(1.0) if i < even else np.float32(-1.0)
+        re, im, beyond = a[0, i], a[1, i], around[:, 2] + sign * around[:, 0]
+        if i < even:
+            _subtract_product(flow[0, i], flow[1, i], around[0, 1], around[1, 1], re, im)
+            flow[0, even + modes + i] -= b[0, i]
+            flow[1, even + modes + i] -= b[1, i]
+        _subtract_product(flow[0, even + i], flow[1, even + i], beyond[0], beyond[1], re, im)
+    flow[:] = -flow
+    first = 2 * even + modes
+    for pair in range(pairs.shape[1]):
+        r, s = pairs[0, pair], pairs[1, pair]
+        _subtract_product(flow[0, first + pair], flow[1, first + pair], b[0, r], b[1, r], a[0, s], a[1, s])
+        if r != s:
+            _subtract_product(flow[0, first + pair], flow[1, first + pair], b[0, s], b[1, s], a[0, r], a[1, r])
+    flow[0, -1] -= around[0, 1]
+    flow[1, -1] -= around[1, 1]
+    for lane in range(slopes.shape[0]):
+        for axis in range(2):
+            total = np.float32(0.0)
+            for k in range(flow.shape[1]):
+                total += slope[0, at[lane], axis, k] * flow[0, k, lane] - slope[1, at[lane], axis, k] * flow[1, k, lane]
+            slopes[lane, axis] = total
 
 
 @compiled
@@ -171,14 +302,15 @@ def _load_site(
 
 @compiled
 def _add_previous(hop: SingleArray, d: SingleArray, x: SingleArray, previous: SingleArray) -> None:
-    """Subtract W X_{m-1} from ``d`` and add W r_{m-1} to the last column of ``x``."""
+    """Subtract W X_{m-1} from ``d`` and add W r_{m-1} to the last columns of ``x``."""
     modes = hop.shape[1]
     for i in range(modes):
         for k in range(modes):
             re, im = hop[0, i, k], hop[1, i, k]
             for j in range(i, modes):
                 _subtract(d[0, i, j], d[1, i, j], re, im, previous[0, k, j], previous[1, k, j])
-            _subtract(x[0, i, modes], x[1, i, modes], -re, -im, previous[0, k, modes], previous[1, k, modes])
+            for j in range(modes, x.shape[2]):
+                _subtract(x[0, i, j], x[1, i, j], -re, -im, previous[0, k, j], previous[1, k, j])
 
 
 @compiled
@@ -191,13 +323,24 @@ def _eliminate(d: SingleArray, x: SingleArray, factor: SingleArray) -> None:
             _product(factor[0], factor[1], d[0, k, i], d[1, k, i], d[0, k, k], d[1, k, k])
             for j in range(i, modes):
                 _subtract_product(d[0, i, j], d[1, i, j], factor[0], factor[1], d[0, k, j], d[1, k, j])
-            for j in range(modes + 1):
+            for j in range(x.shape[2]):
                 _subtract_product(x[0, i, j], x[1, i, j], factor[0], factor[1], x[0, k, j], x[1, k, j])
     for i in range(modes - 1, -1, -1):
-        for j in range(modes + 1):
+        for j in range(x.shape[2]):
             for k in range(i + 1, modes):
                 _subtract_product(x[0, i, j], x[1, i, j], d[0, i, k], d[1, i, k], x[0, k, j], x[1, k, j])
             _scale(x[0, i, j], x[1, i, j], d[0, i, i], d[1, i, i])
+
+
+@compiled
+def _substitute_back(x: SingleArray, column: int, a: SingleArray, behind: SingleArray) -> None:
+    """Fill ``a`` from the r in ``column`` of ``x`` and the amplitudes of the next site, which ``a`` then replaces."""
+    modes = a.shape[1]
+    for i in range(modes):
+        a[0, i], a[1, i] = x[0, i, column], x[1, i, column]
+        for k in range(modes):
+            _subtract_product(a[0, i], a[1, i], x[0, i, k], x[1, i, k], behind[0, k], behind[1, k])
+    behind[:] = -a
 
 
 @compiled

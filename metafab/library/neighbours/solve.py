@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.library.neighbours.line import LineModel
+from metafab.library.neighbours.line import IntArray, LineModel
 
 
 def uniform_field(model: LineModel, terms: FloatArray) -> ComplexArray:
@@ -19,6 +19,17 @@ def uniform_field(model: LineModel, terms: FloatArray) -> ComplexArray:
     even = model.shape.even
     amplitude = _uniform_amplitude(model, terms)[0]
     return np.asarray(np.sum((terms @ (model.own + 2.0 * model.side[:, :even])) * amplitude, axis=-1))
+
+
+def uniform_slopes(model: LineModel, terms: FloatArray, d_terms: FloatArray) -> ComplexArray:
+    """Derivatives of y(s) by both sizes, shapes (n, terms) and (2, n, terms) to (2, n), per nm."""
+    even = model.shape.even
+    amplitude, inverse, taps = _uniform_amplitude(model, terms)
+    adjoint = np.einsum("nr,nrs->ns", taps, inverse)
+    d_taps, d_source = d_terms @ (model.own + 2.0 * model.side[:, :even]), d_terms @ model.source
+    d_site = model.site_matrix(d_terms)[..., :even, :even]
+    flow = np.einsum("nr,cnrs,ns->cn", adjoint, d_site, amplitude, optimize=True)
+    return np.asarray(np.sum(d_taps * amplitude + d_source * adjoint, axis=-1) - flow)
 
 
 def line_corrections(model: LineModel, terms: FloatArray) -> ComplexArray:
@@ -72,21 +83,49 @@ def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[Compl
     y = np.einsum("bmnr,bnr->bm", taps, a, optimize=True)
     adjoint = (taps.reshape(lines, count, -1) @ inverse).reshape(lines, count, count, modes)
 
-    uniform, inverse_even, taps_even = _uniform_amplitude(model, terms)
-    adjoint_even = np.einsum("bmr,bmrs->bms", taps_even, inverse_even)
-    y_even = np.sum(taps_even * uniform, axis=-1)
-
-    d_site = _site_derivatives(model, terms, a, adjoint, uniform, adjoint_even)
+    d_site = _site_derivatives(model, terms, a, adjoint)
     d_source = (adjoint[..., :even].transpose(0, 1, 3, 2) @ terms[:, None]).swapaxes(-1, -2)
-    d_source = d_source - terms[..., :, None] * adjoint_even[..., None, :]
-    d_own = terms[..., :, None] * (a[..., :even] - uniform)[..., None, :]
+    d_own = terms[..., :, None] * a[..., None, :even]
     flow = terms[..., :, None] * a[..., None, :]
     d_side = flow[:, before] + flow[:, after] * parity
-    d_side[..., :even] -= 2.0 * terms[..., :, None] * uniform[..., None, :]
-
-    d_hop = _hop_derivatives(model, a, adjoint, uniform, adjoint_even)
+    d_hop = _hop_derivatives(model, a, adjoint)
     parts = (d_site, d_source, d_own, d_side, d_hop)
-    return y - y_even, np.concatenate([part.reshape(lines, count, -1) for part in parts], axis=-1)
+    jacobian = np.concatenate([part.reshape(lines, count, -1) for part in parts], axis=-1)
+    uniform, d_uniform = uniform_field_and_jacobian(model, terms)
+    return y - uniform, jacobian - d_uniform
+
+
+def uniform_field_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """:func:`uniform_field` and its derivatives by :attr:`LineModel.vector`.
+
+    Args:
+        model: parameters, n of them.
+        terms: shape (..., terms), polynomial values of each size.
+
+    Returns:
+        Shapes (...) and (..., n).
+    """
+    shape, even = model.shape, model.shape.even
+    amplitude, inverse, taps = _uniform_amplitude(model, terms)
+    adjoint = np.einsum("...r,...rs->...s", taps, inverse)
+
+    def pairs(row: IntArray, column: IntArray) -> ComplexArray:
+        """Derivatives by the elements (row, column) = (column, row) of a symmetric matrix; 0 for odd modes."""
+        found = np.zeros((*terms.shape[:-1], row.size), dtype=np.complex128)
+        within = np.flatnonzero((row < even) & (column < even))
+        r, s = row[within], column[within]
+        found[..., within] = adjoint[..., r] * amplitude[..., s]
+        found[..., within] += np.where(r != s, adjoint[..., s] * amplitude[..., r], 0.0)
+        return found
+
+    d_site = -terms[..., :, None] * pairs(*shape.pairs)[..., None, :]
+    d_source = terms[..., :, None] * adjoint[..., None, :]
+    d_own = terms[..., :, None] * amplitude[..., None, :]
+    d_side = np.zeros((*terms.shape, shape.modes), dtype=np.complex128)
+    d_side[..., :even] = 2.0 * d_own
+    parts = [part.reshape(*terms.shape[:-1], -1) for part in (d_site, d_source, d_own, d_side)]
+    d_hop = 2.0 * pairs(*shape.hop_pairs[:2])
+    return np.sum(taps * amplitude, axis=-1), np.concatenate([*parts, d_hop], axis=-1)
 
 
 def _uniform_amplitude(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -98,45 +137,23 @@ def _uniform_amplitude(model: LineModel, terms: FloatArray) -> tuple[ComplexArra
     return amplitude, np.asarray(inverse, dtype=np.complex128), terms @ (model.own + 2.0 * model.side[:, :even])
 
 
-def _site_derivatives(
-    model: LineModel,
-    terms: FloatArray,
-    a: ComplexArray,
-    adjoint: ComplexArray,
-    uniform: ComplexArray,
-    adjoint_even: ComplexArray,
-) -> ComplexArray:
-    """Derivatives by the coefficients of the site matrix, shape (lines, sites, terms, pairs)."""
+def _site_derivatives(model: LineModel, terms: FloatArray, a: ComplexArray, adjoint: ComplexArray) -> ComplexArray:
+    """Derivatives of y by the coefficients of the site matrix, shape (lines, sites, terms, pairs)."""
     lines, count, n_terms = terms.shape
-    modes, even = model.shape.modes, model.shape.even
+    modes = model.shape.modes
     r, s = model.shape.pairs
     both = adjoint.transpose(0, 1, 3, 2).reshape(lines, count * modes, count)
     weighted = (terms[..., :, None] * a[..., None, :]).reshape(lines, count, n_terms * modes)
     outer = (both @ weighted).reshape(lines, count, modes, n_terms, modes)
     d_site = -(outer[:, :, r, :, s] + np.where(r != s, 1.0, 0.0)[:, None, None, None] * outer[:, :, s, :, r])
-    d_site = d_site.transpose(1, 2, 3, 0)  # (lines, sites, terms, pairs)
-    in_even = np.flatnonzero(s < even)
-    re, se = r[in_even], s[in_even]
-    pair = adjoint_even[..., re] * uniform[..., se] + np.where(re != se, adjoint_even[..., se] * uniform[..., re], 0.0)
-    d_site = np.ascontiguousarray(d_site)
-    d_site[..., in_even] += terms[..., :, None] * pair[..., None, :]
-    return d_site
+    return np.ascontiguousarray(d_site.transpose(1, 2, 3, 0))
 
 
-def _hop_derivatives(
-    model: LineModel, a: ComplexArray, adjoint: ComplexArray, uniform: ComplexArray, adjoint_even: ComplexArray
-) -> ComplexArray:
-    """Derivatives by the free elements of the hop, shape (lines, sites, pairs)."""
-    shape, even = model.shape, model.shape.even
-    hr, hs, sign = shape.hop_pairs
+def _hop_derivatives(model: LineModel, a: ComplexArray, adjoint: ComplexArray) -> ComplexArray:
+    """Derivatives of y by the free elements of the hop, shape (lines, sites, pairs)."""
+    r, s, sign = model.shape.hop_pairs
     # W[r, s] and sign W[s, r], of a_{m-1}; and of a_{m+1} with W^T.
     by_mode = adjoint.transpose(0, 1, 3, 2)
     left, right = (by_mode @ np.roll(a, shift, axis=1)[:, None] for shift in (1, -1))
     by_element = left + right.swapaxes(-1, -2)
-    d_hop = by_element[..., hr, hs] + np.where(hr == hs, 0.0, sign * by_element[..., hs, hr])
-    within = np.flatnonzero((hr < even) & (hs < even))
-    wr, ws = hr[within], hs[within]
-    product = adjoint_even[..., wr] * uniform[..., ws]
-    product = product + np.where(wr != ws, adjoint_even[..., ws] * uniform[..., wr], 0.0)
-    d_hop[..., within] -= 2.0 * product
-    return d_hop
+    return np.asarray(by_element[..., r, s] + np.where(r == s, 0.0, sign * by_element[..., s, r]))

@@ -108,7 +108,14 @@ def _mapping(figures: MappingFigures) -> dict[str, float | None]:
         "phase error / rad rms": figures.phase_rms_error_rad,
         "mean transmittance": figures.mean_transmittance,
         "efficiency of the mapping": figures.efficiency,
-    }
+    } | (
+        {}
+        if figures.neighbour_efficiency is None
+        else {
+            "efficiency among neighbours": figures.neighbour_efficiency,
+            "of the sizes for lone pillars": figures.neighbour_efficiency_before,
+        }
+    )
 
 
 def _rules(run: RunFolder) -> str:

@@ -10,11 +10,16 @@ import pytest
 
 from metafab import layout
 from metafab.core.conventions import wrap_phase
-from metafab.layout import Aperture, Assignment
+from metafab.core.errors import InputError
+from metafab.layout import Aperture, Assignment, PillarMap
 from metafab.layout.gap_rule import allowed_sizes
 from metafab.library import Library
+from metafab.library.neighbours import LineStatistics, Neighbours, TrainedLine
+from metafab.library.neighbours.line import LineShape, initial_model
+from metafab.optics import neighbour_field
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
+from metafab.spec.design import Numerics
 from tests.layout.conftest import sizes_at_sites
 
 
@@ -85,3 +90,56 @@ def test_sizes_are_the_librarys(tiny: Assignment, smooth_library: Library) -> No
     used = np.unique(size_nm[size_nm[:, 0] > 0], axis=0)
     assert len(used) == tiny.figures.distinct_sizes
     smooth_library.at_sizes(used[:, 0], used[:, 1])  # raises where a size is not in the library
+
+
+@pytest.fixture(scope="module")
+def coupled_library(smooth_library: Library) -> Library:
+    """A library with chains of random parameters, and light enough in them to change the field by a tenth."""
+
+    def line(seed: int) -> TrainedLine:
+        model = initial_model(LineShape(2, 1, 2), (100.0, 250.0), (100.0, 250.0), seed)
+        return TrainedLine(replace(model, own=6.0 * model.own, side=6.0 * model.side), LineStatistics())
+
+    along, across = line(1), line(2)
+    return replace(smooth_library, neighbours=Neighbours((along, along), (across, across)))
+
+
+def test_sizes_chosen_among_neighbours_send_more_light_to_the_target(
+    tiny: Assignment, profile: PhaseProfile, coupled_library: Library, tiny_design: Design
+) -> None:
+    asked = replace(tiny_design, rules=replace(tiny_design.rules, neighbours=True))
+    found = layout.assign(profile, coupled_library, replace(asked, numerics=Numerics(tile_sites=476)))
+    figures, lattice, index = found.figures, found.pillars.lattice, found.pillars.to_array()
+    assert tiny.figures.neighbour_efficiency is None
+
+    def efficiency(pillars: PillarMap) -> float:
+        """By the field of the mask, which another room computes."""
+        target = profile(lattice.x_um(), lattice.y_um()) + np.reshape(found.offsets_rad, (2, 1, 1))
+        sums = np.zeros(2, dtype=np.complex128)
+        for tile in neighbour_field(pillars, coupled_library).tiles():
+            n_y, n_x = tile.amplitude(0).shape
+            here = np.exp(-1j * target[:, tile.row : tile.row + n_y, tile.column : tile.column + n_x])
+            sums += [np.sum(here[axis] * tile.amplitude(axis)) for axis in (0, 1)]
+        return float(np.mean(np.abs(sums / np.count_nonzero(index)) ** 2))
+
+    assert figures.neighbour_efficiency == pytest.approx(efficiency(found.pillars), rel=1e-4)
+    assert figures.neighbour_efficiency_before == pytest.approx(efficiency(tiny.pillars), rel=1e-4)
+    assert figures.neighbour_efficiency > figures.neighbour_efficiency_before + 0.2 * (
+        tiny.figures.efficiency - figures.neighbour_efficiency_before
+    )
+    assert np.array_equal(index > 0, tiny.pillars.to_array() > 0)
+    assert figures.min_gap_nm is not None
+    assert figures.min_gap_nm >= asked.rules.min_gap_nm
+    # Tiles end with 24 neighbours a side: few pillars take another of two nearly equal sizes.
+    tiled = sizes_at_sites(layout.assign(profile, coupled_library, asked).pillars)
+    assert np.mean(np.any(tiled != sizes_at_sites(found.pillars), axis=-1)) < 0.01
+
+
+def test_a_choice_among_neighbours_needs_their_model(
+    profile: PhaseProfile, smooth_library: Library, tiny_design: Design
+) -> None:
+    asked = replace(tiny_design, rules=replace(tiny_design.rules, neighbours=True))
+    with pytest.raises(InputError, match="a model of neighbours"):
+        layout.assign(profile, smooth_library, asked)
+    with pytest.raises(ValueError, match='goes with `gap_rule = "each"`'):
+        replace(asked.rules, gap_rule="pairs")

@@ -6,7 +6,7 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray
 from metafab.library.neighbours.line import LineModel, LineShape, initial_model
-from metafab.library.neighbours.open_lines import SizeTables, open_line_corrections
+from metafab.library.neighbours.open_lines import SizeTables, open_line_corrections, open_line_slopes
 from metafab.library.neighbours.solve import line_corrections, uniform_field
 
 SPAN = (100.0, 250.0)
@@ -58,3 +58,29 @@ def test_long_lines_end_in_closed_ones() -> None:
     middle = open_line_corrections(tables, line)[0, 42:48]
     assert np.abs(closed).max() > 1e-3
     assert np.abs(middle - closed).max() < 1e-5
+
+
+def test_slopes_are_those_of_a_weighted_sum() -> None:
+    """Derivatives at the sites of a line with a gap against differences of a dense solve."""
+    rng = np.random.default_rng(3)
+    model = initial_model(LineShape(3, 2, 3), SPAN, SPAN, 1)
+    sizes = np.concatenate([[[0.0, 0.0]], rng.uniform(120.0, 230.0, (12, 2))])
+    index = np.arange(1, 13, dtype=np.uint16)[None]
+    index[0, 4] = 0
+    weight = (rng.normal(size=12) + 1j * rng.normal(size=12)) * (index[0] > 0)
+    tables = SizeTables.of(model, sizes)
+    corrections, slopes = open_line_slopes(tables, index, weight[None])
+    assert np.array_equal(corrections, open_line_corrections(tables, index))
+
+    def total(moved: np.ndarray) -> float:
+        return float(sum((weight[part] @ _dense(model, moved[part])).real for part in (slice(0, 4), slice(5, 12))))
+
+    scale = np.abs(slopes).max()
+    for site in (0, 3, 5, 8, 11):
+        for axis in (0, 1):
+            up, down = sizes[index[0]], sizes[index[0]]
+            up[site, axis] += 0.05
+            down[site, axis] -= 0.05
+            # Single precision: 1e-5 of the amplitudes.
+            assert abs(slopes[0, site, axis] - (total(up) - total(down)) / 0.1) < 1e-4 * scale
+    assert not slopes[0, 4].any()

@@ -1,0 +1,115 @@
+"""Sizes chosen for the field that stands among neighbours: a window of sites, improved in rounds.
+
+The mapping wants the largest overlap of the field with the target wave, F = sum_m Re(w_m t_m) over all sites and both
+polarisations, w = exp(-i target). In each round the chains of the window are solved with two right sides, which gives
+the derivatives of all corrections in F by the size of each pillar
+(:func:`metafab.library.neighbours.open_lines.open_line_slopes`). Every second pillar, like the squares of one colour on
+a chessboard, then takes the best size within a few steps of the grid: the library's t(s) counts exactly, the
+corrections to first order, and each step has a price, since all these pillars move at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.numeric.compiled import compiled
+from metafab.library.neighbours.model import Neighbours
+from metafab.library.neighbours.open_lines import IndexArray, SingleArray
+from metafab.library.neighbours.windows import NeighbourTables
+
+#: Rounds, steps of the size grid that a pillar may move in each, and price in F of one squared step.
+ROUNDS, _REACH, _PRICE = 8, 3, 5e-3
+
+
+@dataclass(frozen=True)
+class NeighbourChoice:
+    """Sizes of a mapping, and the light that they have among their neighbours.
+
+    Attributes:
+        tables: chains at the sizes.
+        t: shape (sizes, 2), the library's t; row 0 is no pillar.
+        place: shape (sizes, 2), (row, column) of each size in ``grid``.
+        grid: shape (lengths, widths), index of each size; 0 where the rules admit none.
+        length_nm: shape (lengths,), lengths of the grid.
+        width_nm: shape (widths,), widths of the grid.
+    """
+
+    tables: NeighbourTables
+    t: ComplexArray
+    place: NDArray[np.intp]
+    grid: IndexArray
+    length_nm: FloatArray
+    width_nm: FloatArray
+
+    @classmethod
+    def of(cls, neighbours: Neighbours, size_nm: FloatArray, t: ComplexArray) -> NeighbourChoice:
+        """Sizes (width, length), shape (sizes, 2), and their t, shape (sizes, 2); row 0 is no pillar."""
+        width_nm, length_nm = (np.unique(size_nm[1:, axis]) for axis in (0, 1))
+        place = np.zeros((len(size_nm), 2), dtype=np.intp)
+        place[1:, 0] = np.searchsorted(length_nm, size_nm[1:, 1])
+        place[1:, 1] = np.searchsorted(width_nm, size_nm[1:, 0])
+        grid = np.zeros((length_nm.size, width_nm.size), dtype=np.uint16)
+        grid[place[1:, 0], place[1:, 1]] = np.arange(1, len(size_nm))
+        return cls(NeighbourTables.of(neighbours, size_nm), t, place, grid, length_nm, width_nm)
+
+    def improve(self, size_index: IndexArray, target_rad: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Choose the sizes of a window of sites again, in place; its ends have no neighbours.
+
+        Args:
+            size_index: shape (n_y, n_x), 0 where no pillar stands, which stays so.
+            target_rad: shape (2, n_y, n_x), target phases.
+
+        Returns:
+            Field over the target wave by the model before and after, shape (2, n_y, n_x) each; 0 without a pillar.
+        """
+        weight = np.where(size_index > 0, np.exp(-1j * target_rad), 0.0)
+        parts = np.stack([weight.real, weight.imag], axis=-1).transpose(1, 2, 0, 3).astype(np.float32)
+        lone = np.stack([self.t.real, self.t.imag], axis=-1).astype(np.float32)
+        for number in range(ROUNDS):
+            field, slopes = self.tables.slopes(size_index, weight)
+            if number == 0:
+                before = weight * (self.t[size_index].transpose(2, 0, 1) + field)
+            _move(size_index, slopes, lone, parts, self.place, self.grid, self.length_nm, self.width_nm, number % 2)
+        field, _ = self.tables.slopes(size_index, weight)
+        return before, weight * (self.t[size_index].transpose(2, 0, 1) + field)
+
+
+@compiled
+def _move(
+    size_index: IndexArray,
+    slopes: SingleArray,
+    lone: SingleArray,
+    weight: SingleArray,
+    place: NDArray[np.intp],
+    grid: IndexArray,
+    length_nm: FloatArray,
+    width_nm: FloatArray,
+    colour: int,
+) -> None:
+    """Move the pillars of one colour to the best size within the reach."""
+    n_y, n_x = size_index.shape
+    for m in range(n_y):
+        for n in range((m + colour) % 2, n_x, 2):
+            now = size_index[m, n]
+            if now == 0:
+                continue
+            row, column = place[now]
+            best = -np.inf
+            for i in range(max(row - _REACH, 0), min(row + _REACH + 1, length_nm.size)):
+                for j in range(max(column - _REACH, 0), min(column + _REACH + 1, width_nm.size)):
+                    size = grid[i, j]
+                    if size == 0:
+                        continue
+                    value = -_PRICE * ((i - row) ** 2 + (j - column) ** 2)
+                    value += slopes[m, n, 0] * (width_nm[j] - width_nm[column])
+                    value += slopes[m, n, 1] * (length_nm[i] - length_nm[row])
+                    for light in range(2):
+                        value += weight[m, n, light, 0] * lone[size, light, 0]
+                        value -= weight[m, n, light, 1] * lone[size, light, 1]
+                    if value > best:
+                        best = value
+                        size_index[m, n] = size
