@@ -7,11 +7,12 @@
 - ``capture``     Scene and Psf -> RawFrame, or the RawFrames of a film
 - ``exact``       the PSFs of one scene's own depths, field and light: Scene -> Psf
 - ``stokes``      a scene of known polarisation as six images: Scene and StokesPsf -> StokesFrame
-- ``frames/``     RawFrame and its truth; raw.h5, TIFF, PNG and NumPy files
+- ``frames/``     RawFrame and its truth; raw.h5, batches of frames, TIFF, PNG and NumPy files
 """
 
-from metafab.camera.capture import capture, film
+from metafab.camera.capture import capture, draws, film
 from metafab.camera.exact import exact_psf
+from metafab.camera.frames.batch import Draw, load_draw, save_batch
 from metafab.camera.frames.foreign import Counts, counts_of, load_frame, require_frame_name, save_counts
 from metafab.camera.frames.frame import RawFrame, Truth
 from metafab.camera.frames.store import load, save
@@ -21,6 +22,10 @@ from metafab.camera.kernels import PairKernels
 __all__ = [
     "capture",
     "film",
+    "draws",
+    "Draw",
+    "save_batch",
+    "load_draw",
     "RawFrame",
     "Truth",
     "load",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
@@ -62,13 +62,33 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
     Yields:
         ``scene.frames`` frames.
     """
-    seed = scene.seed if seed is None else seed
-    pixel_tangent = psf.pixel_um / psf.sensor_distance_um
-    picture = None if scene.rgbd is None else DepthPicture.of(scene, pixel_tangent)
-    lens = Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)), picture=picture)
-    lenses = [lens]
+    yield from _film(scene, psf, _lenses(scene, psf), scene.seed if seed is None else seed, progress)
+
+
+def draws(scene: Scene, psf: Psf, seeds: Iterable[int], *, progress: Progress = silent) -> Iterator[RawFrame]:
+    """Expose the first frame of a scene once for each seed, which changes textures and noise; see :func:`capture`.
+
+    Blurs are computed once for all seeds.
+    """
+    lenses, first = _lenses(scene, psf), replace(scene, frames=1)
+    for seed in seeds:
+        for lens in lenses:
+            lens.forget_textures()
+        yield from _film(first, psf, lenses, seed, progress)
+
+
+def _lenses(scene: Scene, psf: Psf) -> list[Lens]:
+    """The lens, and that of its ghosts behind a birefringent substrate."""
+    picture = None if scene.rgbd is None else DepthPicture.of(scene, psf.pixel_um / psf.sensor_distance_um)
+    lenses = [Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)), picture=picture)]
     if psf.ghost is not None:
-        lenses.append(Lens(PairKernels(psf.ghost, psf), lens.windows, picture=picture, crossed=True))
+        lenses.append(Lens(PairKernels(psf.ghost, psf), lenses[0].windows, picture=picture, crossed=True))
+    return lenses
+
+
+def _film(scene: Scene, psf: Psf, lenses: Sequence[Lens], seed: int, progress: Progress) -> Iterator[RawFrame]:
+    pixel_tangent, lens = psf.pixel_um / psf.sensor_distance_um, lenses[0]
+    picture = lens.picture
     still = Renderer.of(scene, pixel_tangent, seed)
     pattern = FixedPattern.of(scene, lens.shape, seed)
     first, pixel_um = lens.windows[0], psf.pixel_um

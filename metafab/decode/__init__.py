@@ -16,7 +16,7 @@
 
 from metafab.core.figures import SegmentFigures
 from metafab.decode.camera_fit.pinhole import NOT_SEPARATED, CameraFit, calibrate, read_depths
-from metafab.decode.decoder import Decoder, DecoderNumerics, decode
+from metafab.decode.decoder import FAST, Decoder, DecoderNumerics, decode
 from metafab.decode.evaluation.bound import DepthBound
 from metafab.decode.evaluation.metrics import object_errors
 from metafab.decode.film.video import VideoDecoder
@@ -30,6 +30,7 @@ __all__ = [
     "CameraFit",
     "Decoder",
     "DecoderNumerics",
+    "FAST",
     "DepthBound",
     "Image4D",
     "SegmentFigures",

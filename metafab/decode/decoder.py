@@ -15,8 +15,9 @@ from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import Progress, silent
 from metafab.decode.evaluation.metrics import evaluated
 from metafab.decode.image import Image4D
-from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m
-from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages
+from metafab.decode.images.compose import FocusDepths, PixelMaps, empty, full_depth_m
+from metafab.decode.images.contrast_outlines import moved_outlines
+from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages, TileSpectra
 from metafab.decode.images.unmixing import Unmixing
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
@@ -45,6 +46,8 @@ class DecoderNumerics:
         basis_error: relative L2 error of the low-rank basis of the matched filters; a larger one is faster.
         compensate_space_variance: whether to correct the filters for the pair's change over the field.
         outline_rounds: most rounds of the refinement of outlines.
+        refined: whether to separate layers by noise, leave outliers out of segments' depths, and compute the
+            probability that a pixel is in the right segment; without, decoding is faster.
         kept_bytes: most memory of the transfer functions that are kept for the next frame.
         step_px: pixels from one compared pixel to the next; None for the largest step that keeps the information about
             depth (:func:`metafab.decode.matching.filters.coarsest_step`).
@@ -53,8 +56,13 @@ class DecoderNumerics:
     basis_error: float = 0.02
     compensate_space_variance: bool = True
     outline_rounds: int = ROUNDS
+    refined: bool = True
     kept_bytes: int = KEPT_BYTES
     step_px: int | None = None
+
+
+#: Numerics of ``metafab decode --fast``.
+FAST = DecoderNumerics(refined=False)
 
 
 def decode(
@@ -226,11 +234,24 @@ class Decoder:
             near_light = repeated(prepared.near_light, step, shape)
             tiles = pool.submit(self.deconvolver.tile_spectra, prepared.twins.image, near_light)
             pixels = textured_pixel_depth(prepared, volume)
-            regions = find_regions(prepared, volume, pixels, outline_rounds=self.numerics.outline_rounds)
-        label, vergences = focus_depths(prepared, regions, volume.vergences_per_m)
-        sharp = self.deconvolver(tiles.result(), prepared.levels, repeated(label, step, shape), vergences)
+            rounds, refined = self.numerics.outline_rounds, self.numerics.refined
+            regions = find_regions(prepared, volume, pixels, outline_rounds=rounds, refined=refined)
+        focus = FocusDepths.of(prepared, regions, volume.vergences_per_m)
+        sharp = self.sharpened(tiles.result(), prepared, focus)
+        moved = moved_outlines(regions, sharp, step)
+        if moved is not regions:
+            again = FocusDepths.of(prepared, moved, volume.vergences_per_m).changed(focus)
+            sharp = sharp.replaced(
+                self.sharpened(tiles.result(), prepared, again), repeated(again.label > 0, step, shape)
+            )
+            regions = moved
         maps = PixelMaps.of(prepared, pixels, regions, sharp)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
+
+    def sharpened(self, tiles: TileSpectra, prepared: PreparedFrame, focus: FocusDepths) -> SharpImages:
+        """Sharp images, each pixel at its depth of focus; 0 at pixels without one."""
+        label = repeated(focus.label, self.filters.downsampling.step, self.calibration.grid.shape)
+        return self.deconvolver(tiles, prepared.levels, label, focus.vergences_per_m, prepared.twins.broken)
 
     def image(self, decoded: DecodedFrame) -> Image4D:
         """The 4D image of a decoded frame."""

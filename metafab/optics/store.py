@@ -51,22 +51,27 @@ _FIELD_DATASETS = {
 def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
     """Write ``psf`` to ``path``, whole or not at all; ``inputs_sha256`` is the fingerprint of its inputs."""
     with hdf5.create(path, kind=PSF_KIND, format_version=PSF_FORMAT, inputs_sha256=inputs_sha256) as file:
-        file.attrs["details"] = json.dumps(plain(untimed(psf.details.figures())))
-        file.attrs["sensor_distance_um"] = psf.sensor_distance_um
-        hdf5.put(file, "pixel_um", psf.pixel_um, units="um", description="sampling step on the sensor plane")
-        hdf5.put(file, "polarisation", [b"x", b"y"], units="1", description="polarisation", dims=("polarisation",))
-        hdf5.put(file, "axis", [b"x", b"y"], units="1", description="coordinate on the sensor", dims=("axis",))
-        for name, count in zip(("y_um", "x_um"), psf.psf.shape[2:], strict=True):
-            offsets = (np.arange(count) - count // 2) * psf.pixel_um
-            hdf5.put(file, name, offsets, units="um", description="from the window's centre pixel", dims=(name,))
-        _put_stack(file, psf)
-        if psf.aperture_um is not None:
-            about = "points of the aperture that carry equal shares of its power"
-            numbers = np.arange(len(psf.aperture_um))
-            hdf5.put(file, "point", numbers, units="1", description="number of the point", dims=("point",))
-            hdf5.put(file, "aperture_um", psf.aperture_um, units="um", description=about, dims=("point", "axis"))
-        if psf.ghost is not None:
-            _put_stack(file.create_group("ghost"), psf.ghost)
+        put(file, psf)
+
+
+def put(group: h5py.Group, psf: Psf) -> None:
+    """Write ``psf`` into a group of an open file, as :func:`save` does into a file of its own."""
+    group.attrs["details"] = json.dumps(plain(untimed(psf.details.figures())))
+    group.attrs["sensor_distance_um"] = psf.sensor_distance_um
+    hdf5.put(group, "pixel_um", psf.pixel_um, units="um", description="sampling step on the sensor plane")
+    hdf5.put(group, "polarisation", [b"x", b"y"], units="1", description="polarisation", dims=("polarisation",))
+    hdf5.put(group, "axis", [b"x", b"y"], units="1", description="coordinate on the sensor", dims=("axis",))
+    for name, count in zip(("y_um", "x_um"), psf.psf.shape[2:], strict=True):
+        offsets = (np.arange(count) - count // 2) * psf.pixel_um
+        hdf5.put(group, name, offsets, units="um", description="from the window's centre pixel", dims=(name,))
+    _put_stack(group, psf)
+    if psf.aperture_um is not None:
+        about = "points of the aperture that carry equal shares of its power"
+        numbers = np.arange(len(psf.aperture_um))
+        hdf5.put(group, "point", numbers, units="1", description="number of the point", dims=("point",))
+        hdf5.put(group, "aperture_um", psf.aperture_um, units="um", description=about, dims=("point", "axis"))
+    if psf.ghost is not None:
+        _put_stack(group.create_group("ghost"), psf.ghost)
 
 
 def _put_stack(group: h5py.Group, psf: Psf) -> None:

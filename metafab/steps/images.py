@@ -28,7 +28,7 @@ class CaptureFigures:
     """Figures of a raw frame.
 
     Attributes:
-        shape: rows and columns.
+        shape: rows and columns; of a batch, frames before them.
         photons: sum of all pixels, electrons.
     """
 
@@ -135,6 +135,50 @@ def capture(
         else:
             camera.save_counts(frame, file, black=black)
         yield frame, file
+
+
+def capture_batch(
+    scenes: Sequence[tuple[Path, Scene]],
+    psf_path: Path,
+    path: Path,
+    draws: int,
+    *,
+    seed: int | None = None,
+    progress: Progress = silent,
+) -> CaptureFigures:
+    """Simulate frames of scenes through a stored PSF pair, with textures and noise of their own, into one file.
+
+    Args:
+        scenes: scenes with their files, of one field.
+        psf_path: file of the PSF pair.
+        path: an ``.h5`` file.
+        draws: frames of each scene.
+        seed: seed of the first frame; that of the first scene by default. Each next frame has the next seed.
+        progress: called after each frame.
+
+    Raises:
+        InputError: a scene does not fit the pair, or the scenes have unlike fields; nothing is written.
+    """
+    from metafab import camera, optics
+
+    psf, total, photons = optics.load(psf_path), draws * len(scenes), 0.0
+    shape: tuple[int, ...] = ()
+    start = scenes[0][1].seed if seed is None else seed
+
+    def frames() -> Iterator[camera.Draw]:
+        nonlocal photons, shape
+        for index, (_, scene) in enumerate(scenes):
+            done = index * draws
+            seeds = range(start + done, start + done + draws)
+            for number, frame in zip(seeds, camera.draws(scene, psf, seeds), strict=True):
+                photons, shape = photons + float(frame.frame.sum()), frame.frame.shape
+                progress("capture", number - start + 1, total)
+                yield camera.Draw(index, number, frame)
+
+    inputs = fingerprint([scene for _, scene in scenes], draws, start, file_sha256(psf_path))
+    names = [file.name for file, _ in scenes]
+    camera.save_batch(frames(), total, names, psf, path, inputs_sha256=inputs)
+    return CaptureFigures((total, *shape), photons)
 
 
 def decode_file(

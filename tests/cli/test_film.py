@@ -59,6 +59,35 @@ def test_one_frame_is_one_file_with_the_first_frames_bytes(folder: Path) -> None
     assert camera.load(folder / "one.h5").frame.shape == tuple(answer.json["shape"])
 
 
+def test_a_batch_of_two_scenes_is_one_file(folder: Path) -> None:
+    still = SCENE.replace("velocity_m_per_s = [0.001, 0.0, 0.0]", "")
+    (folder / "still.toml").write_text(still)
+    command = ("capture", folder / "scene.toml", folder / "still.toml", "--psf", folder / "psf.h5", "--json")
+    answer = metafab(*command, "--draws", "2", "--seed", "4", "-o", folder / "batch.h5")
+    assert answer.code == 0, answer.stderr
+    assert answer.json["shape"][0] == 4
+    assert [camera.load_draw(folder / "batch.h5", number).seed for number in range(4)] == [4, 5, 6, 7]
+    third = metafab("capture", folder / "still.toml", "--psf", folder / "psf.h5", "--seed", "6", "-o",
+                    folder / "third.h5", "--json")  # fmt: skip
+    assert third.code == 0, third.stderr
+    alone = camera.load(folder / "third.h5").frame.astype(np.float32)
+    np.testing.assert_array_equal(camera.load_draw(folder / "batch.h5", 2).frame.frame, alone)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--draws", "2", "-o", "batch.tif"], "ending with .h5"),
+        (["--draws", "2", "--frames", "2"], "--frames"),
+        ([], "--draws N"),
+    ],
+)  # fmt: skip
+def test_a_batch_refuses_what_it_cannot_hold(folder: Path, options: list[str], words: str) -> None:
+    answer = metafab("capture", folder / "scene.toml", folder / "scene.toml", "--psf", folder / "psf.h5", *options)
+    assert answer.code == 2
+    assert words in answer.stderr
+
+
 def test_a_film_is_decoded_frame_by_frame_and_drawn(folder: Path) -> None:
     command = ("film", folder / "scene.toml", "--psf", folder / "psf.h5", "--json", "-o")
     first, second = (metafab(*command, folder / name) for name in ("a.gif", "b.gif"))

@@ -2,5 +2,6 @@
 
 - ``frame``    RawFrame and Truth
 - ``store``    raw.h5
+- ``batch``    frames of many seeds and scenes in one file, for learners
 - ``foreign``  TIFF, PNG and NumPy files of real cameras
 """

@@ -15,12 +15,19 @@ from metafab.spec.fields import LARGEST
 
 RAW_KIND = "metafab raw frame"
 RAW_FORMAT = 1
+#: Unit and description of each array of a truth.
+TRUTH_UNITS = {
+    "depth_m": ("m", "object depth, NaN for none"),
+    "intensity_x": ("e", "sharp image, x polarisation"),
+    "intensity_y": ("e", "sharp image, y polarisation"),
+    "label": ("1", "object number from 1, 0 for none"),
+}
 
 
 def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
     """Write a frame; an interrupted write leaves no file."""
     with hdf5.create(path, kind=RAW_KIND, format_version=RAW_FORMAT, inputs_sha256=inputs_sha256) as file:
-        _axes(file, frame.frame.shape, frame.origin_um, frame.pixel_um)
+        put_axes(file, frame.frame.shape, frame.origin_um, frame.pixel_um)
         _image(file, "frame", frame.frame, "e", "raw frame (electrons, or counts of a camera)")
         file.attrs["pixel_um"] = frame.pixel_um
         file.attrs["origin_um"] = frame.origin_um
@@ -35,11 +42,9 @@ def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
         group = file.create_group("truth")
         group.attrs["origin_um"] = frame.truth_origin_um
         truth = frame.truth
-        _axes(group, truth.depth_m.shape, frame.truth_origin_um, frame.pixel_um)
-        _image(group, "depth_m", truth.depth_m, "m", "object depth, NaN for none")
-        _image(group, "intensity_x", truth.intensity_x, "e", "sharp image, x polarisation")
-        _image(group, "intensity_y", truth.intensity_y, "e", "sharp image, y polarisation")
-        _image(group, "label", truth.label, "1", "object number from 1, 0 for none")
+        put_axes(group, truth.depth_m.shape, frame.truth_origin_um, frame.pixel_um)
+        for name, (units, description) in TRUTH_UNITS.items():
+            _image(group, name, getattr(truth, name), units, description)
 
 
 def load(path: Path | str) -> RawFrame:
@@ -97,7 +102,8 @@ def _faults(frame: RawFrame) -> list[Fault]:
     return faults
 
 
-def _axes(group: h5py.Group, shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um: float) -> None:
+def put_axes(group: h5py.Group, shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um: float) -> None:
+    """Write the places of the columns and rows of a picture (n_y, n_x) as the scales ``x_um`` and ``y_um``."""
     for name, start, count in (("x_um", origin_um[0], shape[1]), ("y_um", origin_um[1], shape[0])):
         place = start + pixel_um * np.arange(count)
         hdf5.put(group, name, place, units="um", description=f"{name[0]} on the sensor plane", dims=(name,))

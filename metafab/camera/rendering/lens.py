@@ -89,6 +89,11 @@ class Lens:
         if len(self.blurs) > _MOST_BLURS:
             self.blurs.clear()
 
+    def forget_textures(self) -> None:
+        """Delete the blurred objects, whose textures another draw changes; a picture stays."""
+        if self.picture is None:
+            self.still.clear()
+
     def light(self, renderer: Renderer, progress: Progress) -> FloatArray:
         """Mean electrons of each pixel for a scene at rest: shape :attr:`shape`."""
         mean_e = np.zeros(self.shape)

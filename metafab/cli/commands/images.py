@@ -40,10 +40,10 @@ class CaptureAnswer:
     """Written frames, as ``metafab capture --json`` prints them.
 
     Attributes:
-        shape: rows and columns of a frame.
+        shape: rows and columns of a frame; of a batch, frames before them.
         photons: sum of all pixels, electrons; one value for each frame of a film.
         seconds: time of the command.
-        file: path of a single frame; ``files``: paths of the frames of a film. One of them is None.
+        file: path of a single frame or of a batch; ``files``: paths of the frames of a film. One of them is None.
         black: black level of a file in counts; this and the following are the options that ``decode`` needs to read
             it, and None for an ``.h5``.
         electrons_per_count: gain.
@@ -77,34 +77,52 @@ def _counts(black: float, gain: float, read_noise_e: float, white: float | None)
 
 @app.command("capture")
 def capture_command(
-    scene: SceneFile,
+    scenes: Annotated[
+        list[Path], typer.Argument(metavar="SCENE.toml...", help="Scene file, or a design with a scene.")
+    ],
     psf: PsfOption,
     output: Output = None,
     seed: Seed = None,
     frames: Annotated[int, typer.Option(min=1, metavar="N", help="Frames of a film, in files numbered from 1.")] = 1,
+    draws: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="Frames of each scene, of successive seeds, with truth in one .h5."),
+    ] = None,
     black: Annotated[
         int, typer.Option(min=0, max=32767, metavar="COUNTS", help="Black level [for .tif, .png and .npy].")
     ] = 0,
     json_: Json = False,
 ) -> None:
-    """Simulate the raw frame of a scene, or the frames of a film: .h5 with the truth, or counts in .tif, .png, .npy."""
+    """Simulate the raw frame of a scene, the frames of a film, or a batch of frames for learning.
+
+    A frame is an .h5 with its truth, or counts in .tif, .png or .npy.
+    """
     from metafab.camera import counts_of
     from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import HDF5_SUFFIXES
     from metafab.spec import load_scene
-    from metafab.steps.images import capture
+    from metafab.steps.images import capture, capture_batch
 
-    path = output or Path("raw.h5")
+    path = output or Path("raw.h5" if draws is None else "batch.h5")
     in_counts = path.suffix.lower() not in HDF5_SUFFIXES
     if black and not in_counts:
         expected = "a .tif, .png or .npy file, whose counts have a black level"
         raise InputError.single("capture", "--black", expected, f"{path.name}, in electrons", "leave it out")
+    if draws is not None:
+        _require_batch(path, frames)
+        with open_work() as work, measured() as cost:
+            pairs = [(scene, load_scene(scene)) for scene in scenes]
+            batch = capture_batch(pairs, psf, path, draws, seed=seed, progress=work.progress)
+        show(CaptureAnswer(shape=batch.shape, photons=batch.photons, seconds=cost.seconds, file=path), json_)
+        return
+    if len(scenes) > 1:
+        raise InputError.single("capture", "SCENE", "one scene", f"{len(scenes)}", "add `--draws N` for a batch")
     photons: list[float] = []
     files: list[Path] = []
     shape: tuple[int, ...] = ()
     counts: Counts | None = None
     with open_work() as work, measured() as cost:
-        filmed = capture(load_scene(scene), psf, path, frames, seed=seed, black=black, progress=work.progress)
+        filmed = capture(load_scene(scenes[0]), psf, path, frames, seed=seed, black=black, progress=work.progress)
         for frame, file in filmed:
             counts = counts_of(frame, black=black) if in_counts else None
             shape = frame.frame.shape
@@ -122,6 +140,16 @@ def capture_command(
         white=None if counts is None else counts.white,
     )
     show(answer, json_)
+
+
+def _require_batch(path: Path, frames: int) -> None:
+    """Check the options of a batch."""
+    from metafab.core.storage.files import require_hdf5_name
+
+    require_hdf5_name(path)
+    if frames > 1:
+        remedy = "leave one of them out"
+        raise InputError.single("capture", "--draws", "a film (`--frames`) or a batch (`--draws`)", "both", remedy)
 
 
 @app.command("film")
@@ -157,9 +185,13 @@ def decode_command(
     electrons_per_count: Gain = 1.0,
     read_noise_e: ReadNoise = 0.0,
     white: White = None,
+    fast: Annotated[
+        bool, typer.Option("--fast", help="Leave out the refinement of segments, and with it some of their confidence.")
+    ] = False,
     json_: Json = False,
 ) -> None:
     """Decode a raw frame to a 4D image: both intensities, contrast and depth."""
+    from metafab.decode import FAST
     from metafab.core.storage.files import plain, require_hdf5_name
     from metafab.steps.images import DecodeFigures, decode_file
 
@@ -167,7 +199,8 @@ def decode_command(
     require_hdf5_name(path)
     with open_work() as work:
         counts = _counts(black, electrons_per_count, read_noise_e, white)
-        figures = DecodeFigures.of(decode_file(raw, psf, path, counts=counts, progress=work.progress))
+        image = decode_file(raw, psf, path, counts=counts, numerics=FAST if fast else None, progress=work.progress)
+        figures = DecodeFigures.of(image)
     if figures.reason is not None:
         announce([f"{raw}: {figures.reason}; the image is empty"])
     if figures.warning is not None:

@@ -7,16 +7,19 @@ files without one are opened without the test.
 
 from __future__ import annotations
 
+import errno
 import math
+import os
+import shutil
 import zlib
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, BinaryIO, NoReturn
 
 import h5py
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, DTypeLike
 
 from metafab import __version__
 from metafab.core.errors import InputError
@@ -24,7 +27,9 @@ from metafab.core.storage.files import whole_file
 
 
 @contextmanager
-def create(path: Path, *, kind: str, format_version: int, inputs_sha256: str) -> Iterator[h5py.File]:
+def create(
+    path: Path, *, kind: str, format_version: int, inputs_sha256: str, streamed: bool = False
+) -> Iterator[h5py.File]:
     """Create an HDF5 file that appears under ``path`` only if the block succeeds.
 
     Args:
@@ -32,22 +37,32 @@ def create(path: Path, *, kind: str, format_version: int, inputs_sha256: str) ->
         kind: kind of content, such as ``"metafab library"``; readers refuse other kinds.
         format_version: version of this kind's layout.
         inputs_sha256: fingerprint of all inputs of the content.
+        streamed: whether the file is built on the disk and not in memory; test :func:`require_space` before each write.
     """
-    # The file is built in memory: on a full disk the HDF5 library aborts the process, Python's own write raises.
+    # In memory by default: on a full disk the HDF5 library aborts the process, Python's own write raises.
     with whole_file(path) as part:
         # Without tracked times, the same content gives the same bytes.
         options: dict[str, Any] = {"libver": ("v110", "v110"), "track_order": True}
-        with h5py.File(part, "w", driver="core", backing_store=False, **options) as file:
+        if not streamed:
+            options |= {"driver": "core", "backing_store": False}
+        with h5py.File(part, "w", **options) as file:
             file.attrs["kind"] = kind
             file.attrs["format_version"] = format_version
             file.attrs["inputs_sha256"] = inputs_sha256
             file.attrs["metafab_version"] = __version__
             yield file
             file.flush()
-            image = file.id.get_file_image()
-        with part.open("wb") as stream:
+            image = b"" if streamed else file.id.get_file_image()
+        with part.open("r+b" if streamed else "wb") as stream:
             stream.write(image)
-            stream.write(_seal(zlib.crc32(image)))
+            checksum = _checksum(stream, part.stat().st_size) if streamed else zlib.crc32(image)
+            stream.write(_seal(checksum))
+
+
+def require_space(path: Path, nbytes: int) -> None:
+    """Raise the error of a full disk if the folder of ``path`` has less than ``nbytes`` left."""
+    if shutil.disk_usage(path.parent).free < nbytes:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
 
 def put(
@@ -68,8 +83,9 @@ def put(
         data: array of any shape; text is stored as bytes.
         units: physical unit, "1" for pure numbers.
         description: one line.
-        dims: names of the axes. A dataset of ``group``, or else of the file's root, with such a name becomes the scale
-            of that axis; ``dims=(name,)`` makes the dataset itself a scale. xarray requires scales on all axes or none.
+        dims: names of the axes. A dataset of ``group``, or else of the next group above, with such a name becomes the
+            scale of that axis; ``dims=(name,)`` makes the dataset itself a scale. xarray requires scales on all axes or
+            none.
         compress: whether to deflate.
     """
     array = np.asarray(data)
@@ -77,18 +93,48 @@ def put(
         array = array.astype("S")
     options: dict[str, Any] = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if compress else {}
     dataset = group.create_dataset(name, data=array, track_times=False, **options)
-    dataset.attrs["units"] = units
-    dataset.attrs["description"] = description
+    _describe(dataset, units, description)
     if tuple(dims) == (name,):
         dataset.make_scale(name)
-        return dataset
+    else:
+        _scale(dataset, group, dims)
+    return dataset
+
+
+def reserve(
+    group: h5py.Group,
+    name: str,
+    shape: tuple[int, ...],
+    dtype: DTypeLike,
+    *,
+    units: str,
+    description: str,
+    dims: Sequence[str],
+) -> h5py.Dataset:
+    """Make room for an array that is written one entry of its first axis at a time; see :func:`put`."""
+    dataset = group.create_dataset(
+        name, shape, dtype, chunks=(1, *shape[1:]), compression="gzip", compression_opts=1, shuffle=True,
+        track_times=False,
+    )  # fmt: skip
+    _describe(dataset, units, description)
+    _scale(dataset, group, dims)
+    return dataset
+
+
+def _describe(dataset: h5py.Dataset, units: str, description: str) -> None:
+    dataset.attrs["units"] = units
+    dataset.attrs["description"] = description
+
+
+def _scale(dataset: h5py.Dataset, group: h5py.Group, dims: Sequence[str]) -> None:
+    """Name the axes of a dataset, and attach the scales of these names in its group or the next one above."""
     for axis, dimension in enumerate(dims):
         dataset.dims[axis].label = dimension
-        for place in (group, group.file):
-            if dimension in place:
-                dataset.dims[axis].attach_scale(place[dimension])
-                break
-    return dataset
+        place = group
+        while dimension not in place and place.name != "/":
+            place = place.parent
+        if dimension in place:
+            dataset.dims[axis].attach_scale(place[dimension])
 
 
 @contextmanager
@@ -207,15 +253,19 @@ def _seal(checksum: int) -> bytes:
 
 def _damaged(path: Path) -> bool:
     """Whether a file carries a checksum that is not its own."""
-    left, checksum = path.stat().st_size - SEAL_BYTES, 0
-    if left < 0:
+    content = path.stat().st_size - SEAL_BYTES
+    if content < 0:
         return False
     with path.open("rb") as stream:
-        stream.seek(left)
+        stream.seek(content)
         found = stream.read()
-        if not found.startswith(_SEAL):
-            return False
-        stream.seek(0)
-        while left > 0 and (chunk := stream.read(min(left, 1 << 20))):
-            checksum, left = zlib.crc32(chunk, checksum), left - len(chunk)
-    return found != _seal(checksum)
+        return found.startswith(_SEAL) and found != _seal(_checksum(stream, content))
+
+
+def _checksum(stream: BinaryIO, left: int) -> int:
+    """CRC-32 of the first ``left`` bytes of a file, after which the stream stands."""
+    checksum = 0
+    stream.seek(0)
+    while left > 0 and (chunk := stream.read(min(left, 1 << 20))):
+        checksum, left = zlib.crc32(chunk, checksum), left - len(chunk)
+    return checksum

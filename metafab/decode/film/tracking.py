@@ -1,8 +1,8 @@
-"""Tracking of segments: those of a part of the window are identified with the last frame's segments around it.
+"""Tracking of segments: those of a part of the window are identified with the last frame's segments about it.
 
-A segment of the part that lies on one of the last frame's segments around the part continues it. It keeps the last
-frame's depth, which is measured on all pixels of the segment; the part shows only some. The depth is measured again
-when the segment has become much larger.
+A segment of the part that lies on one of the last frame's segments where the light has not changed continues it. It
+keeps the last frame's depth, which is measured on all pixels of the segment; the part shows only some. The depth is
+measured again when the segment has become much larger.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from metafab.decode.segmentation.segments import SegmentDepth
 
 Part = tuple[slice, slice]
 
-#: A segment continues another if at least this share, and this number, of its pixels around the part lie on it.
+#: A segment continues another if at least this share, and this number, of its pixels on unchanged light lie on it.
 _CONTINUED_SHARE, _FEWEST_CONTINUED = 0.5, 9
 #: Growth of a segment's pixels from which its depth is measured again.
 _GROWTH = 1.25
@@ -39,17 +39,20 @@ class TrackedRegions:
     number: NDArray[np.int32]
 
 
-def planes_around(last: Regions, part: Part, surroundings: Part, separation_per_m: float) -> list[Plane]:
-    """Distinct planes of the last frame's segments around a part, in the coordinates of the surroundings.
+def planes_around(
+    last: Regions, part: Part, surroundings: Part, affected: NDArray[np.bool_], separation_per_m: float
+) -> list[Plane]:
+    """Distinct planes of the last frame's segments about the affected pixels, in the coordinates of the surroundings.
 
     Args:
         last: segments of the last frame.
         part: slices of the changed part, downsampled pixels.
         surroundings: slices of the part with the pixels around it.
+        affected: shape of the part, pixels whose light changed.
         separation_per_m: vergence by which planes differ.
     """
     label = last.label[surroundings].copy()
-    label[relative_slices(part, surroundings)] = 0
+    label[relative_slices(part, surroundings)][affected] = 0
     numbers, place = np.unique(label, return_inverse=True)
     around = [number for number in numbers.tolist() if number > 0]
     ranked = place.reshape(label.shape).astype(np.int32) + (0 if (numbers == 0).any() else 1)
@@ -58,25 +61,37 @@ def planes_around(last: Regions, part: Part, surroundings: Part, separation_per_
     return distinct_planes(planes, ranked, separation_per_m)
 
 
-def track(last: Regions, current: Regions, part: Part, surroundings: Part, separation_per_m: float) -> TrackedRegions:
-    """Replace a part of the last frame's segments by the current ones, with numbers that continue.
+def track(
+    last: Regions,
+    current: Regions,
+    part: Part,
+    surroundings: Part,
+    affected: NDArray[np.bool_],
+    separation_per_m: float,
+) -> TrackedRegions:
+    """Replace the affected pixels of a part of the last frame's segments by the current ones.
+
+    Numbers continue. All other pixels of the part keep their segments: new noise moves no outline.
 
     Args:
         last: segments of the last frame.
         current: segments of the surroundings now.
         part: slices of the changed part, downsampled pixels.
         surroundings: slices of the part with the pixels around it.
+        affected: shape of the part, pixels whose light changed.
         separation_per_m: vergence by which planes differ.
     """
     inside, count = relative_slices(part, surroundings), len(last.depths)
-    continued = _continued(last, current, part, surroundings, separation_per_m)
-    sizes, in_part = (np.bincount(one.ravel(), minlength=count + 1)[1:] for one in (last.grown, last.grown[part]))
-    stays = sizes > in_part
+    continued = _continued(last, current, part, surroundings, affected, separation_per_m)
+    sizes, changed = (
+        np.bincount(one, minlength=count + 1)[1:] for one in (last.grown.ravel(), last.grown[part][affected])
+    )
+    stays = sizes > changed
     # The numbers of segments that have gone are used again, so that those of all others stay.
     depths: list[SegmentDepth | None] = [one if kept else None for one, kept in zip(last.depths, stays, strict=True)]
     free = [index for index, one in enumerate(depths) if one is None]
     number = np.zeros(len(current.depths) + 1, dtype=np.int32)
-    visible = np.bincount(current.grown[inside].ravel(), minlength=len(current.depths) + 1) > 0
+    visible = np.bincount(current.grown[inside][affected], minlength=len(current.depths) + 1) > 0
     rows, columns = surroundings
     for index, depth in enumerate(current.depths, start=1):
         if not visible[index]:
@@ -96,22 +111,27 @@ def track(last: Regions, current: Regions, part: Part, surroundings: Part, separ
     labels = []
     for before, now in ((last.label, current.label), (last.interior, current.interior), (last.grown, current.grown)):
         label = np.where(np.append(True, stays)[before], before, 0).astype(np.int32)
-        label[part] = number[now[inside]]
+        label[part][affected] = number[now[inside][affected]]
         labels.append(renumbered[label])
     right = None if last.right is None or current.right is None else last.right.copy()
     if right is not None and current.right is not None:
-        right[part] = current.right[inside]
+        right[part][affected] = current.right[inside][affected]
     label, interior, grown = labels
     regions = Regions(last.layers, tuple(one for one in depths if one is not None), label, interior, grown, right)
     return TrackedRegions(regions, np.append(0, np.where(stays, renumbered[1 : count + 1], 0)).astype(np.int32))
 
 
 def _continued(
-    last: Regions, current: Regions, part: Part, surroundings: Part, separation_per_m: float
+    last: Regions,
+    current: Regions,
+    part: Part,
+    surroundings: Part,
+    affected: NDArray[np.bool_],
+    separation_per_m: float,
 ) -> NDArray[np.intp]:
-    """For each current segment from 1, the last frame's segment that it continues around the part; 0 for none."""
+    """For each current segment from 1, the last frame's segment that it continues where nothing changed; 0 for none."""
     around, before, count = np.ones(current.label.shape, dtype=bool), last.within(*surroundings), len(last.depths) + 1
-    around[relative_slices(part, surroundings)] = False
+    around[relative_slices(part, surroundings)] = ~affected
     codes = current.label[around] * count + before.label[around]
     overlaps = np.bincount(codes, minlength=(len(current.depths) + 1) * count).reshape(-1, count)
     continued = np.zeros(len(current.depths) + 1, dtype=np.intp)

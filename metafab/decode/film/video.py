@@ -22,7 +22,8 @@ from metafab.decode.evaluation.metrics import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
 from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track
 from metafab.decode.image import Image4D
-from metafab.decode.images.compose import PixelMaps, focus_depths
+from metafab.decode.images.compose import FocusDepths, PixelMaps
+from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import SharpImages, TileSpectra
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
@@ -150,11 +151,17 @@ class VideoDecoder:
         with kept_threads() as pool:
             # Parallel loops run in this thread only: not every threading layer lets two threads start them at once.
             tiles = pool.submit(self._tile_spectra, prepared, parts, affected)
-            pixels, tracked = self._segmented(prepared, volume, last, parts)
-        regions = remeasured(tracked.regions, volume, self.decoder.filters.downsampling.step)
-        sharp = self._deconvolved(prepared, last, regions, parts, affected, tiles.result())
-        rows, columns = self.decoder.filters.downsampling.shape
+            pixels, tracked = self._segmented(prepared, volume, last, parts, affected)
+        step, (rows, columns) = self.decoder.filters.downsampling.step, self.decoder.filters.downsampling.shape
+        regions = remeasured(tracked.regions, volume, step)
         redrawn = parts if regions is tracked.regions else [(slice(0, rows), slice(0, columns))]
+        sharp = self._deconvolved(prepared, last, regions, parts, affected, tiles.result())
+        moved = moved_outlines(regions, sharp, step, affected)
+        if moved is not regions:
+            changed = moved.grown != regions.grown
+            before = replace(last, sharp=sharp)
+            sharp = self._deconvolved(prepared, before, moved, parts, changed, tiles.result())
+            regions = moved
         patches = []
         for part in redrawn:
             around, frame_slices = self._surroundings(part), self.decoder.filters.downsampling.frame_slices
@@ -178,27 +185,32 @@ class VideoDecoder:
         """The last frame's twins and cost volume with those of the changed parts."""
         before, grid = last.prepared, self.decoder.calibration.grid
         frame = without_pedestal(frame, before.levels.pedestal_e)
-        twin_images, bad = before.twins.image.copy(), before.twins.bad.copy()
+        twin_images, broken = before.twins.image.copy(), before.twins.broken.copy()
         images, products = before.images.copy(), last.volume.products.copy()
         for part in parts:
             filters = self.decoder.filters.within(*part)
             rows, columns = self.decoder.filters.downsampling.frame_slices(*part)
             twins = extract_part(frame, grid, rows, columns)
             wide = slice(rows.start, rows.stop + 2 * grid.margin), slice(columns.start, columns.stop + 2 * grid.margin)
-            twin_images[:, *wide], bad[rows, columns] = twins
+            twin_images[:, *wide], broken[:, *wide] = twins
             spectra = filters.downsampling.spectra(twins[0])
             small = filters.downsampling.images(spectra)[:, *filters.downsampling.inner]
             m = filters.downsampling.margin
             images[:, part[0].start + m : part[0].stop + m, part[1].start + m : part[1].stop + m] = small
             lit = small.sum(axis=0) > before.dark_e
             products[:, :, *part] = filters.volume(spectra, before.levels, lit, silent).products
-        prepared = replace(before, twins=Twins(grid, twin_images, bad), images=images)
+        prepared = replace(before, twins=Twins(grid, twin_images, broken), images=images)
         return prepared, replace(last.volume, products=products)
 
     def _segmented(
-        self, prepared: PreparedFrame, volume: CostVolume, last: DecodedFrame, parts: list[Part]
+        self,
+        prepared: PreparedFrame,
+        volume: CostVolume,
+        last: DecodedFrame,
+        parts: list[Part],
+        affected: NDArray[np.bool_],
     ) -> tuple[PixelDepth, TrackedRegions]:
-        """The last frame's pixel depths and segments with those of the changed parts."""
+        """The last frame's pixel depths and segments with those of the affected pixels of the changed parts."""
         before, regions = last.pixels, last.regions
         number = np.arange(len(regions.depths) + 1, dtype=np.int32)
         pixels = PixelDepth(before.vergence_per_m.copy(), before.relative_error.copy(), before.claimed.copy())
@@ -208,13 +220,14 @@ class VideoDecoder:
             inside = relative_slices(part, around)
             local, local_volume = prepared.within(*around), volume.within(*around)
             depth = pixel_depth(local_volume, local.window, local.variance)
-            pixels.vergence_per_m[part] = depth.vergence_per_m[inside]
-            pixels.relative_error[part] = depth.relative_error[inside]
-            pixels.claimed[part] = (depth.claimed & near_texture(local))[inside]
-            known = planes_around(regions, part, around, separation)
-            rounds = self.decoder.numerics.outline_rounds
-            current = find_regions(local, local_volume, pixels.within(*around), known, rounds)
-            tracked = track(regions, current, part, around, separation)
+            claimed, renewed = depth.claimed & near_texture(local), affected[part]
+            pixels.vergence_per_m[part][renewed] = depth.vergence_per_m[inside][renewed]
+            pixels.relative_error[part][renewed] = depth.relative_error[inside][renewed]
+            pixels.claimed[part][renewed] = claimed[inside][renewed]
+            known = planes_around(regions, part, around, renewed, separation)
+            numerics, here = self.decoder.numerics, pixels.within(*around)
+            current = find_regions(local, local_volume, here, known, numerics.outline_rounds, refined=numerics.refined)
+            tracked = track(regions, current, part, around, renewed, separation)
             regions, number = tracked.regions, tracked.number[number]
         return pixels, TrackedRegions(regions, number)
 
@@ -241,18 +254,16 @@ class VideoDecoder:
         label, vergences = np.zeros(affected.shape, dtype=np.int32), np.zeros(0)
         for part in parts:
             around = self._surroundings(part)
-            depths, of_depths = focus_depths(
-                prepared.within(*around), regions.within(*around), last.volume.vergences_per_m
-            )
-            numbers = np.where(depths > 0, depths + vergences.size, 0)[relative_slices(part, around)]
+            focus = FocusDepths.of(prepared.within(*around), regions.within(*around), last.volume.vergences_per_m)
+            numbers = np.where(focus.label > 0, focus.label + vergences.size, 0)[relative_slices(part, around)]
             label[part] = np.where(affected[part], numbers, 0)
-            vergences = np.append(vergences, of_depths)
+            vergences = np.append(vergences, focus.vergences_per_m)
         wanted, renewed = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=bool)
         all_wanted, all_affected = (repeated(values, downsampling.step, shape) for values in (label, affected))
         for part in parts:
             inside = downsampling.frame_slices(*part)
             wanted[inside], renewed[inside] = all_wanted[inside], all_affected[inside]
-        sharp = self.decoder.deconvolver(tiles, prepared.levels, wanted, vergences)
+        sharp = self.decoder.deconvolver(tiles, prepared.levels, wanted, vergences, prepared.twins.broken)
         return last.sharp.replaced(sharp, renewed)
 
 

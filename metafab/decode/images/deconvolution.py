@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.spectra import transfer_functions
 from metafab.core.parallel.executor import kept_threads
+from metafab.decode.images.highlights import separated
 from metafab.decode.images.unmixing import Unmixing
 from metafab.decode.matching.levels import Levels
 from metafab.decode.registration.calibration import Calibration
@@ -127,7 +128,12 @@ class Deconvolver:
         return TileSpectra(place, spectra)
 
     def __call__(
-        self, tiles: TileSpectra, levels: Levels, label: NDArray[np.int32], vergences_per_m: FloatArray
+        self,
+        tiles: TileSpectra,
+        levels: Levels,
+        label: NDArray[np.int32],
+        vergences_per_m: FloatArray,
+        broken: NDArray[np.bool_] | None = None,
     ) -> SharpImages:
         """Deconvolve both images, each pixel at its own depth.
 
@@ -139,6 +145,7 @@ class Deconvolver:
             levels: noise and texture of the frame.
             label: shape (n_y, n_x), number of each pixel's depth from 1; 0 for none.
             vergences_per_m: shape (n_depths,), 1/depth of each number.
+            broken: shape (2, n_y + 2 margin, n_x + 2 margin), pixels of both images without a datum; none by default.
 
         Returns:
             The images, not negative, and their noise gain; 0 where ``label`` is 0.
@@ -152,14 +159,22 @@ class Deconvolver:
         steps = np.round((vergences_per_m - low) / (high - low) * _DEPTH_STEPS).astype(np.intp)
         pairs = tiling.labels_of_tiles(label, len(vergences_per_m))
         transfers = self.transfers([(int(steps[number - 1]), tile) for tile, number in pairs])
+        spectra, highlights = tiles.spectra, dict[int, NDArray[np.float32]]()
+        if broken is not None and broken.any():
+            spectra = tiles.spectra.copy()
+            highlights = self._separated(
+                replace(tiles, spectra=spectra), levels, ratio, label, broken, pairs, transfers
+            )
 
         def deconvolve(pair: tuple[int, int], transfer: NDArray[np.complex64]) -> None:
             tile, number = pair
-            filtered, gain = wiener_filter(transfer, tiles.spectra[:, tiles.place[tile]], ratio)
+            filtered, gain = wiener_filter(transfer, spectra[:, tiles.place[tile]], ratio)
             mask = label[tiling.place(tile)] == number
             rows = np.flatnonzero(mask.any(axis=1))
             part, mask = tiling.place(tile, rows[0], rows[-1] + 1), mask[rows[0] : rows[-1] + 1]
             core = tiling.cores(filtered, rows[0], rows[-1] + 1)[..., : mask.shape[1]]
+            if tile in highlights:
+                core += highlights[tile][:, rows[0] : rows[-1] + 1, : mask.shape[1]]
             np.copyto(sharp.images[:, *part], np.maximum(core, 0.0), where=mask)
             np.copyto(sharp.noise_gain[:, *part], gain[:, None, None], where=mask)
 
@@ -170,6 +185,42 @@ class Deconvolver:
         if self.unmixing is not None:
             self.unmixing.separate(sharp.images, sharp.noise_gain)
         return sharp
+
+    def _separated(
+        self,
+        tiles: TileSpectra,
+        levels: Levels,
+        ratio: NDArray[np.float32],
+        label: NDArray[np.int32],
+        broken: NDArray[np.bool_],
+        pairs: list[tuple[int, int]],
+        transfers: list[NDArray[np.complex64]],
+    ) -> dict[int, NDArray[np.float32]]:
+        """Fill in the broken pixels of the tiles and take the highlights about them off; see :func:`separated`.
+
+        Returns:
+            Sharp light of the highlights in the core of each tile that has some, shape (2, *core).
+        """
+        tiling, spare = self.tiling, self.calibration.grid.margin - self.tiling.margin
+        inside = slice(spare, -spare or None)
+        depths = np.pad(label, tiling.margin, mode="edge")
+        light: dict[int, NDArray[np.float32]] = {}
+        core = (slice(None), *(slice(tiling.margin, tiling.margin + n) for n in tiling.core))
+        for (tile, number), transfer in zip(pairs, transfers, strict=True):
+            at_depth = tiling.window(depths, tile) == number
+            for image, mask in enumerate(broken[:, inside, inside]):
+                free = tiling.window(mask, tile) & at_depth
+                if not free.any():
+                    continue
+                place = image, tiles.place[tile]
+                found = separated(
+                    tiles.spectra[place], transfer[image], ratio, free, levels.noise_variance, levels.signal
+                )
+                if found is not None:
+                    tiles.spectra[place] = found.spectrum
+                    whole = light.setdefault(tile, np.zeros((2, *tiling.size), dtype=np.float32))
+                    whole[image] += found.light
+        return {tile: whole[core] for tile, whole in light.items()}
 
     @property
     def _range_per_m(self) -> tuple[float, float]:

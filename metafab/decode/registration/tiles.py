@@ -81,6 +81,12 @@ class Tiling:
             cut += level
             yield cut
 
+    def window(self, picture: NDArray[np.bool_ | np.int32], tile: int) -> NDArray[np.bool_ | np.int32]:
+        """A tile's part of a picture (n_y + 2 margin, n_x + 2 margin), 0 beyond it: shape ``size``."""
+        row, column = (index * core for index, core in zip(divmod(tile, self.counts[1]), self.core, strict=True))
+        part = picture[row : row + self.size[0], column : column + self.size[1]]
+        return np.pad(part, [(0, n - have) for n, have in zip(self.size, part.shape, strict=True)])
+
     @cached_property
     def _taper(self) -> NDArray[np.float32]:
         """1 in the core, falling to 0 over the outer part of the margin: shape ``size``."""

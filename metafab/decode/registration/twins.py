@@ -175,18 +175,24 @@ class Twins:
     Attributes:
         grid: the grid.
         image: shape (2, n_y + 2 margin, n_x + 2 margin), electrons per pixel of the x image.
-        bad: shape (n_y, n_x), whether the frame is saturated or not a number there; without margin.
+        broken: shape (2, n_y + 2 margin, n_x + 2 margin), whether the frame is saturated or not a number there.
     """
 
     grid: TwinGrid
     image: NDArray[np.float32]
-    bad: NDArray[np.bool_]
+    broken: NDArray[np.bool_]
+
+    @cached_property
+    def bad(self) -> NDArray[np.bool_]:
+        """Whether either image is broken at a pixel of the window: shape (n_y, n_x)."""
+        inside = slice(self.grid.margin, -self.grid.margin or None)
+        return self.broken[0, inside, inside] | self.broken[1, inside, inside]
 
     def within(self, rows: slice, columns: slice) -> Twins:
         """A part of the window, with the same margin."""
         m = self.grid.margin
-        image = self.image[:, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
-        return Twins(self.grid.within(rows, columns), image, self.bad[rows, columns])
+        wide = slice(rows.start, rows.stop + 2 * m), slice(columns.start, columns.stop + 2 * m)
+        return Twins(self.grid.within(rows, columns), self.image[:, *wide], self.broken[:, *wide])
 
 
 def extract(frame: RawFrame, grid: TwinGrid) -> Twins:
@@ -206,7 +212,7 @@ def extract_part(
         columns: columns of the part, n_x of them.
 
     Returns:
-        ``image`` and ``bad`` of :class:`Twins`, shapes (2, n_y + 2 margin, n_x + 2 margin) and (n_y, n_x).
+        ``image`` and ``broken`` of :class:`Twins`, shapes (2, n_y + 2 margin, n_x + 2 margin).
     """
     m = grid.margin
     wide = slice(rows.start, rows.stop + 2 * m), slice(columns.start, columns.stop + 2 * m)
@@ -227,10 +233,11 @@ def extract_part(
     image = np.empty((2, *shape), dtype=np.float32)
     image[0] = crop(values, corner, shape)
     np.multiply(resampler(values), grid.area[wide], out=image[1])
-    bad = np.zeros(shape, dtype=bool)
+    marked = np.zeros(image.shape, dtype=bool)
     if any_broken:
-        bad = crop(broken, corner, shape) | (resampler(uniform_filter(broken.astype(np.float32), 3)) > 0.05)
-    return image, bad[m : shape[0] - m, m : shape[1] - m]
+        marked[0] = crop(broken, corner, shape)
+        marked[1] = resampler(uniform_filter(broken.astype(np.float32), 3)) > 0.05
+    return image, marked
 
 
 def compilable(values: NDArray[Any]) -> NDArray[Any]:

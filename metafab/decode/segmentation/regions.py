@@ -161,6 +161,8 @@ def find_regions(
     pixels: PixelDepth,
     known: Sequence[Plane] = (),
     outline_rounds: int = ROUNDS,
+    *,
+    refined: bool = True,
 ) -> Regions:
     """Segment a frame, with the probability that each pixel is in the right segment.
 
@@ -170,9 +172,10 @@ def find_regions(
         pixels: depth of each pixel.
         known: planes of the picture; if some are tilted, pixels are assigned to them at once.
         outline_rounds: most rounds of the refinement of outlines.
+        refined: whether to separate layers by noise, leave outliers out of depths, and compute that probability.
     """
-    regions = _find_regions(prepared, volume, pixels, known, outline_rounds)
-    if not regions.depths:
+    regions = _find_regions(prepared, volume, pixels, known, outline_rounds, refined=refined)
+    if not (regions.depths and refined):
         return regions
     label = regions.grown
 
@@ -231,7 +234,13 @@ def without_outliers(
 
 
 def _find_regions(
-    prepared: PreparedFrame, volume: CostVolume, pixels: PixelDepth, known: Sequence[Plane], outline_rounds: int
+    prepared: PreparedFrame,
+    volume: CostVolume,
+    pixels: PixelDepth,
+    known: Sequence[Plane],
+    outline_rounds: int,
+    *,
+    refined: bool,
 ) -> Regions:
     """Segment a frame; depths still hold the outliers of their segments.
 
@@ -252,6 +261,8 @@ def _find_regions(
         planes = planes_across(cells, cell_side(prepared.downsampling.step), volume, pixels, regions)
         if any(plane.tilted for plane in planes):
             regions = segmentation.of_planes(planes)
+    if not refined:
+        return regions
     finer = replace(segmentation, separation_per_m=noise_separation_per_m(volume, pixels))
     layers = finer.layers
     if len(layers) <= len(coarse):

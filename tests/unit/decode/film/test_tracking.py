@@ -15,6 +15,7 @@ from metafab.decode.segmentation.segments import SegmentDepth
 
 SHAPE, STEP_PER_M = (40, 60), 0.1
 PART, ABOUT = (slice(10, 30), slice(20, 40)), (slice(5, 35), slice(15, 45))
+ALL = np.ones((20, 20), dtype=bool)
 ROAD = Plane(2.0, (0.01, 0.0), (20.0, 30.0))
 
 
@@ -45,7 +46,7 @@ def test_what_goes_on_keeps_its_depth_and_what_moves_has_its_own() -> None:
     # The road is not as well known from the part: half a step would make it another one.
     poorer = Plane(2.03, (0.01, 0.0), (15.0, 15.0))
     found = now((slice(12, 22), slice(14, 19)), Plane(2.6, (0.0, 0.02), (17.0, 16.5)), poorer)
-    tracked = track(last, found, PART, ABOUT, STEP_PER_M)
+    tracked = track(last, found, PART, ABOUT, ALL, STEP_PER_M)
     both, number = tracked.regions, tracked.number
     assert [depth.vergence_per_m for depth in both.depths] == [2.0, 3.0, 2.6]
     assert both.depths[0] == last.depths[0]
@@ -63,7 +64,7 @@ def test_what_goes_on_keeps_its_depth_and_what_moves_has_its_own() -> None:
 def test_another_depth_beside_the_same_pixels_is_another_segment() -> None:
     last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
     found = now(None, Plane(9.0), Plane(2.2))
-    tracked = track(last, found, PART, ABOUT, STEP_PER_M)
+    tracked = track(last, found, PART, ABOUT, ALL, STEP_PER_M)
     both, number = tracked.regions, tracked.number
     # That of which no pixel is left in the part has no number.
     assert [depth.vergence_per_m for depth in both.depths] == [2.0, 3.0, 2.2]
@@ -78,7 +79,7 @@ def test_what_has_gone_leaves_no_number_behind() -> None:
     label = np.where(label == 2, 3, np.where(label == 3, 2, label))
     last = regions(label, ROAD, Plane(2.5), Plane(3.0))
     found = regions(np.ones((30, 30)), Plane(2.0, (0.01, 0.0), (15.0, 15.0)))
-    tracked = track(last, found, PART, ABOUT, STEP_PER_M)
+    tracked = track(last, found, PART, ABOUT, ALL, STEP_PER_M)
     both, number = tracked.regions, tracked.number
     assert [depth.vergence_per_m for depth in both.depths] == [2.0, 3.0]
     assert (both.label[:, 50:55] == 2).all()
@@ -88,17 +89,17 @@ def test_what_has_gone_leaves_no_number_behind() -> None:
 
 def test_nothing_in_the_part_and_nothing_in_the_last_frame() -> None:
     last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
-    tracked = track(last, regions(np.zeros((30, 30))), PART, ABOUT, STEP_PER_M)
+    tracked = track(last, regions(np.zeros((30, 30))), PART, ABOUT, ALL, STEP_PER_M)
     both = tracked.regions
     assert not both.label[PART].any()
     assert len(both.depths) == 2
     nothing = regions(np.zeros(SHAPE))
-    tracked = track(nothing, now(None, Plane(9.0), Plane(2.2)), PART, ABOUT, STEP_PER_M)
+    tracked = track(nothing, now(None, Plane(9.0), Plane(2.2)), PART, ABOUT, ALL, STEP_PER_M)
     both, number = tracked.regions, tracked.number
     assert (both.label[PART] == both.label.max()).all()
     assert both.label[:10].max() == 0
     assert number.tolist() == [0]
-    assert planes_around(nothing, PART, ABOUT, STEP_PER_M) == []
+    assert planes_around(nothing, PART, ABOUT, ALL, STEP_PER_M) == []
 
 
 @settings(max_examples=60, deadline=None)
@@ -111,23 +112,24 @@ def test_labels_and_depths_always_belong_together(seed: int, before: int, after:
     found = regions(
         rng.integers(0, after + 1, (6, 6)).repeat(5, 0).repeat(5, 1), *(Plane(1.0 + k) for k in range(after))
     )
-    tracked = track(last, found, PART, ABOUT, STEP_PER_M)
+    affected = rng.integers(0, 2, (4, 4)).repeat(5, 0).repeat(5, 1).astype(bool)
+    tracked = track(last, found, PART, ABOUT, affected, STEP_PER_M)
     both, number = tracked.regions, tracked.number
     outside = np.ones(SHAPE, dtype=bool)
-    outside[PART] = False
+    outside[PART] = ~affected
     one = np.array([np.nan, *(depth.vergence_per_m for depth in both.depths)])
     was = np.array([np.nan, *(depth.vergence_per_m for depth in last.depths)])
     is_now = np.array([np.nan, *(depth.vergence_per_m for depth in found.depths)])
     np.testing.assert_array_equal(one[both.label[outside]], was[last.label[outside]])
     np.testing.assert_array_equal(number[last.label[outside]], both.label[outside])
     # A segment that goes on is at the same depth to within half a step; these differ by more or not at all.
-    np.testing.assert_array_equal(one[both.label[PART]], is_now[found.label[5:25, 5:25]])
+    np.testing.assert_array_equal(one[both.label[~outside]], is_now[found.label[5:25, 5:25][affected]])
 
 
 def test_known_planes_are_those_around_the_part_in_its_own_picture() -> None:
     last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
     # The car is in the part, the post beyond what lies around it.
-    assert planes_around(last, PART, ABOUT, STEP_PER_M) == [Plane(2.0, (0.01, 0.0), (15.0, 15.0))]
+    assert planes_around(last, PART, ABOUT, ALL, STEP_PER_M) == [Plane(2.0, (0.01, 0.0), (15.0, 15.0))]
 
 
 @pytest.mark.parametrize(("pixels", "again"), [(100.0, True), (1900.0, False)])

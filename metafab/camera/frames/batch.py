@@ -1,0 +1,143 @@
+"""Frames for learners in one HDF5 file: raw frames of scenes with their truth, their seeds, and the PSF pair."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from metafab.camera.frames.frame import RawFrame, Truth
+from metafab.camera.frames.store import TRUTH_UNITS, put_axes
+from metafab.core.errors import InputError
+from metafab.core.storage import hdf5
+from metafab.optics import store
+from metafab.optics.point_spread import Psf
+
+BATCH_KIND = "metafab batch"
+BATCH_FORMAT = 1
+#: Frames and truth are stored in single precision, which is finer than their noise and interpolation.
+#: Space that a frame may take on the disk, as a multiple of its arrays before they are deflated.
+_ROOM = 2.0
+
+
+@dataclass(frozen=True)
+class Draw:
+    """A frame of one of several scenes.
+
+    Attributes:
+        scene: number of the scene from 0.
+        seed: seed of its textures and noise.
+        frame: the frame with its truth.
+    """
+
+    scene: int
+    seed: int
+    frame: RawFrame
+
+
+def save_batch(
+    draws: Iterable[Draw], count: int, scenes: Sequence[str], psf: Psf, path: Path, *, inputs_sha256: str = ""
+) -> None:
+    """Write frames of one shape as they come, one in memory at a time; an interrupted write leaves no file.
+
+    Args:
+        draws: the frames.
+        count: number of frames.
+        scenes: names of the scenes.
+        psf: pair that made them.
+        path: an .h5 file.
+        inputs_sha256: fingerprint of all inputs.
+
+    Raises:
+        InputError: a frame whose shape or place on the sensor is not the first one's.
+        OSError: the disk is full.
+    """
+    with hdf5.create(
+        path, kind=BATCH_KIND, format_version=BATCH_FORMAT, inputs_sha256=inputs_sha256, streamed=True
+    ) as file:
+        store.put(file.create_group("pair"), psf)
+        names = [name.encode() for name in scenes]
+        hdf5.put(file, "scene_file", names, units="1", description="file of each scene")
+        numbers, first = np.arange(count), None
+        hdf5.put(file, "number", numbers, units="1", description="number of the frame", dims=("number",))
+        figures = []
+        for number, draw in enumerate(draws):
+            frame = draw.frame
+            if first is None:
+                first = frame
+                _reserve(file, frame, count)
+            elif _place(frame) != _place(first):
+                expected = f"frames of one shape and place: shape {first.frame.shape}"
+                raise InputError.single(
+                    scenes[draw.scene], "field_px", expected, f"shape {frame.frame.shape}", "give all scenes one field"
+                )
+            hdf5.require_space(path, int(_ROOM * frame.frame.nbytes))
+            file["frame"][number] = frame.frame
+            for name in TRUTH_UNITS if frame.truth is not None else ():
+                file["truth"][name][number] = getattr(frame.truth, name)
+            saturation_e = np.nan if frame.saturation_e is None else frame.saturation_e
+            figures.append((draw.seed, draw.scene, frame.read_noise_e, saturation_e))
+        of_frames = (
+            ("seed", "1", "seed of textures and noise"),
+            ("scene", "1", "number of the scene in `scene_file` from 0"),
+            ("read_noise_e", "e", "standard deviation of the read noise"),
+            ("saturation_e", "e", "level at which pixels saturate, NaN for none"),
+        )
+        for (name, units, about), values in zip(of_frames, zip(*figures, strict=True), strict=True):
+            hdf5.put(file, name, values, units=units, description=about, dims=("number",))
+
+
+def load_draw(path: Path | str, number: int) -> Draw:
+    """Read one frame of a batch, numbered from 0.
+
+    Raises:
+        InputError: the file is missing, truncated, foreign or of a newer format, or has no such frame.
+    """
+    remedy = "make it with `metafab capture SCENE.toml --psf PSF.h5 --draws N`"
+    with hdf5.open_kind(path, kind=BATCH_KIND, format_version=BATCH_FORMAT, remedy=remedy) as file:
+        count = file["frame"].shape[0]
+        if not 0 <= number < count:
+            raise InputError.single(str(path), "number", f"0 to {count - 1}", f"{number}")
+        group, saturation_e = file["truth"], float(file["saturation_e"][number])
+        arrays = {name: group[name][number] for name in TRUTH_UNITS}
+        floats = {name: values.astype(np.float64) for name, values in arrays.items() if name != "label"}
+        origin, truth_origin = (tuple(map(float, one.attrs["origin_um"])) for one in (file, group))
+        row, column, rows, columns = map(int, file.attrs["x_window"])
+        frame = RawFrame(
+            file["frame"][number].astype(np.float64),
+            float(file.attrs["pixel_um"]),
+            (origin[0], origin[1]),
+            float(file["read_noise_e"][number]),
+            Truth(**floats, label=arrays["label"]),
+            (truth_origin[0], truth_origin[1]),
+            (row, column, rows, columns),
+            None if np.isnan(saturation_e) else saturation_e,
+        )
+        return Draw(int(file["scene"][number]), int(file["seed"][number]), frame)
+
+
+def _place(frame: RawFrame) -> tuple[object, ...]:
+    return frame.frame.shape, frame.origin_um, frame.truth_origin_um, frame.x_window
+
+
+def _reserve(file: h5py.File, frame: RawFrame, count: int) -> None:
+    """Make room for ``count`` frames like the first one."""
+    if frame.truth is None or frame.truth_origin_um is None or frame.x_window is None:
+        raise ValueError("a frame of a batch holds its truth and its window")
+    truth = file.create_group("truth")
+    for group, origin_um, shape in (
+        (file, frame.origin_um, frame.frame.shape),
+        (truth, frame.truth_origin_um, frame.truth.depth_m.shape),
+    ):
+        group.attrs["origin_um"] = origin_um
+        put_axes(group, shape, origin_um, frame.pixel_um)
+    file.attrs["pixel_um"], file.attrs["x_window"] = frame.pixel_um, frame.x_window
+    dims = ("number", "y_um", "x_um")
+    whole = (count, *frame.frame.shape)
+    hdf5.reserve(file, "frame", whole, np.float32, units="e", description="raw frames", dims=dims)
+    for name, (units, about) in TRUTH_UNITS.items():
+        shape, dtype = (count, *frame.truth.depth_m.shape), np.int32 if name == "label" else np.float32
+        hdf5.reserve(truth, name, shape, dtype, units=units, description=about, dims=dims)
