@@ -57,6 +57,11 @@ def test_one_frame_is_one_file_with_the_first_frames_bytes(folder: Path) -> None
     assert answer.code == 0, answer.stderr
     assert Path(answer.json["file"]).name == "one.h5"
     assert camera.load(folder / "one.h5").frame.shape == tuple(answer.json["shape"])
+    command = ("decode", folder / "one.h5", "--psf", folder / "psf.h5", "-o", folder / "decoded.h5", "--json")
+    refined, fast = metafab(*command), metafab(*command, "--fast")
+    assert fast.code == 0, fast.stderr
+    # One plane: nothing to refine but the outliers at its rim.
+    assert fast.json["nmae"] == pytest.approx(refined.json["nmae"], abs=1e-3)
 
 
 def test_a_batch_of_two_scenes_is_one_file(folder: Path) -> None:

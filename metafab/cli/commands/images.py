@@ -191,13 +191,14 @@ def decode_command(
     json_: Json = False,
 ) -> None:
     """Decode a raw frame to a 4D image: both intensities, contrast and depth."""
-    from metafab.decode import FAST
     from metafab.core.storage.files import plain, require_hdf5_name
     from metafab.steps.images import DecodeFigures, decode_file
 
     path = output or Path("decoded.h5")
     require_hdf5_name(path)
     with open_work() as work:
+        from metafab.decode import FAST
+
         counts = _counts(black, electrons_per_count, read_noise_e, white)
         image = decode_file(raw, psf, path, counts=counts, numerics=FAST if fast else None, progress=work.progress)
         figures = DecodeFigures.of(image)
