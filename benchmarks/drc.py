@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import runpy
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from benchmarks.lens import closed_form_library, lens_design, lens_profile
 from metafab import drc, layout, mask
 from metafab.core.parallel.measure import measured
-
-_lens = runpy.run_path(str(Path(__file__).with_name("lens.py")))
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
     """One row per file and engine; the small lens if ``quick``, else 25.6 million pillars."""
-    design = _lens["lens_design"](quick)
-    profile, library = _lens["lens_profile"](design), _lens["closed_form_library"](design.unit_cell)
+    design = lens_design(quick)
+    profile, library = lens_profile(design), closed_form_library(design.unit_cell)
     small = replace(design, device=replace(design.device, aperture_um=20.0))
     table = []
     with TemporaryDirectory() as name:
@@ -35,9 +33,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
                 {
                     "name": f"{engine}, {path.suffix[1:]}, reading included",
                     "error": float(sum(report.violations.values())),
-                    "seconds": cost.seconds,
-                    "processor_seconds": cost.processor_seconds,
-                    "peak_rss_mb": cost.peak_rss_mb,
+                    **vars(cost),
                     "pillars": report.pillars,
                 }
             )

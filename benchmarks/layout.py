@@ -7,7 +7,6 @@ of an exclusive or. The last rows compare both gap rules (``efficiency``, ``mean
 from __future__ import annotations
 
 import os
-import runpy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,18 +16,17 @@ from typing import Any
 import gdstk
 import numpy as np
 
+from benchmarks.lens import closed_form_library, gap_rows, lens_design, lens_profile
 from metafab import layout, mask
-from metafab.core.parallel.measure import measured
+from metafab.core.parallel.measure import Cost, measured
 from metafab.layout import PillarMap
 from metafab.spec import Design
-
-_lens = runpy.run_path(str(Path(__file__).with_name("lens.py")))
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
     """One row per step or peer; the small lens if ``quick``, else 25.6 million pillars."""
-    design = _lens["lens_design"](quick)
-    profile, library = _lens["lens_profile"](design), _lens["closed_form_library"](design.unit_cell)
+    design = lens_design(quick)
+    profile, library = lens_profile(design), closed_form_library(design.unit_cell)
     _warm_up(design, profile, library)
     table: list[dict[str, Any]] = []
     with measured() as cost:
@@ -41,7 +39,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
             table += _own(suffix, assignment.pillars, design, Path(folder, suffix), pillars)
             table += _peers(suffix, Path(folder, suffix), pillars, quick)
         table += _exclusive_or(Path(folder), pillars)
-    return table + _lens["gap_rows"](quick)
+    return table + gap_rows(quick)
 
 
 def _own(suffix: str, pillars: PillarMap, design: Design, folder: Path, count: int) -> list[dict[str, Any]]:
@@ -122,12 +120,5 @@ def _warm_up(design: Design, profile: Any, library: Any) -> None:
             mask.read(file.path, small)
 
 
-def _row(name: str, error: float, cost: Any, pillars: int) -> dict[str, Any]:
-    return {
-        "name": name,
-        "error": error,
-        "seconds": cost.seconds,
-        "processor_seconds": cost.processor_seconds,
-        "peak_rss_mb": cost.peak_rss_mb,
-        "pillars": pillars,
-    }
+def _row(name: str, error: float, cost: Cost, pillars: int) -> dict[str, Any]:
+    return {"name": name, "error": error, **vars(cost), "pillars": pillars}

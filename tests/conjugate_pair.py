@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from metafab.core.conventions import FloatArray, sensor_distance_um
-from metafab.optics.geometry.aperture import circle_um
+from metafab.optics.geometry.aperture import sub_apertures_um
 from metafab.optics.point_spread import Psf, PsfField
 
 WAVELENGTH_UM = 0.8
@@ -16,6 +16,13 @@ RADIUS_UM = 100.0
 ANGLE_DEG = 8.0
 FOCUS_DEPTH_M = 0.003
 PIXEL_UM = 2.4
+
+
+def circle_um(diameter_um: float) -> FloatArray:
+    """Points of equal power of a uniformly lit circle, shape (n, 2)."""
+    axis: FloatArray = np.linspace(-0.5, 0.5, 255) * diameter_um
+    lit = axis[:, None] ** 2 + axis**2 <= (0.5 * diameter_um) ** 2
+    return sub_apertures_um(axis, axis, lit.astype(np.float64))
 
 
 def helix_psf(

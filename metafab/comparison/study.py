@@ -7,9 +7,9 @@ lie between those of the calibration. Planes fill the view on the axis: no edges
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from metafab.comparison.rivals import Rival, rivals
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import read_json, write_json
+from metafab.core.storage.tables import typed
 from metafab.information.plane_depth import PlaneEstimator
 from metafab.information.restoration import restored_error
 from metafab.information.texture import Texture
@@ -207,17 +208,9 @@ def comparison_figures(comparison: Comparison) -> ComparisonFigures:
 
 def save_comparison(comparison: Comparison, path: Path) -> None:
     """Write ``comparison.json``."""
-    write_json(path, {"kind": KIND, "format_version": FORMAT, **asdict(comparison)})
+    write_json(path, {"kind": KIND, "format_version": FORMAT, **vars(comparison)})
 
 
 def load_comparison(path: Path) -> Comparison | None:
     """Read ``comparison.json``; None if the file is missing, foreign or of a newer format."""
-    return read_json(path, KIND, FORMAT, _comparison)
-
-
-def _comparison(table: dict[str, Any]) -> Comparison:
-    for name in ("depth_m", "error", "bound", "restored"):
-        table[name] = np.array(table[name], dtype=np.float64)
-    for name in ("methods", "cameras"):
-        table[name] = tuple(table[name])
-    return Comparison(**table)
+    return read_json(path, KIND, FORMAT, partial(typed, Comparison))

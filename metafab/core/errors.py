@@ -61,12 +61,6 @@ class InputError(MetafabError):
         return (type(self), (self.source, self.faults))
 
 
-class RulesViolatedError(MetafabError):
-    """A layout breaks its design rules."""
-
-    exit_code = 2
-
-
 class SolverError(MetafabError):
     """A solver reached no trustworthy answer."""
 

@@ -13,7 +13,7 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.library import store
 from metafab.library.library import Library
 from metafab.library.neighbours.training import inputs_of_training, train
-from metafab.library.sweep import build
+from metafab.library.sweep.build import BuildNumerics, build_lone, with_target
 from metafab.spec import UnitCell
 
 
@@ -30,7 +30,8 @@ def build_file(
     """Build a library, train its model of neighbours if the unit cell asks for one, and save both.
 
     Lone pillars that are in the file and current serve a training, or stay alone where the unit cell asks for no model
-    any more. A killed build or training continues where it stopped: files in the library's folder keep what was solved.
+    any more. A killed build or training continues where it stopped: until the library is saved, files in its folder
+    keep what was solved. If two processes build one library, the second waits for the first and loads its file.
 
     Args:
         unit_cell: unit cell with its sweep and, for a model of neighbours, the table ``[neighbours]``.
@@ -44,16 +45,13 @@ def build_file(
     Raises:
         InputError: a checkpoint is damaged.
     """
-    unit_cell = build.with_target(unit_cell, target_error)
+    unit_cell = with_target(unit_cell, target_error)
     asked = unit_cell.neighbours is not None
     kept = store.is_current(path, unit_cell) and (asked or not is_current(path, unit_cell))
     if kept:
         library = replace(store.load(path), unit_cell=unit_cell, neighbours=None)
     else:
-        numerics = build.BuildNumerics(every_size)
-        library = build.build_file(
-            unit_cell, path, executor=executor, progress=progress, solver=solver, numerics=numerics
-        )
+        library = build_lone(unit_cell, path, executor, progress, solver, BuildNumerics(every_size))
     if not asked:
         if kept:
             store.save(library, path)

@@ -15,6 +15,16 @@ from metafab.optics.geometry.imaging import Tangent
 from metafab.optics.point_spread import Psf
 
 _FEWEST_NODES = 4
+#: Axis of the depths in each array of a stack.
+_DEPTH_AXIS = {
+    "depth_m": 0,
+    "psf": 1,
+    "centre_um": 1,
+    "phi_deg": 0,
+    "error": 0,
+    "efficiency": 1,
+    "extinction_ratio": 0,
+}
 
 
 def at_depths(psf: Psf, depths_m: Sequence[float] | FloatArray) -> FloatArray:
@@ -79,22 +89,12 @@ def at_tangent(psf: Psf, tangent: Tangent) -> FloatArray:
 
 def without_depths(psf: Psf, left_out: NDArray[np.bool_]) -> Psf:
     """Return the stack without the depths marked in ``left_out``, shape (n_depth,)."""
-    kept = ~np.asarray(left_out)
-    field = psf.field
+    kept, field = np.flatnonzero(~np.asarray(left_out)), psf.field
     if field is not None:
         field = replace(field, psf=field.psf[:, kept], centre_um=field.centre_um[:, kept])
-    return replace(
-        psf,
-        depth_m=psf.depth_m[kept],
-        psf=psf.psf[:, kept],
-        centre_um=psf.centre_um[:, kept],
-        phi_deg=psf.phi_deg[kept],
-        error=psf.error[kept],
-        efficiency=psf.efficiency[:, kept],
-        extinction_ratio=psf.extinction_ratio[kept],
-        field=field,
-        ghost=None if psf.ghost is None else without_depths(psf.ghost, left_out),
-    )
+    ghost = None if psf.ghost is None else without_depths(psf.ghost, left_out)
+    arrays = {name: np.take(getattr(psf, name), kept, axis) for name, axis in _DEPTH_AXIS.items()}
+    return replace(psf, **arrays, field=field, ghost=ghost)
 
 
 def concatenate(stacks: Sequence[Psf]) -> Psf:
@@ -111,23 +111,11 @@ def concatenate(stacks: Sequence[Psf]) -> Psf:
     sampling = {(stack.pixel_um, stack.psf.shape[2:], stack.sensor_distance_um) for stack in stacks}
     if len(sampling) > 1:
         raise ValueError("`stacks`: expected one sampling, window and sensor plane")
-    depth_m = np.concatenate([stack.depth_m for stack in stacks])
-    if np.any(np.diff(depth_m) <= 0.0):
+    arrays = {n: np.concatenate([getattr(stack, n) for stack in stacks], axis) for n, axis in _DEPTH_AXIS.items()}
+    if np.any(np.diff(arrays["depth_m"]) <= 0.0):
         raise ValueError("`stacks`: expected ascending depths")
     if len(stacks) == 1:
         return first
-    return replace(
-        first,
-        depth_m=depth_m,
-        psf=np.concatenate([stack.psf for stack in stacks], axis=1),
-        centre_um=np.concatenate([stack.centre_um for stack in stacks], axis=1),
-        phi_deg=np.concatenate([stack.phi_deg for stack in stacks]),
-        error=np.concatenate([stack.error for stack in stacks]),
-        efficiency=np.concatenate([stack.efficiency for stack in stacks], axis=1),
-        extinction_ratio=np.concatenate([stack.extinction_ratio for stack in stacks]),
-        field=None,
-        ghost=None
-        if first.ghost is None
-        else concatenate([stack.ghost for stack in stacks if stack.ghost is not None]),
-        details=replace(first.details, seconds=sum(stack.details.seconds for stack in stacks)),
-    )
+    ghosts = [stack.ghost for stack in stacks if stack.ghost is not None]
+    details = replace(first.details, seconds=sum(stack.details.seconds for stack in stacks))
+    return replace(first, **arrays, field=None, ghost=concatenate(ghosts) if ghosts else None, details=details)

@@ -28,6 +28,5 @@ TargetError = Annotated[float, Field(strict=True, ge=1e-12, lt=1.0)]
 #: Object distance, m; may be infinite.
 DepthOrInfinity = Annotated[float, Field(strict=True, gt=0.0), AfterValidator(_far_or_infinite)]
 Flag = Annotated[bool, Field(strict=True)]
-Count = Annotated[int, Field(strict=True, ge=1)]
 Index = Annotated[int, Field(strict=True, ge=0, le=65535)]
 Name = Annotated[str, Field(strict=True, min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]

@@ -21,7 +21,7 @@ import typer
 
 from metafab.cli import console, entry
 from metafab.cli.commands.run import headlines
-from metafab.core.errors import InputError, MetafabError, MissingToolError, RulesViolatedError, SolverError
+from metafab.core.errors import InputError, MetafabError, MissingToolError, SolverError
 from metafab.core.parallel.progress import silent
 from metafab.steps import RunSummary
 from tests.closed_form_run import run_summary
@@ -90,7 +90,6 @@ def _raise(error: BaseException) -> Callable[[object], None]:
 
 ERRORS = [
     (InputError.single("lens.toml", "device", "a table", "nothing", "write one"), 2),
-    (RulesViolatedError("rules"), 2),
     (SolverError("no"), 1),
     (MissingToolError("no"), 1),
     (MetafabError("no"), 1),

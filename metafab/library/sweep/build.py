@@ -85,7 +85,7 @@ def build(
         target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
         executor: runs the solver; None for this process.
         checkpoint: file that keeps the solved sizes; after a kill, a call with equal arguments continues from it. It
-            is not removed at the end (:func:`build_file` removes its own).
+            is not removed at the end.
         progress: called with the number of solved sizes and the expected number.
         solver: solves one unit cell; must be importable by the workers.
         numerics: size of the adaptive sampling.
@@ -102,37 +102,18 @@ def build(
         return _build(unit_cell, record, executor or SerialExecutor(), progress, solver, numerics)
 
 
-def build_file(
+def build_lone(
     unit_cell: UnitCell,
     path: Path,
-    *,
-    target_error: float | None = None,
-    executor: Executor | None = None,
-    progress: Progress = silent,
-    solver: CellSolver = solve,
-    numerics: BuildNumerics = BuildNumerics(),
+    executor: Executor | None,
+    progress: Progress,
+    solver: CellSolver,
+    numerics: BuildNumerics,
 ) -> Library:
-    """Build a library and save it; a killed build continues where it stopped.
+    """Build a library of lone pillars and save it, with a checkpoint named by the fingerprint of the build's inputs.
 
-    Until the library is saved, a checkpoint in the file's folder keeps the solved sizes. Its name holds the fingerprint
-    of the build's inputs. If two processes build one library, the second waits for the first and loads its file.
-
-    Args:
-        unit_cell: unit cell with its sweep.
-        path: library file; an earlier file is replaced once the new one is complete.
-        target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
-        executor: runs the solver; None for this process.
-        progress: called with the number of solved sizes and the expected number.
-        solver: solves one unit cell; must be importable by the workers.
-        numerics: size of the adaptive sampling.
-
-    Returns:
-        The library as saved.
-
-    Raises:
-        InputError: the checkpoint is damaged.
+    See :func:`metafab.library.build_file`, which adds the model of neighbours.
     """
-    unit_cell = with_target(unit_cell, target_error)
     inputs = inputs_of(unit_cell)
     with Checkpoint(path.with_name(f"{path.stem}.{inputs[:8]}.partial"), inputs) as record:
         if record.waited and is_current(path, unit_cell):

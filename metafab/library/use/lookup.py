@@ -76,23 +76,6 @@ class SizeTable:
         _look_up(phase_x, phase_y, self.size_index, sizes.reshape(-1))
         return sizes
 
-    def phase_error_rad(
-        self, size_index: NDArray[np.uint16], phase_x_rad: ArrayLike, phase_y_rad: ArrayLike
-    ) -> FloatArray:
-        """Return the phase of sizes minus the target phase.
-
-        Args:
-            size_index: any shape, indices into ``size_dbu``.
-            phase_x_rad: shape of ``size_index``, target phase of x polarisation.
-            phase_y_rad: shape of ``size_index``, target phase of y polarisation.
-
-        Returns:
-            Shape (2, ...) for x and y polarisation, wrapped to (-pi, pi].
-        """
-        reached = np.angle(self.t)[size_index]
-        target = np.asarray(phase_x_rad, dtype=np.float64), np.asarray(phase_y_rad, dtype=np.float64)
-        return np.stack([wrap_phase(reached[..., axis] - phase) for axis, phase in enumerate(target)])
-
     def histogram(self, phase_x_rad: ArrayLike, phase_y_rad: ArrayLike) -> NDArray[np.int64]:
         """Count the targets in each cell; histograms of tiles add up.
 

@@ -35,12 +35,5 @@ def sub_apertures_um(x_um: FloatArray, y_um: FloatArray, power: FloatArray, coun
     return np.stack([x, y], axis=1)
 
 
-def circle_um(diameter_um: float) -> FloatArray:
-    """Return points of equal power of a uniformly lit circle, shape (n, 2)."""
-    axis: FloatArray = np.linspace(-0.5, 0.5, 255) * diameter_um
-    lit = axis[:, None] ** 2 + axis**2 <= (0.5 * diameter_um) ** 2
-    return sub_apertures_um(axis, axis, lit.astype(np.float64))
-
-
 def _step(centres_um: FloatArray) -> float:
     return float(centres_um[1] - centres_um[0]) if centres_um.size > 1 else 0.0

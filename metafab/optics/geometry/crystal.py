@@ -81,14 +81,6 @@ class Crystal:
         ordinary, extraordinary = self.normal_components(np.zeros(1), np.zeros(1))
         return float(self.wavenumber * self.substrate.thickness_um * (extraordinary - ordinary)[0])
 
-    @property
-    def walk_off_um(self) -> float:
-        """Distance by which an extraordinary ray along the normal leaves the plate beside the ordinary one, um."""
-        tilt = math.radians(self.substrate.tilt_deg)
-        o2, e2 = self.n_ordinary**2, self.n_extraordinary**2
-        tangent = (e2 - o2) * math.sin(tilt) * math.cos(tilt) / (o2 * math.sin(tilt) ** 2 + e2 * math.cos(tilt) ** 2)
-        return abs(self.substrate.thickness_um * tangent)
-
     def normal_components(self, kappa_x: FloatArray, kappa_y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return q of the ordinary and of the extraordinary wave for transverse components of any shape."""
         c_x, c_y, c_z = self.axis

@@ -13,11 +13,11 @@ from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import sensor_windows
 from metafab.core.conventions import FloatArray, sensor_distance_um
 from metafab.core.parallel.progress import silent
-from metafab.optics.geometry.aperture import circle_um, sub_apertures_um
+from metafab.optics.geometry.aperture import sub_apertures_um
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests import sub_apertures
-from tests.conjugate_pair import ANGLE_DEG, FOCAL_LENGTH_MM, FOCUS_DEPTH_M, PIXEL_UM, helix_psf
+from tests.conjugate_pair import ANGLE_DEG, FOCAL_LENGTH_MM, FOCUS_DEPTH_M, PIXEL_UM, circle_um, helix_psf
 
 PIXEL = PIXEL_UM / sensor_distance_um(FOCAL_LENGTH_MM, ANGLE_DEG, FOCUS_DEPTH_M)
 DEPTHS_M = np.array([0.0025, 0.0026, 0.0028, 0.003, 0.0031, 0.0033, 0.0034])

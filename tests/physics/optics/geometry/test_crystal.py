@@ -143,13 +143,11 @@ def test_the_extraordinary_path_is_stationary(depth_um: float, tangent: tuple[fl
         assert abs(math.remainder(float(plain - ours), 2.0 * math.pi)) < 0.02
 
 
-def test_walk_off_is_the_slope_of_the_extraordinary_surface() -> None:
+def test_walk_off_by_the_slope_of_the_extraordinary_surface() -> None:
     """tan of the angle between ray and wave vector in an r-plane: 4.1e-3, 1.9 um over 460 um."""
     step = 1e-4
-    aligned = _rotated(R_PLANE, 0.0)
-    q = aligned.normal_components(np.array([-step, step]), np.zeros(2))[1]
-    assert aligned.walk_off_um == pytest.approx(460.0 * abs(float(q[1] - q[0])) / (2.0 * step), rel=1e-6)
-    assert aligned.walk_off_um == pytest.approx(1.876, abs=2e-3)
+    q = _rotated(R_PLANE, 0.0).normal_components(np.array([-step, step]), np.zeros(2))[1]
+    assert 460.0 * abs(float(q[1] - q[0])) / (2.0 * step) == pytest.approx(1.876, abs=2e-3)
 
 
 def _pair(imaging: Imaging, substrate: Substrate | None, fwhm_nm: float | None = None) -> Psf:
