@@ -19,22 +19,15 @@ _SIZES, _ERROR = (0.25, 0.5, 0.75), 2e-2
 
 @dataclass(frozen=True)
 class OpenOrders:
-    """Orders that propagate in one half space.
+    """Orders that propagate in one half space."""
 
-    Attributes:
-        side: "substrate" or "ambient".
-        count: their number, without the zero order.
-        largest_period_nm: period below which none propagates at normal incidence.
-        share_x: share of the incident light in them, mean of three sizes of the sweep, x polarisation; likewise y.
-        error: largest error of a share.
-    """
-
-    side: Side
-    count: int
-    largest_period_nm: float
+    side: Side  #: "substrate" or "ambient".
+    count: int  #: Their number, without the zero order.
+    largest_period_nm: float  #: Period below which none propagates at normal incidence.
+    #: Share of the incident light in them, mean of three sizes of the sweep, x polarisation; likewise y.
     share_x: float
     share_y: float
-    error: float
+    error: float  #: Largest error of a share.
 
     def sentence(self) -> str:
         """Return the orders, their share and the remedy as one sentence."""

@@ -18,74 +18,50 @@ Shape = Literal["rectangle", "ellipse", "cross"]
 
 @dataclass(frozen=True)
 class Slice:
-    """A layer with one outline: a cap, a coating, a film, or one step of a sloped pillar.
+    """A layer with one outline: a cap, a coating, a film, or one step of a sloped pillar."""
 
-    Attributes:
-        height_nm: thickness.
-        n_inside: complex index within the outline.
-        n_around: complex index around the outline; equal to ``n_inside`` for a closed film.
-        width_nm: size of the outline along x, 0 to the period; by default the pillar's size where the two touch.
-        length_nm: size along y, likewise.
-    """
-
-    height_nm: float
-    n_inside: complex
-    n_around: complex
+    height_nm: float  #: Thickness.
+    n_inside: complex  #: Complex index within the outline.
+    n_around: complex  #: Complex index around the outline; equal to ``n_inside`` for a closed film.
+    #: Size of the outline along x, 0 to the period; by default the pillar's size where the two touch.
     width_nm: float | None = None
-    length_nm: float | None = None
+    length_nm: float | None = None  #: Size along y, likewise.
 
 
 @dataclass(frozen=True)
 class PillarCell:
-    """One unit cell under a plane wave.
+    """One unit cell under a plane wave."""
 
-    Attributes:
-        period_nm: (x, y) period.
-        width_nm: pillar size along x (at ``sizes_at``); 0 is an empty cell, the period a closed film.
-        length_nm: pillar size along y.
-        height_nm: pillar height.
-        n_pillar: complex index of the pillar.
-        n_substrate: complex index of the half space under the pillar, for x and y polarisation.
-        n_ambient: complex index around and above the pillar.
-        wavelength_nm: vacuum wavelength.
-        side: half space that the light comes from.
-        angle_deg: polar angle of incidence inside the incident half space, 0 to < 90; in a birefringent one, of the
-            ordinary wave.
-        azimuth_deg: azimuth of the plane of incidence, counter-clockwise from +x.
-        under: layers between substrate and pillar, from the substrate upwards; rcwa only. The reference planes of t
-            and r are then the two ends of the whole stack.
-        over: layers on the pillar, from the pillar upwards; rcwa only.
-        n_substrate_z: index of a birefringent substrate along z, for principal axes x, y and z; its waves are then
-            solved as those of a tensor. Without it each polarisation has its own index, with light along z only.
-        sidewall_angle_deg: angle between wall and substrate, inside the pillar: below 90 the pillar narrows upwards,
-            above 90 downwards; rcwa only.
-        sizes_at: height at which the pillar has the stated width and length.
-        is_staggered: whether every other row of pillars is shifted by half a period (a hexagonal lattice); the period
-            along y is then the distance of rows. rcwa only, with upright pillars, no layers, and light along z.
-        shape: cross-section within width and length: a rectangle, an ellipse (a circle where both are equal), or a
-            cross; all but the rectangle rcwa only.
-        corner_radius_nm: radius of the rectangle's four vertical edges, at most half a side; rcwa only.
-    """
-
-    period_nm: tuple[float, float]
-    width_nm: float
-    length_nm: float
-    height_nm: float
-    n_pillar: complex
-    n_substrate: tuple[complex, complex]
-    n_ambient: complex
-    wavelength_nm: float
-    side: Side = "substrate"
+    period_nm: tuple[float, float]  #: (x, y) period.
+    width_nm: float  #: Pillar size along x (at ``sizes_at``); 0 is an empty cell, the period a closed film.
+    length_nm: float  #: Pillar size along y.
+    height_nm: float  #: Pillar height.
+    n_pillar: complex  #: Complex index of the pillar.
+    n_substrate: tuple[complex, complex]  #: Complex index of the half space under the pillar, for x and y polarisation.
+    n_ambient: complex  #: Complex index around and above the pillar.
+    wavelength_nm: float  #: Vacuum wavelength.
+    side: Side = "substrate"  #: Half space that the light comes from.
+    #: Polar angle of incidence inside the incident half space, 0 to < 90; in a birefringent one, of the ordinary wave.
     angle_deg: float = 0.0
-    azimuth_deg: float = 0.0
+    azimuth_deg: float = 0.0  #: Azimuth of the plane of incidence, counter-clockwise from +x.
+    #: Layers between substrate and pillar, from the substrate upwards; rcwa only. The reference planes of t and r are
+    #: then the two ends of the whole stack.
     under: tuple[Slice, ...] = ()
-    over: tuple[Slice, ...] = ()
+    over: tuple[Slice, ...] = ()  #: Layers on the pillar, from the pillar upwards; rcwa only.
+    #: Index of a birefringent substrate along z, for principal axes x, y and z; its waves are then solved as those of a
+    #: tensor. Without it each polarisation has its own index, with light along z only.
     n_substrate_z: complex | None = None
+    #: Angle between wall and substrate, inside the pillar: below 90 the pillar narrows upwards, above 90 downwards;
+    #: rcwa only.
     sidewall_angle_deg: float = 90.0
-    sizes_at: SizesAt = "middle"
+    sizes_at: SizesAt = "middle"  #: Height at which the pillar has the stated width and length.
+    #: Whether every other row of pillars is shifted by half a period (a hexagonal lattice); the period along y is then
+    #: the distance of rows. rcwa only, with upright pillars, no layers, and light along z.
     is_staggered: bool = False
+    #: Cross-section within width and length: a rectangle, an ellipse (a circle where both are equal), or a cross; all
+    #: but the rectangle rcwa only.
     shape: Shape = "rectangle"
-    corner_radius_nm: float = 0.0
+    corner_radius_nm: float = 0.0  #: Radius of the rectangle's four vertical edges, at most half a side; rcwa only.
 
     @property
     def is_shaped(self) -> bool:

@@ -21,21 +21,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CellNumerics:
-    """Numerics of a unit-cell solution.
+    """Numerics of a unit-cell solution."""
 
-    Attributes:
-        target_error: largest accepted error of any complex amplitude, above 0 and below 1.
-        solver: "rcwa", or "meep" for FDTD in a separate program.
-        formulation: rcwa only: "adaptive" coordinates, or plain "fourier" harmonics as an independent check.
-        max_orders: rcwa only: largest number of cosines along each axis, from 3.
-        steps: rcwa only: even number of layers that approximate a sloped pillar; None for as many as the target error
-            requires.
-    """
-
-    target_error: float = 1e-3
-    solver: Literal["rcwa", "meep"] = "rcwa"
+    target_error: float = 1e-3  #: Largest accepted error of any complex amplitude, above 0 and below 1.
+    solver: Literal["rcwa", "meep"] = "rcwa"  #: "rcwa", or "meep" for FDTD in a separate program.
+    #: Rcwa only: "adaptive" coordinates, or plain "fourier" harmonics as an independent check.
     formulation: Literal["adaptive", "fourier"] = "adaptive"
-    max_orders: int = 16
+    max_orders: int = 16  #: Rcwa only: largest number of cosines along each axis, from 3.
+    #: Rcwa only: even number of layers that approximate a sloped pillar; None for as many as the target error requires.
     steps: int | None = None
 
 

@@ -24,17 +24,14 @@ IntArray = NDArray[np.intp]
 class Supercell:
     """Pillars of many sizes in one period.
 
-    Attributes:
-        cell: period of one site, materials, and light along the axis; its own pillar size is ignored. Pillars are
-            upright rectangles without layers, on an isotropic substrate.
-        size_nm: shape (n_y, n_x, 2), (width, length) at each site, lowest y first; (0, 0) for no pillar.
-
     Raises:
         InputError: sizes of another shape or beyond the period, or a cell that no supercell solver treats.
     """
 
+    #: Period of one site, materials, and light along the axis; its own pillar size is ignored. Pillars are upright
+    #: rectangles without layers, on an isotropic substrate.
     cell: PillarCell
-    size_nm: FloatArray
+    size_nm: FloatArray  #: Shape (n_y, n_x, 2), (width, length) at each site, lowest y first; (0, 0) for no pillar.
 
     def __post_init__(self) -> None:
         shape = np.shape(self.size_nm)
@@ -126,27 +123,20 @@ def exchanged_site(cell: PillarCell) -> PillarCell:
 
 @dataclass(frozen=True)
 class SupercellResponse:
-    """Transmitted orders of a supercell for one polarisation.
+    """Transmitted orders of a supercell for one polarisation."""
 
-    Attributes:
-        supercell: the supercell that was solved.
-        polarisation: of the incident wave.
-        order: shape (n_orders, 2), orders (m, n) that propagate behind the pillars.
-        amplitude: shape (n_orders, 2), E_x and E_y over incident E in the planes of the conventions, with phases from
-            the middle of the supercell.
-        responses: shape (n_y, n_x), zero-order t of each pillar in its own periodic cell, by the same solver.
-        error: estimate of the largest absolute error of an amplitude: truncation (rcwa), or the remainder of the
-            decaying field (meep: the error of the grid is common to ``amplitude`` and ``responses``).
-        seconds: time that the solution took.
-    """
-
-    supercell: Supercell
-    polarisation: Polarisation
-    order: IntArray
+    supercell: Supercell  #: The supercell that was solved.
+    polarisation: Polarisation  #: Of the incident wave.
+    order: IntArray  #: Shape (n_orders, 2), orders (m, n) that propagate behind the pillars.
+    #: Shape (n_orders, 2), E_x and E_y over incident E in the planes of the conventions, with phases from the middle of
+    #: the supercell.
     amplitude: ComplexArray
+    #: Shape (n_y, n_x), zero-order t of each pillar in its own periodic cell, by the same solver.
     responses: ComplexArray
+    #: Estimate of the largest absolute error of an amplitude: truncation (rcwa), or the remainder of the decaying field
+    #: (meep: the error of the grid is common to ``amplitude`` and ``responses``).
     error: float
-    seconds: float
+    seconds: float  #: Time that the solution took.
 
     @property
     def co_polarised(self) -> ComplexArray:
@@ -178,23 +168,17 @@ class SupercellResponse:
 
 @dataclass(frozen=True)
 class SupercellOrders:
-    """Transmitted orders of a supercell for both incident polarisations: the result of every solver of supercells.
+    """Transmitted orders of a supercell for both incident polarisations: the result of every solver of supercells."""
 
-    Attributes:
-        supercell: the supercell that was solved.
-        order: shape (n_orders, 2), all orders (m, n) that propagate behind the pillars.
-        t: shape (n_orders, 2, 2), E of each order over incident E, indexed [order, out, in] in the basis (x, y), in the
-            planes of the conventions, with phases from the middle of the supercell.
-        error: relative error of ``t``: root of the squared errors summed over orders and polarisations, over that of
-            ``t`` itself.
-        seconds: time that the solution took.
-    """
-
-    supercell: Supercell
-    order: IntArray
+    supercell: Supercell  #: The supercell that was solved.
+    order: IntArray  #: Shape (n_orders, 2), all orders (m, n) that propagate behind the pillars.
+    #: Shape (n_orders, 2, 2), E of each order over incident E, indexed [order, out, in] in the basis (x, y), in the
+    #: planes of the conventions, with phases from the middle of the supercell.
     t: ComplexArray
+    #: Relative error of ``t``: root of the squared errors summed over orders and polarisations, over that of ``t``
+    #: itself.
     error: float
-    seconds: float
+    seconds: float  #: Time that the solution took.
 
     def efficiency(self, polarisation: Polarisation) -> FloatArray:
         """Transmitted over incident power of each order for an incident polarisation, shape (n_orders,)."""

@@ -29,17 +29,11 @@ _MARGIN = 0.15
 
 @dataclass(frozen=True)
 class Rival:
-    """One camera of a comparison.
+    """One camera of a comparison."""
 
-    Attributes:
-        name: label in figures and files.
-        truth: PSFs at the compared depths (and at the nodes of the calibration).
-        calibration: PSFs that the depth estimates use, at other depths; between them they interpolate.
-    """
-
-    name: str
-    truth: PairKernels
-    calibration: PairKernels
+    name: str  #: Label in figures and files.
+    truth: PairKernels  #: PSFs at the compared depths (and at the nodes of the calibration).
+    calibration: PairKernels  #: PSFs that the depth estimates use, at other depths; between them they interpolate.
 
 
 def rivals(design: Design, depth_m: FloatArray, *, progress: Progress = silent) -> tuple[Rival, ...]:

@@ -22,8 +22,7 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import read_json, write_json
 from metafab.core.storage.tables import typed
 from metafab.information.plane_depth import PlaneEstimator
-from metafab.information.restoration import restored_error
-from metafab.information.texture import Texture
+from metafab.information.texture import Texture, restored_error
 from metafab.spec import Design, Scene, SceneObject
 
 KIND = "metafab comparison"
@@ -35,32 +34,19 @@ _SIDE_PX = 96
 
 @dataclass(frozen=True)
 class Comparison:
-    """Errors of depth and sharpness of several cameras over depth.
+    """Errors of depth and sharpness of several cameras over depth."""
 
-    Attributes:
-        depth_m: shape (n_depth,), ascending.
-        side_px: side of the square window behind each estimate.
-        electrons: mean of a pixel of either image.
-        read_noise_e: standard deviation of the read noise, electrons.
-        contrast: rms over mean of the texture.
-        planes: photographs a depth.
-        methods: names of camera and estimate.
-        error: shape (n_methods, n_depth), rms of (estimated depth - depth) / depth.
-        bound: shape (n_methods, n_depth), Cramer-Rao bound over depth for a texture of known spectrum.
-        cameras: names.
-        restored: shape (n_cameras, n_depth), relative rms error of the best linear restoration of the texture.
-    """
-
-    depth_m: FloatArray
-    side_px: int
-    electrons: float
-    read_noise_e: float
-    contrast: float
-    planes: int
-    methods: tuple[str, ...]
-    error: FloatArray
-    bound: FloatArray
-    cameras: tuple[str, ...]
+    depth_m: FloatArray  #: Shape (n_depth,), ascending.
+    side_px: int  #: Side of the square window behind each estimate.
+    electrons: float  #: Mean of a pixel of either image.
+    read_noise_e: float  #: Standard deviation of the read noise, electrons.
+    contrast: float  #: Rms over mean of the texture.
+    planes: int  #: Photographs a depth.
+    methods: tuple[str, ...]  #: Names of camera and estimate.
+    error: FloatArray  #: Shape (n_methods, n_depth), rms of (estimated depth - depth) / depth.
+    bound: FloatArray  #: Shape (n_methods, n_depth), Cramer-Rao bound over depth for a texture of known spectrum.
+    cameras: tuple[str, ...]  #: Names.
+    #: Shape (n_cameras, n_depth), relative rms error of the best linear restoration of the texture.
     restored: FloatArray
 
 
@@ -172,23 +158,14 @@ class RestorationRange:
 
 @dataclass(frozen=True)
 class ComparisonFigures:
-    """Key figures of a comparison; the names are those of ``metafab compare --json``.
+    """Key figures of a comparison; the names are those of ``metafab compare --json``."""
 
-    Attributes:
-        depth_error: rms relative error over all depths, by method.
-        depth_bound: rms of the bounds, by method.
-        restored_error: relative rms error of the best restoration, by camera.
-        planes: photographs a depth.
-        side_px: side of the window behind each estimate.
-        electrons: mean of a pixel of either image.
-    """
-
-    depth_error: dict[str, float]
-    depth_bound: dict[str, float]
-    restored_error: dict[str, RestorationRange]
-    planes: int
-    side_px: int
-    electrons: float
+    depth_error: dict[str, float]  #: Rms relative error over all depths, by method.
+    depth_bound: dict[str, float]  #: Rms of the bounds, by method.
+    restored_error: dict[str, RestorationRange]  #: Relative rms error of the best restoration, by camera.
+    planes: int  #: Photographs a depth.
+    side_px: int  #: Side of the window behind each estimate.
+    electrons: float  #: Mean of a pixel of either image.
 
 
 def comparison_figures(comparison: Comparison) -> ComparisonFigures:

@@ -30,16 +30,12 @@ _QUEFRENCIES = (3.0, 28.0)
 
 @dataclass(frozen=True)
 class PlaneEstimator:
-    """Estimator of the depth of a plane from square windows of two images.
+    """Estimator of the depth of a plane from square windows of two images."""
 
-    Attributes:
-        depth_m: shape (n_candidates,), candidate depths, evenly spaced in vergence, ascending.
-        transfer: shape (n_candidates, 2, n, n // 2 + 1), transfer functions of the pair on windows of n x n pixels.
-        texture: spectrum of the texture, electrons and noise of a pixel; the contrast is unknown to the estimates.
-    """
-
-    depth_m: FloatArray
+    depth_m: FloatArray  #: Shape (n_candidates,), candidate depths, evenly spaced in vergence, ascending.
+    #: Shape (n_candidates, 2, n, n // 2 + 1), transfer functions of the pair on windows of n x n pixels.
     transfer: ComplexArray
+    #: Spectrum of the texture, electrons and noise of a pixel; the contrast is unknown to the estimates.
     texture: Texture
 
     @classmethod

@@ -27,19 +27,12 @@ _AZIMUTH_DEG = {"angle_x_deg": 0.0, "angle_y_deg": 90.0}
 
 @dataclass(frozen=True)
 class CornerBox:
-    """The axes of a library, and the box of sizes and axes over which its corner model is fitted.
+    """The axes of a library, and the box of sizes and axes over which its corner model is fitted."""
 
-    Attributes:
-        spans: (lowest, highest) by name of the axis.
-        nominal: values of the unit cell itself.
-        width_nm: smallest and largest width, bias included.
-        length_nm: smallest and largest length, bias included.
-    """
-
-    spans: Mapping[str, Range]
-    nominal: Corner
-    width_nm: Range
-    length_nm: Range
+    spans: Mapping[str, Range]  #: (lowest, highest) by name of the axis.
+    nominal: Corner  #: Values of the unit cell itself.
+    width_nm: Range  #: Smallest and largest width, bias included.
+    length_nm: Range  #: Smallest and largest length, bias included.
 
     @classmethod
     def of(cls, unit_cell: UnitCell) -> CornerBox | None:

@@ -17,52 +17,30 @@ from metafab.library.fit.rational import RationalModel
 
 @dataclass(frozen=True)
 class CornerStatistics:
-    """Statistics of the adaptive sampling over sizes and axes, equal on every machine.
+    """Statistics of the adaptive sampling over sizes and axes, equal on every machine."""
 
-    Attributes:
-        points_solved: cells solved.
-        rounds: rounds of solving.
-        held_out: cells of the last round that were predicted before they were solved, the worst ones aside.
-        held_out_error: largest error of these predictions.
-        held_out_rms: rms error of these predictions.
-        open_share: share of the box whose error estimate is above the tolerance.
-        target: "reached", or "not reached ..." with the reason.
-        axis_weight: factor of an axis' power in the model's total degree.
-        numerator_degree: total degree of the model's numerators.
-        denominator_degree: total degree of the model's denominator.
-    """
-
-    points_solved: int = 0
-    rounds: int = 0
-    held_out: int = 0
-    held_out_error: float = math.nan
-    held_out_rms: float = math.nan
-    open_share: float = math.nan
-    target: str = ""
-    axis_weight: int = 0
-    numerator_degree: int = 0
-    denominator_degree: int = 0
+    points_solved: int = 0  #: Cells solved.
+    rounds: int = 0  #: Rounds of solving.
+    held_out: int = 0  #: Cells of the last round that were predicted before they were solved, the worst ones aside.
+    held_out_error: float = math.nan  #: Largest error of these predictions.
+    held_out_rms: float = math.nan  #: Rms error of these predictions.
+    open_share: float = math.nan  #: Share of the box whose error estimate is above the tolerance.
+    target: str = ""  #: "reached", or "not reached ..." with the reason.
+    axis_weight: int = 0  #: Factor of an axis' power in the model's total degree.
+    numerator_degree: int = 0  #: Total degree of the model's numerators.
+    denominator_degree: int = 0  #: Total degree of the model's denominator.
 
 
 @dataclass(frozen=True)
 class Corners:
-    """Models over sizes and axes, with the solved cells that bound their error.
+    """Models over sizes and axes, with the solved cells that bound their error."""
 
-    Attributes:
-        models: the model that is used, and its rivals of other degrees.
-        safety_factor: ratio of held-out errors to the models' disagreement, at least 1.
-        floor: least estimate of the model's error: the rms held-out error.
-        place: shape (n, 2 + n_variables), the solved cells in the box of sizes and axes, each in -1..1.
-        certificate: shape (n,), the solver's error at each.
-        statistics: figures of the sampling.
-    """
-
-    models: RankedModels
-    safety_factor: float
-    floor: float
-    place: FloatArray
-    certificate: FloatArray
-    statistics: CornerStatistics = CornerStatistics()
+    models: RankedModels  #: The model that is used, and its rivals of other degrees.
+    safety_factor: float  #: Ratio of held-out errors to the models' disagreement, at least 1.
+    floor: float  #: Least estimate of the model's error: the rms held-out error.
+    place: FloatArray  #: Shape (n, 2 + n_variables), the solved cells in the box of sizes and axes, each in -1..1.
+    certificate: FloatArray  #: Shape (n,), the solver's error at each.
+    statistics: CornerStatistics = CornerStatistics()  #: Figures of the sampling.
 
     def at(
         self, box: CornerBox, corner: Corner, width_nm: FloatArray, length_nm: FloatArray, exchange: bool

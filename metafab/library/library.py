@@ -37,52 +37,31 @@ TABLES = ("materials",)
 
 @dataclass(frozen=True)
 class BuildStatistics:
-    """Statistics of a build, independent of the machine; NaN or 0 where one does not apply.
+    """Statistics of a build, independent of the machine; NaN or 0 where one does not apply."""
 
-    Attributes:
-        points_solved: sizes solved, on and off the grid.
-        points_between: sizes solved off the grid.
-        points_total: sizes of the library.
-        max_error: largest error bound of a size.
-        sizes_beyond_target: sizes whose error bound is above the target error.
-        max_solver_error: largest solver error in the error bounds.
-        max_model_error: largest model error in the error bounds of unsolved sizes.
-        max_between_error: largest error bound between the sizes; NaN if the library is not continuous.
-        held_out_error: largest error of the model at sizes that it was not fitted to.
-        held_out: number of these sizes.
-        rounds: rounds of solving.
-        numerator_degree: total degree of the model's numerators.
-        denominator_degree: total degree of the model's denominator.
-        coverage_rad: covered part of the phase circle (:func:`metafab.library.use.quality.coverage_rad`).
-    """
-
-    points_solved: int = 0
-    points_between: int = 0
-    points_total: int = 0
-    max_error: float = math.nan
-    sizes_beyond_target: int = 0
-    max_solver_error: float = math.nan
-    max_model_error: float = math.nan
-    max_between_error: float = math.nan
-    held_out_error: float = math.nan
-    held_out: int = 0
-    rounds: int = 0
-    numerator_degree: int = 0
-    denominator_degree: int = 0
+    points_solved: int = 0  #: Sizes solved, on and off the grid.
+    points_between: int = 0  #: Sizes solved off the grid.
+    points_total: int = 0  #: Sizes of the library.
+    max_error: float = math.nan  #: Largest error bound of a size.
+    sizes_beyond_target: int = 0  #: Sizes whose error bound is above the target error.
+    max_solver_error: float = math.nan  #: Largest solver error in the error bounds.
+    max_model_error: float = math.nan  #: Largest model error in the error bounds of unsolved sizes.
+    max_between_error: float = math.nan  #: Largest error bound between the sizes; NaN if the library is not continuous.
+    held_out_error: float = math.nan  #: Largest error of the model at sizes that it was not fitted to.
+    held_out: int = 0  #: Number of these sizes.
+    rounds: int = 0  #: Rounds of solving.
+    numerator_degree: int = 0  #: Total degree of the model's numerators.
+    denominator_degree: int = 0  #: Total degree of the model's denominator.
+    #: Covered part of the phase circle (:func:`metafab.library.use.quality.coverage_rad`).
     coverage_rad: float = math.nan
 
 
 @dataclass(frozen=True)
 class BuildTime:
-    """Time of a build.
+    """Time of a build."""
 
-    Attributes:
-        seconds: wall-clock time.
-        solver_ms_per_point: mean time of the solver for one size.
-    """
-
-    seconds: float
-    solver_ms_per_point: float
+    seconds: float  #: Wall-clock time.
+    solver_ms_per_point: float  #: Mean time of the solver for one size.
 
 
 @dataclass(frozen=True, repr=False)

@@ -38,32 +38,20 @@ MARGIN = 10
 
 @dataclass(frozen=True)
 class SizeResponse:
-    """Transmission at some sizes.
+    """Transmission at some sizes."""
 
-    Attributes:
-        t_xx: any shape, zero-order transmission of x polarised light.
-        t_yy: shape of ``t_xx``, zero-order transmission of y polarised light.
-        error: shape of ``t_xx``, bound on the absolute error of either.
-    """
-
-    t_xx: ComplexArray
-    t_yy: ComplexArray
-    error: FloatArray
+    t_xx: ComplexArray  #: Any shape, zero-order transmission of x polarised light.
+    t_yy: ComplexArray  #: Shape of ``t_xx``, zero-order transmission of y polarised light.
+    error: FloatArray  #: Shape of ``t_xx``, bound on the absolute error of either.
 
 
 @dataclass(frozen=True)
 class Surface:
-    """t_xx and t_yy of a library as functions of width and length, built once and evaluated often.
+    """t_xx and t_yy of a library as functions of width and length, built once and evaluated often."""
 
-    Attributes:
-        low_nm: smallest (width, length).
-        step_nm: step of the uniform grid along (width, length).
-        tiles: splines over its cells, with the error in each: the library's and the spline's.
-    """
-
-    low_nm: tuple[float, float]
-    step_nm: tuple[float, float]
-    tiles: SplineTiles
+    low_nm: tuple[float, float]  #: Smallest (width, length).
+    step_nm: tuple[float, float]  #: Step of the uniform grid along (width, length).
+    tiles: SplineTiles  #: Splines over its cells, with the error in each: the library's and the spline's.
 
     @classmethod
     def of_grid(cls, width_nm: FloatArray, length_nm: FloatArray, t: ComplexArray, error: FloatArray) -> Surface:

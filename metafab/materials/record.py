@@ -20,18 +20,12 @@ _HEADER = ("wavelength_nm", "n", "k")
 
 @dataclass(frozen=True)
 class IndexRecord:
-    """A cited refractive index.
+    """A cited refractive index."""
 
-    Attributes:
-        name: such as ``"Si/Schinke"``.
-        citation: source of the numbers and the sample.
-        range_nm: shortest and longest vacuum wavelength of the source.
-        index: n + ik for x and y polarisation, as a function of the vacuum wavelength in nm inside the range.
-    """
-
-    name: str
-    citation: str
-    range_nm: tuple[float, float]
+    name: str  #: Such as ``"Si/Schinke"``.
+    citation: str  #: Source of the numbers and the sample.
+    range_nm: tuple[float, float]  #: Shortest and longest vacuum wavelength of the source.
+    #: n + ik for x and y polarisation, as a function of the vacuum wavelength in nm inside the range.
     index: Callable[[float], IndexPair]
 
     def at(self, wavelength_nm: float) -> IndexPair:

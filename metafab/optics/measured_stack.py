@@ -47,41 +47,24 @@ _SPLIT_PX = 512
 
 @dataclass(frozen=True)
 class StackImport:
-    """Figures of an imported stack.
+    """Figures of an imported stack."""
 
-    Attributes:
-        channels: channels of the file; with one, the other is its point reflection.
-        window_px: rows and columns.
-        depth_m: object depths of the pair.
-        centring: rule by which each channel was centred.
-        centre_px: (x, y) of each channel's centre from its middle pixel; this place is now the middle pixel.
-        background: median of the border, mean over the pictures, in the file's units; subtracted.
-        noise: standard deviation of the border, likewise.
-        error: largest relative L2 error of a picture by this noise.
-        border_light: largest share of a picture's light in its border after the subtraction.
-        channel_ratio: light of the x channel over that of the y channel, over all depths.
-        split_um: (x, y) from the x image to the y image on the sensor.
-        distance_mm: distance of the sensor.
-        zero_m: distance from the lens of the file's depth 0.
-        made: sentences on what the file does not hold.
-        warnings: sentences on what may spoil the pair.
-    """
-
-    channels: int
-    window_px: tuple[int, int]
-    depth_m: tuple[float, ...]
-    centring: str
+    channels: int  #: Channels of the file; with one, the other is its point reflection.
+    window_px: tuple[int, int]  #: Rows and columns.
+    depth_m: tuple[float, ...]  #: Object depths of the pair.
+    centring: str  #: Rule by which each channel was centred.
+    #: (x, y) of each channel's centre from its middle pixel; this place is now the middle pixel.
     centre_px: tuple[tuple[float, float], ...]
-    background: float
-    noise: float
-    error: float
-    border_light: float
-    channel_ratio: float
-    split_um: tuple[float, float]
-    distance_mm: float
-    zero_m: float
-    made: tuple[str, ...]
-    warnings: tuple[str, ...]
+    background: float  #: Median of the border, mean over the pictures, in the file's units; subtracted.
+    noise: float  #: Standard deviation of the border, likewise.
+    error: float  #: Largest relative L2 error of a picture by this noise.
+    border_light: float  #: Largest share of a picture's light in its border after the subtraction.
+    channel_ratio: float  #: Light of the x channel over that of the y channel, over all depths.
+    split_um: tuple[float, float]  #: (x, y) from the x image to the y image on the sensor.
+    distance_mm: float  #: Distance of the sensor.
+    zero_m: float  #: Distance from the lens of the file's depth 0.
+    made: tuple[str, ...]  #: Sentences on what the file does not hold.
+    warnings: tuple[str, ...]  #: Sentences on what may spoil the pair.
 
 
 def psf_of_stack(

@@ -22,22 +22,17 @@ _SCALAR_SHARE, _LARGEST_SCALAR_TARGET = 0.1, 1e-2
 
 @dataclass(frozen=True)
 class PsfNumerics:
-    """Window, error and spectral band of a PSF stack.
+    """Window, error and spectral band of a PSF stack."""
 
-    Attributes:
-        window_px: points along a side of each square window.
-        target_error: largest relative L2 error of the irradiance, from 4e-6 (1e-5 with a filter) to 1.
-        filter_fwhm_nm: full width of a flat-top filter about the design wavelength; None for one wavelength.
-        vectorial: whether the polarisation of the light bends with its direction. None decides by the effect, which is
-            neglected up to a tenth of the target error and then part of the error: on from an NA of 0.27 at 1e-3. With
-            False, the error leaves it out.
-        energy: compute the density of electric energy |E|^2, always vectorial, in place of the flux through the plane.
-    """
-
-    window_px: int = 64
-    target_error: float = 1e-3
+    window_px: int = 64  #: Points along a side of each square window.
+    target_error: float = 1e-3  #: Largest relative L2 error of the irradiance, from 4e-6 (1e-5 with a filter) to 1.
+    #: Full width of a flat-top filter about the design wavelength; None for one wavelength.
     filter_fwhm_nm: float | None = None
+    #: Whether the polarisation of the light bends with its direction. None decides by the effect, which is neglected up
+    #: to a tenth of the target error and then part of the error: on from an NA of 0.27 at 1e-3. With False, the error
+    #: leaves it out.
     vectorial: bool | None = None
+    #: Compute the density of electric energy |E|^2, always vectorial, in place of the flux through the plane.
     energy: bool = False
 
     @property

@@ -20,45 +20,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class PsfField:
-    """The pair of PSFs over the field of view.
+    """The pair of PSFs over the field of view."""
 
-    Attributes:
-        tangent_x: shape (n_field_x,), object directions x/z, ascending.
-        tangent_y: shape (n_field_y,), object directions y/z, ascending.
-        psf: shape (2, n_depth, n_field_y, n_field_x, n_y, n_x), as :attr:`Psf.psf`.
-        centre_um: shape (2, n_depth, n_field_y, n_field_x, 2), as :attr:`Psf.centre_um`.
-    """
-
-    tangent_x: FloatArray
-    tangent_y: FloatArray
-    psf: NDArray[np.float32]
-    centre_um: FloatArray
+    tangent_x: FloatArray  #: Shape (n_field_x,), object directions x/z, ascending.
+    tangent_y: FloatArray  #: Shape (n_field_y,), object directions y/z, ascending.
+    psf: NDArray[np.float32]  #: Shape (2, n_depth, n_field_y, n_field_x, n_y, n_x), as :attr:`Psf.psf`.
+    centre_um: FloatArray  #: Shape (2, n_depth, n_field_y, n_field_x, 2), as :attr:`Psf.centre_um`.
 
 
 @dataclass(frozen=True)
 class PsfDetails:
-    """Record of how a stack was computed, and its power budget.
+    """Record of how a stack was computed, and its power budget."""
 
-    Attributes:
-        block_sites: sites along a side of a pupil block.
-        blocks: number of pupil blocks.
-        transmitted: shape (2,), share of the power at the aperture that the pillars transmit, at the middle depth.
-        stray: shape (2,), share that is transmitted but misses the window.
-        field_error: largest relative L2 error over the field points; NaN without a field.
-        field_interpolation_error: largest relative L2 error between field points, where it was measured; else NaN.
-        filter_fwhm_nm: full width of the filter; None for one wavelength.
-        seconds: wall-clock time of the computation.
-        camera_fit: parameters of the camera that the stack was fitted to; empty for a computed stack.
-    """
-
-    block_sites: int = 0
-    blocks: int = 0
+    block_sites: int = 0  #: Sites along a side of a pupil block.
+    blocks: int = 0  #: Number of pupil blocks.
+    #: Shape (2,), share of the power at the aperture that the pillars transmit, at the middle depth.
     transmitted: tuple[float, ...] = ()
-    stray: tuple[float, ...] = ()
-    field_error: float = math.nan
+    stray: tuple[float, ...] = ()  #: Shape (2,), share that is transmitted but misses the window.
+    field_error: float = math.nan  #: Largest relative L2 error over the field points; NaN without a field.
+    #: Largest relative L2 error between field points, where it was measured; else NaN.
     field_interpolation_error: float = math.nan
-    filter_fwhm_nm: float | None = None
-    seconds: float = 0.0
+    filter_fwhm_nm: float | None = None  #: Full width of the filter; None for one wavelength.
+    seconds: float = 0.0  #: Wall-clock time of the computation.
+    #: Parameters of the camera that the stack was fitted to; empty for a computed stack.
     camera_fit: Mapping[str, float] = field(default_factory=dict)
 
     @property

@@ -27,23 +27,16 @@ _BLOCK_SITES = 2
 
 @dataclass(frozen=True)
 class StokesPsf:
-    """PSFs of six places over depth.
+    """PSFs of six places over depth."""
 
-    Attributes:
-        depth_m: shape (n_depth,), ascending.
-        pixel_um: sampling step.
-        psf: shape (6, 4, n_depth, n, n), irradiance about each place per unit power at the aperture, 1/um^2, for each
-            Stokes parameter: light with the Stokes vector S has the irradiance sum_j psf[:, j] S_j.
-        centre_um: shape (6, 2), (x, y) of the six places on the sensor.
-        sensor_distance_um: distance of the sensor plane.
-        aperture_um: shape (n, 2), points of equal power of the aperture; None where it is not known.
-    """
-
-    depth_m: FloatArray
-    pixel_um: float
+    depth_m: FloatArray  #: Shape (n_depth,), ascending.
+    pixel_um: float  #: Sampling step.
+    #: Shape (6, 4, n_depth, n, n), irradiance about each place per unit power at the aperture, 1/um^2, for each Stokes
+    #: parameter: light with the Stokes vector S has the irradiance sum_j psf[:, j] S_j.
     psf: FloatArray
-    centre_um: FloatArray
-    sensor_distance_um: float
+    centre_um: FloatArray  #: Shape (6, 2), (x, y) of the six places on the sensor.
+    sensor_distance_um: float  #: Distance of the sensor plane.
+    #: Shape (n, 2), points of equal power of the aperture; None where it is not known.
     aperture_um: FloatArray | None = None
 
     @property

@@ -32,15 +32,10 @@ def kinds() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class NewLens:
-    """Aperture of a new metalens.
+    """Aperture of a new metalens."""
 
-    Attributes:
-        numerical_aperture: in air, above 0 and below 1.
-        aperture_um: diameter.
-    """
-
-    numerical_aperture: float = 0.2
-    aperture_um: float = 100.0
+    numerical_aperture: float = 0.2  #: In air, above 0 and below 1.
+    aperture_um: float = 100.0  #: Diameter.
 
     def filled(self, unit_cell: UnitCell) -> dict[str, str]:
         """Return the placeholders of the kind "metalens": focal length, pixel and rules that fit the unit cell.

@@ -44,21 +44,13 @@ _SHIFT_NM = 0.5
 
 @dataclass(frozen=True)
 class CornerField:
-    """Field behind a mask at a corner.
+    """Field behind a mask at a corner."""
 
-    Attributes:
-        name: axis and deviation.
-        field: the mask with the amplitudes at the corner.
-        error: rms error of the amplitudes over their rms, weighted by the number of pillars.
-        change: rms change of the amplitudes over their rms, apart from a common factor of each polarisation.
-        solved: number of solved cells.
-    """
-
-    name: str
-    field: WrittenField
-    error: float
-    change: float
-    solved: int
+    name: str  #: Axis and deviation.
+    field: WrittenField  #: The mask with the amplitudes at the corner.
+    error: float  #: Rms error of the amplitudes over their rms, weighted by the number of pillars.
+    change: float  #: Rms change of the amplitudes over their rms, apart from a common factor of each polarisation.
+    solved: int  #: Number of solved cells.
 
     @property
     def relative_error(self) -> float:
@@ -151,17 +143,12 @@ _NONE = np.empty(0, dtype=np.int64)
 
 @dataclass(frozen=True)
 class _Plan:
-    """Sizes of a mask to solve at a corner.
+    """Sizes of a mask to solve at a corner."""
 
-    Attributes:
-        solved: indices of the sizes to solve.
-        checked: indices of the sizes to solve once more with half the slices.
-        sampled: whether the sizes are a sample to which the change is fitted.
-    """
-
-    solved: NDArray[np.int64] = field(default_factory=lambda: _NONE)
+    solved: NDArray[np.int64] = field(default_factory=lambda: _NONE)  #: Indices of the sizes to solve.
+    #: Indices of the sizes to solve once more with half the slices.
     checked: NDArray[np.int64] = field(default_factory=lambda: _NONE)
-    sampled: bool = False
+    sampled: bool = False  #: Whether the sizes are a sample to which the change is fitted.
 
     @property
     def count(self) -> int:
@@ -171,22 +158,14 @@ class _Plan:
 
 @dataclass(frozen=True)
 class MaskSizes:
-    """Pillar sizes of a mask.
+    """Pillar sizes of a mask."""
 
-    Attributes:
-        index: shape (n,), rows of the mask's table.
-        size_nm: shape (n, 2), width and length.
-        count: shape (n,), number of pillars of each size.
-        t: shape (n, 2), amplitudes of the library for x and y polarisation.
-        sample: shape (n_sample,), indices of sizes drawn with their counts as weights.
-        mirror: shape (n,), index of the size with width and length exchanged; n where the mask has none.
-    """
-
-    index: NDArray[np.int64]
-    size_nm: FloatArray
-    count: FloatArray
-    t: ComplexArray
-    sample: NDArray[np.int64]
+    index: NDArray[np.int64]  #: Shape (n,), rows of the mask's table.
+    size_nm: FloatArray  #: Shape (n, 2), width and length.
+    count: FloatArray  #: Shape (n,), number of pillars of each size.
+    t: ComplexArray  #: Shape (n, 2), amplitudes of the library for x and y polarisation.
+    sample: NDArray[np.int64]  #: Shape (n_sample,), indices of sizes drawn with their counts as weights.
+    #: Shape (n,), index of the size with width and length exchanged; n where the mask has none.
     mirror: NDArray[np.int64]
 
     @classmethod

@@ -39,15 +39,10 @@ class Fault(ABC):
 
 @dataclass(frozen=True)
 class Misplaced(Fault):
-    """Each pillar displaced independently, normal distribution.
+    """Each pillar displaced independently, normal distribution."""
 
-    Attributes:
-        imaging: geometry.
-        rms_nm: standard deviation along x and along y.
-    """
-
-    imaging: Imaging
-    rms_nm: float
+    imaging: Imaging  #: Geometry.
+    rms_nm: float  #: Standard deviation along x and along y.
 
     @property
     def name(self) -> str:
@@ -71,13 +66,9 @@ class Misplaced(Fault):
 
 @dataclass(frozen=True)
 class Missing(Fault):
-    """A random share of the pillars is missing.
+    """A random share of the pillars is missing."""
 
-    Attributes:
-        share: probability that a pillar is missing, 0 to 1.
-    """
-
-    share: float
+    share: float  #: Probability that a pillar is missing, 0 to 1.
 
     @property
     def name(self) -> str:
@@ -98,19 +89,12 @@ class Missing(Fault):
 
 @dataclass(frozen=True)
 class Stitched(Fault):
-    """Each write field displaced as a whole, normal distribution.
+    """Each write field displaced as a whole, normal distribution."""
 
-    Attributes:
-        imaging: geometry.
-        rms_nm: standard deviation along x and along y.
-        field_sites: sites along a side of a write field.
-        lattice: sites of the mask.
-    """
-
-    imaging: Imaging
-    rms_nm: float
-    field_sites: int
-    lattice: Lattice
+    imaging: Imaging  #: Geometry.
+    rms_nm: float  #: Standard deviation along x and along y.
+    field_sites: int  #: Sites along a side of a write field.
+    lattice: Lattice  #: Sites of the mask.
 
     @property
     def name(self) -> str:

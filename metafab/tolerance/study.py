@@ -47,17 +47,11 @@ _AXIS = (0.0, 0.0)
 
 @dataclass(frozen=True)
 class Light:
-    """Irradiance behind one mask.
+    """Irradiance behind one mask."""
 
-    Attributes:
-        pair: shape (2, n_depth, n, n), 1/um^2 per unit power at the aperture.
-        unwanted: shape (n_depth,), power of y polarised light in the window of x.
-        pixel_um: sampling step.
-    """
-
-    pair: FloatArray
-    unwanted: FloatArray
-    pixel_um: float
+    pair: FloatArray  #: Shape (2, n_depth, n, n), 1/um^2 per unit power at the aperture.
+    unwanted: FloatArray  #: Shape (n_depth,), power of y polarised light in the window of x.
+    pixel_um: float  #: Sampling step.
 
     @property
     def efficiency(self) -> FloatArray:
@@ -73,21 +67,13 @@ class Light:
 
 @dataclass(frozen=True)
 class MaskOptics:
-    """Propagation of masks of one lattice in blocks of fixed size.
+    """Propagation of masks of one lattice in blocks of fixed size."""
 
-    Attributes:
-        window: sampling of the windows.
-        depths_m: object depths.
-        carriers: of x, of y, and of y polarised light in the window of x.
-        numerics: target error and spectral band.
-        transmission: stop or amplitude in the plane of the pillars; None for none.
-    """
-
-    window: Window
-    depths_m: tuple[float, ...]
-    carriers: tuple[Carrier, Carrier, Carrier]
-    numerics: PsfNumerics = PsfNumerics()
-    transmission: Transmission | None = None
+    window: Window  #: Sampling of the windows.
+    depths_m: tuple[float, ...]  #: Object depths.
+    carriers: tuple[Carrier, Carrier, Carrier]  #: Of x, of y, and of y polarised light in the window of x.
+    numerics: PsfNumerics = PsfNumerics()  #: Target error and spectral band.
+    transmission: Transmission | None = None  #: Stop or amplitude in the plane of the pillars; None for none.
 
     @classmethod
     def of(
@@ -139,15 +125,10 @@ class MaskOptics:
 
 @dataclass(frozen=True)
 class DepthDecoder:
-    """Depth from the twin images of a point, by the calibration of the nominal mask.
+    """Depth from the twin images of a point, by the calibration of the nominal mask."""
 
-    Attributes:
-        trial_m: shape (n_trial,), trial depths, evenly spaced in vergence.
-        transfer: shape (2, n_trial, n, m), half spectra of the nominal pair at the trial depths.
-    """
-
-    trial_m: FloatArray
-    transfer: ComplexArray
+    trial_m: FloatArray  #: Shape (n_trial,), trial depths, evenly spaced in vergence.
+    transfer: ComplexArray  #: Shape (2, n_trial, n, m), half spectra of the nominal pair at the trial depths.
 
     @classmethod
     def of(cls, optics: MaskOptics, pupils: Sequence[Pupil]) -> DepthDecoder:
@@ -188,21 +169,13 @@ def _inner(a: ComplexArray, b: ComplexArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Reference:
-    """Light and decoded depths of the nominal mask, with which other masks are compared.
+    """Light and decoded depths of the nominal mask, with which other masks are compared."""
 
-    Attributes:
-        nominal: light at the depths of the table.
-        depths_m: depths of the table.
-        decoder: decoder calibrated on the nominal mask.
-        decoded_m: shape (n_depth,), decoded depths of the nominal mask itself.
-        error: relative L2 error of any PSF.
-    """
-
-    nominal: Light
-    depths_m: tuple[float, ...]
-    decoder: DepthDecoder
-    decoded_m: FloatArray
-    error: float
+    nominal: Light  #: Light at the depths of the table.
+    depths_m: tuple[float, ...]  #: Depths of the table.
+    decoder: DepthDecoder  #: Decoder calibrated on the nominal mask.
+    decoded_m: FloatArray  #: Shape (n_depth,), decoded depths of the nominal mask itself.
+    error: float  #: Relative L2 error of any PSF.
 
     @classmethod
     def of(cls, optics: MaskOptics, pupils: Sequence[Pupil], error: float) -> Reference:

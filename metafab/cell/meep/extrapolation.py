@@ -17,17 +17,11 @@ _SLOWEST_POWER = 4.0 / 3.0
 
 @dataclass(frozen=True)
 class Extrapolated:
-    """Limit of a sequence of grids.
+    """Limit of a sequence of grids."""
 
-    Attributes:
-        value: shape (n_values,), the limit.
-        error: estimate of the largest absolute error among the values.
-        gain: factor from an independent error of each grid's values to that of the limit.
-    """
-
-    value: ComplexArray
-    error: float
-    gain: float
+    value: ComplexArray  #: Shape (n_values,), the limit.
+    error: float  #: Estimate of the largest absolute error among the values.
+    gain: float  #: Factor from an independent error of each grid's values to that of the limit.
 
 
 def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Extrapolated:

@@ -32,21 +32,13 @@ HOW_TO_INSTALL = (
 
 @dataclass(frozen=True)
 class MeepCandidate:
-    """An interpreter that was probed for Meep.
+    """An interpreter that was probed for Meep."""
 
-    Attributes:
-        interpreter: path of the interpreter.
-        found: whether it has the FDTD program Meep, tested by simulating a wave in vacuum.
-        version: version of Meep, "" without Meep.
-        python: the interpreter's version.
-        reason: why the interpreter cannot be used, "" if it has Meep.
-    """
-
-    interpreter: Path
-    found: bool
-    version: str
-    python: str
-    reason: str
+    interpreter: Path  #: Path of the interpreter.
+    found: bool  #: Whether it has the FDTD program Meep, tested by simulating a wave in vacuum.
+    version: str  #: Version of Meep, "" without Meep.
+    python: str  #: The interpreter's version.
+    reason: str  #: Why the interpreter cannot be used, "" if it has Meep.
 
 
 def find(interpreter: str | Path | None = None) -> list[MeepCandidate]:

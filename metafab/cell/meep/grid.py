@@ -28,36 +28,22 @@ _STABILITY = 0.95
 
 @dataclass(frozen=True)
 class Family:
-    """Grids whose resolutions are multiples of the coarsest: member j has 2 j times these numbers of pixels.
+    """Grids whose resolutions are multiples of the coarsest: member j has 2 j times these numbers of pixels."""
 
-    Attributes:
-        period: half the pixels of a period along (x, y), at j = 1.
-        inside: half the pixels of the pillar along (x, y).
-        height: half the pixels of the pillar's height.
-    """
-
-    period: tuple[int, int]
-    inside: tuple[int, int]
-    height: int
+    period: tuple[int, int]  #: Half the pixels of a period along (x, y), at j = 1.
+    inside: tuple[int, int]  #: Half the pixels of the pillar along (x, y).
+    height: int  #: Half the pixels of the pillar's height.
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A job, with the distances and wave numbers that de-embedding needs.
+    """A job, with the distances and wave numbers that de-embedding needs."""
 
-    Attributes:
-        job: FDTD run; its monitors are the near plane (incident and reflected light) and the far one.
-        near_um: z of the near monitor relative to the plane where the pillar begins (negative).
-        far_um: z of the far monitor relative to the plane where the pillar ends.
-        k_in: wave number along z of the incident wave on the grid, rad/um.
-        k_out: wave number along z of each recorded order on the grid, rad/um.
-    """
-
-    job: Job
-    near_um: float
-    far_um: float
-    k_in: complex
-    k_out: tuple[complex, ...]
+    job: Job  #: FDTD run; its monitors are the near plane (incident and reflected light) and the far one.
+    near_um: float  #: z of the near monitor relative to the plane where the pillar begins (negative).
+    far_um: float  #: z of the far monitor relative to the plane where the pillar ends.
+    k_in: complex  #: Wave number along z of the incident wave on the grid, rad/um.
+    k_out: tuple[complex, ...]  #: Wave number along z of each recorded order on the grid, rad/um.
 
     def incident_at_pillar(self, incident: NDArray[Any]) -> complex:
         """Incident amplitude where the pillar begins; ``incident`` has shape (2,), zero order of the empty run."""

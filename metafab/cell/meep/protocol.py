@@ -37,66 +37,38 @@ _LOADING = threading.Lock()
 
 @dataclass(frozen=True)
 class Block:
-    """A box of one material; later boxes replace earlier ones where they overlap.
+    """A box of one material; later boxes replace earlier ones where they overlap."""
 
-    Attributes:
-        low: (x, y, z) in um from the middle of the cell.
-        high: the opposite corner.
-        epsilon: permittivity along x, y and z.
-        mu: permeability along x, y and z.
-    """
-
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-    epsilon: tuple[complex, complex, complex]
-    mu: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    low: tuple[float, float, float]  #: (x, y, z) in um from the middle of the cell.
+    high: tuple[float, float, float]  #: The opposite corner.
+    epsilon: tuple[complex, complex, complex]  #: Permittivity along x, y and z.
+    mu: tuple[float, float, float] = (1.0, 1.0, 1.0)  #: Permeability along x, y and z.
 
 
 @dataclass(frozen=True)
 class Job:
-    """One FDTD run: a plane-wave pulse along +z through a structure that is periodic along x and y.
+    """One FDTD run: a plane-wave pulse along +z through a structure that is periodic along x and y."""
 
-    Attributes:
-        pixel_um: grid spacing.
-        n_x: pixels of the period along x; even.
-        n_y: pixels of the period along y; even.
-        n_z: pixels along z, absorbers included; even.
-        absorber_nodes: thickness of each absorber (PML), in pixels.
-        source_node: plane of the pulse's source, in pixels from the lower end.
-        monitor_nodes: planes of the recorded fields, in pixels from the lower end.
-        wavelength_um: vacuum wavelength of the recorded fields.
-        polarisation: of the pulse.
-        components: recorded components of E.
-        orders: recorded diffraction orders (m, n) along x and y.
-        weight: weight of the source and of the averaged points; shape (n_y,) for x polarisation, (n_x,) for y.
-        epsilon_in: permittivity along x, y and z outside the blocks, as at the source.
-        blocks: the structure.
-        smooth: whether Meep averages pixels that a wall crosses; false for blocks with averages of their own.
-        mirrors: axes along which the structure equals its mirror image; each halves the work.
-        decay: change of the extrapolated orders, relative to the incident wave, at which the run ends.
-        longest_time: latest end of the run, um / c.
-        courant: time step over grid spacing.
-    """
-
-    pixel_um: float
-    n_x: int
-    n_y: int
-    n_z: int
-    absorber_nodes: int
-    source_node: int
-    monitor_nodes: tuple[int, ...]
-    wavelength_um: float
-    polarisation: Polarisation
-    components: tuple[Polarisation, ...]
-    orders: tuple[tuple[int, int], ...]
+    pixel_um: float  #: Grid spacing.
+    n_x: int  #: Pixels of the period along x; even.
+    n_y: int  #: Pixels of the period along y; even.
+    n_z: int  #: Pixels along z, absorbers included; even.
+    absorber_nodes: int  #: Thickness of each absorber (PML), in pixels.
+    source_node: int  #: Plane of the pulse's source, in pixels from the lower end.
+    monitor_nodes: tuple[int, ...]  #: Planes of the recorded fields, in pixels from the lower end.
+    wavelength_um: float  #: Vacuum wavelength of the recorded fields.
+    polarisation: Polarisation  #: Of the pulse.
+    components: tuple[Polarisation, ...]  #: Recorded components of E.
+    orders: tuple[tuple[int, int], ...]  #: Recorded diffraction orders (m, n) along x and y.
+    #: Weight of the source and of the averaged points; shape (n_y,) for x polarisation, (n_x,) for y.
     weight: tuple[float, ...]
-    epsilon_in: tuple[complex, complex, complex]
-    blocks: tuple[Block, ...]
-    smooth: bool
-    mirrors: tuple[Polarisation, ...]
-    decay: float
-    longest_time: float
-    courant: float = 0.5
+    epsilon_in: tuple[complex, complex, complex]  #: Permittivity along x, y and z outside the blocks, as at the source.
+    blocks: tuple[Block, ...]  #: The structure.
+    smooth: bool  #: Whether Meep averages pixels that a wall crosses; false for blocks with averages of their own.
+    mirrors: tuple[Polarisation, ...]  #: Axes along which the structure equals its mirror image; each halves the work.
+    decay: float  #: Change of the extrapolated orders, relative to the incident wave, at which the run ends.
+    longest_time: float  #: Latest end of the run, um / c.
+    courant: float = 0.5  #: Time step over grid spacing.
 
 
 class Worker:

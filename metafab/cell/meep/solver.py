@@ -22,19 +22,16 @@ from metafab.core.errors import Fault, InputError
 class MeepSettings:
     """Numerics of FDTD.
 
-    Attributes:
-        members: grids of the cell's family, coarse to fine, at least two. Member j has 10 j to 18 j pixels a period.
-            From the third on, finer ones are skipped once the target error is reached.
-        decay: a run ends when its extrapolated orders change by at most this, relative to the incident wave.
-        longest_periods: longest run, in optical periods.
-
     Raises:
         InputError: fewer than two members, or members that do not ascend from 1.
     """
 
+    #: Grids of the cell's family, coarse to fine, at least two. Member j has 10 j to 18 j pixels a period. From the
+    #: third on, finer ones are skipped once the target error is reached.
     members: tuple[int, ...] = (1, 2, 3, 4)
+    #: A run ends when its extrapolated orders change by at most this, relative to the incident wave.
     decay: float = 1e-4
-    longest_periods: float = 1000.0
+    longest_periods: float = 1000.0  #: Longest run, in optical periods.
 
     def __post_init__(self) -> None:
         ascending = all(fine > coarse for coarse, fine in pairwise(self.members))
@@ -44,25 +41,15 @@ class MeepSettings:
 
 @dataclass(frozen=True)
 class MeepDetails(SolverDetails):
-    """Figures of a solution by FDTD.
+    """Figures of a solution by FDTD."""
 
-    Attributes:
-        grids: number of grids that were solved.
-        pixels_per_period: pixels of the x period on the finest grid.
-        error_resolution: error of the extrapolation to vanishing pixels.
-        error_decay: error of the fields' remaining decay.
-        last_correction: largest change of any amplitude from the finest grid to the limit.
-        fdtd_seconds: time of all runs, kept ones as when they ran.
-        simulated_optical_periods: length of the longest run.
-    """
-
-    grids: int
-    pixels_per_period: int
-    error_resolution: float
-    error_decay: float
-    last_correction: float
-    fdtd_seconds: float
-    simulated_optical_periods: float
+    grids: int  #: Number of grids that were solved.
+    pixels_per_period: int  #: Pixels of the x period on the finest grid.
+    error_resolution: float  #: Error of the extrapolation to vanishing pixels.
+    error_decay: float  #: Error of the fields' remaining decay.
+    last_correction: float  #: Largest change of any amplitude from the finest grid to the limit.
+    fdtd_seconds: float  #: Time of all runs, kept ones as when they ran.
+    simulated_optical_periods: float  #: Length of the longest run.
 
 
 def solve(

@@ -29,34 +29,21 @@ _WALL_PX = 0.25
 
 @dataclass(frozen=True)
 class Segment:
-    """Part of an axis with one stretch, or a wall between two.
+    """Part of an axis with one stretch, or a wall between two."""
 
-    Attributes:
-        low: lower end in pixels.
-        high: upper end in pixels.
-        stretch: dx/du: one value, or two for the sides of a wall.
-        region: index of the physical region of each value.
-    """
-
-    low: float
-    high: float
-    stretch: tuple[float, ...]
-    region: tuple[int, ...]
+    low: float  #: Lower end in pixels.
+    high: float  #: Upper end in pixels.
+    stretch: tuple[float, ...]  #: dx/du: one value, or two for the sides of a wall.
+    region: tuple[int, ...]  #: Index of the physical region of each value.
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis as its regions, from low to high.
+    """An axis as its regions, from low to high."""
 
-    Attributes:
-        edges: n_regions + 1 whole numbers of pixels; the outermost are the ends of the cell.
-        stretch: n_regions values of dx/du, the physical length of a pixel over the grid spacing.
-        region: n_regions indices of the physical region; parts of equal index have equal permittivity.
-    """
-
-    edges: tuple[float, ...]
-    stretch: tuple[float, ...]
-    region: tuple[int, ...]
+    edges: tuple[float, ...]  #: n_regions + 1 whole numbers of pixels; the outermost are the ends of the cell.
+    stretch: tuple[float, ...]  #: n_regions values of dx/du, the physical length of a pixel over the grid spacing.
+    region: tuple[int, ...]  #: n_regions indices of the physical region; parts of equal index have equal permittivity.
 
     def segments(self) -> list[Segment]:
         """Regions and the walls between them; the outermost reach beyond the cell."""

@@ -39,32 +39,22 @@ _USUAL_PERIODS = 75.0
 
 @dataclass(frozen=True)
 class SupercellSettings:
-    """Numerics of a supercell by FDTD.
+    """Numerics of a supercell by FDTD."""
 
-    Attributes:
-        pixels_per_period: pixels of a site's x period, even and from 8; the y period must hold an even number too.
-        decay: a run ends when its extrapolated orders change by at most this, relative to the incident wave.
-        longest_periods: longest run, in optical periods.
-    """
-
+    #: Pixels of a site's x period, even and from 8; the y period must hold an even number too.
     pixels_per_period: int = 16
+    #: A run ends when its extrapolated orders change by at most this, relative to the incident wave.
     decay: float = 1e-3
-    longest_periods: float = 400.0
+    longest_periods: float = 400.0  #: Longest run, in optical periods.
 
 
 @dataclass(frozen=True)
 class Cost:
-    """Expected cost of a run on one core.
+    """Expected cost of a run on one core."""
 
-    Attributes:
-        pixels: pixels of the simulated part of the supercell.
-        seconds: time.
-        bytes: memory.
-    """
-
-    pixels: int
-    seconds: float
-    bytes: float
+    pixels: int  #: Pixels of the simulated part of the supercell.
+    seconds: float  #: Time.
+    bytes: float  #: Memory.
 
 
 def estimate(supercell: Supercell, settings: SupercellSettings = SupercellSettings()) -> Cost:

@@ -33,14 +33,10 @@ LEAST_FILLING = 0.25
 
 @dataclass(frozen=True)
 class RankedModels:
-    """The models with the smallest held-out errors.
+    """The models with the smallest held-out errors."""
 
-    Attributes:
-        best: the model that is used.
-        rivals: next best models, of other degrees; their difference from ``best`` estimates its error.
-    """
-
-    best: RationalModel
+    best: RationalModel  #: The model that is used.
+    #: Next best models, of other degrees; their difference from ``best`` estimates its error.
     rivals: tuple[RationalModel, ...]
 
     def disagreement(self, width_nm: FloatArray, length_nm: FloatArray, *, around: bool = False) -> FloatArray:

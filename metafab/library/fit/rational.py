@@ -40,17 +40,11 @@ _PENALTY, _PENALTY_GROWTH = 1e-7, 1.8
 
 @dataclass(frozen=True)
 class Shape:
-    """The products of Chebyshev polynomials in a model.
+    """The products of Chebyshev polynomials in a model."""
 
-    Attributes:
-        degrees: total degrees of the numerators and of the denominator.
-        weight: factor of an axis' power in the total degree.
-        variables: number of axes; 0 for sizes alone.
-    """
-
-    degrees: Degrees
-    weight: int = 1
-    variables: int = 0
+    degrees: Degrees  #: Total degrees of the numerators and of the denominator.
+    weight: int = 1  #: Factor of an axis' power in the total degree.
+    variables: int = 0  #: Number of axes; 0 for sizes alone.
 
     @property
     def powers(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -73,19 +67,12 @@ class Shape:
 
 @dataclass(frozen=True)
 class Samples:
-    """Solved cells.
+    """Solved cells."""
 
-    Attributes:
-        width_nm: shape (n,), width as made.
-        length_nm: shape (n,), length as made.
-        amplitudes: shape (n, 4), t_xx, t_yy, r_xx, r_yy.
-        axes: shape (n, n_variables), the further axes of the sweep, each in -1..1.
-    """
-
-    width_nm: FloatArray
-    length_nm: FloatArray
-    amplitudes: ComplexArray
-    axes: FloatArray
+    width_nm: FloatArray  #: Shape (n,), width as made.
+    length_nm: FloatArray  #: Shape (n,), length as made.
+    amplitudes: ComplexArray  #: Shape (n, 4), t_xx, t_yy, r_xx, r_yy.
+    axes: FloatArray  #: Shape (n, n_variables), the further axes of the sweep, each in -1..1.
 
     def __getitem__(self, which: NDArray[np.bool_]) -> Samples:
         return Samples(self.width_nm[which], self.length_nm[which], self.amplitudes[which], self.axes[which])
@@ -102,21 +89,13 @@ class Samples:
 
 @dataclass(frozen=True)
 class RationalModel:
-    """All four amplitudes as continuous functions of sizes and axes.
+    """All four amplitudes as continuous functions of sizes and axes."""
 
-    Attributes:
-        width_nm: smallest and largest width.
-        length_nm: smallest and largest length.
-        shape: products of polynomials.
-        numerator: shape (2, n_numerator_terms, 2): polarisation, term, (t, r).
-        denominator: shape (2, n_denominator_terms): polarisation, term.
-    """
-
-    width_nm: Range
-    length_nm: Range
-    shape: Shape
-    numerator: ComplexArray
-    denominator: ComplexArray
+    width_nm: Range  #: Smallest and largest width.
+    length_nm: Range  #: Smallest and largest length.
+    shape: Shape  #: Products of polynomials.
+    numerator: ComplexArray  #: Shape (2, n_numerator_terms, 2): polarisation, term, (t, r).
+    denominator: ComplexArray  #: Shape (2, n_denominator_terms): polarisation, term.
 
     def __call__(self, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray | None = None) -> ComplexArray:
         """Evaluate at scattered cells.

@@ -25,18 +25,12 @@ class SizeGrid:
 
     Points are numbered row by row, ``number = row * n_width + column``. Where exchanging x and y maps the grid
     to itself, only points with width <= length are solved. These points are called distinct.
-
-    Attributes:
-        width_nm: shape (n_width,), ascending.
-        length_nm: shape (n_length,), ascending.
-        exchange: True if t_xx(W, L) = t_yy(L, W) on the grid.
-        diagonal: True if only sizes with equal width and length are made (circles).
     """
 
-    width_nm: FloatArray
-    length_nm: FloatArray
-    exchange: bool
-    diagonal: bool = False
+    width_nm: FloatArray  #: Shape (n_width,), ascending.
+    length_nm: FloatArray  #: Shape (n_length,), ascending.
+    exchange: bool  #: True if t_xx(W, L) = t_yy(L, W) on the grid.
+    diagonal: bool = False  #: True if only sizes with equal width and length are made (circles).
 
     @classmethod
     def of(cls, unit_cell: UnitCell) -> SizeGrid:

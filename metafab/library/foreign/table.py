@@ -35,21 +35,13 @@ _LARGEST_BYTES = 1 << 30
 
 @dataclass(frozen=True)
 class SweepTable:
-    """Solved sizes of a sweep.
+    """Solved sizes of a sweep."""
 
-    Attributes:
-        size_nm: shape (n, 2), width and length.
-        t_xx: shape (n,), amplitude for x polarised light, as the file has it.
-        t_yy: shape (n,), likewise for y; None if the file has one amplitude.
-        circles: whether the file names diameters.
-        left_out: rows without a finite amplitude.
-    """
-
-    size_nm: FloatArray
-    t_xx: ComplexArray
-    t_yy: ComplexArray | None
-    circles: bool
-    left_out: int
+    size_nm: FloatArray  #: Shape (n, 2), width and length.
+    t_xx: ComplexArray  #: Shape (n,), amplitude for x polarised light, as the file has it.
+    t_yy: ComplexArray | None  #: Shape (n,), likewise for y; None if the file has one amplitude.
+    circles: bool  #: Whether the file names diameters.
+    left_out: int  #: Rows without a finite amplitude.
 
 
 def read_sweep(path: Path) -> SweepTable:

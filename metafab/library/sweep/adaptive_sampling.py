@@ -51,23 +51,14 @@ AHEAD = 32
 
 @dataclass(frozen=True)
 class PointSolver:
-    """Solve cells by number; cells in the checkpoint are not solved again.
+    """Solve cells by number; cells in the checkpoint are not solved again."""
 
-    Attributes:
-        cell_of: maps a number to its cell.
-        numerics: target error and solver of each cell.
-        solver: solves one cell.
-        executor: runs the solver.
-        record: checkpoint of the solved cells.
-        progress: called after every chunk.
-    """
-
-    cell_of: Callable[[int], PillarCell]
-    numerics: CellNumerics
-    solver: CellSolver
-    executor: Executor
-    record: Checkpoint
-    progress: Progress
+    cell_of: Callable[[int], PillarCell]  #: Maps a number to its cell.
+    numerics: CellNumerics  #: Target error and solver of each cell.
+    solver: CellSolver  #: Solves one cell.
+    executor: Executor  #: Runs the solver.
+    record: Checkpoint  #: Checkpoint of the solved cells.
+    progress: Progress  #: Called after every chunk.
 
     def __call__(self, numbers: IndexArray, expected_total: int) -> dict[int, SolvedPoint]:
         """Solve cells.
@@ -118,25 +109,15 @@ def _solve_while(
 
 @dataclass(frozen=True)
 class GridSampling:
-    """Result of the sampling over the grid of sizes.
+    """Result of the sampling over the grid of sizes."""
 
-    Attributes:
-        solved: answers by number, in ascending order.
-        models: continuous models; None if the grid is so small that every size was solved at once.
-        safety_factor: ratio of held-out errors to the models' disagreement, at least 1.
-        held_out: shape (n,), numbers of the last round's sizes, predicted before they were solved.
-        held_out_error: largest error of these predictions.
-        held_out_rms: rms error of these predictions, the least estimate of the model's error anywhere.
-        rounds: rounds of solving.
-    """
-
-    solved: dict[int, SolvedPoint]
-    models: RankedModels | None
-    safety_factor: float
-    held_out: IndexArray
-    held_out_error: float
-    held_out_rms: float
-    rounds: int
+    solved: dict[int, SolvedPoint]  #: Answers by number, in ascending order.
+    models: RankedModels | None  #: Continuous models; None if the grid is so small that every size was solved at once.
+    safety_factor: float  #: Ratio of held-out errors to the models' disagreement, at least 1.
+    held_out: IndexArray  #: Shape (n,), numbers of the last round's sizes, predicted before they were solved.
+    held_out_error: float  #: Largest error of these predictions.
+    held_out_rms: float  #: Rms error of these predictions, the least estimate of the model's error anywhere.
+    rounds: int  #: Rounds of solving.
 
 
 def fit_solved(

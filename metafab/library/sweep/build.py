@@ -42,30 +42,19 @@ RESONANT_COST = 5.0
 
 @dataclass(frozen=True)
 class BuildNumerics:
-    """Size of the adaptive sampling beyond the grid of sizes.
+    """Size of the adaptive sampling beyond the grid of sizes."""
 
-    Attributes:
-        every_size: solve every distinct size of the grid, none by a model.
-        off_grid: rounds between the sizes of the grid.
-        corners: sampling over the axes of the sweep.
-    """
-
-    every_size: bool = False
-    off_grid: RoundLimits = field(default_factory=RoundLimits)
-    corners: CornerNumerics = field(default_factory=CornerNumerics)
+    every_size: bool = False  #: Solve every distinct size of the grid, none by a model.
+    off_grid: RoundLimits = field(default_factory=RoundLimits)  #: Rounds between the sizes of the grid.
+    corners: CornerNumerics = field(default_factory=CornerNumerics)  #: Sampling over the axes of the sweep.
 
 
 @dataclass(frozen=True)
 class BuildCost:
-    """Expected cost of a build.
+    """Expected cost of a build."""
 
-    Attributes:
-        cells: least and largest number of unit cells to solve.
-        seconds: least and largest processor time without fits; divide by the number of workers.
-    """
-
-    cells: tuple[int, int]
-    seconds: tuple[float, float]
+    cells: tuple[int, int]  #: Least and largest number of unit cells to solve.
+    seconds: tuple[float, float]  #: Least and largest processor time without fits; divide by the number of workers.
 
 
 def build(

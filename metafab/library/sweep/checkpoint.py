@@ -33,19 +33,12 @@ _KIND = "metafab library checkpoint"
 
 @dataclass(frozen=True)
 class SolvedPoint:
-    """The solver's answer for one cell or one row.
+    """The solver's answer for one cell or one row."""
 
-    Attributes:
-        number: number of the cell or row.
-        amplitudes: t_xx, t_yy, r_xx, r_yy of a cell, or the orders of a row of pillars.
-        error: the solver's certificate, a bound on the absolute error of each amplitude.
-        seconds: time of the solver.
-    """
-
-    number: int
-    amplitudes: tuple[complex, ...]
-    error: float
-    seconds: float
+    number: int  #: Number of the cell or row.
+    amplitudes: tuple[complex, ...]  #: t_xx, t_yy, r_xx, r_yy of a cell, or the orders of a row of pillars.
+    error: float  #: The solver's certificate, a bound on the absolute error of each amplitude.
+    seconds: float  #: Time of the solver.
 
 
 class Checkpoint:

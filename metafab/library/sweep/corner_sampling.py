@@ -38,17 +38,11 @@ APART = 0.1
 
 @dataclass(frozen=True)
 class CornerNumerics:
-    """Size of the sampling over sizes and axes.
+    """Size of the sampling over sizes and axes."""
 
-    Attributes:
-        sequence: candidate cells, besides the corners of the box.
-        first_round: cells of the first round per dimension of the box.
-        most_cells: largest number of solved cells per dimension of the box.
-    """
-
-    sequence: int = 8192
-    first_round: int = 96
-    most_cells: int = 400
+    sequence: int = 8192  #: Candidate cells, besides the corners of the box.
+    first_round: int = 96  #: Cells of the first round per dimension of the box.
+    most_cells: int = 400  #: Largest number of solved cells per dimension of the box.
 
 
 class CornerSequence:
@@ -191,17 +185,11 @@ def _not_reached(solved: int, open_share: float, tolerance: float) -> str:
 
 @dataclass(frozen=True)
 class _SolvedCells:
-    """All solved cells: those of the nominal library, then those of the sequence.
+    """All solved cells: those of the nominal library, then those of the sequence."""
 
-    Attributes:
-        samples: n cells.
-        certificate: shape (n,), the solver's errors.
-        taken: shape (n_taken,), indices into the sequence, in the order of solution.
-    """
-
-    samples: Samples
-    certificate: FloatArray
-    taken: IndexArray
+    samples: Samples  #: n cells.
+    certificate: FloatArray  #: Shape (n,), the solver's errors.
+    taken: IndexArray  #: Shape (n_taken,), indices into the sequence, in the order of solution.
 
     @classmethod
     def of(cls, grid: SizeGrid, box: CornerBox, nominal: dict[int, SolvedPoint]) -> _SolvedCells:

@@ -42,36 +42,22 @@ PARTS = 8
 
 @dataclass(frozen=True)
 class RoundLimits:
-    """Limits of the rounds off the grid; errors that remain after them are part of the error bounds.
+    """Limits of the rounds off the grid; errors that remain after them are part of the error bounds."""
 
-    Attributes:
-        disagreement_sizes: sizes of a round against disagreement.
-        disagreement_rounds: rounds against disagreement.
-        steep_sizes: sizes of a round at steep places.
-        steep_rounds: rounds at steep places.
-    """
-
-    disagreement_sizes: int = 12
-    disagreement_rounds: int = 8
-    steep_sizes: int = 24
-    steep_rounds: int = 4
+    disagreement_sizes: int = 12  #: Sizes of a round against disagreement.
+    disagreement_rounds: int = 8  #: Rounds against disagreement.
+    steep_sizes: int = 24  #: Sizes of a round at steep places.
+    steep_rounds: int = 4  #: Rounds at steep places.
 
 
 @dataclass(frozen=True)
 class OffGridSampling:
-    """Result of the sampling between the sizes of the grid.
+    """Result of the sampling between the sizes of the grid."""
 
-    Attributes:
-        solved: answers by number on the finer grid, in the order of solution.
-        models: continuous models; None if every size of the grid was solved.
-        model_error: shape (n_length, n_width), estimate of the model's error at each size of the grid.
-        between_error: shape (n_length, n_width), estimate of its error up to half a step around each size.
-    """
-
-    solved: dict[int, SolvedPoint]
-    models: RankedModels | None
-    model_error: FloatArray
-    between_error: FloatArray
+    solved: dict[int, SolvedPoint]  #: Answers by number on the finer grid, in the order of solution.
+    models: RankedModels | None  #: Continuous models; None if every size of the grid was solved.
+    model_error: FloatArray  #: Shape (n_length, n_width), estimate of the model's error at each size of the grid.
+    between_error: FloatArray  #: Shape (n_length, n_width), estimate of its error up to half a step around each size.
 
 
 class OffGridSampler:

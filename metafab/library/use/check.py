@@ -24,61 +24,37 @@ LEAST_AMPLITUDE = 0.1
 
 @dataclass(frozen=True)
 class CheckedSize:
-    """One size of a check.
+    """One size of a check."""
 
-    Attributes:
-        width_nm: width.
-        length_nm: length.
-        abs_error: largest |t - t_solver| of both polarisations.
-        stated_error: error bound of the library.
-        solver_error: error bound of the solver.
-    """
-
-    width_nm: float
-    length_nm: float
-    abs_error: float
-    stated_error: float
-    solver_error: float
+    width_nm: float  #: Width.
+    length_nm: float  #: Length.
+    abs_error: float  #: Largest |t - t_solver| of both polarisations.
+    stated_error: float  #: Error bound of the library.
+    solver_error: float  #: Error bound of the solver.
 
 
 @dataclass(frozen=True)
 class LibraryCheck:
-    """Result of a check over t_xx and t_yy of all its samples.
+    """Result of a check over t_xx and t_yy of all its samples."""
 
-    Attributes:
-        against: reference solver.
-        samples: sizes drawn, evenly over the sweep and off its grid where the library is continuous.
-        max_abs_error: largest |t - t_solver|.
-        mean_abs_error: mean over the sizes of the larger |t - t_solver| of both polarisations.
-        max_phase_error_rad: largest phase error, where |t| is at least 0.1.
-        mean_phase_error_rad: mean magnitude of the phase error there.
-        max_stated_error: largest error bound of the library at these sizes.
-        max_solver_error: largest error bound of the reference solver.
-        beyond_stated: samples whose error exceeds the sum of both bounds.
-        not_checked: samples whose reference comes from the library's own solver with no smaller error bound than the
-            library's: their difference says nothing.
-        worst_width_nm: width of the size with the largest error.
-        worst_length_nm: length of the size with the largest error.
-        solver_seconds: time in the solver.
-        verdict: "fails" if a sample is beyond the bounds, "no check" if no sample was checked, else "holds".
-        sizes: each sample, in the order of the draw.
-    """
-
-    against: Literal["rcwa", "meep"]
-    samples: int
-    max_abs_error: float
-    mean_abs_error: float
-    max_phase_error_rad: float
-    mean_phase_error_rad: float
-    max_stated_error: float
-    max_solver_error: float
-    beyond_stated: int
+    against: Literal["rcwa", "meep"]  #: Reference solver.
+    samples: int  #: Sizes drawn, evenly over the sweep and off its grid where the library is continuous.
+    max_abs_error: float  #: Largest |t - t_solver|.
+    mean_abs_error: float  #: Mean over the sizes of the larger |t - t_solver| of both polarisations.
+    max_phase_error_rad: float  #: Largest phase error, where |t| is at least 0.1.
+    mean_phase_error_rad: float  #: Mean magnitude of the phase error there.
+    max_stated_error: float  #: Largest error bound of the library at these sizes.
+    max_solver_error: float  #: Largest error bound of the reference solver.
+    beyond_stated: int  #: Samples whose error exceeds the sum of both bounds.
+    #: Samples whose reference comes from the library's own solver with no smaller error bound than the library's: their
+    #: difference says nothing.
     not_checked: int
-    worst_width_nm: float
-    worst_length_nm: float
-    solver_seconds: float
+    worst_width_nm: float  #: Width of the size with the largest error.
+    worst_length_nm: float  #: Length of the size with the largest error.
+    solver_seconds: float  #: Time in the solver.
+    #: "fails" if a sample is beyond the bounds, "no check" if no sample was checked, else "holds".
     verdict: Literal["holds", "fails", "no check"]
-    sizes: tuple[CheckedSize, ...]
+    sizes: tuple[CheckedSize, ...]  #: Each sample, in the order of the draw.
 
     def warnings(self) -> list[str]:
         """Return a sentence about samples that were not checked."""

@@ -25,31 +25,19 @@ CD_BIAS_NM = 5.0
 
 @dataclass(frozen=True)
 class Quality:
-    """Figures of merit of a library, for target phases spread evenly over the (phi_x, phi_y) torus.
+    """Figures of merit of a library, for target phases spread evenly over the (phi_x, phi_y) torus."""
 
-    Attributes:
-        coverage_rad: covered part of the phase circle (:func:`coverage_rad`).
-        torus_coverage: share of all pairs of phases that are covered.
-        worst_hole_rad: largest distance of a pair of phases from the sizes with high transmittance, in the worse phase.
-        worst_hole_phase_x_rad: phase of x at that pair, in (-pi, pi].
-        worst_hole_phase_y_rad: phase of y at that pair, in (-pi, pi].
-        phase_rms_error_rad: rms phase error of the sizes with the best overlap, both polarisations.
-        phase_max_error_rad: largest phase error of these sizes.
-        mean_transmittance: mean power transmittance of these sizes.
-        mean_overlap: mean field overlap of these sizes; 1 for full transmittance without phase error.
-        cd_phase_rms_rad: rms phase change of these sizes when both sides grow by 5 nm, to first order.
-    """
-
-    coverage_rad: float
-    torus_coverage: float
+    coverage_rad: float  #: Covered part of the phase circle (:func:`coverage_rad`).
+    torus_coverage: float  #: Share of all pairs of phases that are covered.
+    #: Largest distance of a pair of phases from the sizes with high transmittance, in the worse phase.
     worst_hole_rad: float
-    worst_hole_phase_x_rad: float
-    worst_hole_phase_y_rad: float
-    phase_rms_error_rad: float
-    phase_max_error_rad: float
-    mean_transmittance: float
-    mean_overlap: float
-    cd_phase_rms_rad: float
+    worst_hole_phase_x_rad: float  #: Phase of x at that pair, in (-pi, pi].
+    worst_hole_phase_y_rad: float  #: Phase of y at that pair, in (-pi, pi].
+    phase_rms_error_rad: float  #: Rms phase error of the sizes with the best overlap, both polarisations.
+    phase_max_error_rad: float  #: Largest phase error of these sizes.
+    mean_transmittance: float  #: Mean power transmittance of these sizes.
+    mean_overlap: float  #: Mean field overlap of these sizes; 1 for full transmittance without phase error.
+    cd_phase_rms_rad: float  #: Rms phase change of these sizes when both sides grow by 5 nm, to first order.
 
 
 def coverage_rad(library: Library) -> float:

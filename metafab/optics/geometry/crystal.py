@@ -35,15 +35,10 @@ _ALONG_AXIS = 1e-9
 
 @dataclass(frozen=True)
 class Crystal:
-    """Uniaxial plate at one wavelength.
+    """Uniaxial plate at one wavelength."""
 
-    Attributes:
-        substrate: thickness, cut, azimuth, materials, first face.
-        wavelength_um: vacuum wavelength.
-    """
-
-    substrate: Substrate
-    wavelength_um: float
+    substrate: Substrate  #: Thickness, cut, azimuth, materials, first face.
+    wavelength_um: float  #: Vacuum wavelength.
 
     @cached_property
     def n_ordinary(self) -> float:

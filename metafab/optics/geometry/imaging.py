@@ -30,35 +30,22 @@ _FEWEST_NODES = 6
 
 @dataclass(frozen=True)
 class Imaging:
-    """Geometry of lens and sensor for the propagation.
+    """Geometry of lens and sensor for the propagation."""
 
-    Attributes:
-        wavelength_um: vacuum wavelength; object and sensor stand in vacuum (air).
-        focal_length_mm: focal length of the split lens.
-        split_angle_deg: theta of Eqs. 3 and 4; 0 for a lens without polarisation splitting.
-        sensor_distance_um: distance of the sensor plane from the metasurface.
-        pixel_um: sampling step on the sensor.
-        aperture_um: diameter of a circle or ring, side of a square or of the square around a polygon.
-        aperture_shape: outline of the aperture.
-        deflection: direction cosines (x, y) that gratings and the mean slope of the user's own phases add, for x and
-            for y polarisation.
-        inner_um: diameter of a ring's hole.
-        outline_um: (x, y) of a polygon's vertices.
-        plates: substrate between scene and pillars for x and for y polarisation; empty for air.
-        crystal: birefringent substrate, whose ordinary wave sees ``plates``; None for one that keeps the polarisation.
-    """
-
-    wavelength_um: float
-    focal_length_mm: float
-    split_angle_deg: float
-    sensor_distance_um: float
-    pixel_um: float
-    aperture_um: float
-    aperture_shape: Literal["circle", "square", "ring", "polygon"] = "circle"
+    wavelength_um: float  #: Vacuum wavelength; object and sensor stand in vacuum (air).
+    focal_length_mm: float  #: Focal length of the split lens.
+    split_angle_deg: float  #: Theta of Eqs. 3 and 4; 0 for a lens without polarisation splitting.
+    sensor_distance_um: float  #: Distance of the sensor plane from the metasurface.
+    pixel_um: float  #: Sampling step on the sensor.
+    aperture_um: float  #: Diameter of a circle or ring, side of a square or of the square around a polygon.
+    aperture_shape: Literal["circle", "square", "ring", "polygon"] = "circle"  #: Outline of the aperture.
+    #: Direction cosines (x, y) that gratings and the mean slope of the user's own phases add, for x and for y
+    #: polarisation.
     deflection: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
-    inner_um: float = 0.0
-    outline_um: tuple[tuple[float, float], ...] = ()
-    plates: tuple[Plate, ...] = ()
+    inner_um: float = 0.0  #: Diameter of a ring's hole.
+    outline_um: tuple[tuple[float, float], ...] = ()  #: (x, y) of a polygon's vertices.
+    plates: tuple[Plate, ...] = ()  #: Substrate between scene and pillars for x and for y polarisation; empty for air.
+    #: Birefringent substrate, whose ordinary wave sees ``plates``; None for one that keeps the polarisation.
     crystal: Crystal | None = None
 
     @classmethod

@@ -31,23 +31,15 @@ _JONES_TOLERANCE = 1e-7
 
 @dataclass(frozen=True)
 class Ray:
-    """Ray from an object point through the lens centre to a point of the sensor.
+    """Ray from an object point through the lens centre to a point of the sensor."""
 
-    Attributes:
-        vergence_per_um: 1 / depth; 0 for an object at infinity.
-        tangent: (x/z, y/z) of the object.
-        target_um: (x, y, z) of the sensor point.
-        plate: substrate before the lens; None for air.
-        crystal: birefringent substrate, whose ordinary wave sees ``plate``; None for one that keeps the polarisation.
-        entry: polarisation of the pillars' light and of the object's light.
-    """
-
-    vergence_per_um: float
-    tangent: Tangent
-    target_um: tuple[float, float, float]
-    plate: Plate | None = None
+    vergence_per_um: float  #: 1 / depth; 0 for an object at infinity.
+    tangent: Tangent  #: (x/z, y/z) of the object.
+    target_um: tuple[float, float, float]  #: (x, y, z) of the sensor point.
+    plate: Plate | None = None  #: Substrate before the lens; None for air.
+    #: Birefringent substrate, whose ordinary wave sees ``plate``; None for one that keeps the polarisation.
     crystal: Crystal | None = None
-    entry: JonesEntry = (0, 0)
+    entry: JonesEntry = (0, 0)  #: Polarisation of the pillars' light and of the object's light.
 
     @classmethod
     def towards_image(

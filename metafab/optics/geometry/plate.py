@@ -28,15 +28,10 @@ _NEWTON_STEPS = 5
 
 @dataclass(frozen=True)
 class Plate:
-    """Plane-parallel plate before the lens.
+    """Plane-parallel plate before the lens."""
 
-    Attributes:
-        thickness_um: thickness, at most the object depth.
-        index: real refractive index.
-    """
-
-    thickness_um: float
-    index: float
+    thickness_um: float  #: Thickness, at most the object depth.
+    index: float  #: Real refractive index.
 
     def path_change_um(self, x_um: Any, y_um: Any, vergence_per_um: float, tangent: tuple[float, float]) -> FloatArray:
         """Return the change by the plate of the path over (x, y) minus the path over the centre; broadcasts."""

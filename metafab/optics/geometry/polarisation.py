@@ -73,14 +73,10 @@ class FocusIntegrals:
 
     With x polarised light E_x = I0 + I2 cos 2 phi, E_y = I2 sin 2 phi and E_z = -i I1 cos phi, but for a common factor.
     The flux is I0^2 - I2^2, the same along all directions.
-
-    Attributes:
-        scalar: shape (n,), the scalar field at each radius.
-        i_0: shape (n,); likewise ``i_1`` and ``i_2``.
     """
 
-    scalar: FloatArray
-    i_0: FloatArray
+    scalar: FloatArray  #: Shape (n,), the scalar field at each radius.
+    i_0: FloatArray  #: Shape (n,); likewise ``i_1`` and ``i_2``.
     i_1: FloatArray
     i_2: FloatArray
 

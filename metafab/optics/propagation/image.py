@@ -48,23 +48,14 @@ _USUAL_DEPTHS = 8
 
 @dataclass(frozen=True)
 class Window:
-    """Sampling and tolerance that all windows of a stack share.
+    """Sampling and tolerance that all windows of a stack share."""
 
-    Attributes:
-        imaging: wavelength, sensor plane, sampling.
-        window_px: points along a side.
-        tolerance: relative error of the kernel's low-rank rest.
-        quantity: irradiance that is computed.
-        scalar_error: error of scalar propagation, where it is used.
-        panels: panels along a side; None for the cheapest number.
-    """
-
-    imaging: Imaging
-    window_px: int
-    tolerance: float
-    quantity: Quantity = "scalar"
-    scalar_error: float = 0.0
-    panels: int | None = None
+    imaging: Imaging  #: Wavelength, sensor plane, sampling.
+    window_px: int  #: Points along a side.
+    tolerance: float  #: Relative error of the kernel's low-rank rest.
+    quantity: Quantity = "scalar"  #: Irradiance that is computed.
+    scalar_error: float = 0.0  #: Error of scalar propagation, where it is used.
+    panels: int | None = None  #: Panels along a side; None for the cheapest number.
 
     @classmethod
     def for_target(cls, imaging: Imaging, numerics: PsfNumerics) -> Window:

@@ -34,23 +34,15 @@ _KERNELS_KEPT, _LARGEST_KEPT_PX = 16, 128
 
 @dataclass(frozen=True)
 class KernelSpec:
-    """Lens, window and accuracy of a kernel.
+    """Lens, window and accuracy of a kernel."""
 
-    Attributes:
-        wavenumber: k, rad/um, of the blocks or of another wavelength.
-        target_um: (x, y, z) of the window's centre, point ``window_px // 2`` along either side.
-        lens_um: ((lowest, highest) x, (lowest, highest) y) of the block centres.
-        window_px: points along a side.
-        pixel_um: distance of points.
-        tolerance: relative error of the low-rank rest, 1e-7 or more.
-    """
-
-    wavenumber: float
+    wavenumber: float  #: k, rad/um, of the blocks or of another wavelength.
+    #: (x, y, z) of the window's centre, point ``window_px // 2`` along either side.
     target_um: tuple[float, float, float]
-    lens_um: tuple[Span, Span]
-    window_px: int
-    pixel_um: float
-    tolerance: float
+    lens_um: tuple[Span, Span]  #: ((lowest, highest) x, (lowest, highest) y) of the block centres.
+    window_px: int  #: Points along a side.
+    pixel_um: float  #: Distance of points.
+    tolerance: float  #: Relative error of the low-rank rest, 1e-7 or more.
 
     @property
     def offsets_um(self) -> FloatArray:
@@ -60,21 +52,13 @@ class KernelSpec:
 
 @dataclass(frozen=True)
 class WindowKernel:
-    """Propagation from Chebyshev points of the lens to one window, for blocks of any size.
+    """Propagation from Chebyshev points of the lens to one window, for blocks of any size."""
 
-    Attributes:
-        spec: lens, window and accuracy.
-        left: shape (n, q_y), exp(ik Y).
-        right: shape (q_x, n), exp(ik X).
-        over_window: shape (rank, n, n), A_m.
-        over_lens: shape (rank, q_y, q_x), B_m.
-    """
-
-    spec: KernelSpec
-    left: SingleComplexArray
-    right: SingleComplexArray
-    over_window: SingleComplexArray
-    over_lens: SingleComplexArray
+    spec: KernelSpec  #: Lens, window and accuracy.
+    left: SingleComplexArray  #: Shape (n, q_y), exp(ik Y).
+    right: SingleComplexArray  #: Shape (q_x, n), exp(ik X).
+    over_window: SingleComplexArray  #: Shape (rank, n, n), A_m.
+    over_lens: SingleComplexArray  #: Shape (rank, q_y, q_x), B_m.
 
     @classmethod
     def build(cls, spec: KernelSpec) -> WindowKernel:

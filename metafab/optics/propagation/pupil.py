@@ -30,43 +30,27 @@ from metafab.optics.sources.source import FieldTile, Source
 
 @dataclass(frozen=True)
 class Carrier:
-    """Polarisation to sum, ray whose path is removed, and block size.
+    """Polarisation to sum, ray whose path is removed, and block size."""
 
-    Attributes:
-        polarisation: index of the polarisation in the field tiles.
-        ray: carrier ray, in air.
-        block_sites: sites along a side of a block.
-    """
-
-    polarisation: int
-    ray: Ray
-    block_sites: int
+    polarisation: int  #: Index of the polarisation in the field tiles.
+    ray: Ray  #: Carrier ray, in air.
+    block_sites: int  #: Sites along a side of a block.
 
 
 @dataclass(frozen=True)
 class Pupil:
-    """Block sums of one polarisation behind a carrier.
+    """Block sums of one polarisation behind a carrier."""
 
-    Attributes:
-        carrier: polarisation, ray and block size.
-        wavenumber: k, rad/um.
-        pitch_um: (x, y) distance of sites.
-        cell_um2: area of one unit cell.
-        x_um: shape (n_x,), block centres.
-        y_um: shape (n_y,), block centres.
-        sums: shape (3, n_y, n_x), sum over the block of the amplitude times exp(i k path), and its first moments along
-            x and y about the block centre, um.
-        power: shape (n_y, n_x), sum over the block of the squared amplitude.
-    """
-
-    carrier: Carrier
-    wavenumber: float
-    pitch_um: tuple[float, float]
-    cell_um2: float
-    x_um: FloatArray
-    y_um: FloatArray
+    carrier: Carrier  #: Polarisation, ray and block size.
+    wavenumber: float  #: k, rad/um.
+    pitch_um: tuple[float, float]  #: (x, y) distance of sites.
+    cell_um2: float  #: Area of one unit cell.
+    x_um: FloatArray  #: Shape (n_x,), block centres.
+    y_um: FloatArray  #: Shape (n_y,), block centres.
+    #: Shape (3, n_y, n_x), sum over the block of the amplitude times exp(i k path), and its first moments along x and y
+    #: about the block centre, um.
     sums: ComplexArray
-    power: FloatArray
+    power: FloatArray  #: Shape (n_y, n_x), sum over the block of the squared amplitude.
 
     @property
     def block_um(self) -> tuple[float, float]:

@@ -24,19 +24,13 @@ from metafab.optics.propagation.refocus import refocus, weighted
 
 @dataclass(frozen=True)
 class WindowTransform:
-    """Linear map from refocused blocks to the field on the window.
+    """Linear map from refocused blocks to the field on the window."""
 
-    Attributes:
-        kernel: propagation from Chebyshev points to the window.
-        gather_y: shape (q_y, n_y), transposed interpolation: blocks to weights on Chebyshev points.
-        gather_x: shape (n_x, q_x).
-        by_order: shape (3, n, n), response of each window point to the sum and the moments of a block: the diffraction
-            of the block, and i times its phase slope along x and y. Shape (1, n, n) for blocks of one site.
-    """
-
-    kernel: WindowKernel
-    gather_y: NDArray[np.float32]
-    gather_x: NDArray[np.float32]
+    kernel: WindowKernel  #: Propagation from Chebyshev points to the window.
+    gather_y: NDArray[np.float32]  #: Shape (q_y, n_y), transposed interpolation: blocks to weights on Chebyshev points.
+    gather_x: NDArray[np.float32]  #: Shape (n_x, q_x).
+    #: Shape (3, n, n), response of each window point to the sum and the moments of a block: the diffraction of the
+    #: block, and i times its phase slope along x and y. Shape (1, n, n) for blocks of one site.
     by_order: SingleComplexArray
 
     @classmethod

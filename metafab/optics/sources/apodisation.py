@@ -21,17 +21,12 @@ Transmission = Callable[[FloatArray, FloatArray], FloatArray]
 
 @dataclass(frozen=True)
 class Apodisation:
-    """Round stop and sampled amplitude; either may be absent.
+    """Round stop and sampled amplitude; either may be absent."""
 
-    Attributes:
-        stop_um: diameter of the stop; infinite for none.
-        samples: shape (n_y, n_x), amplitudes on a square grid about the axis, lowest y first; None for 1.
-        pitch_um: distance of the samples, between which the amplitude is bilinear.
-    """
-
-    stop_um: float = np.inf
+    stop_um: float = np.inf  #: Diameter of the stop; infinite for none.
+    #: Shape (n_y, n_x), amplitudes on a square grid about the axis, lowest y first; None for 1.
     samples: FloatArray | None = None
-    pitch_um: float = 1.0
+    pitch_um: float = 1.0  #: Distance of the samples, between which the amplitude is bilinear.
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
         """Return the transmitted amplitude, shape (n_y, n_x), at ``x_um``, shape (n_x,), and ``y_um``, shape (n_y,).

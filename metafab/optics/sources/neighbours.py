@@ -24,19 +24,12 @@ _TILE_SITES = 512
 
 @dataclass(frozen=True)
 class NeighbourField:
-    """Pillars of a mask with the amplitudes that they have among their neighbours.
+    """Pillars of a mask with the amplitudes that they have among their neighbours."""
 
-    Attributes:
-        lone: the same pillars with the amplitudes of lattices of equal pillars.
-        tables: chains of coupled modes at the sizes of the mask.
-        power_factor: sqrt(n_out / n_in) for x and y polarisation.
-        workers: threads; None for one per core.
-    """
-
-    lone: WrittenField
-    tables: NeighbourTables
-    power_factor: tuple[float, float]
-    workers: int | None = None
+    lone: WrittenField  #: The same pillars with the amplitudes of lattices of equal pillars.
+    tables: NeighbourTables  #: Chains of coupled modes at the sizes of the mask.
+    power_factor: tuple[float, float]  #: sqrt(n_out / n_in) for x and y polarisation.
+    workers: int | None = None  #: Threads; None for one per core.
 
     @property
     def lattice(self) -> Lattice:

@@ -26,22 +26,15 @@ _IDEAL_TILE_SITES = 256
 
 @dataclass(frozen=True)
 class FieldTile:
-    """Rectangular tile of sites: indices into a table of amplitudes, or the amplitudes themselves.
+    """Rectangular tile of sites: indices into a table of amplitudes, or the amplitudes themselves."""
 
-    Attributes:
-        row: lattice row of the first row.
-        column: lattice column of the first column.
-        size_index: shape (n_y, n_x), rows of ``table``; None for a tile of amplitudes.
-        table: shape (n, n_polarisations), power-normalised amplitudes of each index: for x and y polarisation or, for
-            turned pillars, the Jones entries xx, xy = yx and yy.
-        amplitudes: shape (n_polarisations, n_y, n_x), if ``size_index`` is None.
-    """
-
-    row: int
-    column: int
-    size_index: SizeIndexArray | None = None
+    row: int  #: Lattice row of the first row.
+    column: int  #: Lattice column of the first column.
+    size_index: SizeIndexArray | None = None  #: Shape (n_y, n_x), rows of ``table``; None for a tile of amplitudes.
+    #: Shape (n, n_polarisations), power-normalised amplitudes of each index: for x and y polarisation or, for turned
+    #: pillars, the Jones entries xx, xy = yx and yy.
     table: ComplexArray | None = None
-    amplitudes: ComplexArray | None = None
+    amplitudes: ComplexArray | None = None  #: Shape (n_polarisations, n_y, n_x), if ``size_index`` is None.
 
     @property
     def polarisations(self) -> int:
@@ -80,15 +73,11 @@ class Source(Protocol):
 
 @dataclass(frozen=True)
 class WrittenField:
-    """Pillars of a mask with the amplitudes of their sizes.
+    """Pillars of a mask with the amplitudes of their sizes."""
 
-    Attributes:
-        pillars: size index of each site.
-        table: shape (n_sizes + 1, n_polarisations), t sqrt(n_out / n_in) of each size, as in :class:`FieldTile`; row 0
-            (no pillar) is dark.
-    """
-
-    pillars: PillarMap
+    pillars: PillarMap  #: Size index of each site.
+    #: Shape (n_sizes + 1, n_polarisations), t sqrt(n_out / n_in) of each size, as in :class:`FieldTile`; row 0 (no
+    #: pillar) is dark.
     table: ComplexArray
 
     @property
@@ -111,17 +100,11 @@ class Target(Protocol):
 
 @dataclass(frozen=True)
 class IdealField:
-    """Target phases at full transmission inside the aperture.
+    """Target phases at full transmission inside the aperture."""
 
-    Attributes:
-        profile: target phases.
-        lattice: sampling points.
-        device: outline and size of the aperture.
-    """
-
-    profile: Target
-    lattice: Lattice
-    device: Device
+    profile: Target  #: Target phases.
+    lattice: Lattice  #: Sampling points.
+    device: Device  #: Outline and size of the aperture.
 
     def tiles(self) -> Iterator[FieldTile]:
         """Return square tiles without those outside the aperture."""
@@ -138,14 +121,10 @@ class IdealField:
 
 @dataclass(frozen=True)
 class ApodisedField:
-    """Source behind a stop or an amplitude in the plane of the pillars.
+    """Source behind a stop or an amplitude in the plane of the pillars."""
 
-    Attributes:
-        source: field without the apodisation.
-        transmission: transmitted amplitude, 0 to 1, shape (n_y, n_x), at x, shape (n_x,), and y, shape (n_y,).
-    """
-
-    source: Source
+    source: Source  #: Field without the apodisation.
+    #: Transmitted amplitude, 0 to 1, shape (n_y, n_x), at x, shape (n_x,), and y, shape (n_y,).
     transmission: Callable[[FloatArray, FloatArray], FloatArray]
 
     @property

@@ -41,23 +41,14 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Key:
-    """One key of an input file.
+    """One key of an input file."""
 
-    Attributes:
-        path: tables and key, such as ``mask.chip.margin_um``; ``[]`` marks a list of tables.
-        kind: type of the value in words.
-        unit: unit of the value; empty for text and pure numbers.
-        default: value without the key, as TOML; ``required`` if there is none, empty if the key is simply omitted.
-        allowed: range or choices; empty if every value of the type will do.
-        meaning: one or two sentences.
-    """
-
-    path: str
-    kind: str
-    unit: str
-    default: str
-    allowed: str
-    meaning: str
+    path: str  #: Tables and key, such as ``mask.chip.margin_um``; ``[]`` marks a list of tables.
+    kind: str  #: Type of the value in words.
+    unit: str  #: Unit of the value; empty for text and pure numbers.
+    default: str  #: Value without the key, as TOML; ``required`` if there is none, empty if the key is simply omitted.
+    allowed: str  #: Range or choices; empty if every value of the type will do.
+    meaning: str  #: One or two sentences.
 
 
 @cache
