@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,7 +94,7 @@ def without_depths(psf: Psf, left_out: NDArray[np.bool_]) -> Psf:
     if field is not None:
         field = replace(field, psf=field.psf[:, kept], centre_um=field.centre_um[:, kept])
     ghost = None if psf.ghost is None else without_depths(psf.ghost, left_out)
-    arrays = {name: np.take(getattr(psf, name), kept, axis) for name, axis in _DEPTH_AXIS.items()}
+    arrays: dict[str, Any] = {name: np.take(getattr(psf, name), kept, axis) for name, axis in _DEPTH_AXIS.items()}
     return replace(psf, **arrays, field=field, ghost=ghost)
 
 
@@ -111,7 +112,9 @@ def concatenate(stacks: Sequence[Psf]) -> Psf:
     sampling = {(stack.pixel_um, stack.psf.shape[2:], stack.sensor_distance_um) for stack in stacks}
     if len(sampling) > 1:
         raise ValueError("`stacks`: expected one sampling, window and sensor plane")
-    arrays = {n: np.concatenate([getattr(stack, n) for stack in stacks], axis) for n, axis in _DEPTH_AXIS.items()}
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(stack, name) for stack in stacks], axis) for name, axis in _DEPTH_AXIS.items()
+    }
     if np.any(np.diff(arrays["depth_m"]) <= 0.0):
         raise ValueError("`stacks`: expected ascending depths")
     if len(stacks) == 1:
