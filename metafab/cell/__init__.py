@@ -10,12 +10,13 @@
 - ``supercell``    unlike pillars in one period, and the prediction of the local-period approximation
 - ``rcwa``         the Fourier modal method with a bound on its error
 - ``elements``     supercells by spectral elements and plane waves
+- ``curved``       ellipses and rounded rectangles by spectral elements
 - ``meep``         FDTD by Meep, a separate program
 - ``meep_worker``  the program that runs Meep
 """
 
 from metafab.cell.pillar import PillarCell, Slice
-from metafab.cell.problem import is_square, pillar_cell, solve, solve_many
+from metafab.cell.problem import is_square, pillar_cell, seconds_estimate, solve, solve_many
 from metafab.cell.response import CellNumerics, CellResponse, CellSolver
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "CellNumerics",
     "CellResponse",
     "solve_many",
+    "seconds_estimate",
     "is_square",
     "Slice",
     "CellSolver",

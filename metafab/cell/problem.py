@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
 from functools import partial
 
-from metafab.cell import rcwa
+from metafab.cell import curved, rcwa
 from metafab.cell.pillar import PillarCell, Slice
 from metafab.cell.response import CellNumerics, CellResponse
 from metafab.cell.validation import check, check_numerics
@@ -89,17 +89,38 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     """
     check(cell)
     check_numerics(numerics)
+    has_elements = curved.is_treated(cell)
+    if numerics.solver == "elements" and not has_elements:
+        expected = "an upright ellipse or rounded rectangle, clear of its neighbours, under light along z"
+        raise InputError.single("cell", "shape", f"{expected} for the solver elements", cell.shape, "solve with rcwa")
+    if has_elements and numerics.solver != "meep" and numerics.formulation == "adaptive":
+        return curved.solve(cell, numerics)
     if cell.is_staggered:
-        faults = cell.untreated("a hexagonal lattice", treated=("is_staggered",))
-        if numerics.solver != "rcwa":
-            faults.append(Fault("solver", "rcwa for a hexagonal lattice", numerics.solver))
-        if faults:
-            raise InputError("cell", faults)
+        _refuse_in_hexagonal_lattice(cell, numerics)
     if numerics.solver == "rcwa":
         return rcwa.solve(cell, numerics)
     from metafab.cell import meep
 
     return meep.solve(cell, numerics)
+
+
+def _refuse_in_hexagonal_lattice(cell: PillarCell, numerics: CellNumerics) -> None:
+    """Refuse a cell of a hexagonal lattice that RCWA does not treat."""
+    faults = cell.untreated("a hexagonal lattice", treated=("is_staggered", "shape, corner_radius_nm"))
+    if cell.is_shaped:
+        expected = "a plain rectangle, or an ellipse clear of its neighbours, for a hexagonal lattice"
+        got = f"{cell.shape} of {cell.width_nm:g} x {cell.length_nm:g} nm"
+        faults.append(Fault("shape, corner_radius_nm", expected, got))
+    if numerics.solver != "rcwa":
+        faults.append(Fault("solver", "rcwa for a hexagonal lattice", numerics.solver))
+    if faults:
+        raise InputError("cell", faults)
+
+
+def seconds_estimate(target_error: float, cell: PillarCell) -> float:
+    """Processor time of one certified cell by the solver that :func:`solve` takes for "rcwa"."""
+    estimate = curved.seconds_estimate if curved.is_treated(cell) else rcwa.seconds_estimate
+    return estimate(target_error, cell)
 
 
 def solve_many(

@@ -24,7 +24,8 @@ class CellNumerics:
     """Numerics of a unit-cell solution."""
 
     target_error: float = 1e-3  #: Largest accepted error of any complex amplitude, above 0 and below 1.
-    solver: Literal["rcwa", "meep"] = "rcwa"  #: "rcwa", or "meep" for FDTD in a separate program.
+    #: "rcwa", "elements" for spectral elements, which "rcwa" takes by itself for curved outlines, or "meep" for FDTD.
+    solver: Literal["rcwa", "elements", "meep"] = "rcwa"
     #: Rcwa only: "adaptive" coordinates, or plain "fourier" harmonics as an independent check.
     formulation: Literal["adaptive", "fourier"] = "adaptive"
     max_orders: int = 16  #: Rcwa only: largest number of cosines along each axis, from 3.
@@ -49,7 +50,8 @@ class CellResponse(Displayed):
         r: shape (2, 2), reflected over incident tangential E, both at the plane where the pillar begins.
         error: bound or estimate of the largest absolute error among ``t`` and ``r``.
         converged: whether ``error <= numerics.target_error``.
-        resolution: Fourier orders (rcwa) or pixels per micrometre (meep) of the finest solution.
+        resolution: Fourier orders (rcwa), functions of the transverse field (elements) or pixels per micrometre (meep)
+            of the finest solution.
         seconds: time that the solution took.
         details: figures of the solver (orders, condition number, decay, ...).
     """
@@ -82,7 +84,9 @@ class CellResponse(Displayed):
                 for p, power, phase in zip("xy", powers, phases, strict=True)
             },
             "error": f"{self.error:.1e}",
-            "orders" if self.numerics.solver == "rcwa" else "pixels per um": str(self.resolution),
+            {"rcwa": "orders", "elements": "functions", "meep": "pixels per um"}[self.numerics.solver]: str(
+                self.resolution
+            ),
         }
 
     def to_xarray(self) -> xarray.Dataset:

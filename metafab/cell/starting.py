@@ -30,8 +30,8 @@ _MARGIN, _TURNS = 0.93, {"rectangle": 1.85, "cross": 2.2, "ellipse": 2.2, "circl
 #: Gap and smallest size over the period, and the largest of either that a rule needs, nm.
 _GAP, _FEATURE, _LARGEST_RULE_NM = 0.28, 0.22, 100.0
 _ROUND_NM, _FEWEST_STEPS = 10.0, 40
-#: Target error: round outlines converge slowly.
-_ERROR = {"rectangle": 2e-3, "cross": 5e-3, "ellipse": 2e-2, "circle": 2e-2}
+#: Target error: the corners of crosses converge slowly.
+_ERROR = {"rectangle": 2e-3, "cross": 5e-3, "ellipse": 2e-3, "circle": 2e-3}
 
 
 def starting_cell(

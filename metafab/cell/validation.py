@@ -56,7 +56,8 @@ def check_numerics(numerics: CellNumerics) -> None:
         InputError: with every fault of the numerics.
     """
     faults = _faults_of_choices(
-        ("solver", numerics.solver, ("rcwa", "meep")), ("formulation", numerics.formulation, ("adaptive", "fourier"))
+        ("solver", numerics.solver, ("rcwa", "elements", "meep")),
+        ("formulation", numerics.formulation, ("adaptive", "fourier")),
     )
     if not 0.0 < numerics.target_error < 1.0:
         faults.append(Fault("target_error", "above 0 and below 1", f"{numerics.target_error:g}"))

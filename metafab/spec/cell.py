@@ -127,8 +127,11 @@ class CellGeometry:
 
     @model_validator(mode="after")
     def _corners(self) -> CellGeometry:
-        if self.is_hexagonal and (self.shape != "rectangle" or self.corner_radius_nm):
-            raise ValueError("`shape`, `corner_radius_nm`: pillars of a hexagonal lattice are plain rectangles, so far")
+        if self.is_hexagonal and (self.shape == "cross" or self.corner_radius_nm):
+            raise ValueError(
+                "`shape`, `corner_radius_nm`: pillars of a hexagonal lattice are rectangles, circles or ellipses; "
+                "crosses and rounded corners are not available there"
+            )
         if self.corner_radius_nm and self.shape != "rectangle":
             raise ValueError(f"`corner_radius_nm` rounds a rectangle's corners, not those of the shape {self.shape!r}")
         return self

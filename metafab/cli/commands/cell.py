@@ -26,9 +26,10 @@ class CellFigures:
         r_xx: zero-order reflection from x to x polarisation; likewise ``r_yy``.
         transmittance_x: zero-order power transmittance of x polarisation; likewise y.
         error: error of t; ``target_error``: largest error requested; ``converged``: whether it was reached.
-        orders: diffraction orders of RCWA; ``resolution``: pixels per period of Meep. One of them is None.
+        orders: diffraction orders of RCWA, or functions of spectral elements; None for Meep.
+        resolution: pixels per um of Meep; None for the others.
         seconds: time of the solver.
-        solver: name of the solver.
+        solver: name of the solver: "rcwa", "elements" for curved outlines, or "meep".
         details: further figures of the solver.
         diffraction: power of each propagating order; None for a cell with one order.
     """
@@ -77,7 +78,7 @@ def cell_command(
     )
     numerics = cell.CellNumerics(target_error=target_error or spec.sweep.target_error, solver=name)
     answer = cell.solve(problem, numerics)
-    diffracts = name == "rcwa" and rcwa.diffracts(problem)
+    is_fdtd = name == "meep"
     (t_xx, t_xy), (t_yx, t_yy) = answer.t
     figures = CellFigures(
         t_xx=complex(t_xx),
@@ -92,11 +93,11 @@ def cell_command(
         target_error=numerics.target_error,
         converged=answer.converged,
         seconds=answer.seconds,
-        solver=name,
+        solver=answer.numerics.solver,
         details=answer.details,
-        orders=answer.resolution if name == "rcwa" else None,
-        resolution=None if name == "rcwa" else answer.resolution,
-        diffraction=rcwa.diffraction(problem, numerics) if diffracts else None,
+        orders=None if is_fdtd else answer.resolution,
+        resolution=answer.resolution if is_fdtd else None,
+        diffraction=rcwa.diffraction(problem, numerics) if not is_fdtd and rcwa.diffracts(problem) else None,
     )
     show(figures, json_)
 

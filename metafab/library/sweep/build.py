@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from metafab.cell import CellNumerics, CellSolver, pillar_cell, rcwa, solve
+from metafab.cell import CellNumerics, CellSolver, pillar_cell, seconds_estimate, solve
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.executor import SerialExecutor
 from metafab.core.parallel.progress import Progress, silent
@@ -115,7 +115,7 @@ def build_lone(
 
 
 def estimate_cost(unit_cell: UnitCell, *, target_error: float | None = None) -> BuildCost | None:
-    """Estimate the cells and the processor time of a build by RCWA.
+    """Estimate the cells and the processor time of a build, but not of one by Meep.
 
     Args:
         unit_cell: unit cell with its sweep.
@@ -130,14 +130,14 @@ def estimate_cost(unit_cell: UnitCell, *, target_error: float | None = None) -> 
     distinct = SizeGrid.of(unit_cell).distinct.size
     few, many = min(FEW_CELLS, distinct), min(MANY_CELLS, distinct)
     width_nm, length_nm = (0.5 * sum(span) for span in (unit_cell.sweep.width_nm, unit_cell.sweep.length_nm))
-    cell_s = rcwa.seconds_estimate(solver_error, pillar_cell(unit_cell, width_nm, length_nm))
+    cell_s = seconds_estimate(solver_error, pillar_cell(unit_cell, width_nm, length_nm))
     least, most = few * cell_s, RESONANT_COST * many * cell_s
     box = CornerBox.of(unit_cell)
     if box is not None:
         dimensions = 2 + len(box.variables)
         few_corners, many_corners = CornerNumerics.first_round * dimensions, CornerNumerics.most_cells * dimensions
         corner = {name: high for name, (_, high) in box.spans.items()}
-        cell_s = rcwa.seconds_estimate(solver_error, corner_cell(unit_cell, width_nm, length_nm, corner))
+        cell_s = seconds_estimate(solver_error, corner_cell(unit_cell, width_nm, length_nm, corner))
         least, most = least + few_corners * cell_s, most + RESONANT_COST * many_corners * cell_s
         few, many = few + few_corners, many + many_corners
     return BuildCost((few, many), (least, most))

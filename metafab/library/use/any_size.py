@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from metafab.cell import PillarCell, is_square
+from metafab.cell import PillarCell, curved, is_square
 from metafab.cell.rcwa import zero_order
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
@@ -16,8 +16,8 @@ from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.library.library import Library
 from metafab.library.surface import SizeResponse
 
-#: Truncation order of solved sizes, and their relative error.
-_ORDERS, SOLVER_ERROR = 5, 1e-3
+#: Cosines of solved sizes, polynomial order of those with curved outlines, and their relative error.
+_ORDERS, _ELEMENT_ORDER, SOLVER_ERROR = 5, 4, 1e-3
 #: Most sizes beyond the sweep that are solved: about a minute.
 MOST_SOLVED = 4000
 _SAME_NM = 1e-6
@@ -29,6 +29,8 @@ def solve_amplitudes(task: tuple[PillarCell, int]) -> ComplexArray:
     The truncation is fixed, so that its error is nearly the same with and without a small change.
     """
     cell, slices = task
+    if curved.is_treated(cell):
+        return np.diagonal(curved.zero_order(cell, _ELEMENT_ORDER).t).copy()
     return np.diagonal(zero_order(cell, _ORDERS, "adaptive", slices).t).copy()
 
 

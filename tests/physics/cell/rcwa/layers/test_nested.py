@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.special import j1
 
 from benchmarks.fourier_limit import fourier_limit
-from metafab.cell import CellNumerics, PillarCell, solve
+from metafab.cell import CellNumerics, PillarCell, rcwa, solve
 from metafab.cell.rcwa.derivatives import derivatives
 from metafab.cell.rcwa.jones import distance, zero_order
 from metafab.cell.rcwa.layers.nested import rectangles
@@ -139,7 +139,7 @@ def test_thin_rods_in_the_long_wave_limit_are_a_film_of_maxwell_garnetts_index()
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_stated_error_holds(shape: dict[str, float]) -> None:
     cell = replace(TITANIA, **shape)
-    response = solve(cell, CellNumerics(1e-2, max_orders=10))
+    response = rcwa.solve(cell, CellNumerics(1e-2, max_orders=10))
     assert distance(response, zero_order(cell, 15)) <= response.error
 
 

@@ -1,0 +1,14 @@
+"""Ellipses and rounded rectangles by spectral elements that follow their outlines: a PillarCell in, a CellResponse out.
+
+- ``quads``      curved quadrilaterals by transfinite interpolation
+- ``mesh``       a quarter of the cell as quadrilaterals, and the cells that have one
+- ``functions``  the functions of the field, their numbers and their values
+- ``layers``     Jones matrices at one polynomial order
+- ``solve``      adaptive order, and the bound on the error
+"""
+
+from metafab.cell.curved.layers import zero_order
+from metafab.cell.curved.mesh import is_treated
+from metafab.cell.curved.solve import CurvedDetails, seconds_estimate, solve
+
+__all__ = ["CurvedDetails", "is_treated", "seconds_estimate", "solve", "zero_order"]

@@ -1,0 +1,165 @@
+"""Jones matrices of a cell with a curved outline at one polynomial order.
+
+With the Gram matrices M of the functions of E, K of their curl, S of E_z and the gradient D, z in units of 1/k0,
+
+    de/dz = i P h,    P = M^-1 - D S_eps^-1 D^T / k0^2,
+    dh/dz = i Q e,    Q = M_eps - K / k0^2,
+
+as in :mod:`metafab.cell.elements.assembly`. A half space is the empty cell in the same functions: its TE waves are the
+eigenvectors of K e = k^2 M e, its TM waves the gradients of those of D^T M D f = k^2 S f. From the far half space on,
+h = Y e is carried from face to face of the layers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+
+from metafab.cell.curved.functions import Functions, functions_of
+from metafab.cell.curved.mesh import quarter_mesh
+from metafab.cell.pillar import PillarCell, Slice
+from metafab.cell.rcwa.basis.coordinates import Matrix
+from metafab.cell.rcwa.jones import ZeroOrder, one_thread
+from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
+from metafab.cell.rcwa.scattering.doubling import slab
+from metafab.cell.rcwa.scattering.half_space import distinct_root
+from metafab.cell.rcwa.scattering.modes import NO_MODES
+from metafab.cell.rcwa.symmetry import permittivity, polarisations_swap
+from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
+from metafab.core.errors import SolverError
+
+
+def zero_order(cell: PillarCell, order: int) -> ZeroOrder:
+    """Solve ``cell`` for its Jones matrices with one polynomial order on every element.
+
+    Args:
+        cell: a cell that :func:`metafab.cell.curved.mesh.is_treated` accepts.
+        order: polynomial order, from 2.
+
+    Raises:
+        SolverError: a layer is singular.
+    """
+    t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
+    powers, count = np.zeros((2, 2)), 0
+    with one_thread():
+        for axis, light in enumerate(POLARISATIONS):
+            if axis and polarisations_swap(cell):
+                t[1, 1], r[1, 1], powers[:, 1] = t[0, 0], r[0, 0], powers[:, 0]
+                break
+            t[axis, axis], r[axis, axis], powers[:, axis], count = _solved(cell, light, order)
+    return ZeroOrder(t, r, powers[0], powers[1], count, 0.0, NO_MODES)
+
+
+@dataclass(frozen=True)
+class QuarterMatrices:
+    """Gram matrices of N functions of E and n_z of E_z over the quarter; ``_in`` over the pillar alone.
+
+    Attributes:
+        e: shape (N, N), of E.
+        e_in: shape (N, N).
+        inverse: shape (N, N), inverse of ``e``.
+        curl: shape (N, N), of the curl of E.
+        z: shape (n_z, n_z), of E_z.
+        z_in: shape (n_z, n_z).
+        gradient: shape (N, n_z), gradient of each function of E_z among those of E.
+        uniform: shape (N,), integral of each function's component along the light.
+        area_nm2: area of the elements.
+    """
+
+    e: FloatArray
+    e_in: FloatArray
+    inverse: FloatArray
+    curl: FloatArray
+    z: FloatArray
+    z_in: FloatArray
+    gradient: FloatArray
+    uniform: FloatArray
+    area_nm2: float
+
+    @classmethod
+    def of(cls, functions: Functions, axis: int) -> QuarterMatrices:
+        """Sum over the elements; ``axis`` is that of the light."""
+        n_e, n_z = functions.gradient.shape
+        e, e_in, curl, uniform = *(np.zeros((n_e, n_e)) for _ in range(3)), np.zeros(n_e)
+        z, z_in, area_nm2 = np.zeros((n_z, n_z)), np.zeros((n_z, n_z)), 0.0
+        for each in functions.elements:
+            at_e, at_z = np.ix_(each.place, each.place), np.ix_(each.place_z, each.place_z)
+            of_e = sum((component * each.weight) @ component.T for component in each.e)
+            of_z = (each.e_z * each.weight) @ each.e_z.T
+            e[at_e] += of_e
+            curl[at_e] += (each.curl * each.weight) @ each.curl.T
+            z[at_z] += of_z
+            if each.is_pillar:
+                e_in[at_e] += of_e
+                z_in[at_z] += of_z
+            uniform[each.place] += each.e[axis] @ each.weight
+            area_nm2 += float(each.weight.sum())
+        return cls(e, e_in, np.asarray(np.linalg.inv(e)), curl, z, z_in, functions.gradient, uniform, area_nm2)
+
+    def of_layer(self, layer: Slice, k0_per_nm: float) -> tuple[Matrix, Matrix]:
+        """P and Q of a layer, each of shape (N, N), symmetric."""
+        around = permittivity(layer.n_around)
+        contrast = permittivity(layer.n_inside) - around
+        q = around * self.e + contrast * self.e_in - self.curl / k0_per_nm**2
+        of_z = around * self.z + contrast * self.z_in
+        p = self.inverse - self.gradient @ np.linalg.solve(of_z, self.gradient.T) / k0_per_nm**2
+        return 0.5 * (p + p.T), q
+
+    def waves(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        """In-plane wave number squared, shape (n,), and M e of the unit waves, shape (N, n), of TM and of TE waves.
+
+        The first TE wave is the uniform field, of k = 0. The functions hold it up to the outline's curvature: its part
+        that has a curl is removed, so that the waves are orthogonal and power is kept exactly.
+        """
+        lifted = self.e @ self.gradient
+        k_tm, potential = eigh(self.gradient.T @ lifted, self.z)
+        # The gradients and the uniform field have no curl: the other waves are above these in k.
+        k_te, fields = eigh(self.curl, self.e)
+        static = self.gradient.shape[1] + 1
+        te = self.e @ fields[:, static:]
+        uniform = self.uniform - te @ (fields[:, static:].T @ self.uniform)
+        uniform /= math.sqrt(uniform @ self.inverse @ uniform)
+        te = np.concatenate([uniform[:, None], te], axis=1)
+        return (k_tm, lifted @ (potential / np.sqrt(k_tm))), (np.append(0.0, k_te[static:]), te)
+
+
+def _solved(cell: PillarCell, light: Polarisation, order: int) -> tuple[complex, complex, tuple[float, float], int]:
+    """t, r, transmitted and reflected power over the incident power, and the number of functions."""
+    axis, k0 = POLARISATIONS.index(light), cell.k0_per_nm
+    of = QuarterMatrices.of(functions_of(quarter_mesh(cell), light, order), axis)
+    waves = of.waves()
+    n_in, n_out = complex(cell.n_in[axis]), complex(cell.n_out[axis])
+    near, far = (_admittance(waves, permittivity(n), k0) for n in (n_in, n_out))
+    upwards = (*cell.under, Slice(cell.height_nm, cell.n_pillar, cell.n_ambient), *cell.over)
+    behind, faces = far, []
+    for layer in upwards[::-1] if cell.side == "substrate" else upwards:
+        largest = largest_eigenvalue(permittivity(layer.n_inside), permittivity(layer.n_around))
+        both = slab(*of.of_layer(layer, k0), k0 * layer.height_nm, largest)
+        if both is None:
+            raise SolverError(f"a layer of {cell} is singular in elements of order {order}")
+        phi, gamma = both
+        through = np.linalg.solve(behind + 1j * phi, 1j * gamma)
+        behind = 1j * (phi - gamma @ through)
+        faces.append(through)
+    uniform = math.sqrt(of.area_nm2) * waves[1][1][:, 0]
+    first = np.linalg.solve(near + behind, 2.0 * n_in * uniform)
+    last = first
+    for through in reversed(faces):
+        last = through @ last
+    back = first - of.inverse @ uniform
+    sent = n_in.real * of.area_nm2
+    powers = tuple(float(np.vdot(e, admittance @ e).real) / sent for e, admittance in ((last, far), (back, near)))
+    mean = uniform / of.area_nm2
+    return complex(mean @ last), complex(mean @ back), (powers[0], powers[1]), len(mean)
+
+
+def _admittance(
+    waves: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], eps: complex, k0_per_nm: float
+) -> ComplexArray:
+    """Y of a half space: h = Y e for outgoing waves, shape (N, N), symmetric."""
+    (k_tm, tm), (k_te, te) = waves
+    of_tm, of_te = (distinct_root(eps - k_squared / k0_per_nm**2) for k_squared in (k_tm, k_te))
+    return np.asarray((tm * (eps / of_tm)) @ tm.T + (te * of_te) @ te.T)

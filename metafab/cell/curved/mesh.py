@@ -1,0 +1,130 @@
+"""Quarter of a cell cut into curved quadrilaterals: ellipses, and rectangles with rounded corners.
+
+The quarter reaches from the middle of the pillar to half a period. Mirror planes bound it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from metafab.cell.curved.quads import Arc, Point, Quad
+from metafab.cell.pillar import PillarCell
+
+#: Corners of the square in the middle of a quarter disc, over its radius: on the axes, and on the diagonal.
+_ON_AXIS, _ON_DIAGONAL = 0.55, 0.45
+#: Smallest gap between pillars, as a share of the period: below it elements degenerate.
+_SMALLEST_GAP = 0.02
+#: Flat side of a rounded rectangle that counts as none, as a share of its size.
+_NO_SIDE = 1e-3
+
+
+@dataclass(frozen=True)
+class QuarterMesh:
+    """Elements of a quarter cell.
+
+    Attributes:
+        quads: the elements.
+        half_nm: (x, y) size of the quarter.
+        turned_about_nm: middle of the quarter, about which a half turn brings the elements to the other half of a
+            hexagonal lattice's quarter; None where they fill the quarter.
+    """
+
+    quads: tuple[Quad, ...]
+    half_nm: Point
+    turned_about_nm: Point | None = None
+
+
+def is_treated(cell: PillarCell) -> bool:
+    """Whether :func:`quarter_mesh` has elements for a cell, and light and layers keep its symmetry.
+
+    It has for upright dielectric ellipses and rounded rectangles that leave a gap, under light along z, with layers of
+    the pillar's own outline or of none.
+    """
+    half_nm, radius_nm = _sizes(cell)
+    reach = [radius / half for radius, half in zip(radius_nm, half_nm, strict=True)]
+    layers = (*cell.under, *cell.over)
+    return (
+        cell.is_shaped
+        and cell.shape != "cross"
+        and (not cell.is_staggered or cell.shape == "ellipse")
+        and min(radius_nm) > 0.0
+        and (math.hypot(*reach) if cell.is_staggered else max(reach)) <= 1.0 - _SMALLEST_GAP
+        and cell.angle_deg == 0.0
+        and not cell.is_birefringent
+        and not cell.is_sloped
+        and all(each.n_inside == each.n_around or (each.width_nm, each.length_nm) == (None, None) for each in layers)
+        and all((complex(n) ** 2).real > 0.0 for n in (cell.n_pillar, *(each.n_inside for each in layers)))
+    )
+
+
+def quarter_mesh(cell: PillarCell) -> QuarterMesh:
+    """Elements of a cell that :func:`is_treated`.
+
+    A hexagonal lattice takes the half of the quarter of its centred cell of two rows that lies about one pillar.
+    """
+    half_nm, radius_nm = _sizes(cell)
+    if cell.shape != "ellipse":
+        return _rounded(half_nm, radius_nm, min(cell.corner_radius_nm, *radius_nm))
+    arc = Arc((0.0, 0.0), radius_nm, 0.0, 0.5 * math.pi)
+    middle = (0.5 * half_nm[0], 0.5 * half_nm[1]) if cell.is_staggered else None
+    around = _around(arc, (half_nm[0], 0.0), middle or half_nm, (0.0, half_nm[1]))
+    return QuarterMesh((*_disc(arc), *around), half_nm, middle)
+
+
+def _sizes(cell: PillarCell) -> tuple[Point, Point]:
+    """(x, y) of the quarter and of half the pillar, nm; the rows of a hexagonal lattice are half its centred cell."""
+    period_x, period_y = cell.period_nm
+    half_nm = (0.5 * period_x, period_y if cell.is_staggered else 0.5 * period_y)
+    return half_nm, (0.5 * cell.width_nm, 0.5 * cell.length_nm)
+
+
+def _rounded(half_nm: Point, size_nm: Point, radius_nm: float) -> QuarterMesh:
+    """A rectangle of half size ``size_nm`` with rounded corners, in up to eight elements, and what is around it."""
+    (far_x, far_y), (x3, y3) = half_nm, size_nm
+    x1, y1 = (0.0 if size - radius_nm < _NO_SIDE * size else size - radius_nm for size in size_nm)
+    arc = Arc((x1, y1), (x3 - x1, y3 - y1), 0.0, 0.5 * math.pi)
+    corner = _disc(arc)
+    x2, y2 = corner[0].corners_nm[1][0], corner[0].corners_nm[3][1]
+
+    def box(x: Point, y: Point, gathered: tuple[int, int] = (0, 0), *, inside: bool = True) -> list[Quad]:
+        points = (x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])
+        return [Quad(points, inside, gathered=gathered)] if x[1] > x[0] and y[1] > y[0] else []
+
+    quads = [
+        *box((0.0, x1), (0.0, y1)),
+        *box((x1, x2), (0.0, y1)),
+        *box((x2, x3), (0.0, y1), (1, 0)),
+        *box((0.0, x1), (y1, y2)),
+        *box((0.0, x1), (y2, y3), (0, 1)),
+        *corner,
+        *box((x3, far_x), (0.0, y1), (-1, 0), inside=False),
+        *box((0.0, x1), (y3, far_y), (0, -1), inside=False),
+        *_around(arc, (far_x, y1), half_nm, (x1, far_y)),
+    ]
+    return QuarterMesh(tuple(quads), half_nm)
+
+
+def _disc(arc: Arc) -> tuple[Quad, Quad, Quad]:
+    """A quarter disc within its arc of a quarter turn."""
+    o = arc.centre_nm
+    begin, middle, end = (arc.at(share) for share in (0.0, 0.5, 1.0))
+
+    def within(one: Point, other: Point, share: float) -> Point:
+        return (o[0] + share * (one[0] + other[0] - 2.0 * o[0]), o[1] + share * (one[1] + other[1] - 2.0 * o[1]))
+
+    a, b, c = within(begin, o, _ON_AXIS), within(end, o, _ON_AXIS), within(begin, end, _ON_DIAGONAL)
+    return (
+        Quad((o, a, c, b), inside=True),
+        Quad((a, begin, middle, c), inside=True, right=arc.part(0.0, 0.5), gathered=(1, 0)),
+        Quad((b, c, middle, end), inside=True, top=arc.part(1.0, 0.5), gathered=(0, 1)),
+    )
+
+
+def _around(arc: Arc, beside: Point, beyond: Point, above: Point) -> tuple[Quad, Quad]:
+    """The two elements between an arc and the points beside its begin, beyond its middle and above its end."""
+    begin, middle, end = (arc.at(share) for share in (0.0, 0.5, 1.0))
+    return (
+        Quad((begin, beside, beyond, middle), inside=False, left=arc.part(0.0, 0.5), gathered=(-1, 0)),
+        Quad((end, middle, beyond, above), inside=False, bottom=arc.part(1.0, 0.5), gathered=(0, -1)),
+    )

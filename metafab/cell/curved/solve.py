@@ -1,0 +1,117 @@
+"""Adaptive polynomial order: it rises until a bound on the error is below the target.
+
+The field is singular at the rims of the pillar's two ends, so that errors fall as a power of the order p. With d the
+largest change of any amplitude from p - 1 to p, the bound is
+
+    error(p) <= max(floor(p), share(p) d).
+
+Floors and shares were measured on random ellipses, hexagonal lattices and rounded rectangles of eight materials,
+resonances among them, against references of order 9 (6 for rounded rectangles, whose elements are smaller).
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from metafab.cell.curved.layers import zero_order
+from metafab.cell.curved.mesh import quarter_mesh
+from metafab.cell.pillar import PillarCell
+from metafab.cell.rcwa.cost import seconds_of_truncation
+from metafab.cell.rcwa.jones import ZeroOrder, distance
+from metafab.cell.response import CellNumerics, CellResponse, SolverDetails
+from metafab.core.errors import SolverError
+
+#: Polynomial order -> (floor, share) of the bound.
+_CLAIMS = {4: (1e-3, 0.5), 5: (5e-4, 2.0), 6: (2e-4, 1.5), 7: (1e-4, 1.5), 8: (6e-5, 1.5), 9: (4e-5, 1.5)}
+#: Coarsest order, and that from which targets below the second start.
+_COARSE, _FINE, _FINE_TARGET = 3, 4, 4e-3
+#: Processor time over that of RCWA with as many unknowns.
+_OVER_RCWA = 1.5
+
+
+@dataclass(frozen=True)
+class CurvedDetails(SolverDetails):
+    """Figures of a solution by spectral elements.
+
+    Attributes:
+        order: polynomial order of the finest solution.
+        elements: elements of a quarter of the cell.
+        functions: functions of the transverse E in that quarter.
+        solutions: number of orders that were solved.
+        transmitted_power_x: power in all transmitted orders over the incident power, for incident x.
+        transmitted_power_y: likewise for incident y.
+        reflected_power_x: power in all reflected orders over the incident power, for incident x.
+        reflected_power_y: likewise for incident y.
+    """
+
+    order: int
+    elements: int
+    functions: int
+    solutions: int
+    transmitted_power_x: float
+    transmitted_power_y: float
+    reflected_power_x: float
+    reflected_power_y: float
+
+
+def solve(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+    """Solve ``cell`` for its Jones matrices, with a bound on their error that is at most the target if it converged.
+
+    If the target is not met at the highest order, that solution is returned with ``converged`` false.
+
+    Args:
+        cell: a cell that :func:`metafab.cell.curved.mesh.is_treated` accepts.
+        numerics: target error.
+
+    Raises:
+        SolverError: a layer is singular, or an amplitude is not a finite number.
+    """
+    started = time.perf_counter()
+    solved: list[ZeroOrder] = []
+    for order in _ladder(numerics.target_error):
+        solved.append(zero_order(cell, order))
+        if len(solved) > 1:
+            floor, share = _CLAIMS[order]
+            error = max(floor, share * distance(solved[-1], solved[-2]))
+            if error <= numerics.target_error:
+                break
+    last = solved[-1]
+    if not (np.isfinite(last.t).all() and np.isfinite(last.r).all()):
+        raise SolverError(f"spectral elements gave no finite amplitudes of order {order} for {cell}")
+    (transmitted_x, transmitted_y), (reflected_x, reflected_y) = last.transmitted_power, last.reflected_power
+    return CellResponse(
+        cell=cell,
+        numerics=replace(numerics, solver="elements"),
+        t=last.t,
+        r=last.r,
+        error=error,
+        converged=error <= numerics.target_error,
+        resolution=last.coefficients,
+        seconds=time.perf_counter() - started,
+        details=CurvedDetails(
+            order=order,
+            elements=len(quarter_mesh(cell).quads),
+            functions=last.coefficients,
+            solutions=len(solved),
+            transmitted_power_x=float(transmitted_x),
+            transmitted_power_y=float(transmitted_y),
+            reflected_power_x=float(reflected_x),
+            reflected_power_y=float(reflected_y),
+        ),
+    )
+
+
+def seconds_estimate(target_error: float, cell: PillarCell) -> float:
+    """Processor time of one certified cell: two orders of the ladder, from RCWA with as many unknowns."""
+    quads = len(quarter_mesh(cell).quads)
+    orders = _ladder(target_error)[:2]
+    # 2 p^2 functions an element are the (M + 1)^2 + M^2 coefficients of M cosines.
+    return _OVER_RCWA * sum(seconds_of_truncation(round(order * quads**0.5 - 0.5), cell) for order in orders)
+
+
+def _ladder(target_error: float) -> range:
+    """Polynomial orders for a target, ascending."""
+    return range(_FINE if target_error < _FINE_TARGET else _COARSE, max(_CLAIMS) + 1)
