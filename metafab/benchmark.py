@@ -43,64 +43,36 @@ ALL_CASES = "all answers"
 
 @dataclass(frozen=True)
 class DepthView:
-    """Maps of one decoded frame beside its truth.
+    """Maps of one decoded frame beside its truth."""
 
-    Attributes:
-        true_intensity: shape (n_y, n_x), electrons, x polarisation.
-        intensity: shape (n_y, n_x), decoded.
-        true_depth_m: shape (n_y, n_x); NaN where nothing is.
-        depth_m: shape (n_y, n_x), decoded; NaN for none.
-        confidence: shape (n_y, n_x), 0 to 1.
-        bin_confidence: shape (n_bins,), mean confidence of each bin of the reliability diagram.
-        bin_right: shape (n_bins,), share of the bin's pixels whose depth is right.
-    """
-
-    true_intensity: FloatArray
-    intensity: FloatArray
-    true_depth_m: FloatArray
-    depth_m: FloatArray
-    confidence: FloatArray
-    bin_confidence: FloatArray
-    bin_right: FloatArray
+    true_intensity: FloatArray  #: Shape (n_y, n_x), electrons, x polarisation.
+    intensity: FloatArray  #: Shape (n_y, n_x), decoded.
+    true_depth_m: FloatArray  #: Shape (n_y, n_x); NaN where nothing is.
+    depth_m: FloatArray  #: Shape (n_y, n_x), decoded; NaN for none.
+    confidence: FloatArray  #: Shape (n_y, n_x), 0 to 1.
+    bin_confidence: FloatArray  #: Shape (n_bins,), mean confidence of each bin of the reliability diagram.
+    bin_right: FloatArray  #: Shape (n_bins,), share of the bin's pixels whose depth is right.
 
 
 @dataclass(frozen=True)
 class BenchmarkRow:
-    """One case of a benchmark.
+    """One case of a benchmark."""
 
-    Attributes:
-        name: name of the case.
-        room: room that it measures.
-        error: error, None where it is not known; likewise the following figures.
-        seconds: time.
-        peak_rss_mb: peak memory.
-        series: line to which the case belongs in plots.
-        bound: smallest possible error.
-        photons: mean signal of a pixel, electrons.
-        weakness: weakness that a case of the scenes measures.
-        measured: its figure, mean over seeds.
-        goal: goal of that figure.
-        at_least: whether the figure must be at least the goal, and not at most.
-        met: whether it is.
-        view: maps of the case's first frame.
-        further: other columns of the table, by name.
-    """
-
-    name: str
-    room: str = ""
-    error: float | None = None
-    seconds: float | None = None
-    peak_rss_mb: float | None = None
-    series: str | None = None
-    bound: float | None = None
-    photons: float | None = None
-    weakness: str | None = None
-    measured: float | None = None
-    goal: float | None = None
-    at_least: bool | None = None
-    met: bool | None = None
-    view: DepthView | None = None
-    further: Mapping[str, Any] = field(default_factory=dict)
+    name: str  #: Name of the case.
+    room: str = ""  #: Room that it measures.
+    error: float | None = None  #: Error, None where it is not known; likewise the following figures.
+    seconds: float | None = None  #: Time.
+    peak_rss_mb: float | None = None  #: Peak memory.
+    series: str | None = None  #: Line to which the case belongs in plots.
+    bound: float | None = None  #: Smallest possible error.
+    photons: float | None = None  #: Mean signal of a pixel, electrons.
+    weakness: str | None = None  #: Weakness that a case of the scenes measures.
+    measured: float | None = None  #: Its figure, mean over seeds.
+    goal: float | None = None  #: Goal of that figure.
+    at_least: bool | None = None  #: Whether the figure must be at least the goal, and not at most.
+    met: bool | None = None  #: Whether it is.
+    view: DepthView | None = None  #: Maps of the case's first frame.
+    further: Mapping[str, Any] = field(default_factory=dict)  #: Other columns of the table, by name.
 
     @classmethod
     def of(cls, table: Mapping[str, Any]) -> BenchmarkRow:

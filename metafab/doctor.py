@@ -21,63 +21,37 @@ from metafab.run import versions
 
 @dataclass(frozen=True)
 class MeepFindings:
-    """Interpreters that were tried for Meep.
+    """Interpreters that were tried for Meep."""
 
-    Attributes:
-        found: whether one of them imports Meep.
-        version: version of Meep.
-        python: path of the interpreter.
-        tried: all candidates.
-        finished_runs: folder in which finished simulations are kept.
-    """
-
-    found: bool
-    version: str | None
-    python: str | None
-    tried: Sequence[Any]
-    finished_runs: Path | None
+    found: bool  #: Whether one of them imports Meep.
+    version: str | None  #: Version of Meep.
+    python: str | None  #: Path of the interpreter.
+    tried: Sequence[Any]  #: All candidates.
+    finished_runs: Path | None  #: Folder in which finished simulations are kept.
 
 
 @dataclass(frozen=True)
 class KLayoutFindings:
-    """Forms in which KLayout is installed.
+    """Forms in which KLayout is installed."""
 
-    Attributes:
-        python: whether the Python package is installed.
-        program: path of the program; None without one.
-    """
-
-    python: bool
-    program: str | None
+    python: bool  #: Whether the Python package is installed.
+    program: str | None  #: Path of the program; None without one.
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """Tools of the machine, as ``metafab doctor --json`` prints them.
+    """Tools of the machine, as ``metafab doctor --json`` prints them."""
 
-    Attributes:
-        metafab: version of metafab.
-        python: version of Python.
-        platform: operating system.
-        cores: cores that this process may use.
-        libraries: versions of the libraries.
-        compiled_kernels: whether numba is installed, which compiles the kernels.
-        meep: Meep.
-        mpi: first line of ``mpirun --version``; None without MPI.
-        klayout: KLayout.
-        self_test: whether each check passes, by name.
-    """
-
-    metafab: str
-    python: str
-    platform: str
-    cores: int
-    libraries: dict[str, str]
-    compiled_kernels: bool
-    meep: MeepFindings
-    mpi: str | None
-    klayout: KLayoutFindings
-    self_test: dict[str, bool]
+    metafab: str  #: Version of metafab.
+    python: str  #: Version of Python.
+    platform: str  #: Operating system.
+    cores: int  #: Cores that this process may use.
+    libraries: dict[str, str]  #: Versions of the libraries.
+    compiled_kernels: bool  #: Whether numba is installed, which compiles the kernels.
+    meep: MeepFindings  #: Meep.
+    mpi: str | None  #: First line of ``mpirun --version``; None without MPI.
+    klayout: KLayoutFindings  #: KLayout.
+    self_test: dict[str, bool]  #: Whether each check passes, by name.
 
 
 def examine(*, rehearse: bool = False, progress: Progress = silent) -> Diagnosis:

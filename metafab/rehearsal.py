@@ -35,15 +35,10 @@ _LARGEST_ERROR = 0.03
 
 @dataclass(frozen=True)
 class Rehearsal:
-    """Result of a rehearsal.
+    """Result of a rehearsal."""
 
-    Attributes:
-        nmae: mean |dz| / z over the decoded pixels.
-        violations: number of violations of all design rules.
-    """
-
-    nmae: float
-    violations: int
+    nmae: float  #: Mean |dz| / z over the decoded pixels.
+    violations: int  #: Number of violations of all design rules.
 
     @property
     def passed(self) -> bool:

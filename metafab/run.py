@@ -39,13 +39,9 @@ _LIBRARIES = ("numpy", "scipy", "gdstk", "h5py", "shapely", "matplotlib", "pydan
 
 @dataclass(frozen=True)
 class ReportFigures:
-    """Outcome of the report step.
+    """Outcome of the report step."""
 
-    Attributes:
-        file: name of the page.
-    """
-
-    file: str
+    file: str  #: Name of the page.
 
 
 def _report(job: Job) -> ReportFigures:
@@ -72,15 +68,10 @@ STEPS = (*RESULT_STEPS, REPORT)
 
 @dataclass(frozen=True)
 class FileMark:
-    """State of a file when its step had written it.
+    """State of a file when its step had written it."""
 
-    Attributes:
-        bytes: size.
-        sha256: hash of the content.
-    """
-
-    bytes: int
-    sha256: str
+    bytes: int  #: Size.
+    sha256: str  #: Hash of the content.
 
     @classmethod
     def of(cls, path: Path) -> FileMark:
@@ -96,17 +87,11 @@ class FileMark:
 
 @dataclass(frozen=True)
 class Record:
-    """One step's entry in ``steps.json``.
+    """One step's entry in ``steps.json``."""
 
-    Attributes:
-        inputs_sha256: fingerprint of all that the step depends on.
-        outputs: state of each file, by its path relative to the run folder.
-        summary: figures of the step; None where an older version wrote them in another form.
-    """
-
-    inputs_sha256: str
-    outputs: dict[str, FileMark]
-    summary: Any
+    inputs_sha256: str  #: Fingerprint of all that the step depends on.
+    outputs: dict[str, FileMark]  #: State of each file, by its path relative to the run folder.
+    summary: Any  #: Figures of the step; None where an older version wrote them in another form.
 
     def files_unchanged(self, folder: Path, modified_ns: Mapping[str, int] = MappingProxyType({})) -> bool:
         """Whether every file is as the step left it; ``modified_ns`` are times of its last change, by name."""

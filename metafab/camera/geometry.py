@@ -23,16 +23,12 @@ _BEYOND = 0.05
 
 @dataclass(frozen=True)
 class ImageMap:
-    """The geometric images of both polarisations as polynomials through the calibrated field points.
+    """The geometric images of both polarisations as polynomials through the calibrated field points."""
 
-    Attributes:
-        scale: largest tangent of the field points; the argument of the polynomials is tangent / scale.
-        coefficients_um: shape (2, 2, n_y, n_x), over polarisation, (x, y) on the sensor, powers of y and of x.
-        field: lowest and highest calibrated tangent along x and along y; infinite for a pair without a field.
-    """
-
-    scale: float
+    scale: float  #: Largest tangent of the field points; the argument of the polynomials is tangent / scale.
+    #: Shape (2, 2, n_y, n_x), over polarisation, (x, y) on the sensor, powers of y and of x.
     coefficients_um: FloatArray
+    #: Lowest and highest calibrated tangent along x and along y; infinite for a pair without a field.
     field: tuple[tuple[float, float], tuple[float, float]] = ((-np.inf, np.inf), (-np.inf, np.inf))
 
     @classmethod

@@ -24,14 +24,10 @@ class PairKernels:
     """Kernels of a PSF calibration, integrated over the pixel.
 
     Their sums are throughputs relative to the mean of both polarisations on the axis at the middle depth.
-
-    Attributes:
-        psf: the calibration.
-        relative_to: pair whose throughput is 1; ``psf`` itself by default.
     """
 
-    psf: Psf
-    relative_to: Psf | None = None
+    psf: Psf  #: The calibration.
+    relative_to: Psf | None = None  #: Pair whose throughput is 1; ``psf`` itself by default.
 
     @classmethod
     def of_unpolarised(cls, psf: Psf) -> PairKernels:

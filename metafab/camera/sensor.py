@@ -13,15 +13,10 @@ from metafab.spec.scene import Scene
 
 @dataclass(frozen=True)
 class FixedPattern:
-    """Differences between pixels that are the same in all frames.
+    """Differences between pixels that are the same in all frames."""
 
-    Attributes:
-        response: shape (n_y, n_x), sensitivity of each pixel over the mean one; mean 1.
-        hot: shape (n_y, n_x), whether a pixel is always full.
-    """
-
-    response: FloatArray
-    hot: NDArray[np.bool_]
+    response: FloatArray  #: Shape (n_y, n_x), sensitivity of each pixel over the mean one; mean 1.
+    hot: NDArray[np.bool_]  #: Shape (n_y, n_x), whether a pixel is always full.
 
     @classmethod
     def of(cls, scene: Scene, shape: tuple[int, ...], seed: int) -> FixedPattern:

@@ -23,21 +23,15 @@ from metafab.spec import Scene
 
 @dataclass(frozen=True)
 class StokesFrame:
-    """Six images of one exposure on one grid of directions, and their truth.
+    """Six images of one exposure on one grid of directions, and their truth."""
 
-    Attributes:
-        images: shape (6, n_y, n_x), electrons, of the field and the margin of its blur; inverted, as on the sensor.
-        read_noise_e: standard deviation of the read noise.
-        stokes: shape (4, n_y, n_x), true Stokes parameters of the scene, in electrons of the six images' mean.
-        depth_m: shape (n_y, n_x), true depth; NaN where there is no object.
-        label: shape (n_y, n_x), number of the object from 1, 0 for none.
-    """
-
+    #: Shape (6, n_y, n_x), electrons, of the field and the margin of its blur; inverted, as on the sensor.
     images: FloatArray
-    read_noise_e: float
+    read_noise_e: float  #: Standard deviation of the read noise.
+    #: Shape (4, n_y, n_x), true Stokes parameters of the scene, in electrons of the six images' mean.
     stokes: FloatArray
-    depth_m: FloatArray
-    label: NDArray[np.int32]
+    depth_m: FloatArray  #: Shape (n_y, n_x), true depth; NaN where there is no object.
+    label: NDArray[np.int32]  #: Shape (n_y, n_x), number of the object from 1, 0 for none.
 
 
 def kernels_at(psf: StokesPsf, depth_m: float) -> FloatArray:

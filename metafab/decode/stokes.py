@@ -53,38 +53,24 @@ _OUTLINE_PX, _ERROR_WINDOW_PX = 6, 9
 
 @dataclass(frozen=True)
 class StokesImage:
-    """Decoded depth and polarisation.
+    """Decoded depth and polarisation."""
 
-    Attributes:
-        stokes: shape (4, n_y, n_x), Stokes parameters in electrons, as in :class:`StokesFrame`.
-        depth_m: shape (n_y, n_x), depth of each pixel's segment; NaN where it is dark or the pairs agree at no depth.
-        agreement: shape (n_y, n_x), correlation of the three pairs at that depth, -1 to 1.
-    """
-
-    stokes: FloatArray
+    stokes: FloatArray  #: Shape (4, n_y, n_x), Stokes parameters in electrons, as in :class:`StokesFrame`.
+    #: Shape (n_y, n_x), depth of each pixel's segment; NaN where it is dark or the pairs agree at no depth.
     depth_m: FloatArray
-    agreement: FloatArray
+    agreement: FloatArray  #: Shape (n_y, n_x), correlation of the three pairs at that depth, -1 to 1.
 
 
 @dataclass(frozen=True)
 class StokesErrors:
-    """Errors of a decoded image against the truth.
+    """Errors of a decoded image against the truth."""
 
-    Attributes:
-        nmae: mean of |z - z_true| / z_true where a depth is claimed; NaN without any.
-        share_decoded: share of the objects' pixels with a claimed depth.
-        stokes_rms: rms error of (S1, S2, S3) / S0 in windows of 9 x 9 pixels within objects.
-        stokes_object_error: largest error of any object's (S1, S2, S3) / S0.
-        stokes_interior_error: the same without the 6 pixels along outlines, where blurred neighbours mix.
-        psnr_s0_db: peak signal-to-noise ratio of S0 within objects.
-    """
-
-    nmae: float
-    share_decoded: float
-    stokes_rms: float
-    stokes_object_error: float
-    stokes_interior_error: float
-    psnr_s0_db: float
+    nmae: float  #: Mean of |z - z_true| / z_true where a depth is claimed; NaN without any.
+    share_decoded: float  #: Share of the objects' pixels with a claimed depth.
+    stokes_rms: float  #: Rms error of (S1, S2, S3) / S0 in windows of 9 x 9 pixels within objects.
+    stokes_object_error: float  #: Largest error of any object's (S1, S2, S3) / S0.
+    stokes_interior_error: float  #: The same without the 6 pixels along outlines, where blurred neighbours mix.
+    psnr_s0_db: float  #: Peak signal-to-noise ratio of S0 within objects.
 
 
 def decode_stokes(frame: StokesFrame, psf: StokesPsf) -> StokesImage:

@@ -103,25 +103,15 @@ def _invisible_foreign(shapes: Shapes, design: Design, opened: _Opened) -> int:
 
 @dataclass(frozen=True)
 class _Opened:
-    """A file that KLayout has read.
+    """A file that KLayout has read."""
 
-    Attributes:
-        layout: KLayout's layout; must outlive ``pillars``.
-        pillars: shapes on the pillar layer.
-        left_um: left edge of their bounding box.
-        bottom_um: lower edge of their bounding box.
-        columns: tiles along x that cover the box.
-        rows: tiles along y that cover the box.
-        unit_nm: database unit.
-    """
-
-    layout: Any
-    pillars: Any
-    left_um: float
-    bottom_um: float
-    columns: int
-    rows: int
-    unit_nm: float
+    layout: Any  #: KLayout's layout; must outlive ``pillars``.
+    pillars: Any  #: Shapes on the pillar layer.
+    left_um: float  #: Left edge of their bounding box.
+    bottom_um: float  #: Lower edge of their bounding box.
+    columns: int  #: Tiles along x that cover the box.
+    rows: int  #: Tiles along y that cover the box.
+    unit_nm: float  #: Database unit.
 
     @property
     def count(self) -> int:
@@ -167,19 +157,12 @@ def _open(path: Path, design: Design, tile_um: float) -> _Opened:
 
 @dataclass(frozen=True)
 class _RowRules:
-    """The rules on one row of tiles; reads the file when it is first called in a process.
+    """The rules on one row of tiles; reads the file when it is first called in a process."""
 
-    Attributes:
-        path: the file.
-        design: rules, layer, unit.
-        threads: threads of KLayout.
-        tile_um: side of the tiles.
-    """
-
-    path: Path
-    design: Design
-    threads: int
-    tile_um: float
+    path: Path  #: The file.
+    design: Design  #: Rules, layer, unit.
+    threads: int  #: Threads of KLayout.
+    tile_um: float  #: Side of the tiles.
 
     @cached_property
     def opened(self) -> _Opened:

@@ -32,34 +32,26 @@ class Marker:
 
 @dataclass(frozen=True)
 class DrcReport:
-    """The outcome of a check.
+    """The outcome of a check."""
 
-    Attributes:
-        file: name of the checked file.
-        engine: ``lattice``, ``rectangles`` or ``polygons``.
-        pillars: number of rectangles on the pillar layer.
-        violations: count by rule, zero included, of the rules that this engine checks.
-        markers: up to :data:`MARKERS` places of each rule that is violated.
-        min_gap_nm: smallest distance between neighbours; None if it was not measured. ``lattice`` measures pillars on
-            their sites, and gives None if there are others, whose gaps it does not check (``rectangles`` does);
-            ``rectangles`` gives None if no pair is at or below the rule.
-        other_layers: number of shapes on other layers, which no rule concerns, by "layer/datatype".
-        other_copies: number of pillars of the other copies of the lens, by number from 1, if one copy was checked.
-        pillars_sha256: hash of the size at every lattice site, equal for equal masks in either format; empty for an
-            engine without a lattice.
-        seconds: wall clock, reading included.
-    """
-
-    file: str
-    engine: Engine
-    pillars: int
-    violations: dict[str, int]
+    file: str  #: Name of the checked file.
+    engine: Engine  #: ``lattice``, ``rectangles`` or ``polygons``.
+    pillars: int  #: Number of rectangles on the pillar layer.
+    violations: dict[str, int]  #: Count by rule, zero included, of the rules that this engine checks.
+    #: Up to :data:`MARKERS` places of each rule that is violated.
     markers: dict[str, tuple[Marker, ...]] = field(default_factory=dict)
+    #: Smallest distance between neighbours; None if it was not measured. ``lattice`` measures pillars on their sites,
+    #: and gives None if there are others, whose gaps it does not check (``rectangles`` does); ``rectangles`` gives None
+    #: if no pair is at or below the rule.
     min_gap_nm: float | None = None
+    #: Number of shapes on other layers, which no rule concerns, by "layer/datatype".
     other_layers: dict[str, int] = field(default_factory=dict)
+    #: Number of pillars of the other copies of the lens, by number from 1, if one copy was checked.
     other_copies: dict[int, int] = field(default_factory=dict)
+    #: Hash of the size at every lattice site, equal for equal masks in either format; empty for an engine without a
+    #: lattice.
     pillars_sha256: str = ""
-    seconds: float = 0.0
+    seconds: float = 0.0  #: Wall clock, reading included.
 
     @property
     def clean(self) -> bool:

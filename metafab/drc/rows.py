@@ -31,38 +31,23 @@ _WAITING = 2
 
 @dataclass(frozen=True, eq=False)
 class Near:
-    """Pairs of rectangles that are too near.
+    """Pairs of rectangles that are too near."""
 
-    Attributes:
-        smallest_square: smallest signed square of a distance over all pairs that were compared.
-        counts: shape (3,), number of pairs too near, of these overlapping or touching, of these equal.
-        one: shape (m, 4), x, y, width, length of the first rectangles of up to :data:`MARKERS` pairs.
-        other: shape (m, 4), the second rectangles of these pairs.
-        kind: shape (m,), 0 too near, 1 overlapping, 2 equal.
-    """
-
-    smallest_square: float
-    counts: IntArray
-    one: IntArray
-    other: IntArray
-    kind: IntArray
+    smallest_square: float  #: Smallest signed square of a distance over all pairs that were compared.
+    counts: IntArray  #: Shape (3,), number of pairs too near, of these overlapping or touching, of these equal.
+    one: IntArray  #: Shape (m, 4), x, y, width, length of the first rectangles of up to :data:`MARKERS` pairs.
+    other: IntArray  #: Shape (m, 4), the second rectangles of these pairs.
+    kind: IntArray  #: Shape (m,), 0 too near, 1 overlapping, 2 equal.
 
 
 @dataclass
 class _Band:
-    """The rectangles of some rows, with room for those of the row above.
+    """The rectangles of some rows, with room for those of the row above."""
 
-    Attributes:
-        start: shape (rows + 2,), index of the first rectangle of each row; the last row is the row above.
-        filled: shape (rows,), index behind the last rectangle placed in each row.
-        corner: shape (n, 2), x and y, file units.
-        size: shape (n, 2), width and length, file units.
-    """
-
-    start: IntArray
-    filled: IntArray
-    corner: NDArray[np.int32]
-    size: NDArray[np.uint16]
+    start: IntArray  #: Shape (rows + 2,), index of the first rectangle of each row; the last row is the row above.
+    filled: IntArray  #: Shape (rows,), index behind the last rectangle placed in each row.
+    corner: NDArray[np.int32]  #: Shape (n, 2), x and y, file units.
+    size: NDArray[np.uint16]  #: Shape (n, 2), width and length, file units.
 
     def sort(self) -> _Row:
         """Sort each row along x; return a copy of the first row, for the band below."""

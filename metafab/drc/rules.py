@@ -29,17 +29,11 @@ SLACK_DBU = 1e-6
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of sides and gaps in file units; a side or gap below its limit is a violation.
+    """Limits of sides and gaps in file units; a side or gap below its limit is a violation."""
 
-    Attributes:
-        side: smallest width and length.
-        upright: smallest length of the shorter side by ``rules.max_aspect_ratio``; None without that rule.
-        gap: smallest distance.
-    """
-
-    side: float
-    upright: float | None
-    gap: float
+    side: float  #: Smallest width and length.
+    upright: float | None  #: Smallest length of the shorter side by ``rules.max_aspect_ratio``; None without that rule.
+    gap: float  #: Smallest distance.
 
     @classmethod
     def of(cls, design: Design, unit_nm: float) -> Limits:

@@ -26,36 +26,22 @@ from metafab.layout.resized import bands, resized
 
 @dataclass(frozen=True)
 class EtchBias:
-    """Change of sizes by the etch.
+    """Change of sizes by the etch."""
 
-    Attributes:
-        bias_nm: etched less printed width and length at the mean density.
-        microloading_nm: further change for a local density larger by 1 (full in place of empty).
-        range_um: range of the Gaussian exp(-r^2 / range^2) that averages the density.
-    """
-
-    bias_nm: float = 0.0
-    microloading_nm: float = 0.0
-    range_um: float = 50.0
+    bias_nm: float = 0.0  #: Etched less printed width and length at the mean density.
+    microloading_nm: float = 0.0  #: Further change for a local density larger by 1 (full in place of empty).
+    range_um: float = 50.0  #: Range of the Gaussian exp(-r^2 / range^2) that averages the density.
 
 
 @dataclass(frozen=True)
 class MadePillars:
-    """Pillars as they are made.
+    """Pillars as they are made."""
 
-    Attributes:
-        pillars: sizes after the etch, in steps of the database unit; unprinted pillars are missing.
-        bias_nm: mean of made less drawn size.
-        bias_rms_nm: rms of made less drawn size about the mean.
-        missing: pillars that are not printed, or etched away.
-        density: mean share of the surface under printed pillars, weighted by pillars.
-    """
-
-    pillars: PillarMap
-    bias_nm: float
-    bias_rms_nm: float
-    missing: int
-    density: float
+    pillars: PillarMap  #: Sizes after the etch, in steps of the database unit; unprinted pillars are missing.
+    bias_nm: float  #: Mean of made less drawn size.
+    bias_rms_nm: float  #: Rms of made less drawn size about the mean.
+    missing: int  #: Pillars that are not printed, or etched away.
+    density: float  #: Mean share of the surface under printed pillars, weighted by pillars.
 
 
 def made_pillars(wanted: PillarMap, exposed: Exposure, etch: EtchBias = EtchBias()) -> MadePillars:

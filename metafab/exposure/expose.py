@@ -46,19 +46,12 @@ Correction = Literal["none", "dose", "shape"]
 
 @dataclass(frozen=True)
 class ExposureNumerics:
-    """Numerical settings of an exposure.
+    """Numerical settings of an exposure."""
 
-    Attributes:
-        classes: dose classes that corrected doses are rounded to; 0 keeps them continuous.
-        samples: number of random pillars whose figures are listed.
-        seed: seed of the choice of random pillars.
-        keep_sizes: whether the printed sizes of all pillars are kept.
-    """
-
-    classes: int = 64
-    samples: int = 0
-    seed: int = 1
-    keep_sizes: bool = False
+    classes: int = 64  #: Dose classes that corrected doses are rounded to; 0 keeps them continuous.
+    samples: int = 0  #: Number of random pillars whose figures are listed.
+    seed: int = 1  #: Seed of the choice of random pillars.
+    keep_sizes: bool = False  #: Whether the printed sizes of all pillars are kept.
 
 
 @dataclass(frozen=True)
@@ -83,72 +76,45 @@ class SampledPillar:
 
 @dataclass(frozen=True)
 class ExposureFigures:
-    """Figures of an exposure.
+    """Figures of an exposure."""
 
-    Attributes:
-        pillars: number of pillars.
-        cd_error_rms_nm: rms of printed less wanted size over widths and lengths. The wanted sizes are those of the
-            mask before correction.
-        cd_error_max_nm: largest magnitude of printed less wanted size.
-        cd_bias_nm: mean of printed less wanted size.
-        unprinted: pillars that do not print.
-        dose_min: smallest dose relative to the base dose.
-        dose_max: largest dose.
-        classes: number of distinct doses.
-        latitude_nm_per_percent: mean change of the printed size for 1 % of dose.
-        corner_radius_nm: mean radius of printed corners of random pillars.
-        corner_radius_rms_nm: rms deviation of the radii from their mean.
-        base_over_clearing_dose: base dose over the clearing dose of a large pad.
-        error: largest difference of an energy from a direct sum over all pillars in reach, at random pillars, over
-            the clearing energy.
-        rounds: rounds of the correction; 0 without one.
-    """
-
-    pillars: int
+    pillars: int  #: Number of pillars.
+    #: Rms of printed less wanted size over widths and lengths. The wanted sizes are those of the mask before
+    #: correction.
     cd_error_rms_nm: float
-    cd_error_max_nm: float
-    cd_bias_nm: float
-    unprinted: int
-    dose_min: float
-    dose_max: float
-    classes: int
-    latitude_nm_per_percent: float
-    corner_radius_nm: float
-    corner_radius_rms_nm: float
-    base_over_clearing_dose: float
+    cd_error_max_nm: float  #: Largest magnitude of printed less wanted size.
+    cd_bias_nm: float  #: Mean of printed less wanted size.
+    unprinted: int  #: Pillars that do not print.
+    dose_min: float  #: Smallest dose relative to the base dose.
+    dose_max: float  #: Largest dose.
+    classes: int  #: Number of distinct doses.
+    latitude_nm_per_percent: float  #: Mean change of the printed size for 1 % of dose.
+    corner_radius_nm: float  #: Mean radius of printed corners of random pillars.
+    corner_radius_rms_nm: float  #: Rms deviation of the radii from their mean.
+    base_over_clearing_dose: float  #: Base dose over the clearing dose of a large pad.
+    #: Largest difference of an energy from a direct sum over all pillars in reach, at random pillars, over the clearing
+    #: energy.
     error: float
-    rounds: int
+    rounds: int  #: Rounds of the correction; 0 without one.
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """Result of an exposure.
+    """Result of an exposure."""
 
-    Attributes:
-        figures: summary.
-        drawn: the pillars to draw: those of the mask, or corrected shapes.
-        dose: shape (n_y, n_x) of the lattice, relative to the base dose; equal everywhere without correction.
-        dose_class: shape (n_y, n_x) of the lattice, index into ``class_dose``; None for continuous or equal doses.
-        class_dose: shape (classes,), ascending, without the dose of the lens.
-        samples: random pillars.
-        cd_histogram: shape (n,), number of widths and lengths in each bin of ``cd_edges_nm``.
-        cd_edges_nm: shape (n + 1,), bins of printed less wanted size.
-        size_map: mean size errors over the lens.
-        window: size errors at changed doses.
-        printed_less_drawn_nm: shape (2, n_y, n_x), of width and length; -inf where a pillar does not print. None unless
-            ``keep_sizes``.
-    """
-
-    figures: ExposureFigures
-    drawn: PillarMap
+    figures: ExposureFigures  #: Summary.
+    drawn: PillarMap  #: The pillars to draw: those of the mask, or corrected shapes.
+    #: Shape (n_y, n_x) of the lattice, relative to the base dose; equal everywhere without correction.
     dose: Float32Array
+    #: Shape (n_y, n_x) of the lattice, index into ``class_dose``; None for continuous or equal doses.
     dose_class: NDArray[np.uint8] | None
-    class_dose: FloatArray
-    samples: tuple[SampledPillar, ...]
-    cd_histogram: NDArray[np.int64]
-    cd_edges_nm: FloatArray
-    size_map: SizeMap
-    window: tuple[WindowPoint, ...]
+    class_dose: FloatArray  #: Shape (classes,), ascending, without the dose of the lens.
+    samples: tuple[SampledPillar, ...]  #: Random pillars.
+    cd_histogram: NDArray[np.int64]  #: Shape (n,), number of widths and lengths in each bin of ``cd_edges_nm``.
+    cd_edges_nm: FloatArray  #: Shape (n + 1,), bins of printed less wanted size.
+    size_map: SizeMap  #: Mean size errors over the lens.
+    window: tuple[WindowPoint, ...]  #: Size errors at changed doses.
+    #: Shape (2, n_y, n_x), of width and length; -inf where a pillar does not print. None unless ``keep_sizes``.
     printed_less_drawn_nm: Float32Array | None
 
 

@@ -25,21 +25,14 @@ _MAP_BLOCKS = 64
 
 @dataclass(frozen=True)
 class Printing:
-    """A pattern with its process.
+    """A pattern with its process."""
 
-    Attributes:
-        resist: energy of the drawn pattern.
-        tables: energy of each size at its own edges.
-        base_over_clearing_dose: base dose over the clearing dose of a large pad.
-        executor: threads that compute tiles.
-        wanted_less_drawn_nm: shape (2, n_y, n_x), width and length that should be printed, less those that are drawn;
-            None where they are equal.
-    """
-
-    resist: ResistEnergy
-    tables: EdgeTables
-    base_over_clearing_dose: float
-    executor: Executor
+    resist: ResistEnergy  #: Energy of the drawn pattern.
+    tables: EdgeTables  #: Energy of each size at its own edges.
+    base_over_clearing_dose: float  #: Base dose over the clearing dose of a large pad.
+    executor: Executor  #: Threads that compute tiles.
+    #: Shape (2, n_y, n_x), width and length that should be printed, less those that are drawn; None where they are
+    #: equal.
     wanted_less_drawn_nm: Float32Array | None = None
 
     def edges(self, tile: TileEnergy, base_over_clearing_dose: float) -> Float32Array:
@@ -97,52 +90,34 @@ class SizeSums:
 
 @dataclass(frozen=True)
 class SizeMap:
-    """Mean size errors over the lens.
+    """Mean size errors over the lens."""
 
-    Attributes:
-        bias_nm: shape (n_y, n_x), mean of printed less wanted width and length in each block; NaN without pillars.
-        block_um: side of a block (x, y).
-    """
-
+    #: Shape (n_y, n_x), mean of printed less wanted width and length in each block; NaN without pillars.
     bias_nm: Float32Array
-    block_um: tuple[float, float]
+    block_um: tuple[float, float]  #: Side of a block (x, y).
 
 
 @dataclass(frozen=True)
 class WindowPoint:
-    """Size errors of a sample of tiles at a changed dose.
+    """Size errors of a sample of tiles at a changed dose."""
 
-    Attributes:
-        dose_change_percent: change of all doses.
-        bias_nm: mean of printed less wanted sizes.
-        rms_nm: rms of printed less wanted sizes.
-        unprinted_share: share of pillars that do not print.
-    """
-
-    dose_change_percent: float
-    bias_nm: float
-    rms_nm: float
-    unprinted_share: float
+    dose_change_percent: float  #: Change of all doses.
+    bias_nm: float  #: Mean of printed less wanted sizes.
+    rms_nm: float  #: Rms of printed less wanted sizes.
+    unprinted_share: float  #: Share of pillars that do not print.
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Printed sizes of all pillars.
+    """Printed sizes of all pillars."""
 
-    Attributes:
-        sums: sums over all pillars.
-        histogram: shape (BINS,), widths and lengths in each bin of size errors.
-        listed: for each listed pillar, shape (5,): energy at the centre, the x and the y edges over the clearing
-            energy, and printed less drawn width and length.
-        size_map: mean size errors over the lens.
-        printed_less_drawn_nm: shape (2, n_y, n_x), of width and length; -inf where a pillar does not print. None unless
-            asked for.
-    """
-
-    sums: SizeSums
-    histogram: NDArray[np.int64]
+    sums: SizeSums  #: Sums over all pillars.
+    histogram: NDArray[np.int64]  #: Shape (BINS,), widths and lengths in each bin of size errors.
+    #: For each listed pillar, shape (5,): energy at the centre, the x and the y edges over the clearing energy, and
+    #: printed less drawn width and length.
     listed: dict[tuple[int, int], FloatArray]
-    size_map: SizeMap
+    size_map: SizeMap  #: Mean size errors over the lens.
+    #: Shape (2, n_y, n_x), of width and length; -inf where a pillar does not print. None unless asked for.
     printed_less_drawn_nm: Float32Array | None
 
 

@@ -27,19 +27,13 @@ _NODES, _EVEN_NM, _REACH_NM = 161, 0.05, 120.0
 
 @dataclass(frozen=True)
 class EdgeTables:
-    """Energy per unit dose of a pillar at its own edges.
+    """Energy per unit dose of a pillar at its own edges."""
 
-    Attributes:
-        displacement_nm: shape (n_nodes,), ascending, 0 among them; positive outwards.
-        energy: shape (2, n_sizes, n_nodes), at the x and the y edges displaced; descending along the last axis.
-        at_edge: shape (2, n_sizes), at the drawn edges.
-        slope_per_nm: shape (2, n_sizes), decrease of energy per nm at the drawn edges, positive.
-    """
-
-    displacement_nm: Float32Array
+    displacement_nm: Float32Array  #: Shape (n_nodes,), ascending, 0 among them; positive outwards.
+    #: Shape (2, n_sizes, n_nodes), at the x and the y edges displaced; descending along the last axis.
     energy: Float32Array
-    at_edge: Float32Array
-    slope_per_nm: Float32Array
+    at_edge: Float32Array  #: Shape (2, n_sizes), at the drawn edges.
+    slope_per_nm: Float32Array  #: Shape (2, n_sizes), decrease of energy per nm at the drawn edges, positive.
 
     @classmethod
     def of(cls, psf: BeamPsf, size_nm: FloatArray) -> EdgeTables:

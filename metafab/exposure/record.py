@@ -18,22 +18,15 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class SizeErrors:
-    """Printed less wanted sizes of all pillars.
+    """Printed less wanted sizes of all pillars."""
 
-    Attributes:
-        figures: summary.
-        cd_histogram: shape (n,), number of widths and lengths in each bin of ``cd_edges_nm``; the first and the last
-            bin hold all errors beyond them.
-        cd_edges_nm: shape (n + 1,), ascending.
-        size_map: mean errors over the lens.
-        window: errors at changed doses.
-    """
-
-    figures: ExposureFigures
+    figures: ExposureFigures  #: Summary.
+    #: Shape (n,), number of widths and lengths in each bin of ``cd_edges_nm``; the first and the last bin hold all
+    #: errors beyond them.
     cd_histogram: FloatArray
-    cd_edges_nm: FloatArray
-    size_map: SizeMap
-    window: tuple[WindowPoint, ...]
+    cd_edges_nm: FloatArray  #: Shape (n + 1,), ascending.
+    size_map: SizeMap  #: Mean errors over the lens.
+    window: tuple[WindowPoint, ...]  #: Errors at changed doses.
 
     @classmethod
     def of(cls, exposure: Exposure) -> SizeErrors:
@@ -44,21 +37,13 @@ class SizeErrors:
 
 @dataclass(frozen=True)
 class ExposureRecord:
-    """Exposure of a written mask, before and after the correction.
+    """Exposure of a written mask, before and after the correction."""
 
-    Attributes:
-        mask_sha256: hash of the mask file.
-        psf_source: source of the beam's point-spread function.
-        correction: kind of the correction.
-        plain: size errors with one dose.
-        corrected: size errors after the correction; None without one.
-    """
-
-    mask_sha256: str
-    psf_source: str
-    correction: Correction
-    plain: SizeErrors
-    corrected: SizeErrors | None
+    mask_sha256: str  #: Hash of the mask file.
+    psf_source: str  #: Source of the beam's point-spread function.
+    correction: Correction  #: Kind of the correction.
+    plain: SizeErrors  #: Size errors with one dose.
+    corrected: SizeErrors | None  #: Size errors after the correction; None without one.
 
 
 def save_record(record: ExposureRecord, path: Path) -> None:

@@ -47,15 +47,10 @@ _Sizes = Annotated[list[Annotated[list[NonNegative], Field(min_length=1)]], Fiel
 
 @dataclass(frozen=True, config=CONFIG)
 class Block:
-    """Pillars of one supercell, rows from the lowest y, columns from the lowest x; sizes of 0 are sites without one.
+    """Pillars of one supercell, rows from the lowest y, columns from the lowest x; sizes of 0 are sites without one."""
 
-    Attributes:
-        width_nm: size along x of each pillar.
-        length_nm: size along y of each pillar.
-    """
-
-    width_nm: _Sizes
-    length_nm: _Sizes
+    width_nm: _Sizes  #: Size along x of each pillar.
+    length_nm: _Sizes  #: Size along y of each pillar.
 
     @model_validator(mode="after")
     def _one_shape(self) -> Block:
@@ -72,13 +67,9 @@ class Block:
 
 @dataclass(frozen=True, config=CONFIG)
 class Blocks:
-    """Content of ``BLOCKS.json``.
+    """Content of ``BLOCKS.json``."""
 
-    Attributes:
-        blocks: one supercell each.
-    """
-
-    blocks: Annotated[list[Block], Field(min_length=1)]
+    blocks: Annotated[list[Block], Field(min_length=1)]  #: One supercell each.
 
 
 def read_blocks(path: Path, library: Library) -> list[Supercell]:
@@ -114,15 +105,10 @@ def read_blocks(path: Path, library: Library) -> list[Supercell]:
 
 @dataclasses.dataclass(frozen=True)
 class BlockNumerics:
-    """Numerics of the full-wave solvers.
+    """Numerics of the full-wave solvers."""
 
-    Attributes:
-        rcwa: target error and resolutions.
-        pixels_per_period: grids of Meep, two or more.
-    """
-
-    rcwa: ElementNumerics = dataclasses.field(default_factory=ElementNumerics)
-    pixels_per_period: tuple[int, ...] = (16, 24)
+    rcwa: ElementNumerics = dataclasses.field(default_factory=ElementNumerics)  #: Target error and resolutions.
+    pixels_per_period: tuple[int, ...] = (16, 24)  #: Grids of Meep, two or more.
 
 
 def solve_blocks(

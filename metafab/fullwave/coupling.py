@@ -33,67 +33,39 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class CouplingNumerics:
-    """Full-wave solvers of the rows.
+    """Full-wave solvers of the rows."""
 
-    Attributes:
-        solvers: one or both solvers.
-        rcwa: target error and resolutions of RCWA.
-        meep: grid and decay of Meep.
-    """
-
-    solvers: tuple[Solver, ...] = ("rcwa",)
-    rcwa: ElementNumerics = field(default_factory=ElementNumerics)
-    meep: SupercellSettings = field(default_factory=SupercellSettings)
+    solvers: tuple[Solver, ...] = ("rcwa",)  #: One or both solvers.
+    rcwa: ElementNumerics = field(default_factory=ElementNumerics)  #: Target error and resolutions of RCWA.
+    meep: SupercellSettings = field(default_factory=SupercellSettings)  #: Grid and decay of Meep.
 
 
 @dataclass(frozen=True)
 class CouplingRow:
-    """One local period by one solver and polarisation.
+    """One local period by one solver and polarisation."""
 
-    Attributes:
-        x_um: middle of the row.
-        y_um: middle of the row.
-        axis: direction of the row.
-        polarisation: polarisation of the light.
-        solver: full-wave solver; it also solves the lone pillars of the approximation.
-        sites: pillars in the row.
-        order: wanted order, +1 or -1.
-        angle_deg: angle of the wanted order behind the mask.
-        efficiency: power in the wanted order over incident power.
-        local_period_efficiency: this efficiency by the local-period approximation.
-        wanted_error: |difference| of the wanted order's amplitude from the approximation.
-        coupling_error: l2 norm of the differences of all orders, over the norm of the approximation.
-        solver_error: error estimate of the solver, largest over the amplitudes.
-        seconds: time in the solver.
-    """
-
-    x_um: float
-    y_um: float
-    axis: Axis
-    polarisation: Polarisation
-    solver: Solver
-    sites: int
-    order: int
-    angle_deg: float
-    efficiency: float
-    local_period_efficiency: float
-    wanted_error: float
-    coupling_error: float
-    solver_error: float
-    seconds: float
+    x_um: float  #: Middle of the row.
+    y_um: float  #: Middle of the row.
+    axis: Axis  #: Direction of the row.
+    polarisation: Polarisation  #: Polarisation of the light.
+    solver: Solver  #: Full-wave solver; it also solves the lone pillars of the approximation.
+    sites: int  #: Pillars in the row.
+    order: int  #: Wanted order, +1 or -1.
+    angle_deg: float  #: Angle of the wanted order behind the mask.
+    efficiency: float  #: Power in the wanted order over incident power.
+    local_period_efficiency: float  #: This efficiency by the local-period approximation.
+    wanted_error: float  #: |difference| of the wanted order's amplitude from the approximation.
+    coupling_error: float  #: l2 norm of the differences of all orders, over the norm of the approximation.
+    solver_error: float  #: Error estimate of the solver, largest over the amplitudes.
+    seconds: float  #: Time in the solver.
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """Rows of one mask.
+    """Rows of one mask."""
 
-    Attributes:
-        mask_sha256: hash of the written file.
-        rows: one for each place, polarisation and solver.
-    """
-
-    mask_sha256: str
-    rows: tuple[CouplingRow, ...]
+    mask_sha256: str  #: Hash of the written file.
+    rows: tuple[CouplingRow, ...]  #: One for each place, polarisation and solver.
 
     @property
     def coupling_error(self) -> float:

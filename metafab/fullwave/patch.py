@@ -37,69 +37,40 @@ QUICK = SupercellSettings(pixels_per_period=12, decay=PATCH_DECAY)
 
 @dataclass(frozen=True)
 class PatchPlan:
-    """A patch to simulate, and its expected cost.
+    """A patch to simulate, and its expected cost."""
 
-    Attributes:
-        supercell: the patch and its frame.
-        x_um: shape (n_x,), x of the sites of the supercell.
-        y_um: shape (n_y,), y of the sites of the supercell.
-        padding_sites: width of the frame.
-        settings: grid and decay.
-        cost: expected cost on one core, for one polarisation.
-    """
-
-    supercell: Supercell
-    x_um: FloatArray
-    y_um: FloatArray
-    padding_sites: int
-    settings: SupercellSettings
-    cost: Cost
+    supercell: Supercell  #: The patch and its frame.
+    x_um: FloatArray  #: Shape (n_x,), x of the sites of the supercell.
+    y_um: FloatArray  #: Shape (n_y,), y of the sites of the supercell.
+    padding_sites: int  #: Width of the frame.
+    settings: SupercellSettings  #: Grid and decay.
+    cost: Cost  #: Expected cost on one core, for one polarisation.
 
 
 @dataclass(frozen=True)
 class FieldDifference:
-    """Difference of two fields.
+    """Difference of two fields."""
 
-    Attributes:
-        amplitude_rms: rms difference of the amplitudes, over the rms of the reference.
-        phase_rms_rad: rms phase difference about its mean, weighted by both amplitudes.
-        phase_offset_rad: mean phase difference.
-        relative_l2: rms of the complex difference, over the rms of the reference.
-    """
-
-    amplitude_rms: float
-    phase_rms_rad: float
-    phase_offset_rad: float
-    relative_l2: float
+    amplitude_rms: float  #: Rms difference of the amplitudes, over the rms of the reference.
+    phase_rms_rad: float  #: Rms phase difference about its mean, weighted by both amplitudes.
+    phase_offset_rad: float  #: Mean phase difference.
+    relative_l2: float  #: Rms of the complex difference, over the rms of the reference.
 
 
 @dataclass(frozen=True)
 class Patch:
-    """Fields at the sites of a patch, in the plane where the pillars end, over the incident field.
+    """Fields at the sites of a patch, in the plane where the pillars end, over the incident field."""
 
-    Attributes:
-        x_um: shape (n_x,), x of the sites.
-        y_um: shape (n_y,), y of the sites.
-        polarisation: polarisation of the incident light and of the fields.
-        full_wave: shape (n_y, n_x), field by Meep.
-        library: shape (n_y, n_x), field stitched from the library, without evanescent waves.
-        alone: shape (n_y, n_x), field stitched from each pillar alone on Meep's grid.
-        decay: remaining share of the decaying field, relative to the incident wave.
-        seconds: time of the simulation.
-        pixels_per_period: resolution of the grid.
-        padding_sites: neighbours simulated on each side of the patch.
-    """
-
-    x_um: FloatArray
-    y_um: FloatArray
-    polarisation: Polarisation
-    full_wave: ComplexArray
-    library: ComplexArray
-    alone: ComplexArray
-    decay: float
-    seconds: float
-    pixels_per_period: int
-    padding_sites: int
+    x_um: FloatArray  #: Shape (n_x,), x of the sites.
+    y_um: FloatArray  #: Shape (n_y,), y of the sites.
+    polarisation: Polarisation  #: Polarisation of the incident light and of the fields.
+    full_wave: ComplexArray  #: Shape (n_y, n_x), field by Meep.
+    library: ComplexArray  #: Shape (n_y, n_x), field stitched from the library, without evanescent waves.
+    alone: ComplexArray  #: Shape (n_y, n_x), field stitched from each pillar alone on Meep's grid.
+    decay: float  #: Remaining share of the decaying field, relative to the incident wave.
+    seconds: float  #: Time of the simulation.
+    pixels_per_period: int  #: Resolution of the grid.
+    padding_sites: int  #: Neighbours simulated on each side of the patch.
 
     @property
     def against_library(self) -> FieldDifference:

@@ -30,17 +30,12 @@ _Edge = tuple[int, int, int, int]
 
 @dataclass(frozen=True)
 class Aperture:
-    """The sites inside an aperture, stored as runs of columns in each row.
+    """The sites inside an aperture, stored as runs of columns in each row."""
 
-    Attributes:
-        lattice: lattice of the sites.
-        first: shape (n_runs, n_y), first column of each run of a row.
-        last: shape (n_runs, n_y), one past the last column of the run; equal to ``first`` where a row has fewer runs.
-            Runs of a hexagonal lattice include the sites that carry no pillar.
-    """
-
-    lattice: Lattice
-    first: IntArray
+    lattice: Lattice  #: Lattice of the sites.
+    first: IntArray  #: Shape (n_runs, n_y), first column of each run of a row.
+    #: Shape (n_runs, n_y), one past the last column of the run; equal to ``first`` where a row has fewer runs. Runs of
+    #: a hexagonal lattice include the sites that carry no pillar.
     last: IntArray
 
     @classmethod

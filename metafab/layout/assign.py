@@ -36,18 +36,12 @@ _SAMPLED_LINES = 1000
 
 @dataclass(frozen=True)
 class Assignment:
-    """The pillars of a lens and how well they follow the target phases.
+    """The pillars of a lens and how well they follow the target phases."""
 
-    Attributes:
-        pillars: the map.
-        figures: phase error, overlap, transmittance, gap.
-        offsets_rad: constants added to the target phases of x and y polarisation.
-        gap_rule_each: the figures under ``gap_rule = "each"``, where sizes were chosen jointly; else None.
-    """
-
-    pillars: PillarMap
-    figures: MappingFigures
-    offsets_rad: tuple[float, float]
+    pillars: PillarMap  #: The map.
+    figures: MappingFigures  #: Phase error, overlap, transmittance, gap.
+    offsets_rad: tuple[float, float]  #: Constants added to the target phases of x and y polarisation.
+    #: The figures under ``gap_rule = "each"``, where sizes were chosen jointly; else None.
     gap_rule_each: MappingFigures | None = None
 
     def to_json(self) -> dict[str, Any]:

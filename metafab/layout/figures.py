@@ -19,27 +19,18 @@ from metafab.library import Library, SizeTable
 
 @dataclass(frozen=True)
 class TileSums:
-    """Sums over the pillars of a tile; those of all tiles add up to those of the lens.
+    """Sums over the pillars of a tile; those of all tiles add up to those of the lens."""
 
-    Attributes:
-        pillars: number of pillars.
-        overlap: shape (2,), sum of t exp(-i target) for x and y polarisation.
-        power: shape (2,), sum of |t|^2.
-        square_error: shape (2,), sum of (arg t - target)^2, each difference wrapped to (-pi, pi].
-        used: shape (n_sizes + 1,), number of pillars of each size.
-        smallest_gap_dbu: over all pairs with a pillar in the tile, neighbours in other tiles included.
-        each: sums of the sizes that keep the gap independently, where sizes were then chosen jointly.
-        among: shape (2, 2), overlaps by the model of neighbours, of the sizes that suit lone pillars best and of those
-            chosen among neighbours, for x and y polarisation; None without that choice.
-    """
-
-    pillars: int
-    overlap: ComplexArray
-    power: FloatArray
-    square_error: FloatArray
-    used: NDArray[np.int64]
-    smallest_gap_dbu: float
+    pillars: int  #: Number of pillars.
+    overlap: ComplexArray  #: Shape (2,), sum of t exp(-i target) for x and y polarisation.
+    power: FloatArray  #: Shape (2,), sum of |t|^2.
+    square_error: FloatArray  #: Shape (2,), sum of (arg t - target)^2, each difference wrapped to (-pi, pi].
+    used: NDArray[np.int64]  #: Shape (n_sizes + 1,), number of pillars of each size.
+    smallest_gap_dbu: float  #: Over all pairs with a pillar in the tile, neighbours in other tiles included.
+    #: Sums of the sizes that keep the gap independently, where sizes were then chosen jointly.
     each: TileSums | None = None
+    #: Shape (2, 2), overlaps by the model of neighbours, of the sizes that suit lone pillars best and of those chosen
+    #: among neighbours, for x and y polarisation; None without that choice.
     among: ComplexArray | None = None
 
     @classmethod

@@ -24,21 +24,14 @@ LISTED = 1000
 
 @dataclass(frozen=True)
 class Gaps:
-    """Gaps in a block of sites.
+    """Gaps in a block of sites."""
 
-    Attributes:
-        smallest_dbu: smallest distance between two neighbours; infinite without a pair, negative for an overlap.
-        below: number of pairs below the limit.
-        overlapping: number of pairs that overlap or touch; they are also among ``below`` if the limit is positive.
-        too_small: shape (m,), flat index of the first site of each listed pair, at most :data:`LISTED`.
-        neighbour: shape (m,), index of the listed pair's direction in ``Lattice.pairs``.
-    """
-
-    smallest_dbu: float
-    below: int
-    overlapping: int
+    smallest_dbu: float  #: Smallest distance between two neighbours; infinite without a pair, negative for an overlap.
+    below: int  #: Number of pairs below the limit.
+    overlapping: int  #: Number of pairs that overlap or touch; they are also among ``below`` if the limit is positive.
+    #: Shape (m,), flat index of the first site of each listed pair, at most :data:`LISTED`.
     too_small: NDArray[np.int64]
-    neighbour: NDArray[np.int64]
+    neighbour: NDArray[np.int64]  #: Shape (m,), index of the listed pair's direction in ``Lattice.pairs``.
 
 
 def smallest_gap(

@@ -45,43 +45,27 @@ def reach_sites(lattice: Lattice) -> tuple[int, int]:
 
 
 class _Tables(NamedTuple):
-    """Look-up tables of the kernels.
+    """Look-up tables of the kernels."""
 
-    Attributes:
-        candidates: as :attr:`JointSizes.candidates`.
-        step: phase cells of the size table per phase cell of the candidates.
-        size_dbu: shape (n_sizes + 1, 2), width and length of the bounding boxes.
-        field: shape (n_sizes + 1, 4), real parts of t for x and y polarisation, then imaginary parts.
-        target: shape (cells, 2), cosine and sine of the phase of each cell.
-        neighbours: shape (n, 2), (rows, columns) to each neighbour.
-        centres: shape (n, 2), distances between the centres along x and y.
-        limit_square: square of the smallest gap.
-    """
-
-    candidates: SizeIndexArray
-    step: int
-    size_dbu: FloatArray
-    field: FloatArray
-    target: FloatArray
-    neighbours: NDArray[np.int64]
-    centres: FloatArray
-    limit_square: float
+    candidates: SizeIndexArray  #: As :attr:`JointSizes.candidates`.
+    step: int  #: Phase cells of the size table per phase cell of the candidates.
+    size_dbu: FloatArray  #: Shape (n_sizes + 1, 2), width and length of the bounding boxes.
+    field: FloatArray  #: Shape (n_sizes + 1, 4), real parts of t for x and y polarisation, then imaginary parts.
+    target: FloatArray  #: Shape (cells, 2), cosine and sine of the phase of each cell.
+    neighbours: NDArray[np.int64]  #: Shape (n, 2), (rows, columns) to each neighbour.
+    centres: FloatArray  #: Shape (n, 2), distances between the centres along x and y.
+    limit_square: float  #: Square of the smallest gap.
 
 
 @dataclass(frozen=True)
 class JointSizes:
-    """The joint choice of sizes.
+    """The joint choice of sizes."""
 
-    Attributes:
-        table: all sizes; its look-up table names only sizes that keep the gap with any neighbour.
-        candidates: shape (cells, cells, longest), indexed [phi_y, phi_x]: sizes in order of falling overlap.
-        min_gap_dbu: smallest gap.
-        outline: outline of the pillars; gaps are measured between bounding boxes, which never overstates them.
-    """
-
-    table: SizeTable
+    table: SizeTable  #: All sizes; its look-up table names only sizes that keep the gap with any neighbour.
+    #: Shape (cells, cells, longest), indexed [phi_y, phi_x]: sizes in order of falling overlap.
     candidates: SizeIndexArray
-    min_gap_dbu: float
+    min_gap_dbu: float  #: Smallest gap.
+    #: Outline of the pillars; gaps are measured between bounding boxes, which never overstates them.
     outline: Outline = RECTANGLE
 
     @classmethod

@@ -21,27 +21,18 @@ from metafab.phase.terms.profile import PhaseProfile
 
 @dataclass(frozen=True)
 class TileMapping:
-    """Everything that is needed to map a tile; small enough to travel to another process.
+    """Everything that is needed to map a tile; small enough to travel to another process."""
 
-    Attributes:
-        profile: target phases.
-        table: sizes and their look-up table.
-        aperture: sites that carry a pillar.
-        offset_rad: constants added to the target phases of x and y polarisation.
-        tile_sites: sites per side of a tile.
-        joint: chooses sizes jointly, starting from the look-up table; None where every pillar keeps the gap alone.
-        choice: chooses sizes for their light among neighbours, starting likewise; None where the library's t counts.
-        outline: outline of the pillars, for their gaps.
-    """
-
-    profile: PhaseProfile
-    table: SizeTable
-    aperture: Aperture
-    offset_rad: tuple[float, float]
-    tile_sites: int
+    profile: PhaseProfile  #: Target phases.
+    table: SizeTable  #: Sizes and their look-up table.
+    aperture: Aperture  #: Sites that carry a pillar.
+    offset_rad: tuple[float, float]  #: Constants added to the target phases of x and y polarisation.
+    tile_sites: int  #: Sites per side of a tile.
+    #: Chooses sizes jointly, starting from the look-up table; None where every pillar keeps the gap alone.
     joint: JointSizes | None = None
+    #: Chooses sizes for their light among neighbours, starting likewise; None where the library's t counts.
     choice: NeighbourChoice | None = None
-    outline: Outline = RECTANGLE
+    outline: Outline = RECTANGLE  #: Outline of the pillars, for their gaps.
 
     def corners(self) -> list[tuple[int, int]]:
         """(row, column) of every tile that holds a pillar, row by row."""

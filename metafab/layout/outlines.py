@@ -32,17 +32,11 @@ _KINDS: dict[Shape, int] = {"rectangle": 0, "rounded": 1, "ellipse": 2, "cross":
 
 @dataclass(frozen=True)
 class Outline:
-    """Outline of the pillars of a design, for every size.
+    """Outline of the pillars of a design, for every size."""
 
-    Attributes:
-        shape: shape of the cross-section.
-        database_unit_nm: size of one database unit (dbu).
-        radius_dbu: radius of rounded corners; at most half the shorter side of a pillar is applied.
-    """
-
-    shape: Shape
-    database_unit_nm: float
-    radius_dbu: float = 0.0
+    shape: Shape  #: Shape of the cross-section.
+    database_unit_nm: float  #: Size of one database unit (dbu).
+    radius_dbu: float = 0.0  #: Radius of rounded corners; at most half the shorter side of a pillar is applied.
 
     @classmethod
     def of(cls, design: Design) -> Outline:

@@ -35,20 +35,14 @@ class Lattice:
     one colour on a chessboard. The grid is half a period fine along x. Both kinds are thus rectangular arrays of
     sites, and code that sums over pillars need not distinguish them.
 
-    Attributes:
-        period_dbu: (x, y) pitch of the grid.
-        shape: (n_y, n_x) sites of the grid.
-        database_unit_nm: size of one database unit.
-        hexagonal: whether only every other site can carry a pillar.
-
     Raises:
         InputError: an odd period with an even number of sites, which puts sites on half units.
     """
 
-    period_dbu: tuple[int, int]
-    shape: tuple[int, int]
-    database_unit_nm: float
-    hexagonal: bool = False
+    period_dbu: tuple[int, int]  #: (x, y) pitch of the grid.
+    shape: tuple[int, int]  #: (n_y, n_x) sites of the grid.
+    database_unit_nm: float  #: Size of one database unit.
+    hexagonal: bool = False  #: Whether only every other site can carry a pillar.
 
     def __post_init__(self) -> None:
         for axis, period, count in zip("xy", self.period_dbu, self.shape[::-1], strict=True):
@@ -126,17 +120,11 @@ def _centres(period: int, count: int) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class PillarTile:
-    """A rectangular block of sites.
+    """A rectangular block of sites."""
 
-    Attributes:
-        row: lattice row of the first row of the tile.
-        column: lattice column of the first column of the tile.
-        size_index: shape (n_y, n_x); 0 means no pillar, i the i-th row of the map's size table.
-    """
-
-    row: int
-    column: int
-    size_index: SizeIndexArray
+    row: int  #: Lattice row of the first row of the tile.
+    column: int  #: Lattice column of the first column of the tile.
+    size_index: SizeIndexArray  #: Shape (n_y, n_x); 0 means no pillar, i the i-th row of the map's size table.
 
     @property
     def window(self) -> tuple[slice, slice]:

@@ -36,12 +36,9 @@ _NORM_WEIGHT = np.array([1.0, math.sqrt(2.0), 1.0])
 
 @dataclass(frozen=True, eq=False)
 class TurnedRectangles(Outline):
-    """Rectangles turned about the centres of their sites, vertices rounded to the database grid.
+    """Rectangles turned about the centres of their sites, vertices rounded to the database grid."""
 
-    Attributes:
-        angle_deg: shape (n_sizes + 1,), counter-clockwise turn of each size index; 0 for index 0, no pillar.
-    """
-
+    #: Shape (n_sizes + 1,), counter-clockwise turn of each size index; 0 for index 0, no pillar.
     angle_deg: FloatArray = field(default_factory=lambda: np.zeros(1))
 
     @property
@@ -91,15 +88,10 @@ def outline_of(pillars: PillarMap, design: Design) -> Outline:
 
 @dataclass(frozen=True)
 class TurnedAssignment:
-    """Turned pillars of a lens.
+    """Turned pillars of a lens."""
 
-    Attributes:
-        pillars: the map; its sizes have angles.
-        overlap: |<target, J>|^2 / (<target, target> <J, J>) over all sites, 0 to 1.
-    """
-
-    pillars: PillarMap
-    overlap: float
+    pillars: PillarMap  #: The map; its sizes have angles.
+    overlap: float  #: |<target, J>|^2 / (<target, target> <J, J>) over all sites, 0 to 1.
 
 
 def assign_turned(

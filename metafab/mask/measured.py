@@ -19,19 +19,12 @@ COLUMNS = ("x_um", "y_um", "width_nm", "length_nm")
 
 @dataclass(frozen=True, eq=False)
 class MeasuredTable:
-    """Rows of a table of measured pillars.
+    """Rows of a table of measured pillars."""
 
-    Attributes:
-        path: the file.
-        place_um: shape (n, 2), x and y from the axis of the lens.
-        size_nm: shape (n, 2), width and length.
-        further: other columns by name, shape (n,) each.
-    """
-
-    path: Path
-    place_um: FloatArray
-    size_nm: FloatArray
-    further: Mapping[str, FloatArray]
+    path: Path  #: The file.
+    place_um: FloatArray  #: Shape (n, 2), x and y from the axis of the lens.
+    size_nm: FloatArray  #: Shape (n, 2), width and length.
+    further: Mapping[str, FloatArray]  #: Other columns by name, shape (n,) each.
 
     def part(self, rows: NDArray[np.bool_]) -> MeasuredTable:
         """Return some of the rows: shape (n,), whether a row is kept."""

@@ -26,29 +26,17 @@ _SAMPLED_TILES = 16
 
 @dataclass(frozen=True)
 class LayoutPlan:
-    """Expected cost of a layout.
+    """Expected cost of a layout."""
 
-    Attributes:
-        pillars: number of pillars.
-        tiles: number of tiles.
-        sampled_tiles: number of tiles that were mapped and encoded for the estimate.
-        mappings: number of times that every tile is mapped.
-        seconds: time on ``workers`` cores, by step: "preparing", "mapping" and each format.
-        core_hours: sum over the steps that the cores share.
-        bytes: size of each file, by format.
-        workers: number of cores.
-        advice: sentences for the user.
-    """
-
-    pillars: int
-    tiles: int
-    sampled_tiles: int
-    mappings: int
-    seconds: dict[str, float]
-    core_hours: float
-    bytes: dict[str, int]
-    workers: int
-    advice: list[str]
+    pillars: int  #: Number of pillars.
+    tiles: int  #: Number of tiles.
+    sampled_tiles: int  #: Number of tiles that were mapped and encoded for the estimate.
+    mappings: int  #: Number of times that every tile is mapped.
+    seconds: dict[str, float]  #: Time on ``workers`` cores, by step: "preparing", "mapping" and each format.
+    core_hours: float  #: Sum over the steps that the cores share.
+    bytes: dict[str, int]  #: Size of each file, by format.
+    workers: int  #: Number of cores.
+    advice: list[str]  #: Sentences for the user.
 
 
 def plan(

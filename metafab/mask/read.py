@@ -42,35 +42,22 @@ class ReadBack:
     """The contents of a mask file; nothing is left out.
 
     Places of leftovers are those in the file, whichever copy of the lens was read.
-
-    Attributes:
-        path: the file.
-        format: its format.
-        pillars: rectangles (or other shapes of the design's pillars) centred on sites of its lattice, no larger than
-            its cells.
-        at_nm: (x, y) of the centre of that lattice in the file.
-        other_copies: number of rectangles in the squares of the other copies of ``mask.copies``, by number from 1.
-        off_site: rectangles elsewhere, or larger than a cell.
-        off_grid: rectangles whose edges are not a whole number of the design's database units.
-        duplicates: rectangles at sites that hold one already (the first in the file is in ``pillars``).
-        foreign: polygons, paths and so on, by kind.
-        other_layers: number of shapes and texts on other layers, by "layer/datatype".
-        top_cells: names of the cells that no other cell places.
-        database_unit_nm: unit of the file.
     """
 
-    path: Path
-    format: Format
+    path: Path  #: The file.
+    format: Format  #: Its format.
+    #: Rectangles (or other shapes of the design's pillars) centred on sites of its lattice, no larger than its cells.
     pillars: PillarMap
-    at_nm: tuple[float, float]
+    at_nm: tuple[float, float]  #: (x, y) of the centre of that lattice in the file.
+    #: Number of rectangles in the squares of the other copies of ``mask.copies``, by number from 1.
     other_copies: dict[int, int]
-    off_site: Leftover
-    off_grid: Leftover
-    duplicates: Leftover
-    foreign: dict[str, Leftover]
-    other_layers: dict[str, int]
-    top_cells: tuple[str, ...]
-    database_unit_nm: float
+    off_site: Leftover  #: Rectangles elsewhere, or larger than a cell.
+    off_grid: Leftover  #: Rectangles whose edges are not a whole number of the design's database units.
+    duplicates: Leftover  #: Rectangles at sites that hold one already (the first in the file is in ``pillars``).
+    foreign: dict[str, Leftover]  #: Polygons, paths and so on, by kind.
+    other_layers: dict[str, int]  #: Number of shapes and texts on other layers, by "layer/datatype".
+    top_cells: tuple[str, ...]  #: Names of the cells that no other cell places.
+    database_unit_nm: float  #: Unit of the file.
 
     def require_pillars_alone(self, remedy: str) -> None:
         """Refuse a file whose pillar layer holds anything else than pillars at sites of the lattice.
@@ -121,21 +108,13 @@ def read(
 
 @dataclass(frozen=True)
 class Shapes:
-    """The shapes on the pillar layer of a file, of any lattice.
+    """The shapes on the pillar layer of a file, of any lattice."""
 
-    Attributes:
-        unit_nm: database unit of the file.
-        count: number of shapes.
-        other_layers: number of shapes and texts on other layers, by "layer/datatype".
-        top_cells: names of the cells that no other cell places.
-        chunks: opens the stream of shapes, in file units; each time from the start.
-    """
-
-    unit_nm: float
-    count: int
-    other_layers: dict[str, int]
-    top_cells: tuple[str, ...]
-    chunks: Callable[[], Iterator[Chunk]]
+    unit_nm: float  #: Database unit of the file.
+    count: int  #: Number of shapes.
+    other_layers: dict[str, int]  #: Number of shapes and texts on other layers, by "layer/datatype".
+    top_cells: tuple[str, ...]  #: Names of the cells that no other cell places.
+    chunks: Callable[[], Iterator[Chunk]]  #: Opens the stream of shapes, in file units; each time from the start.
 
 
 def read_shapes(path: Path, design: Design, progress: Progress = silent, *, known: KnownShapes = RECTANGLES) -> Shapes:

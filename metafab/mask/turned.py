@@ -48,16 +48,13 @@ class _TurnedOutlines(Outline):
 
     Readers and :class:`metafab.mask.shapes.recover.Recovery` carry a shape as (width, length). Here this pair encodes
     the number of a kind that the file holds, which :meth:`decoded` resolves.
-
-    Attributes:
-        kinds: shape (n, 3), drawn width and length in database units and angle in degrees.
-        kind_of: row of ``kinds`` by the bytes of the vertices from the first one.
-        numbers_per_width: numbers that share one encoded width.
     """
 
+    #: Shape (n, 3), drawn width and length in database units and angle in degrees.
     kinds: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
+    #: Row of ``kinds`` by the bytes of the vertices from the first one.
     kind_of: dict[bytes, int] = field(default_factory=dict)
-    numbers_per_width: int = 1
+    numbers_per_width: int = 1  #: Numbers that share one encoded width.
     _numbers: dict[int, int] = field(default_factory=dict)
     _next_number: Iterator[int] = field(default_factory=itertools.count)
 

@@ -37,15 +37,10 @@ _BUFFER_BYTES = 1 << 20
 
 @dataclass(frozen=True)
 class WrittenFile:
-    """A file on disk.
+    """A file on disk."""
 
-    Attributes:
-        path: the file.
-        bytes: its size.
-    """
-
-    path: Path
-    bytes: int
+    path: Path  #: The file.
+    bytes: int  #: Its size.
 
 
 def write(

@@ -24,31 +24,19 @@ IntegerArray = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class WriteTime:
-    """Time that the e-beam takes, without blanking, alignment, further stage moves and loading.
+    """Time that the e-beam takes, without blanking, alignment, further stage moves and loading."""
 
-    Attributes:
-        area_um2: exposed area.
-        shapes: exposed shapes.
-        trapezoids: trapezoids of these shapes.
-        shots: shots of the trapezoids; None without a shot size, or where the field is exposed and not the pillars.
-        fields: write fields that hold any.
-        beam_seconds: dose x area / current; longer where the largest rate of shots limits it.
-        settling_seconds: settling of trapezoids and fields.
-        seconds: sum of both.
-        stitching_rms_nm: rms of the drift between neighbouring fields; None without a drift.
-        stitching_max_nm: its largest value.
-    """
-
-    area_um2: float
-    shapes: int
-    trapezoids: int
+    area_um2: float  #: Exposed area.
+    shapes: int  #: Exposed shapes.
+    trapezoids: int  #: Trapezoids of these shapes.
+    #: Shots of the trapezoids; None without a shot size, or where the field is exposed and not the pillars.
     shots: int | None
-    fields: int
-    beam_seconds: float
-    settling_seconds: float
-    seconds: float
-    stitching_rms_nm: float | None = None
-    stitching_max_nm: float | None = None
+    fields: int  #: Write fields that hold any.
+    beam_seconds: float  #: Dose x area / current; longer where the largest rate of shots limits it.
+    settling_seconds: float  #: Settling of trapezoids and fields.
+    seconds: float  #: Sum of both.
+    stitching_rms_nm: float | None = None  #: Rms of the drift between neighbouring fields; None without a drift.
+    stitching_max_nm: float | None = None  #: Its largest value.
 
     @classmethod
     def of(
@@ -93,19 +81,12 @@ class WriteTime:
 
 @dataclass(frozen=True)
 class LensLoad:
-    """Load of one lens on the machine.
+    """Load of one lens on the machine."""
 
-    Attributes:
-        dose: relative to the base dose.
-        area_um2: exposed area.
-        trapezoids: number of trapezoids.
-        shots: number of shots; None if it is not known.
-    """
-
-    dose: float
-    area_um2: float
-    trapezoids: int
-    shots: int | None
+    dose: float  #: Relative to the base dose.
+    area_um2: float  #: Exposed area.
+    trapezoids: int  #: Number of trapezoids.
+    shots: int | None  #: Number of shots; None if it is not known.
 
 
 def beam_seconds(exposure: Exposure, dose: float, area_um2: FloatArray, shots: FloatArray) -> FloatArray:
@@ -126,15 +107,10 @@ def beam_seconds(exposure: Exposure, dose: float, area_um2: FloatArray, shots: F
 
 @dataclass(frozen=True)
 class Fracture:
-    """Trapezoids and shots of each size.
+    """Trapezoids and shots of each size."""
 
-    Attributes:
-        trapezoids: shape (n_sizes + 1,), 0 without a pillar.
-        shots: shape (n_sizes + 1,); None without a shot size.
-    """
-
-    trapezoids: IntegerArray
-    shots: IntegerArray | None
+    trapezoids: IntegerArray  #: Shape (n_sizes + 1,), 0 without a pillar.
+    shots: IntegerArray | None  #: Shape (n_sizes + 1,); None without a shot size.
 
 
 def fracture(polygons: Sequence[NDArray[np.int64]], unit_nm: float, exposure: Exposure) -> Fracture:
@@ -177,25 +153,15 @@ def _trapezoids(polygon: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class FieldTimes:
-    """Write fields in the order of writing, lens by lens.
+    """Write fields in the order of writing, lens by lens."""
 
-    Attributes:
-        lens: shape (n,), number of the lens of ``mask.copies``, from 1.
-        place: shape (n, 2), row and column of the field in its lens.
-        at_um: shape (n, 2), x and y of the field's centre.
-        start_s: shape (n,), time at which it begins.
-        seconds: shape (n,), its duration.
-        drift_nm: shape (n,), drift at the middle of its time.
-        stitching_nm: rms and largest difference of the drift of neighbouring fields of a lens.
-    """
-
-    lens: IntegerArray
-    place: IntegerArray
-    at_um: FloatArray
-    start_s: FloatArray
-    seconds: FloatArray
-    drift_nm: FloatArray
-    stitching_nm: tuple[float, float]
+    lens: IntegerArray  #: Shape (n,), number of the lens of ``mask.copies``, from 1.
+    place: IntegerArray  #: Shape (n, 2), row and column of the field in its lens.
+    at_um: FloatArray  #: Shape (n, 2), x and y of the field's centre.
+    start_s: FloatArray  #: Shape (n,), time at which it begins.
+    seconds: FloatArray  #: Shape (n,), its duration.
+    drift_nm: FloatArray  #: Shape (n,), drift at the middle of its time.
+    stitching_nm: tuple[float, float]  #: Rms and largest difference of the drift of neighbouring fields of a lens.
 
     def table(self) -> list[str]:
         """Lines of ``fields.csv``."""

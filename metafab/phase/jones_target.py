@@ -23,21 +23,14 @@ from metafab.spec import Design
 
 @dataclass(frozen=True)
 class JonesTarget:
-    """Sum of six off-axis lenses, one for each state of :data:`metafab.core.polarisation.STATES`.
+    """Sum of six off-axis lenses, one for each state of :data:`metafab.core.polarisation.STATES`."""
 
-    Attributes:
-        helix: phases of the rotating lobe; the second state of each pair gets the y phase, the conjugate of x.
-        places_um: shape (6, 2), (x, y) of each state's image of the axis on the sensor plane.
-        sensor_distance_um: distance of the sensor plane from the lens.
-        focus_depth_m: depth of the object on the axis that is in focus.
-        wavenumber: vacuum wavenumber, rad/um.
-    """
-
+    #: Phases of the rotating lobe; the second state of each pair gets the y phase, the conjugate of x.
     helix: PhaseProfile
-    places_um: FloatArray
-    sensor_distance_um: float
-    focus_depth_m: float
-    wavenumber: float
+    places_um: FloatArray  #: Shape (6, 2), (x, y) of each state's image of the axis on the sensor plane.
+    sensor_distance_um: float  #: Distance of the sensor plane from the lens.
+    focus_depth_m: float  #: Depth of the object on the axis that is in focus.
+    wavenumber: float  #: Vacuum wavenumber, rad/um.
 
     @classmethod
     def of(cls, design: Design, row_angle_deg: float) -> JonesTarget:

@@ -62,15 +62,11 @@ def phasor(phase_rad: FloatArray) -> ComplexArray:
 
 @dataclass(frozen=True)
 class Pupil:
-    """A square grid of samples over the aperture, point-symmetric about the axis; n samples lie inside.
+    """A square grid of samples over the aperture, point-symmetric about the axis; n samples lie inside."""
 
-    Attributes:
-        samples: samples a side; centres at (2 i + 1) / samples - 1.
-        shape: outline of the aperture; the half side of a square counts as its radius. Rings and polygons are replaced
-            by the whole circle of their diameter.
-    """
-
-    samples: int = 128
+    samples: int = 128  #: Samples a side; centres at (2 i + 1) / samples - 1.
+    #: Outline of the aperture; the half side of a square counts as its radius. Rings and polygons are replaced by the
+    #: whole circle of their diameter.
     shape: Outline = "circle"
 
     @cached_property
@@ -143,17 +139,11 @@ def pupil_field(term: Term, pupil: Pupil, radius_um: float, polarisation: Polari
 
 @dataclass(frozen=True)
 class FocalPlane:
-    """Images of a pupil field on a square window of the focal plane, by a matrix Fourier transform.
+    """Images of a pupil field on a square window of the focal plane, by a matrix Fourier transform."""
 
-    Attributes:
-        pupil: samples of the field.
-        half_width: the window reaches from -half_width to +half_width, optical units.
-        step: distance of the samples, optical units (the Nyquist step of an intensity is pi / 2).
-    """
-
-    pupil: Pupil
-    half_width: float
-    step: float = 0.3
+    pupil: Pupil  #: Samples of the field.
+    half_width: float  #: The window reaches from -half_width to +half_width, optical units.
+    step: float = 0.3  #: Distance of the samples, optical units (the Nyquist step of an intensity is pi / 2).
 
     @cached_property
     def axis(self) -> FloatArray:
@@ -189,18 +179,12 @@ class NyquistImages:
     """Images of pupil fields on a periodic grid at the Nyquist step, and their derivatives over the rim defocus.
 
     The grid has m = 2 samples points a side, zero first, and PSFs of sum 1.
-
-    Attributes:
-        amplitude: shape (..., m, m), not normalised.
-        amplitude_slope: shape (..., m, m), its derivative over the rim defocus, 1/rad.
-        psf: shape (..., m, m).
-        psf_slope: shape (..., m, m), its derivative over the rim defocus, 1/rad.
     """
 
-    amplitude: ComplexArray
-    amplitude_slope: ComplexArray
-    psf: FloatArray
-    psf_slope: FloatArray
+    amplitude: ComplexArray  #: Shape (..., m, m), not normalised.
+    amplitude_slope: ComplexArray  #: Shape (..., m, m), its derivative over the rim defocus, 1/rad.
+    psf: FloatArray  #: Shape (..., m, m).
+    psf_slope: FloatArray  #: Shape (..., m, m), its derivative over the rim defocus, 1/rad.
 
     @classmethod
     def of(cls, pupil: Pupil, field_grid: ComplexArray) -> NyquistImages:

@@ -14,30 +14,19 @@ from metafab.report.run_folder import RunFolder
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage of the loss chain.
+    """A stage of the loss chain."""
 
-    Attributes:
-        name: name of the stage.
-        share: remaining share of the light at the aperture, mean over polarisations and depths.
-    """
-
-    name: str
-    share: float
+    name: str  #: Name of the stage.
+    share: float  #: Remaining share of the light at the aperture, mean over polarisations and depths.
 
 
 @dataclass(frozen=True)
 class DepthPairs:
-    """Decoded and true depth of the segments.
+    """Decoded and true depth of the segments."""
 
-    Attributes:
-        true_m: shape (n,), true depth, median over the pixels of the segment.
-        decoded_m: shape (n,), decoded depth.
-        error_m: shape (n,), standard error of the decoded depth.
-    """
-
-    true_m: FloatArray
-    decoded_m: FloatArray
-    error_m: FloatArray
+    true_m: FloatArray  #: Shape (n,), true depth, median over the pixels of the segment.
+    decoded_m: FloatArray  #: Shape (n,), decoded depth.
+    error_m: FloatArray  #: Shape (n,), standard error of the decoded depth.
 
 
 def loss_chain(run: RunFolder) -> list[Stage]:

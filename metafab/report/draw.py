@@ -33,21 +33,13 @@ _LEAST_NM = 1e-3
 
 @dataclass(frozen=True)
 class Plan:
-    """Plan of a figure.
+    """Plan of a figure."""
 
-    Attributes:
-        name: file name without suffix, and prefix of the identifiers in the SVG.
-        label: text for screen readers.
-        paint: draws on the axes.
-        size_in: width and height in inches.
-        margins_in: left, right, bottom and top margins around the axes.
-    """
-
-    name: str
-    label: str
-    paint: Callable[[Axes], object]
-    size_in: tuple[float, float] = (4.0, 3.1)
-    margins_in: Margins = PLOT
+    name: str  #: File name without suffix, and prefix of the identifiers in the SVG.
+    label: str  #: Text for screen readers.
+    paint: Callable[[Axes], object]  #: Draws on the axes.
+    size_in: tuple[float, float] = (4.0, 3.1)  #: Width and height in inches.
+    margins_in: Margins = PLOT  #: Left, right, bottom and top margins around the axes.
 
     def figure(self) -> Figure:
         """The drawn figure."""

@@ -24,19 +24,13 @@ _ZOOM_SITES = (40, 10)
 
 @dataclass(frozen=True)
 class MaskPicture:
-    """Data of the mask figures.
+    """Data of the mask figures."""
 
-    Attributes:
-        fill: shape (n_y, n_x), share of each block of sites that pillars cover; NaN without pillars.
-        half_side_um: half the width and half the height of ``fill``.
-        zooms: rectangles of each zoom, the wider zoom first; shape (n, 4): x, y, width, length in um.
-        sites_a_pixel: sites along a side of one pixel of ``fill``.
-    """
-
-    fill: FloatArray
-    half_side_um: tuple[float, float]
+    fill: FloatArray  #: Shape (n_y, n_x), share of each block of sites that pillars cover; NaN without pillars.
+    half_side_um: tuple[float, float]  #: Half the width and half the height of ``fill``.
+    #: Rectangles of each zoom, the wider zoom first; shape (n, 4): x, y, width, length in um.
     zooms: tuple[FloatArray, ...]
-    sites_a_pixel: int
+    sites_a_pixel: int  #: Sites along a side of one pixel of ``fill``.
 
     def frames_um(self) -> list[FloatArray]:
         """Frame of each zoom with pillars, shape (4,): left, right, low, high."""

@@ -35,27 +35,16 @@ _MASK_FILES = ("layout.oas", "layout.gds")
 
 @dataclass(frozen=True)
 class DesignOutline:
-    """Main features of ``design.toml``, readable also where files that it names are missing.
+    """Main features of ``design.toml``, readable also where files that it names are missing."""
 
-    Attributes:
-        name: name of the design.
-        aperture_um: size of the aperture.
-        aperture_shape: shape of the aperture.
-        focal_length_mm: focal length.
-        wavelength_nm: vacuum wavelength.
-        terms: names of the phase terms.
-        has_mask: whether the design writes a mask; assumed if unknown.
-        has_scene: whether the design has a scene; assumed if unknown.
-    """
-
-    name: str = ""
-    aperture_um: float | None = None
-    aperture_shape: str = "aperture"
-    focal_length_mm: float | None = None
-    wavelength_nm: float | None = None
-    terms: tuple[str, ...] = ()
-    has_mask: bool = True
-    has_scene: bool = True
+    name: str = ""  #: Name of the design.
+    aperture_um: float | None = None  #: Size of the aperture.
+    aperture_shape: str = "aperture"  #: Shape of the aperture.
+    focal_length_mm: float | None = None  #: Focal length.
+    wavelength_nm: float | None = None  #: Vacuum wavelength.
+    terms: tuple[str, ...] = ()  #: Names of the phase terms.
+    has_mask: bool = True  #: Whether the design writes a mask; assumed if unknown.
+    has_scene: bool = True  #: Whether the design has a scene; assumed if unknown.
 
     @classmethod
     def load(cls, path: Path) -> DesignOutline:
@@ -87,15 +76,10 @@ class DesignOutline:
 
 @dataclass(frozen=True)
 class AperturePhases:
-    """Target phases of both polarisations, sampled over the aperture.
+    """Target phases of both polarisations, sampled over the aperture."""
 
-    Attributes:
-        phase_rad: shape (2, n, n), NaN outside the aperture.
-        half_side_um: half the side of the sampled square.
-    """
-
-    phase_rad: FloatArray
-    half_side_um: float
+    phase_rad: FloatArray  #: Shape (2, n, n), NaN outside the aperture.
+    half_side_um: float  #: Half the side of the sampled square.
 
     @property
     def vary(self) -> bool:
@@ -105,47 +89,26 @@ class AperturePhases:
 
 @dataclass(frozen=True)
 class RunFolder:
-    """Results of a run; None for a file that is missing or unreadable.
+    """Results of a run; None for a file that is missing or unreadable."""
 
-    Attributes:
-        path: the folder.
-        summary: ``summary.json``; empty when missing.
-        design: the validated ``design.toml``.
-        outline: main features of ``design.toml``.
-        library: the library that the summary names.
-        phases: target phases over the aperture.
-        study: study of the phases.
-        pillars: pillars of the written mask.
-        mask_file: name of the mask file that ``pillars`` were read from.
-        psf: PSF pair of the written mask, or of the target phases for a design without a mask.
-        ideal_psf: PSF pair of the target phases.
-        raw: raw frame.
-        decoded: 4D image.
-        exposure: result of ``metafab expose`` on the written mask.
-        coupling: result of ``metafab coupling``.
-        patch: result of ``metafab patch``.
-        comparison: result of ``metafab compare``.
-        notes: reason for each missing result, by its name.
-    """
-
-    path: Path
-    summary: RunSummary = field(default_factory=RunSummary)
-    design: Design | None = None
-    outline: DesignOutline = field(default_factory=DesignOutline)
-    library: Library | None = None
-    phases: AperturePhases | None = None
-    study: PhaseStudy | None = None
-    pillars: PillarMap | None = None
-    mask_file: str = ""
-    psf: Psf | None = None
-    ideal_psf: Psf | None = None
-    raw: RawFrame | None = None
-    decoded: Image4D | None = None
-    exposure: ExposureRecord | None = None
-    coupling: Coupling | None = None
-    patch: Patch | None = None
-    comparison: Comparison | None = None
-    notes: dict[str, str] = field(default_factory=dict)
+    path: Path  #: The folder.
+    summary: RunSummary = field(default_factory=RunSummary)  #: ``summary.json``; empty when missing.
+    design: Design | None = None  #: The validated ``design.toml``.
+    outline: DesignOutline = field(default_factory=DesignOutline)  #: Main features of ``design.toml``.
+    library: Library | None = None  #: The library that the summary names.
+    phases: AperturePhases | None = None  #: Target phases over the aperture.
+    study: PhaseStudy | None = None  #: Study of the phases.
+    pillars: PillarMap | None = None  #: Pillars of the written mask.
+    mask_file: str = ""  #: Name of the mask file that ``pillars`` were read from.
+    psf: Psf | None = None  #: PSF pair of the written mask, or of the target phases for a design without a mask.
+    ideal_psf: Psf | None = None  #: PSF pair of the target phases.
+    raw: RawFrame | None = None  #: Raw frame.
+    decoded: Image4D | None = None  #: 4D image.
+    exposure: ExposureRecord | None = None  #: Result of ``metafab expose`` on the written mask.
+    coupling: Coupling | None = None  #: Result of ``metafab coupling``.
+    patch: Patch | None = None  #: Result of ``metafab patch``.
+    comparison: Comparison | None = None  #: Result of ``metafab compare``.
+    notes: dict[str, str] = field(default_factory=dict)  #: Reason for each missing result, by its name.
 
     @property
     def psf_source(self) -> str:

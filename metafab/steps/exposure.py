@@ -27,34 +27,21 @@ Printed = Literal["plain", "corrected"]
 
 @dataclass(frozen=True)
 class ExposedMask:
-    """Exposure of a written mask.
+    """Exposure of a written mask."""
 
-    Attributes:
-        drawn: pillars of the mask, with their bias.
-        psf: point-spread function of the beam.
-        exposure: printed sizes and doses.
-        plain: size errors with one dose; None unless ``keep_plain``.
-    """
-
-    drawn: PillarMap
-    psf: BeamPsf
-    exposure: Exposure
-    plain: SizeErrors | None = None
+    drawn: PillarMap  #: Pillars of the mask, with their bias.
+    psf: BeamPsf  #: Point-spread function of the beam.
+    exposure: Exposure  #: Printed sizes and doses.
+    plain: SizeErrors | None = None  #: Size errors with one dose; None unless ``keep_plain``.
 
 
 @dataclass(frozen=True)
 class MadeMask:
-    """Light behind the pillars that exposure and etch make of a written mask.
+    """Light behind the pillars that exposure and etch make of a written mask."""
 
-    Attributes:
-        field: the made pillars with their amplitudes, compared with the drawn ones.
-        made: sizes of the pillars.
-        exposure: printed sizes.
-    """
-
-    field: CornerField
-    made: MadePillars
-    exposure: ExposureFigures
+    field: CornerField  #: The made pillars with their amplitudes, compared with the drawn ones.
+    made: MadePillars  #: Sizes of the pillars.
+    exposure: ExposureFigures  #: Printed sizes.
 
 
 def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask:

@@ -25,28 +25,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CaptureFigures:
-    """Figures of a raw frame.
+    """Figures of a raw frame."""
 
-    Attributes:
-        shape: rows and columns; of a batch, frames before them.
-        photons: sum of all pixels, electrons.
-    """
-
-    shape: tuple[int, ...]
-    photons: float
+    shape: tuple[int, ...]  #: Rows and columns; of a batch, frames before them.
+    photons: float  #: Sum of all pixels, electrons.
 
 
 @dataclass(frozen=True)
 class DepthFigures:
-    """Error of the decoded depth, and the decoded segments.
+    """Error of the decoded depth, and the decoded segments."""
 
-    Attributes:
-        nmae: mean |depth error| / depth over pixels, with the depths of their segments; None without truth.
-        segments: depth and contrast of each segment.
-    """
-
+    #: Mean |depth error| / depth over pixels, with the depths of their segments; None without truth.
     nmae: float | None
-    segments: tuple[SegmentFigures, ...]
+    segments: tuple[SegmentFigures, ...]  #: Depth and contrast of each segment.
 
 
 @dataclass(frozen=True)
@@ -61,16 +52,10 @@ class DecodeFigures(DecodingFigures, DepthFigures):
 
 @dataclass(frozen=True)
 class FilmFigures:
-    """Errors and times of a decoded film, one entry for each frame; None where a frame has no truth.
+    """Errors and times of a decoded film, one entry for each frame; None where a frame has no truth."""
 
-    Attributes:
-        frames: number of frames.
-        nmae: mean |depth error| / depth; this and the following are those of :class:`DecodeFigures`.
-        objects: relative depth error of each object, by its number.
-        decode_seconds: time of decoding.
-    """
-
-    frames: int
+    frames: int  #: Number of frames.
+    #: Mean |depth error| / depth; this and the following are those of :class:`DecodeFigures`.
     nmae: tuple[float | None, ...]
     nmae_pixel: tuple[float | None, ...]
     object_error: tuple[float | None, ...]
@@ -78,8 +63,8 @@ class FilmFigures:
     contrast_error: tuple[float | None, ...]
     share_decoded: tuple[float | None, ...]
     changed_share: tuple[float | None, ...]
-    objects: tuple[dict[int, float], ...]
-    decode_seconds: tuple[float | None, ...]
+    objects: tuple[dict[int, float], ...]  #: Relative depth error of each object, by its number.
+    decode_seconds: tuple[float | None, ...]  #: Time of decoding.
 
     @classmethod
     def of(cls, film: Sequence[tuple[RawFrame, Image4D]]) -> FilmFigures:

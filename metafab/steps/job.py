@@ -18,19 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Job:
-    """Design and folder of a run, with the resources for its work.
+    """Design and folder of a run, with the resources for its work."""
 
-    Attributes:
-        design: the validated design.
-        folder: run folder, created when needed.
-        work: workers, cluster and progress.
-        skips: whether steps leave out work that the target errors allow to leave out
-            (:mod:`metafab.steps.summary`).
-    """
-
-    design: Design
-    folder: Path
-    work: Work = Work()
+    design: Design  #: The validated design.
+    folder: Path  #: Run folder, created when needed.
+    work: Work = Work()  #: Workers, cluster and progress.
+    #: Whether steps leave out work that the target errors allow to leave out (:mod:`metafab.steps.summary`).
     skips: bool = True
 
     @cached_property
@@ -48,31 +41,19 @@ def relative_to(folder: Path, path: Path) -> str:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the pipeline.
+    """One step of the pipeline."""
 
-    Attributes:
-        name: name of the step, and of its figures in :class:`metafab.steps.summary.RunSummary`.
-        rooms: packages whose code determines the result.
-        after: names of the earlier steps whose files it uses.
-        inputs: returns the parts of the design that it depends on.
-        outputs: returns the files that it writes.
-        work: runs the step and returns its figures.
-        figures: dataclass of these figures.
-        not_needed: returns why a design does not need the step, or None if it does.
-        reads: files of the run folder that other commands may have written and that the step uses.
-        shows_summary: whether the step reads ``summary.json``, which is then written before it.
-    """
-
-    name: str
-    rooms: tuple[str, ...]
-    after: tuple[str, ...]
-    inputs: Callable[[Design], Any]
-    outputs: Callable[[Job], tuple[Path, ...]]
-    work: Callable[[Job], Any]
-    figures: type
+    name: str  #: Name of the step, and of its figures in :class:`metafab.steps.summary.RunSummary`.
+    rooms: tuple[str, ...]  #: Packages whose code determines the result.
+    after: tuple[str, ...]  #: Names of the earlier steps whose files it uses.
+    inputs: Callable[[Design], Any]  #: Returns the parts of the design that it depends on.
+    outputs: Callable[[Job], tuple[Path, ...]]  #: Returns the files that it writes.
+    work: Callable[[Job], Any]  #: Runs the step and returns its figures.
+    figures: type  #: Dataclass of these figures.
+    #: Returns why a design does not need the step, or None if it does.
     not_needed: Callable[[Design], str | None] = lambda design: None
-    reads: tuple[str, ...] = ()
-    shows_summary: bool = False
+    reads: tuple[str, ...] = ()  #: Files of the run folder that other commands may have written and that the step uses.
+    shows_summary: bool = False  #: Whether the step reads ``summary.json``, which is then written before it.
 
 
 def in_folder(*names: str) -> Callable[[Job], tuple[Path, ...]]:

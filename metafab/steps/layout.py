@@ -14,51 +14,34 @@ from metafab.steps.library import open_library
 
 @dataclass(frozen=True)
 class FileFigures:
-    """Name and size of a written file.
+    """Name and size of a written file."""
 
-    Attributes:
-        name: file name.
-        bytes: size.
-    """
-
-    name: str
-    bytes: int
+    name: str  #: File name.
+    bytes: int  #: Size.
 
 
 @dataclass(frozen=True)
 class LayoutFigures(MappingFigures):
-    """Figures of the mapping and of the written mask files.
+    """Figures of the mapping and of the written mask files."""
 
-    Attributes:
-        offsets_rad: constant phases of x and y polarisation, which suit the library best.
-        files: the mask files.
-        gap_rule_each: figures of the mapping if every pillar kept the gap rule within its own cell; None unless the
-            design asks for ``gap_rule = "pairs"``.
-    """
-
-    offsets_rad: tuple[float, ...]
-    files: tuple[FileFigures, ...]
+    offsets_rad: tuple[float, ...]  #: Constant phases of x and y polarisation, which suit the library best.
+    files: tuple[FileFigures, ...]  #: The mask files.
+    #: Figures of the mapping if every pillar kept the gap rule within its own cell; None unless the design asks for
+    #: ``gap_rule = "pairs"``.
     gap_rule_each: MappingFigures | None = optional()
 
 
 @dataclass(frozen=True)
 class DrcFigures:
-    """Outcome of the design-rule check of all written files.
+    """Outcome of the design-rule check of all written files."""
 
-    Attributes:
-        pillars: pillars that were found.
-        violations: number of violations of each rule, the worst file; ``formats_differ`` counts the files whose
-            pillars differ from those of the first.
-        min_gap_nm: smallest gap between neighbours; None where the engine does not measure it.
-        engine: engine that checked.
-        files: names of the checked files.
-    """
-
-    pillars: int
+    pillars: int  #: Pillars that were found.
+    #: Number of violations of each rule, the worst file; ``formats_differ`` counts the files whose pillars differ from
+    #: those of the first.
     violations: dict[str, int]
-    min_gap_nm: float | None
-    engine: str
-    files: tuple[str, ...]
+    min_gap_nm: float | None  #: Smallest gap between neighbours; None where the engine does not measure it.
+    engine: str  #: Engine that checked.
+    files: tuple[str, ...]  #: Names of the checked files.
 
 
 def mask_paths(job: Job) -> tuple[Path, ...]:

@@ -27,13 +27,9 @@ class LibraryFigures:
     The fields are those of :func:`metafab.library.quality`, of :class:`metafab.library.library.BuildStatistics` and,
     with the prefixes ``neighbours_`` and ``corner_``, of :class:`metafab.library.neighbours.LineStatistics` and
     :class:`metafab.library.corners.CornerStatistics`. A current run imports none of them.
-
-    Attributes:
-        file: path of the library, relative to the run folder.
-        index_phase_error_rad: see :func:`metafab.library.index_phase_error_rad`.
     """
 
-    file: str
+    file: str  #: Path of the library, relative to the run folder.
     coverage_rad: float
     torus_coverage: float
     worst_hole_rad: float
@@ -44,7 +40,7 @@ class LibraryFigures:
     mean_transmittance: float
     mean_overlap: float
     cd_phase_rms_rad: float
-    index_phase_error_rad: float | None
+    index_phase_error_rad: float | None  #: See :func:`metafab.library.index_phase_error_rad`.
     points_solved: int | None = optional()
     points_between: int | None = optional()
     points_total: int | None = optional()

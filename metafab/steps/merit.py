@@ -27,125 +27,82 @@ _FREQUENCIES = 33
 
 @dataclass(frozen=True)
 class ModulationFigures:
-    """Modulation transfer of the pair and of a standard lens, mean over directions.
+    """Modulation transfer of the pair and of a standard lens, mean over directions."""
 
-    Attributes:
-        frequency_per_mm: shape (n,), spatial frequency on the sensor.
-        pair_x: shape (n_depth, n), modulation transfer of PSF_x at each depth.
-        pair_y: shape (n_depth, n), modulation transfer of PSF_y.
-        lens: shape (n_depth, n), modulation transfer of a lens of equal aperture, focused at the focus depth.
-    """
-
-    frequency_per_mm: FloatArray
-    pair_x: FloatArray
-    pair_y: FloatArray
+    frequency_per_mm: FloatArray  #: Shape (n,), spatial frequency on the sensor.
+    pair_x: FloatArray  #: Shape (n_depth, n), modulation transfer of PSF_x at each depth.
+    pair_y: FloatArray  #: Shape (n_depth, n), modulation transfer of PSF_y.
+    #: Shape (n_depth, n), modulation transfer of a lens of equal aperture, focused at the focus depth.
     lens: FloatArray
 
 
 @dataclass(frozen=True)
 class LossChainFigures:
-    """Factors between the light at the aperture and the light through the pinhole.
+    """Factors between the light at the aperture and the light through the pinhole."""
 
-    Attributes:
-        depth_m: verified depth nearest to the focus depth, in vergence.
-        wavefront: overlap of the written field with the target wave.
-        losses: the factors, in order.
-        efficiency: share of the light through the pinhole, x and y polarisation.
-    """
-
-    depth_m: float
-    wavefront: Wavefront
-    losses: tuple[Loss, ...]
-    efficiency: tuple[float, ...]
+    depth_m: float  #: Verified depth nearest to the focus depth, in vergence.
+    wavefront: Wavefront  #: Overlap of the written field with the target wave.
+    losses: tuple[Loss, ...]  #: The factors, in order.
+    efficiency: tuple[float, ...]  #: Share of the light through the pinhole, x and y polarisation.
 
 
 @dataclass(frozen=True)
 class SpaceVarianceFigures:
-    """Image points and aberrations over the field, x and y polarisation.
+    """Image points and aberrations over the field, x and y polarisation."""
 
-    Attributes:
-        depth_m: object depth.
-        tangent_x: shape (n_x,), object directions x/z.
-        tangent_y: shape (n_y,), object directions y/z.
-        defocus_dioptre: shape (2, n_y, n_x), defocus.
-        astigmatism_dioptre: shape (2, n_y, n_x), astigmatism.
-        seen_bias_dioptre: shape (2, n_y, n_x), vergence of the most similar PSF on the axis minus that of the object.
-        distortion_um: shape (2, n_y, n_x, 2), shift (x, y) of the image points from those of a pinhole.
-    """
-
-    depth_m: float
-    tangent_x: FloatArray
-    tangent_y: FloatArray
-    defocus_dioptre: FloatArray
-    astigmatism_dioptre: FloatArray
+    depth_m: float  #: Object depth.
+    tangent_x: FloatArray  #: Shape (n_x,), object directions x/z.
+    tangent_y: FloatArray  #: Shape (n_y,), object directions y/z.
+    defocus_dioptre: FloatArray  #: Shape (2, n_y, n_x), defocus.
+    astigmatism_dioptre: FloatArray  #: Shape (2, n_y, n_x), astigmatism.
+    #: Shape (2, n_y, n_x), vergence of the most similar PSF on the axis minus that of the object.
     seen_bias_dioptre: FloatArray
-    distortion_um: FloatArray
+    distortion_um: FloatArray  #: Shape (2, n_y, n_x, 2), shift (x, y) of the image points from those of a pinhole.
 
 
 @dataclass(frozen=True)
 class MeritFigures:
-    """Figures of merit at the verified depths.
+    """Figures of merit at the verified depths."""
 
-    Attributes:
-        depth_m: object depths.
-        pinhole_um: diameter of the pinhole about the image point.
-        pinhole_efficiency_x: share of the light at the aperture through the pinhole, for each depth; likewise y.
-        ideal_pinhole_efficiency_x: the same for the target phases; likewise y.
-        strehl_x: peak relative to that of the target phases, for each depth; likewise y.
-        main_lobe_x_um: (x, y) of the main lobe of PSF_x from the image point, for each depth; likewise y.
-        rotation_deg: rotation of the pair from the nearest to the farthest depth; ``ideal_rotation_deg``: that of the
-            target phases.
-        depth_of_field_dioptre: range of vergence in which the peak exceeds 80 % of its maximum, x and y polarisation.
-        extinction_ratio: wanted over unwanted power, for each depth.
-        modulation: modulation transfer.
-        loss_chain: losses from the aperture to the pinhole.
-        space_variance: aberrations over the field; None without a field.
-        measured: values measured on the fabricated device; None if the design states none.
-        fwhm_x_um: see :class:`metafab.core.figures.FocusFigures`; this and the next four are copies of ``focus``.
-        focus: the focus of a lens; None for other devices.
-    """
-
-    depth_m: tuple[float, ...]
-    pinhole_um: float
+    depth_m: tuple[float, ...]  #: Object depths.
+    pinhole_um: float  #: Diameter of the pinhole about the image point.
+    #: Share of the light at the aperture through the pinhole, for each depth; likewise y.
     pinhole_efficiency_x: tuple[float, ...]
     pinhole_efficiency_y: tuple[float, ...]
-    ideal_pinhole_efficiency_x: tuple[float, ...]
+    ideal_pinhole_efficiency_x: tuple[float, ...]  #: The same for the target phases; likewise y.
     ideal_pinhole_efficiency_y: tuple[float, ...]
-    strehl_x: tuple[float, ...]
+    strehl_x: tuple[float, ...]  #: Peak relative to that of the target phases, for each depth; likewise y.
     strehl_y: tuple[float, ...]
+    #: (x, y) of the main lobe of PSF_x from the image point, for each depth; likewise y.
     main_lobe_x_um: tuple[tuple[float, ...], ...]
     main_lobe_y_um: tuple[tuple[float, ...], ...]
+    #: Rotation of the pair from the nearest to the farthest depth; ``ideal_rotation_deg``: that of the target phases.
     rotation_deg: float
     ideal_rotation_deg: float
+    #: Range of vergence in which the peak exceeds 80 % of its maximum, x and y polarisation.
     depth_of_field_dioptre: tuple[float, ...]
-    extinction_ratio: tuple[float, ...]
-    modulation: ModulationFigures
-    loss_chain: LossChainFigures
-    space_variance: SpaceVarianceFigures | None
-    measured: Measured | None
+    extinction_ratio: tuple[float, ...]  #: Wanted over unwanted power, for each depth.
+    modulation: ModulationFigures  #: Modulation transfer.
+    loss_chain: LossChainFigures  #: Losses from the aperture to the pinhole.
+    space_variance: SpaceVarianceFigures | None  #: Aberrations over the field; None without a field.
+    measured: Measured | None  #: Values measured on the fabricated device; None if the design states none.
+    #: See :class:`metafab.core.figures.FocusFigures`; this and the next four are copies of ``focus``.
     fwhm_x_um: float | None = optional()
     fwhm_y_um: float | None = optional()
     fwhm_limit_um: float | None = optional()
     strehl: float | None = optional()
     encircled_energy: float | None = optional()
-    focus: FocusFigures | None = optional()
+    focus: FocusFigures | None = optional()  #: The focus of a lens; None for other devices.
 
 
 @dataclass(frozen=True)
 class CouplingFigures:
-    """Error of the local-period approximation, from full-wave simulations of rows of the mask.
+    """Error of the local-period approximation, from full-wave simulations of rows of the mask."""
 
-    Attributes:
-        coupling_error: relative L2 error of the field.
-        efficiency_ratio: power in the focusing order relative to that of the stitched library.
-        rows: simulated rows.
-        solvers: names of the solvers.
-    """
-
-    coupling_error: float
-    efficiency_ratio: float
-    rows: int
-    solvers: tuple[str, ...]
+    coupling_error: float  #: Relative L2 error of the field.
+    efficiency_ratio: float  #: Power in the focusing order relative to that of the stitched library.
+    rows: int  #: Simulated rows.
+    solvers: tuple[str, ...]  #: Names of the solvers.
 
 
 def recorded_coupling(job: Job) -> CouplingFigures | None:

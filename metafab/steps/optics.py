@@ -43,36 +43,29 @@ SMALLEST_MARGIN = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class PairFigures:
-    """Figures of a PSF pair over depth, and the power budget at its middle depth.
+    """Figures of a PSF pair over depth, and the power budget at its middle depth."""
 
-    Attributes:
-        depth_m: object depths; the next five hold one value for each of them.
-        phi_deg: orientation of the main lobe of PSF_x, degrees counter-clockwise from +x.
-        efficiency_x: share of the power at the aperture in the window of PSF_x; likewise ``efficiency_y``.
-        extinction_ratio: wanted over unwanted power in the window of PSF_x.
-        error: relative L2 error of the PSFs.
-        ghost_x: share of y polarised power that a birefringent substrate brings into the window of PSF_x, one value for
-            each depth; likewise ``ghost_y``. None without such a substrate.
-        transmitted_x: share of the power at the aperture that the mask transmits; ``stray_x``: transmitted share
-            outside the window; ``lost_x``: share not transmitted. Likewise for y; None for a pair without a budget.
-        light_at_um: (x, y) on the sensor, from the axis, of the brightest place of x and of y polarised light; None
-            where the windows hold the light.
-    """
-
-    depth_m: tuple[float, ...]
-    phi_deg: tuple[float, ...]
+    depth_m: tuple[float, ...]  #: Object depths; the next five hold one value for each of them.
+    phi_deg: tuple[float, ...]  #: Orientation of the main lobe of PSF_x, degrees counter-clockwise from +x.
+    #: Share of the power at the aperture in the window of PSF_x; likewise ``efficiency_y``.
     efficiency_x: tuple[float, ...]
     efficiency_y: tuple[float, ...]
-    extinction_ratio: tuple[float, ...]
-    error: tuple[float, ...]
+    extinction_ratio: tuple[float, ...]  #: Wanted over unwanted power in the window of PSF_x.
+    error: tuple[float, ...]  #: Relative L2 error of the PSFs.
+    #: Share of y polarised power that a birefringent substrate brings into the window of PSF_x, one value for each
+    #: depth; likewise ``ghost_y``. None without such a substrate.
     ghost_x: tuple[float, ...] | None = optional()
     ghost_y: tuple[float, ...] | None = optional()
+    #: Share of the power at the aperture that the mask transmits; ``stray_x``: transmitted share outside the window;
+    #: ``lost_x``: share not transmitted. Likewise for y; None for a pair without a budget.
     transmitted_x: float | None = optional()
     stray_x: float | None = optional()
     lost_x: float | None = optional()
     transmitted_y: float | None = optional()
     stray_y: float | None = optional()
     lost_y: float | None = optional()
+    #: (x, y) on the sensor, from the axis, of the brightest place of x and of y polarised light; None where the windows
+    #: hold the light.
     light_at_um: tuple[tuple[float, ...], ...] | None = optional()
 
     @classmethod
@@ -96,34 +89,27 @@ class PairFigures:
 
 @dataclass(frozen=True, kw_only=True)
 class PsfFigures(PairFigures):
-    """Figures of the pair of a run at the verified depths, compared with the target phases.
+    """Figures of the pair of a run at the verified depths, compared with the target phases."""
 
-    Attributes:
-        ideal_phi_deg: this and the other names that begin with ``ideal_`` are the figures of the target phases, one
-            value for each depth; None without a mask, where the pair itself is that of the target phases.
-        depth_interpolation_error: relative L2 error of PSFs interpolated over depth; None where no verified depth lies
-            between other depths.
-        field_interpolation_error: relative L2 error of PSFs interpolated over the field; None without a field.
-        depths: depths of the stored pair.
-        block_sites: lattice sites along the side of a block of the pupil; ``blocks``: number of blocks. These and the
-            following are None for a pair that was not computed by :func:`metafab.optics.psf`.
-        field_error: relative L2 error of the PSFs over the field; NaN without a field.
-        filter_fwhm_nm: width of the colour filter; None for one wavelength.
-        with_neighbours: True where the library's model of unlike neighbours gave the light of the pillars, else None.
-    """
-
+    #: Relative L2 error of PSFs interpolated over depth; None where no verified depth lies between other depths.
     depth_interpolation_error: float | None
+    #: Relative L2 error of PSFs interpolated over the field; None without a field.
     field_interpolation_error: float | None
-    depths: int
+    depths: int  #: Depths of the stored pair.
+    #: Lattice sites along the side of a block of the pupil; ``blocks``: number of blocks. These and the following are
+    #: None for a pair that was not computed by :func:`metafab.optics.psf`.
     block_sites: float | None = optional()
     blocks: float | None = optional()
-    field_error: float | None = optional()
+    field_error: float | None = optional()  #: Relative L2 error of the PSFs over the field; NaN without a field.
+    #: This and the other names that begin with ``ideal_`` are the figures of the target phases, one value for each
+    #: depth; None without a mask, where the pair itself is that of the target phases.
     ideal_phi_deg: tuple[float, ...] | None = optional()
     ideal_efficiency_x: tuple[float, ...] | None = optional()
     ideal_efficiency_y: tuple[float, ...] | None = optional()
     ideal_extinction_ratio: tuple[float, ...] | None = optional()
     ideal_error: tuple[float, ...] | None = optional()
-    filter_fwhm_nm: float | None = optional()
+    filter_fwhm_nm: float | None = optional()  #: Width of the colour filter; None for one wavelength.
+    #: True where the library's model of unlike neighbours gave the light of the pillars, else None.
     with_neighbours: bool | None = optional()
 
     @classmethod

@@ -14,34 +14,21 @@ from metafab.steps.job import Job, Step, in_folder
 
 @dataclass(frozen=True)
 class FilterFigures:
-    """Key figures of a :class:`metafab.phase.studies.bandwidth.BandwidthBudget`.
+    """Key figures of a :class:`metafab.phase.studies.bandwidth.BandwidthBudget`."""
 
-    Attributes:
-        filter_fwhm_nm: full width of the filter.
-        dispersion_um_per_nm: shift of an image along the split per nanometre.
-        smear_um: spread of a point along the split.
-        information_kept: information over that of one wavelength with the same electrons.
-        depth_error_factor: Cramer-Rao bound of depth over that of one wavelength.
-        remedies: effective changes, the most effective first.
-    """
-
-    filter_fwhm_nm: float
-    dispersion_um_per_nm: float
-    smear_um: float
-    information_kept: float
-    depth_error_factor: float
-    remedies: tuple[Remedy, ...]
+    filter_fwhm_nm: float  #: Full width of the filter.
+    dispersion_um_per_nm: float  #: Shift of an image along the split per nanometre.
+    smear_um: float  #: Spread of a point along the split.
+    information_kept: float  #: Information over that of one wavelength with the same electrons.
+    depth_error_factor: float  #: Cramer-Rao bound of depth over that of one wavelength.
+    remedies: tuple[Remedy, ...]  #: Effective changes, the most effective first.
 
 
 @dataclass(frozen=True)
 class StudyFigures:
-    """Figures of the phase study.
+    """Figures of the phase study."""
 
-    Attributes:
-        bandwidth: cost of the colour filter; None without a filter.
-    """
-
-    bandwidth: FilterFigures | None = optional()
+    bandwidth: FilterFigures | None = optional()  #: Cost of the colour filter; None without a filter.
 
 
 def _phase(job: Job) -> PhaseFigures:

@@ -11,13 +11,9 @@ from metafab.steps.job import Job, Step
 
 @dataclass(frozen=True)
 class PreflightFigures:
-    """Outcome of the checks.
+    """Outcome of the checks."""
 
-    Attributes:
-        announcements: sentences for the user about long work and large files.
-    """
-
-    announcements: tuple[str, ...]
+    announcements: tuple[str, ...]  #: Sentences for the user about long work and large files.
 
 
 def preflight(design: Design) -> None:

@@ -28,39 +28,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StokesRun:
-    """Result of a full-Stokes run.
+    """Result of a full-Stokes run."""
 
-    Attributes:
-        frame: six images of the design's scene.
-        image: depth and Stokes vectors decoded from them.
-        errors: errors of the image against the scene.
-        pillars: number of pillars.
-        distinct: number of distinct sizes and angles.
-        angles: angles in half a turn that pillars may have.
-        overlap: overlap of the pillars' Jones matrices with the target, 0 to 1.
-        states: names of the six states.
-        efficiency: shape (6,), share of each state's power in its window, of the written pillars.
-        extinction_ratio: shape (6,), efficiency over the share of the orthogonal state.
-        ideal_efficiency: shape (6,), efficiency of perfect pillars.
-        condition_number: of the instrument matrix.
-        files: the mask files.
-        mask: provenance, counts and areas of the mask, as in ``layout.json``.
-    """
-
-    frame: StokesFrame
-    image: StokesImage
-    errors: StokesErrors
-    pillars: int
-    distinct: int
-    angles: int
-    overlap: float
-    states: tuple[str, ...]
-    efficiency: FloatArray
-    extinction_ratio: FloatArray
-    ideal_efficiency: FloatArray
-    condition_number: float
-    files: tuple[FileFigures, ...]
-    mask: dict[str, Any]
+    frame: StokesFrame  #: Six images of the design's scene.
+    image: StokesImage  #: Depth and Stokes vectors decoded from them.
+    errors: StokesErrors  #: Errors of the image against the scene.
+    pillars: int  #: Number of pillars.
+    distinct: int  #: Number of distinct sizes and angles.
+    angles: int  #: Angles in half a turn that pillars may have.
+    overlap: float  #: Overlap of the pillars' Jones matrices with the target, 0 to 1.
+    states: tuple[str, ...]  #: Names of the six states.
+    efficiency: FloatArray  #: Shape (6,), share of each state's power in its window, of the written pillars.
+    extinction_ratio: FloatArray  #: Shape (6,), efficiency over the share of the orthogonal state.
+    ideal_efficiency: FloatArray  #: Shape (6,), efficiency of perfect pillars.
+    condition_number: float  #: Of the instrument matrix.
+    files: tuple[FileFigures, ...]  #: The mask files.
+    mask: dict[str, Any]  #: Provenance, counts and areas of the mask, as in ``layout.json``.
 
     def to_json(self) -> dict[str, Any]:
         """Contents of ``stokes.json``: all attributes but frame and image, the errors among them."""

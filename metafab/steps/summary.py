@@ -28,57 +28,35 @@ UNCHANGED = "its inputs and its files are unchanged"
 
 @dataclass(frozen=True)
 class BudgetLine:
-    """One source of error.
+    """One source of error."""
 
-    Attributes:
-        source: name of the source.
-        value: the error; None where this run did not measure it.
-        unit: unit of the error.
-        how: method of the measurement.
-    """
-
-    source: str
-    value: float | None
-    unit: str
-    how: str
+    source: str  #: Name of the source.
+    value: float | None  #: The error; None where this run did not measure it.
+    unit: str  #: Unit of the error.
+    how: str  #: Method of the measurement.
 
 
 @dataclass(frozen=True)
 class SkippedStep:
-    """A step that was not run.
+    """A step that was not run."""
 
-    Attributes:
-        step: its name.
-        why: the reason.
-        saved_s: time of the step when it ran last; None for a step that the design does not need.
-    """
-
-    step: str
-    why: str
+    step: str  #: Its name.
+    why: str  #: The reason.
+    #: Time of the step when it ran last; None for a step that the design does not need.
     saved_s: float | None = optional()
 
 
 @dataclass(frozen=True)
 class Saving:
-    """Work that a step left out.
+    """Work that a step left out."""
 
-    Attributes:
-        step: name of the step.
-        what: the pieces of work.
-        computed: number of pieces that were computed.
-        of: number of pieces without the saving; None for a continuous range.
-        why: reason for which the others need not be computed.
-        error: measured error of leaving them out; None where nothing is lost.
-        error_of: quantity of that error.
-    """
-
-    step: str
-    what: str
-    computed: int
-    of: int | None
-    why: str
-    error: float | None = optional()
-    error_of: str | None = optional()
+    step: str  #: Name of the step.
+    what: str  #: The pieces of work.
+    computed: int  #: Number of pieces that were computed.
+    of: int | None  #: Number of pieces without the saving; None for a continuous range.
+    why: str  #: Reason for which the others need not be computed.
+    error: float | None = optional()  #: Measured error of leaving them out; None where nothing is lost.
+    error_of: str | None = optional()  #: Quantity of that error.
 
     @property
     def share_left_out(self) -> float | None:
@@ -88,22 +66,10 @@ class Saving:
 
 @dataclass(frozen=True)
 class RunSummary:
-    """Figures of all steps of a run, as in ``summary.json``.
+    """Figures of all steps of a run, as in ``summary.json``."""
 
-    Attributes:
-        name: name of the design.
-        library: figures of the step of that name, None where the design does not need it; likewise to ``decode``.
-        seconds: time of each step when it ran.
-        peak_rss_mb: peak memory of each step when it ran.
-        skipped: steps that this run skipped.
-        saved: work that the steps left out, in the order of the pipeline.
-        versions: versions of metafab, Python and the libraries.
-        coupling: figures of ``metafab coupling``; None where it was not run on this mask.
-        error_budget: sources of error, in the order of the pipeline.
-        modified_ns: time of the last change of each file when its step had written it, by its name in ``steps.json``.
-    """
-
-    name: str = ""
+    name: str = ""  #: Name of the design.
+    #: Figures of the step of that name, None where the design does not need it; likewise to ``decode``.
     library: LibraryFigures | None = None
     phase: PhaseFigures | None = None
     study: StudyFigures | None = None
@@ -114,13 +80,14 @@ class RunSummary:
     tolerance: ToleranceTable | None = None
     capture: CaptureFigures | None = None
     decode: DecodeFigures | None = None
-    seconds: dict[str, float] = field(default_factory=dict)
-    peak_rss_mb: dict[str, float] = field(default_factory=dict)
-    skipped: tuple[SkippedStep, ...] = ()
-    saved: tuple[Saving, ...] = ()
-    versions: dict[str, str] = field(default_factory=dict)
-    coupling: CouplingFigures | None = None
-    error_budget: tuple[BudgetLine, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)  #: Time of each step when it ran.
+    peak_rss_mb: dict[str, float] = field(default_factory=dict)  #: Peak memory of each step when it ran.
+    skipped: tuple[SkippedStep, ...] = ()  #: Steps that this run skipped.
+    saved: tuple[Saving, ...] = ()  #: Work that the steps left out, in the order of the pipeline.
+    versions: dict[str, str] = field(default_factory=dict)  #: Versions of metafab, Python and the libraries.
+    coupling: CouplingFigures | None = None  #: Figures of ``metafab coupling``; None where it was not run on this mask.
+    error_budget: tuple[BudgetLine, ...] = ()  #: Sources of error, in the order of the pipeline.
+    #: Time of the last change of each file when its step had written it, by its name in ``steps.json``.
     modified_ns: dict[str, int] = field(default_factory=dict)
 
     @property

@@ -25,17 +25,11 @@ _ROOM = 2.0
 
 @dataclass(frozen=True)
 class Draw:
-    """A frame of one of several scenes.
+    """A frame of one of several scenes."""
 
-    Attributes:
-        scene: number of the scene from 0.
-        seed: seed of its textures and noise.
-        frame: the frame with its truth.
-    """
-
-    scene: int
-    seed: int
-    frame: RawFrame
+    scene: int  #: Number of the scene from 0.
+    seed: int  #: Seed of its textures and noise.
+    frame: RawFrame  #: The frame with its truth.
 
 
 def save_batch(

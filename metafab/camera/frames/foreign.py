@@ -25,18 +25,12 @@ _SPIKE = 4.0
 
 @dataclass(frozen=True)
 class Counts:
-    """Meaning of a camera's counts; by default they are electrons.
+    """Meaning of a camera's counts; by default they are electrons."""
 
-    Attributes:
-        black: counts of a pixel without light.
-        electrons_per_count: gain.
-        read_noise_e: standard deviation without light, electrons.
-        white: counts of a saturated pixel; by default the largest of the file type, or a value that many pixels share.
-    """
-
-    black: float = 0.0
-    electrons_per_count: float = 1.0
-    read_noise_e: float = 0.0
+    black: float = 0.0  #: Counts of a pixel without light.
+    electrons_per_count: float = 1.0  #: Gain.
+    read_noise_e: float = 0.0  #: Standard deviation without light, electrons.
+    #: Counts of a saturated pixel; by default the largest of the file type, or a value that many pixels share.
     white: float | None = None
 
     def electrons(self, counts: FloatArray | float) -> FloatArray:

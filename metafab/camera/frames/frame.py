@@ -18,19 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Truth:
-    """The result of a perfect decoder, on the geometric image grid of the x polarisation.
+    """The result of a perfect decoder, on the geometric image grid of the x polarisation."""
 
-    Attributes:
-        depth_m: shape (n_y, n_x), NaN where the scene is empty.
-        intensity_x: shape (n_y, n_x), mean electrons of x-polarised light.
-        intensity_y: shape (n_y, n_x), mean electrons of y-polarised light.
-        label: shape (n_y, n_x), number of the object from 1, 0 for none.
-    """
-
-    depth_m: FloatArray
-    intensity_x: FloatArray
-    intensity_y: FloatArray
-    label: NDArray[np.int32]
+    depth_m: FloatArray  #: Shape (n_y, n_x), NaN where the scene is empty.
+    intensity_x: FloatArray  #: Shape (n_y, n_x), mean electrons of x-polarised light.
+    intensity_y: FloatArray  #: Shape (n_y, n_x), mean electrons of y-polarised light.
+    label: NDArray[np.int32]  #: Shape (n_y, n_x), number of the object from 1, 0 for none.
 
 
 @dataclass(frozen=True, repr=False)

@@ -24,21 +24,13 @@ _DARK = 1e-30
 
 @dataclass(frozen=True)
 class FieldBlur:
-    """The blur of one depth and polarisation.
+    """The blur of one depth and polarisation."""
 
-    Attributes:
-        basis: shape (n_basis, n_y, n_x), basis kernels.
-        coefficients: shape (n_field_y, n_field_x, n_basis), coefficients of each field point's kernel.
-        throughput: shape (n_field_y, n_field_x), sum of each field point's kernel.
-        veil_count: number of leading basis kernels that suffice for veils.
-        kernels: the calibration, for its field weights.
-    """
-
-    basis: FloatArray
-    coefficients: FloatArray
-    throughput: FloatArray
-    veil_count: int
-    kernels: PairKernels
+    basis: FloatArray  #: Shape (n_basis, n_y, n_x), basis kernels.
+    coefficients: FloatArray  #: Shape (n_field_y, n_field_x, n_basis), coefficients of each field point's kernel.
+    throughput: FloatArray  #: Shape (n_field_y, n_field_x), sum of each field point's kernel.
+    veil_count: int  #: Number of leading basis kernels that suffice for veils.
+    kernels: PairKernels  #: The calibration, for its field weights.
 
     @classmethod
     def at_depth(cls, kernels: PairKernels, depth_m: float) -> tuple[FieldBlur, FieldBlur]:

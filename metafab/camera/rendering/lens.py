@@ -23,21 +23,13 @@ _MOST_BLURS = 256
 
 @dataclass(frozen=True)
 class Layer:
-    """The light of one object in an image.
+    """The light of one object in an image."""
 
-    Attributes:
-        rows: rows of the image, margin included.
-        columns: columns of the image.
-        light: shape (n_rows, n_columns), electrons.
-        mask: what the object hides; None for one out of sight.
-        flux: shape of the mask, electrons that it would send if nothing stood before it.
-    """
-
-    rows: slice
-    columns: slice
-    light: FloatArray
-    mask: Occluder | None
-    flux: FloatArray
+    rows: slice  #: Rows of the image, margin included.
+    columns: slice  #: Columns of the image.
+    light: FloatArray  #: Shape (n_rows, n_columns), electrons.
+    mask: Occluder | None  #: What the object hides; None for one out of sight.
+    flux: FloatArray  #: Shape of the mask, electrons that it would send if nothing stood before it.
 
     @classmethod
     def empty(cls) -> Layer:
@@ -47,23 +39,18 @@ class Layer:
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens that blurs scenes, and the blurred layers that later frames of a film share.
+    """A lens that blurs scenes, and the blurred layers that later frames of a film share."""
 
-    Attributes:
-        kernels: the PSF pair.
-        windows: of the x and the y image.
-        blurs: blurs of both polarisations by depth.
-        still: layers of the objects that do not move, by (polarisation, number): each is blurred once in a film, with
-            what other objects at rest hide of it.
-        picture: picture with its depth that is photographed in place of objects; it does not move.
-        crossed: whether the kernels are of each image for light of the other polarisation, the ghosts of a substrate.
-    """
-
-    kernels: PairKernels
-    windows: tuple[Window, Window]
+    kernels: PairKernels  #: The PSF pair.
+    windows: tuple[Window, Window]  #: Of the x and the y image.
+    #: Blurs of both polarisations by depth.
     blurs: dict[float, tuple[FieldBlur, FieldBlur]] = field(default_factory=dict)
+    #: Layers of the objects that do not move, by (polarisation, number): each is blurred once in a film, with what
+    #: other objects at rest hide of it.
     still: dict[tuple[int, int], Layer] = field(default_factory=dict)
+    #: Picture with its depth that is photographed in place of objects; it does not move.
     picture: DepthPicture | None = None
+    #: Whether the kernels are of each image for light of the other polarisation, the ghosts of a substrate.
     crossed: bool = False
 
     @property

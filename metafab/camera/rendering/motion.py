@@ -38,17 +38,11 @@ def moved(scene: Scene, time_s: float) -> Scene:
 
 @dataclass(frozen=True)
 class Shutter:
-    """Instants of a moving scene whose mean is the exposure of one frame, row by row.
+    """Instants of a moving scene whose mean is the exposure of one frame, row by row."""
 
-    Attributes:
-        instants_s: shape (n_instants,), middles of equal parts of the frame's time.
-        weights: shape (n_rows, n_instants), share of each instant in each row's exposure; rows sum to 1.
-        middle_s: shape (n_rows,), middle of each row's exposure.
-    """
-
-    instants_s: FloatArray
-    weights: FloatArray
-    middle_s: FloatArray
+    instants_s: FloatArray  #: Shape (n_instants,), middles of equal parts of the frame's time.
+    weights: FloatArray  #: Shape (n_rows, n_instants), share of each instant in each row's exposure; rows sum to 1.
+    middle_s: FloatArray  #: Shape (n_rows,), middle of each row's exposure.
 
     @classmethod
     def of(cls, scene: Scene, start_s: float, rows: int, pixel_tangent: float) -> Shutter:

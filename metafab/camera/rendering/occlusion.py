@@ -31,21 +31,13 @@ _STEPS = 2
 
 @dataclass(frozen=True)
 class Occluder:
-    """Mask of a surface on a part of a pixel grid.
+    """Mask of a surface on a part of a pixel grid."""
 
-    Attributes:
-        rows: rows of the grid.
-        columns: columns of the grid.
-        coverage: shape (n_y, n_x), share of each pixel that the surface covers.
-        vergence_per_m: shape (n_y, n_x), 1/depth; beyond the outline, that of the nearest covered pixel.
-        moves: whether the surface moves.
-    """
-
-    rows: slice
-    columns: slice
-    coverage: FloatArray
-    vergence_per_m: FloatArray
-    moves: bool = False
+    rows: slice  #: Rows of the grid.
+    columns: slice  #: Columns of the grid.
+    coverage: FloatArray  #: Shape (n_y, n_x), share of each pixel that the surface covers.
+    vergence_per_m: FloatArray  #: Shape (n_y, n_x), 1/depth; beyond the outline, that of the nearest covered pixel.
+    moves: bool = False  #: Whether the surface moves.
 
     @classmethod
     def of(cls, piece: Piece, *, moves: bool = False) -> Occluder:

@@ -43,19 +43,12 @@ def require_objects(scene: Scene) -> None:
 
 @dataclass(frozen=True)
 class DepthPicture:
-    """A picture with its depth on the pixels of a field.
+    """A picture with its depth on the pixels of a field."""
 
-    Attributes:
-        brightness: shape (n_y, n_x), mean 1, top row first.
-        depth_m: shape (n_y, n_x), nearest neighbour of the file's; NaN for a hole.
-        contrast: shape (n_y, n_x), I_x / I_y.
-        extent: (x/z, y/z) from the middle to the sides.
-    """
-
-    brightness: FloatArray
-    depth_m: FloatArray
-    contrast: FloatArray
-    extent: tuple[float, float]
+    brightness: FloatArray  #: Shape (n_y, n_x), mean 1, top row first.
+    depth_m: FloatArray  #: Shape (n_y, n_x), nearest neighbour of the file's; NaN for a hole.
+    contrast: FloatArray  #: Shape (n_y, n_x), I_x / I_y.
+    extent: tuple[float, float]  #: (x/z, y/z) from the middle to the sides.
 
     @classmethod
     def of(cls, scene: Scene, pixel_tangent: float) -> DepthPicture:

@@ -21,26 +21,16 @@ _TILT_STEP = 0.004
 
 @dataclass(frozen=True)
 class Piece:
-    """One object on a part of a pixel grid, before any blur.
+    """One object on a part of a pixel grid, before any blur."""
 
-    Attributes:
-        label: number of the object from 1.
-        depth_m: shape (n_steps,), depths of its steps; one for a flat object.
-        rows: rows of the grid that the part covers.
-        columns: columns of the grid that the part covers.
-        coverage: shape (n_steps, n_y, n_x), share of each pixel that each step covers.
-        brightness: shape (n_steps, n_y, n_x), coverage times texture times the object's brightness, mean of both
-            polarisations.
-        share: (x, y) factors of the two polarisations; their mean is 1.
-    """
-
-    label: int
-    depth_m: FloatArray
-    rows: slice
-    columns: slice
-    coverage: FloatArray
+    label: int  #: Number of the object from 1.
+    depth_m: FloatArray  #: Shape (n_steps,), depths of its steps; one for a flat object.
+    rows: slice  #: Rows of the grid that the part covers.
+    columns: slice  #: Columns of the grid that the part covers.
+    coverage: FloatArray  #: Shape (n_steps, n_y, n_x), share of each pixel that each step covers.
+    #: Shape (n_steps, n_y, n_x), coverage times texture times the object's brightness, mean of both polarisations.
     brightness: FloatArray
-    share: tuple[float, float]
+    share: tuple[float, float]  #: (x, y) factors of the two polarisations; their mean is 1.
 
     @property
     def mean_depth_m(self) -> FloatArray:
@@ -51,15 +41,10 @@ class Piece:
 
 @dataclass(frozen=True)
 class Renderer:
-    """A scene with its textures, which are drawn once for both polarisations and all frames.
+    """A scene with its textures, which are drawn once for both polarisations and all frames."""
 
-    Attributes:
-        scene: objects and light.
-        textures: texture of each object.
-    """
-
-    scene: Scene
-    textures: tuple[Texture, ...]
+    scene: Scene  #: Objects and light.
+    textures: tuple[Texture, ...]  #: Texture of each object.
 
     @classmethod
     def of(cls, scene: Scene, pixel_tangent: float, seed: int) -> Renderer:

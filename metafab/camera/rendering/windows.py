@@ -17,23 +17,14 @@ from metafab.spec.scene import Scene
 
 @dataclass(frozen=True)
 class Window:
-    """A rectangle of sensor pixels, with the direction whose geometric image each pixel is.
+    """A rectangle of sensor pixels, with the direction whose geometric image each pixel is."""
 
-    Attributes:
-        column: sensor column (x_um / pixel_um) of the first pixel.
-        row: sensor row of the first pixel.
-        tangent_x: shape (n_y, n_x), x/z of the direction.
-        tangent_y: shape (n_y, n_x), y/z of the direction.
-        stop: shape (n_y, n_x), transmission of the field stop, 0 to 1.
-        gain: shape (n_y, n_x), electrons at brightness 1: those on the axis times the pixel's solid angle and the
-            vignetting.
-    """
-
-    column: int
-    row: int
-    tangent_x: FloatArray
-    tangent_y: FloatArray
-    stop: FloatArray
+    column: int  #: Sensor column (x_um / pixel_um) of the first pixel.
+    row: int  #: Sensor row of the first pixel.
+    tangent_x: FloatArray  #: Shape (n_y, n_x), x/z of the direction.
+    tangent_y: FloatArray  #: Shape (n_y, n_x), y/z of the direction.
+    stop: FloatArray  #: Shape (n_y, n_x), transmission of the field stop, 0 to 1.
+    #: Shape (n_y, n_x), electrons at brightness 1: those on the axis times the pixel's solid angle and the vignetting.
     gain: FloatArray
 
     @classmethod

@@ -31,17 +31,12 @@ _STEP_NM = 0.02
 
 @dataclass(frozen=True)
 class OrderGradients:
-    """Orders of a supercell for one incident polarisation, and derivatives of functionals of them.
+    """Orders of a supercell for one incident polarisation, and derivatives of functionals of them."""
 
-    Attributes:
-        order: shape (n_orders, 2).
-        t: shape (n_orders, 2), E_x and E_y of each order over incident E.
-        gradient: shape (k, n_y, n_x, 2), derivative of the sum of weights times ``t`` by the width and the length of
-            each pillar, 1/nm; 0 at sites without a pillar.
-    """
-
-    order: IntArray
-    t: ComplexArray
+    order: IntArray  #: Shape (n_orders, 2).
+    t: ComplexArray  #: Shape (n_orders, 2), E_x and E_y of each order over incident E.
+    #: Shape (k, n_y, n_x, 2), derivative of the sum of weights times ``t`` by the width and the length of each pillar,
+    #: 1/nm; 0 at sites without a pillar.
     gradient: ComplexArray
 
 
@@ -96,27 +91,16 @@ def _gradients(adjoints: list[_Adjoint], supercell: Supercell, basis: Basis) -> 
 
 @dataclass(frozen=True)
 class _Solved:
-    """A solved supercell: all that the functionals of its orders share.
+    """A solved supercell: all that the functionals of its orders share."""
 
-    Attributes:
-        cell: materials and light.
-        axis: index of the incident polarisation.
-        waves: plane waves and transmitted orders.
-        layer: P, Q and overlaps.
-        system: equations at both faces.
-        fields: shape (2, N), e at both faces.
-        inverse: shape (N, N), inverse of the Gram matrix of E.
-        lifted: shape (N, n_z), D S_eps^-1.
-    """
-
-    cell: PillarCell
-    axis: int
-    waves: Waves
-    layer: Layer
-    system: FaceSystem
-    fields: ComplexArray
-    inverse: Matrix
-    lifted: Matrix
+    cell: PillarCell  #: Materials and light.
+    axis: int  #: Index of the incident polarisation.
+    waves: Waves  #: Plane waves and transmitted orders.
+    layer: Layer  #: P, Q and overlaps.
+    system: FaceSystem  #: Equations at both faces.
+    fields: ComplexArray  #: Shape (2, N), e at both faces.
+    inverse: Matrix  #: Shape (N, N), inverse of the Gram matrix of E.
+    lifted: Matrix  #: Shape (N, n_z), D S_eps^-1.
 
     @classmethod
     def of(cls, supercell: Supercell, light: Polarisation, basis: Basis, order: IntArray) -> _Solved:

@@ -28,39 +28,26 @@ from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Po
 
 @dataclass(frozen=True)
 class RealWaves:
-    """Plane waves of one kind, TM or TE: cos or sin of k_x x times cos or sin of k_y y, normalised over the period.
+    """Plane waves of one kind, TM or TE: cos or sin of k_x x times cos or sin of k_y y, normalised over the period."""
 
-    Attributes:
-        k_squared: shape (n,), in-plane wave number squared, 1/nm^2.
-        overlap: shape (n, N), integral of each function of E and the unit field along (TM) or across (TE) the wave
-            vector; 0 for k = 0.
-    """
-
-    k_squared: FloatArray
+    k_squared: FloatArray  #: Shape (n,), in-plane wave number squared, 1/nm^2.
+    #: Shape (n, N), integral of each function of E and the unit field along (TM) or across (TE) the wave vector; 0 for
+    #: k = 0.
     overlap: FloatArray
 
 
 @dataclass(frozen=True)
 class Layer:
-    """A supercell in a basis of N functions of the transverse E.
+    """A supercell in a basis of N functions of the transverse E."""
 
-    Attributes:
-        p: shape (N, N).
-        q: shape (N, N).
-        tm: overlaps with TM waves.
-        te: overlaps with TE waves.
-        uniform: shape (2, N), integral of E_x and of E_y of each function over the period, over its root.
-        orders: shape (n_orders, 2, N), mean over the period of E_x and E_y times exp(-i k r) of each order.
-        area_nm2: area of the period.
-    """
-
-    p: Matrix
-    q: Matrix
-    tm: RealWaves
-    te: RealWaves
-    uniform: FloatArray
+    p: Matrix  #: Shape (N, N).
+    q: Matrix  #: Shape (N, N).
+    tm: RealWaves  #: Overlaps with TM waves.
+    te: RealWaves  #: Overlaps with TE waves.
+    uniform: FloatArray  #: Shape (2, N), integral of E_x and of E_y of each function over the period, over its root.
+    #: Shape (n_orders, 2, N), mean over the period of E_x and E_y times exp(-i k r) of each order.
     orders: ComplexArray
-    area_nm2: float
+    area_nm2: float  #: Area of the period.
 
     def weights(self, eps: complex, k0_per_nm: float) -> tuple[ComplexArray, ComplexArray]:
         """Admittances of the TM and of the TE waves in a medium, each of shape (n,)."""
@@ -79,21 +66,13 @@ class Layer:
 
 @dataclass(frozen=True)
 class Grams:
-    """Gram matrices of the functions of a layer.
+    """Gram matrices of the functions of a layer."""
 
-    Attributes:
-        e: shape (N, N), of E.
-        e_eps: shape (N, N), of E with the permittivity.
-        curl: shape (N, N), of the curl of E.
-        z_eps: shape (n_z, n_z), of E_z with the permittivity.
-        gradient: shape (N, n_z), gradient of each function of E_z among those of E.
-    """
-
-    e: FloatArray
-    e_eps: Matrix
-    curl: FloatArray
-    z_eps: Matrix
-    gradient: FloatArray
+    e: FloatArray  #: Shape (N, N), of E.
+    e_eps: Matrix  #: Shape (N, N), of E with the permittivity.
+    curl: FloatArray  #: Shape (N, N), of the curl of E.
+    z_eps: Matrix  #: Shape (n_z, n_z), of E_z with the permittivity.
+    gradient: FloatArray  #: Shape (N, n_z), gradient of each function of E_z among those of E.
 
 
 def grams_of(basis: Basis, elements: list[Element], cell: PillarCell) -> Grams:

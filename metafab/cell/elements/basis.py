@@ -38,27 +38,17 @@ def polynomial_orders(mesh: Mesh, supercell: Supercell, resolution: float) -> tu
 
 @dataclass(frozen=True)
 class Basis:
-    """Mesh and numbering of the functions.
+    """Mesh and numbering of the functions."""
 
-    Attributes:
-        mesh: vertices.
-        along_x: numbering along x.
-        along_y: numbering along y.
-        tau: exponent of the corners' functions; 1 for none.
-        corner: shape of the mesh's vertices, number of each corner's function; -1 for none.
-        corner_sign: shape of ``corner``, factor from the function to that of the corner (mirrored corners share one).
-        most_waves: largest numbers (m_x, m_y) of the plane waves.
-        nodes: shape (2, ...) over the mesh's elements, quadrature nodes along each side of an element.
-    """
-
-    mesh: Mesh
-    along_x: Line
-    along_y: Line
-    tau: float
-    corner: IntArray
+    mesh: Mesh  #: Vertices.
+    along_x: Line  #: Numbering along x.
+    along_y: Line  #: Numbering along y.
+    tau: float  #: Exponent of the corners' functions; 1 for none.
+    corner: IntArray  #: Shape of the mesh's vertices, number of each corner's function; -1 for none.
+    #: Shape of ``corner``, factor from the function to that of the corner (mirrored corners share one).
     corner_sign: FloatArray
-    most_waves: tuple[int, int]
-    nodes: IntArray
+    most_waves: tuple[int, int]  #: Largest numbers (m_x, m_y) of the plane waves.
+    nodes: IntArray  #: Shape (2, ...) over the mesh's elements, quadrature nodes along each side of an element.
 
     @property
     def counts(self) -> tuple[int, int, int]:
@@ -100,27 +90,16 @@ def basis_of(supercell: Supercell, polarisation: Polarisation, resolution: float
 
 @dataclass(frozen=True)
 class Element:
-    """Functions of one element at its quadrature points, of which there are q.
+    """Functions of one element at its quadrature points, of which there are q."""
 
-    Attributes:
-        place: shape (k,), numbers of the functions of E.
-        e: shape (2, k, q), E_x and E_y.
-        curl: shape (k, q).
-        place_z: shape (k_z,), numbers of the functions of E_z.
-        e_z: shape (k_z, q).
-        weight: shape (q,), nm^2.
-        at: shape (2, q), x and y, nm.
-        is_pillar: whether it is one.
-    """
-
-    place: IntArray
-    e: FloatArray
-    curl: FloatArray
-    place_z: IntArray
-    e_z: FloatArray
-    weight: FloatArray
-    at: FloatArray
-    is_pillar: bool
+    place: IntArray  #: Shape (k,), numbers of the functions of E.
+    e: FloatArray  #: Shape (2, k, q), E_x and E_y.
+    curl: FloatArray  #: Shape (k, q).
+    place_z: IntArray  #: Shape (k_z,), numbers of the functions of E_z.
+    e_z: FloatArray  #: Shape (k_z, q).
+    weight: FloatArray  #: Shape (q,), nm^2.
+    at: FloatArray  #: Shape (2, q), x and y, nm.
+    is_pillar: bool  #: Whether it is one.
 
 
 def element(basis: Basis, b: int, a: int) -> Element:

@@ -14,37 +14,23 @@ from metafab.core.conventions import FloatArray
 
 @dataclass(frozen=True)
 class Places:
-    """Functions of one family that an element has.
+    """Functions of one family that an element has."""
 
-    Attributes:
-        local: shape (k,), number of the function in :class:`metafab.cell.elements.shapes.Shapes`.
-        place: shape (k,), number along the axis.
-        sign: shape (k,), factor from the function along the axis to that of the element.
-    """
-
-    local: IntArray
-    place: IntArray
-    sign: FloatArray
+    local: IntArray  #: Shape (k,), number of the function in :class:`metafab.cell.elements.shapes.Shapes`.
+    place: IntArray  #: Shape (k,), number along the axis.
+    sign: FloatArray  #: Shape (k,), factor from the function along the axis to that of the element.
 
 
 @dataclass(frozen=True)
 class Line:
-    """Both families along an axis of alternating pillars and gaps.
+    """Both families along an axis of alternating pillars and gaps."""
 
-    Attributes:
-        orders: polynomial order of each element, the first pillar first.
-        nodal: continuous functions of each element.
-        edge: discontinuous functions of each element.
-        nodal_count: number of continuous functions.
-        edge_count: number of discontinuous functions.
-        even: parity of the continuous functions about the middle of every pillar and gap; None without a mirror.
-    """
-
-    orders: tuple[int, ...]
-    nodal: tuple[Places, ...]
-    edge: tuple[Places, ...]
-    nodal_count: int
-    edge_count: int
+    orders: tuple[int, ...]  #: Polynomial order of each element, the first pillar first.
+    nodal: tuple[Places, ...]  #: Continuous functions of each element.
+    edge: tuple[Places, ...]  #: Discontinuous functions of each element.
+    nodal_count: int  #: Number of continuous functions.
+    edge_count: int  #: Number of discontinuous functions.
+    #: Parity of the continuous functions about the middle of every pillar and gap; None without a mirror.
     even: bool | None = None
 
     def gradient(self) -> FloatArray:

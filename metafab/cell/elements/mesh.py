@@ -32,19 +32,12 @@ _UNIT_NM = 100.0
 
 @dataclass(frozen=True)
 class Mesh:
-    """Vertices of a supercell.
+    """Vertices of a supercell."""
 
-    Attributes:
-        x: shape (2 n_y, 2 n_x), nm from the middle of the supercell.
-        y: shape of ``x``.
-        solid: shape (n_y, n_x), whether a pillar stands at the site.
-        period_nm: (x, y) period of the supercell.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    solid: np.ndarray
-    period_nm: tuple[float, float]
+    x: FloatArray  #: Shape (2 n_y, 2 n_x), nm from the middle of the supercell.
+    y: FloatArray  #: Shape of ``x``.
+    solid: np.ndarray  #: Shape (n_y, n_x), whether a pillar stands at the site.
+    period_nm: tuple[float, float]  #: (x, y) period of the supercell.
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -91,23 +84,14 @@ def mesh_of(supercell: Supercell) -> Mesh:
 
 @dataclass(frozen=True)
 class Geometry:
-    """The bilinear map of an element at quadrature points, each of shape (q_x, q_y).
+    """The bilinear map of an element at quadrature points, each of shape (q_x, q_y)."""
 
-    Attributes:
-        x: nm.
-        y: nm.
-        x_u: derivative of x along the first side of the square; likewise the others.
-        x_v: derivative of x along the second side.
-        y_u: derivative of y along the first side.
-        y_v: derivative of y along the second side.
-    """
-
-    x: FloatArray
-    y: FloatArray
-    x_u: FloatArray
-    x_v: FloatArray
-    y_u: FloatArray
-    y_v: FloatArray
+    x: FloatArray  #: nm.
+    y: FloatArray  #: nm.
+    x_u: FloatArray  #: Derivative of x along the first side of the square; likewise the others.
+    x_v: FloatArray  #: Derivative of x along the second side.
+    y_u: FloatArray  #: Derivative of y along the first side.
+    y_v: FloatArray  #: Derivative of y along the second side.
 
     @property
     def area(self) -> FloatArray:

@@ -17,19 +17,12 @@ from metafab.core.conventions import FloatArray
 
 @dataclass(frozen=True)
 class Shapes:
-    """Functions of order p at q nodes.
+    """Functions of order p at q nodes."""
 
-    Attributes:
-        nodal: shape (p + 1, q), those of the two ends, then p - 1 that vanish there, of alternating parity.
-        edge: shape (p, q), Legendre polynomials.
-        slope: shape (p + 1, p), derivative of each nodal function as a sum of edge functions.
-        nodal_slope: shape (p + 1, q), derivative of each nodal function.
-    """
-
-    nodal: FloatArray
-    edge: FloatArray
-    slope: FloatArray
-    nodal_slope: FloatArray
+    nodal: FloatArray  #: Shape (p + 1, q), those of the two ends, then p - 1 that vanish there, of alternating parity.
+    edge: FloatArray  #: Shape (p, q), Legendre polynomials.
+    slope: FloatArray  #: Shape (p + 1, p), derivative of each nodal function as a sum of edge functions.
+    nodal_slope: FloatArray  #: Shape (p + 1, q), derivative of each nodal function.
 
 
 def shapes(order: int, at: FloatArray) -> Shapes:

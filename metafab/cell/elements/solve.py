@@ -37,15 +37,11 @@ _SINGLE_CELL_ERROR = 1e-3
 
 @dataclass(frozen=True)
 class ElementNumerics:
-    """Numerics of a supercell by spectral elements.
+    """Numerics of a supercell by spectral elements."""
 
-    Attributes:
-        target_error: largest accepted relative error of the amplitudes.
-        resolutions: ascending polynomial orders of an element far smaller than the wavelength, two or more. Coarser
-            ones are tried where the layer has too many functions.
-    """
-
-    target_error: float = 5e-3
+    target_error: float = 5e-3  #: Largest accepted relative error of the amplitudes.
+    #: Ascending polynomial orders of an element far smaller than the wavelength, two or more. Coarser ones are tried
+    #: where the layer has too many functions.
     resolutions: tuple[float, ...] = (3.0, 4.0, 5.0)
 
 
@@ -189,20 +185,13 @@ class FaceSystem:
 
     With F of half the layer, X = P^-1 F and Z = F^-T Q, the fields obey h(0) - h(d) = -i Z (e(0) + e(d)) and
     h(0) + h(d) = i X (e(0) - e(d)) (:mod:`metafab.cell.rcwa.scattering.doubling`).
-
-    Attributes:
-        f: shape (N, N), F of half the layer.
-        x: shape (N, N), symmetric.
-        z: shape (N, N), symmetric.
-        matrix: shape (2 N, 2 N), symmetric, for (e(0), e(d)).
-        source: shape (N, n_lights), twice the h of the incident waves.
     """
 
-    f: Matrix
-    x: Matrix
-    z: Matrix
-    matrix: ComplexArray
-    source: ComplexArray
+    f: Matrix  #: Shape (N, N), F of half the layer.
+    x: Matrix  #: Shape (N, N), symmetric.
+    z: Matrix  #: Shape (N, N), symmetric.
+    matrix: ComplexArray  #: Shape (2 N, 2 N), symmetric, for (e(0), e(d)).
+    source: ComplexArray  #: Shape (N, n_lights), twice the h of the incident waves.
 
     def solve(self, near: ComplexArray, far: ComplexArray) -> ComplexArray:
         """(e(0), e(d)) for the right-hand sides of both faces, each of shape (N, k); shape (2, N, k)."""

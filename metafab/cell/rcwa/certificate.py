@@ -45,14 +45,10 @@ from metafab.core.errors import SolverError
 
 @dataclass(frozen=True)
 class Claim:
-    """A bound on the error at one truncation.
+    """A bound on the error at one truncation."""
 
-    Attributes:
-        floor: smallest bound of this claim.
-        shares: (earlier orders, factor from the difference to them to the bound); all must be solved.
-    """
-
-    floor: float
+    floor: float  #: Smallest bound of this claim.
+    #: (earlier orders, factor from the difference to them to the bound); all must be solved.
     shares: tuple[tuple[int, float], ...]
 
 
@@ -128,15 +124,10 @@ _MARGIN, _LONE_MARGIN, _ATYPICAL, _NEAREST = 3.0, 4.0, 5.0, 3
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """Algebraic convergence.
+    """Algebraic convergence."""
 
-    Attributes:
-        power: the error falls at least as the truncation to minus this power.
-        from_orders: smallest truncation to which the law applies.
-    """
-
-    power: float
-    from_orders: int
+    power: float  #: The error falls at least as the truncation to minus this power.
+    from_orders: int  #: Smallest truncation to which the law applies.
 
     def bound(self, orders: int, earlier: dict[int, float]) -> float:
         """Bound on the error at ``orders`` from differences to ``earlier`` truncations; inf below ``from_orders``."""
@@ -156,46 +147,27 @@ _FAR_TARGET = 4e-3
 
 @dataclass(frozen=True)
 class RcwaDetails(SolverDetails):
-    """Figures of a solution by RCWA.
+    """Figures of a solution by RCWA."""
 
-    Attributes:
-        formulation: "adaptive" or "fourier".
-        orders_x: cosines along x of the finest truncation.
-        orders_y: cosines along y, equal to ``orders_x``.
-        coefficients: unknowns of the largest symmetry class.
-        truncations: number of truncations that were solved.
-        inconsistency: violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
-        condition: condition number of the worst layer's modes; 0 where none were used.
-        transmitted_power_x: power in all transmitted orders over the incident power, for incident x.
-        transmitted_power_y: power in all transmitted orders over the incident power, for incident y.
-        reflected_power_x: power in all reflected orders over the incident power, for incident x.
-        reflected_power_y: power in all reflected orders over the incident power, for incident y.
-    """
-
-    formulation: Formulation
-    orders_x: int
-    orders_y: int
-    coefficients: int
-    truncations: int
-    inconsistency: float
-    condition: float
-    transmitted_power_x: float
-    transmitted_power_y: float
-    reflected_power_x: float
-    reflected_power_y: float
+    formulation: Formulation  #: "adaptive" or "fourier".
+    orders_x: int  #: Cosines along x of the finest truncation.
+    orders_y: int  #: Cosines along y, equal to ``orders_x``.
+    coefficients: int  #: Unknowns of the largest symmetry class.
+    truncations: int  #: Number of truncations that were solved.
+    inconsistency: float  #: Violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
+    condition: float  #: Condition number of the worst layer's modes; 0 where none were used.
+    transmitted_power_x: float  #: Power in all transmitted orders over the incident power, for incident x.
+    transmitted_power_y: float  #: Power in all transmitted orders over the incident power, for incident y.
+    reflected_power_x: float  #: Power in all reflected orders over the incident power, for incident x.
+    reflected_power_y: float  #: Power in all reflected orders over the incident power, for incident y.
 
 
 @dataclass(frozen=True)
 class SlopedDetails(RcwaDetails):
-    """Figures of a sloped pillar by RCWA.
+    """Figures of a sloped pillar by RCWA."""
 
-    Attributes:
-        steps: number of steps in the finer of the two extrapolated cuts.
-        slicing_error: bound on the error of the steps.
-    """
-
-    steps: int
-    slicing_error: float
+    steps: int  #: Number of steps in the finer of the two extrapolated cuts.
+    slicing_error: float  #: Bound on the error of the steps.
 
 
 def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResponse:  # noqa: B008 (frozen)

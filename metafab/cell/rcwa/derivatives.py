@@ -49,18 +49,12 @@ class PillarDerivatives:
     """Jones matrices at one truncation and their derivatives by width, length, height (1/nm) and n_pillar.
 
     The derivative by the index is analytic: i times it is the derivative by the extinction.
-
-    Attributes:
-        t: shape (2, 2), transmission as in :class:`metafab.cell.rcwa.jones.ZeroOrder`.
-        r: shape (2, 2), reflection.
-        d_t: shape (4, 2, 2), derivatives of t.
-        d_r: shape (4, 2, 2), derivatives of r.
     """
 
-    t: ComplexArray
-    r: ComplexArray
-    d_t: ComplexArray
-    d_r: ComplexArray
+    t: ComplexArray  #: Shape (2, 2), transmission as in :class:`metafab.cell.rcwa.jones.ZeroOrder`.
+    r: ComplexArray  #: Shape (2, 2), reflection.
+    d_t: ComplexArray  #: Shape (4, 2, 2), derivatives of t.
+    d_r: ComplexArray  #: Shape (4, 2, 2), derivatives of r.
 
 
 def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adaptive") -> PillarDerivatives:

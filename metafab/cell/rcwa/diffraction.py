@@ -32,42 +32,27 @@ Efficiencies = dict[Order, FloatArray]
 
 @dataclass(frozen=True)
 class DiffractedOrder:
-    """One order that leaves on one side.
+    """One order that leaves on one side."""
 
-    Attributes:
-        order: (m, n): its wave vector in the plane is that of the incident light plus (m / period_x, n / period_y)
-            turns.
-        polar_deg: angle from the axis in the medium that the order leaves into; by the index along x if it has several.
-        azimuth_deg: direction of its wave vector in the plane, counter-clockwise from +x, in (-180, 180]; 0 on the
-            axis.
-        efficiency_x: its power over the incident power, for light with E along x in the plane of the cell.
-        efficiency_y: its power over the incident power, for light with E along y.
-    """
-
+    #: (m, n): its wave vector in the plane is that of the incident light plus (m / period_x, n / period_y) turns.
     order: Order
+    #: Angle from the axis in the medium that the order leaves into; by the index along x if it has several.
     polar_deg: float
+    #: Direction of its wave vector in the plane, counter-clockwise from +x, in (-180, 180]; 0 on the axis.
     azimuth_deg: float
-    efficiency_x: float
-    efficiency_y: float
+    efficiency_x: float  #: Its power over the incident power, for light with E along x in the plane of the cell.
+    efficiency_y: float  #: Its power over the incident power, for light with E along y.
 
 
 @dataclass(frozen=True)
 class Diffraction:
-    """All orders that leave a cell.
+    """All orders that leave a cell."""
 
-    Attributes:
-        transmitted: transmitted orders, sorted by n, then m.
-        reflected: reflected orders, likewise.
-        error: estimate of the largest error of any efficiency.
-        converged: whether ``error`` is at most the target.
-        truncation: cosines along each axis.
-    """
-
-    transmitted: tuple[DiffractedOrder, ...]
-    reflected: tuple[DiffractedOrder, ...]
-    error: float
-    converged: bool
-    truncation: int
+    transmitted: tuple[DiffractedOrder, ...]  #: Transmitted orders, sorted by n, then m.
+    reflected: tuple[DiffractedOrder, ...]  #: Reflected orders, likewise.
+    error: float  #: Estimate of the largest error of any efficiency.
+    converged: bool  #: Whether ``error`` is at most the target.
+    truncation: int  #: Cosines along each axis.
 
 
 def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Diffraction:  # noqa: B008 (frozen)

@@ -24,42 +24,27 @@ from metafab.core.conventions import ComplexArray, FloatArray
 
 @dataclass(frozen=True)
 class ZeroOrder:
-    """Jones matrices at one truncation.
+    """Jones matrices at one truncation."""
 
-    Attributes:
-        t: shape (2, 2), [out, in] of the transverse field in the basis (x, y), at the planes of the conventions.
-        r: shape (2, 2), likewise for reflection.
-        transmitted_power: shape (2,), power in all transmitted orders for incident x and y, over the incident power.
-        reflected_power: shape (2,), likewise for reflection.
-        coefficients: unknowns of the largest symmetry class.
-        inconsistency: violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
-        conditioning: conditioning of the worst layer's modes; 0 where none were used.
-    """
-
+    #: Shape (2, 2), [out, in] of the transverse field in the basis (x, y), at the planes of the conventions.
     t: ComplexArray
-    r: ComplexArray
+    r: ComplexArray  #: Shape (2, 2), likewise for reflection.
+    #: Shape (2,), power in all transmitted orders for incident x and y, over the incident power.
     transmitted_power: FloatArray
-    reflected_power: FloatArray
-    coefficients: int
-    inconsistency: float
-    conditioning: Conditioning
+    reflected_power: FloatArray  #: Shape (2,), likewise for reflection.
+    coefficients: int  #: Unknowns of the largest symmetry class.
+    inconsistency: float  #: Violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
+    conditioning: Conditioning  #: Conditioning of the worst layer's modes; 0 where none were used.
 
 
 @dataclass(frozen=True)
 class SolvedClass:
-    """One symmetry class and its field at the two ends of the layers.
+    """One symmetry class and its field at the two ends of the layers."""
 
-    Attributes:
-        case: the class.
-        incoming: waves of the half space that the light comes from.
-        outgoing: waves of the half space behind.
-        faces: transmitted and reflected field of incident E_x = 1 and E_y = 1.
-    """
-
-    case: SymmetryClass
-    incoming: Waves
-    outgoing: Waves
-    faces: FaceFields
+    case: SymmetryClass  #: The class.
+    incoming: Waves  #: Waves of the half space that the light comes from.
+    outgoing: Waves  #: Waves of the half space behind.
+    faces: FaceFields  #: Transmitted and reflected field of incident E_x = 1 and E_y = 1.
 
     def shares_of_power(self) -> tuple[FloatArray, FloatArray]:
         """Transmitted and reflected power of each coefficient over the incident power, 0 where no light comes in.

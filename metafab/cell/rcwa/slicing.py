@@ -33,15 +33,10 @@ _MARGIN, _SHARE = 1.5, 0.5
 
 @dataclass(frozen=True)
 class Slicing:
-    """Steps of a sloped pillar.
+    """Steps of a sloped pillar."""
 
-    Attributes:
-        steps: number of steps of equal height in the finer of the two cuts; 1 for upright walls.
-        error: bound on the error of any amplitude from the steps; 0 for upright walls.
-    """
-
-    steps: int
-    error: float
+    steps: int  #: Number of steps of equal height in the finer of the two cuts; 1 for upright walls.
+    error: float  #: Bound on the error of any amplitude from the steps; 0 for upright walls.
 
 
 def smooth(cell: PillarCell, orders: int, formulation: Formulation, steps: int) -> ZeroOrder:

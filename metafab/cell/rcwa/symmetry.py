@@ -25,21 +25,14 @@ from metafab.core.errors import InputError
 
 @dataclass(frozen=True)
 class SymmetryClass:
-    """Fields of one symmetry.
+    """Fields of one symmetry."""
 
-    Attributes:
-        cell: the cell.
-        bases: for each layer from the substrate upwards, the bases of its rectangles; they differ in their outline.
-        layers: content of each layer, with its sizes.
-        n_in: index of the half space that the light comes from, for the polarisation of this class.
-        n_out: index of the half space behind, for this polarisation.
-    """
-
-    cell: PillarCell
+    cell: PillarCell  #: The cell.
+    #: For each layer from the substrate upwards, the bases of its rectangles; they differ in their outline.
     bases: tuple[tuple[TransverseBasis, ...], ...]
-    layers: tuple[Slice, ...]
-    n_in: complex
-    n_out: complex
+    layers: tuple[Slice, ...]  #: Content of each layer, with its sizes.
+    n_in: complex  #: Index of the half space that the light comes from, for the polarisation of this class.
+    n_out: complex  #: Index of the half space behind, for this polarisation.
 
     @property
     def basis(self) -> TransverseBasis:

@@ -34,91 +34,54 @@ _PATIENCE = 20.0
 
 @dataclass(frozen=True)
 class CouplingAnswer:
-    """Error of the local-period approximation, as ``metafab coupling --json`` prints it.
+    """Error of the local-period approximation, as ``metafab coupling --json`` prints it."""
 
-    Attributes:
-        coupling_error: relative L2 error of the field.
-        efficiency_ratio: power in the focusing order relative to that of the stitched library.
-        rows: the simulated rows.
-    """
-
-    coupling_error: float
-    efficiency_ratio: float
-    rows: tuple[CouplingRow, ...]
+    coupling_error: float  #: Relative L2 error of the field.
+    efficiency_ratio: float  #: Power in the focusing order relative to that of the stitched library.
+    rows: tuple[CouplingRow, ...]  #: The simulated rows.
 
 
 @dataclass(frozen=True)
 class PatchEstimate:
-    """Estimated size of a simulation.
+    """Estimated size of a simulation."""
 
-    Attributes:
-        pixels: pixels of the grid.
-        seconds: time.
-        memory_mb: memory.
-    """
-
-    pixels: float
-    seconds: float
-    memory_mb: float
+    pixels: float  #: Pixels of the grid.
+    seconds: float  #: Time.
+    memory_mb: float  #: Memory.
 
 
 @dataclass(frozen=True)
 class PatchNumerics:
-    """Grid of a simulation.
+    """Grid of a simulation."""
 
-    Attributes:
-        pixels_per_period: pixels of Meep per period.
-        padding_sites: neighbours on each side of the patch.
-    """
-
-    pixels_per_period: int
-    padding_sites: int
+    pixels_per_period: int  #: Pixels of Meep per period.
+    padding_sites: int  #: Neighbours on each side of the patch.
 
 
 @dataclass(frozen=True)
 class PatchAnswer:
-    """Simulation of a patch, as ``metafab patch --json`` prints it, with the figures of the comparison.
+    """Simulation of a patch, as ``metafab patch --json`` prints it, with the figures of the comparison."""
 
-    Attributes:
-        pillars: pillars of the patch.
-        polarisation: polarisation of the incident light.
-        decay: remaining field at which the simulation stopped.
-        seconds: time.
-        estimate: estimated size of the simulation.
-        numerics: its grid.
-        file: path of the fields.
-    """
-
-    pillars: int
-    polarisation: str
-    decay: float
-    seconds: float
-    estimate: PatchEstimate
-    numerics: PatchNumerics
-    file: Path
+    pillars: int  #: Pillars of the patch.
+    polarisation: str  #: Polarisation of the incident light.
+    decay: float  #: Remaining field at which the simulation stopped.
+    seconds: float  #: Time.
+    estimate: PatchEstimate  #: Estimated size of the simulation.
+    numerics: PatchNumerics  #: Its grid.
+    file: Path  #: Path of the fields.
 
 
 @dataclass(frozen=True)
 class BlockAnswer:
-    """Transmitted orders of one supercell, as ``metafab fullwave --json`` prints them.
+    """Transmitted orders of one supercell, as ``metafab fullwave --json`` prints them."""
 
-    Attributes:
-        orders: shape (n, 2), [m_x, m_y] of every order that propagates behind the pillars.
-        t_xx: shape (n,), amplitude of each order, E_x for incident x polarisation.
-        t_xy: shape (n,), E_x for incident y polarisation.
-        t_yx: shape (n,), E_y for incident x polarisation.
-        t_yy: shape (n,), E_y for incident y polarisation.
-        error: relative rms error over orders and polarisations.
-        seconds: time of the solver.
-    """
-
-    orders: IntArray
-    t_xx: ComplexArray
-    t_xy: ComplexArray
-    t_yx: ComplexArray
-    t_yy: ComplexArray
-    error: float
-    seconds: float
+    orders: IntArray  #: Shape (n, 2), [m_x, m_y] of every order that propagates behind the pillars.
+    t_xx: ComplexArray  #: Shape (n,), amplitude of each order, E_x for incident x polarisation.
+    t_xy: ComplexArray  #: Shape (n,), E_x for incident y polarisation.
+    t_yx: ComplexArray  #: Shape (n,), E_y for incident x polarisation.
+    t_yy: ComplexArray  #: Shape (n,), E_y for incident y polarisation.
+    error: float  #: Relative rms error over orders and polarisations.
+    seconds: float  #: Time of the solver.
 
 
 Polarisations = Annotated[Literal["x", "y", "both"], typer.Option(help="Polarisation of the incident light.")]

@@ -37,29 +37,20 @@ White = Annotated[
 
 @dataclass(frozen=True)
 class CaptureAnswer:
-    """Written frames, as ``metafab capture --json`` prints them.
+    """Written frames, as ``metafab capture --json`` prints them."""
 
-    Attributes:
-        shape: rows and columns of a frame; of a batch, frames before them.
-        photons: sum of all pixels, electrons; one value for each frame of a film.
-        seconds: time of the command.
-        file: path of a single frame or of a batch; ``files``: paths of the frames of a film. One of them is None.
-        black: black level of a file in counts; this and the following are the options that ``decode`` needs to read
-            it, and None for an ``.h5``.
-        electrons_per_count: gain.
-        read_noise_e: standard deviation of the read noise, electrons.
-        white: white level, counts.
-    """
-
-    shape: tuple[int, ...]
-    photons: float | list[float]
-    seconds: float
+    shape: tuple[int, ...]  #: Rows and columns of a frame; of a batch, frames before them.
+    photons: float | list[float]  #: Sum of all pixels, electrons; one value for each frame of a film.
+    seconds: float  #: Time of the command.
+    #: Path of a single frame or of a batch; ``files``: paths of the frames of a film. One of them is None.
     file: Path | None = optional()
     files: list[Path] | None = optional()
+    #: Black level of a file in counts; this and the following are the options that ``decode`` needs to read it, and
+    #: None for an ``.h5``.
     black: float | None = optional()
-    electrons_per_count: float | None = optional()
-    read_noise_e: float | None = optional()
-    white: float | None = optional()
+    electrons_per_count: float | None = optional()  #: Gain.
+    read_noise_e: float | None = optional()  #: Standard deviation of the read noise, electrons.
+    white: float | None = optional()  #: White level, counts.
 
 
 def _counts(black: float, gain: float, read_noise_e: float, white: float | None) -> Counts:

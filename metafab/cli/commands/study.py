@@ -14,19 +14,12 @@ from metafab.core.errors import InputError
 
 @dataclass(frozen=True)
 class Alternative:
-    """A further choice of zones and exponent.
+    """A further choice of zones and exponent."""
 
-    Attributes:
-        zones: number of zones L of Eq. 2.
-        exponent: exponent epsilon of Eq. 2.
-        rotation_deg: rotation of the main lobe over the range of depths.
-        relative_error: bound of the relative depth error, mean over the range.
-    """
-
-    zones: int
-    exponent: float
-    rotation_deg: float
-    relative_error: float
+    zones: int  #: Number of zones L of Eq. 2.
+    exponent: float  #: Exponent epsilon of Eq. 2.
+    rotation_deg: float  #: Rotation of the main lobe over the range of depths.
+    relative_error: float  #: Bound of the relative depth error, mean over the range.
 
 
 @app.command("propose")

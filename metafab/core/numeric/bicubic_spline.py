@@ -24,29 +24,17 @@ SAFETY = 1.25
 
 @dataclass(frozen=True)
 class SplineTiles:
-    """Splines of two functions over the cells of a uniform grid.
+    """Splines of two functions over the cells of a uniform grid."""
 
-    Attributes:
-        cells: cells of one tile along (y, x).
-        row: shape (n_y,), index of the tile of each row of cells.
-        column: shape (n_x,), index of the tile of each column of cells.
-        first_row: shape (n_tiles_y,), first cell of each tile; the last tile may overlap the one before.
-        first_column: shape (n_tiles_x,), first cell of each tile.
-        parts: shape (n_tiles_y, n_tiles_x), steps of a tile's grid for each cell.
-        start: shape (n_tiles_y, n_tiles_x), first row of ``coefficients`` of each tile.
-        coefficients: shape (n_coefficients, 2).
-        error: shape (n_y, n_x), error in each cell.
-    """
-
-    cells: tuple[int, int]
-    row: IntArray
-    column: IntArray
-    first_row: IntArray
-    first_column: IntArray
-    parts: IntArray
-    start: IntArray
-    coefficients: ComplexArray
-    error: FloatArray
+    cells: tuple[int, int]  #: Cells of one tile along (y, x).
+    row: IntArray  #: Shape (n_y,), index of the tile of each row of cells.
+    column: IntArray  #: Shape (n_x,), index of the tile of each column of cells.
+    first_row: IntArray  #: Shape (n_tiles_y,), first cell of each tile; the last tile may overlap the one before.
+    first_column: IntArray  #: Shape (n_tiles_x,), first cell of each tile.
+    parts: IntArray  #: Shape (n_tiles_y, n_tiles_x), steps of a tile's grid for each cell.
+    start: IntArray  #: Shape (n_tiles_y, n_tiles_x), first row of ``coefficients`` of each tile.
+    coefficients: ComplexArray  #: Shape (n_coefficients, 2).
+    error: FloatArray  #: Shape (n_y, n_x), error in each cell.
 
     @property
     def nbytes(self) -> int:

@@ -16,18 +16,13 @@ _STATUS = Path("/proc/self/status")
 
 @dataclass
 class Cost:
-    """Cost of a block; filled in when the block ends.
+    """Cost of a block; filled in when the block ends."""
 
-    Attributes:
-        seconds: wall-clock time.
-        peak_rss_mb: largest resident set of one process: this one (on Linux within the block, elsewhere since its
-            start), or a worker that ended within the block, if larger than all workers before it.
-        processor_seconds: processor time of all threads of this process.
-    """
-
-    seconds: float = 0.0
+    seconds: float = 0.0  #: Wall-clock time.
+    #: Largest resident set of one process: this one (on Linux within the block, elsewhere since its start), or a worker
+    #: that ended within the block, if larger than all workers before it.
     peak_rss_mb: float = 0.0
-    processor_seconds: float = 0.0
+    processor_seconds: float = 0.0  #: Processor time of all threads of this process.
 
 
 @contextmanager

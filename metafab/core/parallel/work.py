@@ -12,17 +12,11 @@ from metafab.core.parallel.progress import Progress, silent
 
 @dataclass(frozen=True)
 class Work:
-    """Resources of long work, passed down unchanged from the command line.
+    """Resources of long work, passed down unchanged from the command line."""
 
-    Attributes:
-        workers: processes or threads; None for all cores.
-        cluster: address of a Dask scheduler, or None for this machine.
-        progress: callback of long work.
-    """
-
-    workers: int | None = None
-    cluster: str | None = None
-    progress: Progress = silent
+    workers: int | None = None  #: Processes or threads; None for all cores.
+    cluster: str | None = None  #: Address of a Dask scheduler, or None for this machine.
+    progress: Progress = silent  #: Callback of long work.
 
     def processes(self) -> AbstractContextManager[Executor]:
         """Open an executor over processes of this machine, or over the cluster.

@@ -53,37 +53,21 @@ _LARGEST_DEPTH_RMS, _SIGMAS = 0.01, 5.0
 
 @dataclass(frozen=True)
 class CameraFit:
-    """Misalignment of a camera against the prediction from its mask.
+    """Misalignment of a camera against the prediction from its mask."""
 
-    Attributes:
-        vergence_offset_per_m: offset of the fitted 1/depth, mean of both images.
-        tilt_per_m: half the difference between the offsets of the y and the x image.
-        rotation_deg: rotation of the pair in the frame, counter-clockwise.
-        magnification: of the sensor plane.
-        shift_um: (x, y) of the axis in the frame.
-        place_rms_px: rms residual of the places of the point's images.
-        vergence_rms_per_m: rms residual of their vergences.
-        vergence_error_per_m: standard error of ``vergence_offset_per_m``, and of ``tilt_per_m``.
-        rotation_error_deg: standard error of ``rotation_deg``.
-        magnification_error: standard error of ``magnification``.
-        shift_error_um: standard error of either coordinate of ``shift_um``.
-        chi_square: mean square of the residual over that of the photographs' noise.
-        misfit: largest share of an image's power that neither the prediction nor noise explains.
-    """
-
-    vergence_offset_per_m: float
-    tilt_per_m: float
-    rotation_deg: float
-    magnification: float
-    shift_um: tuple[float, float]
-    place_rms_px: float
-    vergence_rms_per_m: float
-    vergence_error_per_m: float = 0.0
-    rotation_error_deg: float = 0.0
-    magnification_error: float = 0.0
-    shift_error_um: float = 0.0
-    chi_square: float = 1.0
-    misfit: float = 0.0
+    vergence_offset_per_m: float  #: Offset of the fitted 1/depth, mean of both images.
+    tilt_per_m: float  #: Half the difference between the offsets of the y and the x image.
+    rotation_deg: float  #: Rotation of the pair in the frame, counter-clockwise.
+    magnification: float  #: Of the sensor plane.
+    shift_um: tuple[float, float]  #: (x, y) of the axis in the frame.
+    place_rms_px: float  #: Rms residual of the places of the point's images.
+    vergence_rms_per_m: float  #: Rms residual of their vergences.
+    vergence_error_per_m: float = 0.0  #: Standard error of ``vergence_offset_per_m``, and of ``tilt_per_m``.
+    rotation_error_deg: float = 0.0  #: Standard error of ``rotation_deg``.
+    magnification_error: float = 0.0  #: Standard error of ``magnification``.
+    shift_error_um: float = 0.0  #: Standard error of either coordinate of ``shift_um``.
+    chi_square: float = 1.0  #: Mean square of the residual over that of the photographs' noise.
+    misfit: float = 0.0  #: Largest share of an image's power that neither the prediction nor noise explains.
 
     @property
     def turn(self) -> FloatArray:

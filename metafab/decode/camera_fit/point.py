@@ -29,26 +29,17 @@ _LIT = 0.25
 
 @dataclass(frozen=True)
 class PointImage:
-    """Fit of the prediction to one image of the point.
+    """Fit of the prediction to one image of the point."""
 
-    Attributes:
-        vergence_per_m: 1/depth at which the prediction fits best.
-        place_um: (x, y) on the sensor.
-        variance: of the vergence and of both coordinates of the place, from the photograph's noise, or from the
-            residual where that is larger.
-        chi_square: mean square of the residual over that of photon and read noise; 1 for a perfect model.
-        misfit: share of the image's power that neither the model nor noise explains.
-        full_pixels: number of saturated pixels in the image.
-        at_end: whether the vergence was stopped by an end of the predicted range.
-    """
-
-    vergence_per_m: float
-    place_um: tuple[float, float]
+    vergence_per_m: float  #: 1/depth at which the prediction fits best.
+    place_um: tuple[float, float]  #: (x, y) on the sensor.
+    #: Of the vergence and of both coordinates of the place, from the photograph's noise, or from the residual where
+    #: that is larger.
     variance: tuple[float, float, float]
-    chi_square: float
-    misfit: float
-    full_pixels: int
-    at_end: bool
+    chi_square: float  #: Mean square of the residual over that of photon and read noise; 1 for a perfect model.
+    misfit: float  #: Share of the image's power that neither the model nor noise explains.
+    full_pixels: int  #: Number of saturated pixels in the image.
+    at_end: bool  #: Whether the vergence was stopped by an end of the predicted range.
 
 
 def find_point(

@@ -27,16 +27,12 @@ _STEP = 1e-3
 
 @dataclass(frozen=True)
 class DepthBound:
-    """Information about depth in each pixel of a decoder's window.
+    """Information about depth in each pixel of a decoder's window."""
 
-    Attributes:
-        depth_m: depth of the texture.
-        unknown_per_m2: shape (n_y, n_x), 1/m^2 a pixel, for unknown texture and brightness ratio: a decoder's case.
-        known_per_m2: shape (n_y, n_x), 1/m^2 a pixel, for known texture; the difference is the price of not knowing.
-    """
-
-    depth_m: float
+    depth_m: float  #: Depth of the texture.
+    #: Shape (n_y, n_x), 1/m^2 a pixel, for unknown texture and brightness ratio: a decoder's case.
     unknown_per_m2: FloatArray
+    #: Shape (n_y, n_x), 1/m^2 a pixel, for known texture; the difference is the price of not knowing.
     known_per_m2: FloatArray
 
     @classmethod

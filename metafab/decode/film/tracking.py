@@ -28,14 +28,10 @@ _GROWTH = 1.25
 
 @dataclass(frozen=True)
 class TrackedRegions:
-    """Segments of a frame, tracked from the last one.
+    """Segments of a frame, tracked from the last one."""
 
-    Attributes:
-        regions: the segments.
-        number: shape (n_last + 1,), number of each of the last frame's segments from 0 (none); 0 for one that has gone.
-    """
-
-    regions: Regions
+    regions: Regions  #: The segments.
+    #: Shape (n_last + 1,), number of each of the last frame's segments from 0 (none); 0 for one that has gone.
     number: NDArray[np.int32]
 
 

@@ -48,15 +48,10 @@ def full_depth_m(pixels: PixelDepth, step: int, shape: tuple[int, int]) -> Float
 
 @dataclass(frozen=True)
 class FocusDepths:
-    """Depths at which a frame is deconvolved: each pixel at that of the nearest segment.
+    """Depths at which a frame is deconvolved: each pixel at that of the nearest segment."""
 
-    Attributes:
-        label: shape (n_y, n_x), number of each downsampled pixel's depth from 1; 0 in the dark.
-        vergences_per_m: shape (n_depths,), 1/depth of each number.
-    """
-
-    label: NDArray[np.int32]
-    vergences_per_m: FloatArray
+    label: NDArray[np.int32]  #: Shape (n_y, n_x), number of each downsampled pixel's depth from 1; 0 in the dark.
+    vergences_per_m: FloatArray  #: Shape (n_depths,), 1/depth of each number.
 
     @classmethod
     def of(cls, prepared: PreparedFrame, regions: Regions, candidates_per_m: FloatArray) -> FocusDepths:
@@ -82,29 +77,17 @@ class FocusDepths:
 
 @dataclass(frozen=True)
 class PixelMaps:
-    """The arrays of an :class:`Image4D`, documented there, all of shape (n_y, n_x).
+    """The arrays of an :class:`Image4D`, documented there, all of shape (n_y, n_x)."""
 
-    Attributes:
-        intensity_x: shape (n_y, n_x).
-        intensity_y: shape (n_y, n_x).
-        contrast: shape (n_y, n_x).
-        contrast_error: shape (n_y, n_x).
-        depth_m: shape (n_y, n_x).
-        confidence: shape (n_y, n_x).
-        segment: shape (n_y, n_x).
-        depth_pixel_m: shape (n_y, n_x).
-        lit: shape (n_y, n_x), whether a pixel has light.
-    """
-
-    intensity_x: FloatArray
-    intensity_y: FloatArray
-    contrast: FloatArray
-    contrast_error: FloatArray
-    depth_m: FloatArray
-    confidence: FloatArray
-    segment: NDArray[np.int32]
-    depth_pixel_m: FloatArray
-    lit: NDArray[np.bool_]
+    intensity_x: FloatArray  #: Shape (n_y, n_x).
+    intensity_y: FloatArray  #: Shape (n_y, n_x).
+    contrast: FloatArray  #: Shape (n_y, n_x).
+    contrast_error: FloatArray  #: Shape (n_y, n_x).
+    depth_m: FloatArray  #: Shape (n_y, n_x).
+    confidence: FloatArray  #: Shape (n_y, n_x).
+    segment: NDArray[np.int32]  #: Shape (n_y, n_x).
+    depth_pixel_m: FloatArray  #: Shape (n_y, n_x).
+    lit: NDArray[np.bool_]  #: Shape (n_y, n_x), whether a pixel has light.
 
     @classmethod
     def of(cls, prepared: PreparedFrame, pixels: PixelDepth, regions: Regions, sharp: SharpImages) -> PixelMaps:
@@ -181,19 +164,12 @@ class PixelMaps:
 
 @dataclass(frozen=True)
 class DepthMaps:
-    """Segments and depths on the frame's pixels, as if all of them were lit.
+    """Segments and depths on the frame's pixels, as if all of them were lit."""
 
-    Attributes:
-        segment: shape (n_y, n_x), number of the segment; 0 for none.
-        depth_m: shape (n_y, n_x), depth of the segment; NaN where none is claimed.
-        confidence: shape (n_y, n_x), 0 to 1.
-        depth_pixel_m: shape (n_y, n_x), depth from the window about the pixel; NaN where none is claimed.
-    """
-
-    segment: NDArray[np.int32]
-    depth_m: FloatArray
-    confidence: FloatArray
-    depth_pixel_m: FloatArray
+    segment: NDArray[np.int32]  #: Shape (n_y, n_x), number of the segment; 0 for none.
+    depth_m: FloatArray  #: Shape (n_y, n_x), depth of the segment; NaN where none is claimed.
+    confidence: FloatArray  #: Shape (n_y, n_x), 0 to 1.
+    depth_pixel_m: FloatArray  #: Shape (n_y, n_x), depth from the window about the pixel; NaN where none is claimed.
 
 
 def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int, int]) -> DepthMaps:

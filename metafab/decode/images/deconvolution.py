@@ -36,27 +36,19 @@ _DEPTH_STEPS = 96
 
 @dataclass(frozen=True)
 class TileSpectra:
-    """Transforms of some tiles of both images.
+    """Transforms of some tiles of both images."""
 
-    Attributes:
-        place: shape (n_tiles,), index in ``spectra`` of each tile of the tiling; 0 for tiles without spectra.
-        spectra: shape (2, n, n_ky, n_kx).
-    """
-
+    #: Shape (n_tiles,), index in ``spectra`` of each tile of the tiling; 0 for tiles without spectra.
     place: NDArray[np.intp]
-    spectra: NDArray[np.complex64]
+    spectra: NDArray[np.complex64]  #: Shape (2, n, n_ky, n_kx).
 
 
 @dataclass(frozen=True)
 class SharpImages:
-    """All-in-focus images.
+    """All-in-focus images."""
 
-    Attributes:
-        images: shape (2, n_y, n_x), electrons.
-        noise_gain: shape (2, n_y, n_x), variance of a pixel per variance of the frame's pixels about it.
-    """
-
-    images: NDArray[np.float32]
+    images: NDArray[np.float32]  #: Shape (2, n_y, n_x), electrons.
+    #: Shape (2, n_y, n_x), variance of a pixel per variance of the frame's pixels about it.
     noise_gain: NDArray[np.float32]
 
     def within(self, rows: slice, columns: slice) -> SharpImages:
@@ -74,17 +66,12 @@ class Deconvolver:
     """Wiener deconvolution with one calibration.
 
     The transfer functions last used, each of shape (2, n_ky, n_kx), are kept.
-
-    Attributes:
-        calibration: kernels on the grid.
-        tiling: tiles of the window.
-        kept_bytes: most memory of the transfer functions that are kept.
-        unmixing: separation of polarisations that a birefringent substrate mixes; None without one.
     """
 
-    calibration: Calibration
-    tiling: Tiling
-    kept_bytes: int = KEPT_BYTES
+    calibration: Calibration  #: Kernels on the grid.
+    tiling: Tiling  #: Tiles of the window.
+    kept_bytes: int = KEPT_BYTES  #: Most memory of the transfer functions that are kept.
+    #: Separation of polarisations that a birefringent substrate mixes; None without one.
     unmixing: Unmixing | None = None
     _transfers: OrderedDict[tuple[int, int], NDArray[np.complex64]] = field(
         default_factory=OrderedDict, init=False, repr=False, compare=False

@@ -35,15 +35,11 @@ _RIDGE = 1e-6
 
 @dataclass(frozen=True)
 class SeparatedTile:
-    """A tile without its highlights.
+    """A tile without its highlights."""
 
-    Attributes:
-        spectrum: shape (n_ky, n_kx), transform of the tile with its broken pixels filled in, less the highlights.
-        light: shape (n_y, n_x), sharp light of the highlights, electrons.
-    """
-
+    #: Shape (n_ky, n_kx), transform of the tile with its broken pixels filled in, less the highlights.
     spectrum: NDArray[np.complex64]
-    light: NDArray[np.float32]
+    light: NDArray[np.float32]  #: Shape (n_y, n_x), sharp light of the highlights, electrons.
 
 
 def separated(

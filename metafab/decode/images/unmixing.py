@@ -26,13 +26,9 @@ _LEAST_DETERMINANT = 0.2
 
 @dataclass(frozen=True)
 class Unmixing:
-    """Shares of the other polarisation's light in both images.
+    """Shares of the other polarisation's light in both images."""
 
-    Attributes:
-        share: shape (2, n_y, n_x), s_x and s_y of each pixel for light of equal polarisations.
-    """
-
-    share: NDArray[np.float32]
+    share: NDArray[np.float32]  #: Shape (2, n_y, n_x), s_x and s_y of each pixel for light of equal polarisations.
 
     WARNING: ClassVar[str] = "the substrate mixes the polarisations so evenly that their contrast is unknown"
 

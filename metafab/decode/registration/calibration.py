@@ -29,17 +29,11 @@ _SPILL_QUANTILE = 0.9
 
 @dataclass(frozen=True)
 class Calibration:
-    """The pair's kernels on the grid of the x image.
+    """The pair's kernels on the grid of the x image."""
 
-    Attributes:
-        kernels: the PSF calibration.
-        grid: the grid of both images.
-        image_map: map from directions to places on the sensor.
-    """
-
-    kernels: PairKernels
-    grid: TwinGrid
-    image_map: ImageMap
+    kernels: PairKernels  #: The PSF calibration.
+    grid: TwinGrid  #: The grid of both images.
+    image_map: ImageMap  #: Map from directions to places on the sensor.
 
     def core_px(self, change: float) -> tuple[float, float]:
         """(n_y, n_x) of a tile over which the pair changes by ``change`` (relative L2) from the centre to the edge."""

@@ -19,17 +19,11 @@ _FADE_SHARE = 0.25
 
 @dataclass(frozen=True)
 class Downsampling:
-    """A window with margins at every ``step``-th pixel, computed from the low frequencies of its transform.
+    """A window with margins at every ``step``-th pixel, computed from the low frequencies of its transform."""
 
-    Attributes:
-        step: distance of the pixels that are kept, in frame pixels; it divides ``frame_margin``.
-        window: (n_y, n_x) of the window, in frame pixels.
-        frame_margin: margin on all sides, in frame pixels.
-    """
-
-    step: int
-    window: tuple[int, int]
-    frame_margin: int
+    step: int  #: Distance of the pixels that are kept, in frame pixels; it divides ``frame_margin``.
+    window: tuple[int, int]  #: (n_y, n_x) of the window, in frame pixels.
+    frame_margin: int  #: Margin on all sides, in frame pixels.
 
     @property
     def shape(self) -> tuple[int, int]:

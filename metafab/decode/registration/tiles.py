@@ -21,21 +21,13 @@ _FADE_SHARE = 0.75
 
 @dataclass(frozen=True)
 class Tiling:
-    """Tiles of equal size over a window with margin, numbered row by row.
+    """Tiles of equal size over a window with margin, numbered row by row."""
 
-    Attributes:
-        shape: (n_y, n_x) of the window without margin.
-        margin: pixels on all sides of its core that a tile holds.
-        core: (n_y, n_x) of the core, the part of the window that a tile stands for.
-        size: (n_y, n_x) of a tile's transform: core and margins, rounded up to a fast length.
-        counts: tiles along y and x.
-    """
-
-    shape: tuple[int, int]
-    margin: int
-    core: tuple[int, int]
-    size: tuple[int, int]
-    counts: tuple[int, int]
+    shape: tuple[int, int]  #: (n_y, n_x) of the window without margin.
+    margin: int  #: Pixels on all sides of its core that a tile holds.
+    core: tuple[int, int]  #: (n_y, n_x) of the core, the part of the window that a tile stands for.
+    size: tuple[int, int]  #: (n_y, n_x) of a tile's transform: core and margins, rounded up to a fast length.
+    counts: tuple[int, int]  #: Tiles along y and x.
 
     @classmethod
     def over(cls, shape: tuple[int, int], margin: int, core_px: tuple[float, float]) -> Tiling:

@@ -39,41 +39,25 @@ _FIT_RATIO, _FIT_FLOOR = 1.5, 1e-4
 
 @dataclass(frozen=True)
 class BeamTerm:
-    """One term of a beam's point-spread function.
+    """One term of a beam's point-spread function."""
 
-    Attributes:
-        kind: "gauss" or "power".
-        weight: share of the deposited energy.
-        range_nm: range of the Gaussian, or the radius at which the power law bends.
-        exponent: of the power law, above 2; 0 for a Gaussian.
-    """
-
-    kind: Literal["gauss", "power"]
-    weight: float
-    range_nm: float
-    exponent: float = 0.0
+    kind: Literal["gauss", "power"]  #: "gauss" or "power".
+    weight: float  #: Share of the deposited energy.
+    range_nm: float  #: Range of the Gaussian, or the radius at which the power law bends.
+    exponent: float = 0.0  #: Of the power law, above 2; 0 for a Gaussian.
 
 
 @dataclass(frozen=True)
 class BeamPsf:
-    """Point-spread function of the beam in the resist.
+    """Point-spread function of the beam in the resist."""
 
-    Attributes:
-        weight: shape (n,), shares of the deposited energy; they add up to 1.
-        range_nm: shape (n,), ranges beta of the Gaussians exp(-r^2 / beta^2), ascending.
-        terms: terms that the Gaussians represent; empty for a fitted table.
-        source: reference of the numbers, or "assumption".
-        fit_error: largest difference between the fitted and the tabulated share of energy within any radius; 0 without
-            a table.
-        blur_nm: range of the Gaussian that ``terms`` or the table are convolved with in ``range_nm``.
-    """
-
-    weight: FloatArray
-    range_nm: FloatArray
-    terms: tuple[BeamTerm, ...]
-    source: str
+    weight: FloatArray  #: Shape (n,), shares of the deposited energy; they add up to 1.
+    range_nm: FloatArray  #: Shape (n,), ranges beta of the Gaussians exp(-r^2 / beta^2), ascending.
+    terms: tuple[BeamTerm, ...]  #: Terms that the Gaussians represent; empty for a fitted table.
+    source: str  #: Reference of the numbers, or "assumption".
+    #: Largest difference between the fitted and the tabulated share of energy within any radius; 0 without a table.
     fit_error: float = 0.0
-    blur_nm: float = 0.0
+    blur_nm: float = 0.0  #: Range of the Gaussian that ``terms`` or the table are convolved with in ``range_nm``.
 
     @classmethod
     def of(cls, terms: Sequence[BeamTerm], source: str) -> BeamPsf:

@@ -33,19 +33,12 @@ _HSQ_300 = Layer(HSQ, 1.4, 300.0)
 
 @dataclass(frozen=True)
 class Preset:
-    """A process.
+    """A process."""
 
-    Attributes:
-        stack: layers from the resist down.
-        beam_kev: energy of the electrons.
-        description: the stack in words, with what is assumed.
-        resist: number of the resist's layer, from 0.
-    """
-
-    stack: tuple[Layer, ...]
-    beam_kev: float
-    description: str
-    resist: int = 0
+    stack: tuple[Layer, ...]  #: Layers from the resist down.
+    beam_kev: float  #: Energy of the electrons.
+    description: str  #: The stack in words, with what is assumed.
+    resist: int = 0  #: Number of the resist's layer, from 0.
 
 
 PRESETS = {

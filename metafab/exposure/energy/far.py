@@ -31,17 +31,11 @@ BLOCK_SITES = 4
 
 @dataclass(frozen=True)
 class MiddleRange:
-    """Convolution between sites on tiles with a margin.
+    """Convolution between sites on tiles with a margin."""
 
-    Attributes:
-        margin: sites on each side that a tile's energy depends on.
-        size: sites a side of the transform.
-        kernels: shape (3, size, size // 2 + 1), transforms of f, f_xx and f_yy; real.
-    """
-
-    margin: int
-    size: int
-    kernels: Float32Array
+    margin: int  #: Sites on each side that a tile's energy depends on.
+    size: int  #: Sites a side of the transform.
+    kernels: Float32Array  #: Shape (3, size, size // 2 + 1), transforms of f, f_xx and f_yy; real.
 
     @classmethod
     def of(cls, psf: BeamPsf, period_nm: tuple[float, float], tile_sites: int) -> MiddleRange | None:
@@ -94,13 +88,9 @@ class MiddleRange:
 
 @dataclass(frozen=True)
 class LongRange:
-    """Energy of the long ranges on blocks of the whole lens.
+    """Energy of the long ranges on blocks of the whole lens."""
 
-    Attributes:
-        energy: shape (blocks_y, blocks_x), at block centres.
-    """
-
-    energy: FloatArray
+    energy: FloatArray  #: Shape (blocks_y, blocks_x), at block centres.
 
     @classmethod
     def of(cls, psf: BeamPsf, block_mass: FloatArray, period_nm: tuple[float, float]) -> LongRange | None:

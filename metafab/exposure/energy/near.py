@@ -24,21 +24,13 @@ from metafab.exposure.electrons.beam import BeamPsf
 
 @dataclass(frozen=True)
 class NearTables:
-    """Energy per unit dose from one pillar of a 3 x 3 block; offsets (0, 0), (1, 0), (0, 1), (1, 1) in (x, y).
+    """Energy per unit dose from one pillar of a 3 x 3 block; offsets (0, 0), (1, 0), (0, 1), (1, 1) in (x, y)."""
 
-    Attributes:
-        centre: shape (4, n_sizes), at the centre of the target.
-        edge_x: shape (4, n_widths, n_sizes), mean over the two edges along x of a target of each width.
-        edge_y: shape (4, n_lengths, n_sizes), mean over the two edges along y of a target of each length.
-        width_of: shape (n_sizes,), index of each size's width.
-        length_of: shape (n_sizes,), index of each size's length.
-    """
-
-    centre: Float32Array
-    edge_x: Float32Array
-    edge_y: Float32Array
-    width_of: NDArray[np.int32]
-    length_of: NDArray[np.int32]
+    centre: Float32Array  #: Shape (4, n_sizes), at the centre of the target.
+    edge_x: Float32Array  #: Shape (4, n_widths, n_sizes), mean over the two edges along x of a target of each width.
+    edge_y: Float32Array  #: Shape (4, n_lengths, n_sizes), mean over the two edges along y of a target of each length.
+    width_of: NDArray[np.int32]  #: Shape (n_sizes,), index of each size's width.
+    length_of: NDArray[np.int32]  #: Shape (n_sizes,), index of each size's length.
 
 
 def near_tables(psf: BeamPsf, size_nm: FloatArray, period_nm: tuple[float, float]) -> NearTables:

@@ -27,23 +27,14 @@ ROUNDS, _REACH, _PRICE = 8, 3, 5e-3
 
 @dataclass(frozen=True)
 class NeighbourChoice:
-    """Sizes of a mapping, and the light that they have among their neighbours.
+    """Sizes of a mapping, and the light that they have among their neighbours."""
 
-    Attributes:
-        tables: chains at the sizes.
-        t: shape (sizes, 2), the library's t; row 0 is no pillar.
-        place: shape (sizes, 2), (row, column) of each size in ``grid``.
-        grid: shape (lengths, widths), index of each size; 0 where the rules admit none.
-        length_nm: shape (lengths,), lengths of the grid.
-        width_nm: shape (widths,), widths of the grid.
-    """
-
-    tables: NeighbourTables
-    t: ComplexArray
-    place: NDArray[np.intp]
-    grid: IndexArray
-    length_nm: FloatArray
-    width_nm: FloatArray
+    tables: NeighbourTables  #: Chains at the sizes.
+    t: ComplexArray  #: Shape (sizes, 2), the library's t; row 0 is no pillar.
+    place: NDArray[np.intp]  #: Shape (sizes, 2), (row, column) of each size in ``grid``.
+    grid: IndexArray  #: Shape (lengths, widths), index of each size; 0 where the rules admit none.
+    length_nm: FloatArray  #: Shape (lengths,), lengths of the grid.
+    width_nm: FloatArray  #: Shape (widths,), widths of the grid.
 
     @classmethod
     def of(cls, neighbours: Neighbours, size_nm: FloatArray, t: ComplexArray) -> NeighbourChoice:

@@ -23,21 +23,13 @@ _ROWS_AT_ONCE = 48
 
 @dataclass(frozen=True)
 class RowSet:
-    """Solved rows of one length.
+    """Solved rows of one length."""
 
-    Attributes:
-        size_nm: shape (rows, sites, 2), width and length of each pillar.
-        local: shape (rows, sites), the library's t of each pillar.
-        amplitude: shape (rows, orders), solved amplitudes of the orders.
-        order: shape (orders,), numbers of the orders.
-        weight: shape (orders,), weight of each squared residual.
-    """
-
-    size_nm: FloatArray
-    local: ComplexArray
-    amplitude: ComplexArray
-    order: FloatArray
-    weight: FloatArray
+    size_nm: FloatArray  #: Shape (rows, sites, 2), width and length of each pillar.
+    local: ComplexArray  #: Shape (rows, sites), the library's t of each pillar.
+    amplitude: ComplexArray  #: Shape (rows, orders), solved amplitudes of the orders.
+    order: FloatArray  #: Shape (orders,), numbers of the orders.
+    weight: FloatArray  #: Shape (orders,), weight of each squared residual.
 
     @property
     def to_orders(self) -> ComplexArray:
@@ -63,18 +55,12 @@ class EqualPillars:
 
     The modes that light along the axis excites make the resonances of t(s). What y(s) - t(s) has beyond polynomials of
     the size is a residual of the fit.
-
-    Attributes:
-        size_nm: shape (n, 2), along the row and across it.
-        t: shape (n,), the library's t.
-        background: shape (n, terms), orthonormal columns that span the background.
-        weight: weight of each squared residual, that of a whole row being 1.
     """
 
-    size_nm: FloatArray
-    t: ComplexArray
-    background: FloatArray
-    weight: float
+    size_nm: FloatArray  #: Shape (n, 2), along the row and across it.
+    t: ComplexArray  #: Shape (n,), the library's t.
+    background: FloatArray  #: Shape (n, terms), orthonormal columns that span the background.
+    weight: float  #: Weight of each squared residual, that of a whole row being 1.
 
     @classmethod
     def of(cls, model: LineModel, size_nm: FloatArray, t: ComplexArray, weight: float, degree: int) -> EqualPillars:
@@ -90,17 +76,11 @@ class EqualPillars:
 
 @dataclass(frozen=True)
 class FitLimits:
-    """Stopping rules and prior of a fit.
+    """Stopping rules and prior of a fit."""
 
-    Attributes:
-        steps: most steps.
-        ridge: weight of the squared parameters, relative to one row; grows with the degree of a term.
-        gain: smallest relative decrease of the loss over five steps.
-    """
-
-    steps: int = 120
-    ridge: float = 1e-2
-    gain: float = 5e-3
+    steps: int = 120  #: Most steps.
+    ridge: float = 1e-2  #: Weight of the squared parameters, relative to one row; grows with the degree of a term.
+    gain: float = 5e-3  #: Smallest relative decrease of the loss over five steps.
 
 
 def fit(

@@ -35,17 +35,11 @@ PARAMETERS = ("site", "source", "own", "side", "hop")
 
 @dataclass(frozen=True)
 class LineShape:
-    """Number of modes and polynomial terms of a line model.
+    """Number of modes and polynomial terms of a line model."""
 
-    Attributes:
-        even: even modes of a site.
-        odd: odd modes of a site.
-        degree: total degree of the polynomials of width and length.
-    """
-
-    even: int = 3
-    odd: int = 2
-    degree: int = 4
+    even: int = 3  #: Even modes of a site.
+    odd: int = 2  #: Odd modes of a site.
+    degree: int = 4  #: Total degree of the polynomials of width and length.
 
     @property
     def modes(self) -> int:
@@ -85,27 +79,16 @@ class LineShape:
 
 @dataclass(frozen=True)
 class LineModel:
-    """Parameters of a chain of coupled modes.
+    """Parameters of a chain of coupled modes."""
 
-    Attributes:
-        shape: numbers of modes, hops and terms.
-        along_nm: range of sizes along the row that maps to -1..1.
-        across_nm: range of sizes across the row that maps to -1..1.
-        site: shape (terms, n_pairs), coefficients of the free elements of H.
-        source: shape (terms, even), of c.
-        own: shape (terms, even), of e.
-        side: shape (terms, modes), of g.
-        hop: shape (n_hop_pairs,), free elements of W.
-    """
-
-    shape: LineShape
-    along_nm: Span
-    across_nm: Span
-    site: ComplexArray
-    source: ComplexArray
-    own: ComplexArray
-    side: ComplexArray
-    hop: ComplexArray
+    shape: LineShape  #: Numbers of modes, hops and terms.
+    along_nm: Span  #: Range of sizes along the row that maps to -1..1.
+    across_nm: Span  #: Range of sizes across the row that maps to -1..1.
+    site: ComplexArray  #: Shape (terms, n_pairs), coefficients of the free elements of H.
+    source: ComplexArray  #: Shape (terms, even), of c.
+    own: ComplexArray  #: Shape (terms, even), of e.
+    side: ComplexArray  #: Shape (terms, modes), of g.
+    hop: ComplexArray  #: Shape (n_hop_pairs,), free elements of W.
 
     @property
     def vector(self) -> ComplexArray:

@@ -13,33 +13,19 @@ from metafab.library.neighbours.line import LineModel
 
 @dataclass(frozen=True)
 class LineStatistics:
-    """Errors of one chain on solved rows, relative rms of the transmitted field over the propagating orders.
+    """Errors of one chain on solved rows, relative rms of the transmitted field over the propagating orders."""
 
-    Attributes:
-        rows: rows that the chain was fitted to.
-        held_out: rows that only the errors below were taken from.
-        local_period_error: rms error of the local-period approximation on the held-out rows.
-        error: rms error of the chain on the held-out rows.
-        error_unlike: rms error on held-out rows of random sizes.
-        error_alike: rms error on held-out rows with phases that change steadily, as in a lens.
-        error_p90: 90th percentile of the errors on rows with steady phases.
-        error_fitted: rms error on the rows of the fit.
-        solver_error: rms error of the solved rows, from a sample solved more finely.
-        error_floor: smallest stated error of a row.
-        error_share: stated error per relative correction of the field, on top of the floor.
-    """
-
-    rows: int = 0
-    held_out: int = 0
-    local_period_error: float = math.nan
-    error: float = math.nan
-    error_unlike: float = math.nan
-    error_alike: float = math.nan
-    error_p90: float = math.nan
-    error_fitted: float = math.nan
-    solver_error: float = math.nan
-    error_floor: float = math.nan
-    error_share: float = math.nan
+    rows: int = 0  #: Rows that the chain was fitted to.
+    held_out: int = 0  #: Rows that only the errors below were taken from.
+    local_period_error: float = math.nan  #: Rms error of the local-period approximation on the held-out rows.
+    error: float = math.nan  #: Rms error of the chain on the held-out rows.
+    error_unlike: float = math.nan  #: Rms error on held-out rows of random sizes.
+    error_alike: float = math.nan  #: Rms error on held-out rows with phases that change steadily, as in a lens.
+    error_p90: float = math.nan  #: 90th percentile of the errors on rows with steady phases.
+    error_fitted: float = math.nan  #: Rms error on the rows of the fit.
+    solver_error: float = math.nan  #: Rms error of the solved rows, from a sample solved more finely.
+    error_floor: float = math.nan  #: Smallest stated error of a row.
+    error_share: float = math.nan  #: Stated error per relative correction of the field, on top of the floor.
 
     def stated_error(self, correction: FloatArray) -> FloatArray:
         """Stated relative error of rows whose field is corrected by the relative amount ``correction``, any shape."""
@@ -48,31 +34,21 @@ class LineStatistics:
 
 @dataclass(frozen=True)
 class TrainedLine:
-    """One chain and its errors.
+    """One chain and its errors."""
 
-    Attributes:
-        model: the chain.
-        statistics: errors on solved rows.
-    """
-
-    model: LineModel
-    statistics: LineStatistics
+    model: LineModel  #: The chain.
+    statistics: LineStatistics  #: Errors on solved rows.
 
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Chains of coupled modes for rows along x and along y and for both polarisations.
+    """Chains of coupled modes for rows along x and along y and for both polarisations."""
 
-    Attributes:
-        along: light polarised along the row, for rows along x and along y. Both are one chain if a rotation by 90
-            degrees maps the cell to itself.
-        across: light polarised across the row, likewise.
-        inputs_sha256: fingerprint of the training's inputs.
-    """
-
+    #: Light polarised along the row, for rows along x and along y. Both are one chain if a rotation by 90 degrees maps
+    #: the cell to itself.
     along: tuple[TrainedLine, TrainedLine]
-    across: tuple[TrainedLine, TrainedLine]
-    inputs_sha256: str = ""
+    across: tuple[TrainedLine, TrainedLine]  #: Light polarised across the row, likewise.
+    inputs_sha256: str = ""  #: Fingerprint of the training's inputs.
 
     def line(self, direction: int, polarisation: Polarisation) -> TrainedLine:
         """The chain of rows along x (``direction`` 0) or y (1); its sizes are (along the row, across the row)."""

@@ -37,29 +37,18 @@ _NO_PILLAR = 1e8
 
 @dataclass(frozen=True)
 class SizeTables:
-    """What the solve needs of each size, real and imaginary parts.
+    """What the solve needs of each size, real and imaginary parts."""
 
-    Attributes:
-        site: shape (2, sizes, modes (modes + 1) / 2), upper triangle of H.
-        source: shape (2, sizes, modes), c; 0 for odd modes.
-        own: shape (2, sizes, modes), e; 0 for odd modes.
-        side: shape (2, sizes, modes), g.
-        uniform: shape (2, sizes), y in a line of equal pillars.
-        hop: shape (2, modes, modes), W.
-        even: number of even modes, which come first.
-        pairs: shape (2, n_pairs), (r, s) of the free elements of H.
-        slope: shape (2, sizes, 2, n), derivatives of e, g, c, the free elements of H, and y by the size along and
-            across the line, per nm.
-    """
-
-    site: SingleArray
-    source: SingleArray
-    own: SingleArray
-    side: SingleArray
-    uniform: SingleArray
-    hop: SingleArray
-    even: int
-    pairs: NDArray[np.intp]
+    site: SingleArray  #: Shape (2, sizes, modes (modes + 1) / 2), upper triangle of H.
+    source: SingleArray  #: Shape (2, sizes, modes), c; 0 for odd modes.
+    own: SingleArray  #: Shape (2, sizes, modes), e; 0 for odd modes.
+    side: SingleArray  #: Shape (2, sizes, modes), g.
+    uniform: SingleArray  #: Shape (2, sizes), y in a line of equal pillars.
+    hop: SingleArray  #: Shape (2, modes, modes), W.
+    even: int  #: Number of even modes, which come first.
+    pairs: NDArray[np.intp]  #: Shape (2, n_pairs), (r, s) of the free elements of H.
+    #: Shape (2, sizes, 2, n), derivatives of e, g, c, the free elements of H, and y by the size along and across the
+    #: line, per nm.
     slope: SingleArray
 
     @classmethod

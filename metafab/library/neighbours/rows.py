@@ -42,21 +42,13 @@ _CHUNK, _AHEAD = 2, 16
 
 @dataclass(frozen=True)
 class RowSampler:
-    """Chooses rows along x by number.
+    """Chooses rows along x by number."""
 
-    Attributes:
-        cell: period and materials; its size is ignored.
-        polarisation: of the incident light.
-        size_nm: shape (n, 2), the library's sizes, (width, length).
-        t: shape (n, 2), the library's t of x and y polarised light.
-        stream: number that sets the random rows apart from those of other chains.
-    """
-
-    cell: PillarCell
-    polarisation: Polarisation
-    size_nm: FloatArray
-    t: ComplexArray
-    stream: int
+    cell: PillarCell  #: Period and materials; its size is ignored.
+    polarisation: Polarisation  #: Of the incident light.
+    size_nm: FloatArray  #: Shape (n, 2), the library's sizes, (width, length).
+    t: ComplexArray  #: Shape (n, 2), the library's t of x and y polarised light.
+    stream: int  #: Number that sets the random rows apart from those of other chains.
 
     @classmethod
     def of(cls, library: Library, direction: int, polarisation: Polarisation) -> RowSampler:

@@ -24,15 +24,10 @@ HALO_SITES = 24
 
 @dataclass(frozen=True)
 class NeighbourTables:
-    """Tables of the sizes of a mask for both directions of the lines and both polarisations.
+    """Tables of the sizes of a mask for both directions of the lines and both polarisations."""
 
-    Attributes:
-        along_x: lines along x, for x and for y polarised light.
-        along_y: lines along y, likewise.
-    """
-
-    along_x: tuple[SizeTables, SizeTables]
-    along_y: tuple[SizeTables, SizeTables]
+    along_x: tuple[SizeTables, SizeTables]  #: Lines along x, for x and for y polarised light.
+    along_y: tuple[SizeTables, SizeTables]  #: Lines along y, likewise.
 
     @classmethod
     def of(cls, neighbours: Neighbours, size_nm: FloatArray) -> NeighbourTables:

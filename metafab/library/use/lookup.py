@@ -36,24 +36,17 @@ _ROWS_AT_ONCE = 64
 
 @dataclass(frozen=True)
 class SizeTable:
-    """The sizes that a layout may use, and the best of them for every pair of target phases.
+    """The sizes that a layout may use, and the best of them for every pair of target phases."""
 
-    Attributes:
-        database_unit_nm: size of one database unit (dbu).
-        size_dbu: shape (n_sizes + 1, 2), (width, length), even whole numbers; row 0 is (0, 0), no pillar.
-        t: shape (n_sizes + 1, 2), transmission of x and y polarised light at the design wavelength.
-        error: shape (n_sizes + 1,), the library's bound on the absolute error of ``t``.
-        size_index: shape (cells, cells), indexed [phi_y, phi_x]: the size with the best overlap at the phases
-            2 pi (column, row) / cells.
-        overlap: shape (cells, cells), the best overlap (2 for a perfect pillar with |t| = 1).
-    """
-
-    database_unit_nm: float
+    database_unit_nm: float  #: Size of one database unit (dbu).
+    #: Shape (n_sizes + 1, 2), (width, length), even whole numbers; row 0 is (0, 0), no pillar.
     size_dbu: NDArray[np.int32]
-    t: ComplexArray
-    error: FloatArray
+    t: ComplexArray  #: Shape (n_sizes + 1, 2), transmission of x and y polarised light at the design wavelength.
+    error: FloatArray  #: Shape (n_sizes + 1,), the library's bound on the absolute error of ``t``.
+    #: Shape (cells, cells), indexed [phi_y, phi_x]: the size with the best overlap at the phases 2 pi (column, row) /
+    #: cells.
     size_index: NDArray[np.uint16]
-    overlap: FloatArray
+    overlap: FloatArray  #: Shape (cells, cells), the best overlap (2 for a perfect pillar with |t| = 1).
 
     @property
     def cells(self) -> int:

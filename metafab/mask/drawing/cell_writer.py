@@ -18,47 +18,31 @@ from metafab.mask.shapes.hierarchy import IntArray
 
 @dataclass(frozen=True)
 class Drawing:
-    """Properties of a mask that a writer needs before the first tile.
+    """Properties of a mask that a writer needs before the first tile."""
 
-    Attributes:
-        lattice: lattice of the tiles.
-        top: name of the top cell.
-        copies: lenses to place if there are several; empty if the top cell is the lens.
-        flat: whether the top cell is the only cell and holds every shape, those of each copy at their places.
-    """
-
-    lattice: Lattice
-    top: str
-    copies: tuple[LensCopy, ...] = ()
+    lattice: Lattice  #: Lattice of the tiles.
+    top: str  #: Name of the top cell.
+    copies: tuple[LensCopy, ...] = ()  #: Lenses to place if there are several; empty if the top cell is the lens.
+    #: Whether the top cell is the only cell and holds every shape, those of each copy at their places.
     flat: bool = False
 
 
 @dataclass(frozen=True)
 class EncodedTile:
-    """The shapes of one stamp on the sites of a tile, in the bytes of a format.
+    """The shapes of one stamp on the sites of a tile, in the bytes of a format."""
 
-    Attributes:
-        variant: bias and dose of the copies of the lens that the shapes belong to.
-        cell: cell of the shapes.
-        content: bytes of the elements, shape (n,) each; a flat mask has one array for each copy of the lens.
-        cells: encoded cells to which the elements refer, by name.
-    """
-
-    variant: Variant
-    cell: TileCell
+    variant: Variant  #: Bias and dose of the copies of the lens that the shapes belong to.
+    cell: TileCell  #: Cell of the shapes.
+    #: Bytes of the elements, shape (n,) each; a flat mask has one array for each copy of the lens.
     content: tuple[NDArray[np.uint8], ...]
-    cells: Mapping[str, bytes] = field(default_factory=dict)
+    cells: Mapping[str, bytes] = field(default_factory=dict)  #: Encoded cells to which the elements refer, by name.
 
 
 @dataclass(frozen=True)
 class TileEncoder(ABC):
-    """Encodes tiles in a format; independent of the file, so that it may travel to another process.
+    """Encodes tiles in a format; independent of the file, so that it may travel to another process."""
 
-    Attributes:
-        drawing: the mask.
-    """
-
-    drawing: Drawing
+    drawing: Drawing  #: The mask.
 
     def __call__(self, tile: PillarTile, stamp: Stamp) -> EncodedTile:
         """Encode ``stamp`` on the sites of ``tile``. Safe to call from several threads."""
@@ -85,14 +69,11 @@ class MaskWriter(ABC):
         stream: binary stream at its start.
         drawing: the mask.
 
-    Attributes:
-        encoder: makes the encoded tiles that :meth:`add` takes.
-
     Raises:
         InputError: the format cannot hold the mask.
     """
 
-    encoder: TileEncoder
+    encoder: TileEncoder  #: Makes the encoded tiles that :meth:`add` takes.
 
     def __init__(self, stream: BinaryIO, drawing: Drawing) -> None:
         self._stream = stream

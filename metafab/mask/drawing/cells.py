@@ -18,21 +18,13 @@ _LONGEST_NAME = 32  # Every GDSII reader takes names of this length.
 
 @dataclass(frozen=True)
 class TileCell:
-    """The cell of one tile; its origin is the lower left corner of its first unit cell.
+    """The cell of one tile; its origin is the lower left corner of its first unit cell."""
 
-    Attributes:
-        name: cell name.
-        x_dbu: x at which the lens places the origin.
-        y_dbu: y at which the lens places the origin.
-        first_x_dbu: x of the first site, relative to the origin.
-        first_y_dbu: y of the first site, relative to the origin.
-    """
-
-    name: str
-    x_dbu: int
-    y_dbu: int
-    first_x_dbu: int
-    first_y_dbu: int
+    name: str  #: Cell name.
+    x_dbu: int  #: x at which the lens places the origin.
+    y_dbu: int  #: y at which the lens places the origin.
+    first_x_dbu: int  #: x of the first site, relative to the origin.
+    first_y_dbu: int  #: y of the first site, relative to the origin.
 
     def flattened(self, x_dbu: int, y_dbu: int) -> TileCell:
         """Return the cell with its origin moved to that of the top cell, for the lens at (x_dbu, y_dbu)."""
@@ -42,28 +34,19 @@ class TileCell:
 
 @dataclass(frozen=True)
 class Stamp:
-    """The rectangle or polygon that is drawn at a site, for each size index.
+    """The rectangle or polygon that is drawn at a site, for each size index."""
 
-    Attributes:
-        size_dbu: shape (n_sizes + 1, 2), width and length; row 0 is never drawn.
-        corner_dbu: shape (n_sizes + 1, 2), from the site to the lower left corner of a rectangle, or to the first
-            corner of a polygon.
-        layer: GDSII or OASIS layer.
-        datatype: GDSII or OASIS datatype.
-        variant: bias and dose of the copies of the lens that the shapes belong to.
-        tag: suffix that distinguishes the cells of several stamps of one tile.
-        polygons: corners of each size relative to its first corner, shape (n, 2) each; None for rectangles.
-        turned: whether several polygons share one width and length, at different angles.
-    """
-
-    size_dbu: NDArray[np.int64]
+    size_dbu: NDArray[np.int64]  #: Shape (n_sizes + 1, 2), width and length; row 0 is never drawn.
+    #: Shape (n_sizes + 1, 2), from the site to the lower left corner of a rectangle, or to the first corner of a
+    #: polygon.
     corner_dbu: NDArray[np.int64]
-    layer: int
-    datatype: int
-    variant: Variant = PLAIN
-    tag: str = ""
+    layer: int  #: GDSII or OASIS layer.
+    datatype: int  #: GDSII or OASIS datatype.
+    variant: Variant = PLAIN  #: Bias and dose of the copies of the lens that the shapes belong to.
+    tag: str = ""  #: Suffix that distinguishes the cells of several stamps of one tile.
+    #: Corners of each size relative to its first corner, shape (n, 2) each; None for rectangles.
     polygons: tuple[NDArray[np.int64], ...] | None = None
-    turned: bool = False
+    turned: bool = False  #: Whether several polygons share one width and length, at different angles.
 
 
 def pillar_stamp(

@@ -17,15 +17,10 @@ from metafab.spec import Design
 
 @dataclass(frozen=True, order=True)
 class Variant:
-    """Properties of a lens that its cells depend on; copies with equal ones share their cells.
+    """Properties of a lens that its cells depend on; copies with equal ones share their cells."""
 
-    Attributes:
-        bias_dbu: added to the drawn width and length, on top of ``mask.bias_nm``.
-        dose_number: number of its dose among those of all copies, ascending, from 0.
-    """
-
-    bias_dbu: int = 0
-    dose_number: int = 0
+    bias_dbu: int = 0  #: Added to the drawn width and length, on top of ``mask.bias_nm``.
+    dose_number: int = 0  #: Number of its dose among those of all copies, ascending, from 0.
 
     @property
     def tag(self) -> str:
@@ -42,19 +37,12 @@ PLAIN = Variant()
 
 @dataclass(frozen=True)
 class LensCopy:
-    """One lens of the chip.
+    """One lens of the chip."""
 
-    Attributes:
-        x_dbu: x of its optical axis.
-        y_dbu: y of its optical axis.
-        variant: bias and dose.
-        label: text drawn above it; None for nothing.
-    """
-
-    x_dbu: int
-    y_dbu: int
-    variant: Variant = PLAIN
-    label: str | None = None
+    x_dbu: int  #: x of its optical axis.
+    y_dbu: int  #: y of its optical axis.
+    variant: Variant = PLAIN  #: Bias and dose.
+    label: str | None = None  #: Text drawn above it; None for nothing.
 
 
 def lens_copies(design: Design) -> tuple[LensCopy, ...]:

@@ -27,34 +27,21 @@ _MOST_CORNERS, _ON_GRID = 8190, 1e-3
 
 @dataclass(frozen=True)
 class IncludedPolygon:
-    """One polygon in the top cell.
+    """One polygon in the top cell."""
 
-    Attributes:
-        layer: layer in the written file.
-        datatype: datatype in the written file.
-        corners: shape (n, 2), x and y in database units, not closed.
-    """
-
-    layer: int
-    datatype: int
-    corners: IntArray
+    layer: int  #: Layer in the written file.
+    datatype: int  #: Datatype in the written file.
+    corners: IntArray  #: Shape (n, 2), x and y in database units, not closed.
 
 
 @dataclass(frozen=True)
 class IncludedCell:
-    """Everything drawn by one entry of ``mask.include``.
+    """Everything drawn by one entry of ``mask.include``."""
 
-    Attributes:
-        file: name of the file, without its folder.
-        cell: name of the cell.
-        polygons: its polygons.
-        texts: number of texts, which are not written.
-    """
-
-    file: str
-    cell: str
-    polygons: tuple[IncludedPolygon, ...]
-    texts: int
+    file: str  #: Name of the file, without its folder.
+    cell: str  #: Name of the cell.
+    polygons: tuple[IncludedPolygon, ...]  #: Its polygons.
+    texts: int  #: Number of texts, which are not written.
 
     @property
     def boxes(self) -> IntArray:

@@ -20,17 +20,11 @@ _MOST_RECTANGLES = 1_000_000
 
 @dataclass(frozen=True)
 class Structure:
-    """One test structure.
+    """One test structure."""
 
-    Attributes:
-        key: its table in the design.
-        first: shape (n, 4), rectangles (x, y, width, height) of the first exposure, database units.
-        second: shape (n, 4), rectangles that are written with the pillars.
-    """
-
-    key: str
-    first: IntArray
-    second: IntArray
+    key: str  #: Its table in the design.
+    first: IntArray  #: Shape (n, 4), rectangles (x, y, width, height) of the first exposure, database units.
+    second: IntArray  #: Shape (n, 4), rectangles that are written with the pillars.
 
     def box(self, grown_dbu: int) -> IntArray:
         """Bounding box (left, bottom, right, top), grown on each side; shape (1, 4)."""

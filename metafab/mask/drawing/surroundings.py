@@ -21,19 +21,13 @@ from metafab.spec.mask import Kit
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Rectangles of one layer around the lenses.
+    """Rectangles of one layer around the lenses."""
 
-    Attributes:
-        name: description in lists of layers.
-        layer: GDSII or OASIS layer; the datatype is 0.
-        rectangles: shape (n, 4), x, y of the lower left corner, width, height in database units.
-        exposure: number of the exposure that writes them, 1 for marks that the second one is aligned to; 0 for windows
-            that the shop uses as it needs.
-    """
-
-    name: str
-    layer: int
-    rectangles: IntArray
+    name: str  #: Description in lists of layers.
+    layer: int  #: GDSII or OASIS layer; the datatype is 0.
+    rectangles: IntArray  #: Shape (n, 4), x, y of the lower left corner, width, height in database units.
+    #: Number of the exposure that writes them, 1 for marks that the second one is aligned to; 0 for windows that the
+    #: shop uses as it needs.
     exposure: int = 2
 
 

@@ -38,25 +38,15 @@ _REFERENCES = {records.SREF, records.AREF}
 
 @dataclass(frozen=True)
 class _Run:
-    """Elements that differ only in their coordinates.
+    """Elements that differ only in their coordinates."""
 
-    Attributes:
-        kind: kind of the elements.
-        start: file offset of the first element.
-        count: number of elements.
-        stride: bytes of one element.
-        xy: offset of the coordinates in an element in bytes, and their number of words.
-        width: width of paths.
-        path_type: ends of paths: 0 flush, 2 extended by half the width.
-    """
-
-    kind: int
-    start: int
-    count: int
-    stride: int
-    xy: tuple[int, int]
-    width: int
-    path_type: int
+    kind: int  #: Kind of the elements.
+    start: int  #: File offset of the first element.
+    count: int  #: Number of elements.
+    stride: int  #: Bytes of one element.
+    xy: tuple[int, int]  #: Offset of the coordinates in an element in bytes, and their number of words.
+    width: int  #: Width of paths.
+    path_type: int  #: Ends of paths: 0 flush, 2 extended by half the width.
 
 
 class GdsiiReader:

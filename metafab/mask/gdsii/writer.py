@@ -39,12 +39,9 @@ _DATE = struct.pack(">12h", *(2000, 1, 1, 0, 0, 0) * 2)
 
 @dataclass(frozen=True)
 class GdsiiEncoder(TileEncoder):
-    """Encodes tiles as boundaries.
+    """Encodes tiles as boundaries."""
 
-    Attributes:
-        spare: memory of tiles already written, of any shape; fresh pages from the system cost as much time as the file.
-    """
-
+    #: Memory of tiles already written, of any shape; fresh pages from the system cost as much time as the file.
     spare: list[NDArray[np.int32]] = field(default_factory=list)
 
     def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:

@@ -154,29 +154,17 @@ def read_displacements(data: ByteArray, position: int, form: int, offsets: IntAr
 
 
 class Repetition(NamedTuple):
-    """A repetition up to its list of displacements, if it has one.
+    """A repetition up to its list of displacements, if it has one."""
 
-    Attributes:
-        copies: number of copies.
-        columns: copies of a row, along the fast step.
-        grid: factor of the displacements of a list.
-        form: :data:`REGULAR`, or form of the displacements of a list.
-        fast_x: x of the step within a row.
-        fast_y: y of the step within a row.
-        slow_x: x of the step between rows.
-        slow_y: y of the step between rows.
-        end: position behind what was read; -1 if the data end, the type is unknown or a count is implausible.
-    """
-
-    copies: int
-    columns: int
-    grid: int
-    form: int
-    fast_x: int
-    fast_y: int
-    slow_x: int
-    slow_y: int
-    end: int
+    copies: int  #: Number of copies.
+    columns: int  #: Copies of a row, along the fast step.
+    grid: int  #: Factor of the displacements of a list.
+    form: int  #: :data:`REGULAR`, or form of the displacements of a list.
+    fast_x: int  #: x of the step within a row.
+    fast_y: int  #: y of the step within a row.
+    slow_x: int  #: x of the step between rows.
+    slow_y: int  #: y of the step between rows.
+    end: int  #: Position behind what was read; -1 if the data end, the type is unknown or a count is implausible.
 
 
 @compiled
@@ -209,17 +197,11 @@ def read_repetition(data: ByteArray, position: int) -> Repetition:
 
 @dataclass(frozen=True)
 class Copies:
-    """Places of the copies of a record, relative to the first; expanded a block at a time.
+    """Places of the copies of a record, relative to the first; expanded a block at a time."""
 
-    Attributes:
-        count: number of copies.
-        read: the repetition whose copies stand at equal steps.
-        listed: places of all copies, shape (n, 2); None for equal steps.
-    """
-
-    count: int
-    read: Repetition | None = None
-    listed: IntArray | None = None
+    count: int  #: Number of copies.
+    read: Repetition | None = None  #: The repetition whose copies stand at equal steps.
+    listed: IntArray | None = None  #: Places of all copies, shape (n, 2); None for equal steps.
 
     def blocks(self) -> Iterator[IntArray]:
         """Places, shape (m, 2) each, the first (0, 0)."""

@@ -17,41 +17,26 @@ SHAPES = {RECTANGLE, POLYGON, *range(_PATH, _CIRCLE + 1), _EXTENSION}
 
 @dataclass
 class Modal:
-    """Modal variables of a cell: each keeps its last value for records that leave it out.
+    """Modal variables of a cell: each keeps its last value for records that leave it out."""
 
-    Attributes:
-        relative: whether positions are relative to the record before.
-        placement: position of the last placement.
-        geometry: position of the last shape.
-        text: position of the last text.
-        cell: name of the last placed cell.
-        text_layer: layer and type of texts.
-        half_width: half the width of paths.
-        extension: extensions of both ends of paths.
-        path: vertices of paths, shape (n, 2).
-        polygon: vertices of polygons, shape (n, 2).
-        trapezoid: type of compact trapezoids.
-        repetition: places of the last repetition.
-        unread: data, shape (n,), and position of a later repetition that a compiled run has skipped.
-    """
-
-    relative: bool = False
-    placement: tuple[int, int] = (0, 0)
-    geometry: tuple[int, int] = (0, 0)
-    text: tuple[int, int] = (0, 0)
-    cell: str | None = None
+    relative: bool = False  #: Whether positions are relative to the record before.
+    placement: tuple[int, int] = (0, 0)  #: Position of the last placement.
+    geometry: tuple[int, int] = (0, 0)  #: Position of the last shape.
+    text: tuple[int, int] = (0, 0)  #: Position of the last text.
+    cell: str | None = None  #: Name of the last placed cell.
     layer: int = -1
     datatype: int = -1
-    text_layer: tuple[int, int] = (-1, -1)
+    text_layer: tuple[int, int] = (-1, -1)  #: Layer and type of texts.
     width: int = 0
     height: int = 0
-    half_width: int = 0
-    extension: list[int] = field(default_factory=lambda: [0, 0])
-    path: IntArray | None = None
-    polygon: IntArray | None = None
+    half_width: int = 0  #: Half the width of paths.
+    extension: list[int] = field(default_factory=lambda: [0, 0])  #: Extensions of both ends of paths.
+    path: IntArray | None = None  #: Vertices of paths, shape (n, 2).
+    polygon: IntArray | None = None  #: Vertices of polygons, shape (n, 2).
     radius: int = 0
-    trapezoid: int = 0
-    repetition: Copies | None = None
+    trapezoid: int = 0  #: Type of compact trapezoids.
+    repetition: Copies | None = None  #: Places of the last repetition.
+    #: Data, shape (n,), and position of a later repetition that a compiled run has skipped.
     unread: tuple[ByteArray, int] | None = None
 
     def read_position(self, stream: Stream, last: tuple[int, int], has_x: bool, has_y: bool) -> tuple[int, int]:

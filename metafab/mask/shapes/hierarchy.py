@@ -25,17 +25,11 @@ _ORIGIN = np.zeros(2, dtype=np.int64)
 
 @dataclass(frozen=True)
 class Other:
-    """A shape on the pillar layer that is not a pillar.
+    """A shape on the pillar layer that is not a pillar."""
 
-    Attributes:
-        kind: name of the shape in the file, such as "polygon".
-        box: shape (4,), x, y, width, height of its bounding box in file units, or None if unknown.
-        count: number of shapes that this one represents.
-    """
-
-    kind: str
-    box: IntArray | None
-    count: int = 1
+    kind: str  #: Name of the shape in the file, such as "polygon".
+    box: IntArray | None  #: Shape (4,), x, y, width, height of its bounding box in file units, or None if unknown.
+    count: int = 1  #: Number of shapes that this one represents.
 
 
 @dataclass(frozen=True)
@@ -59,17 +53,11 @@ class Orientation:
 
 @dataclass(frozen=True)
 class Chunk:
-    """Some shapes of a cell.
+    """Some shapes of a cell."""
 
-    Attributes:
-        rectangles: pillars, shape (n, 4), x and y of the lower left corner, width, height, in file units.
-        others: all other shapes on the pillar layer, already moved by ``shift``.
-        shift: shape (2,), still to be added to x and y of the rectangles: this costs nothing where they are put at
-            their sites.
-    """
-
-    rectangles: IntArray
-    others: tuple[Other, ...] = ()
+    rectangles: IntArray  #: Pillars, shape (n, 4), x and y of the lower left corner, width, height, in file units.
+    others: tuple[Other, ...] = ()  #: All other shapes on the pillar layer, already moved by ``shift``.
+    #: Shape (2,), still to be added to x and y of the rectangles: this costs nothing where they are put at their sites.
     shift: IntArray = field(default_factory=lambda: _ORIGIN)
 
     def shift_under(self, turn: Orientation) -> IntArray:
@@ -79,48 +67,31 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Part:
-    """A piece of a file that can be read on its own, on any thread.
+    """A piece of a file that can be read on its own, on any thread."""
 
-    Attributes:
-        count: number of shapes.
-        chunks: opens their stream.
-    """
-
-    count: int
-    chunks: Callable[[], Iterator[Chunk]]
+    count: int  #: Number of shapes.
+    chunks: Callable[[], Iterator[Chunk]]  #: Opens their stream.
 
 
 @dataclass(frozen=True)
 class Reference:
-    """Placements of one cell.
+    """Placements of one cell."""
 
-    Attributes:
-        cell: its name.
-        orientation: None if the cell is magnified or turned by another angle than a multiple of 90 degrees.
-        count: number of placements.
-        offsets: opens the stream of their origins, shape (m, 2) each.
-    """
-
-    cell: str
+    cell: str  #: Its name.
+    #: None if the cell is magnified or turned by another angle than a multiple of 90 degrees.
     orientation: Orientation | None
-    count: int
-    offsets: Callable[[], Iterator[IntArray]]
+    count: int  #: Number of placements.
+    offsets: Callable[[], Iterator[IntArray]]  #: Opens the stream of their origins, shape (m, 2) each.
 
 
 @dataclass
 class Cell:
-    """A cell of a file.
+    """A cell of a file."""
 
-    Attributes:
-        references: cells placed in it.
-        shapes: opens the stream of its own shapes on the pillar layer.
-        shape_count: number of these shapes.
-        other_layers: number of shapes on other layers, by "layer/datatype".
-    """
-
-    references: list[Reference] = field(default_factory=list)
-    shapes: Callable[[], Iterator[Chunk]] = lambda: iter(())
-    shape_count: int = 0
+    references: list[Reference] = field(default_factory=list)  #: Cells placed in it.
+    shapes: Callable[[], Iterator[Chunk]] = lambda: iter(())  #: Opens the stream of its own shapes on the pillar layer.
+    shape_count: int = 0  #: Number of these shapes.
+    #: Number of shapes on other layers, by "layer/datatype".
     other_layers: Counter[str] = field(default_factory=Counter)
 
 

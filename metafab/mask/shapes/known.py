@@ -13,13 +13,9 @@ from metafab.mask.shapes.hierarchy import IntArray
 
 @dataclass(frozen=True)
 class KnownShapes:
-    """Distinguishes pillars from other shapes.
+    """Distinguishes pillars from other shapes."""
 
-    Attributes:
-        outline: outline of the pillars, in the unit of the design.
-    """
-
-    outline: Outline = RECTANGLE
+    outline: Outline = RECTANGLE  #: Outline of the pillars, in the unit of the design.
     # Rectangle of each ring, relative to its first corner, by the bytes of the ring and the unit.
     _rectangles: dict[tuple[bytes, float], IntArray | None] = field(default_factory=dict)
 

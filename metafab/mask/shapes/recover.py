@@ -23,15 +23,10 @@ KEPT = 200_000
 
 @dataclass(frozen=True, eq=False)
 class Leftover:
-    """Shapes on the pillar layer that are not pillars of the lattice.
+    """Shapes on the pillar layer that are not pillars of the lattice."""
 
-    Attributes:
-        count: number of shapes.
-        boxes_nm: bounding boxes of up to :data:`KEPT` of them, shape (m, 4), x, y of the lower left corner, width,
-            height.
-    """
-
-    count: int
+    count: int  #: Number of shapes.
+    #: Bounding boxes of up to :data:`KEPT` of them, shape (m, 4), x, y of the lower left corner, width, height.
     boxes_nm: FloatArray
 
 

@@ -28,15 +28,10 @@ _FIRST_RING = 0.6098
 
 @dataclass(frozen=True)
 class PerfectLens:
-    """Target phases that send the light of one object point on the axis to its image point without aberration.
+    """Target phases that send the light of one object point on the axis to its image point without aberration."""
 
-    Attributes:
-        imaging: geometry.
-        depth_m: object depth.
-    """
-
-    imaging: Imaging
-    depth_m: float
+    imaging: Imaging  #: Geometry.
+    depth_m: float  #: Object depth.
 
     def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
         """Return exp(-i k path), shape (2, n_y, n_x), at ``x_um``, shape (n_x,), and ``y_um``, shape (n_y,)."""
@@ -115,20 +110,13 @@ def _per_power(stack: Psf, chosen: list[int], pixel_um: float) -> tuple[float, _
 
 @dataclass(frozen=True)
 class _Spot:
-    """One image as a quintic spline, and its maximum.
+    """One image as a quintic spline, and its maximum."""
 
-    Attributes:
-        spline: irradiance over (y, x), um from the centre pixel.
-        x_um: place of the maximum; likewise ``y_um``.
-        peak: irradiance there.
-        half_um: half the side of the window.
-    """
-
-    spline: RectBivariateSpline
-    x_um: float
+    spline: RectBivariateSpline  #: Irradiance over (y, x), um from the centre pixel.
+    x_um: float  #: Place of the maximum; likewise ``y_um``.
     y_um: float
-    peak: float
-    half_um: float
+    peak: float  #: Irradiance there.
+    half_um: float  #: Half the side of the window.
 
     @classmethod
     def of(cls, image: FloatArray, pixel_um: float) -> _Spot:

@@ -28,23 +28,14 @@ _TRIALS = 8
 
 @dataclass(frozen=True)
 class SpaceVariance:
-    """Image points and aberrations of both polarisations over a grid of object directions.
+    """Image points and aberrations of both polarisations over a grid of object directions."""
 
-    Attributes:
-        tangent_x: shape (n_x,), x/z of the object.
-        tangent_y: shape (n_y,), y/z of the object.
-        defocus_dioptre: shape (2, n_y, n_x), change of vergence, positive as for a nearer object.
-        astigmatism_dioptre: shape (2, n_y, n_x), half the vergence along x minus that along y.
-        image_um: shape (2, n_y, n_x, 2), (x, y) of the geometric image points on the sensor.
-        distortion_um: shape (2, n_y, n_x, 2), deviation from the image by a pinhole at the lens centre.
-    """
-
-    tangent_x: FloatArray
-    tangent_y: FloatArray
-    defocus_dioptre: FloatArray
-    astigmatism_dioptre: FloatArray
-    image_um: FloatArray
-    distortion_um: FloatArray
+    tangent_x: FloatArray  #: Shape (n_x,), x/z of the object.
+    tangent_y: FloatArray  #: Shape (n_y,), y/z of the object.
+    defocus_dioptre: FloatArray  #: Shape (2, n_y, n_x), change of vergence, positive as for a nearer object.
+    astigmatism_dioptre: FloatArray  #: Shape (2, n_y, n_x), half the vergence along x minus that along y.
+    image_um: FloatArray  #: Shape (2, n_y, n_x, 2), (x, y) of the geometric image points on the sensor.
+    distortion_um: FloatArray  #: Shape (2, n_y, n_x, 2), deviation from the image by a pinhole at the lens centre.
 
 
 def space_variance(imaging: Imaging, tangent_x: FloatArray, tangent_y: FloatArray, depth_m: float) -> SpaceVariance:

@@ -27,16 +27,11 @@ class BlindInformation:
     """Information about the rim defocus in a conjugate pair of images, and its gradient over the pupil's phases.
 
     The images have m = 2 samples Nyquist pixels a side.
-
-    Attributes:
-        pupil: samples.
-        defocus_rad: shape (n_depth,), rim defocuses.
-        texture: unknown texture and noise, per Nyquist pixel.
     """
 
-    pupil: Pupil
-    defocus_rad: FloatArray
-    texture: Texture
+    pupil: Pupil  #: Samples.
+    defocus_rad: FloatArray  #: Shape (n_depth,), rim defocuses.
+    texture: Texture  #: Unknown texture and noise, per Nyquist pixel.
 
     @cached_property
     def _signal_to_noise(self) -> FloatArray:

@@ -26,17 +26,11 @@ _COMPONENTS = 4
 
 @dataclass(frozen=True)
 class PeakBound:
-    """Upper bounds of the weighted mean of the target peaks, Strehl ratios.
+    """Upper bounds of the weighted mean of the target peaks, Strehl ratios."""
 
-    Attributes:
-        spectral: from the largest eigenvalue of G; holds for any mask of the same mean square.
-        dual: the tighter bound; holds for every mask with |p| <= 1 everywhere.
-        start: shape (n_waves,), wave amplitudes of the main component of the relaxed solution.
-    """
-
-    spectral: float
-    dual: float
-    start: ComplexArray
+    spectral: float  #: From the largest eigenvalue of G; holds for any mask of the same mean square.
+    dual: float  #: The tighter bound; holds for every mask with |p| <= 1 everywhere.
+    start: ComplexArray  #: Shape (n_waves,), wave amplitudes of the main component of the relaxed solution.
 
 
 def peak_bound(waves: ComplexArray, weights: FloatArray, iterations: int, seed: int) -> PeakBound:

@@ -39,32 +39,20 @@ Goal: TypeAlias = Literal["mean", "worst"]
 
 @dataclass(frozen=True)
 class PeakDesign:
-    """An optimised mask and its quality.
+    """An optimised mask and its quality."""
 
-    Attributes:
-        zones: L, which sets the rate of rotation.
-        defocus_rad: shape (n_depth,), rim defocuses of the target points.
-        lobe_radius: radius of the target points, optical units.
-        aim_deg: shape (n_depth,), orientations of the target points; they lead or lag the law of rotation so that the
-            lobe itself keeps to it.
-        amplitude: shape (n_depth,), weights of the waves whose sum has the phase of the mask.
-        goal: maximised quantity, the mean or the smallest value of ``target``.
-        target: shape (n_depth,), Strehl ratio at the target points.
-        bound: upper bound of that quantity for any mask.
-        lobe: measured main lobe of the mask.
-        plain: measured main lobe of the spiral of Eq. 2 at the same defocuses.
-    """
-
-    zones: int
-    defocus_rad: FloatArray
-    lobe_radius: float
+    zones: int  #: L, which sets the rate of rotation.
+    defocus_rad: FloatArray  #: Shape (n_depth,), rim defocuses of the target points.
+    lobe_radius: float  #: Radius of the target points, optical units.
+    #: Shape (n_depth,), orientations of the target points; they lead or lag the law of rotation so that the lobe itself
+    #: keeps to it.
     aim_deg: FloatArray
-    amplitude: ComplexArray
-    goal: Goal
-    target: FloatArray
-    bound: PeakBound
-    lobe: MainLobe
-    plain: MainLobe
+    amplitude: ComplexArray  #: Shape (n_depth,), weights of the waves whose sum has the phase of the mask.
+    goal: Goal  #: Maximised quantity, the mean or the smallest value of ``target``.
+    target: FloatArray  #: Shape (n_depth,), Strehl ratio at the target points.
+    bound: PeakBound  #: Upper bound of that quantity for any mask.
+    lobe: MainLobe  #: Measured main lobe of the mask.
+    plain: MainLobe  #: Measured main lobe of the spiral of Eq. 2 at the same defocuses.
 
     @property
     def peak_gain(self) -> float:

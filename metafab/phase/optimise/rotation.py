@@ -86,18 +86,12 @@ def helix_half_width(zones: int) -> float:
 
 @dataclass(frozen=True)
 class MainLobe:
-    """The brightest point of the PSF of x polarisation at each depth, to a fraction of a sample.
+    """The brightest point of the PSF of x polarisation at each depth, to a fraction of a sample."""
 
-    Attributes:
-        defocus_rad: shape (n_depth,), rim defocus.
-        peak: shape (n_depth,), Strehl ratio.
-        radius: shape (n_depth,), distance from the geometric image point, optical units.
-        phi_deg: shape (n_depth,), orientation, counter-clockwise from +x, unwrapped over the depths in order.
-    """
-
-    defocus_rad: FloatArray
-    peak: FloatArray
-    radius: FloatArray
+    defocus_rad: FloatArray  #: Shape (n_depth,), rim defocus.
+    peak: FloatArray  #: Shape (n_depth,), Strehl ratio.
+    radius: FloatArray  #: Shape (n_depth,), distance from the geometric image point, optical units.
+    #: Shape (n_depth,), orientation, counter-clockwise from +x, unwrapped over the depths in order.
     phi_deg: FloatArray
 
     def peak_gain(self, plain: MainLobe) -> float:

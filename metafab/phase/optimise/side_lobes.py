@@ -77,38 +77,23 @@ class SideLobeDesign(SampledMask):
 
 @dataclass(frozen=True)
 class LobeValues:
-    """Main and side lobes of a mask, and the amplitudes that their gradient needs.
+    """Main and side lobes of a mask, and the amplitudes that their gradient needs."""
 
-    Attributes:
-        peak: shape (n_depth,), Strehl ratio at the target points.
-        side: shape (n_depth,), p-norm of the Strehl ratios outside the main lobe.
-        amplitude: shape (n_depth, n_v, n_v), on the watched window.
-        target: shape (n_depth,), amplitude at the target points.
-    """
-
-    peak: FloatArray
-    side: FloatArray
-    amplitude: ComplexArray
-    target: ComplexArray
+    peak: FloatArray  #: Shape (n_depth,), Strehl ratio at the target points.
+    side: FloatArray  #: Shape (n_depth,), p-norm of the Strehl ratios outside the main lobe.
+    amplitude: ComplexArray  #: Shape (n_depth, n_v, n_v), on the watched window.
+    target: ComplexArray  #: Shape (n_depth,), amplitude at the target points.
 
 
 @dataclass(frozen=True)
 class SideLobes:
-    """Peaks and side lobes as functions of a mask, with the gradient of any function of them over the phases.
+    """Peaks and side lobes as functions of a mask, with the gradient of any function of them over the phases."""
 
-    Attributes:
-        pupil: samples.
-        defocus_rad: shape (n_depth,), rim defocuses.
-        aim: shape (n_depth, 2), target points of the main lobe, optical units.
-        half_width: of the watched window, optical units.
-        excluded: radius around the target point that counts as main lobe, optical units.
-    """
-
-    pupil: Pupil
-    defocus_rad: FloatArray
-    aim: FloatArray
-    half_width: float
-    excluded: float = AIRY_RADIUS
+    pupil: Pupil  #: Samples.
+    defocus_rad: FloatArray  #: Shape (n_depth,), rim defocuses.
+    aim: FloatArray  #: Shape (n_depth, 2), target points of the main lobe, optical units.
+    half_width: float  #: Of the watched window, optical units.
+    excluded: float = AIRY_RADIUS  #: Radius around the target point that counts as main lobe, optical units.
 
     @cached_property
     def _plane(self) -> FocalPlane:

@@ -41,48 +41,31 @@ def smear_um_per_nm(sensor_distance_um: float, angle_deg: float, wavelength_um: 
 
 @dataclass(frozen=True)
 class BandwidthTradeoff:
-    """Information about depth against the width of the filter and the angle of the split.
+    """Information about depth against the width of the filter and the angle of the split."""
 
-    Attributes:
-        fwhm_nm: shape (n_width,), full widths of a filter with a flat top.
-        angle_deg: shape (n_angle,), angles of the split.
-        smear_um: shape (n_angle, n_width), spread of a point along the split.
-        kept: shape (n_angle, n_width), information over that of one wavelength with the same electrons.
-        relative_error: shape (n_angle, n_width), Cramer-Rao bound of depth with the electrons that the filter passes,
-            over that at one wavelength with the electrons of the reference width.
-    """
-
-    fwhm_nm: FloatArray
-    angle_deg: FloatArray
-    smear_um: FloatArray
-    kept: FloatArray
+    fwhm_nm: FloatArray  #: Shape (n_width,), full widths of a filter with a flat top.
+    angle_deg: FloatArray  #: Shape (n_angle,), angles of the split.
+    smear_um: FloatArray  #: Shape (n_angle, n_width), spread of a point along the split.
+    kept: FloatArray  #: Shape (n_angle, n_width), information over that of one wavelength with the same electrons.
+    #: Shape (n_angle, n_width), Cramer-Rao bound of depth with the electrons that the filter passes, over that at one
+    #: wavelength with the electrons of the reference width.
     relative_error: FloatArray
 
 
 @dataclass(frozen=True)
 class SplitImaging:
-    """A mask behind a split lens, over a range of depths, with unknown texture.
+    """A mask behind a split lens, over a range of depths, with unknown texture."""
 
-    Attributes:
-        pupil: samples; PSFs and their smear must fit in twice as many Nyquist pixels a side.
-        mask: shape (n,), complex transmission for x polarisation; y is the point mirror.
-        defocus_rad: shape (n_depth,), rim defocuses over which information is averaged.
-        aperture_um: diameter.
-        focal_length_mm: focal length at the design wavelength.
-        sensor_distance_um: distance of the sensor plane.
-        wavelength_um: design wavelength, the centre of the filter.
-        texture: unknown texture and noise per Nyquist pixel, with the electrons of ``reference_fwhm_nm``.
-        reference_fwhm_nm: width at which ``texture`` has its electrons; they are proportional to the width.
-    """
-
-    pupil: Pupil
-    mask: ComplexArray
-    defocus_rad: FloatArray
-    aperture_um: float
-    focal_length_mm: float
-    sensor_distance_um: float
-    wavelength_um: float
+    pupil: Pupil  #: Samples; PSFs and their smear must fit in twice as many Nyquist pixels a side.
+    mask: ComplexArray  #: Shape (n,), complex transmission for x polarisation; y is the point mirror.
+    defocus_rad: FloatArray  #: Shape (n_depth,), rim defocuses over which information is averaged.
+    aperture_um: float  #: Diameter.
+    focal_length_mm: float  #: Focal length at the design wavelength.
+    sensor_distance_um: float  #: Distance of the sensor plane.
+    wavelength_um: float  #: Design wavelength, the centre of the filter.
+    #: Unknown texture and noise per Nyquist pixel, with the electrons of ``reference_fwhm_nm``.
     texture: Texture = field(default_factory=Texture)
+    #: Width at which ``texture`` has its electrons; they are proportional to the width.
     reference_fwhm_nm: float = 10.0
 
     @cached_property
@@ -162,30 +145,21 @@ def bandwidth_tradeoff(imaging: SplitImaging, *, fwhm_nm: ArrayLike, angle_deg: 
 
 @dataclass(frozen=True)
 class BandwidthBudget:
-    """Cost of the colour filter of a design, and remedies.
+    """Cost of the colour filter of a design, and remedies."""
 
-    Attributes:
-        fwhm_nm: full width of the filter.
-        angle_deg: angle of the split.
-        dispersion_um_per_nm: shift of an image along the split per nanometre.
-        smear_um: spread of a point along the split.
-        kept: information over that of one wavelength with the same electrons.
-        remedies: effective changes, the most effective first. Another diffraction order of the carrier is no remedy:
-            at a given angle every order has the dispersion tan(theta) / lambda of the grating equation.
-        tradeoff: widths against angles; errors are over those of one wavelength with the chosen filter's electrons.
-        azimuth_deg: shape (n_azimuth,), directions of the split relative to the mask; 180 swaps the polarisations.
-        kept_by_azimuth: shape (n_azimuth,), information kept at the chosen width and angle.
-    """
-
-    fwhm_nm: float
-    angle_deg: float
-    dispersion_um_per_nm: float
-    smear_um: float
-    kept: float
+    fwhm_nm: float  #: Full width of the filter.
+    angle_deg: float  #: Angle of the split.
+    dispersion_um_per_nm: float  #: Shift of an image along the split per nanometre.
+    smear_um: float  #: Spread of a point along the split.
+    kept: float  #: Information over that of one wavelength with the same electrons.
+    #: Effective changes, the most effective first. Another diffraction order of the carrier is no remedy: at a given
+    #: angle every order has the dispersion tan(theta) / lambda of the grating equation.
     remedies: tuple[Remedy, ...]
+    #: Widths against angles; errors are over those of one wavelength with the chosen filter's electrons.
     tradeoff: BandwidthTradeoff
+    #: Shape (n_azimuth,), directions of the split relative to the mask; 180 swaps the polarisations.
     azimuth_deg: FloatArray
-    kept_by_azimuth: FloatArray
+    kept_by_azimuth: FloatArray  #: Shape (n_azimuth,), information kept at the chosen width and angle.
 
     @property
     def depth_error_factor(self) -> float:

@@ -34,19 +34,14 @@ _ROUNDING = 1e-10
 
 @dataclass(frozen=True)
 class DepthBounds:
-    """Cramer-Rao bounds of depth for several masks.
+    """Cramer-Rao bounds of depth for several masks."""
 
-    Attributes:
-        depth_m: shape (n_depth,).
-        masks: names.
-        point_m: shape (n_mask, n_depth), standard deviation for a point source of known position and brightness.
-        texture_m: shape (n_mask, n_depth), standard deviation for a patch of unknown texture of m x m Nyquist pixels,
-            m = 2 samples of the pupil; infinite without information.
-    """
-
-    depth_m: FloatArray
-    masks: tuple[str, ...]
+    depth_m: FloatArray  #: Shape (n_depth,).
+    masks: tuple[str, ...]  #: Names.
+    #: Shape (n_mask, n_depth), standard deviation for a point source of known position and brightness.
     point_m: FloatArray
+    #: Shape (n_mask, n_depth), standard deviation for a patch of unknown texture of m x m Nyquist pixels, m = 2 samples
+    #: of the pupil; infinite without information.
     texture_m: FloatArray
 
 

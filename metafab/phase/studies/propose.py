@@ -28,29 +28,20 @@ _LARGEST_TURN_DEG = 330.0
 
 @dataclass(frozen=True)
 class Proposal:
-    """One choice of [L, epsilon] over a range of depths.
+    """One choice of [L, epsilon] over a range of depths."""
 
-    Attributes:
-        zones: L of Eq. 2.
-        exponent: epsilon of Eq. 2.
-        focus_depth_m: depth in focus on the sensor, the middle of the range in vergence.
-        rotation_deg: turn of the main lobe from the nearest to the farthest depth, measured at the level of the pupil.
-        rotation_deg_per_dioptre: law of rotation (epsilon = 1/2).
-        full_turn_dioptre: range of vergence after which the orientation repeats.
-        depth_m: shape (n_depth,), depths, evenly spaced in vergence, ascending.
-        phi_deg: shape (n_depth,), orientation of the main lobe, measured at the level of the pupil, unwrapped.
-        crlb_m: shape (n_depth,), Cramer-Rao bound of depth from twin images of a patch of unknown texture of 96 x 96
-            Nyquist pixels of lambda s' / (4 R); in inverse proportion to the root of the area.
-    """
-
-    zones: int
-    exponent: float
-    focus_depth_m: float
+    zones: int  #: L of Eq. 2.
+    exponent: float  #: epsilon of Eq. 2.
+    focus_depth_m: float  #: Depth in focus on the sensor, the middle of the range in vergence.
+    #: Turn of the main lobe from the nearest to the farthest depth, measured at the level of the pupil.
     rotation_deg: float
-    rotation_deg_per_dioptre: float
-    full_turn_dioptre: float
-    depth_m: FloatArray
+    rotation_deg_per_dioptre: float  #: Law of rotation (epsilon = 1/2).
+    full_turn_dioptre: float  #: Range of vergence after which the orientation repeats.
+    depth_m: FloatArray  #: Shape (n_depth,), depths, evenly spaced in vergence, ascending.
+    #: Shape (n_depth,), orientation of the main lobe, measured at the level of the pupil, unwrapped.
     phi_deg: FloatArray
+    #: Shape (n_depth,), Cramer-Rao bound of depth from twin images of a patch of unknown texture of 96 x 96 Nyquist
+    #: pixels of lambda s' / (4 R); in inverse proportion to the root of the area.
     crlb_m: FloatArray
 
     @property

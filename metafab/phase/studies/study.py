@@ -38,35 +38,23 @@ _POINT_BACKGROUND_E = 5.0
 
 @dataclass(frozen=True)
 class LobeOverDepth:
-    """The main lobe of a design and of the plain spiral of Eq. 2, over one full turn.
+    """The main lobe of a design and of the plain spiral of Eq. 2, over one full turn."""
 
-    Attributes:
-        vergence_per_m: shape (n,), vergence of the object relative to the focus: 1/depth - 1/focus depth.
-        design: measured on the design's mask, n depths.
-        plain: measured on the plain spiral, n depths.
-        law_deg: shape (n,), orientation by the law of rotation, with the mean of the design.
-        range_per_m: vergences of the farthest and the nearest depth of ``[verify]`` relative to the focus.
-    """
-
-    vergence_per_m: FloatArray
-    design: MainLobe
-    plain: MainLobe
-    law_deg: FloatArray
+    vergence_per_m: FloatArray  #: Shape (n,), vergence of the object relative to the focus: 1/depth - 1/focus depth.
+    design: MainLobe  #: Measured on the design's mask, n depths.
+    plain: MainLobe  #: Measured on the plain spiral, n depths.
+    law_deg: FloatArray  #: Shape (n,), orientation by the law of rotation, with the mean of the design.
+    #: Vergences of the farthest and the nearest depth of ``[verify]`` relative to the focus.
     range_per_m: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class PhaseStudy:
-    """Quality of a design's target phases.
+    """Quality of a design's target phases."""
 
-    Attributes:
-        lobe: the rotating lobe; None for a design without spiral zones.
-        bounds: bounds of depth for the design and the reference masks; None for a single depth.
-        bandwidth: cost of the colour filter; None without a filter or a split, or for a single depth.
-    """
-
-    lobe: LobeOverDepth | None
-    bounds: DepthBounds | None
+    lobe: LobeOverDepth | None  #: The rotating lobe; None for a design without spiral zones.
+    bounds: DepthBounds | None  #: Bounds of depth for the design and the reference masks; None for a single depth.
+    #: Cost of the colour filter; None without a filter or a split, or for a single depth.
     bandwidth: BandwidthBudget | None
 
 

@@ -18,17 +18,11 @@ from metafab.phase.terms.profile import PhaseProfile, PolarisedTerm
 
 @dataclass(frozen=True)
 class LensPhase(PolarisedTerm):
-    """On-axis hyperbolic lens: -k (sqrt(r^2 + s^2) - s), plus the same term with the object distance if that is finite.
+    """On-axis hyperbolic lens: -k (sqrt(r^2 + s^2) - s), plus this term with a finite object distance."""
 
-    Attributes:
-        wavelength_um: vacuum wavelength.
-        image_distance_um: distance s of the image (the focal length for an object at infinity).
-        object_distance_um: distance of the object; infinite for parallel light.
-    """
-
-    wavelength_um: float
-    image_distance_um: float
-    object_distance_um: float = math.inf
+    wavelength_um: float  #: Vacuum wavelength.
+    image_distance_um: float  #: Distance s of the image (the focal length for an object at infinity).
+    object_distance_um: float = math.inf  #: Distance of the object; infinite for parallel light.
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         path = path_um(self.image_distance_um, self.object_distance_um, 0.0, 0.0, x_um, y_um)
@@ -42,18 +36,12 @@ class SplitLensPhase(PolarisedTerm):
     The image of an object at ``object_distance_um`` on the axis lies at ``image_distance_um`` from the centre of the
     lens in the direction -theta (x) or +theta (y). For parallel light the phase is -(2 pi / lambda) [sqrt(x^2 + y^2 +
     f^2 +- 2 x f sin(theta)) - f].
-
-    Attributes:
-        wavelength_um: vacuum wavelength.
-        image_distance_um: f of Eqs. 3 and 4, or the image distance of a finite conjugate.
-        angle_deg: theta.
-        object_distance_um: distance of the object; infinite in Eqs. 3 and 4.
     """
 
-    wavelength_um: float
-    image_distance_um: float
-    angle_deg: float
-    object_distance_um: float = math.inf
+    wavelength_um: float  #: Vacuum wavelength.
+    image_distance_um: float  #: f of Eqs. 3 and 4, or the image distance of a finite conjugate.
+    angle_deg: float  #: theta.
+    object_distance_um: float = math.inf  #: Distance of the object; infinite in Eqs. 3 and 4.
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         sine = math.sin(math.radians(self.angle_deg)) * (1.0 if polarisation == "x" else -1.0)
@@ -95,17 +83,11 @@ def path_um(
 
 @dataclass(frozen=True)
 class GratingPhase(PolarisedTerm):
-    """A linear phase that deflects normal incidence by ``angle_deg`` towards ``azimuth_deg``.
+    """A linear phase that deflects normal incidence by ``angle_deg`` towards ``azimuth_deg``."""
 
-    Attributes:
-        wavelength_um: vacuum wavelength.
-        angle_deg: angle between the deflected light and the axis, in an ambient of index 1.
-        azimuth_deg: direction of the deflection, counter-clockwise from +x.
-    """
-
-    wavelength_um: float
-    angle_deg: float
-    azimuth_deg: float = 0.0
+    wavelength_um: float  #: Vacuum wavelength.
+    angle_deg: float  #: Angle between the deflected light and the axis, in an ambient of index 1.
+    azimuth_deg: float = 0.0  #: Direction of the deflection, counter-clockwise from +x.
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         slope = 2.0 * math.pi / self.wavelength_um * math.sin(math.radians(self.angle_deg))
@@ -115,15 +97,10 @@ class GratingPhase(PolarisedTerm):
 
 @dataclass(frozen=True)
 class AxiconPhase(PolarisedTerm):
-    """Axicon: deflects light by ``angle_deg``, towards the axis for a positive angle.
+    """Axicon: deflects light by ``angle_deg``, towards the axis for a positive angle."""
 
-    Attributes:
-        wavelength_um: vacuum wavelength.
-        angle_deg: half angle of the cone.
-    """
-
-    wavelength_um: float
-    angle_deg: float
+    wavelength_um: float  #: Vacuum wavelength.
+    angle_deg: float  #: Half angle of the cone.
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         slope = -2.0 * math.pi / self.wavelength_um * math.sin(math.radians(self.angle_deg))

@@ -43,17 +43,11 @@ def zone_charges(radius: FloatArray, zones: int, exponent: float) -> NDArray[np.
 
 @dataclass(frozen=True)
 class SpiralZonesPhase(PolarisedTerm):
-    """Fresnel zones with spiral phases of charge 1 to L outwards: Eq. 2 of Shen 2023; y is the point mirror of x.
+    """Fresnel zones with spiral phases of charge 1 to L outwards: Eq. 2 of Shen 2023; y is the point mirror of x."""
 
-    Attributes:
-        zones: L.
-        exponent: epsilon.
-        radius_um: radius of the aperture (half the side of a square one).
-    """
-
-    zones: int
-    exponent: float
-    radius_um: float
+    zones: int  #: L.
+    exponent: float  #: epsilon.
+    radius_um: float  #: Radius of the aperture (half the side of a square one).
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         sign = 1.0 if polarisation == "x" else -1.0
@@ -86,18 +80,12 @@ class WaveSumPhase(PolarisedTerm):
     it has vortices at the zeros of the sum. Inside the aperture the sum is interpolated along y
     (:mod:`metafab.phase.terms.angles`). That changes the phase by less than 1e-4 rad wherever the sum exceeds 5e-4 of
     the sum of the moduli of the weights: everywhere but in the core of a vortex.
-
-    Attributes:
-        radius_um: radius R of the aperture (half the side of a square one).
-        amplitude: shape (n,), complex weights.
-        defocus_rad: shape (n,), W of exp(-i W u^2).
-        tilt_rad: shape (n, 2), v of exp(i v . u), optical units.
     """
 
-    radius_um: float
-    amplitude: ComplexArray
-    defocus_rad: FloatArray
-    tilt_rad: FloatArray
+    radius_um: float  #: Radius R of the aperture (half the side of a square one).
+    amplitude: ComplexArray  #: Shape (n,), complex weights.
+    defocus_rad: FloatArray  #: Shape (n,), W of exp(-i W u^2).
+    tilt_rad: FloatArray  #: Shape (n, 2), v of exp(i v . u), optical units.
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         sign = 1.0 if polarisation == "x" else -1.0
@@ -129,13 +117,9 @@ class WaveSumPhase(PolarisedTerm):
 
 @dataclass(frozen=True)
 class VortexPhase(PolarisedTerm):
-    """A spiral phase of integer charge, equal for both polarisations.
+    """A spiral phase of integer charge, equal for both polarisations."""
 
-    Attributes:
-        charge: phase gained in one turn counter-clockwise, in units of 2 pi.
-    """
-
-    charge: int
+    charge: int  #: Phase gained in one turn counter-clockwise, in units of 2 pi.
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         return self.charge * np.arctan2(y_um[:, None], x_um)
@@ -148,16 +132,11 @@ class DoubleHelixPhase(PolarisedTerm):
     Modes of radial index j and azimuthal index 2 j + 1 (j = 0, 1, ...) with equal weights: (n, m) = (1, 1), (5, 3),
     (9, 5), ... of Pavani and Piestun, Optics Express 16, 3484 (2008). All azimuthal indices are odd, so the mirror only
     adds pi. The PSF is symmetric about its centre, and the pair of polarisations carries one image twice.
-
-    Attributes:
-        radius_um: radius of the aperture.
-        waist: 1/e radius of the fundamental mode's amplitude, in units of the aperture's radius.
-        modes: number of modes.
     """
 
-    radius_um: float
-    waist: float
-    modes: int
+    radius_um: float  #: Radius of the aperture.
+    waist: float  #: 1/e radius of the fundamental mode's amplitude, in units of the aperture's radius.
+    modes: int  #: Number of modes.
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         scale = (1.0 if polarisation == "x" else -1.0) * math.sqrt(2.0) / (self.waist * self.radius_um)

@@ -31,17 +31,11 @@ _GREEDY_SHARE = 1.0 / 3.0
 
 @dataclass(frozen=True)
 class ImagePlane:
-    """The plane of a picture, and the sites that send light to it.
+    """The plane of a picture, and the sites that send light to it."""
 
-    Attributes:
-        pitch_um: distance of the sites.
-        wavelength_um: vacuum wavelength.
-        distance_um: distance from the metasurface to the plane.
-    """
-
-    pitch_um: float
-    wavelength_um: float
-    distance_um: float
+    pitch_um: float  #: Distance of the sites.
+    wavelength_um: float  #: Vacuum wavelength.
+    distance_um: float  #: Distance from the metasurface to the plane.
 
     @property
     def period_um(self) -> float:
@@ -55,17 +49,12 @@ class ImagePlane:
 
 @dataclass(frozen=True)
 class Hologram:
-    """A hologram and its image.
+    """A hologram and its image."""
 
-    Attributes:
-        field: shape (n_y, n_x), exp(i psi) at the sites, centred on the axis, lowest y first.
-        image: shape (m_y, m_x), irradiance in the window of the picture, lowest y first, over that of all light.
-        wanted: shape (m_y, m_x), the picture sampled there, of sum 1.
-    """
-
-    field: ComplexArray
+    field: ComplexArray  #: Shape (n_y, n_x), exp(i psi) at the sites, centred on the axis, lowest y first.
+    #: Shape (m_y, m_x), irradiance in the window of the picture, lowest y first, over that of all light.
     image: FloatArray
-    wanted: FloatArray
+    wanted: FloatArray  #: Shape (m_y, m_x), the picture sampled there, of sum 1.
 
     @property
     def efficiency(self) -> float:

@@ -30,12 +30,9 @@ class Term(Protocol):
 
 @dataclass(frozen=True)
 class PolarisedTerm(ABC):
-    """Base of the terms: zero for a polarisation that the term does not act on.
+    """Base of the terms: zero for a polarisation that the term does not act on."""
 
-    Attributes:
-        polarisation: the polarisation that the term acts on; None for both.
-    """
-
+    #: The polarisation that the term acts on; None for both.
     polarisation: Polarisation | None = field(default=None, kw_only=True)
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
@@ -51,13 +48,9 @@ class PolarisedTerm(ABC):
 
 @dataclass(frozen=True)
 class SumTerm:
-    """The sum of several terms.
+    """The sum of several terms."""
 
-    Attributes:
-        terms: summands.
-    """
-
-    terms: tuple[Term, ...]
+    terms: tuple[Term, ...]  #: Summands.
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         """Evaluate the phase on a rectangular grid; shapes and units as in :class:`Term`."""
@@ -66,15 +59,10 @@ class SumTerm:
 
 @dataclass(frozen=True)
 class PhaseProfile:
-    """The target transmission phase of both polarisations.
+    """The target transmission phase of both polarisations."""
 
-    Attributes:
-        terms: summands; each is zero for a polarisation that it does not act on.
-        figures: key figures of the phase design.
-    """
-
-    terms: tuple[Term, ...]
-    figures: PhaseFigures = field(default_factory=PhaseFigures)
+    terms: tuple[Term, ...]  #: Summands; each is zero for a polarisation that it does not act on.
+    figures: PhaseFigures = field(default_factory=PhaseFigures)  #: Key figures of the phase design.
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
         """Evaluate the phase of both polarisations on a rectangular grid.

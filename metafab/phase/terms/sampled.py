@@ -24,15 +24,11 @@ from metafab.phase.terms.profile import PolarisedTerm
 
 @dataclass(frozen=True)
 class SampledPhase(PolarisedTerm):
-    """The phase of a sampled complex field; beyond the outermost samples their values are held.
+    """The phase of a sampled complex field; beyond the outermost samples their values are held."""
 
-    Attributes:
-        field: shape (2, n_y, n_x) for x and y polarisation, or (1, n_y, n_x): then y is the point mirror of x.
-        pitch_um: distance of the samples; the grid is centred on the axis, lowest y first.
-    """
-
+    #: Shape (2, n_y, n_x) for x and y polarisation, or (1, n_y, n_x): then y is the point mirror of x.
     field: ComplexArray
-    pitch_um: float
+    pitch_um: float  #: Distance of the samples; the grid is centred on the axis, lowest y first.
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         mirrored = len(self.field) == 1 and polarisation == "y"
@@ -43,15 +39,10 @@ class SampledPhase(PolarisedTerm):
 
 @dataclass(frozen=True)
 class SampledMask:
-    """A mask of free phases, one for each sample of a pupil: the result of a gradient search.
+    """A mask of free phases, one for each sample of a pupil: the result of a gradient search."""
 
-    Attributes:
-        pupil: the samples.
-        phase_rad: shape (n,), phases of x polarisation at the samples; y is the point mirror.
-    """
-
-    pupil: Pupil
-    phase_rad: FloatArray
+    pupil: Pupil  #: The samples.
+    phase_rad: FloatArray  #: Shape (n,), phases of x polarisation at the samples; y is the point mirror.
 
     def term(self, radius_um: float, polarisation: Polarisation | None = None) -> SampledPhase:
         """Return the mask as a phase term.

@@ -14,19 +14,12 @@ from metafab.phase.terms.profile import PolarisedTerm
 
 @dataclass(frozen=True)
 class ZernikePhase(PolarisedTerm):
-    """The phase amplitude R_n^|m|(u) cos(m phi), or sin(|m| phi) for negative m (Born and Wolf, section 9.2).
+    """The phase amplitude R_n^|m|(u) cos(m phi), or sin(|m| phi) for negative m (Born and Wolf, section 9.2)."""
 
-    Attributes:
-        degree: n.
-        order: m.
-        amplitude_rad: phase at the rim where the cosine or sine is 1.
-        radius_um: radius of the aperture.
-    """
-
-    degree: int
-    order: int
-    amplitude_rad: float
-    radius_um: float
+    degree: int  #: n.
+    order: int  #: m.
+    amplitude_rad: float  #: Phase at the rim where the cosine or sine is 1.
+    radius_um: float  #: Radius of the aperture.
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         position = x_um / self.radius_um + 1j * (y_um / self.radius_um)[:, None]
@@ -37,15 +30,10 @@ class ZernikePhase(PolarisedTerm):
 
 @dataclass(frozen=True)
 class RadialPhase(PolarisedTerm):
-    """The even polynomial sum over i of c_i (r / radius)^(2 i), i from 1.
+    """The even polynomial sum over i of c_i (r / radius)^(2 i), i from 1."""
 
-    Attributes:
-        coefficients_rad: c_i.
-        radius_um: radius that r is divided by.
-    """
-
-    coefficients_rad: tuple[float, ...]
-    radius_um: float
+    coefficients_rad: tuple[float, ...]  #: c_i.
+    radius_um: float  #: Radius that r is divided by.
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         square = (x_um / self.radius_um) ** 2 + ((y_um / self.radius_um) ** 2)[:, None]

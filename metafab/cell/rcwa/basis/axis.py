@@ -31,17 +31,11 @@ from metafab.core.conventions import FloatArray
 
 @dataclass(frozen=True)
 class AxisBasis:
-    """Basis of one axis.
+    """Basis of one axis."""
 
-    Attributes:
-        wavenumber: shape (M,), rad/nm, ascending and positive.
-        even: shape (M + 1, M + 1), the pillar's indicator between even functions; the constant comes first.
-        odd: shape (M, M), the pillar's indicator between odd functions.
-    """
-
-    wavenumber: FloatArray
-    even: FloatArray
-    odd: FloatArray
+    wavenumber: FloatArray  #: Shape (M,), rad/nm, ascending and positive.
+    even: FloatArray  #: Shape (M + 1, M + 1), the pillar's indicator between even functions; the constant comes first.
+    odd: FloatArray  #: Shape (M, M), the pillar's indicator between odd functions.
 
 
 @dataclass(frozen=True)
@@ -51,20 +45,13 @@ class AxisParity:
     A field component uses family ``a`` or ``b``. The derivative takes a function of one family to the function of the
     other with equal label, times i ``wavenumber[label]``. (Odd functions are i sin, so that this holds for all.)
     Label 0 is the zero order.
-
-    Attributes:
-        a: shape (n_a, n_a), the pillar's indicator in family a.
-        b: shape (n_b, n_b), the pillar's indicator in family b.
-        label_a: shape (n_a,), labels in family a.
-        label_b: shape (n_b,), labels in family b.
-        wavenumber: shape (labels,), rad/nm.
     """
 
-    a: FloatArray
-    b: FloatArray
-    label_a: IntArray
-    label_b: IntArray
-    wavenumber: FloatArray
+    a: FloatArray  #: Shape (n_a, n_a), the pillar's indicator in family a.
+    b: FloatArray  #: Shape (n_b, n_b), the pillar's indicator in family b.
+    label_a: IntArray  #: Shape (n_a,), labels in family a.
+    label_b: IntArray  #: Shape (n_b,), labels in family b.
+    wavenumber: FloatArray  #: Shape (labels,), rad/nm.
 
 
 def outline_bases(

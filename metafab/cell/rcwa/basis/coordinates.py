@@ -55,17 +55,11 @@ _TUNED = {
 
 @dataclass(frozen=True)
 class WallMap:
-    """Coordinate map of one axis with a single outline.
+    """Coordinate map of one axis with a single outline."""
 
-    Attributes:
-        wall_fraction: u at the wall over half the period; 0 < wall_fraction < 1 where the wall exists.
-        slope_inside: dx/du at the wall on the pillar's side, over the mean slope inside; 0 < slope <= 1.
-        slope_outside: dx/du at the wall on the other side, over the mean slope outside.
-    """
-
-    wall_fraction: float
-    slope_inside: float
-    slope_outside: float
+    wall_fraction: float  #: u at the wall over half the period; 0 < wall_fraction < 1 where the wall exists.
+    slope_inside: float  #: dx/du at the wall on the pillar's side, over the mean slope inside; 0 < slope <= 1.
+    slope_outside: float  #: dx/du at the wall on the other side, over the mean slope outside.
 
 
 def stretched(period_nm: float, size_nm: float, orders: int) -> WallMap:
@@ -82,19 +76,12 @@ def stretched(period_nm: float, size_nm: float, orders: int) -> WallMap:
 
 @dataclass(frozen=True)
 class Interval:
-    """Part of half a period, in units of it: dx/du = m [1 + amplitude cos(pi (u - start) / l)], with m = rise / l.
+    """Part of half a period, in units of it: dx/du = m [1 + amplitude cos(pi (u - start) / l)], with m = rise / l."""
 
-    Attributes:
-        start: u where the interval begins.
-        end: u where it ends; l = end - start.
-        rise: change of x over the interval.
-        amplitude: relative modulation of the slope, -1 to 1.
-    """
-
-    start: float
-    end: float
-    rise: float
-    amplitude: float
+    start: float  #: u where the interval begins.
+    end: float  #: u where it ends; l = end - start.
+    rise: float  #: Change of x over the interval.
+    amplitude: float  #: Relative modulation of the slope, -1 to 1.
 
     def cosine_integral(self, k: IntArray, upto: float | None = None) -> FloatArray:
         """Integral of dx/du cos(pi k u) from ``start`` to ``end``, or to ``upto``; ``k`` and result of shape (n,)."""

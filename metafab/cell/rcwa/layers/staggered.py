@@ -25,17 +25,11 @@ from metafab.core.conventions import FloatArray
 
 
 class Strips(NamedTuple):
-    """Indicators of one family along one axis.
+    """Indicators of one family along one axis."""
 
-    Attributes:
-        first: shape (n, n), the first pillar.
-        second: shape (n, n), the second pillar.
-        both: shape (n, n), overlap of both pillars; zero if they do not overlap along the axis.
-    """
-
-    first: FloatArray
-    second: FloatArray
-    both: FloatArray
+    first: FloatArray  #: Shape (n, n), the first pillar.
+    second: FloatArray  #: Shape (n, n), the second pillar.
+    both: FloatArray  #: Shape (n, n), overlap of both pillars; zero if they do not overlap along the axis.
 
 
 def staggered_matrices(

@@ -24,29 +24,19 @@ class PlaneWaves:
     """Outgoing plane waves of an isotropic half space: e = ``e`` w, h = +-``h`` w for waves along +-z, diagonal.
 
     A TE wave has w = E and a TM wave eps w = H, so that neither diverges at a Rayleigh anomaly.
-
-    Attributes:
-        beta: shape (n,), propagation constant over k0, Im >= 0.
-        e: shape (n,).
-        h: shape (n,).
     """
 
-    beta: ComplexArray
-    e: ComplexArray
-    h: ComplexArray
+    beta: ComplexArray  #: Shape (n,), propagation constant over k0, Im >= 0.
+    e: ComplexArray  #: Shape (n,).
+    h: ComplexArray  #: Shape (n,).
 
 
 @dataclass(frozen=True)
 class TensorWaves:
-    """Outgoing plane waves of a birefringent half space: e = ``e`` w, h = +-``h`` w for waves along +-z.
+    """Outgoing plane waves of a birefringent half space: e = ``e`` w, h = +-``h`` w for waves along +-z."""
 
-    Attributes:
-        e: shape (n, n), one wave a column; each column holds one wave vector.
-        h: shape (n, n).
-    """
-
-    e: ComplexArray
-    h: ComplexArray
+    e: ComplexArray  #: Shape (n, n), one wave a column; each column holds one wave vector.
+    h: ComplexArray  #: Shape (n, n).
 
 
 #: Outgoing waves of either kind of half space.

@@ -27,30 +27,19 @@ _NEGLIGIBLE = 1e-18
 
 @dataclass(frozen=True)
 class LayerModes:
-    """Modes exp(+-i beta k0 z): e = E (c+ + c-), h = H (c+ - c-).
+    """Modes exp(+-i beta k0 z): e = E (c+ + c-), h = H (c+ - c-)."""
 
-    Attributes:
-        beta: shape (n,), propagation constant over k0, Im >= 0.
-        e: shape (n, n), one mode a column.
-        h: shape (n, n).
-    """
-
-    beta: ComplexArray
-    e: ComplexArray
-    h: ComplexArray
+    beta: ComplexArray  #: Shape (n,), propagation constant over k0, Im >= 0.
+    e: ComplexArray  #: Shape (n, n), one mode a column.
+    h: ComplexArray  #: Shape (n, n).
 
 
 @dataclass(frozen=True)
 class Conditioning:
-    """Conditioning of the modes of one layer, or the worst of several.
+    """Conditioning of the modes of one layer, or the worst of several."""
 
-    Attributes:
-        condition: condition number of the eigenvectors in the 1-norm; 0 where no modes were used.
-        rounding: bound on the error of beta^2 from rounding in double precision.
-    """
-
-    condition: float = 0.0
-    rounding: float = 0.0
+    condition: float = 0.0  #: Condition number of the eigenvectors in the 1-norm; 0 where no modes were used.
+    rounding: float = 0.0  #: Bound on the error of beta^2 from rounding in double precision.
 
     def worse(self, other: Conditioning) -> Conditioning:
         """The larger of each figure."""
@@ -63,19 +52,12 @@ NO_MODES = Conditioning()
 
 @dataclass(frozen=True)
 class FaceFields:
-    """Fields that p incident waves excite at the two faces of a layer.
+    """Fields that p incident waves excite at the two faces of a layer."""
 
-    Attributes:
-        transmitted: shape (n, p), transverse E where the layer ends.
-        reflected: shape (n, p), transverse E of the reflected waves where the layer begins.
-        inconsistency: violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
-        conditioning: conditioning of the worst layer's modes; 0 where none were used.
-    """
-
-    transmitted: ComplexArray
-    reflected: ComplexArray
-    inconsistency: float
-    conditioning: Conditioning = NO_MODES
+    transmitted: ComplexArray  #: Shape (n, p), transverse E where the layer ends.
+    reflected: ComplexArray  #: Shape (n, p), transverse E of the reflected waves where the layer begins.
+    inconsistency: float  #: Violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
+    conditioning: Conditioning = NO_MODES  #: Conditioning of the worst layer's modes; 0 where none were used.
 
 
 def layer_modes(p: Matrix, q: Matrix) -> LayerModes:

@@ -44,19 +44,12 @@ _LARGEST_ADMITTANCE = 1e5
 
 @dataclass(frozen=True)
 class StackLayer:
-    """One layer.
+    """One layer."""
 
-    Attributes:
-        p: shape (n, n), P of the layer.
-        q: shape (n, n), Q of the layer.
-        thickness_k0: thickness times k0, from 0.
-        largest_a: bound on the real part of the eigenvalues of P Q; infinite where none is known.
-    """
-
-    p: Matrix
-    q: Matrix
-    thickness_k0: float
-    largest_a: float
+    p: Matrix  #: Shape (n, n), P of the layer.
+    q: Matrix  #: Shape (n, n), Q of the layer.
+    thickness_k0: float  #: Thickness times k0, from 0.
+    largest_a: float  #: Bound on the real part of the eigenvalues of P Q; infinite where none is known.
 
 
 def through_stack(
