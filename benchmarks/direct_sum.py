@@ -13,7 +13,8 @@ import numpy as np
 import shapely
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.numeric.compiled import compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import kept_threads, spread
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.geometry.plate import Plate
 from metafab.optics.sources.source import Source
@@ -53,7 +54,9 @@ def direct_irradiance(
         n_y, n_x = amplitude.shape
         x, y = site_x[tile.column : tile.column + n_x], site_y[tile.row : tile.row + n_y]
         lit = np.array([amplitude * incident_wave(*point, x, y, imaging.wavenumber, plate) for point in objects])
-        _accumulate(field, u, v, lit, x, y, imaging.sensor_distance_um, imaging.wavenumber)
+        with kept_threads():
+            place = (imaging.sensor_distance_um, imaging.wavenumber)
+            spread(_accumulate, u.size, field, u, v, lit, x, y, *place)
     incident = np.array([_incident_power(imaging, *point, plate) for point in objects])
     irradiance = np.asarray(np.abs(field * source.lattice.cell_um2) ** 2 / incident[:, None])
     return irradiance[0] if np.ndim(depth_m) == 0 else irradiance
@@ -125,8 +128,10 @@ def _incident_power(imaging: Imaging, object_x: float, object_y: float, depth_um
     return float(np.sum(depth_um / np.hypot(across, depth_um) ** 3 * area))
 
 
-@compiled_parallel
+@compiled
 def _accumulate(
+    first: int,
+    behind: int,
     field: ComplexArray,
     x_um: FloatArray,
     y_um: FloatArray,
@@ -137,7 +142,7 @@ def _accumulate(
     wavenumber: float,
 ) -> None:
     """Add h(R) a to ``field``, shape (n_depth, n_point), with h = (z / R) (1/R - ik) exp(ikR) / (2 pi R)."""
-    for point in prange(x_um.size):
+    for point in range(first, behind):
         total = np.zeros(lit.shape[0], dtype=np.complex128)
         for row in range(site_y.size):
             for column in range(site_x.size):

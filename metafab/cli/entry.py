@@ -39,8 +39,6 @@ def main() -> None:
     for name in _ALGEBRA_THREADS:
         # The matrices are small and the processes many: further threads would only wait for each other.
         os.environ.setdefault(name, "1")
-    # Threads that wait actively would take the cores from other processes.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         with raised_interrupts():
             app(spread_depths(sys.argv[1:]))

@@ -125,8 +125,7 @@ class DecodedFrame:
 class Decoder:
     """A decoder for frames of one shape; everything that depends on the calibration alone is computed once.
 
-    For one Python thread at a time: Numba's ``workqueue`` layer ends a process in which two threads start parallel
-    loops at once, and the transforms that are kept between frames are not locked.
+    For one Python thread at a time: the transforms that are kept between frames are not locked.
 
     Attributes:
         calibration: the pair on the grid of the x image.
@@ -230,7 +229,6 @@ class Decoder:
         """Depths, segments and sharp images of a frame."""
         step, shape = self.filters.downsampling.step, self.calibration.grid.shape
         with kept_threads() as pool:
-            # Parallel loops run in this thread only: not every threading layer lets two threads start them at once.
             near_light = repeated(prepared.near_light, step, shape)
             tiles = pool.submit(self.deconvolver.tile_spectra, prepared.twins.image, near_light)
             pixels = textured_pixel_depth(prepared, volume)

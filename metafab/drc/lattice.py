@@ -131,7 +131,7 @@ class _BandRules:
     def __call__(self, band: _Band) -> tuple[Findings, float]:
         """Violations and smallest gap (dbu) of a band; it includes the pairs with the row above it."""
         findings = Findings(self._rules)
-        used = count_sizes(band.size_index, len(self._size_dbu))
+        used = count_sizes(np.ascontiguousarray(band.size_index), len(self._size_dbu))
         for rule, bad in self._too_small.items():
             count = int(used[1:] @ bad[1:])
             if count:

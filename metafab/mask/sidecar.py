@@ -132,7 +132,7 @@ class MaskSums:
         """Count the pillars of a tile; tiles lie within a write field."""
         across, along = self._field_sites
         field = tile.row // along, tile.column // across
-        used = count_sizes(tile.size_index, self._used.size)
+        used = count_sizes(np.ascontiguousarray(tile.size_index), self._used.size)
         self._pillars_in[field] += used[1:].sum()
         self._twice_area_in_dbu[field] += used @ self._twice_area_dbu
         if self._fracture is not None:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Any, TypeVar
 
 from metafab.core.errors import InputError
@@ -49,15 +49,12 @@ def default_workers() -> int:
 
 
 def _single_threaded() -> None:
-    """Initialise a worker: one thread of BLAS and numba, Ctrl-C is left to the parent, and no life without it."""
+    """Initialise a worker: one thread of BLAS, Ctrl-C is left to the parent, and no life without it."""
     end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    import numba
     from threadpoolctl import threadpool_limits
 
     threadpool_limits(1)
-    # Not by its variable: numba refuses another value of it in the parent, once its threads run there.
-    numba.set_num_threads(1)
 
 
 @contextmanager
@@ -129,6 +126,25 @@ def kept_threads() -> Iterator[ThreadPoolExecutor]:
             yield threads
         finally:
             _kept_threads.reset(token)
+
+
+def spread(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
+    """Call ``kernel(first, behind, *arguments)`` over parts of ``range(count)``, at once on the kept threads.
+
+    Without :func:`kept_threads`, in them, and on one core, there is one part.
+
+    Args:
+        kernel: compiled; results of items do not depend on each other.
+        count: number of items.
+        arguments: further arguments, results among them.
+    """
+    threads = _kept_threads.get()
+    parts = 1 if threads is None else max(1, min(count, default_workers()))
+    edges = [count * part // parts for part in range(parts + 1)]
+    jobs = [] if threads is None else [threads.submit(kernel, *edge, *arguments) for edge in pairwise(edges[1:])]
+    kernel(edges[0], edges[1], *arguments)
+    for job in jobs:
+        job.result()
 
 
 def _submitter(executor: Executor, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:

@@ -17,7 +17,8 @@ from scipy.ndimage import find_objects, maximum_filter
 from scipy.ndimage import label as connected_components
 
 from metafab.camera.frames.frame import RawFrame
-from metafab.core.numeric.compiled import compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
 from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.mixing import square_blocks_with
 from metafab.decode.matching.pooling import window_means
@@ -91,7 +92,10 @@ class ChangeDetector:
     def patch_means(self, frame: RawFrame) -> PatchMeans:
         """Means of a frame's patches; beyond an edge, the value of the edge is taken."""
         limit = np.inf if frame.saturation_e is None else float(frame.saturation_e)
-        return PatchMeans(*_patch_means(compilable(frame.frame), self.row, self.column, self.side, limit))
+        shape, counts = self.row.shape, compilable(frame.frame)
+        mean, full, invalid = np.empty(shape, np.float32), np.empty(shape, np.uint8), np.empty(shape, np.uint8)
+        spread(_patch_means, shape[1], counts, self.row, self.column, self.side, limit, mean, full, invalid)
+        return PatchMeans(mean, full, invalid)
 
     def changed(self, now: PatchMeans, last: PatchMeans, levels: Levels) -> NDArray[np.bool_]:
         """Patches, margin included, that differ by more than noise: shape (n_y, n_x).
@@ -137,15 +141,21 @@ class ChangeDetector:
         return np.asarray(wide[self.margin : -self.margin, self.margin : -self.margin])
 
 
-@compiled_parallel
+@compiled
 def _patch_means(
-    frame: NDArray[Any], row: NDArray[np.int32], column: NDArray[np.int32], side: int, limit: float
-) -> tuple[NDArray[np.float32], NDArray[np.uint8], NDArray[np.uint8]]:
-    _, n_y, n_x = row.shape
-    mean = np.empty(row.shape, dtype=np.float32)
-    full, invalid = np.empty(row.shape, dtype=np.uint8), np.empty(row.shape, dtype=np.uint8)
-    last_row, last_column = frame.shape[0] - 1, frame.shape[1] - 1
-    for y in prange(n_y):
+    first: int,
+    behind: int,
+    frame: NDArray[Any],
+    row: NDArray[np.int32],
+    column: NDArray[np.int32],
+    side: int,
+    limit: float,
+    mean: NDArray[np.float32],
+    full: NDArray[np.uint8],
+    invalid: NDArray[np.uint8],
+) -> None:
+    n_x, last_row, last_column = row.shape[2], frame.shape[0] - 1, frame.shape[1] - 1
+    for y in range(first, behind):
         for image in range(2):
             for x in range(n_x):
                 total, n_full, n_invalid = 0.0, 0, 0
@@ -161,7 +171,6 @@ def _patch_means(
                 mean[image, y, x] = total / max(side * side - n_invalid, 1)
                 full[image, y, x] = n_full
                 invalid[image, y, x] = n_invalid
-    return mean, full, invalid
 
 
 def changed_rectangles(wanted: NDArray[np.bool_], block: int) -> list[tuple[slice, slice]]:

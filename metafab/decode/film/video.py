@@ -149,7 +149,6 @@ class VideoDecoder:
         """
         prepared, volume = self._matched(frame, last, parts)
         with kept_threads() as pool:
-            # Parallel loops run in this thread only: not every threading layer lets two threads start them at once.
             tiles = pool.submit(self._tile_spectra, prepared, parts, affected)
             pixels, tracked = self._segmented(prepared, volume, last, parts, affected)
         step, (rows, columns) = self.decoder.filters.downsampling.step, self.decoder.filters.downsampling.shape

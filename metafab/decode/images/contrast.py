@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.compiled import compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
 from metafab.decode.images.deconvolution import NOISE_WINDOW_PX, SharpImages
 from metafab.decode.matching.pooling import window_means
 
@@ -28,7 +29,6 @@ def pixel_contrast(sharp: SharpImages, read_noise_e: float, lit: NDArray[np.bool
     return contrast_with_error(sharp.images, sharp.noise_gain * (light + np.float32(read_noise_e**2)), lit)
 
 
-@compiled_parallel
 def contrast_with_error(
     images: NDArray[np.float32], variance: NDArray[np.float32], lit: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
@@ -43,7 +43,21 @@ def contrast_with_error(
         Two arrays of shape (n_y, n_x); NaN where ``lit`` is not set or the second image is 0.
     """
     contrast, error = np.empty(lit.shape), np.empty(lit.shape)
-    for i in prange(lit.shape[0]):
+    spread(_divide_images, lit.shape[0], images, variance, lit, contrast, error)
+    return contrast, error
+
+
+@compiled
+def _divide_images(
+    first: int,
+    behind: int,
+    images: NDArray[np.float32],
+    variance: NDArray[np.float32],
+    lit: NDArray[np.bool_],
+    contrast: FloatArray,
+    error: FloatArray,
+) -> None:
+    for i in range(first, behind):
         for j in range(lit.shape[1]):
             known = lit[i, j] and images[1, i, j] > np.float32(0.0)
             y = images[1, i, j] if known else np.float32(1.0)
@@ -51,7 +65,6 @@ def contrast_with_error(
             spread = np.sqrt(variance[0, i, j] + ratio * ratio * variance[1, i, j]) / y
             contrast[i, j] = ratio if known else np.float32(np.nan)
             error[i, j] = spread if known else np.float32(np.nan)
-    return contrast, error
 
 
 @dataclass(frozen=True)
@@ -81,7 +94,9 @@ class SegmentLight:
                 is not 0.
             count: the largest number.
         """
-        sums = _segment_sums(images, segment, inner, count)
+        rows = np.zeros((segment.shape[0], 4, count + 1))
+        spread(_add_segments, segment.shape[0], images, segment, inner, rows)
+        sums = rows.sum(axis=0)[:, 1:]
         pixels, within = np.rint(sums[:2]).astype(np.intp)
         return cls(pixels, within, sums[2:])
 
@@ -93,13 +108,17 @@ class SegmentLight:
         return ratio, ratio * np.sqrt((x + read) / x**2 + (y + read) / y**2)
 
 
-@compiled_parallel
-def _segment_sums(
-    images: NDArray[np.float32], segment: NDArray[np.int32], inner: NDArray[np.int32], count: int
-) -> FloatArray:
-    """Pixels of each segment, of its interior, and the light of both images there: shape (4, count)."""
-    rows = np.zeros((segment.shape[0], 4, count + 1))
-    for i in prange(segment.shape[0]):
+@compiled
+def _add_segments(
+    first: int,
+    behind: int,
+    images: NDArray[np.float32],
+    segment: NDArray[np.int32],
+    inner: NDArray[np.int32],
+    rows: FloatArray,
+) -> None:
+    """Add up, in each row, the pixels of each segment, of its interior, and the light of both images there."""
+    for i in range(first, behind):
         sums, start = rows[i], 0
         # Runs of equal numbers: each sum grows in a register.
         while start < segment.shape[1]:
@@ -114,5 +133,3 @@ def _segment_sums(
                 sums[2, within] += x
                 sums[3, within] += y
             start = stop
-    total: FloatArray = rows.sum(axis=0)[:, 1:]
-    return total

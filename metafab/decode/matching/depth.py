@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.compiled import compiled, compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
 from metafab.decode.confidence import LARGEST_ERROR
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.pooling import mirrored
@@ -163,19 +164,24 @@ def quartic_peak(values: NDArray[np.float32]) -> Peak:
         The peak within a step of the middle, of shape (...).
     """
     flat = np.ascontiguousarray(values, dtype=np.float32).reshape(5, -1)
-    place, height, curvature, inside = _quartic_peaks(flat, _QUARTIC)
+    place, height, curvature, inside = *np.empty((3, flat.shape[1])), np.empty(flat.shape[1], dtype=np.bool_)
+    spread(_quartic_peaks, flat.shape[1], flat, _QUARTIC, place, height, curvature, inside)
     shape = values.shape[1:]
     return Peak(place.reshape(shape), height.reshape(shape), curvature.reshape(shape), inside.reshape(shape))
 
 
-@compiled_parallel
+@compiled
 def _quartic_peaks(
-    values: NDArray[np.float32], quartic: NDArray[np.float64]
-) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
-    n = values.shape[1]
-    place, height, curvature = np.empty(n), np.empty(n), np.empty(n)
-    inside = np.empty(n, dtype=np.bool_)
-    for i in prange(n):
+    first: int,
+    behind: int,
+    values: NDArray[np.float32],
+    quartic: NDArray[np.float64],
+    place: FloatArray,
+    height: FloatArray,
+    curvature: FloatArray,
+    inside: NDArray[np.bool_],
+) -> None:
+    for i in range(first, behind):
         best = 1
         for k in range(2, 4):
             if values[k, i] > values[best, i]:
@@ -204,7 +210,6 @@ def _quartic_peaks(
         place[i], height[i] = 0.5 * x, c0 + x * (c1 + x * (c2 + x * (c3 + x * c4)))
         curvature[i] = 4.0 * max(-(2.0 * c2 + x * (6.0 * c3 + x * 12.0 * c4)), least)
         inside[i] = abs(shift) <= 1.0
-    return place, height, curvature, inside
 
 
 def spline_peaks(values: FloatArray) -> Peak:
@@ -265,7 +270,13 @@ def best_candidates(
         the one above it (of the nearest candidate that has both neighbours), shape (5, n_y, n_x); the largest mean of
         a b, shape (n_y, n_x).
     """
-    return _best_candidates(np.ascontiguousarray(products), window // 2, _half_step_weights(products.shape[1]))
+    shape = products.shape[2:]
+    best, around = np.zeros(shape, dtype=np.intp), np.zeros((5, *shape), dtype=np.float32)
+    largest_product = np.empty(shape, dtype=np.float32)
+    half_steps = _half_step_weights(products.shape[1])
+    contiguous = np.ascontiguousarray(products)
+    spread(_best_candidates, shape[0], contiguous, window // 2, half_steps, best, around, largest_product)
+    return best, around, largest_product
 
 
 @lru_cache(maxsize=8)
@@ -300,15 +311,19 @@ def _row_means(
         total -= padded[j]
 
 
-@compiled_parallel
+@compiled
 def _best_candidates(
-    products: NDArray[np.float32], reach: int, half_steps: NDArray[np.float32]
-) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
-    _, count, n_y, n_x = products.shape
-    best = np.zeros((n_y, n_x), dtype=np.intp)
-    around = np.zeros((5, n_y, n_x), dtype=np.float32)
-    largest_product = np.empty((n_y, n_x), dtype=np.float32)
-    for i in prange(n_y):
+    first: int,
+    behind: int,
+    products: NDArray[np.float32],
+    reach: int,
+    half_steps: NDArray[np.float32],
+    best: NDArray[np.intp],
+    around: NDArray[np.float32],
+    largest_product: NDArray[np.float32],
+) -> None:
+    _, count, _, n_x = products.shape
+    for i in range(first, behind):
         padded = np.empty(n_x + 2 * reach, dtype=np.float32)
         means = np.empty((3, n_x), dtype=np.float32)
         rho = np.empty((count, n_x), dtype=np.float32)
@@ -328,4 +343,3 @@ def _best_candidates(
             for v in range(count):
                 around[1, i, j] += half_steps[inner - 1, v] * rho[v, j]
                 around[3, i, j] += half_steps[inner, v] * rho[v, j]
-    return best, around, largest_product

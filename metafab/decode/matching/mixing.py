@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.numeric.compiled import compiled, compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
 from metafab.decode.registration.downsampling import blocks_with
 
 
@@ -28,7 +29,10 @@ def mixed_products(
     extra = (wanted.shape[0] * block - rows, wanted.shape[1] * block - columns)
     if any(extra):
         images = np.pad(images, ((0, 0), (0, 0), (0, extra[0]), (0, extra[1])))
-    return _mixed_products(images, weights, block, wanted)[..., :rows, :columns]
+    shape = (3, weights.shape[3], wanted.shape[0] * block, wanted.shape[1] * block)
+    products = np.zeros(shape, dtype=np.float32)
+    spread(_mixed_products, wanted.shape[0], images, weights, block, wanted, products)
+    return products[..., :rows, :columns]
 
 
 def square_blocks_with(mask: NDArray[np.bool_], block: int) -> NDArray[np.bool_]:
@@ -75,14 +79,19 @@ def _copy_blocks(lines: NDArray[np.float32], blocks: NDArray[np.float32]) -> Non
                     blocks[column, k, i * block + j] = line[column * block + j]
 
 
-@compiled_parallel
+@compiled
 def _mixed_products(
-    images: NDArray[np.float32], weights: NDArray[np.float32], block: int, wanted: NDArray[np.bool_]
-) -> NDArray[np.float32]:
+    first: int,
+    behind: int,
+    images: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    block: int,
+    wanted: NDArray[np.bool_],
+    products: NDArray[np.float32],
+) -> None:
     """As :func:`mixed_products`, for images of whole blocks."""
     n_basis, count, columns = weights.shape[4], weights.shape[3], wanted.shape[1]
-    products = np.zeros((3, count, wanted.shape[0] * block, columns * block), dtype=np.float32)
-    for row in prange(wanted.shape[0]):
+    for row in range(first, behind):
         if not wanted[row].any():
             continue
         # The pixels of a block are contiguous, so that the mixing runs over all of them at once.
@@ -101,4 +110,3 @@ def _mixed_products(
                         a, b = mixed[0, column, v, i * block + j], mixed[1, column, v, i * block + j]
                         at = column * block + j
                         to[0, at], to[1, at], to[2, at] = a * b, a * a, b * b
-    return products

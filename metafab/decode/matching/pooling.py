@@ -6,7 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.compiled import compiled, compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
+
+#: Pictures that are summed at once: one sum alone waits for its last addition.
+_PICTURES_AT_ONCE = 4
 
 
 @compiled
@@ -27,18 +31,19 @@ def window_means(pictures: NDArray[np.float32], window: int) -> NDArray[np.float
         Shape (..., n_y, n_x).
     """
     flat = np.ascontiguousarray(pictures).reshape(-1, *pictures.shape[-2:])
-    return np.asarray(_window_means(flat, window // 2).reshape(pictures.shape))
+    out = np.empty_like(flat)
+    spread(_window_means, flat.shape[0], flat, window // 2, out)
+    return out.reshape(pictures.shape)
 
 
-@compiled_parallel
-def _window_means(pictures: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
-    count, n_y, n_x = pictures.shape
-    out = np.empty_like(pictures)
+@compiled
+def _window_means(first: int, behind: int, pictures: NDArray[np.float32], reach: int, out: NDArray[np.float32]) -> None:
+    _, n_y, n_x = pictures.shape
     share = 1.0 / (2 * reach + 1) ** 2
     source = np.empty(n_x + 2 * reach, dtype=np.int64)
     for k in range(source.size):
         source[k] = mirrored(k - reach, n_x)
-    for p in prange(count):
+    for p in range(first, behind):
         column_sum = np.zeros(n_x, dtype=np.float64)
         running = np.empty(source.size + 1, dtype=np.float64)
         for i in range(-reach, reach + 1):
@@ -55,7 +60,6 @@ def _window_means(pictures: NDArray[np.float32], reach: int) -> NDArray[np.float
             old, new = mirrored(i - reach, n_y), mirrored(i + reach + 1, n_y)
             for j in range(n_x):
                 column_sum[j] += np.float64(pictures[p, new, j]) - np.float64(pictures[p, old, j])
-    return out
 
 
 def halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -67,16 +71,17 @@ def halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
     Returns:
         Shape (..., ceil(n_y / 2), ceil(n_x / 2)).
     """
-    small = _halved(np.ascontiguousarray(pictures).reshape(-1, *pictures.shape[-2:]))
-    return np.asarray(small.reshape(*pictures.shape[:-2], *small.shape[1:]))
+    flat = np.ascontiguousarray(pictures).reshape(-1, *pictures.shape[-2:])
+    small = np.empty((flat.shape[0], *((n + 1) // 2 for n in flat.shape[1:])), dtype=np.float32)
+    spread(_halved, flat.shape[0], flat, small)
+    return small.reshape(*pictures.shape[:-2], *small.shape[1:])
 
 
-@compiled_parallel
-def _halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
-    count, n_y, n_x = pictures.shape
-    rows, columns = (n_y + 1) // 2, (n_x + 1) // 2
-    out = np.empty((count, rows, columns), dtype=np.float32)
-    for p in prange(count):
+@compiled
+def _halved(first: int, behind: int, pictures: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    _, n_y, n_x = pictures.shape
+    _, rows, columns = out.shape
+    for p in range(first, behind):
         for i in range(rows):
             above, row, below = max(2 * i - 1, 0), 2 * i, min(2 * i + 1, n_y - 1)
             upper, here, lower = pictures[p, above], pictures[p, row], pictures[p, below]
@@ -86,7 +91,6 @@ def _halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
                 middle = upper[at] + np.float32(2.0) * here[at] + lower[at]
                 after = upper[right] + np.float32(2.0) * here[right] + lower[right]
                 out[p, i, j] = (before + np.float32(2.0) * middle + after) * np.float32(0.0625)
-    return out
 
 
 def label_sums(pictures: NDArray[np.float32], label: NDArray[np.int32], count: int) -> FloatArray:
@@ -100,15 +104,18 @@ def label_sums(pictures: NDArray[np.float32], label: NDArray[np.int32], count: i
     Returns:
         Shape (n, count).
     """
-    return _label_sums(pictures.reshape(pictures.shape[0], -1), label.ravel(), count)
+    sums = np.zeros((pictures.shape[0], count + 1))
+    flat = pictures.reshape(pictures.shape[0], -1)
+    spread(_label_sums, -(-pictures.shape[0] // _PICTURES_AT_ONCE), flat, label.ravel(), sums)
+    return sums[:, 1:].copy()
 
 
-@compiled_parallel
-def _label_sums(flat: NDArray[np.float32], number: NDArray[np.int32], count: int) -> FloatArray:
-    pictures = flat.shape[0]
-    sums = np.zeros((pictures, count + 1))
-    # Four pictures at once: one sum alone waits for its last addition.
-    for block in prange((pictures + 3) // 4):
+@compiled
+def _label_sums(
+    first: int, behind: int, flat: NDArray[np.float32], number: NDArray[np.int32], sums: FloatArray
+) -> None:
+    pictures, count = flat.shape[0], sums.shape[1] - 1
+    for block in range(first, behind):
         p = min(4 * block, max(pictures - 4, 0))
         q, r, s = min(p + 1, pictures - 1), min(p + 2, pictures - 1), min(p + 3, pictures - 1)
         at = np.zeros((count + 1, 4))
@@ -121,4 +128,3 @@ def _label_sums(flat: NDArray[np.float32], number: NDArray[np.int32], count: int
                 at[k, 3] += np.float64(flat[s, i])
         for k in range(1, count + 1):
             sums[p, k], sums[q, k], sums[r, k], sums[s, k] = at[k, 0], at[k, 1], at[k, 2], at[k, 3]
-    return sums[:, 1:].copy()

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.compiled import compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
 
 _TAPS = 8
 _KAISER_BETA = 4.5
@@ -78,7 +79,7 @@ class Resampler:
     def __call__(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Resample an image of shape (n_rows_of_image, n_columns_of_image): shape (n_y, n_x)."""
         rows = image[self.first_row : self.first_row + self.column.shape[0]]
-        return _interpolated_rows(_interpolated_rows(rows, self.column, _TABLE), self.row, _TABLE)
+        return _interpolated(_interpolated(rows, self.column), self.row)
 
 
 def _filter_table() -> NDArray[np.float32]:
@@ -93,19 +94,26 @@ def _filter_table() -> NDArray[np.float32]:
 _TABLE = _filter_table()
 
 
-@compiled_parallel
-def _interpolated_rows(
-    image: NDArray[np.float32], place: NDArray[np.float32], table: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """Each row of an image interpolated at its places (n_rows, n_places), transposed: shape (n_places, n_rows).
+def _interpolated(image: NDArray[np.float32], place: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Each row of an image interpolated at its places (n_rows, n_places), transposed: shape (n_places, n_rows)."""
+    out = np.empty(place.shape[::-1], dtype=np.float32)
+    spread(_interpolate_rows, place.shape[0], image, place, _TABLE, out)
+    return out
 
-    The filter's eight products are written out, so that they are added in pairs, at once.
-    """
-    n_rows, n_places = place.shape
+
+@compiled
+def _interpolate_rows(
+    first: int,
+    behind: int,
+    image: NDArray[np.float32],
+    place: NDArray[np.float32],
+    table: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """The filter's eight products are written out, so that they are added in pairs, at once."""
     last, fractions = image.shape[1] - 1, np.float32(table.shape[0] - 1)
-    out = np.empty((n_places, n_rows), dtype=np.float32)
-    for i in prange(n_rows):
-        for j in range(n_places):
+    for i in range(first, behind):
+        for j in range(place.shape[1]):
             whole = np.floor(place[i, j])
             f = int((place[i, j] - whole) * fractions + np.float32(0.5))
             at = int(whole) - 3
@@ -120,4 +128,3 @@ def _interpolated_rows(
                 for k in range(8):
                     total += table[f, k] * image[i, min(max(at + k, 0), last)]
                 out[j, i] = total
-    return out

@@ -15,7 +15,8 @@ from scipy.ndimage import uniform_filter
 from metafab.camera.frames.frame import RawFrame
 from metafab.camera.geometry import ImageMap
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.compiled import compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
 from metafab.decode.registration.downsampling import outer_index
 from metafab.decode.registration.resample import Resampler
 
@@ -260,7 +261,6 @@ def _twin_maps(image_map: ImageMap, x_um: FloatArray, y_um: FloatArray) -> tuple
     )
 
 
-@compiled_parallel
 def validated(counts: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Check the pixels of a frame.
 
@@ -274,13 +274,25 @@ def validated(counts: NDArray[Any], saturation: float) -> tuple[NDArray[np.float
     """
     values = np.empty(counts.shape, dtype=np.float32)
     broken = np.empty(counts.shape, dtype=np.bool_)
-    for i in prange(counts.shape[0]):
+    spread(_validate, counts.shape[0], counts, saturation, values, broken)
+    return values, broken
+
+
+@compiled
+def _validate(
+    first: int,
+    behind: int,
+    counts: NDArray[Any],
+    saturation: float,
+    values: NDArray[np.float32],
+    broken: NDArray[np.bool_],
+) -> None:
+    for i in range(first, behind):
         for j in range(counts.shape[1]):
             value = np.float64(counts[i, j])
             valid = abs(value) < BRIGHTEST
             values[i, j] = value if valid else np.nan
             broken[i, j] = not valid or value >= saturation
-    return values, broken
 
 
 def crop(values: NDArray[Any], corner: tuple[int, int], shape: tuple[int, int]) -> NDArray[Any]:

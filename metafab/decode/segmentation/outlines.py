@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.numeric.compiled import compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
 from metafab.decode.matching.pooling import mirrored
 
 #: Outlines hardly move any more after this many rounds.
@@ -41,21 +42,27 @@ def refined_outlines(
     if scores.shape[0] == 1:
         return layer
     for _ in range(rounds):
-        before, layer = layer, _threshold_round(layer, scores, counted, window // 2)
+        before, layer = layer, np.empty_like(layer)
+        spread(_threshold_round, layer.shape[0], before, scores, counted, window // 2, layer)
         if not ((before != layer) & counted).any():
             break
     return layer
 
 
-@compiled_parallel
+@compiled
 def _threshold_round(
-    layer: NDArray[np.intp], scores: NDArray[np.float32], counted: NDArray[np.bool_], reach: int
-) -> NDArray[np.intp]:
-    """The layer of the largest sum of score and share of the window about each pixel; beyond an edge, mirrored."""
+    first: int,
+    behind: int,
+    layer: NDArray[np.intp],
+    scores: NDArray[np.float32],
+    counted: NDArray[np.bool_],
+    reach: int,
+    best_layer: NDArray[np.intp],
+) -> None:
+    """Write the layer of the largest sum of score and share of the window about each pixel; mirrored at edges."""
     count, n_y, n_x = scores.shape
-    best_layer = np.empty((n_y, n_x), dtype=np.intp)
     share = np.float32(1.0 / (2 * reach + 1) ** 2)
-    for i in prange(n_y):
+    for i in range(first, behind):
         # Pixels of each layer in the window's columns, those beyond the edges included; and in the window.
         columns = np.zeros((count, n_x + 2 * reach), dtype=np.int32)
         inside = np.zeros(count, dtype=np.int32)
@@ -79,4 +86,3 @@ def _threshold_round(
                     best, largest = k, total
                 inside[k] -= columns[k, j]
             best_layer[i, j] = best
-    return best_layer

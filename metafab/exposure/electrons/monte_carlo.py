@@ -28,7 +28,8 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.numeric.compiled import compiled, compiled_parallel, prange
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import kept_threads, spread
 
 #: Electrons are followed down to this energy (keV); their range is then below 10 nm.
 _STOP_KEV = 0.5
@@ -143,16 +144,17 @@ def simulate(
     bins = _BINS_PER_DECADE * _DECADES
     deposited = np.zeros((batches, bins))
     left = np.zeros(batches)
-    _run(number, per_nm3, excitation_kev, bottom, beam_kev, seed, resist, deposited, left)
+    with kept_threads():
+        spread(_run, batches, number, per_nm3, excitation_kev, bottom, beam_kev, seed, resist, deposited, left)
     edges = 10.0 ** (np.arange(bins + 1) / _BINS_PER_DECADE)
     edges[0] = 0.0
     area = math.pi * np.diff(edges**2)
     mean = deposited.mean(axis=0)
-    spread = deposited.std(axis=0, ddof=1) / math.sqrt(batches) if batches > 1 else mean
+    deviation = deposited.std(axis=0, ddof=1) / math.sqrt(batches) if batches > 1 else mean
     return ElectronHistogram(
         radius_nm=10.0 ** ((np.arange(bins) + 0.5) / _BINS_PER_DECADE),
         density=mean / (_BATCH * area),
-        statistical_error=np.divide(spread, mean, out=np.ones(bins), where=mean > 0.0),
+        statistical_error=np.divide(deviation, mean, out=np.ones(bins), where=mean > 0.0),
         backscattered=float(left.sum() / (batches * _BATCH)),
         deposited_kev=float(mean.sum() / _BATCH),
         electrons=batches * _BATCH,
@@ -283,8 +285,10 @@ def _free_path(z: float, cz: float, step: float, top: float, bottom: float) -> t
     return step, 0
 
 
-@compiled_parallel
+@compiled
 def _run(
+    first: int,
+    behind: int,
     number: FloatArray,
     per_nm3: FloatArray,
     excitation_kev: FloatArray,
@@ -295,7 +299,7 @@ def _run(
     deposited: FloatArray,
     left: FloatArray,
 ) -> None:
-    for batch in prange(deposited.shape[0]):
+    for batch in range(first, behind):
         np.random.seed(seed * 1_000_003 + batch)
         for _ in range(_BATCH):
             energy, x, y, z = beam_kev, 0.0, 0.0, 0.0

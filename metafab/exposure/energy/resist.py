@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
-from metafab.core.numeric.compiled import compiled_parallel, prange
-from metafab.core.parallel.executor import in_order
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import in_order, kept_threads, spread
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.far import LONG_PERIODS, LongRange, MiddleRange, block_masses
 from metafab.exposure.energy.near import add_near, near_tables
@@ -128,7 +128,10 @@ class ResistEnergy:
         points = np.array([[0.0, 0.0], [0.5 * w, 0.0], [-0.5 * w, 0.0], [0.0, 0.5 * length], [0.0, -0.5 * length]])
         points += np.array([column - left, row - top]) * np.asarray(self.period_nm)
         pattern = (self.size_index[part], dose[part], self.size_nm, *self.period_nm)
-        energy = _direct_sum(*pattern, self.psf.weight, self.psf.range_nm, points)
+        rows = np.zeros((pattern[0].shape[0], len(points)))
+        with kept_threads():
+            spread(_sum_rows, len(rows), *pattern, self.psf.weight, self.psf.range_nm, points, rows)
+        energy = rows.sum(axis=0)
         return np.array([energy[0], energy[1:3].mean(), energy[3:].mean()])
 
     def _long_range(self, dose: Float32Array, executor: Executor) -> LongRange | None:
@@ -176,8 +179,10 @@ def _with_margin(values: NDArray[Scalar], rows: slice, columns: slice, margin: i
     return result
 
 
-@compiled_parallel
-def _direct_sum(
+@compiled
+def _sum_rows(
+    first: int,
+    behind: int,
     size_index: NDArray[np.uint16],
     dose: Float32Array,
     size_nm: FloatArray,
@@ -186,14 +191,14 @@ def _direct_sum(
     weight: FloatArray,
     range_nm: FloatArray,
     points_nm: FloatArray,
-) -> FloatArray:
-    """Energy at ``points_nm`` (n, 2), from the centre of the block's first site: shape (n,).
+    energy: FloatArray,
+) -> None:
+    """Add each row's energy at ``points_nm`` (n, 2), from the centre of the first site, to ``energy`` (n_rows, n).
 
     A Gaussian is left out beyond five of its ranges, where it is below 1e-11 of its peak.
     """
-    partial_sums = np.zeros((size_index.shape[0], len(points_nm)))
     largest = 0.5 * max(size_nm[:, 0].max(), size_nm[:, 1].max())
-    for row in prange(size_index.shape[0]):
+    for row in range(first, behind):
         for column in range(size_index.shape[1]):
             size = size_index[row, column]
             if size == 0:
@@ -211,5 +216,4 @@ def _direct_sum(
                     along_x = math.erf((x + half_w) / beta) - math.erf((x - half_w) / beta)
                     along_y = math.erf((y + half_l) / beta) - math.erf((y - half_l) / beta)
                     total += 0.25 * weight[n] * along_x * along_y
-                partial_sums[row, k] += dose[row, column] * total
-    return np.asarray(partial_sums.sum(axis=0))
+                energy[row, k] += dose[row, column] * total

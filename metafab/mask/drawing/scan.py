@@ -36,7 +36,8 @@ def sorted_by_size(
     Returns:
         Row and column of each pillar, shape (n_pillars,) each; and the end of each size in the list, shape (sizes,).
     """
-    return _sorted_by_size(size_index, sizes, scan.along_y, scan.strip_sites)
+    # One layout in memory, so that one form is compiled.
+    return _sorted_by_size(np.ascontiguousarray(size_index), sizes, scan.along_y, scan.strip_sites)
 
 
 @compiled

@@ -1,7 +1,7 @@
 """Path lengths from an object over the lens to the sensor, without cancellation, and the incident amplitudes.
 
 All lengths are differences from the path through the lens centre, written such that double precision keeps 1e-9 rad at
-any distance, infinity included. The compiled functions take scalars or arrays that broadcast; kernels inline them.
+any distance, infinity included. The inlined functions take scalars or arrays that broadcast.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric import chebyshev
-from metafab.core.numeric.compiled import compiled
+from metafab.core.numeric.compiled import inlined
 from metafab.optics.geometry.crystal import Crystal
 from metafab.optics.geometry.imaging import Imaging, Tangent
 from metafab.optics.geometry.plate import Plate
@@ -114,7 +114,7 @@ class Ray:
         return chebyshev.points_needed(change_rad, _JONES_TOLERANCE)
 
 
-@compiled
+@inlined
 def path_um(x: Any, y: Any, ray: RayNumbers) -> Any:
     """Return the path from the object over (x, y, 0) to the target, minus the path over the origin; broadcasts.
 
@@ -124,7 +124,7 @@ def path_um(x: Any, y: Any, ray: RayNumbers) -> Any:
     return path_and_slopes(x, y, ray)[0]
 
 
-@compiled
+@inlined
 def path_and_slopes(x: Any, y: Any, ray: RayNumbers) -> tuple[Any, Any, Any]:
     """Return :func:`path_um` and its derivatives along x and y; broadcasts."""
     w, t_x, t_y, c_x, c_y, c_z = ray
@@ -139,7 +139,7 @@ def path_and_slopes(x: Any, y: Any, ray: RayNumbers) -> tuple[Any, Any, Any]:
     return path, (w * x - t_x) / source + (x - c_x) / image, (w * y - t_y) / source + (y - c_y) / image
 
 
-@compiled
+@inlined
 def incident_amplitude(x: Any, y: Any, ray: RayNumbers) -> Any:
     """Return (R_0 / R)^(3/2), as the flux of a spherical wave through a plane falls with z / R^3; broadcasts."""
     w, t_x, t_y = ray[:3]

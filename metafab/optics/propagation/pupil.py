@@ -148,7 +148,7 @@ def _add_tile(pupil: Pupil, tile: FieldTile) -> None:
     _sum_blocks(
         pupil.sums,
         pupil.power,
-        size_index,
+        np.ascontiguousarray(size_index),  # one layout in memory, so that one form is compiled
         table.real.copy(),
         table.imag.copy(),
         (tile.row, tile.column),

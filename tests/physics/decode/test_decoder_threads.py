@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 
-import numba
 import numpy as np
 import pytest
 
 from metafab.camera import RawFrame, capture
+from metafab.core.parallel import executor
 from metafab.decode import Decoder, Image4D, VideoDecoder
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
@@ -29,19 +29,13 @@ def psf() -> Psf:
     return helix_psf(1.0 / np.linspace(1 / 0.00245, 1 / 0.0036, 9), tangents=(tangents, tangents))
 
 
-def decoded(decoder: Decoder, frames: list[RawFrame], threads: int) -> list[Image4D]:
+def decoded(decoder: Decoder, frames: list[RawFrame]) -> list[Image4D]:
     """A frame by itself, and two of a film."""
-    before = numba.get_num_threads()
-    numba.set_num_threads(threads)
-    try:
-        video = VideoDecoder(decoder)
-        return [decoder(frames[0]), *(video(frame) for frame in frames)]
-    finally:
-        numba.set_num_threads(before)
+    video = VideoDecoder(decoder)
+    return [decoder(frames[0]), *(video(frame) for frame in frames)]
 
 
-@pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
-def test_the_result_does_not_depend_on_the_number_of_threads(psf: Psf) -> None:
+def test_the_result_does_not_depend_on_the_number_of_threads(psf: Psf, monkeypatch: pytest.MonkeyPatch) -> None:
     frames = [capture(SCENE, psf, seed=seed) for seed in (1, 2)]
     # A broken pixel takes the longer way.
     broken = frames[0].frame.copy()
@@ -49,7 +43,11 @@ def test_the_result_does_not_depend_on_the_number_of_threads(psf: Psf) -> None:
     frames[0] = dataclasses.replace(frames[0], frame=broken)
     decoder = Decoder.of(psf, frames[0].frame.shape, frames[0].origin_um, frames[0].x_window)
     assert decoder is not None
-    for one, two in zip(decoded(decoder, frames, 1), decoded(decoder, frames, 2), strict=True):
+    images = []
+    for threads in (1, 3):
+        monkeypatch.setattr(executor, "default_workers", lambda threads=threads: threads)
+        images.append(decoded(decoder, frames))
+    for one, two in zip(*images, strict=True):
         assert len(one.segments) >= 2
         assert one.segments == two.segments
         for field in dataclasses.fields(Image4D):
