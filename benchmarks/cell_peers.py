@@ -31,27 +31,16 @@ RUNGS = (3, 5, 7, 9, 11, 13, 15, 17, 19)
 
 @dataclass(frozen=True)
 class Pillar:
-    """A rectangular pillar on a square lattice; light comes from the substrate along z.
+    """A rectangular pillar on a square lattice; light comes from the substrate along z."""
 
-    Attributes:
-        period_nm: period of both axes.
-        width_nm: size along x, 0 to the period.
-        length_nm: size along y.
-        height_nm: size along z.
-        wavelength_nm: vacuum wavelength.
-        n_pillar: index of the pillar, [real, imaginary]; Im > 0 absorbs.
-        n_substrate: real index of the substrate.
-        n_ambient: real index around and above the pillar.
-    """
-
-    period_nm: float
-    width_nm: float
-    length_nm: float
-    height_nm: float
-    wavelength_nm: float
-    n_pillar: tuple[float, float]
-    n_substrate: float
-    n_ambient: float
+    period_nm: float  #: Period of both axes.
+    width_nm: float  #: Size along x, 0 to the period.
+    length_nm: float  #: Size along y.
+    height_nm: float  #: Size along z.
+    wavelength_nm: float  #: Vacuum wavelength.
+    n_pillar: tuple[float, float]  #: Index of the pillar, [real, imaginary]; Im > 0 absorbs.
+    n_substrate: float  #: Real index of the substrate.
+    n_ambient: float  #: Real index around and above the pillar.
 
     @property
     def index(self) -> complex:

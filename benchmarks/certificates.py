@@ -51,29 +51,17 @@ _FINE, _COARSE = 0.1, 1.0 / 3.0
 
 @dataclass(frozen=True)
 class Case:
-    """One answer and its reference.
+    """One answer and its reference."""
 
-    Attributes:
-        kind: kind of the cell, one of :data:`KINDS`.
-        cell: the cell.
-        target_error: target of the answer.
-        orders: cosines of the answer.
-        converged: whether the answer states at most the target.
-        stated: stated error.
-        true: distance to the reference.
-        reference_error: error of the reference; infinite where there was none that is fine enough to compute.
-        seconds: processor time of the answer.
-    """
-
-    kind: str
-    cell: PillarCell
-    target_error: float
-    orders: int
-    converged: bool
-    stated: float
-    true: float
-    reference_error: float
-    seconds: float
+    kind: str  #: Kind of the cell, one of :data:`KINDS`.
+    cell: PillarCell  #: The cell.
+    target_error: float  #: Target of the answer.
+    orders: int  #: Cosines of the answer.
+    converged: bool  #: Whether the answer states at most the target.
+    stated: float  #: Stated error.
+    true: float  #: Distance to the reference.
+    reference_error: float  #: Error of the reference; infinite where there was none that is fine enough to compute.
+    seconds: float  #: Processor time of the answer.
 
     @property
     def judged(self) -> bool:

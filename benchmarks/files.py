@@ -45,19 +45,12 @@ _END_S = 20.0
 
 @dataclass(frozen=True)
 class Verdict:
-    """Outcome of one file.
+    """Outcome of one file."""
 
-    Attributes:
-        kind: its suffix.
-        seed: its seed.
-        outcome: "read", "refused", or why it failed.
-        seconds: processor time; NaN if the process died.
-    """
-
-    kind: str
-    seed: int
-    outcome: str
-    seconds: float
+    kind: str  #: Its suffix.
+    seed: int  #: Its seed.
+    outcome: str  #: "read", "refused", or why it failed.
+    seconds: float  #: Processor time; NaN if the process died.
 
     @property
     def failed(self) -> bool:

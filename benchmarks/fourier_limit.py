@@ -29,19 +29,12 @@ _WEIGHT = 1.5
 
 @dataclass(frozen=True)
 class FourierLimit:
-    """Jones matrices in the limit of infinitely many plain harmonics.
+    """Jones matrices in the limit of infinitely many plain harmonics."""
 
-    Attributes:
-        t: shape (2, 2), transmission as in :class:`metafab.cell.rcwa.jones.ZeroOrder`.
-        r: shape (2, 2), reflection.
-        error: estimate of the largest error of any amplitude.
-        correction: largest change of any amplitude from the finest truncation to the limit.
-    """
-
-    t: ComplexArray
-    r: ComplexArray
-    error: float
-    correction: float
+    t: ComplexArray  #: Shape (2, 2), transmission as in :class:`metafab.cell.rcwa.jones.ZeroOrder`.
+    r: ComplexArray  #: Shape (2, 2), reflection.
+    error: float  #: Estimate of the largest error of any amplitude.
+    correction: float  #: Largest change of any amplitude from the finest truncation to the limit.
 
 
 def fourier_limit(

@@ -66,19 +66,12 @@ _DRAWS, _SEED = 400_000, 1
 
 @dataclass(frozen=True)
 class SizeSums:
-    """Sums over the sites of each pillar size, which give the light in the target wave.
+    """Sums over the sites of each pillar size, which give the light in the target wave."""
 
-    Attributes:
-        width_nm: shape (n,), distinct sizes.
-        length_nm: shape (n,).
-        count: shape (n,), pillars of each size over the number of sites inside the aperture.
-        wanted: shape (n, 2), mean over all sites of the conjugate target wave on the sites of each size.
-    """
-
-    width_nm: FloatArray
-    length_nm: FloatArray
-    count: FloatArray
-    wanted: ComplexArray
+    width_nm: FloatArray  #: Shape (n,), distinct sizes.
+    length_nm: FloatArray  #: Shape (n,).
+    count: FloatArray  #: Shape (n,), pillars of each size over the number of sites inside the aperture.
+    wanted: ComplexArray  #: Shape (n, 2), mean over all sites of the conjugate target wave on the sites of each size.
 
     @classmethod
     def of(cls, pillars: PillarMap, profile: PhaseProfile, design: Design) -> SizeSums:
@@ -102,13 +95,9 @@ class SizeSums:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Amplitudes of all sizes that a bias reaches.
+    """Amplitudes of all sizes that a bias reaches."""
 
-    Attributes:
-        t: shape (n_length, n_width, 2), per square root of the flux, on the grid of the table.
-    """
-
-    t: ComplexArray
+    t: ComplexArray  #: Shape (n_length, n_width, 2), per square root of the flux, on the grid of the table.
 
     def at(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
         """Amplitudes of sizes on the table's grid (those beyond its ends take its ends), shape (n, 2)."""
@@ -120,18 +109,12 @@ class Sizes:
 
 @dataclass(frozen=True)
 class PrintedLens:
-    """Shares of the light inside the substrate, mean of both polarisations unless stated.
+    """Shares of the light inside the substrate, mean of both polarisations unless stated."""
 
-    Attributes:
-        wanted_x: in the target wave, x polarisation; likewise ``wanted_y``.
-        transmitted: behind the pillars.
-        straight: in the zero order, along the axis.
-    """
-
-    wanted_x: float
+    wanted_x: float  #: In the target wave, x polarisation; likewise ``wanted_y``.
     wanted_y: float
-    transmitted: float
-    straight: float
+    transmitted: float  #: Behind the pillars.
+    straight: float  #: In the zero order, along the axis.
 
     @classmethod
     def of(
@@ -227,23 +210,14 @@ class Interval:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Shares of the light of a mask, tabulated over roughness and bias for vertical walls.
+    """Shares of the light of a mask, tabulated over roughness and bias for vertical walls."""
 
-    Attributes:
-        roughness_nm: shape (n_roughness,), ascending.
-        bias_nm: shape (n_bias,), ascending.
-        wanted: shape (n_roughness, n_bias), share in the target wave, of the light inside the substrate.
-        transmitted: shape (n_roughness, n_bias), share behind the pillars.
-        straight: shape (n_roughness, n_bias), share in the zero order.
-        fixed: factor that no draw changes: first face, and target wave through the pinhole over the filter.
-    """
-
-    roughness_nm: FloatArray
-    bias_nm: FloatArray
-    wanted: FloatArray
-    transmitted: FloatArray
-    straight: FloatArray
-    fixed: float
+    roughness_nm: FloatArray  #: Shape (n_roughness,), ascending.
+    bias_nm: FloatArray  #: Shape (n_bias,), ascending.
+    wanted: FloatArray  #: Shape (n_roughness, n_bias), share in the target wave, of the light inside the substrate.
+    transmitted: FloatArray  #: Shape (n_roughness, n_bias), share behind the pillars.
+    straight: FloatArray  #: Shape (n_roughness, n_bias), share in the zero order.
+    fixed: float  #: Factor that no draw changes: first face, and target wave through the pinhole over the filter.
 
     @classmethod
     def of(cls, sums: SizeSums, sizes: Sizes, fixed: float) -> Explanation:
@@ -290,27 +264,16 @@ def mapped(design: Design, table: Library) -> tuple[SizeSums, PillarMap]:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One set of causes that gives the measured efficiency, and what three measurements would show.
+    """One set of causes that gives the measured efficiency, and what three measurements would show."""
 
-    Attributes:
-        name: causes in words: pillars too small or too large, and what else.
-        bias_nm: printed less drawn size.
-        roughness_nm: standard deviation of the pillars' sizes.
-        beam: share of the measured input that falls on the aperture.
-        efficiency: through the pinhole, over the measured input.
-        transmitted: behind the pillars, over the light inside the substrate.
-        straight: in the zero order, over the light inside the substrate.
-        underfilled: efficiency in a beam that is smaller than the aperture.
-    """
-
-    name: str
-    bias_nm: float
-    roughness_nm: float
-    beam: float
-    efficiency: float
-    transmitted: float
-    straight: float
-    underfilled: float
+    name: str  #: Causes in words: pillars too small or too large, and what else.
+    bias_nm: float  #: Printed less drawn size.
+    roughness_nm: float  #: Standard deviation of the pillars' sizes.
+    beam: float  #: Share of the measured input that falls on the aperture.
+    efficiency: float  #: Through the pinhole, over the measured input.
+    transmitted: float  #: Behind the pillars, over the light inside the substrate.
+    straight: float  #: In the zero order, over the light inside the substrate.
+    underfilled: float  #: Efficiency in a beam that is smaller than the aperture.
 
 
 def candidates(known: Explanation, efficiency: float) -> list[Candidate]:
@@ -339,31 +302,20 @@ def candidates(known: Explanation, efficiency: float) -> list[Candidate]:
 
 @dataclass(frozen=True)
 class MadeLens:
-    """The made lens, explained.
+    """The made lens, explained."""
 
-    Attributes:
-        measured: efficiencies x and y, and extinction ratio, of the paper.
-        chain: factors that are known, by name, from the written mask to the pinhole.
-        predicted: product of these factors.
-        missing: measured mean efficiency over ``predicted``.
-        bias_nm: 5, 50 and 95 % of the compatible draws with pillars too small and too large; None where none is.
-        rotation_deg: largest rotation against the crystal that the extinction allows, for several retardances.
-        alone: efficiency that the known factors and one further cause leave.
-        candidates: sets of causes, and what would tell them apart.
-        better: efficiency of a lens that does better, by step.
-        unequal_bias_nm: difference of width and length bias that alone explains x against y.
-    """
-
-    measured: tuple[float, float, float]
-    chain: dict[str, float]
-    predicted: float
-    missing: float
+    measured: tuple[float, float, float]  #: Efficiencies x and y, and extinction ratio, of the paper.
+    chain: dict[str, float]  #: Factors that are known, by name, from the written mask to the pinhole.
+    predicted: float  #: Product of these factors.
+    missing: float  #: Measured mean efficiency over ``predicted``.
+    #: 5, 50 and 95 % of the compatible draws with pillars too small and too large; None where none is.
     bias_nm: dict[str, Interval | None]
+    #: Largest rotation against the crystal that the extinction allows, for several retardances.
     rotation_deg: dict[str, float]
-    alone: dict[str, float]
-    candidates: list[Candidate]
-    better: dict[str, float]
-    unequal_bias_nm: float
+    alone: dict[str, float]  #: Efficiency that the known factors and one further cause leave.
+    candidates: list[Candidate]  #: Sets of causes, and what would tell them apart.
+    better: dict[str, float]  #: Efficiency of a lens that does better, by step.
+    unequal_bias_nm: float  #: Difference of width and length bias that alone explains x against y.
 
 
 def explain(folder: Path, aperture_um: float) -> tuple[MadeLens, Explanation, dict[str, FloatArray]]:

@@ -26,25 +26,15 @@ _USUAL_RANK = 160
 
 @dataclass(frozen=True)
 class PsfBasis:
-    """Images and weights of one stack over depth and field.
+    """Images and weights of one stack over depth and field."""
 
-    Attributes:
-        depth_m: shape (n_depth,), ascending.
-        tangent_x: shape (n_field_x,), object directions x/z; only 0 for a stack without a field.
-        tangent_y: shape (n_field_y,), object directions y/z.
-        pixel_um: sampling step of the images.
-        images: shape (2, rank, n_y, n_x), orthonormal for each polarisation, strongest first.
-        weights: shape (2, n_depth, n_field_y, n_field_x, rank), 1/um^2.
-        error: largest relative L2 error of any PSF of the stack.
-    """
-
-    depth_m: FloatArray
-    tangent_x: FloatArray
-    tangent_y: FloatArray
-    pixel_um: float
-    images: NDArray[np.float32]
-    weights: NDArray[np.float32]
-    error: float
+    depth_m: FloatArray  #: Shape (n_depth,), ascending.
+    tangent_x: FloatArray  #: Shape (n_field_x,), object directions x/z; only 0 for a stack without a field.
+    tangent_y: FloatArray  #: Shape (n_field_y,), object directions y/z.
+    pixel_um: float  #: Sampling step of the images.
+    images: NDArray[np.float32]  #: Shape (2, rank, n_y, n_x), orthonormal for each polarisation, strongest first.
+    weights: NDArray[np.float32]  #: Shape (2, n_depth, n_field_y, n_field_x, rank), 1/um^2.
+    error: float  #: Largest relative L2 error of any PSF of the stack.
 
     @classmethod
     def of(cls, psf: Psf, target_error: float = 1e-2) -> PsfBasis:

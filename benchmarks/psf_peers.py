@@ -37,27 +37,16 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Lens:
-    """Field behind a lens, and a window on the sensor whose points are ``stride`` sites of the lattice apart.
+    """Field behind a lens, and a window on the sensor whose points are ``stride`` sites of the lattice apart."""
 
-    Attributes:
-        aperture_um: diameter.
-        field: shape (n, n), complex field behind the lens; n is even, and the axis is in the middle.
-        pitch_um: distance of sites.
-        wavelength_um: vacuum wavelength.
-        distance_um: distance of the sensor.
-        first: (row, column) of the first point of the window, in sites from the first site of the lens.
-        window_px: points along a side.
-        stride: sites between points.
-    """
-
-    aperture_um: float
-    field: Any
-    pitch_um: float
-    wavelength_um: float
-    distance_um: float
-    first: tuple[int, int]
-    window_px: int
-    stride: int
+    aperture_um: float  #: Diameter.
+    field: Any  #: Shape (n, n), complex field behind the lens; n is even, and the axis is in the middle.
+    pitch_um: float  #: Distance of sites.
+    wavelength_um: float  #: Vacuum wavelength.
+    distance_um: float  #: Distance of the sensor.
+    first: tuple[int, int]  #: (row, column) of the first point of the window, in sites from the first site of the lens.
+    window_px: int  #: Points along a side.
+    stride: int  #: Sites between points.
 
     @property
     def wavenumber(self) -> float:
@@ -299,15 +288,10 @@ def dflat_spectrum(lens: Lens) -> Callable[[], Any]:
 
 @dataclass(frozen=True)
 class Method:
-    """A peer's method.
+    """A peer's method."""
 
-    Attributes:
-        prepare: makes the propagation of a lens.
-        points: number of points of its largest grid.
-    """
-
-    prepare: Prepare
-    points: Callable[[Lens], int]
+    prepare: Prepare  #: Makes the propagation of a lens.
+    points: Callable[[Lens], int]  #: Number of points of its largest grid.
 
 
 METHODS = {
@@ -342,15 +326,10 @@ def main() -> None:
 
 @dataclass(frozen=True)
 class Cost:
-    """Cost of one window.
+    """Cost of one window."""
 
-    Attributes:
-        seconds: processor time.
-        peak_rss_mb: peak memory of the program.
-    """
-
-    seconds: float
-    peak_rss_mb: float
+    seconds: float  #: Processor time.
+    peak_rss_mb: float  #: Peak memory of the program.
 
     def scaled(self, points: int, to_points: int) -> Cost:
         """Scale to a grid of another size by N log N and N."""

@@ -16,17 +16,11 @@ from metafab.spec import Scene, SceneObject, load_design
 
 @dataclass(frozen=True)
 class Goal:
-    """A measure with its goal, for the mean over seeds.
+    """A measure with its goal, for the mean over seeds."""
 
-    Attributes:
-        measure: of one decoded frame.
-        limit: goal of the measure.
-        at_least: whether the measure must be at least the limit, and not at most.
-    """
-
-    measure: Callable[[Decoded], float]
-    limit: float
-    at_least: bool = False
+    measure: Callable[[Decoded], float]  #: Of one decoded frame.
+    limit: float  #: Goal of the measure.
+    at_least: bool = False  #: Whether the measure must be at least the limit, and not at most.
 
     def met(self, measured: float) -> bool:
         """Whether a measured value reaches the goal."""
@@ -35,25 +29,16 @@ class Goal:
 
 @dataclass(frozen=True)
 class Case:
-    """One scene with its goals.
+    """One scene with its goals."""
 
-    Attributes:
-        name: short name, for ``--only``.
-        weakness: the weakness that it shows.
-        scene: returns the scene, given a pixel's size as a tangent and a seed for what varies from draw to draw.
-        goals: measures with their goals.
-        haze_e: mean stray electrons on every pixel.
-        lens: lens of :class:`benchmarks.scene_stacks.Stacks`.
-        draws: noise draws of one seed that are decoded, as frames of a film; goals are on their sum.
-    """
-
-    name: str
-    weakness: str
+    name: str  #: Short name, for ``--only``.
+    weakness: str  #: The weakness that it shows.
+    #: Returns the scene, given a pixel's size as a tangent and a seed for what varies from draw to draw.
     scene: Callable[[float, int], Scene]
-    goals: tuple[Goal, ...]
-    haze_e: float = 0.0
-    lens: str = "paper"
-    draws: int = 1
+    goals: tuple[Goal, ...]  #: Measures with their goals.
+    haze_e: float = 0.0  #: Mean stray electrons on every pixel.
+    lens: str = "paper"  #: Lens of :class:`benchmarks.scene_stacks.Stacks`.
+    draws: int = 1  #: Noise draws of one seed that are decoded, as frames of a film; goals are on their sum.
 
 
 def _object(

@@ -27,23 +27,14 @@ WALL = 1
 
 @dataclass(frozen=True)
 class Decoded:
-    """A decoded frame and its truth, on the overlap of their grids.
+    """A decoded frame and its truth, on the overlap of their grids."""
 
-    Attributes:
-        image: the decoded image.
-        truth: the truth in the overlap.
-        depth_m: shape (n_y, n_x), decoded depth; NaN for none.
-        own_depth_m: shape (n_y, n_x), depth of each pixel by itself.
-        confidence: shape (n_y, n_x).
-        intensity: shape (2, n_y, n_x), decoded I_x and I_y.
-    """
-
-    image: Image4D
-    truth: Truth
-    depth_m: FloatArray
-    own_depth_m: FloatArray
-    confidence: FloatArray
-    intensity: FloatArray
+    image: Image4D  #: The decoded image.
+    truth: Truth  #: The truth in the overlap.
+    depth_m: FloatArray  #: Shape (n_y, n_x), decoded depth; NaN for none.
+    own_depth_m: FloatArray  #: Shape (n_y, n_x), depth of each pixel by itself.
+    confidence: FloatArray  #: Shape (n_y, n_x).
+    intensity: FloatArray  #: Shape (2, n_y, n_x), decoded I_x and I_y.
 
     @classmethod
     def of(cls, image: Image4D, frame: RawFrame) -> Decoded:

@@ -39,15 +39,10 @@ _TRUE_NUMERICS = optics.PsfNumerics(window_px=96, target_error=1e-3)
 
 @dataclass(frozen=True)
 class Stacks:
-    """The stack that photographs and the calibration that decodes, of one lens by its target phases.
+    """The stack that photographs and the calibration that decodes, of one lens by its target phases."""
 
-    Attributes:
-        lens: "paper" (2 mm, f = 20 mm) or "small" (the first page's, photographed with its calibration).
-        progress: called over the windows.
-    """
-
-    lens: str = "paper"
-    progress: Progress = silent
+    lens: str = "paper"  #: "paper" (2 mm, f = 20 mm) or "small" (the first page's, photographed with its calibration).
+    progress: Progress = silent  #: Called over the windows.
 
     @cached_property
     def design(self) -> Design:

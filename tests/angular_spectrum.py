@@ -30,22 +30,15 @@ _CLEAR_SINE = 0.1
 
 @dataclass(frozen=True)
 class AngularSpectrum:
-    """Light of one object point and one polarisation just behind a small lens.
+    """Light of one object point and one polarisation just behind a small lens."""
 
-    Attributes:
-        imaging: wavelength and sensor.
-        lit: shape (n_y, n_x), field at the sites; its square is the power per area from an object of 1 W per steradian,
-            z / R^3 times the transmission of the pillar. Powers are over 1 W, not over the power at the aperture.
-        x_um: shape (n_x,), sites.
-        y_um: shape (n_y,).
-        cell_um2: area of one unit cell.
-    """
-
-    imaging: Imaging
+    imaging: Imaging  #: Wavelength and sensor.
+    #: Shape (n_y, n_x), field at the sites; its square is the power per area from an object of 1 W per steradian, z /
+    #: R^3 times the transmission of the pillar. Powers are over 1 W, not over the power at the aperture.
     lit: ComplexArray
-    x_um: FloatArray
-    y_um: FloatArray
-    cell_um2: float
+    x_um: FloatArray  #: Shape (n_x,), sites.
+    y_um: FloatArray  #: Shape (n_y,).
+    cell_um2: float  #: Area of one unit cell.
 
     @classmethod
     def of(

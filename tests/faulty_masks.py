@@ -23,19 +23,12 @@ Offsets = Callable[[FieldTile, tuple[int, int]], tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True)
 class MovedField:
-    """Source with displaced sites.
+    """Source with displaced sites."""
 
-    Attributes:
-        source: sites at their nominal places.
-        imaging: geometry.
-        offsets_um: displacement of each site.
-        depth_m: object depth of the rays along which the paths change; the change hardly depends on it.
-    """
-
-    source: Source
-    imaging: Imaging
-    offsets_um: Offsets
-    depth_m: float
+    source: Source  #: Sites at their nominal places.
+    imaging: Imaging  #: Geometry.
+    offsets_um: Offsets  #: Displacement of each site.
+    depth_m: float  #: Object depth of the rays along which the paths change; the change hardly depends on it.
 
     @property
     def lattice(self) -> Lattice:
@@ -59,17 +52,11 @@ class MovedField:
 
 @dataclass(frozen=True)
 class ThinnedField:
-    """Source with missing sites.
+    """Source with missing sites."""
 
-    Attributes:
-        source: all sites.
-        share: probability that a site is missing, 0 to 1.
-        seed: seed of the choice.
-    """
-
-    source: Source
-    share: float
-    seed: int = 0
+    source: Source  #: All sites.
+    share: float  #: Probability that a site is missing, 0 to 1.
+    seed: int = 0  #: Seed of the choice.
 
     @property
     def lattice(self) -> Lattice:
