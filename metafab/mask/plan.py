@@ -109,17 +109,10 @@ def _encoded_bytes(writer: MaskWriter, stamps: Stamps, tile: PillarTile) -> int:
 
 
 def announcement(design: Design, comfort_bytes: int = GDSII_COMFORT_BYTES) -> list[str]:
-    """Warn before a mask is written whose GDSII file would be too large for many readers.
+    """Warn before a mask is written whose GDSII file would be larger than ``comfort_bytes``, what most readers take.
 
     Nothing is mapped for it: every pillar is a BOUNDARY of 64 bytes (shapes other than rectangles: a reference of 40),
     once for each bias of ``mask.copies`` (in a flat mask for each copy), and an inverted field adds four per pillar.
-
-    Args:
-        design: the lens.
-        comfort_bytes: size that most readers take.
-
-    Returns:
-        Sentences for the user; none if the file is small enough.
     """
     if "gds" not in design.mask.formats:
         return []

@@ -62,11 +62,7 @@ def at_depths(psf: Psf, depths_m: Sequence[float] | FloatArray) -> FloatArray:
 
 
 def at_tangent(psf: Psf, tangent: Tangent) -> FloatArray:
-    """Interpolate the irradiance about the geometric image point to any direction inside the field.
-
-    Args:
-        psf: stack with a field.
-        tangent: (x/z, y/z) of the object.
+    """Interpolate the irradiance about the geometric image point to any direction (x/z, y/z) inside the field.
 
     Returns:
         Shape (2, n_depth, n_y, n_x), 1/um^2.

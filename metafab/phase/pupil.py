@@ -122,17 +122,7 @@ class Pupil:
 
 
 def pupil_field(term: Term, pupil: Pupil, radius_um: float, polarisation: Polarisation = "x") -> ComplexArray:
-    """Return exp(i psi) of a term at the samples of a pupil.
-
-    Args:
-        term: the phase psi.
-        pupil: the samples.
-        radius_um: radius of the aperture.
-        polarisation: "x" or "y".
-
-    Returns:
-        Shape (n,).
-    """
+    """Return exp(i psi) of a term at the n samples of a pupil of radius ``radius_um``: shape (n,)."""
     positions_um: FloatArray = radius_um * pupil.axis
     return phasor(term(positions_um, positions_um, polarisation)[pupil.inside])
 

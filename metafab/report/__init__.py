@@ -20,8 +20,7 @@ In: the files of a run folder, or a single result. Out: PNG, HTML, JSON, GIF, MP
 
 from metafab.report.pages.benchmark import benchmark_page
 from metafab.report.pages.film import require_film_name, write_film
-from metafab.report.pages.pictures import comparison_figure, library_figure, proposal_figure
-from metafab.report.pages.stokes import stokes_figure
+from metafab.report.pages.pictures import comparison_figure, library_figure, proposal_figure, stokes_figure
 from metafab.report.write import write
 
 __all__ = [

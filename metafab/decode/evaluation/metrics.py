@@ -79,14 +79,9 @@ def structural_similarity(image: FloatArray, truth: FloatArray, peak: float) -> 
 
 
 def object_errors(image: Image4D, frame: RawFrame) -> dict[int, float]:
-    """Relative depth error of each true object: the median of z / z_true - 1 over its pixels.
+    """Relative depth error of each true object: the median of z / z_true - 1 over its pixels, by the object's number.
 
-    Args:
-        image: decoded from ``frame``.
-        frame: with its truth.
-
-    Returns:
-        Error by the number of each object of which a pixel is decoded; empty without truth.
+    Objects without a decoded pixel are left out; without truth there are none.
     """
     both = overlap(image, frame)
     if both is None:

@@ -130,9 +130,7 @@ def _fit_ranked(
 def corner_shapes(equations: int, variables: int) -> list[Shape]:
     """Return the shapes that a number of samples can determine: the largest numerator for each denominator.
 
-    Args:
-        equations: samples of one polarisation.
-        variables: number of axes.
+    ``equations`` counts the samples of one polarisation, ``variables`` the axes.
     """
     largest = []
     for weight, below in product(WEIGHTS if variables else WEIGHTS[:1], DENOMINATOR_DEGREES):

@@ -62,15 +62,7 @@ def power_amplitudes(library: Library, width_nm: FloatArray, length_nm: FloatArr
 
 
 def power_normalised(response: SizeResponse, unit_cell: UnitCell) -> ComplexArray:
-    """Return t sqrt(n_out / n_in) of upright pillars, zero order.
-
-    Args:
-        response: transmission of n sizes.
-        unit_cell: unit cell of the pillars.
-
-    Returns:
-        Shape (n, 2), for x and y polarisation.
-    """
+    """Return t sqrt(n_out / n_in) of n upright pillars, zero order: shape (n, 2), for x and y polarisation."""
     n_in, n_out = half_space_indices(unit_cell)
     return np.stack([response.t_xx, response.t_yy], axis=-1) * np.sqrt(n_out.real / n_in.real)
 

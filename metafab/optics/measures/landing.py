@@ -34,13 +34,7 @@ def light_elsewhere(source: Source, imaging: Imaging, psf: Psf, tangent: Tangent
     """Return (x, y) of the brightest place on the sensor for both polarisations, if a window misses the light.
 
     A window misses the light if it holds less than half of the transmitted light, and a place of its size outside it
-    holds twice as much. The middle depth decides.
-
-    Args:
-        source: field behind the metasurface.
-        imaging: geometry of the stack.
-        psf: the stack.
-        tangent: object direction of the stack.
+    holds twice as much. The middle depth of the stack decides; ``tangent`` is the direction of its object.
 
     Returns:
         Places in um from the axis, to the resolution of the map or better; None if both windows hold their light.

@@ -83,9 +83,6 @@ def depth_bias_dioptre(psf: Psf) -> FloatArray:
 
     The apparent vergence is that of the PSF on the axis with the largest correlation with the PSF at the field point.
 
-    Args:
-        psf: stack with a field.
-
     Returns:
         Shape (2, n_y, n_x); NaN where the correlation is largest at an end of the stack.
 

@@ -48,11 +48,6 @@ class DepthBounds:
 def reference_masks(pupil: Pupil, zones: int, exponent: float) -> dict[str, ComplexArray]:
     """Masks for comparison: a standard lens, the plain spiral of Eq. 2, the double helix of Pavani and Piestun (2008).
 
-    Args:
-        pupil: the samples.
-        zones: L of the spiral.
-        exponent: epsilon of the spiral.
-
     Returns:
         Name -> pupil fields of shape (2, n), for x and y polarisation.
     """

@@ -81,16 +81,7 @@ def study(design: Design, profile: PhaseProfile) -> PhaseStudy:
 
 
 def mask_field(profile: PhaseProfile, pupil: Pupil, radius_um: float) -> ComplexArray:
-    """Return exp(i psi) of the profile without its carriers, at the samples of a pupil.
-
-    Args:
-        profile: target phases.
-        pupil: the samples.
-        radius_um: radius of the aperture.
-
-    Returns:
-        Shape (2, n), x and y polarisation.
-    """
+    """Return exp(i psi) of the profile without its carriers at the n samples of a pupil: shape (2, n), x and y."""
     axis_um = radius_um * pupil.axis
     return phasor(without_carriers(profile)(axis_um, axis_um)[:, pupil.inside])
 

@@ -58,16 +58,7 @@ class SpiralZonesPhase(PolarisedTerm):
 
 
 def spiral_field(pupil: Pupil, zones: int, exponent: float) -> ComplexArray:
-    """Return exp(i psi) of Eq. 2 for x polarisation at the samples of a pupil.
-
-    Args:
-        pupil: the samples.
-        zones: L.
-        exponent: epsilon.
-
-    Returns:
-        Shape (n,).
-    """
+    """Return exp(i psi) of Eq. 2 (L, epsilon) for x polarisation at the n samples of a pupil: shape (n,)."""
     return pupil_field(SpiralZonesPhase(zones, exponent, 1.0), pupil, 1.0)
 
 
