@@ -19,6 +19,7 @@ EXAMPLES = {
     "layout": "metafab layout layouts/helix_small.toml",
     "drc": f"metafab drc {_MASK}",
     "expose": f"metafab expose {_MASK} --correct -o exposed",
+    "process fit": f"metafab process fit sem.csv {_MASK} -o process.toml",
     "coupling": f"metafab coupling {_MASK} --at-um 30,0",
     "patch": f"metafab patch {_MASK} --at-um 30 0 --size-um 6",
     "fullwave": "metafab fullwave blocks.json --library unitcell_lib/sos_800nm.h5 --solver rcwa",

@@ -8,6 +8,8 @@
 - ``shape``      sizes to draw at one dose
 - ``etch``       sizes after the etch: bias and microloading
 - ``expose``     :func:`expose`: printed sizes, corrected doses, dose classes
+- ``fit``        process from measured sizes
+- ``process_file``  table of measured sizes to process file
 - ``record``     size errors before and after the correction, for the report; ``exposure.json``
 
 In: a :class:`~metafab.layout.pillars.PillarMap` of drawn rectangles and a :class:`BeamPsf`. Out: an :class:`Exposure`.

@@ -12,7 +12,7 @@
 - ``new``      sample design file of each kind of device (``kinds/``, ``unit_cells/``)
 - ``keys/``    all keys of the files with type, unit, default, range and meaning; faults in our words
 - ``toml``     TOML -> spec, reporting all faults of a file; spec -> canonical TOML
-- ``load``     unit-cell, scene and design files, with the files that they reference
+- ``load``     unit-cell, scene, process and design files, with the files that they reference
 
 In: paths. Out: frozen dataclasses whose public names carry their units.
 """
@@ -20,7 +20,7 @@ In: paths. Out: frozen dataclasses whose public names carry their units.
 from metafab.spec.cell import Axes, Illumination, Material, Solver, Sweep, UnitCell
 from metafab.spec.construct import make_design, make_unit_cell
 from metafab.spec.design import Design, Device, Numerics, Optics, Rules, Sensor, Verify
-from metafab.spec.load import load_design, load_scene, load_unit_cell
+from metafab.spec.load import load_design, load_process, load_scene, load_unit_cell
 from metafab.spec.mask import Chip, Copy, Dose, Exposure, Mask
 from metafab.spec.new import kinds, write_new
 from metafab.spec.scene import Scene, SceneObject
@@ -54,6 +54,7 @@ __all__ = [
     "canonical_toml",
     "kinds",
     "load_design",
+    "load_process",
     "load_scene",
     "load_unit_cell",
     "make_design",

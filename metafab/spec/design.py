@@ -279,7 +279,7 @@ class Design:
     tolerance: Tolerances | None = None
     """Fabrication tolerances; no corners are simulated without the table."""
     process: Process | None = None
-    """Fabrication process; no exposure is simulated without the table."""
+    """Fabrication process, a table or the path of a process file; no exposure is simulated without it."""
     measured: Measured | None = None
     """Measured figures of the made device, shown beside the simulated ones."""
 

@@ -1,4 +1,4 @@
-"""Loaders of unit-cell, scene and design files, with the files that they reference."""
+"""Loaders of unit-cell, scene, process and design files, with the files that they reference."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from metafab.core.errors import Fault, InputError
 from metafab.spec.cell import UnitCell
 from metafab.spec.design import Design
 from metafab.spec.keys.faults import faults_of
+from metafab.spec.mask import Process
 from metafab.spec.scene import Scene
 from metafab.spec.toml import adapter, read_toml, unit_cell_of_library, validate
 
@@ -47,13 +48,24 @@ def load_scene(path: Path | str) -> Scene:
     return validate(Scene, table.get("scene", table), str(path))
 
 
+def load_process(path: Path | str) -> Process:
+    """Read a process file: the tables of a design's ``[process]``, at top level or under ``[process]``.
+
+    Raises:
+        InputError: the file cannot be read, or holds faults (all of them are reported).
+    """
+    table = read_toml(Path(path))
+    return validate(Process, table.get("process", table), str(path))
+
+
 def load_design(path: Path | str) -> Design:
     """Read a design file with the unit cell and the scene that it references.
 
-    ``library`` is a unit-cell file or a built library, relative to the design; ``scene`` a table or a file.
+    ``library`` is a unit-cell file or a built library, relative to the design; ``scene`` and ``process`` a table or a
+    file each.
 
     Raises:
-        InputError: all faults of the design, its unit cell and its scene, each with its path.
+        InputError: all faults of the design, its unit cell, its scene and its process, each with its path.
     """
     path = Path(path)
     table = _table(path, "a design file")
@@ -61,9 +73,11 @@ def load_design(path: Path | str) -> Design:
     table["unit_cell"] = _referenced_unit_cell(path, table, faults)
     if isinstance(table.get("scene"), str):
         table["scene"] = _collect(faults, "scene", lambda: load_scene(path.parent / table["scene"]))
+    if isinstance(table.get("process"), str):
+        table["process"] = _collect(faults, "process", lambda: load_process(path.parent / table["process"]))
     if isinstance(table.get("library"), str):
         table["library"] = str((path.parent / table["library"]).resolve())
-    skip = {key for key in ("unit_cell", "scene") if table.get(key) is _FAULTY}
+    skip = {key for key in ("unit_cell", "scene", "process") if table.get(key) is _FAULTY}
     try:
         design: Design | None = adapter(Design).validate_python({k: v for k, v in table.items() if k not in skip})
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Command ``expose``: electron exposure of a written mask."""
+"""Commands ``expose`` and ``process fit``: electron exposure of a written mask, and the process from its sizes."""
 
 from __future__ import annotations
 
@@ -109,3 +109,45 @@ def _write_samples(samples: tuple[SampledPillar, ...], path: Path) -> None:
         writer = csv.writer(stream)
         writer.writerow([item.name for item in fields(SampledPillar)])
         writer.writerows(asdict(pillar).values() for pillar in samples)
+
+
+@app.command("process fit")
+def process_fit_command(
+    measured: Annotated[
+        Path, typer.Argument(metavar="CD.csv", help="Measured sizes: x_um, y_um, width_nm, length_nm [copy, dose].")
+    ],
+    layout: LayoutFile,
+    design: DesignOption,
+    free: Annotated[
+        list[str] | None,
+        typer.Option("--free", metavar="NAME", help="threshold, eta, bias or blur [default: the first three]."),
+    ] = None,
+    copy: Copy = 1,
+    output: Output = None,
+    workers: Workers = None,
+    json_: Json = False,
+) -> None:
+    """Fit dose to clear, backscatter and bias to measured sizes, and write a process file for later designs.
+
+    The table lists pillars by place, from the axis of their lens, at one or several doses; a design uses the written
+    file by `process = "process.toml"`. Columns height_nm, sidewall_angle_deg and corner_radius_nm become those of the
+    etch, and of a unit cell beside the file.
+    """
+    from metafab.core.parallel.measure import measured as measured_cost
+    from metafab.exposure.fit import PARAMETERS
+    from metafab.exposure.process_file import fitted_process, save_process
+    from metafab.spec import load_design
+
+    names = free or ["threshold", "eta", "bias"]
+    if unknown := sorted(set(names) - set(PARAMETERS)):
+        raise InputError.single("--free", "free", f"some of {', '.join(PARAMETERS)}", ", ".join(unknown))
+    spec = load_design(design)
+    with open_work(workers) as work, measured_cost() as cost:
+        chosen = [name for name in PARAMETERS if name in names]
+        fitted = fitted_process(measured, layout, spec, chosen, copy, work)
+    path = output or Path("process.toml")
+    files = save_process(fitted, path)
+    if fitted.fit.largest_correlation > 0.99:
+        one, other = fitted.fit.correlated
+        announce([f"{one} and {other} are hardly told apart (correlation {fitted.fit.largest_correlation:.3f})"])
+    show(fitted.fit, json_, files=[str(file) for file in files], seconds=cost.seconds, peak_rss_mb=cost.peak_rss_mb)

@@ -18,7 +18,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.storage.files import file_sha256
 from metafab.library import Library, build, save
 from metafab.phase.terms.profile import PhaseProfile
-from metafab.spec import UnitCell, load_design
+from metafab.spec import UnitCell, load_design, load_unit_cell
 from tests.layout.conftest import OffAxisLens, sizes_at_sites
 from tests.main_job import ROOT, SMALL, metafab
 
@@ -158,6 +158,36 @@ def test_samples_agree_with_a_direct_sum_from_outside(folder: Path, tmp_path: Pa
             at_printed = _direct(terms, own[None], x + right + np.sign(right) * moved, y + up + np.sign(up) * moved)
             # The edge of a pillar falls by 0.03 a nanometre: 1e-3 is 0.03 nm.
             assert stated + ratio * (at_printed - at_drawn) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, tmp_path: Path) -> None:
+    """Sizes of the command itself, all 3 nm narrower; height and sidewalls as a microscope would add them."""
+    known = PROCESS + "base_over_clearing_dose = 2.0\n"
+    design = design_file(tmp_path / "design.toml", SMALL, known, aperture_um="40.0", formats='["oas"]')
+    mask_file, table, process = folder / "layout.oas", tmp_path / "samples.csv", tmp_path / "process.toml"
+    exposed = metafab("expose", mask_file, "--design", design, "--sample", "40", "--sample-csv", table, "--json")
+    assert exposed.code == 0, exposed.stderr
+    lines = ["x_um,y_um,width_nm,length_nm,height_nm,sidewall_angle_deg"]
+    for row in csv.DictReader(table.open(encoding="utf-8")):
+        sizes = [float(row[f"printed_{side}_nm"]) - 3.0 for side in ("width", "length")]
+        lines.append(f"{row['x_um']},{row['y_um']},{sizes[0]},{sizes[1]},590.0,88.0")
+    (tmp_path / "cd.csv").write_text("\n".join(lines), encoding="utf-8")
+    common = ("process", "fit", tmp_path / "cd.csv", mask_file, "--design", design, "-o", process, "--json")
+    answer = metafab(*common, "--free", "bias")
+    assert answer.code == 0, answer.stderr
+    assert answer.json["bias_nm"]["value"] == pytest.approx(-3.0, abs=0.02)
+    assert answer.json["base_over_clearing_dose"] == {"value": 2.0, "error": None}
+    source = SMALL.read_text(encoding="utf-8").replace("../unitcell_lib", str(ROOT / "unitcell_lib"))
+    (tmp_path / "next.toml").write_text(f'process = "process.toml"\n{source}', encoding="utf-8")
+    made = load_design(tmp_path / "next.toml").process
+    assert made is not None and made.etch is not None and made.exposure is not None
+    assert made.etch.bias_nm == pytest.approx(answer.json["bias_nm"]["value"], abs=1e-4)
+    assert (made.etch.height_nm, made.etch.sidewall_angle_deg) == (590.0, 88.0)
+    assert made.exposure.preset == "hsq_sos_100kv"
+    assert load_unit_cell(tmp_path / "process_cell.toml").cell.height_nm == 590.0
+    refused = metafab(*common, "--free", "focus")
+    assert refused.code == 2
+    assert "threshold" in refused.stderr
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,138 @@
+"""Table of measured sizes -> process file of later designs, by :mod:`metafab.exposure.fit`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from metafab import mask
+from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
+from metafab.core.storage.files import whole_file
+from metafab.exposure.electrons.process import beam_psf
+from metafab.exposure.fit import MeasuredLens, Parameter, ProcessFit, fit_process
+from metafab.mask.measured import read_measured
+from metafab.spec import Design, UnitCell, canonical_toml
+from metafab.spec.mask import Etch, ExposureProcess, Process
+
+#: Columns of the table whose means become properties of the etch.
+_CORNER = ("height_nm", "sidewall_angle_deg", "corner_radius_nm")
+
+
+@dataclass(frozen=True)
+class FittedProcess:
+    """A fit and the specs that follow from it.
+
+    Attributes:
+        fit: parameters with their errors.
+        process: ``[process]`` of later designs.
+        unit_cell: unit cell with the measured height, sidewalls and corners; None if the table has none of them.
+    """
+
+    fit: ProcessFit
+    process: Process
+    unit_cell: UnitCell | None
+
+
+def fitted_process(
+    table: Path, mask_file: Path, design: Design, free: Sequence[Parameter], copy: int, work: Work
+) -> FittedProcess:
+    """Fit the process of a design to measured sizes of pillars of a written mask.
+
+    Args:
+        table: .csv with x_um, y_um (from the axis of the lens), width_nm, length_nm; further columns where they are
+            known: copy (lens of ``mask.copies``), dose (relative to that of the copy), height_nm, sidewall_angle_deg,
+            corner_radius_nm.
+        mask_file: the mask that was exposed.
+        design: its design, with ``[process.exposure]`` as the start.
+        free: parameters that are fitted.
+        copy: lens of ``mask.copies`` where the table has no such column, counted from 1.
+        work: threads and progress.
+
+    Raises:
+        InputError: the design has no ``[process.exposure]``; a table that cannot be read, with places without a pillar
+            or doses that are not positive; or sizes that do not determine the parameters.
+    """
+    start = None if design.process is None else design.process.exposure
+    if start is None:
+        remedy = 'add `[process.exposure]` with `preset = "hsq_sos_100kv"`, or with your own `terms`'
+        raise InputError.single(design.name, "process.exposure", "a table", "none", remedy)
+    measured = read_measured(table, ("copy", "dose", *_CORNER))
+    numbers = measured.further.get("copy", np.full(len(measured.size_nm), float(copy)))
+    doses = measured.further.get("dose", np.ones(len(measured.size_nm)))
+    if (doses <= 0.0).any() or (numbers != np.rint(numbers)).any():
+        expected = "positive doses, and whole numbers of copies"
+        raise InputError.single(str(table), "rows", expected, f"dose {doses.min():g}, copy {numbers.min():g}")
+    lenses = []
+    for number in np.unique(numbers).astype(int).tolist():
+        rows = measured.part(numbers == number)
+        back = mask.read(mask_file, design, progress=work.progress, copy=number)
+        back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
+        sites, dose = rows.sites(back.pillars), doses[numbers == number]
+        rows.require_each_once(sites, dose)
+        lens_dose = design.mask.copies[number - 1].dose if design.mask.copies else 1.0
+        lenses.append(MeasuredLens(back.pillars, sites, dose * lens_dose, rows.size_nm))
+    fit = fit_process(
+        lenses,
+        beam_psf(replace(start, blur_nm=0.0)),
+        start.blur_nm,
+        free,
+        start.base_over_clearing_dose,
+        work,
+    )
+    corner: dict[str, Any] = {
+        name: round(float(np.mean(values)), 3) for name, values in measured.further.items() if name in _CORNER
+    }
+    known = "" if start.source == "assumption" else f"{start.source}; "
+    source = f"{known}fit of {', '.join(free)} to {fit.sizes} sizes of {table.name} at {fit.doses} doses"
+    etch = design.process.etch if design.process is not None and design.process.etch is not None else Etch()
+    process = Process(
+        exposure=_exposure(start, fit, source),
+        etch=replace(
+            etch, **({"bias_nm": round(fit.bias_nm.value, 4)} if "bias" in free else {}), **corner, source=source
+        ),
+    )
+    cell = replace(design.unit_cell, cell=replace(design.unit_cell.cell, **corner)) if corner else None
+    return FittedProcess(fit, process, cell)
+
+
+def save_process(fitted: FittedProcess, path: Path) -> tuple[Path, ...]:
+    """Write the process file, and beside it NAME_cell.toml with the unit cell of the made pillars if there is one.
+
+    Args:
+        fitted: the fit.
+        path: the process file.
+    """
+    fit = fitted.fit
+    lines = [
+        f"# {name}: {value.value:.6g}" + (f" +- {value.error:.2g}" if value.error is not None else " (not fitted)")
+        for name, value in (
+            ("base_over_clearing_dose", fit.base_over_clearing_dose),
+            ("backscatter_ratio", fit.backscatter_ratio),
+            ("blur_nm", fit.blur_nm),
+            ("bias_nm", fit.bias_nm),
+        )
+    ]
+    texts = {path: "\n".join([*lines, ""]) + canonical_toml(fitted.process, path.parent)}
+    if fitted.unit_cell is not None:
+        texts[path.with_name(f"{path.stem}_cell.toml")] = canonical_toml(fitted.unit_cell, path.parent)
+    for name, text in texts.items():
+        with whole_file(name) as part:
+            part.write_text(text, encoding="utf-8")
+    return tuple(texts)
+
+
+def _exposure(start: ExposureProcess, fit: ProcessFit, source: str) -> ExposureProcess:
+    """The beam and dose of a fit; a fitted ratio applies to the function of the start."""
+    ratio = start.backscatter_ratio if fit.backscatter_ratio.error is None else round(fit.backscatter_ratio.value, 6)
+    return replace(
+        start,
+        blur_nm=round(fit.blur_nm.value, 6),
+        backscatter_ratio=ratio,
+        base_over_clearing_dose=round(fit.base_over_clearing_dose.value, 6),
+        source=source,
+    )
