@@ -56,30 +56,16 @@ class ImageMap:
         return cls(scale, coefficients, (_span(tangent_x), _span(tangent_y)))
 
     def covers(self, tangent_x: FloatArray, tangent_y: FloatArray) -> NDArray[np.bool_]:
-        """Whether directions lie in the calibrated field, or hardly beyond.
-
-        Args:
-            tangent_x: any shape.
-            tangent_y: the shape of ``tangent_x``.
-
-        Returns:
-            The same shape.
-        """
+        """Whether directions of any shape lie in the calibrated field, or hardly beyond; of that shape."""
         (left, right), (low, high) = self.field
         return np.asarray((tangent_x >= left) & (tangent_x <= right) & (tangent_y >= low) & (tangent_y <= high))
 
     def to_sensor_um(
         self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Geometric image of a direction.
+        """Geometric image (x, y) on the sensor, um, of directions x/z and y/z of any shape, each of that shape.
 
-        Args:
-            polarisation: 0 for x, 1 for y.
-            tangent_x: any shape, x/z.
-            tangent_y: the shape of ``tangent_x``, y/z.
-
-        Returns:
-            (x, y) on the sensor, um, each of the same shape.
+        Polarisation 0 is x, 1 is y.
         """
         v, u = tangent_y / self.scale, tangent_x / self.scale
         x, y = (np.asarray(polyval2d(v, u, c)) for c in self.coefficients_um[polarisation])
@@ -95,17 +81,10 @@ class ImageMap:
         return np.moveaxis(np.asarray(rows), (0, 1), (-2, -1))
 
     def to_tangent(self, polarisation: int, x_um: FloatArray, y_um: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The direction whose geometric image is at (x, y), by Newton's method from the axis.
+        """The direction (x/z, y/z) whose geometric image is at (x, y) on the sensor, by Newton's method from the axis.
 
-        Far outside the calibrated field the map may not be invertible; see :meth:`covers`.
-
-        Args:
-            polarisation: 0 for x, 1 for y.
-            x_um: any shape, place on the sensor.
-            y_um: broadcast with ``x_um``.
-
-        Returns:
-            Tangents (x/z, y/z), each of the broadcast shape.
+        Places have any shape, which directions share; polarisation 0 is x, 1 is y. Far outside the calibrated field the
+        map may not be invertible; see :meth:`covers`.
         """
         x_um, y_um = np.broadcast_arrays(x_um, y_um)
         tangent_x, tangent_y = np.zeros(x_um.shape), np.zeros(x_um.shape)

@@ -99,15 +99,7 @@ class PairKernels:
         return np.asarray(np.tensordot(weights, self.nodes, axes=(0, 1)), dtype=np.float64)
 
     def field_weights(self, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
-        """Interpolation weights of the field points at directions.
-
-        Args:
-            tangent_x: any shape.
-            tangent_y: the shape of ``tangent_x``.
-
-        Returns:
-            Shape (*tangent_x.shape, n_field_y, n_field_x).
-        """
+        """Interpolation weights of the field points at directions of any shape: (*that shape, n_field_y, n_field_x)."""
         along_y, along_x = spline_weights(self.tangent_y, tangent_y), spline_weights(self.tangent_x, tangent_x)
         return along_y[..., :, None] * along_x[..., None, :]
 
@@ -118,10 +110,7 @@ def _mean_sum(psf: Psf) -> float:
 
 
 def pixel_transfer(shape: tuple[int, int]) -> FloatArray:
-    """Return the transfer function of a square pixel on the half plane of a real transform.
-
-    Args:
-        shape: (n_y, n_x) of the transformed picture.
+    """Return the transfer function of a square pixel on the half plane of a real transform of (n_y, n_x) pixels.
 
     Returns:
         Shape (n_y, n_x // 2 + 1).

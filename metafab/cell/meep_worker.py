@@ -44,12 +44,7 @@ def tail_limit(samples: Any, modes: int = _TAIL_MODES) -> Any:
     give s = sum_k a_k s_(j+k), exactly where at most ``modes`` of the q_m matter (Sidi, Vector Extrapolation
     Methods, 2017, ch. 1). Modes of high quality need not decay first.
 
-    Args:
-        samples: shape (n_samples, n_values), n_samples >= 2 (modes + 1).
-        modes: number of q_m.
-
-    Returns:
-        Shape (n_values,).
+    ``samples`` has the shape (n_samples, n_values), n_samples >= 2 (modes + 1); the limit has the shape (n_values,).
     """
     window = np.asarray(samples)
     change = np.diff(window, axis=0)

@@ -80,17 +80,11 @@ class Supercell:
         return np.asarray(2.0 * np.pi * orders / self.period_um, dtype=np.float64)
 
     def relative_power(self, orders: IntArray, amplitude: ComplexArray, polarisation: Polarisation) -> FloatArray:
-        """Power of orders along z over that of an incident wave of unit amplitude.
+        """Power of orders along z over that of an incident wave of unit amplitude, shape (n_orders,).
 
-        A wave of tangential field E carries k_z |E|^2 + |k.E|^2 / k_z, because its E_z is -k.E / k_z.
-
-        Args:
-            orders: shape (n_orders, 2), propagating.
-            amplitude: shape (n_orders, 2), E_x and E_y of each.
-            polarisation: of the incident wave.
-
-        Returns:
-            Shape (n_orders,).
+        A wave of tangential field E carries k_z |E|^2 + |k.E|^2 / k_z, because its E_z is -k.E / k_z. Orders, shape
+        (n_orders, 2), propagate; their amplitudes are E_x and E_y, shape (n_orders, 2). The polarisation is that of the
+        incident wave.
         """
         axis = POLARISATIONS.index(polarisation)
         vacuum = 2.0 * math.pi / (self.cell.wavelength_nm * 1e-3)
@@ -100,14 +94,10 @@ class Supercell:
         return np.asarray(power / (vacuum * self.cell.n_in[axis].real), dtype=np.float64)
 
     def local_period(self, orders: IntArray, responses: ComplexArray) -> ComplexArray:
-        """Amplitudes of orders by the local-period approximation, with one sample per site.
+        """Amplitudes of orders by the local-period approximation, with one sample per site, shape (n_orders,).
 
-        Args:
-            orders: shape (n_orders, 2).
-            responses: shape (n_y, n_x), zero-order t of each pillar in its own periodic cell.
-
-        Returns:
-            Shape (n_orders,).
+        ``orders`` has the shape (n_orders, 2). ``responses``, shape (n_y, n_x), are the zero-order t of each pillar in
+        its own periodic cell.
         """
         n_y, n_x = self.shape
         x, y = (((np.arange(count) + 0.5) / count - 0.5) for count in (n_x, n_y))

@@ -171,12 +171,9 @@ def compare(design: Design, *, planes: int = 6, contrast: float = 0.25, progress
 
 
 def plane_estimator(calibration: PairKernels, side_px: int, texture: Texture) -> PlaneEstimator:
-    """Return the estimator of a calibration, with candidates over all of its depths.
+    """Return the estimator of a pair on the axis, with candidates over all of its depths.
 
-    Args:
-        calibration: PSF pair on the axis.
-        side_px: side of the windows, at least the kernels'.
-        texture: spectrum, electrons and noise.
+    The windows of ``side_px`` pixels a side are no smaller than the kernels.
     """
     depth_m = calibration.psf.depth_m
     vergence = np.linspace(1.0 / depth_m[0], 1.0 / depth_m[-1], _CANDIDATES)

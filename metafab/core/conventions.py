@@ -51,14 +51,7 @@ POLARISATIONS: tuple[Polarisation, Polarisation] = ("x", "y")
 
 
 def wrap_phase(phase_rad: ArrayLike) -> FloatArray:
-    """Phase wrapped to (-pi, pi].
-
-    Args:
-        phase_rad: any shape, radians.
-
-    Returns:
-        The same shape; a phase of exactly -pi becomes +pi.
-    """
+    """Phase in radians wrapped to (-pi, pi], of any shape; exactly -pi becomes +pi."""
     phase = np.asarray(phase_rad, dtype=np.float64)
     return np.asarray(math.pi - np.mod(math.pi - phase, 2.0 * math.pi), dtype=np.float64)
 

@@ -228,13 +228,7 @@ def _block_means(size_index: NDArray[np.uint16], errors: Float32Array, side: int
 
 
 def inside(places: NDArray[np.int64], rows: slice, columns: slice) -> NDArray[np.int64]:
-    """Return the places within a tile, shape (m, 2), in their order.
-
-    Args:
-        places: shape (n, 2), rows and columns.
-        rows: rows of the tile.
-        columns: columns of the tile.
-    """
+    """Return the places (row, column) within a tile, in their order; shapes (n, 2) and (m, 2)."""
     row, column = places.T
     within = (rows.start <= row) & (row < rows.stop) & (columns.start <= column) & (column < columns.stop)
     return np.asarray(places[within])

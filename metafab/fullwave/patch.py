@@ -89,12 +89,7 @@ class Patch:
 
 
 def field_difference(field: ComplexArray, reference: ComplexArray) -> FieldDifference:
-    """Compare a field with a reference.
-
-    Args:
-        field: any shape.
-        reference: shape of ``field``.
-    """
+    """Compare a field with a reference; both have any one shape."""
     scale = float(np.sqrt(np.mean(np.abs(reference) ** 2)))
     product = field * reference.conj()
     weight = np.abs(product)

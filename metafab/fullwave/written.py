@@ -102,10 +102,7 @@ def line_at(pillars: PillarMap, library: Library, x_um: float, y_um: float, axis
 
 
 def local_period_sites(t: ComplexArray) -> tuple[int, int]:
-    """Find the local period on a line of pillars from the peak of its spectrum.
-
-    Args:
-        t: shape (n,), response at each site.
+    """Find the local period on a line of pillars from the peak of the spectrum of their responses, shape (n,).
 
     Returns:
         Sites of one local period, and the sign of its phase slope: the order (+1 or -1) of the deflected light.

@@ -51,11 +51,7 @@ class PlaneEstimator:
         return cls(depth_m, scipy.fft.rfft2(kernels, (side_px, side_px)), texture)
 
     def likeliest(self, images: FloatArray) -> float:
-        """Maximum-likelihood depth (m) of a plane.
-
-        Args:
-            images: shape (2, n, n), electrons.
-        """
+        """Maximum-likelihood depth (m) of a plane from its images, shape (2, n, n), electrons."""
         return self.likeliest_of_spectra(self._spectra(images))
 
     def likeliest_of_spectra(self, spectra: ComplexArray) -> float:
@@ -83,13 +79,10 @@ class PlaneEstimator:
         return gain, np.einsum("ij,kcij->kc", weight, np.log1p(signal))
 
     def by_cepstrum(self, images: FloatArray) -> float:
-        """Depth (m) whose expected power cepstrum is nearest to that of the sum of two images.
+        """Depth (m) whose expected power cepstrum is nearest to that of the sum of two images, shape (2, n, n).
 
         Two lobes show the texture twice, which ripples its power spectrum. The logarithm separates the ripple from the
         spectrum of the texture; its transform, the cepstrum, peaks at the distance of the lobes.
-
-        Args:
-            images: shape (2, n, n), electrons.
         """
         power = np.abs(self._spectra(images).sum(axis=0)) ** 2
         ring, mean, expected = self._expected_cepstra
@@ -111,15 +104,11 @@ class PlaneEstimator:
         return np.asarray(scipy.fft.irfft2(np.log(power + floor), (self._side, self._side)))
 
     def bound_m(self, depth_m: float, contrast: float) -> float:
-        """Cramer-Rao bound of the depth (m) of a plane whose texture has a known spectrum and contrast.
+        """Cramer-Rao bound of the depth (m) of a plane whose texture has a known spectrum and contrast (rms over mean).
 
         Whittle's information: half the sum over frequencies of tr(C^-1 C' C^-1 C'), divided by the equivalent noise
         bandwidth of the taper. A window cut out of a larger picture does worse, because light from beyond its edges
-        leaks through the taper.
-
-        Args:
-            depth_m: depth of the plane; the nearest candidate stands for it.
-            contrast: rms over mean of the texture.
+        leaks through the taper. The nearest candidate stands for the depth.
         """
         index = int(np.clip(np.argmin(np.abs(self.depth_m - depth_m)), 1, self.depth_m.size - 2))
         transfer = np.moveaxis(self.transfer[index], 0, -1)

@@ -18,17 +18,12 @@ from metafab.information.twin_images import twin_information
 
 
 def depth_slope(stack: FloatArray, depth_m: ArrayLike) -> FloatArray:
-    """Return the derivative of a stack with respect to depth, by a cubic spline over the vergence 1/depth.
+    """Return the derivative of a stack with respect to depth, per metre, by a cubic spline over the vergence 1/depth.
 
-    Args:
-        stack: shape (..., n_depth, n_y, n_x), real.
-        depth_m: shape (n_depth,), ascending, at least 4.
-
-    Returns:
-        Shape (..., n_depth, n_y, n_x), per metre.
+    The stack is real, of shape (..., n_depth, n_y, n_x), like the derivative.
 
     Raises:
-        ValueError: fewer than 4 depths, or not ascending.
+        ValueError: fewer than 4 depths, or depths that do not ascend.
     """
     depth = np.asarray(depth_m, dtype=np.float64)
     if depth.size < 4 or np.any(np.diff(depth) <= 0.0):
@@ -99,13 +94,9 @@ def twin_depth_information(
 
 
 def depth_crlb_m(information: ArrayLike) -> FloatArray:
-    """Cramer-Rao bound: the smallest standard deviation of an unbiased depth estimate, 1 / sqrt(information).
+    """Cramer-Rao bound: the smallest standard deviation (m) of an unbiased depth estimate, 1 / sqrt(information).
 
-    Args:
-        information: any shape, 1/m^2.
-
-    Returns:
-        The same shape, m; infinite where the information is 0.
+    The information, 1/m^2, has any shape; the bound has the same, and is infinite where the information is 0.
     """
     with np.errstate(divide="ignore"):
         return np.asarray(1.0 / np.sqrt(np.asarray(information, dtype=np.float64)))

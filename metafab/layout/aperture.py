@@ -87,15 +87,7 @@ class Aperture:
         return self.at(np.arange(row, row + shape[0]), np.arange(column, column + shape[1]))
 
     def at(self, rows: IntArray, columns: IntArray) -> NDArray[np.bool_]:
-        """Whether each site of some rows and columns is inside.
-
-        Args:
-            rows: shape (n_rows,).
-            columns: shape (n_columns,).
-
-        Returns:
-            Shape (n_rows, n_columns).
-        """
+        """Whether each site of some rows, shape (n_rows,), and columns is inside: shape (n_rows, n_columns)."""
         inside = np.zeros((rows.size, columns.size), dtype=np.bool_)
         for first, last in zip(self.first[:, rows, None], self.last[:, rows, None], strict=True):
             if np.any(first < last):

@@ -79,9 +79,7 @@ def centre_distances(lattice: Lattice) -> FloatArray:
 def signed_square(gap_x: float, gap_y: float) -> float:
     """Squared distance between two rectangles; minus the squared depth if they overlap.
 
-    Args:
-        gap_x: gap along x, negative where the projections on x overlap.
-        gap_y: gap along y.
+    A gap along x or y is negative where the projections on that axis overlap.
     """
     depth = max(gap_x, gap_y)
     return -depth * depth if depth < 0.0 else max(gap_x, 0.0) * max(gap_x, 0.0) + max(gap_y, 0.0) * max(gap_y, 0.0)

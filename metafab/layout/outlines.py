@@ -63,14 +63,7 @@ class Outline:
         return _KINDS[self.shape]
 
     def boxes(self, size_dbu: NDArray[np.int32]) -> NDArray[np.int32]:
-        """Width and length of the bounding box of each size.
-
-        Args:
-            size_dbu: shape (n, 2), width and length.
-
-        Returns:
-            Shape (n, 2); the box of a cross is square.
-        """
+        """Width and length of the bounding box of each size, shape (n, 2) like the sizes; that of a cross is square."""
         if self.shape != "cross":
             return size_dbu
         return np.asarray(np.repeat(size_dbu.max(axis=1, keepdims=True), 2, axis=1))
@@ -82,20 +75,15 @@ class Outline:
     def polygons(self, size_dbu: NDArray[np.int64]) -> tuple[IntArray, ...]:
         """Vertices of each size index about its centre, shape (n, 2) each; a single point for index 0, no pillar.
 
-        Args:
-            size_dbu: shape (n_sizes + 1, 2), even numbers.
+        Sizes are even numbers, shape (n_sizes + 1, 2).
         """
         nothing = np.zeros((1, 2), dtype=np.int64)
         return nothing, *(self.vertices(width, length) for width, length in size_dbu[1:].tolist())
 
     def area(self, size_dbu: NDArray[np.int32]) -> FloatArray:
-        """Area of each size's polygon.
+        """Area of the polygon of each size, shape (n,), squared database units, multiples of one half.
 
-        Args:
-            size_dbu: shape (n, 2), width and length.
-
-        Returns:
-            Shape (n,), squared database units, multiples of one half; 0 for the size (0, 0).
+        Sizes are widths and lengths, shape (n, 2); the size (0, 0) has the area 0.
         """
         if self.is_rectangle:
             return np.asarray(np.prod(size_dbu.astype(np.float64), axis=1))
@@ -131,11 +119,7 @@ RECTANGLE = Outline("rectangle", 1.0)
 def canonical_polygon(polygon: IntArray) -> IntArray:
     """Return a polygon counter-clockwise from its lowest, then leftmost, corner, without corners on straight sides.
 
-    Args:
-        polygon: shape (n, 2), corners in either sense.
-
-    Returns:
-        Shape (m, 2) with m <= n; shape (0, 2) if the polygon has no area.
+    Corners of shape (n, 2) in either sense give (m, 2) with m <= n; (0, 2) if the polygon has no area.
     """
     distinct = polygon[np.any(polygon != np.roll(polygon, 1, axis=0), axis=1)]
     before, after = np.roll(distinct, 1, axis=0) - distinct, np.roll(distinct, -1, axis=0) - distinct

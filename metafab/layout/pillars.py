@@ -78,15 +78,7 @@ class Lattice:
         return max(down for down, _ in self.pairs), max(right for _, right in self.pairs)
 
     def carries(self, rows: NDArray[np.int64], columns: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether the sites can carry a pillar.
-
-        Args:
-            rows: shape (n_rows,).
-            columns: shape (n_columns,).
-
-        Returns:
-            Shape (n_rows, n_columns).
-        """
+        """Whether sites of some rows, shape (n_rows,), and columns can carry a pillar: shape (n_rows, n_columns)."""
         if not self.hexagonal:
             return np.ones((rows.size, columns.size), dtype=np.bool_)
         return np.asarray((rows[:, None] + columns) % 2 == 0)

@@ -15,11 +15,7 @@ _BAND_ROWS = 512
 
 
 def bands(size_index: NDArray[np.uint16]) -> Iterator[slice]:
-    """Yield bands of rows that cover a lattice.
-
-    Args:
-        size_index: shape (n_y, n_x) of the lattice.
-    """
+    """Yield bands of rows that cover a lattice whose size indices have the shape (n_y, n_x)."""
     for row in range(0, size_index.shape[0], _BAND_ROWS):
         yield slice(row, min(row + _BAND_ROWS, size_index.shape[0]))
 

@@ -47,28 +47,18 @@ class TurnedRectangles(Outline):
         return False
 
     def polygons(self, size_dbu: NDArray[np.int64]) -> tuple[IntArray, ...]:
-        """Vertices of each size index about its centre, shape (4, 2) each.
-
-        Args:
-            size_dbu: shape (n_sizes + 1, 2), width and length.
-        """
+        """Vertices of each size (width, length) about its centre, shapes (n_sizes + 1, 2) and (4, 2) each."""
         return tuple(turned_rectangles(size_dbu, self.angle_deg))
 
     def area(self, size_dbu: NDArray[np.int32]) -> FloatArray:
-        """Area of each polygon, shape (n_sizes + 1,), squared database units.
-
-        Args:
-            size_dbu: shape (n_sizes + 1, 2), width and length.
-        """
+        """Area of each polygon, shape (n_sizes + 1,), squared database units, for sizes of shape (n_sizes + 1, 2)."""
         return np.array([polygon_area(polygon) for polygon in turned_rectangles(size_dbu, self.angle_deg)])
 
 
 def turned_rectangles(size_dbu: NDArray[np.integer[Any]], angle_deg: FloatArray) -> IntArray:
     """Return the vertices of turned rectangles about their centres, rounded to whole database units.
 
-    Args:
-        size_dbu: shape (n, 2), width and length.
-        angle_deg: shape (n,), counter-clockwise, 0 to below 90.
+    Sizes, shape (n, 2), are width and length; angles, shape (n,), are counter-clockwise, 0 to below 90 degrees.
 
     Returns:
         Shape (n, 4, 2), counter-clockwise from the lowest vertex; of two that are as low, from the left one.

@@ -84,11 +84,7 @@ class CornerBox:
         return np.array(variables)
 
     def from_variables(self, variables: FloatArray) -> dict[str, float]:
-        """Return the corner without its bias; inverse of :meth:`to_variables`.
-
-        Args:
-            variables: shape (n_variables,), each in -1..1.
-        """
+        """Return the corner without its bias: inverse of :meth:`to_variables`, from shape (n_variables,)."""
         corner = {}
         for name, variable in zip(self.variables, variables.tolist(), strict=True):
             low, high = (_smooth(name, at) for at in self.spans[name])
@@ -96,15 +92,9 @@ class CornerBox:
         return corner
 
     def points(self, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray) -> FloatArray:
-        """Return cells as points of the cube [-1, 1]^(2 + n_variables).
+        """Return n cells as points of the cube [-1, 1]^(2 + n_variables), shape (n, 2 + n_variables).
 
-        Args:
-            width_nm: shape (n,), as made.
-            length_nm: shape (n,), as made.
-            axes: shape (n, n_variables), each in -1..1.
-
-        Returns:
-            Shape (n, 2 + n_variables), each in -1..1.
+        Widths and lengths as made have the shape (n,), axes (n, n_variables), each in -1..1.
         """
         sizes = scaled(width_nm, self.width_nm), scaled(length_nm, self.length_nm)
         return np.concatenate([np.stack(sizes, axis=-1), axes], axis=1)

@@ -57,11 +57,7 @@ def biaxial(x: Callable[[float], complex], y: Callable[[float], complex]) -> Cal
 
 
 def sellmeier(terms: Iterable[tuple[float, float]]) -> Callable[[float], complex]:
-    """Sellmeier formula n^2 = 1 + sum of B lambda^2 / (lambda^2 - C^2), lambda in micrometres; lossless.
-
-    Args:
-        terms: pairs (B, C), C in micrometres.
-    """
+    """Sellmeier formula n^2 = 1 + sum of B lambda^2 / (lambda^2 - C^2), lambda and C in micrometres; lossless."""
     poles = tuple((strength, pole**2) for strength, pole in terms)
 
     def index(wavelength_nm: float) -> complex:

@@ -54,11 +54,7 @@ class JonesTarget:
         return cls(helix, np.array(places), distance_um, depth_m, 2.0 * math.pi / design.wavelength_um)
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
-        """Evaluate the sum on a grid.
-
-        Args:
-            x_um: shape (n_x,), positions from the optical axis.
-            y_um: shape (n_y,), positions from the optical axis.
+        """Evaluate the sum at x, shape (n_x,), and y, shape (n_y,), from the axis.
 
         Returns:
             Shape (3, n_y, n_x), matrix entries xx, xy = yx and yy.
@@ -76,12 +72,7 @@ class JonesTarget:
     def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
         """Evaluate the lossless matrices nearest to the target: the light behind perfect pillars.
 
-        Args:
-            x_um: shape (n_x,), positions from the optical axis.
-            y_um: shape (n_y,), positions from the optical axis.
-
-        Returns:
-            Shape (3, n_y, n_x), matrix entries xx, xy = yx and yy.
+        Positions and result are those of the target itself: (n_x,) and (n_y,) give the shape (3, n_y, n_x).
         """
         return nearest_unitary(self(x_um, y_um))
 
@@ -89,11 +80,7 @@ class JonesTarget:
 def nearest_unitary(target: ComplexArray) -> ComplexArray:
     """Return the unitary matrices nearest to symmetric ones (Frobenius norm), which are symmetric, too.
 
-    Args:
-        target: shape (3, ...), entries xx, xy = yx and yy.
-
-    Returns:
-        Same shape and entries.
+    Both have the shape (3, ...), entries xx, xy = yx and yy.
     """
     matrices = np.stack([target[[0, 1]], target[[1, 2]]])
     left, _, right = np.linalg.svd(np.moveaxis(matrices, (0, 1), (-2, -1)))

@@ -26,18 +26,9 @@ Outline: TypeAlias = Literal["circle", "square", "ring", "polygon"]
 def rim_defocus_rad(
     depth_m: ArrayLike, focus_depth_m: float, aperture_radius_um: float, wavelength_um: float
 ) -> FloatArray:
-    """Rim defocus W of an object; 0 at the focus, positive for nearer objects.
+    """Rim defocus W (rad) of objects at depths of any shape, infinity allowed; 0 at the focus, positive before it.
 
     The wave of a nearer point arrives more strongly curved, and a longer path has the larger phase.
-
-    Args:
-        depth_m: any shape, object distance; infinity allowed.
-        focus_depth_m: object distance in focus.
-        aperture_radius_um: R.
-        wavelength_um: vacuum wavelength.
-
-    Returns:
-        The same shape, radians.
     """
     vergence_per_m = 1.0 / np.asarray(depth_m, dtype=np.float64) - 1.0 / focus_depth_m
     return np.asarray(rim_defocus_per_dioptre_rad(aperture_radius_um, wavelength_um) * vergence_per_m)
@@ -49,14 +40,7 @@ def rim_defocus_per_dioptre_rad(aperture_radius_um: float, wavelength_um: float)
 
 
 def phasor(phase_rad: FloatArray) -> ComplexArray:
-    """Return exp(i phase).
-
-    Args:
-        phase_rad: any shape.
-
-    Returns:
-        The same shape.
-    """
+    """Return exp(i phase), for any shape."""
     return np.asarray(np.exp(1j * phase_rad), dtype=np.complex128)
 
 
@@ -107,14 +91,9 @@ class Pupil:
         return self.x.size
 
     def on_grid(self, field: ComplexArray, outside: float = 0.0) -> ComplexArray:
-        """Place values of the samples inside on the whole grid.
+        """Place values of the samples inside, shape (..., n), on the whole grid, shape (..., samples, samples).
 
-        Args:
-            field: shape (..., n).
-            outside: value of the samples outside the aperture.
-
-        Returns:
-            Shape (..., samples, samples).
+        Samples outside the aperture get the value ``outside``.
         """
         grid = np.full((*field.shape[:-1], self.samples, self.samples), outside, dtype=np.complex128)
         grid[..., self.inside] = field
@@ -147,11 +126,7 @@ class FocalPlane:
         return phasor(-np.outer(self.axis, self.pupil.axis))
 
     def psf(self, field: ComplexArray, defocus_rad: ArrayLike) -> FloatArray:
-        """Return the PSFs of a pupil field.
-
-        Args:
-            field: shape (n,).
-            defocus_rad: shape (n_depth,), rim defocuses.
+        """Return the PSFs of a pupil field, shape (n,), at n_depth rim defocuses.
 
         Returns:
             Shape (n_depth, n_v, n_v), Strehl ratios.

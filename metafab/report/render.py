@@ -44,17 +44,10 @@ def save_png(figure: Figure, path: Path) -> Path:
 
 
 def save_both(figure: Figure, path: Path, label: str) -> str:
-    """Write a figure as PNG on white, and return it as SVG element for a page.
+    """Write a figure as PNG on white, and return it as SVG element for a page, with a label for screen readers.
 
-    The SVG follows the theme and the typeface of the page; its identifiers begin with the name of the file.
-
-    Args:
-        figure: the figure.
-        path: PNG to write; its name is unique on a page.
-        label: text for screen readers.
-
-    Returns:
-        The SVG element.
+    The SVG follows the theme and the typeface of the page; its identifiers begin with the name of the file, which is
+    unique on a page.
     """
     stream = io.StringIO()
     width_in, height_in = figure.get_size_inches()

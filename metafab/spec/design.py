@@ -64,15 +64,7 @@ class Device:
         return self
 
     def encloses(self, x_um: FloatArray, y_um: FloatArray) -> NDArray[np.bool_]:
-        """Mask of the grid points within the aperture, its rim included.
-
-        Args:
-            x_um: shape (n_x,), from the axis.
-            y_um: shape (n_y,), from the axis.
-
-        Returns:
-            Shape (n_y, n_x).
-        """
+        """Whether grid points at x, shape (n_x,), and y lie in the aperture, its rim included: shape (n_y, n_x)."""
         return self.contains(x_um[None, :], y_um[:, None])
 
     def contains(self, x_um: FloatArray, y_um: FloatArray) -> NDArray[np.bool_]:

@@ -57,12 +57,7 @@ class Renderer:
         return cls(scene, tuple(textures))
 
     def pieces(self, tangent_x: FloatArray, tangent_y: FloatArray) -> Iterator[Piece]:
-        """Yield all objects in sight, farthest first.
-
-        Args:
-            tangent_x: shape (n_y, n_x), x/z of the grid's directions.
-            tangent_y: shape (n_y, n_x), y/z of the grid's directions.
-        """
+        """Yield all objects in sight of a grid of directions x/z and y/z, shape (n_y, n_x) each, farthest first."""
         for index, _ in self.farthest_first():
             piece = self.piece(index, tangent_x, tangent_y)
             if piece is not None:

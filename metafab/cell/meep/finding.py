@@ -42,14 +42,9 @@ class MeepCandidate:
 
 
 def find(interpreter: str | Path | None = None) -> list[MeepCandidate]:
-    """Probe every likely interpreter for Meep.
+    """Probe ``interpreter`` for Meep, or by default every likely one, in the order of preference.
 
-    Args:
-        interpreter: the only one to probe; by default ``METAFAB_MEEP_PYTHON``, then the current interpreter,
-            ``/usr/bin/python3`` and the conda environments.
-
-    Returns:
-        One entry per interpreter, in the order of preference.
+    Likely are ``METAFAB_MEEP_PYTHON``, then the current interpreter, ``/usr/bin/python3`` and the conda environments.
     """
     return [probe(path) for path in ([Path(interpreter)] if interpreter is not None else _likely())]
 

@@ -69,9 +69,7 @@ class Pool:
     def run(self, job: Job, report: Callable[[float], None] | None = None) -> Reply:
         """Run one job on a free worker, waiting for one if need be, unless its reply was kept.
 
-        Args:
-            job: the FDTD run.
-            report: callback with the simulated time in um / c.
+        ``report`` is called with the simulated time in um / c.
 
         Returns:
             The worker's arrays, and ``seconds``, the time of the run when it was made.

@@ -58,13 +58,8 @@ class SplineTiles:
 def bicubic_coefficients(values: ComplexArray) -> ComplexArray:
     """Return the coefficients of the bicubic B-spline through values on a uniform grid.
 
-    The ends are free of a knot next to the edge (not-a-knot conditions).
-
-    Args:
-        values: shape (n_y, n_x, n_channels).
-
-    Returns:
-        Shape (n_y + 2, n_x + 2, n_channels).
+    Values have the shape (n_y, n_x, n_channels), coefficients (n_y + 2, n_x + 2, n_channels). The ends are free of a
+    knot next to the edge (not-a-knot conditions).
     """
     for _ in range(2):  # each pass treats the first axis and swaps the two
         count = values.shape[0]
@@ -108,11 +103,8 @@ def midpoint_error(coefficients: ComplexArray, fine: ComplexArray) -> FloatArray
 def left_out_error(values: ComplexArray) -> FloatArray:
     """Return the error of cubics through every other node at the nodes left out, spread to neighbouring nodes.
 
-    Args:
-        values: shape (n_y, n_x, n_channels).
-
-    Returns:
-        Shape (n_y, n_x); the largest magnitude of all values where an axis has fewer than seven nodes.
+    Values have the shape (n_y, n_x, n_channels), errors (n_y, n_x). Where an axis has fewer than seven nodes, the
+    error is the largest magnitude of all values.
     """
     miss = np.zeros(values.shape[:2])
     for axis in (0, 1):

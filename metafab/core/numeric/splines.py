@@ -12,16 +12,10 @@ from metafab.core.conventions import FloatArray
 
 
 def spline_weights(nodes: FloatArray, at: ArrayLike) -> FloatArray:
-    """Return the weights of the values at ``nodes`` in their interpolating spline at ``at``.
+    """Return the weights of the values at ``nodes`` in their interpolating spline at ``at``, which has any shape.
 
-    The spline is cubic, or of the highest order that the nodes allow. Beyond the outer nodes it is constant.
-
-    Args:
-        nodes: shape (n_nodes,), ascending or descending.
-        at: any shape.
-
-    Returns:
-        Shape (*at.shape, n_nodes).
+    The spline is cubic, or of the highest order that the nodes allow. Beyond the outer nodes it is constant. Nodes have
+    the shape (n_nodes,) and ascend or descend; weights have the shape (*at.shape, n_nodes).
     """
     points = np.asarray(at, dtype=np.float64)
     if nodes.size == 1:

@@ -59,15 +59,10 @@ def _image_quality(image: FloatArray, truth: FloatArray) -> tuple[float | None, 
 
 
 def structural_similarity(image: FloatArray, truth: FloatArray, peak: float) -> float:
-    """Mean structural similarity (Wang et al., IEEE Trans. Image Process. 13, 600, 2004; Eq. 13).
+    """Mean structural similarity of two images of shape (n_y, n_x); 1 for equal ones.
 
-    Args:
-        image: shape (n_y, n_x).
-        truth: shape (n_y, n_x).
-        peak: range of the values, the ``L`` of its constants.
-
-    Returns:
-        1 for equal images, with its Gaussian window of 1.5 pixels and K = (0.01, 0.03).
+    Wang et al., IEEE Trans. Image Process. 13, 600, 2004, Eq. 13, with its Gaussian window of 1.5 pixels and
+    K = (0.01, 0.03); ``peak`` is the range of the values, the ``L`` of its constants.
     """
     low, high = (0.01 * peak) ** 2, (0.03 * peak) ** 2
     mean_a, mean_b, square_a, square_b, product = (

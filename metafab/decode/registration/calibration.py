@@ -157,13 +157,9 @@ _QUINTIC = PPoly.from_spline(BSpline.basis_element(np.arange(-3.0, 4.0)).tck).c[
 
 
 def quintic_weights(fraction: FloatArray) -> FloatArray:
-    """Weights of the six spline coefficients about a place.
+    """Weights of the six spline coefficients about a place: shape (6, *fraction.shape).
 
-    Args:
-        fraction: any shape, distance of the place from the third coefficient, 0 to 1 pixel.
-
-    Returns:
-        Shape (6, *fraction.shape).
+    ``fraction``, of any shape, is the distance of the place from the third coefficient, 0 to 1 pixel.
     """
     return np.stack([np.polyval(_QUINTIC[:, 5 - i], fraction) for i in range(6)])
 

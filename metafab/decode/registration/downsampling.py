@@ -71,13 +71,9 @@ class Downsampling:
         return 1.0 / self.step**2
 
     def spectra(self, images: NDArray[np.float32]) -> NDArray[np.complex64]:
-        """Low frequencies of images with margins.
+        """Transforms of downsampled images with margins, shape (n, size[0], size[1] // 2 + 1): low frequencies.
 
-        Args:
-            images: shape (n, n_y, n_x), frame pixels.
-
-        Returns:
-            Transforms of the downsampled images, shape (n, size[0], size[1] // 2 + 1).
+        Images have the shape (n, n_y, n_x), frame pixels.
         """
         count, rows, columns = images.shape
         level = images.mean(axis=(-2, -1), keepdims=True)
@@ -136,15 +132,9 @@ def relative_slices(part: tuple[slice, slice], surroundings: tuple[slice, slice]
 
 
 def blocks_with(mask: NDArray[np.bool_], block: tuple[int, int], counts: tuple[int, int]) -> NDArray[np.bool_]:
-    """Whether each block of pixels holds a pixel of a mask.
+    """Whether each block of pixels holds a pixel of a mask of shape (n_y, n_x): shape ``counts``.
 
-    Args:
-        mask: shape (n_y, n_x).
-        block: (rows, columns) of a block.
-        counts: (rows, columns) of blocks; together they hold the mask.
-
-    Returns:
-        Shape ``counts``.
+    ``block`` is (rows, columns) of a block, ``counts`` (rows, columns) of blocks; together they hold the mask.
     """
     whole = np.zeros((counts[0] * block[0], counts[1] * block[1]), dtype=bool)
     whole[: mask.shape[0], : mask.shape[1]] = mask
@@ -154,10 +144,7 @@ def blocks_with(mask: NDArray[np.bool_], block: tuple[int, int], counts: tuple[i
 def enlarged(values: NDArray[Any], step: int, shape: tuple[int, int]) -> NDArray[Any]:
     """Interpolate values at every ``step``-th pixel linearly to all pixels; beyond the last, its value.
 
-    Args:
-        values: shape (m_y, m_x).
-        step: distance of their pixels.
-        shape: (n_y, n_x) of the result.
+    Values have the shape (m_y, m_x), the result ``shape``, (n_y, n_x).
     """
     return values[: shape[0], : shape[1]].copy() if step == 1 else _enlarged(values, step, shape)
 

@@ -23,18 +23,11 @@ SLOPE_SCALE_NM = 40.0
 
 
 def disagreement_estimate(disagreement: FloatArray, exchange: bool) -> FloatArray:
-    """Turn the disagreement of two models into an error estimate.
+    """Turn the disagreement of two models, shape (n_length, n_width), into an error estimate of the same shape.
 
     Two surfaces may cross by chance, so each size takes the largest disagreement of its neighbours. The median is the
-    least estimate, because smooth regions depend on all samples. With exchange, both images of a size get the larger
-    value.
-
-    Args:
-        disagreement: shape (n_length, n_width).
-        exchange: whether width and length can be swapped.
-
-    Returns:
-        Shape (n_length, n_width).
+    least estimate, because smooth regions depend on all samples. With ``exchange`` (width and length can be swapped),
+    both images of a size get the larger value.
     """
     worst = maximum_filter(disagreement, size=3, mode="nearest")
     worst = np.maximum(worst, np.median(worst))
@@ -87,15 +80,7 @@ def steepness(model: RationalModel, width_nm: FloatArray, length_nm: FloatArray)
     """Return the slope of the amplitudes around each size over the median slope of its neighbourhood, at least 1.
 
     It scales certificates of neighbouring solved sizes: a shifted resonance shows most on its flank. The steepest place
-    up to one step away counts, on the grid or off it.
-
-    Args:
-        model: amplitudes.
-        width_nm: shape (n_width,).
-        length_nm: shape (n_length,).
-
-    Returns:
-        Shape (n_length, n_width).
+    up to one step away counts, on the grid or off it. Its shape is (n_length, n_width).
     """
     slope = amplitude_slopes(model, width_nm, length_nm)
     coarse = slope[::SUBSTEPS, ::SUBSTEPS]
@@ -107,11 +92,6 @@ def steepness(model: RationalModel, width_nm: FloatArray, length_nm: FloatArray)
 
 def amplitude_slopes(model: RationalModel, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
     """Return the slope of the steepest amplitude on a grid with ``SUBSTEPS`` parts for each step.
-
-    Args:
-        model: amplitudes.
-        width_nm: shape (n_width,).
-        length_nm: shape (n_length,).
 
     Returns:
         Change per part of a step, shape ((n_length - 1) SUBSTEPS + 1, (n_width - 1) SUBSTEPS + 1).

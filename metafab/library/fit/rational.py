@@ -114,11 +114,7 @@ class RationalModel:
         return np.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], axis=1)
 
     def on_grid(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
-        """Evaluate a model of sizes alone on the grid of two axes.
-
-        Args:
-            width_nm: shape (n_width,).
-            length_nm: shape (n_length,).
+        """Evaluate a model of sizes alone on the grid of two axes, shapes (n_width,) and (n_length,).
 
         Returns:
             t_xx, t_yy, r_xx, r_yy, shape (4, n_length, n_width).
@@ -178,15 +174,7 @@ def fit_model(
 
 
 def scaled(size_nm: FloatArray, span_nm: Range) -> FloatArray:
-    """Map sizes linearly to -1..1.
-
-    Args:
-        size_nm: any shape.
-        span_nm: smallest and largest size; if they are equal, all sizes map to 0.
-
-    Returns:
-        Shape of ``size_nm``.
-    """
+    """Map sizes of any shape linearly from ``span_nm`` (smallest, largest) to -1..1; from an empty span to 0."""
     low, high = span_nm
     if high == low:
         return np.zeros(size_nm.shape)

@@ -92,14 +92,7 @@ class SizeGrid:
         return SizeGrid(width_nm, length_nm, self.exchange, self.diagonal)
 
     def sizes_nm(self, number: IndexArray) -> tuple[FloatArray, FloatArray]:
-        """Return the widths and lengths of points.
-
-        Args:
-            number: shape (n,).
-
-        Returns:
-            Width and length in nm, shape (n,) each.
-        """
+        """Return the widths and lengths of points by their numbers, shape (n,) each."""
         row, column = np.divmod(number, self.width_nm.size)
         return self.width_nm[column], self.length_nm[row]
 
@@ -109,14 +102,7 @@ class SizeGrid:
         return pillar_cell(unit_cell, float(width_nm[0]), float(length_nm[0]))
 
     def exchanged(self, number: IndexArray) -> IndexArray:
-        """Return the points with width and length swapped (grids with ``exchange`` only).
-
-        Args:
-            number: shape (n,).
-
-        Returns:
-            Numbers, shape (n,).
-        """
+        """Return the numbers, shape (n,), of points with width and length swapped (grids with ``exchange`` only)."""
         row, column = np.divmod(number, self.width_nm.size)
         return column * self.width_nm.size + row
 
@@ -128,15 +114,7 @@ class SizeGrid:
 
 
 def refined_axis(axis_nm: FloatArray, parts: int) -> FloatArray:
-    """Divide each step of a uniform axis.
-
-    Args:
-        axis_nm: shape (n,), uniform.
-        parts: new steps for each old step.
-
-    Returns:
-        Shape ((n - 1) parts + 1,).
-    """
+    """Divide each step of a uniform axis, shape (n,), into ``parts``: shape ((n - 1) parts + 1,)."""
     return np.linspace(axis_nm[0], axis_nm[-1], (axis_nm.size - 1) * parts + 1)
 
 

@@ -189,12 +189,7 @@ def sample_grid(
 def prediction_errors(
     model: RationalModel, grid: SizeGrid, new: dict[int, SolvedPoint]
 ) -> tuple[FloatArray, FloatArray]:
-    """Compare a model's predictions with new answers.
-
-    Args:
-        model: amplitudes, fitted without the new sizes.
-        grid: sizes.
-        new: answers by number.
+    """Compare a model that was fitted without some sizes with the answers at them, by number.
 
     Returns:
         Largest error of any amplitude, and the solver's own error, of each new size: shape (n,) each.

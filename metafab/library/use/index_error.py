@@ -51,13 +51,9 @@ def index_phase_error_rad(library: Library, *, executor: Executor | None = None,
 
 
 def phase_rms_rad(before: ComplexArray, after: ComplexArray) -> float:
-    """Return the rms phase change of amplitudes, without the common phase of each polarisation.
+    """Return the rms phase change of amplitudes, without the common phase of each polarisation; shape (n, 2) each.
 
     A phase that all sizes share only moves the wave's origin. Sizes are weighted by their transmission ``|before|^2``.
-
-    Args:
-        before: shape (n, 2), x and y polarisation.
-        after: shape (n, 2).
     """
     turn = after * before.conj()
     turn *= np.exp(-1j * np.angle(turn.sum(axis=0)))

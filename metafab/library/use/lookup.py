@@ -54,15 +54,7 @@ class SizeTable:
         return int(self.size_index.shape[0])
 
     def sizes_for(self, phase_x_rad: ArrayLike, phase_y_rad: ArrayLike) -> NDArray[np.uint16]:
-        """Return the size index of each pair of target phases.
-
-        Args:
-            phase_x_rad: any shape, radians, need not be wrapped.
-            phase_y_rad: a shape that broadcasts with it.
-
-        Returns:
-            Indices into ``size_dbu``, broadcast shape.
-        """
+        """Return the size index of each pair of target phases (rad, any shapes that broadcast, wrapped or not)."""
         phases = np.broadcast_arrays(phase_x_rad, phase_y_rad)
         phase_x, phase_y = (np.ascontiguousarray(phase, dtype=np.float64).ravel() for phase in phases)
         sizes = np.empty(phases[0].shape, dtype=np.uint16)
@@ -70,11 +62,7 @@ class SizeTable:
         return sizes
 
     def histogram(self, phase_x_rad: ArrayLike, phase_y_rad: ArrayLike) -> NDArray[np.int64]:
-        """Count the targets in each cell; histograms of tiles add up.
-
-        Args:
-            phase_x_rad: any shape, radians.
-            phase_y_rad: shape of ``phase_x_rad``.
+        """Count the targets (rad, any shape) in each cell; histograms of tiles add up.
 
         Returns:
             Shape (cells, cells), indexed [phi_y, phi_x].
@@ -83,14 +71,7 @@ class SizeTable:
         return np.bincount(flat.ravel(), minlength=self.cells**2).reshape(self.cells, self.cells)
 
     def nearest_cell(self, phase_rad: ArrayLike) -> NDArray[np.int64]:
-        """Return the row or column of the table that is nearest to a phase.
-
-        Args:
-            phase_rad: any shape.
-
-        Returns:
-            Shape of ``phase_rad``, 0 to cells - 1.
-        """
+        """Return the row or column of the table nearest to a phase, 0 to cells - 1, for phases of any shape."""
         scaled = np.multiply(phase_rad, self.cells / (2.0 * math.pi), dtype=np.float64)
         # The number of cells is a power of two, so that a mask wraps the index.
         return np.rint(scaled).astype(np.int64) & (self.cells - 1)
@@ -177,9 +158,7 @@ def global_offsets(table: SizeTable, histogram: NDArray[np.int64]) -> tuple[floa
     A constant phase of a whole lens does not change its image, but moves the targets away from pairs of phases that no
     size reaches. For targets spread evenly over the torus all offsets are equal.
 
-    Args:
-        table: sizes and their overlap.
-        histogram: shape (cells, cells), number of targets in each cell (:meth:`SizeTable.histogram`).
+    The number of targets in each cell, shape (cells, cells), is that of :meth:`SizeTable.histogram`.
 
     Returns:
         Offsets in radians, multiples of 2 pi / cells, wrapped to (-pi, pi]; (0, 0) if no other is better.
@@ -286,9 +265,7 @@ def _exact_dbu(size_nm: FloatArray, database_unit_nm: float) -> NDArray[np.int32
 def best_overlap(t: ComplexArray, cells: int) -> tuple[NDArray[np.uint16], FloatArray]:
     """Find the size with the largest field overlap for every cell of the (phi_x, phi_y) torus.
 
-    Args:
-        t: shape (n_sizes, 2), transmission of x and y polarised light.
-        cells: cells along each phase.
+    ``t``, shape (n_sizes, 2), is the transmission of x and y polarised light; each phase has ``cells`` cells.
 
     Returns:
         Row of ``t``, counted from 1, and its overlap: shape (cells, cells) each, indexed [phi_y, phi_x].

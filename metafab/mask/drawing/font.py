@@ -32,11 +32,7 @@ def width_squares(text: str) -> int:
 
 
 def text_rectangles(text: str, square: int) -> IntArray:
-    """Draw ``text`` in one line from (0, 0) to the right, in capitals.
-
-    Args:
-        text: the text.
-        square: side of a square, in any unit.
+    """Draw ``text`` in one line from (0, 0) to the right, in capitals, of squares with the side ``square``.
 
     Returns:
         Shape (n, 4), x, y, width, height; a run of squares along x is one rectangle, and no two rectangles overlap.

@@ -69,14 +69,9 @@ def _sorted_by_size(
 
 @compiled
 def count_sizes(size_index: NDArray[np.uint16], sizes: int) -> NDArray[np.int64]:
-    """Count how often each size index occurs.
+    """Count how often each size index occurs, shape (sizes,); the first count is that of sites without a pillar.
 
-    Args:
-        size_index: shape (n_y, n_x), 0 for no pillar.
-        sizes: number of rows of the size table, index 0 included.
-
-    Returns:
-        Shape (sizes,); the first count is that of sites without a pillar.
+    Indices have the shape (n_y, n_x), 0 for no pillar; ``sizes`` is the number of rows of the size table.
     """
     # np.bincount would first convert all indices to 64-bit integers.
     count = np.zeros(sizes, dtype=np.int64)

@@ -195,10 +195,7 @@ def _repeated(element: NDArray[np.int32], first: int, points: int, places: IntAr
 def boundary(corners: IntArray, layer: int, datatype: int) -> NDArray[np.int32]:
     """Words of a BOUNDARY in native byte order, shape (n_words,); its points begin at word 5.
 
-    Args:
-        corners: shape (n, 2), not closed.
-        layer: layer.
-        datatype: datatype.
+    Corners have the shape (n, 2) and are not closed.
     """
     closed = np.concatenate([corners, corners[:1]]).astype(">i4").tobytes()
     data = (

@@ -59,13 +59,9 @@ RECTANGLES = KnownShapes()
 
 
 def rectangle_of(points: IntArray) -> IntArray | None:
-    """Return the axis-parallel rectangle that a ring of corners is.
+    """Return the axis-parallel rectangle (x, y, width, height), shape (4,), that a ring of corners is; else None.
 
-    Args:
-        points: shape (n, 2), closed or open.
-
-    Returns:
-        x, y, width, height, shape (4,); None for any other ring.
+    The ring has the shape (n, 2), closed or open.
     """
     if len(points) == 5 and np.array_equal(points[0], points[4]):
         points = points[:4]

@@ -90,9 +90,7 @@ class Crystal:
     def plane_wave_jones(self, kappa_x: FloatArray, kappa_y: FloatArray) -> ComplexArray:
         """Return the Jones matrix of a plane wave from the air to the pillars, relative to the ordinary path.
 
-        Args:
-            kappa_x: direction cosine along x in the air, any shape.
-            kappa_y: direction cosine along y, the same shape.
+        The direction cosines along x and y in the air have any shape.
 
         Returns:
             Shape (2, 2, ...): [pillar polarisation, incident polarisation], amplitudes per square root of the flux.
@@ -192,10 +190,7 @@ def _tangential(electric: FloatArray, wave_vector: FloatArray) -> FloatArray:
 def _transmitted_waves(kappa_x: FloatArray, kappa_y: FloatArray, waves: FloatArray) -> FloatArray:
     """Amplitudes of both crystal waves behind a face in air, shape (..., 2 waves, 2 incident polarisations).
 
-    Args:
-        kappa_x: shape (...).
-        kappa_y: shape (...).
-        waves: shape (..., 4, 2), tangential fields of the crystal's waves.
+    ``waves``, shape (..., 4, 2), are the tangential fields of the crystal's waves.
     """
     cosine = np.sqrt(1.0 - kappa_x**2 - kappa_y**2)
     forward = np.stack([kappa_x, kappa_y, cosine], axis=-1)

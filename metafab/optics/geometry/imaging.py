@@ -98,18 +98,11 @@ class Imaging:
         return min(0.5 * self.wavelength_um / self.finest_fringe_um(0, (0.0, 0.0)), 1.0 - 1e-9)
 
     def image_point_um(self, polarisation: int, tangent: Tangent) -> tuple[float, float]:
-        """Return the geometric image point on the sensor plane of an object in the direction ``tangent``.
+        """Return the geometric image point (x, y), um from the axis, of an object in a direction (x/z, y/z).
 
         The ray through the lens centre obeys the grating law with the phase gradient of Eq. 3 or 4 of Shen 2023: its
         direction cosines are (-t_x, -t_y) / sqrt(1 + t^2) + (-+sin theta, 0) plus those of the design's gratings.
-        Images are inverted: the image of an object at +x lies at -x of the on-axis image point.
-
-        Args:
-            polarisation: 0 for x, 1 for y.
-            tangent: (x/z, y/z) of the object.
-
-        Returns:
-            (x, y) in um from the optical axis.
+        Images are inverted: the image of an object at +x lies at -x of the on-axis image point. Polarisation 0 is x.
 
         Raises:
             InputError: the light would leave the lens at 90 degrees or more.

@@ -21,8 +21,7 @@ _REACH_PX, _NEWTON_STEPS = 6, 12
 def main_lobe_px(psf: FloatArray) -> tuple[float, float, float]:
     """Return the position and height of the highest maximum, by a quintic spline through the pixels around it.
 
-    Args:
-        psf: shape (n_y, n_x), irradiance sampled at or above its Nyquist rate.
+    The irradiance, shape (n_y, n_x), is sampled at or above its Nyquist rate.
 
     Returns:
         (x, y) in pixels from the centre pixel ``[n_y // 2, n_x // 2]``, and the irradiance there.
@@ -55,15 +54,10 @@ def main_lobe_px(psf: FloatArray) -> tuple[float, float, float]:
 
 
 def orientation_deg(psf: FloatArray) -> FloatArray:
-    """Return ``phi_deg`` of each image: the angle of the main lobe about the centre pixel, counter-clockwise from +x.
+    """Return ``phi_deg`` of n images, shape (n, n_y, n_x): shape (n,), in (-180, 180]; NaN for a dark image.
 
-    The angle is meaningless for a lobe at the centre, as of an ordinary lens.
-
-    Args:
-        psf: shape (n, n_y, n_x).
-
-    Returns:
-        Shape (n,), in (-180, 180]; NaN for a dark image.
+    It is the angle of the main lobe about the centre pixel, counter-clockwise from +x. It is meaningless for a lobe at
+    the centre, as of an ordinary lens.
     """
     places = [main_lobe_px(image) if image.any() else (math.nan, math.nan, 0.0) for image in psf]
     return np.array([math.degrees(math.atan2(y, x)) for x, y, _ in places])

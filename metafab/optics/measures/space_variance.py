@@ -39,13 +39,9 @@ class SpaceVariance:
 
 
 def space_variance(imaging: Imaging, tangent_x: FloatArray, tangent_y: FloatArray, depth_m: float) -> SpaceVariance:
-    """Return image points and aberrations over a grid of directions; they hardly depend on the depth.
+    """Return image points and aberrations over a grid of directions x/z and y/z, shapes (n_x,) and (n_y,).
 
-    Args:
-        imaging: geometry.
-        tangent_x: shape (n_x,), x/z of the object.
-        tangent_y: shape (n_y,), y/z of the object.
-        depth_m: object depth.
+    They hardly depend on the depth.
     """
     grid = [(float(t_x), float(t_y)) for t_y in tangent_y for t_x in tangent_x]
     shape = (2, tangent_y.size, tangent_x.size)

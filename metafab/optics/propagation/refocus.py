@@ -62,10 +62,7 @@ def _behind_crystal(blocks: SingleComplexArray, pupil: Pupil, ray: Ray) -> Singl
 def weighted(blocks: SingleComplexArray, pupil: Pupil, weight: Weight) -> SingleComplexArray:
     """Return refocused blocks times a factor that is smooth over a block; its slope follows to first order.
 
-    Args:
-        blocks: shape (3, n_y, n_x) or (1, n_y, n_x), as :func:`refocus` returns.
-        pupil: the blocks' places.
-        weight: the factor.
+    The blocks are those of :func:`refocus`, shape (3, n_y, n_x) or (1, n_y, n_x), at the places of ``pupil``.
     """
     x, y = pupil.x_um[None, :], pupil.y_um[:, None]
     here = weight(x, y)

@@ -161,10 +161,7 @@ def written_field(pillars: PillarMap, library: Library) -> WrittenField:
 def made_field(pillars: PillarMap, library: Library, executor: Executor | None = None) -> WrittenField:
     """Return the field behind upright pillars of any size, such as printed or measured ones.
 
-    Args:
-        pillars: the pillars.
-        library: library of the mask.
-        executor: solves sizes beyond the library's sweep.
+    The executor solves sizes beyond the library's sweep.
 
     Raises:
         InputError: too many sizes lie beyond the sweep.

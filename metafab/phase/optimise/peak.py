@@ -80,12 +80,7 @@ class PeakDesign:
         return self.lobe_radius * _directions(self.aim_deg)
 
     def term(self, radius_um: float, polarisation: Polarisation | None = None) -> WaveSumPhase:
-        """Return the mask as a phase term.
-
-        Args:
-            radius_um: radius of the aperture.
-            polarisation: the polarisation that the term acts on; None for both.
-        """
+        """Return the mask of an aperture of this radius as a phase term of one polarisation, or of both (None)."""
         return WaveSumPhase(radius_um, self.amplitude, self.defocus_rad, self.aim, polarisation=polarisation)
 
 

@@ -116,16 +116,10 @@ def main_lobe(pupil: Pupil, field: ComplexArray, defocus_rad: ArrayLike, half_wi
 
 
 def refined_peak(psf: FloatArray, plane: FocalPlane) -> tuple[float, float, float]:
-    """Top of the quadratic surface through the largest sample and its eight neighbours.
+    """Top of the quadratic surface through the largest sample and its eight neighbours: value, v_x and v_y.
 
-    The surface has a mixed derivative, because lobes are crescents: longer along the turn than across it.
-
-    Args:
-        psf: shape (n_v, n_v), Strehl ratios on ``plane``.
-        plane: positions of the samples.
-
-    Returns:
-        Value, v_x and v_y, optical units.
+    The surface has a mixed derivative, because lobes are crescents: longer along the turn than across it. The Strehl
+    ratios on ``plane`` have the shape (n_v, n_v); v is in optical units.
     """
     row, column = np.unravel_index(int(psf[1:-1, 1:-1].argmax()), (psf.shape[0] - 2, psf.shape[1] - 2))
     patch = psf[row : row + 3, column : column + 3]

@@ -59,12 +59,7 @@ class PhaseStudy:
 
 
 def study(design: Design, profile: PhaseProfile) -> PhaseStudy:
-    """Study the phases of a design with its own depths, noise and filter.
-
-    Args:
-        design: depths, electrons and noise of its scene, filter of ``[optics]``.
-        profile: the design's phases.
-    """
+    """Study the phases of a design with its own depths, electrons, noise and filter."""
     spiral = next((term for term in design.phase if isinstance(term, SpiralZones) and term.zones > 1), None)
     lobe = None if spiral is None else _lobe(design, profile, spiral)
     if len(design.depths_m) == 1:

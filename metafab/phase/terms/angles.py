@@ -31,14 +31,7 @@ _FEWEST_PANELS = 32  # on half the axis, [0, 1]
 
 
 def angle(values: ComplexArray) -> FloatArray:
-    """Return the angle of each value.
-
-    Args:
-        values: any shape.
-
-    Returns:
-        The same shape, rad in [-pi, pi]; 0 for 0.
-    """
+    """Return the angle of each value, rad in [-pi, pi] and 0 for 0, for any shape."""
     out = np.empty(values.shape)
     _angles(np.ascontiguousarray(values).ravel(), out.ravel())
     return out

@@ -28,15 +28,9 @@ def zone_radii(zones: int, exponent: float) -> FloatArray:
 
 
 def zone_charges(radius: FloatArray, zones: int, exponent: float) -> NDArray[np.int64]:
-    """Topological charge of Eq. 2, 1 to L; a boundary belongs to the zone inside it.
+    """Topological charge of Eq. 2 (L, epsilon), 1 to L, at radii of any shape; a boundary belongs to its inner zone.
 
-    Args:
-        radius: any shape, in units of the aperture's radius; beyond the aperture the charge is L.
-        zones: L.
-        exponent: epsilon.
-
-    Returns:
-        The same shape.
+    Radii are in units of the aperture's radius; beyond the aperture the charge is L.
     """
     return np.minimum(np.searchsorted(zone_radii(zones, exponent), radius, side="left") + 1, zones)
 

@@ -65,11 +65,7 @@ class PhaseProfile:
     figures: PhaseFigures = field(default_factory=PhaseFigures)  #: Key figures of the phase design.
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
-        """Evaluate the phase of both polarisations on a rectangular grid.
-
-        Args:
-            x_um: shape (n_x,), positions from the optical axis.
-            y_um: shape (n_y,), positions from the optical axis.
+        """Evaluate the phase of both polarisations at x, shape (n_x,), and y, shape (n_y,), from the axis.
 
         Returns:
             Shape (2, n_y, n_x), radians, not wrapped; first axis x and y polarisation.
@@ -81,13 +77,5 @@ class PhaseProfile:
         return total
 
     def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
-        """Evaluate exp(i phase) on a rectangular grid.
-
-        Args:
-            x_um: shape (n_x,), positions from the optical axis.
-            y_um: shape (n_y,), positions from the optical axis.
-
-        Returns:
-            Shape (2, n_y, n_x); first axis x and y polarisation.
-        """
+        """Evaluate exp(i phase), shape (2, n_y, n_x), at positions of shapes (n_x,) and (n_y,) from the axis."""
         return np.asarray(np.exp(1j * self(x_um, y_um)))

@@ -45,12 +45,7 @@ class SampledMask:
     phase_rad: FloatArray  #: Shape (n,), phases of x polarisation at the samples; y is the point mirror.
 
     def term(self, radius_um: float, polarisation: Polarisation | None = None) -> SampledPhase:
-        """Return the mask as a phase term.
-
-        Args:
-            radius_um: radius of the aperture.
-            polarisation: the polarisation that the term acts on; None for both.
-        """
+        """Return the mask of an aperture of this radius as a phase term of one polarisation, or of both (None)."""
         field = self.pupil.on_grid(phasor(self.phase_rad), outside=1.0)
         return SampledPhase(field[None], 2.0 * radius_um / self.pupil.samples, polarisation=polarisation)
 
@@ -92,14 +87,7 @@ def load_array(
 
 
 def read_array(file: Path, dataset: str) -> NDArray[np.generic]:
-    """Read the array of a .npy, .csv or .h5 file.
-
-    Args:
-        file: path, with one of these endings.
-        dataset: name inside an .h5 file.
-
-    Returns:
-        Any shape and type.
+    """Read the array, of any shape and type, of a .npy or .csv file, or that named ``dataset`` of an .h5 file.
 
     Raises:
         InputError: the file cannot be read.

@@ -63,12 +63,7 @@ def zernike_number(number: int, convention: Literal["noll", "fringe"]) -> tuple[
 
 
 def _radial_coefficients(degree: int, order: int) -> FloatArray:
-    """Coefficients of R_n^m / u^m as a polynomial in u^2, highest power first; R = 1 at the rim.
-
-    Args:
-        degree: n.
-        order: m, 0 to n with n - m even.
-    """
+    """Coefficients of R_n^m / u^m as a polynomial in u^2, highest power first; R = 1 at the rim, degree n, order m."""
     half = (degree - order) // 2
     return np.array(
         [

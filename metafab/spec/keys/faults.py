@@ -35,12 +35,7 @@ _LENGTHS: dict[str, Callable[[dict[str, Any]], str]] = {
 
 
 def faults_of(error: ValidationError, spec: Any) -> list[Fault]:
-    """Return one fault for each error of a file.
-
-    Args:
-        error: what the validation library found.
-        spec: class of the file's spec, whose keys are suggested for unknown ones.
-    """
+    """Return one fault for each error that the validation library found; the keys of ``spec`` are suggested."""
     return [_fault(item, spec) for item in error.errors(include_url=False) if not _is_echo(item)]
 
 

@@ -53,12 +53,7 @@ class Key:
 
 @cache
 def keys_of(spec: type, path: str = "") -> tuple[Key, ...]:
-    """Return all keys of a spec and of its tables, in the order of the fields.
-
-    Args:
-        spec: a spec's class, such as :class:`metafab.spec.Design`.
-        path: tables above it.
-    """
+    """Return all keys of a spec's class and of its tables, in the order of the fields, below the tables ``path``."""
     hints = get_type_hints(spec, include_extras=True)
     found: list[Key] = []
     for item in dataclasses.fields(spec):

@@ -133,15 +133,12 @@ def map_intervals(
 
 
 def cosine_integrals_upto(intervals: list[Interval], k: IntArray, fill: float) -> FloatArray:
-    """Integrals of dx/du cos(pi k u) from 0 to where x = ``fill``, u and x over half a period.
+    """Integrals of dx/du cos(pi k u) from 0 to where x = ``fill``, u and x over half a period, 0 to 1.
 
     Args:
         intervals: the map, from 0 to 1.
-        k: shape (n,), harmonics.
+        k: shape (n,), harmonics; the integrals have this shape.
         fill: upper end in x, 0 to 1.
-
-    Returns:
-        Shape (n,).
     """
     total, left = np.zeros(k.size), fill
     for part in intervals:

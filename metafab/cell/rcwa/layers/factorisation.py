@@ -85,15 +85,9 @@ def largest_eigenvalue(eps_pillar: complex, eps_around: complex) -> float:
 
 
 def inverse_rule(overlap: Matrix, eps_pillar: complex, eps_around: complex) -> Matrix:
-    """Permittivity for a field normal to the walls, by Li's inverse rule.
+    """Permittivity for a field normal to the walls, by Li's inverse rule: shape (n, n).
 
-    Args:
-        overlap: shape (n, n), the pillar's indicator along the axis.
-        eps_pillar: permittivity of the pillar.
-        eps_around: permittivity around the pillar.
-
-    Returns:
-        Shape (n, n).
+    ``overlap``, of the same shape, is the pillar's indicator along the axis.
     """
     mixed = overlap * (1.0 / eps_pillar - 1.0 / eps_around)
     _diagonal(mixed)[:] += 1.0 / eps_around
@@ -110,14 +104,7 @@ def contrast(overlap: FloatArray, eps_pillar: complex, eps_around: complex) -> M
 def inverse_of_direct_rule(u: FloatArray, v: FloatArray, eps_pillar: complex, eps_around: complex) -> Matrix:
     """Inverse of eps_around + (eps_pillar - eps_around) u (x) v from the eigenvectors of the two small factors.
 
-    Args:
-        u: shape (n, n), symmetric.
-        v: shape (m, m), symmetric.
-        eps_pillar: permittivity of the pillar.
-        eps_around: permittivity around the pillar.
-
-    Returns:
-        Shape (n m, n m).
+    ``u``, shape (n, n), and ``v``, shape (m, m), are symmetric; the inverse has the shape (n m, n m).
     """
     value_u, vector_u = np.linalg.eigh(u)
     value_v, vector_v = np.linalg.eigh(v)

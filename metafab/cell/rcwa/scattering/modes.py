@@ -61,11 +61,9 @@ class FaceFields:
 
 
 def layer_modes(p: Matrix, q: Matrix) -> LayerModes:
-    """Solve de/dz = i P h, dh/dz = i Q e for eigenvectors of P Q; beta is the root that decays along +z.
+    """Solve de/dz = i P h, dh/dz = i Q e for eigenvectors of P Q, shape (n, n) each.
 
-    Args:
-        p: shape (n, n), P of the layer.
-        q: shape (n, n), Q of the layer.
+    beta is the root that decays along +z.
     """
     beta_squared, e = np.linalg.eig(p @ q)
     beta = distinct_root(beta_squared)
