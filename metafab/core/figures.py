@@ -6,6 +6,7 @@ They are defined below all rooms, so that a run without stale steps reads them b
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 from metafab.core.conventions import FloatArray
 from metafab.core.storage.tables import optional
@@ -189,6 +190,27 @@ class DecodingFigures:
     worst_object_error: float | None = optional()  #: The largest of these.
     contrast_error: float | None = optional()  #: Mean relative error of the true objects' contrasts.
     changed_share: float | None = optional()  #: Share of a film frame's pixels that were decoded again.
+
+
+@dataclass(frozen=True)
+class AberrationFigures:
+    """Wavefront behind a lens against the sphere about its image point, in waves, positive where light arrives late.
+
+    Coefficients are those of least squares, weighted by power, over the circle of ``radius_um``. Fringe coefficients
+    are amplitudes at the rim, Noll coefficients rms values.
+    """
+
+    polarisation: Literal["x", "y"]  #: Polarisation of the light.
+    depth_m: float  #: Object depth.
+    radius_um: float  #: Radius of the unit circle of the polynomials, half the aperture.
+    rms_waves: float  #: Rms of the wavefront error without its mean: of Noll's coefficients from 2 and the residual.
+    residual_waves: float  #: Rms of what the Noll polynomials leave.
+    strehl_of_phase: float  #: Strehl ratio that these phases leave: |mean field|^2 over that without phase errors.
+    noll_waves: FloatArray  #: Shape (36,), Noll coefficients from number 1, the piston.
+    fringe_waves: FloatArray  #: Shape (36,), fringe coefficients from number 1, the piston.
+    x_um: FloatArray  #: Shape (n_x,), middles of some blocks of pillars.
+    y_um: FloatArray  #: Shape (n_y,).
+    opd_waves: FloatArray  #: Shape (n_y, n_x), wavefront error without its mean; NaN where a block is dark.
 
 
 @dataclass(frozen=True)

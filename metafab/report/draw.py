@@ -228,6 +228,9 @@ def _light(run: RunFolder) -> Iterator[Plan]:
     if merit is not None and merit.focus is not None:
         paint = partial(psf.focus_section, merit.focus)
         yield Plan("psf_focus", "Cross-sections of the focus, and of an ideal flat lens", paint)
+    for front in (merit and merit.aberrations) or ():
+        paint = partial(psf.wavefront_map, front)
+        yield Plan(f"wavefront_{front.polarisation}", "Wavefront error over the aperture", paint, (4.0, 3.4), PICTURE)
     if run.outline.forms_images:
         yield _modulation(pair, merit)
     space = None if merit is None else merit.space_variance

@@ -65,7 +65,9 @@ class DesignOutline:
     @property
     def has_lobe(self) -> bool:
         """Whether a lobe beside the image point carries the light; assumed if the phase terms are unknown."""
-        return not self.terms or bool({"spiral_zones", "double_helix", "array", "zernike"} & set(self.terms))
+        terms = set(self.terms)
+        own = bool({"array", "zernike"} & terms) and bool({"lens", "split_lens"} & terms)
+        return not terms or own or bool({"spiral_zones", "double_helix"} & terms)
 
     @property
     def forms_images(self) -> bool:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from metafab.core.conventions import POLARISATIONS, FloatArray
-from metafab.core.figures import FocusFigures, Loss, Wavefront
+from metafab.core.figures import AberrationFigures, FocusFigures, Loss, Wavefront
 from metafab.core.storage.files import file_sha256, write_json
 from metafab.core.storage.tables import optional, typed
 from metafab.spec.design import Measured
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 #: Number of frequencies of the modulation transfer, evenly spaced up to the cut-off of the lens.
 _FREQUENCIES = 33
+#: Sites across a lens, at least, for a wavefront of 36 polynomials.
+_FEWEST_SITES = 24
 
 
 @dataclass(frozen=True)
@@ -93,6 +95,8 @@ class MeritFigures:
     strehl: float | None = optional()
     encircled_energy: float | None = optional()
     focus: FocusFigures | None = optional()  #: The focus of a lens; None for other devices.
+    #: Wavefront of a lens at the focus depth, for each polarisation that it focuses; None for other devices.
+    aberrations: tuple[AberrationFigures, ...] | None = optional()
 
 
 @dataclass(frozen=True)
@@ -153,27 +157,33 @@ def _merit(job: Job) -> MeritFigures:
 
 
 def _focus(job: Job, imaging: Imaging) -> dict[str, Any]:
-    """Figures of the focus at the focus depth, those of the headline once more by name; empty for other devices."""
+    """Focus and wavefront at the focus depth, the focus' headline once more by name; empty for other devices."""
     from metafab import layout, optics
+    from metafab.optics.measures.aberrations import aberrations
     from metafab.optics.measures.focus import PerfectLens, focus
 
     design = job.design
     if not design.is_lens:
         return {}
-    depth_m = design.sensor.focus_depth_m
-    perfect = optics.ideal_field(PerfectLens(imaging, depth_m), layout.lattice_of(design), design.device)
+    depth_m, lattice = design.sensor.focus_depth_m, layout.lattice_of(design)
+    perfect = optics.ideal_field(PerfectLens(imaging, depth_m), lattice, design.device)
     lenses = [term.polarisation for term in design.phase if isinstance(term, Lens | Radial | SplitLens)]
+    focused = tuple(i for i, p in enumerate(POLARISATIONS) if None in lenses or p in lenses)
+    source = lit_source(job, written_light(job, mask_paths(job)[-1]))
     figures = focus(
-        lit_source(job, written_light(job, mask_paths(job)[-1])),
+        source,
         lit_source(job, perfect),
         imaging,
         depth_m,
-        polarisations=tuple(i for i, p in enumerate(POLARISATIONS) if None in lenses or p in lenses),
+        polarisations=focused,
         target_error=design.verify.target_error,
         work=job.work,
     )
+    fronts = None
+    if min(lattice.shape) >= _FEWEST_SITES:
+        fronts = tuple(aberrations(source, imaging, depth_m, polarisation=i, work=job.work) for i in focused)
     headline = ("fwhm_x_um", "fwhm_y_um", "fwhm_limit_um", "strehl", "encircled_energy")
-    return {"focus": figures, **{name: getattr(figures, name) for name in headline}}
+    return {"focus": figures, "aberrations": fronts, **{name: getattr(figures, name) for name in headline}}
 
 
 def _modulation(job: Job, imaging: Imaging, written: Psf) -> ModulationFigures:

@@ -25,7 +25,7 @@ if not TYPE_CHECKING:
             "metafab.report.figures.mask": "fill_map patch_amplitude patch_phase pillar_outlines",
             "metafab.report.figures.phases": "aperture_phase painted_picture wanted_picture",
             "metafab.report.figures.psf": (
-                "depth_bias distortion modulation orientation over_field pair_over_depth peak"
+                "depth_bias distortion modulation orientation over_field pair_over_depth peak wavefront_map"
             ),
             "metafab.report.figures.study": (
                 "depth_bounds filter_orientation filter_tradeoff lobe_orientation lobe_peak proposed_orientation "

@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from metafab.core.conventions import POLARISATIONS, FloatArray, Polarisation
-from metafab.core.figures import FocusFigures
+from metafab.core.figures import AberrationFigures, FocusFigures
 from metafab.optics.point_spread import Psf
 from metafab.report.style import (
+    CONTRAST_MAP,
     IDEAL,
     INK,
     LIGHT_MAP,
@@ -20,6 +21,7 @@ from metafab.report.style import (
     POLARISATION_COLOUR,
     X_COLOUR,
     bare,
+    colour_bar,
     depth_text,
     depth_unit,
     dress,
@@ -161,6 +163,19 @@ def focus_section(focus: FocusFigures, axes: Axes) -> Axes:
     dress(axes, "distance from the maximum / µm", "electric energy density", "cross-sections of the focus")
     axes.set_ylim(0.0, 1.05)
     legend(axes)
+    return axes
+
+
+def wavefront_map(front: AberrationFigures, axes: Axes) -> Axes:
+    """Draw the wavefront error over the aperture, on a symmetric scale."""
+    x, y = front.x_um, front.y_um
+    half_x, half_y = 0.5 * float(x[1] - x[0]), 0.5 * float(y[1] - y[0])
+    extent = float(x[0]) - half_x, float(x[-1]) + half_x, float(y[0]) - half_y, float(y[-1]) + half_y
+    largest = float(np.nanmax(np.abs(front.opd_waves)))
+    image = show_map(axes, front.opd_waves, extent, cmap=CONTRAST_MAP, vmin=-largest, vmax=largest)
+    colour_bar(image, axes, "wavefront error / waves")
+    bare(axes, f"{front.polarisation} polarised", POLARISATION_COLOUR[front.polarisation])
+    scale_bar(axes, extent, INK)
     return axes
 
 

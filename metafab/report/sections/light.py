@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from html import escape
 
-from metafab.core.figures import FocusFigures
+from metafab.core.figures import AberrationFigures, FocusFigures
 from metafab.report import html
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
@@ -15,6 +15,11 @@ from metafab.steps.merit import MeritFigures
 #: Source of the simulated light, by whether the design has a mask.
 _SOURCE = {True: "the pillars in the written file", False: "the target phases themselves: this design writes no mask"}
 
+#: Names of Noll's polynomials from number 2.
+_NOLL = (
+    "tilt along x", "tilt along y", "defocus", "astigmatism at 45°", "astigmatism at 0°", "coma along y",
+    "coma along x", "trefoil at 30°", "trefoil at 0°", "spherical aberration",
+)  # fmt: skip
 #: First word of a corner's name: text for readers, and unit.
 _CORNERS = {
     "cd_bias_nm": ("CD bias", " nm"),
@@ -39,7 +44,8 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         _viewer(several),
         html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
         html.figures(drawn, *(("psf_orientation", "psf_peak") if several else ()), "psf_focus", "psf_mtf"),
-        "" if run.summary.merit is None else _merit(run.summary.merit),
+        "" if run.summary.merit is None else _merit(run.summary.merit, has_lobe=run.outline.has_lobe),
+        html.figures(drawn, "wavefront_x", "wavefront_y"),
         html.figures(drawn, "psf_field_x", "psf_field_y"),
         html.figures(drawn, "depth_bias", "distortion"),
         html.note(run.notes.get("ideal_psf", "no PSF of the target phases")) if lacks_ideal else "",
@@ -92,11 +98,33 @@ def _both(first: float, second: float) -> str:
     return f"{html.number(first)}, {html.number(second)}"
 
 
-def _merit(merit: MeritFigures) -> str:
+def _aberrations(fronts: tuple[AberrationFigures, ...]) -> str:
+    """Wavefront of a lens: rms and the first Zernike coefficients of each polarisation."""
+    rows = [
+        ["rms", *(html.number(front.rms_waves) for front in fronts)],
+        *(
+            [f"{number}, {name}", *(html.number(front.noll_waves[number - 1]) for front in fronts)]
+            for number, name in enumerate(_NOLL, start=2)
+        ),
+        ["what 36 polynomials leave", *(html.number(front.residual_waves) for front in fronts)],
+        ["Strehl ratio of the phase", *(_share(front.strehl_of_phase) for front in fronts)],
+    ]
+    text = (
+        "Wavefront error about the sphere to the image point, in waves, positive where light arrives late. Numbers and "
+        "norm are Noll's: rms over the aperture; merit.json holds 36 of them and of the fringe set."
+    )
+    head = ["Zernike polynomial", *(f"{front.polarisation} polarised" for front in fronts)]
+    return html.table(head, rows, ["", *["n"] * len(fronts)]) + html.paragraph(text, "caption")
+
+
+def _merit(merit: MeritFigures, *, has_lobe: bool) -> str:
     """Figures of merit over depth, and measured values of the fabricated device."""
+    focus = "" if merit.focus is None else _focus(merit.focus)
+    focus += "" if merit.aberrations is None else _aberrations(merit.aberrations)
     if merit.focus is not None and len(merit.depth_m) == 1:
-        return _focus(merit.focus) + _measured(merit)
-    head = ["depth", "efficiency x", "efficiency y", "peak x", "peak y", "extinction", "lobe x / µm", "lobe y / µm"]
+        return focus + _measured(merit)
+    head = ["depth", "efficiency x", "efficiency y", "peak x", "peak y", "extinction"]
+    head += ["lobe x / µm", "lobe y / µm"] if has_lobe else []
     rows = [
         [
             escape(depth_text(depth)),
@@ -105,19 +133,20 @@ def _merit(merit: MeritFigures) -> str:
             _share(merit.strehl_x[d]),
             _share(merit.strehl_y[d]),
             _ratio(merit.extinction_ratio[d]),
-            *(html.number(size) for size in merit.main_lobe_x_um[d]),
+            *(html.number(size) for size in merit.main_lobe_x_um[d] if has_lobe),
         ]
         for d, depth in enumerate(merit.depth_m)
     ]
     text = (
         f"Efficiency: share of the light at the aperture that passes a pinhole of {merit.pinhole_um:g} µm. Peak: "
-        "relative to the target phases. Lobe: position of the main lobe of PSF_x, from the image point."
+        "relative to the target phases."
     )
-    if len(rows) > 1:
+    if has_lobe:
+        text += " Lobe: position of the main lobe of PSF_x, from the image point."
+    if has_lobe and len(rows) > 1:
         # Adding zero removes the minus sign of -0.0.
         pair, ideal = (round(angle, 1) + 0.0 for angle in (merit.rotation_deg, merit.ideal_rotation_deg))
         text += f" The pair rotates by {pair:.1f}°, the target phases by {ideal:.1f}°."
-    focus = "" if merit.focus is None else _focus(merit.focus)
     return focus + html.table(head, rows, ["n"] * len(head)) + html.paragraph(text, "caption") + _measured(merit)
 
 
