@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import settings
+from xdist.scheduler import LoadScopeScheduling
 
 from metafab.library.library import Library
 from metafab.spec import Design, UnitCell, load_design, load_unit_cell
@@ -23,6 +27,31 @@ os.environ["METAFAB_MEEP_JOBS"] = ""
 # In CI the same examples every time: new ones are found where people work, not while a change lands.
 settings.register_profile("metafab", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("metafab")
+
+
+class SharedFixtures(LoadScopeScheduling):  # type: ignore[misc]
+    """Scheduler of xdist that keeps tests with a fixture in common on one worker, which then makes it once.
+
+    By files, since the groups of ``--dist loadgroup`` do nothing with pytest 9.2 and xdist 3.8.
+    """
+
+    def _split_scope(self, nodeid: str) -> str:
+        return _shared_by(nodeid.partition("::")[0]) or nodeid
+
+
+@cache
+def _shared_by(path: str) -> str | None:
+    """Name of the fixture, or of the file whose fixture, the tests of a file share; None where there is none."""
+    text = (ROOT / path).read_text(encoding="utf-8")
+    if "main_job: MainJob" in text:
+        return "main_job"
+    return path if re.search(r'fixture\(.*scope="(module|session)"', text) else None
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> SharedFixtures:
+    """Use :class:`SharedFixtures`."""
+    return SharedFixtures(config, log)
 
 
 @pytest.fixture(scope="session")
@@ -71,7 +100,7 @@ class MainJob:
 
 @pytest.fixture(scope="session")
 def main_job(tmp_path_factory: pytest.TempPathFactory) -> MainJob:
-    """``metafab run layouts/helix_small.toml --json``, once; its tests share the xdist group ``main_job``."""
+    """``metafab run layouts/helix_small.toml --json``, once."""
     folder = tmp_path_factory.mktemp("runs") / "helix_small"
     answer = metafab("run", SMALL, "-o", folder, "--json")
     assert answer.code == 0, answer.stderr

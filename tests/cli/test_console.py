@@ -222,14 +222,12 @@ def test_a_run_is_told_in_a_dozen_lines_and_names_its_report(tmp_path: Path) -> 
     assert headlines(run_summary(), tmp_path)["depth error"].startswith("0.21 %")
 
 
-@pytest.mark.xdist_group("main_job")
 def test_only_a_lobe_that_turns_has_a_rotation(main_job: MainJob, tmp_path: Path) -> None:
     summary = RunSummary.load(main_job.folder / "summary.json")
     assert headlines(summary, tmp_path)["rotation"].startswith("59.1 degrees")
     assert "rotation" not in headlines(replace(summary, phase=None), tmp_path)
 
 
-@pytest.mark.xdist_group("main_job")
 def test_a_second_run_without_json_names_the_report(main_job: MainJob, tmp_path: Path) -> None:
     folder = shutil.copytree(main_job.folder, tmp_path / "again")
     answer = metafab("run", SMALL, "-o", folder)

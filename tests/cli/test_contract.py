@@ -20,8 +20,6 @@ from metafab.optics import load as load_psf
 from tests.conftest import MainJob
 from tests.main_job import ROOT, SMALL, UNIT_CELL, metafab
 
-pytestmark = pytest.mark.xdist_group("main_job")
-
 COMMANDS = [
     ["run"], ["cell"], ["library"], ["library", "build"], ["library", "check"], ["library", "show"],
     ["library", "import"], ["layout"], ["drc"], ["expose"], ["fullwave"], ["coupling"], ["patch"], ["psf"],

@@ -14,8 +14,6 @@ import pytest
 from tests.conftest import MainJob
 from tests.main_job import ROOT, metafab
 
-pytestmark = pytest.mark.xdist_group("main_job")
-
 PAGES = [ROOT / "README.md", *sorted(p for p in (ROOT / "docs").rglob("*.md") if "_build" not in p.parts)]
 
 #: What no test follows, and why; a command not named here is run.

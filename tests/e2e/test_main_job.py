@@ -10,14 +10,11 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import pytest
 
 from metafab import mask
 from metafab.spec import load_design
 from tests.conftest import MainJob
 from tests.main_job import SMALL, metafab
-
-pytestmark = pytest.mark.xdist_group("main_job")
 
 FILES = {
     "design.toml": None,

@@ -16,8 +16,6 @@ from metafab.steps.optics import calibration, calibration_depths, mask_source
 from tests.conftest import MainJob
 from tests.main_job import ROOT, SMALL
 
-pytestmark = pytest.mark.xdist_group("main_job")
-
 POINT = ROOT / "layouts" / "scenes" / "point.toml"
 DEPTHS_M = (0.0026, 0.0029, 0.0032)
 #: Where the displaced sensor is sharp; the design says 3.0 mm.

@@ -48,7 +48,6 @@ def test_what_needs_photons_asks_for_a_scene(tmp_path: Path) -> None:
         load_design(design)
 
 
-@pytest.mark.xdist_group("main_job")
 def test_a_lens_without_a_scene_runs_to_its_report(tmp_path: Path, plain_lens: Design) -> None:
     assert "[scene]" not in canonical_toml(plain_lens)
     summary = run.run(plain_lens, tmp_path)

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
-
 from metafab.spec import load_scene
 from metafab.steps.images import FilmFigures, decoded_film
 from tests.conftest import MainJob
 from tests.main_job import ROOT
-
-pytestmark = pytest.mark.xdist_group("main_job")
 
 
 def test_most_of_the_sample_film_is_kept_from_frame_to_frame(main_job: MainJob) -> None:

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import pytest
 
 from metafab import optics
 from metafab.optics.store import save
@@ -50,7 +49,6 @@ def test_a_file_without_the_scale_of_the_last_axis_loads(tmp_path: Path) -> None
     assert np.array_equal(optics.load(path).psf, turning_psf().psf)
 
 
-@pytest.mark.xdist_group("main_job")
 def test_every_array_of_a_run_is_scaled_wholly_or_not_at_all(main_job: MainJob) -> None:
     paths = [*main_job.folder.rglob("*.h5"), *main_job.folder.parent.glob("*.h5")]
     assert {"psf.h5", "ideal_psf.h5", "raw.h5", "decoded.h5"} <= {path.name for path in paths}

@@ -45,7 +45,6 @@ def test_loss_chain_falls_and_names_its_comparison() -> None:
     assert chain[-1].name.startswith("for comparison")
 
 
-@pytest.mark.xdist_group("main_job")
 def test_error_bars_are_the_standard_errors_of_the_decoder(main_job: MainJob) -> None:
     """The segments of a real run, read from its file: every one has an error, and the depths agree within them."""
     pairs = depths_against_truth(open_run(main_job.folder))
