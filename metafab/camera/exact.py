@@ -35,10 +35,7 @@ _BEYOND = 1.03
 def scene_depths_m(scene: Scene, pixel_tangent: float, rows: int) -> FloatArray:
     """Every depth at which :func:`metafab.camera.film` needs a pair: shape (n,), ascending, each once.
 
-    Args:
-        scene: the photographed scene, moving or not.
-        pixel_tangent: a pixel's size as a tangent.
-        rows: of the sensor, for a rolling shutter.
+    ``pixel_tangent`` is a pixel's size as a tangent; ``rows`` are those of the sensor, for a rolling shutter.
     """
     depths: set[float] = set()
     for number in range(scene.frames):

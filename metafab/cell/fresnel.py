@@ -78,14 +78,10 @@ def film_jones(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, Complex
 
 
 def admittance(index: tuple[complex, complex, complex], k: FloatArray) -> ComplexArray:
-    """Admittance Y of a birefringent half space, h = Y e for outgoing light along +z.
+    """Admittance Y of a birefringent half space, h = Y e for outgoing light along +z: shape (2, 2).
 
-    Args:
-        index: refractive indices along x, y and z.
-        k: shape (2,), in-plane wave vector over k0; not on a light cone, where Y has a pole.
-
-    Returns:
-        Shape (2, 2).
+    ``index`` holds the refractive indices along x, y and z. ``k``, shape (2,), is the in-plane wave vector over k0, not
+    on a light cone, where Y has a pole.
     """
     eps = np.asarray(index, dtype=np.complex128) ** 2
     across = np.array([-k[1], k[0]])

@@ -58,12 +58,8 @@ class Rival:
 def rivals(design: Design, depth_m: FloatArray, *, progress: Progress = silent) -> tuple[Rival, ...]:
     """Return the design's target phases, a lens in focus, a lens focused nearer (depth from defocus), a double helix.
 
-    All split the polarisations alike, so that sensor, aperture and light are equal.
-
-    Args:
-        design: has a split lens and a term that shapes the PSF.
-        depth_m: shape (n,), compared depths, ascending.
-        progress: called camera by camera.
+    All split the polarisations alike, so that sensor, aperture and light are equal. The compared depths, shape (n,),
+    ascend.
 
     Raises:
         InputError: the design has no split lens, or nothing but a lens.

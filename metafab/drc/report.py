@@ -74,12 +74,9 @@ class Findings:
         self._boxes: dict[str, list[NDArray[Any]]] = {rule: [] for rule in self.counts}
 
     def add(self, rule: str, boxes: NDArray[Any], count: int | None = None) -> None:
-        """Count violations of a rule and keep the first places.
+        """Count violations of a rule and keep the first places: boxes (x, y, width, height), shape (n, 4).
 
-        Args:
-            rule: one of the rules.
-            boxes: shape (n, 4), x, y, width, height, in any unit.
-            count: number of violations, if it is not n.
+        ``count`` is the number of violations, if it is not n.
         """
         self.counts[rule] += len(boxes) if count is None else count
         if len(boxes):

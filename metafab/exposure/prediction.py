@@ -124,11 +124,7 @@ class Prediction:
 def dose_to_size(resist: ResistEnergy, tables: EdgeTables, dose: Float32Array, executor: Executor) -> float:
     """Return the base over clearing dose for a mean linear size error of zero, from a part of the tiles.
 
-    Args:
-        resist: energy of the pattern.
-        tables: energy of each size at its own edges.
-        dose: shape (n_y, n_x), relative to the base dose.
-        executor: threads that compute tiles.
+    Doses, shape (n_y, n_x), are relative to the base dose; the tables hold the energy of each size at its own edges.
     """
 
     def sums(tile: TileEnergy) -> FloatArray:

@@ -178,15 +178,9 @@ def solve_patch(
 
 
 def at_sites(supercell: Supercell, order: IntArray, amplitude: ComplexArray) -> ComplexArray:
-    """Return the sum of diffraction orders at the sites of a supercell.
+    """Return the sum of n diffraction orders at the sites of a supercell, shape (n_y, n_x).
 
-    Args:
-        supercell: pillars of one period.
-        order: shape (n, 2), orders along x and y.
-        amplitude: shape (n,), amplitude of each order.
-
-    Returns:
-        Shape (n_y, n_x).
+    Orders along x and y have the shape (n, 2), their amplitudes (n,).
     """
     n_y, n_x = supercell.shape
     x, y = (((np.arange(count) + 0.5) / count - 0.5) for count in (n_x, n_y))

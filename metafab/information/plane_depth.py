@@ -40,13 +40,9 @@ class PlaneEstimator:
 
     @classmethod
     def of(cls, depth_m: FloatArray, kernels: FloatArray, side_px: int, texture: Texture) -> PlaneEstimator:
-        """Build the estimator from blur kernels.
+        """Build the estimator from blur kernels, shape (n_candidates, 2, k, k), on windows of k pixels or more.
 
-        Args:
-            depth_m: shape (n_candidates,), evenly spaced in vergence, ascending.
-            kernels: shape (n_candidates, 2, k, k), PSFs per pixel.
-            side_px: side of the windows, at least k.
-            texture: spectrum, electrons and noise.
+        Kernels are PSFs per pixel. The depths, shape (n_candidates,), are evenly spaced in vergence and ascend.
         """
         return cls(depth_m, scipy.fft.rfft2(kernels, (side_px, side_px)), texture)
 
@@ -55,10 +51,9 @@ class PlaneEstimator:
         return self.likeliest_of_spectra(self._spectra(images))
 
     def likeliest_of_spectra(self, spectra: ComplexArray) -> float:
-        """Maximum-likelihood depth (m) of the spectra of two images.
+        """Maximum-likelihood depth (m) of the spectra of two images, shape (2, n, n // 2 + 1).
 
-        Args:
-            spectra: shape (2, n, n // 2 + 1), scaled so that white noise has the variance of a pixel.
+        They are scaled so that white noise has the variance of a pixel.
         """
         matched = np.abs(np.einsum("cpij,pij->cij", self.transfer.conj(), spectra)) ** 2
         gain, cost = self._likelihood

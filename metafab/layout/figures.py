@@ -37,14 +37,7 @@ class TileSums:
     def of(
         cls, size_index: SizeIndexArray, target_rad: FloatArray, table: SizeTable, smallest_gap_dbu: float
     ) -> TileSums:
-        """Sum over a block of sites.
-
-        Args:
-            size_index: shape (n_y, n_x), 0 for no pillar.
-            target_rad: shape (2, n_y, n_x), target phases, not necessarily wrapped.
-            table: transmission of each size.
-            smallest_gap_dbu: smallest gap of the block.
-        """
+        """Sum over a block of size indices, shape (n_y, n_x), and target phases, shape (2, n_y, n_x)."""
         used = np.bincount(size_index.ravel(), minlength=len(table.size_dbu))
         used[0] = 0
         amplitude = np.abs(table.t)

@@ -51,10 +51,7 @@ def allowed_sizes(library: Library, design: Design) -> SizeTable:
 def neighbour_choice(library: Library, design: Design, each: SizeTable) -> NeighbourChoice | None:
     """Return the choice of sizes for their light among neighbours, if ``rules.neighbours`` asks for it.
 
-    Args:
-        library: library with a model of neighbours.
-        design: rules.
-        each: sizes that are allowed at every site, as :func:`allowed_sizes` returns them.
+    ``each`` holds the sizes of :func:`allowed_sizes`.
 
     Raises:
         InputError: the library has no model of neighbours.
@@ -66,16 +63,9 @@ def neighbour_choice(library: Library, design: Design, each: SizeTable) -> Neigh
 
 
 def joint_sizes(library: Library, design: Design, each: SizeTable, lattice: Lattice) -> JointSizes | None:
-    """Return the joint choice for ``gap_rule = "pairs"``.
+    """Return the joint choice for ``gap_rule = "pairs"``; None if the rule is "each" or no size is larger.
 
-    Args:
-        library: response of every size.
-        design: rules, period and grid.
-        each: sizes that are allowed at every site, as :func:`allowed_sizes` returns them.
-        lattice: lattice of the sites.
-
-    Returns:
-        The joint choice; None if the rule is "each" or the library has no larger size.
+    ``each`` holds the sizes of :func:`allowed_sizes`, which are allowed at every site of the lattice.
     """
     if design.rules.gap_rule != "pairs":
         return None

@@ -30,16 +30,10 @@ _SHARE_OF_NYQUIST = 0.9
 
 
 def whole_dbu(length_nm: float, database_unit_nm: float, field: str, *, even: bool = False) -> int:
-    """Convert ``length_nm`` to database units.
-
-    Args:
-        length_nm: the length.
-        database_unit_nm: size of one unit.
-        field: name of the length in messages.
-        even: whether half the length must be a whole number of units as well.
+    """Convert ``length_nm``, known to messages as ``field``, to database units.
 
     Raises:
-        InputError: it is not a whole (or even) number of units.
+        InputError: it is not a whole number of units, or, if ``even``, its half is not.
     """
     units = length_nm / database_unit_nm
     count = round(units)

@@ -90,14 +90,10 @@ class Outline:
         return np.array([polygon_area(self.vertices(w, h)) if w else 0.0 for w, h in size_dbu.tolist()])
 
     def size_of(self, polygon: IntArray) -> tuple[int, int] | None:
-        """(width, length) of the pillar whose outline is ``polygon``; None if there is no such pillar.
+        """(width, length) of the pillar whose outline is ``polygon``, shape (n, 2); None if there is no such pillar.
 
-        Args:
-            polygon: shape (n, 2), corners anywhere on the grid. The first corner, the sense of rotation and corners
-                on straight sides make no difference.
-
-        Returns:
-            Width and length; the width of a cross is the larger one.
+        The first corner, the sense of rotation and corners on straight sides make no difference. The width of a cross
+        is the larger one.
         """
         low, high = polygon.min(axis=0), polygon.max(axis=0)
         (width, length), twice_centre = (high - low).tolist(), low + high

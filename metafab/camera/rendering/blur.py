@@ -52,12 +52,9 @@ class FieldBlur:
         return cls(right[:count].reshape(count, n_y, n_x), coefficients, nodes.sum(axis=(-2, -1)), veil_count, kernels)
 
     def __call__(self, light: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
-        """Blur the light of a layer.
+        """Blur the light (electrons a pixel) of a layer, zero outside, by the kernels of its pixels' directions.
 
-        Args:
-            light: shape (n_y, n_x), electrons a pixel; zero outside.
-            tangent_x: shape (n_y, n_x), x/z of each pixel's direction.
-            tangent_y: shape (n_y, n_x), y/z of each pixel's direction.
+        Light and directions have the shape (n_y, n_x).
 
         Returns:
             The full convolution, shape (n_y + k_y - 1, n_x + k_x - 1); the layer's pixel [0, 0] is at

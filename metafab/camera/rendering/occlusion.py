@@ -54,12 +54,9 @@ class Occluder:
 
 
 def seen(piece: Piece, nearer: Sequence[Occluder], aperture_px_m: FloatArray) -> Piece:
-    """The piece with the brightness of what the aperture sees of it; its coverage stays whole.
+    """The piece with the brightness of what the aperture sees of it behind nearer surfaces; its coverage stays whole.
 
-    Args:
-        piece: a surface.
-        nearer: the surfaces before it, on the same grid.
-        aperture_px_m: shape (n, 2), shift (columns, rows) of an outline by each aperture point, pixels per 1/m.
+    ``aperture_px_m``, shape (n, 2), is the shift (columns, rows) of an outline by each aperture point, pixels per 1/m.
     """
     own = Occluder.of(piece)
     return replace(piece, brightness=piece.brightness * seen_share(own, nearer, aperture_px_m)) if nearer else piece

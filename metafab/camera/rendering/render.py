@@ -68,13 +68,7 @@ class Renderer:
         return sorted(enumerate(self.scene.objects), key=lambda numbered: -numbered[1].depth_m)
 
     def piece(self, index: int, tangent_x: FloatArray, tangent_y: FloatArray) -> Piece | None:
-        """One object on a grid; None if it is out of sight.
-
-        Args:
-            index: number of the object from 0.
-            tangent_x: shape (n_y, n_x), x/z of the grid's directions.
-            tangent_y: shape (n_y, n_x), y/z of the grid's directions.
-        """
+        """Object number ``index`` on a grid of directions x/z and y/z, shape (n_y, n_x); None if it is out of sight."""
         spec = self.scene.objects[index]
         slopes_x, slopes_y = np.gradient(tangent_x), np.gradient(tangent_y)
         pixel = max(float(np.abs(slope).max(initial=0.0)) for slope in (*slopes_x, *slopes_y))

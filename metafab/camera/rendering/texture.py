@@ -24,10 +24,7 @@ _DARKEST = 0.02
 def make_texture(spec: SceneObject, texels: tuple[int, int], rng: np.random.Generator) -> Texture:
     """Make the texture of an object: a function of (u, v), arrays of any shape, 0 to 1 across its bounding box.
 
-    Args:
-        spec: kind, contrast (rms over mean) and picture of the texture.
-        texels: (n_v, n_u) resolution of a procedural texture.
-        rng: source of the procedural texture's randomness.
+    ``texels`` is the resolution (n_v, n_u) of a procedural texture, ``rng`` the source of its randomness.
     """
     if spec.texture == "uniform" or spec.texture_contrast == 0.0:
         return lambda u, v: np.ones(np.broadcast_shapes(u.shape, v.shape))

@@ -52,9 +52,7 @@ class Plan:
     def amplitudes(self, limit: NDArray[Any], incident: NDArray[Any]) -> tuple[complex, complex]:
         """(t, r) of the zero order, in the planes of the conventions.
 
-        Args:
-            limit: shape (2,), zero order of the near and the far monitor.
-            incident: shape (2,), zero order of the empty run.
+        ``limit``, shape (2,), is that of the near and the far monitor, ``incident``, shape (2,), that of the empty run.
         """
         at_pillar = self.incident_at_pillar(incident)
         t = complex(limit[1]) * cmath.exp(-1j * self.k_out[0] * self.far_um) / at_pillar
@@ -68,14 +66,8 @@ def grid_wavenumber(
     """Wave number along z (rad/um) of a plane wave on the Yee grid; imaginary where it is evanescent.
 
     The sum of sin^2(k_i dx / 2) / dx^2 over the axes is n^2 sin^2(omega dt / 2) / dt^2 (Taflove and Hagness 2005,
-    Eq. 4.5). With the wave numbers of the continuum, results would depend on the positions of the monitors.
-
-    Args:
-        n: index of the medium.
-        wavelength_um: vacuum wavelength.
-        pixel_um: grid spacing.
-        courant: time step over grid spacing.
-        across: wave numbers along x and y, rad/um.
+    Eq. 4.5). With the wave numbers of the continuum, results would depend on the positions of the monitors. ``courant``
+    is the time step over the grid spacing, ``across`` the wave numbers along x and y.
     """
     total = n / courant * math.sin(math.pi * courant * pixel_um / wavelength_um)
     along = cmath.sqrt(total**2 - sum(math.sin(k * pixel_um / 2.0) ** 2 for k in across))

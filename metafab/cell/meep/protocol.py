@@ -105,12 +105,9 @@ class Worker:
         return self._process.poll() is None
 
     def run(self, job: Job, *, limit_s: float, report: Callable[[float], None] | None = None) -> Reply:
-        """Run one job to its end.
+        """Run one job to its end, or to ``limit_s``, when the worker is killed.
 
-        Args:
-            job: the FDTD run.
-            limit_s: time limit, after which the worker is killed.
-            report: callback with the simulated time in um / c.
+        ``report`` is called with the simulated time in um / c.
 
         Returns:
             The arrays that :func:`metafab.cell.meep_worker.run` documents.

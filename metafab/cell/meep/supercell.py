@@ -188,13 +188,7 @@ def _run(pool: Pool, run: Plan, progress: Progress = silent) -> tuple[ComplexArr
 def plan(
     supercell: Supercell, polarisation: Polarisation, settings: SupercellSettings, order: IntArray | None = None
 ) -> Plan:
-    """The FDTD run of one polarisation.
-
-    Args:
-        supercell: the supercell.
-        polarisation: of the incident wave.
-        settings: grid and decay.
-        order: shape (n_orders, 2), recorded orders (m, n); by default the zero order.
+    """The FDTD run of one polarisation, which records the orders (m, n), shape (n_orders, 2), or only the zero order.
 
     Raises:
         InputError: the grid does not fit.

@@ -224,10 +224,8 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
 def ladder(numerics: CellNumerics, *, measured: bool = False, law: PowerLaw | None = None) -> tuple[int, ...]:
     """Truncations for the target, ascending up to ``numerics.max_orders``; at least two where that many are allowed.
 
-    Args:
-        numerics: target error, formulation and largest truncation.
-        measured: whether the claims were measured on cells of this kind.
-        law: convergence of a cell that follows a power law.
+    ``measured`` says whether the claims were measured on cells of this kind; ``law`` is the convergence of a cell that
+    follows a power law.
     """
     if law is not None:
         numerics = replace(numerics, target_error=max(numerics.target_error, _FAR_TARGET))
@@ -284,11 +282,7 @@ def implied_bound(
 ) -> float:
     """Bound on the error of any figure at ``orders`` from its differences to ``earlier`` truncations, at least one.
 
-    Args:
-        orders: truncation whose error is bounded.
-        earlier: truncation -> absolute difference.
-        formulation: "adaptive" or "fourier".
-        law: convergence of a cell that follows a power law.
+    ``law`` is the convergence of a cell that follows a power law.
     """
     typical, alone = _TYPICAL[formulation], _LONE_MARGIN if len(earlier) == 1 else 1.0
     nearest = sorted(earlier)[-_NEAREST:]

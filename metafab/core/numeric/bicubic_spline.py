@@ -44,11 +44,8 @@ class SplineTiles:
     def evaluate(self, x: FloatArray, y: FloatArray, values: ComplexArray, error: FloatArray) -> None:
         """Evaluate the splines at fractional cell coordinates of the uniform grid; runs without the GIL.
 
-        Args:
-            x: shape (n,), column coordinate.
-            y: shape (n,), row coordinate.
-            values: shape (n, 2), receives the values of both functions.
-            error: shape (n,), receives the error of the cell.
+        Columns ``x`` and rows ``y`` have the shape (n,); ``values``, shape (n, 2), receives both functions and
+        ``error``, shape (n,), the error of the cell.
         """
         tiles = self.row, self.column, self.first_row, self.first_column, self.parts, self.start
         coefficients = self.coefficients.view(np.float64)  # real and imaginary parts side by side
@@ -79,14 +76,8 @@ def midpoint_error(coefficients: ComplexArray, fine: ComplexArray) -> FloatArray
     """Return the largest error of a spline around each node, measured half-way between nodes in both directions.
 
     For a constant fourth derivative the error of a cubic spline is largest exactly half-way. ``SAFETY`` covers ridges
-    for which it is not constant.
-
-    Args:
-        coefficients: shape (n_y + 2, n_x + 2, n_channels).
-        fine: shape (2 n_y - 1, 2 n_x - 1, n_channels), exact values at the nodes and half-way.
-
-    Returns:
-        Shape (n_y, n_x).
+    for which it is not constant. Coefficients have the shape (n_y + 2, n_x + 2, n_channels), the exact values at the
+    nodes and half-way (2 n_y - 1, 2 n_x - 1, n_channels), the errors (n_y, n_x).
     """
     values = coefficients
     for axis in (0, 1):

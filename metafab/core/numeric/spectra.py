@@ -16,9 +16,8 @@ def transfer_functions(
 ) -> NDArray[np.complexfloating[Any, Any]]:
     """Return the real transforms of kernels, padded with zeros to a grid and with their middle at its origin.
 
-    Args:
-        kernels: shape (..., n_y, n_x), origin at [n_y // 2, n_x // 2].
-        size: (rows, columns) of the grid, no smaller than the kernels.
+    Kernels have the shape (..., n_y, n_x) and their origin at [n_y // 2, n_x // 2]; the grid (rows, columns) is no
+    smaller.
 
     Returns:
         Shape (..., rows, columns // 2 + 1), of the precision of ``kernels``.

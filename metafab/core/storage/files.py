@@ -79,13 +79,10 @@ def untimed(details: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def plain(value: Any, *, full_paths: bool = True) -> Any:
-    """Convert ``value`` to JSON types: dataclasses to dicts, arrays to lists, complex numbers to [re, im] pairs.
+    """Convert nested values to JSON types: dataclasses to dicts, arrays to lists, complex numbers to [re, im] pairs.
 
-    A field made by :func:`metafab.core.storage.tables.optional` is left out where it is None.
-
-    Args:
-        value: any of these, nested.
-        full_paths: whether paths, and texts that name a table of an index (.csv), keep their folder.
+    A field made by :func:`metafab.core.storage.tables.optional` is left out where it is None. Without ``full_paths``,
+    paths, and texts that name a table of an index (.csv), lose their folder.
     """
     convert = partial(plain, full_paths=full_paths)
     if is_dataclass(value) and not isinstance(value, type):

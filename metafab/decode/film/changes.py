@@ -174,11 +174,9 @@ def _patch_means(
 
 
 def changed_rectangles(wanted: NDArray[np.bool_], block: int) -> list[tuple[slice, slice]]:
-    """Disjoint rectangles of whole blocks that hold all wanted pixels.
+    """Disjoint rectangles of whole blocks that hold all wanted pixels, shape (n_y, n_x).
 
-    Args:
-        wanted: shape (n_y, n_x).
-        block: side of a block, pixels; the last ones may be cut off by the window's end.
+    The side of a block is ``block`` pixels; the last ones may be cut off by the window's end.
     """
     components, _ = connected_components(square_blocks_with(wanted, block), np.ones((3, 3), dtype=bool))
     counts = [-(-n // block) for n in wanted.shape]

@@ -173,14 +173,7 @@ class DepthMaps:
 
 
 def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int, int]) -> DepthMaps:
-    """Segments, depths and confidence on the frame's pixels.
-
-    Args:
-        pixels: depth of each downsampled pixel.
-        regions: segments on the downsampled pixels.
-        step: frame pixels from one downsampled pixel to the next.
-        shape: (n_y, n_x) of the result.
-    """
+    """Segments, depths and confidence on the frame's pixels, shape (n_y, n_x), ``step`` to a downsampled one."""
     claimed = pixels.claimed & (regions.grown > 0)
     known = (regions.grown > 0) & (distance(claimed) <= WINDOW_PX / step)
     segment_error = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])[regions.grown]
@@ -269,17 +262,11 @@ def _mismatch_figures(volume: CostVolume, prepared: PreparedFrame, regions: Regi
 
 
 def power_without_noise(power: FloatArray, light: FloatArray, noise: FloatArray) -> FloatArray:
-    """Geometric mean of the twins' powers without their noise, for textures in proportion to their light.
+    """Geometric mean of the twins' powers without their noise, shape (n,), for textures in proportion to their light.
 
-    With r = I_x / I_y the powers are r^2 S + n_x and S + n_y; their product is known and is solved for r S.
-
-    Args:
-        power: shape (n,), geometric mean with noise.
-        light: shape (2, n), mean brightness of both images.
-        noise: shape (2, n), power of their noise.
-
-    Returns:
-        Shape (n,).
+    With r = I_x / I_y the powers are r^2 S + n_x and S + n_y; their product is known and is solved for r S. ``power``,
+    shape (n,), is the geometric mean with noise. Mean brightness and power of noise of both images have the shape (2,
+    n).
     """
     ratio = np.maximum(light[0], 1e-12) / np.maximum(light[1], 1e-12)
     linear = ratio**2 * noise[1] + noise[0]

@@ -15,15 +15,9 @@ from metafab.decode.matching.pooling import window_means
 
 
 def pixel_contrast(sharp: SharpImages, read_noise_e: float, lit: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
-    """Contrast of each pixel and its standard error.
+    """Contrast of each pixel and its standard error: shape (n_y, n_x) each.
 
-    Args:
-        sharp: both images.
-        read_noise_e: standard deviation of a pixel of the frame without light, electrons.
-        lit: shape (n_y, n_x), whether a pixel is lit.
-
-    Returns:
-        Two arrays of shape (n_y, n_x); NaN where ``lit`` is not set or I_y is 0.
+    Both are NaN where ``lit``, shape (n_y, n_x), is not set or I_y is 0.
     """
     light = window_means(sharp.images, NOISE_WINDOW_PX)
     return contrast_with_error(sharp.images, sharp.noise_gain * (light + np.float32(read_noise_e**2)), lit)
@@ -32,15 +26,10 @@ def pixel_contrast(sharp: SharpImages, read_noise_e: float, lit: NDArray[np.bool
 def contrast_with_error(
     images: NDArray[np.float32], variance: NDArray[np.float32], lit: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """Ratio of two images and its standard error.
+    """Ratio of two images and its standard error, from the variance of their pixels: shape (n_y, n_x) each.
 
-    Args:
-        images: shape (2, n_y, n_x), electrons.
-        variance: shape (2, n_y, n_x), variance of their pixels.
-        lit: shape (n_y, n_x), whether a pixel is lit.
-
-    Returns:
-        Two arrays of shape (n_y, n_x); NaN where ``lit`` is not set or the second image is 0.
+    Images (electrons) and variances have the shape (2, n_y, n_x). Both results are NaN where ``lit``, shape (n_y, n_x),
+    is not set or the second image is 0.
     """
     contrast, error = np.empty(lit.shape), np.empty(lit.shape)
     spread(_divide_images, lit.shape[0], images, variance, lit, contrast, error)

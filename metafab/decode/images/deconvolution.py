@@ -246,12 +246,9 @@ class Deconvolver:
 def wiener_filter(
     transfer: NDArray[np.complex64], spectra: NDArray[np.complex64], ratio: NDArray[np.float32]
 ) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
-    """Multiply spectra by H* / (|H|^2 + ratio).
+    """Multiply a tile's spectra by H* / (|H|^2 + ratio), with H and spectra of shape (2, n_ky, n_kx).
 
-    Args:
-        transfer: H, shape (2, n_ky, n_kx).
-        spectra: shape (2, n_ky, n_kx), of a tile's images.
-        ratio: shape (n_ky, n_kx), noise over texture.
+    ``ratio``, shape (n_ky, n_kx), is noise over texture.
 
     Returns:
         Filtered spectra, shape (2, n_ky, n_kx), and the gain of white noise's variance, shape (2,).

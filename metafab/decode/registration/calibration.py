@@ -48,12 +48,9 @@ class Calibration:
         return weights.reshape(tiling.n_tiles, -1).astype(np.float32)
 
     def block_weights(self, shape: tuple[int, int], step: int, block: int) -> NDArray[np.float32]:
-        """Interpolation weights of the field points at the centre of each block of pixels.
+        """Interpolation weights of the field points at the centre of each block of ``block`` downsampled pixels a side.
 
-        Args:
-            shape: (n_y, n_x) of the downsampled window.
-            step: frame pixels from one downsampled pixel to the next.
-            block: side of a block, downsampled pixels.
+        The downsampled window has the shape (n_y, n_x), a step of ``step`` frame pixels.
 
         Returns:
             Shape (n_block_y, n_block_x, n_field).
@@ -125,12 +122,7 @@ def _change_per_tangent(kernels: PairKernels) -> tuple[float, float]:
 def stretched(kernels: NDArray[np.float32], stretch: FloatArray) -> NDArray[np.float32]:
     """Stretch kernels h(r) to h(J r) |J| by a quintic spline; zero outside of their window.
 
-    Args:
-        kernels: shape (n, n_y, n_x), origin at [n_y // 2, n_x // 2].
-        stretch: J, shape (2, 2) over (x, y).
-
-    Returns:
-        Shape (n, n_y, n_x).
+    Kernels have the shape (n, n_y, n_x) and their origin at [n_y // 2, n_x // 2]; J has the shape (2, 2) over (x, y).
     """
     n_y, n_x = kernels.shape[-2:]
     coefficients = spline_filter1d(kernels, order=5, axis=-1, mode="mirror", output=np.float32)

@@ -52,14 +52,10 @@ class Tiling:
         return np.stack([axis.ravel() for axis in np.meshgrid(rows, columns, indexing="ij")], axis=1)
 
     def cut(self, image: FloatArray, tiles: NDArray[np.intp]) -> Iterator[NDArray[np.float32]]:
-        """Yield tiles of an image, each faded out towards its edges.
+        """Yield tiles of an image, each of shape ``size`` and faded out towards its edges.
 
-        Args:
-            image: shape (n_y + 2 margin, n_x + 2 margin); beyond it, its edge value is taken.
-            tiles: shape (n,), numbers of the tiles.
-
-        Yields:
-            Tiles of shape ``size``.
+        The image has the shape (n_y + 2 margin, n_x + 2 margin); beyond it, its edge value is taken. ``tiles``, shape
+        (n,), are numbers of tiles.
         """
         need = [(n - 1) * core + size for n, core, size in zip(self.counts, self.core, self.size, strict=True)]
         extra = [(0, max(0, n - have)) for n, have in zip(need, image.shape, strict=True)]

@@ -204,13 +204,7 @@ def extract(frame: RawFrame, grid: TwinGrid) -> Twins:
 def extract_part(
     frame: RawFrame, grid: TwinGrid, rows: slice, columns: slice
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Register a part of the window.
-
-    Args:
-        frame: of the grid's shape.
-        grid: place of the twins.
-        rows: rows of the part in the window, n_y of them.
-        columns: columns of the part, n_x of them.
+    """Register a part, n_y rows and n_x columns, of the window of a frame of the grid's shape.
 
     Returns:
         ``image`` and ``broken`` of :class:`Twins`, shapes (2, n_y + 2 margin, n_x + 2 margin).

@@ -34,13 +34,7 @@ class NearTables:
 
 
 def near_tables(psf: BeamPsf, size_nm: FloatArray, period_nm: tuple[float, float]) -> NearTables:
-    """Tabulate the near field.
-
-    Args:
-        psf: the Gaussians.
-        size_nm: shape (n_sizes, 2), width and length of each size index; (0, 0) for no pillar.
-        period_nm: lattice period (x, y).
-    """
+    """Tabulate the near field of each size (width, length), shape (n_sizes, 2); (0, 0) is no pillar."""
     width, width_of = np.unique(size_nm[:, 0], return_inverse=True)
     length, length_of = np.unique(size_nm[:, 1], return_inverse=True)
     count = len(size_nm)

@@ -109,14 +109,9 @@ class ResistEnergy:
         yield from in_order(executor, both, self.tiles if tiles is None else tiles)
 
     def direct(self, dose: Float32Array, row: int, column: int) -> FloatArray:
-        """Compute the energy at one pillar as a direct sum over all pillars in reach.
+        """Compute the energy at one pillar as a direct sum over all in reach, the reference of :meth:`map_tiles`.
 
-        This is the reference of :meth:`map_tiles`.
-
-        Args:
-            dose: shape (n_y, n_x) of the lattice, relative to the base dose.
-            row: lattice row of the pillar.
-            column: lattice column of the pillar.
+        Doses have the shape (n_y, n_x) of the lattice and are relative to the base dose.
 
         Returns:
             Shape (3,): at the centre, mean of the x edges, mean of the y edges; the pillar itself included.

@@ -23,16 +23,9 @@ from metafab.core.conventions import FloatArray
 def layer_matrices(
     basis: TransverseBasis, k0_per_nm: float, eps_pillar: complex, eps_around: complex
 ) -> tuple[Matrix, Matrix]:
-    """P and Q of a layer that holds a rectangle, in the (TM, TE) basis.
+    """P and Q of a layer that holds a rectangle, in the (TM, TE) basis of n coefficients: shape (n, n) each.
 
-    Args:
-        basis: symmetry class, n coefficients.
-        k0_per_nm: vacuum wave number.
-        eps_pillar: permittivity of the pillar; a real number gives real matrices where the class allows it.
-        eps_around: permittivity around the pillar.
-
-    Returns:
-        P and Q, each of shape (n, n).
+    A real permittivity of the pillar gives real matrices where the symmetry class allows it.
     """
     u, v = basis.u, basis.v
     contrast_u, contrast_v = (contrast(x, eps_pillar, eps_around) for x in (u.a, v.b))

@@ -72,13 +72,9 @@ def through_stack(
 def by_slabs(
     layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray
 ) -> FaceFields | None:
-    """Solve a stack by slabs; None where rounding is too large.
+    """Solve a stack of layers of positive thickness by slabs; None where rounding is too large.
 
-    Args:
-        layers: layers of positive thickness, from the side of the light to the far side.
-        incoming: as of :func:`through_stack`.
-        outgoing: as of :func:`through_stack`.
-        incident: shape (n, p), as of :func:`through_stack`.
+    Arguments are those of :func:`through_stack`; ``incident`` has the shape (n, p).
     """
     (e_in, h_in), (e_out, h_out) = as_matrices(incoming), as_matrices(outgoing)
     n, count = incident.shape
@@ -118,13 +114,9 @@ def by_slabs(
 
 
 def by_modes(layers: Sequence[StackLayer], incoming: Waves, outgoing: Waves, incident: ComplexArray) -> FaceFields:
-    """Solve a stack by the modes of every layer.
+    """Solve a stack of layers of positive thickness by the modes of every layer.
 
-    Args:
-        layers: layers of positive thickness, from the side of the light to the far side.
-        incoming: as of :func:`through_stack`.
-        outgoing: as of :func:`through_stack`.
-        incident: shape (n, p), as of :func:`through_stack`.
+    Arguments are those of :func:`through_stack`; ``incident`` has the shape (n, p).
     """
     e_out, h_out = as_matrices(outgoing)
     e, h = e_out, h_out
