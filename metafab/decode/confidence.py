@@ -37,15 +37,12 @@ _MISFITS = (0.3, 20.0)
 
 
 def right_segment(misfit: Reals, misfit_across: Reals, outline_px: Reals) -> FloatArray:
-    """Probability that each pixel's segment is the right one.
+    """Probability that each pixel's segment is the right one, shape (n_y, n_x), 0 to 1.
 
     Args:
         misfit: shape (n_y, n_x), null energy of the twins at the segment's depth over what noise explains.
         misfit_across: shape (n_y, n_x), the same at the depth across the nearest outline.
         outline_px: shape (n_y, n_x), distance of that outline, frame pixels; inf without one.
-
-    Returns:
-        Shape (n_y, n_x), 0 to 1.
     """
     own, across = (np.log(np.clip(one, *_MISFITS)) for one in (misfit, misfit_across))
     near, far = (np.exp(-np.minimum(outline_px, 1e3) / px) for px in (_NEAR_PX, _FAR_PX))
@@ -56,15 +53,12 @@ def right_segment(misfit: Reals, misfit_across: Reals, outline_px: Reals) -> Flo
 
 
 def confidence(pixel_error: FloatArray, segment_error: FloatArray, right: FloatArray | float) -> FloatArray:
-    """Confidence of each pixel's depth, 0 to 1.
+    """Confidence of each pixel's depth, 0 to 1, shape (n_y, n_x).
 
     Args:
         pixel_error: shape (n_y, n_x), relative standard error of the depth from the window about the pixel.
         segment_error: shape (n_y, n_x), relative standard error of the depth of the pixel's segment.
         right: shape (n_y, n_x), probability that the segment is the right one.
-
-    Returns:
-        Shape (n_y, n_x).
     """
     error = np.maximum(np.minimum(pixel_error, segment_error), 1e-12)
     return np.asarray(right * erf(RIGHT_WITHIN / (np.sqrt(2.0) * error)))

@@ -35,7 +35,7 @@ def depth_slope(stack: FloatArray, depth_m: ArrayLike) -> FloatArray:
 def point_information(
     psf: FloatArray, depth_m: ArrayLike, pixel_um: float, source: PointSource, *, known: bool = True
 ) -> FloatArray:
-    """Information about depth in the image of a point, both polarisations together.
+    """Information about depth in the image of a point, both polarisations together, shape (n_depth,), 1/m^2.
 
     Args:
         psf: shape (2, n_depth, n_y, n_x), irradiance at pixel centres, 1/um^2 per unit power; zeros for one
@@ -44,9 +44,6 @@ def point_information(
         pixel_um: pixel pitch; a pixel collects the irradiance at its centre times its area.
         source: electrons and noise.
         known: whether position (x and y) and brightness are known. Unknown, they are nuisance parameters.
-
-    Returns:
-        Shape (n_depth,), 1/m^2.
     """
     mean = source.electrons * pixel_um**2 * psf
     variance = mean + source.background_e + source.read_noise_e**2

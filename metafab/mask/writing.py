@@ -202,14 +202,11 @@ def field_times(exposure: Exposure, lens_seconds: Sequence[FloatArray], centre_u
 
 
 def field_order(filled: BoolArray, order: str) -> IntegerArray:
-    """Order the fields of one lens.
+    """Order the fields of one lens, shape (n, 2), row and column of each field.
 
     Args:
         filled: shape (rows, columns), whether a field holds shapes.
         order: "rows", "serpentine", "spiral" or "inwards", as ``mask.exposure.field_order``.
-
-    Returns:
-        Shape (n, 2), row and column of each field.
     """
     row, column = np.nonzero(filled)
     if order in {"rows", "serpentine"}:

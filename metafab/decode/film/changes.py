@@ -129,13 +129,10 @@ class ChangeDetector:
         return np.asarray((one - other) ** 2 > np.float32(_DEVIATIONS**2) * noise + np.float32(1e-6))
 
     def affected(self, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Downsampled pixels of the window that filters mix with a changed patch.
+        """Downsampled pixels of the window that filters mix with a changed patch, shape (n_y, n_x).
 
         Args:
             changed: shape (n_y + 2 margin, n_x + 2 margin).
-
-        Returns:
-            Shape (n_y, n_x).
         """
         wide = maximum_filter(changed, 2 * math.ceil(_REACH * self.margin) + 1)
         return np.asarray(wide[self.margin : -self.margin, self.margin : -self.margin])

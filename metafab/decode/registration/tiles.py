@@ -99,15 +99,12 @@ class Tiling:
         return [(tile, number + 1) for tile, number in np.argwhere(occurs[:, 1:]).tolist()]
 
     def cores(self, spectra: NDArray[np.complex64], first: int = 0, last: int | None = None) -> NDArray[np.float32]:
-        """Cores of tiles from their spectra, or their rows from ``first`` to ``last``.
+        """Cores of tiles from their spectra, or their rows from ``first`` to ``last``, shape (..., n_rows, core[1]).
 
         Args:
             spectra: shape (..., n_ky, n_kx); overwritten.
             first: first row of the core.
             last: end of its rows; all by default.
-
-        Returns:
-            Shape (..., n_rows, core[1]).
         """
         (n_y, n_x), m = self.core, self.margin
         # Rows that are not needed are not transformed back.

@@ -98,14 +98,11 @@ class CornerSequence:
         return [answers[int(number)] for number in numbers]
 
     def predicted(self, model: RationalModel, batch: IndexArray | slice = slice(None)) -> NDArray[np.complex128]:
-        """Return a model's t_xx, t_yy, r_xx, r_yy at cells of the sequence.
+        """Return a model's t_xx, t_yy, r_xx, r_yy at cells of the sequence, shape (n, 4).
 
         Args:
             model: amplitudes over sizes and axes.
             batch: shape (n,), indices into the sequence; all by default.
-
-        Returns:
-            Shape (n, 4).
         """
         return model(self.width_nm[batch], self.length_nm[batch], self.axes[batch])
 

@@ -111,14 +111,11 @@ class OtherCopies:
         self.counts = dict.fromkeys(self._centres, 0)
 
     def without(self, rectangles: IntArray, shift: IntArray) -> IntArray:
-        """Return the rectangles whose centres lie in no other copy.
+        """Return the rectangles whose centres lie in no other copy, shape (m, 4), not shifted.
 
         Args:
             rectangles: shape (n, 4), x, y, width, height in file units.
             shift: shape (2,), to be added to x and y.
-
-        Returns:
-            Shape (m, 4), not shifted.
         """
         if not self._centres or not len(rectangles):
             return rectangles

@@ -64,14 +64,11 @@ def orientation_deg(psf: FloatArray) -> FloatArray:
 
 
 def pinhole_efficiency(psf: Psf, diameter_um: float = PINHOLE_UM) -> FloatArray:
-    """Return the share of the power at the aperture that passes a pinhole scanned for the maximum.
+    """Return the share of the power at the aperture that passes a pinhole scanned for the maximum, shape (2, n_depth).
 
     This is the measure of diffraction efficiency in Shen 2023 (Methods). The pinhole is scanned over whole pixels. Its
     rim is exact: the irradiance is band-limited, so that the spectrum of the transmitted power is the spectrum of the
     irradiance times that of a disc, R J_1(2 pi R f) / f.
-
-    Returns:
-        Shape (2, n_depth).
 
     Raises:
         InputError: the pinhole does not fit into the window.

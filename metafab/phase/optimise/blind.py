@@ -43,13 +43,10 @@ class BlindInformation:
         return phasor(np.multiply.outer(self.defocus_rad, self.pupil.radius_squared_grid)) * self.pupil.inside
 
     def of_field(self, field: ComplexArray) -> FloatArray:
-        """Information about the rim defocus.
+        """Information about the rim defocus, shape (n_depth,), 1/rad^2.
 
         Args:
             field: shape (n,), pupil field of x polarisation.
-
-        Returns:
-            Shape (n_depth,), 1/rad^2.
         """
         return conjugate_information(*self.transfer(field), self._signal_to_noise)
 

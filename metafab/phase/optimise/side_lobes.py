@@ -124,16 +124,13 @@ class SideLobes:
         return LobeValues(np.abs(target) ** 2, power.sum(axis=(1, 2)) ** (1.0 / _NORM), amplitude, target)
 
     def gradient(self, mask: ComplexArray, values: LobeValues, by_peak: FloatArray, by_side: FloatArray) -> FloatArray:
-        """Derivative over the phases of a function of the peaks and side lobes.
+        """Derivative over the phases of a function of the peaks and side lobes, shape (n,).
 
         Args:
             mask: shape (n,), pupil field.
             values: of :meth:`evaluate` for this mask.
             by_peak: shape (n_depth,), derivatives of the function over the peaks.
             by_side: shape (n_depth,), derivatives of the function over the side lobes.
-
-        Returns:
-            Shape (n,).
         """
         light = np.abs(values.amplitude) ** 2 * self._outside
         by_light = (light / values.side[:, None, None]) ** (_NORM - 1) * self._outside * by_side[:, None, None]

@@ -83,14 +83,11 @@ class WaveSumPhase(PolarisedTerm):
         return angles_of_waves(weighted_x, lambda points: self._waves(points, tilt_y), y, slope_rad)
 
     def field(self, x: FloatArray, y: FloatArray) -> ComplexArray:
-        """Evaluate the sum of waves on a rectangular grid.
+        """Evaluate the sum of waves on a rectangular grid, shape (n_y, n_x).
 
         Args:
             x: shape (n_x,), in units of the aperture's radius.
             y: shape (n_y,), in units of the aperture's radius.
-
-        Returns:
-            Shape (n_y, n_x).
         """
         along_x = self._waves(x, self.tilt_rad[:, 0])
         along_y = self._waves(y, self.tilt_rad[:, 1])

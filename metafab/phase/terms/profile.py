@@ -16,15 +16,12 @@ class Term(Protocol):
     """One summand of a target phase."""
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
-        """Evaluate the phase on a rectangular grid.
+        """Evaluate the phase on a rectangular grid, shape (n_y, n_x), radians, not wrapped.
 
         Args:
             x_um: shape (n_x,), positions from the optical axis.
             y_um: shape (n_y,), positions from the optical axis.
             polarisation: "x" or "y".
-
-        Returns:
-            Shape (n_y, n_x), radians, not wrapped.
         """
 
 
