@@ -90,6 +90,23 @@ class MappingFigures:
 
 
 @dataclass(frozen=True)
+class WriteTime:
+    """Time that the e-beam takes, without blanking, alignment, further stage moves and loading."""
+
+    area_um2: float  #: Exposed area.
+    shapes: int  #: Exposed shapes.
+    trapezoids: int  #: Trapezoids of these shapes.
+    #: Shots of the trapezoids; None without a shot size, or where the field is exposed and not the pillars.
+    shots: int | None
+    fields: int  #: Write fields that hold any.
+    beam_seconds: float  #: Dose x area / current; longer where the largest rate of shots limits it.
+    settling_seconds: float  #: Settling of trapezoids and fields.
+    seconds: float  #: Sum of both.
+    stitching_rms_nm: float | None = None  #: Rms of the drift between neighbouring fields; None without a drift.
+    stitching_max_nm: float | None = None  #: Its largest value.
+
+
+@dataclass(frozen=True)
 class Wavefront:
     """Overlap of the field behind a mask with the target wave, for x and y polarisation."""
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from metafab import __version__
 from metafab.core.conventions import FloatArray
+from metafab.core.figures import WriteTime
 from metafab.core.storage.files import fingerprint, plain
 from metafab.layout import Outline, PillarMap, PillarTile, field_sites, lattice_of
 from metafab.layout.turned import outline_of
@@ -23,7 +24,7 @@ from metafab.mask.drawing.include import IncludedCell
 from metafab.mask.drawing.scan import count_sizes
 from metafab.mask.drawing.stamps import Stamps
 from metafab.mask.drawing.surroundings import surroundings
-from metafab.mask.writing import FieldTimes, LensLoad, WriteTime, beam_seconds, field_times, fracture
+from metafab.mask.writing import FieldTimes, LensLoad, beam_seconds, field_times, fracture, write_time
 from metafab.spec import Design
 
 _TONES = {
@@ -185,7 +186,7 @@ class MaskSums:
                 LensLoad(1.0, sites_um2 - area_um2, count, None)
                 for area_um2, count in zip(areas_um2, each.tolist(), strict=True)
             ]
-            return WriteTime.of(mask.exposure, loads, shapes, len(copies) * self._pillars_in.size), None
+            return write_time(mask.exposure, loads, shapes, len(copies) * self._pillars_in.size), None
         trapezoids, shots = (int(total) for total in self._load_in.sum(axis=(1, 2)))
         plain_um2, counted = self._area_dbu(0) * (lattice.database_unit_nm * 1e-3) ** 2, shots > 0
         loads, times = [], []
@@ -202,7 +203,7 @@ class MaskSums:
         fields = field_times(mask.exposure, times, centres)
         stitching = fields.stitching_nm if mask.exposure.drift_nm_per_min else None
         filled = len(copies) * int(np.count_nonzero(self._pillars_in))
-        return WriteTime.of(mask.exposure, loads, shapes, filled, stitching), fields
+        return write_time(mask.exposure, loads, shapes, filled, stitching), fields
 
     def _field_centres_um(self, copy: LensCopy) -> FloatArray:
         """Centre (x, y) of each write field of a lens, shape (rows, columns, 2); fields at the rim are cut off."""

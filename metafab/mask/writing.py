@@ -16,67 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.figures import WriteTime
 from metafab.spec import Exposure
 
 BoolArray = NDArray[np.bool_]
 IntegerArray = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class WriteTime:
-    """Time that the e-beam takes, without blanking, alignment, further stage moves and loading."""
-
-    area_um2: float  #: Exposed area.
-    shapes: int  #: Exposed shapes.
-    trapezoids: int  #: Trapezoids of these shapes.
-    #: Shots of the trapezoids; None without a shot size, or where the field is exposed and not the pillars.
-    shots: int | None
-    fields: int  #: Write fields that hold any.
-    beam_seconds: float  #: Dose x area / current; longer where the largest rate of shots limits it.
-    settling_seconds: float  #: Settling of trapezoids and fields.
-    seconds: float  #: Sum of both.
-    stitching_rms_nm: float | None = None  #: Rms of the drift between neighbouring fields; None without a drift.
-    stitching_max_nm: float | None = None  #: Its largest value.
-
-    @classmethod
-    def of(
-        cls,
-        exposure: Exposure,
-        lenses: Sequence[LensLoad],
-        shapes: int,
-        fields: int,
-        stitching_nm: tuple[float, float] | None = None,
-    ) -> WriteTime:
-        """Estimate the time from dose, current and settling times.
-
-        Dose classes within a lens count with the dose of the lens.
-
-        Args:
-            exposure: the machine.
-            lenses: area, dose, trapezoids and shots of each lens.
-            shapes: exposed shapes of all lenses.
-            fields: write fields of all lenses that hold any.
-            stitching_nm: rms and largest drift between neighbouring fields.
-        """
-        trapezoids = sum(lens.trapezoids for lens in lenses)
-        shots = [lens.shots for lens in lenses if lens.shots is not None]
-        beam_s = sum(
-            float(beam_seconds(exposure, lens.dose, np.array(lens.area_um2), np.array(float(lens.shots or 0))))
-            for lens in lenses
-        )
-        settling_s = trapezoids * exposure.settle_shape_us * 1e-6 + fields * exposure.settle_field_ms * 1e-3
-        return cls(
-            area_um2=sum(lens.area_um2 for lens in lenses),
-            shapes=shapes,
-            trapezoids=trapezoids,
-            shots=sum(shots) if len(shots) == len(lenses) else None,
-            fields=fields,
-            beam_seconds=beam_s,
-            settling_seconds=settling_s,
-            seconds=beam_s + settling_s,
-            stitching_rms_nm=None if stitching_nm is None else stitching_nm[0],
-            stitching_max_nm=None if stitching_nm is None else stitching_nm[1],
-        )
 
 
 @dataclass(frozen=True)
@@ -87,6 +31,45 @@ class LensLoad:
     area_um2: float  #: Exposed area.
     trapezoids: int  #: Number of trapezoids.
     shots: int | None  #: Number of shots; None if it is not known.
+
+
+def write_time(
+    exposure: Exposure,
+    lenses: Sequence[LensLoad],
+    shapes: int,
+    fields: int,
+    stitching_nm: tuple[float, float] | None = None,
+) -> WriteTime:
+    """Estimate the time from dose, current and settling times.
+
+    Dose classes within a lens count with the dose of the lens.
+
+    Args:
+        exposure: the machine.
+        lenses: area, dose, trapezoids and shots of each lens.
+        shapes: exposed shapes of all lenses.
+        fields: write fields of all lenses that hold any.
+        stitching_nm: rms and largest drift between neighbouring fields.
+    """
+    trapezoids = sum(lens.trapezoids for lens in lenses)
+    shots = [lens.shots for lens in lenses if lens.shots is not None]
+    beam_s = sum(
+        float(beam_seconds(exposure, lens.dose, np.array(lens.area_um2), np.array(float(lens.shots or 0))))
+        for lens in lenses
+    )
+    settling_s = trapezoids * exposure.settle_shape_us * 1e-6 + fields * exposure.settle_field_ms * 1e-3
+    return WriteTime(
+        area_um2=sum(lens.area_um2 for lens in lenses),
+        shapes=shapes,
+        trapezoids=trapezoids,
+        shots=sum(shots) if len(shots) == len(lenses) else None,
+        fields=fields,
+        beam_seconds=beam_s,
+        settling_seconds=settling_s,
+        seconds=beam_s + settling_s,
+        stitching_rms_nm=None if stitching_nm is None else stitching_nm[0],
+        stitching_max_nm=None if stitching_nm is None else stitching_nm[1],
+    )
 
 
 def beam_seconds(exposure: Exposure, dose: float, area_um2: FloatArray, shots: FloatArray) -> FloatArray:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from metafab.core.errors import InputError
-from metafab.core.figures import MappingFigures
+from metafab.core.figures import MappingFigures, WriteTime
 from metafab.core.storage.tables import optional, typed
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.library import open_library
@@ -29,6 +30,7 @@ class LayoutFigures(MappingFigures):
     #: Figures of the mapping if every pillar kept the gap rule within its own cell; None unless the design asks for
     #: ``gap_rule = "pairs"``.
     gap_rule_each: MappingFigures | None = optional()
+    write_time: WriteTime | None = optional()  #: Time on the e-beam writer; None without ``mask.exposure``.
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,10 @@ def write_layout(job: Job) -> LayoutFigures:
         )
     _require_rules_of_copies(job)
     files = [FileFigures(file.path.name, file.bytes) for file in written]
-    return typed(LayoutFigures, {**assignment.to_json(), "files": files})
+    figures = {**assignment.to_json(), "files": files}
+    if job.design.mask.exposure is not None:
+        figures["write_time"] = json.loads((job.folder / "layout.json").read_text(encoding="utf-8"))["exposure"]
+    return typed(LayoutFigures, figures)
 
 
 def _require_rules_of_copies(job: Job) -> None:

@@ -89,6 +89,18 @@ def mask(run: RunFolder, drawn: Drawn) -> str:
         if figures.gap_rule_each is not None:
             facts += "<h3>With the gap rule kept by each pillar alone</h3>"
             facts += html.facts(_mapping(figures.gap_rule_each))
+        if (time := figures.write_time) is not None:
+            facts += "<h3>Writing</h3>"
+            facts += html.facts(
+                {
+                    "s in all": time.seconds,
+                    "s of beam": time.beam_seconds,
+                    "trapezoids": time.trapezoids,
+                    "shots": time.shots,
+                    "write fields": time.fields,
+                    "nm of drift between fields, rms": time.stitching_rms_nm,
+                }
+            )
         rows = [[escape(file.name), html.number(file.bytes)] for file in figures.files]
         files = f"<div><h3>Files</h3>{html.table(['file', 'bytes'], rows, ['', 'n'])}</div>"
     return html.section(

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from metafab.core.errors import InputError
+from metafab.core.storage.files import plain
+from metafab.core.storage.tables import typed
 from metafab.library import Library, save
-from metafab.spec import load_design
+from metafab.spec import Exposure, load_design
 from metafab.steps import Job, write_layout
+from metafab.steps.layout import LayoutFigures
 from tests.main_job import SMALL
 
 COPIES = "\n[[mask.copies]]\nat_um = [0.0, 0.0]\n[[mask.copies]]\nat_um = [40.0, 0.0]\nbias_nm = {bias}\n"
@@ -33,6 +37,14 @@ def test_a_copy_that_breaks_a_rule_is_refused_when_it_is_laid_out(smooth_library
         write_layout(job(tmp_path, smooth_library, -10.0))
 
 
-def test_equal_copies_are_written(smooth_library: Library, tmp_path: Path) -> None:
-    figures = write_layout(job(tmp_path, smooth_library, 0.0))
+def test_equal_copies_are_written_and_timed(smooth_library: Library, tmp_path: Path) -> None:
+    made = job(tmp_path, smooth_library, 0.0)
+    exposure = Exposure(1000.0, 2.0, shot_pitch_nm=4.0, drift_nm_per_min=1.0)
+    design = replace(made.design, mask=replace(made.design.mask, exposure=exposure))
+    figures = write_layout(Job(design, made.folder))
     assert {"layout.gds", "layout.oas"} <= {file.name for file in figures.files}
+    time = figures.write_time
+    assert time is not None and time.shots is not None
+    assert time.trapezoids == 2 * figures.pillars < time.shots
+    assert time.seconds == time.beam_seconds > 0.0
+    assert figures == typed(LayoutFigures, plain(figures))
