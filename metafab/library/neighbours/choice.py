@@ -22,7 +22,7 @@ from metafab.library.neighbours.open_lines import IndexArray, SingleArray
 from metafab.library.neighbours.windows import NeighbourTables
 
 #: Rounds, steps of the size grid that a pillar may move in each, and price in F of one squared step.
-ROUNDS, _REACH, _PRICE = 8, 3, 5e-3
+ROUNDS, _REACH, _PRICE = 16, 1, 2e-3
 
 
 @dataclass(frozen=True)
