@@ -64,7 +64,7 @@ class LibraryFigures:
     neighbours_error_fitted: float | None = optional()
     neighbours_solver_error: float | None = optional()
     neighbours_error_floor: float | None = optional()
-    neighbours_error_share: float | None = optional()
+    neighbours_error_slope: float | None = optional()
     corner_points_solved: int | None = optional()
     corner_rounds: int | None = optional()
     corner_held_out: int | None = optional()

@@ -4,8 +4,8 @@ The mapping wants the largest overlap of the field with the target wave, F = sum
 polarisations, w = exp(-i target). In each round the chains of the window are solved with two right sides, which gives
 the derivatives of all corrections in F by the size of each pillar
 (:func:`metafab.library.neighbours.open_lines.open_line_slopes`). Every second pillar, like the squares of one colour on
-a chessboard, then takes the best size within a few steps of the grid: the library's t(s) counts exactly, the
-corrections to first order, and each step has a price, since all these pillars move at once.
+a chessboard, then takes the best of the sizes one step of the grid around its own: the library's t(s) counts exactly,
+the corrections to first order, and a step has a price, since all these pillars move at once.
 """
 
 from __future__ import annotations
@@ -21,8 +21,10 @@ from metafab.library.neighbours.model import Neighbours
 from metafab.library.neighbours.open_lines import IndexArray, SingleArray
 from metafab.library.neighbours.windows import NeighbourTables
 
-#: Rounds, steps of the size grid that a pillar may move in each, and price in F of one squared step.
-ROUNDS, _REACH, _PRICE = 16, 1, 2e-3
+#: Rounds, and price in F of a step of width or length. On two places of the paper's lens the model's share of the light
+#: in the wanted wave rose from 0.845 to 0.875 so; to 0.863 in 8 rounds of price 0.005, and with steps of up to three
+#: grid points to 0.859, from where further rounds lowered it.
+ROUNDS, _PRICE = 8, 5e-3
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,7 @@ def _move(
     width_nm: FloatArray,
     colour: int,
 ) -> None:
-    """Move the pillars of one colour to the best size within the reach."""
+    """Move the pillars of one colour to the best size within a step of the grid."""
     n_y, n_x = size_index.shape
     for m in range(n_y):
         for n in range((m + colour) % 2, n_x, 2):
@@ -90,8 +92,8 @@ def _move(
                 continue
             row, column = place[now]
             best = -np.inf
-            for i in range(max(row - _REACH, 0), min(row + _REACH + 1, length_nm.size)):
-                for j in range(max(column - _REACH, 0), min(column + _REACH + 1, width_nm.size)):
+            for i in range(max(row - 1, 0), min(row + 2, length_nm.size)):
+                for j in range(max(column - 1, 0), min(column + 2, width_nm.size)):
                     size = grid[i, j]
                     if size == 0:
                         continue

@@ -63,10 +63,11 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
         t[:, axis, axis] = amplitude / np.sqrt(max(1.0, transmitted))
         norm = float(np.linalg.norm(local))
         relative = [float(np.linalg.norm(correction)) / norm for correction in corrections]
+        steps = [float(np.linalg.norm(local - np.roll(local, 1, axis))) / norm for axis in (1, 0)]
         error = float(np.max(known.error)) + max(0.0, 1.0 - 1.0 / np.sqrt(max(1.0, transmitted)))
-        for direction, correction in enumerate(relative):
+        for direction, (correction, step) in enumerate(zip(relative, steps, strict=True)):
             if supercell.shape[1 - direction] > 1:
-                error += float(neighbours.line(direction, light).statistics.stated_error(np.array(correction)))
+                error += neighbours.line(direction, light).statistics.stated_error(correction, step)
         if min(supercell.shape) > 1:
             error += _BLOCK_SHARE * max(relative)
         weight = float(np.sum(np.abs(amplitude) ** 2))

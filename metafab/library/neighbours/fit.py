@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.library.neighbours.line import LineModel, LineShape
-from metafab.library.neighbours.solve import (
-    corrections_and_jacobian,
-    line_corrections,
-    uniform_field,
-    uniform_field_and_jacobian,
-)
+from metafab.library.neighbours.solve import corrections_and_jacobian, line_corrections
 
 #: Rows whose Jacobian is held at once.
 _ROWS_AT_ONCE = 48
@@ -50,36 +45,11 @@ class RowSet:
 
 
 @dataclass(frozen=True)
-class EqualPillars:
-    """The library's t of lattices of equal pillars, which the chain's y(s) follows up to a smooth background.
-
-    The modes that light along the axis excites make the resonances of t(s). What y(s) - t(s) has beyond polynomials of
-    the size is a residual of the fit.
-    """
-
-    size_nm: FloatArray  #: Shape (n, 2), along the row and across it.
-    t: ComplexArray  #: Shape (n,), the library's t.
-    background: FloatArray  #: Shape (n, terms), orthonormal columns that span the background.
-    weight: float  #: Weight of each squared residual, that of a whole row being 1.
-
-    @classmethod
-    def of(cls, model: LineModel, size_nm: FloatArray, t: ComplexArray, weight: float, degree: int) -> EqualPillars:
-        """Sizes and their t, shapes (n, 2) and (n,), with a background of polynomials of total degree ``degree``."""
-        terms = replace(model, shape=replace(model.shape, degree=degree)).polynomials(size_nm)
-        return cls(size_nm, t, np.linalg.qr(terms)[0], weight)
-
-    def beyond_background(self, values: ComplexArray) -> ComplexArray:
-        """Weighted part of values at the sizes that the background does not hold, shape (n, ...) to (n, ...)."""
-        left = values - self.background @ (self.background.T @ values)
-        return np.asarray(left * np.sqrt(self.weight / np.mean(np.abs(self.t) ** 2)))
-
-
-@dataclass(frozen=True)
 class FitLimits:
     """Stopping rules and prior of a fit."""
 
     steps: int = 120  #: Most steps.
-    ridge: float = 1e-2  #: Weight of the squared parameters, relative to one row; grows with the degree of a term.
+    ridge: float = 2e-2  #: Weight of the squared parameters, relative to one row; grows with the degree of a term.
     gain: float = 5e-3  #: Smallest relative decrease of the loss over five steps.
 
 
@@ -88,7 +58,6 @@ def fit(
     sets: Sequence[RowSet],
     limits: FitLimits = FitLimits(),
     report: Callable[[int, int], None] | None = None,
-    equal: EqualPillars | None = None,
 ) -> LineModel:
     """Fit a chain to rows: least squares of the orders' amplitudes, with a prior that keeps high degrees small.
 
@@ -97,7 +66,6 @@ def fit(
         sets: rows to fit, at least one.
         limits: stopping rules and prior.
         report: called with the step and the largest number of steps.
-        equal: lattices of equal pillars, whose resonances the chain shares; None fits the rows alone.
 
     Returns:
         The chain with the smallest loss.
@@ -106,9 +74,9 @@ def fit(
     ridge = limits.ridge * _prior(model.shape)
     terms = [model.polynomials(rows.size_nm) for rows in sets]
     damping, losses = 1e-1, []
-    loss = _loss(model, sets, terms, ridge, equal)
+    loss = _loss(model, sets, terms, ridge)
     for step in range(limits.steps):
-        normal, gradient = _normal_equations(model, sets, terms, equal)
+        normal, gradient = _normal_equations(model, sets, terms)
         gradient = gradient + ridge * vector
         normal[np.diag_indices(vector.size)] += ridge
         scale = np.diag(normal).real.copy()
@@ -116,7 +84,7 @@ def fit(
             damped = normal.copy()
             damped[np.diag_indices(vector.size)] += damping * scale
             trial = vector - cho_solve(cho_factor(damped, overwrite_a=True), gradient)
-            trial_loss = _loss(model.with_vector(trial), sets, terms, ridge, equal)
+            trial_loss = _loss(model.with_vector(trial), sets, terms, ridge)
             if trial_loss < loss:
                 break
             damping *= 4.0
@@ -157,28 +125,19 @@ def _loss(
     sets: Sequence[RowSet],
     terms: Sequence[FloatArray],
     ridge: FloatArray,
-    equal: EqualPillars | None,
 ) -> float:
     total = float(ridge @ np.abs(model.vector) ** 2)
-    if equal is not None:
-        field = uniform_field(model, model.polynomials(equal.size_nm))
-        total += float(np.sum(np.abs(equal.beyond_background(field - equal.t)) ** 2))
     for rows, values in zip(sets, terms, strict=True):
         total += float(np.sum(np.abs(_residuals(rows, line_corrections(model, values))) ** 2))
     return total if np.isfinite(total) else np.inf
 
 
 def _normal_equations(
-    model: LineModel, sets: Sequence[RowSet], terms: Sequence[FloatArray], equal: EqualPillars | None
+    model: LineModel, sets: Sequence[RowSet], terms: Sequence[FloatArray]
 ) -> tuple[ComplexArray, ComplexArray]:
-    """J^H J, shape (n, n), and J^H r, shape (n,), of all weighted residuals r."""
+    """J^H J, shape (n, n), and J^H r, shape (n,), of the weighted residuals r of all rows."""
     n = model.vector.size
     normal, gradient = np.zeros((n, n), dtype=np.complex128), np.zeros(n, dtype=np.complex128)
-    if equal is not None:
-        field, jacobian = uniform_field_and_jacobian(model, model.polynomials(equal.size_nm))
-        jacobian, residual = equal.beyond_background(jacobian), equal.beyond_background(field - equal.t)
-        normal += jacobian.conj().T @ jacobian
-        gradient += jacobian.conj().T @ residual
     for rows, values in zip(sets, terms, strict=True):
         to_orders = rows.to_orders * np.sqrt(rows.weight)[:, None] / _norm(rows)
         for start in range(0, len(values), _ROWS_AT_ONCE):

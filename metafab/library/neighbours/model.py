@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
-from metafab.core.conventions import FloatArray, Polarisation
+from metafab.core.conventions import Polarisation
 from metafab.library.neighbours.line import LineModel
 
 
@@ -25,11 +23,17 @@ class LineStatistics:
     error_fitted: float = math.nan  #: Rms error on the rows of the fit.
     solver_error: float = math.nan  #: Rms error of the solved rows, from a sample solved more finely.
     error_floor: float = math.nan  #: Smallest stated error of a row.
-    error_share: float = math.nan  #: Stated error per relative correction of the field, on top of the floor.
+    #: Stated error per relative correction of the field and relative step of t from site to site, on top of the floor.
+    error_slope: float = math.nan
 
-    def stated_error(self, correction: FloatArray) -> FloatArray:
-        """Stated relative error of rows whose field is corrected by the relative amount ``correction``, any shape."""
-        return np.asarray(self.error_floor + self.error_share * correction)
+    def stated_error(self, correction: float, step: float) -> float:
+        """Stated relative error of a row.
+
+        Args:
+            correction: rms correction of its field over its rms field.
+            step: rms step of t from site to site over rms t.
+        """
+        return self.error_floor + self.error_slope * correction * step
 
 
 @dataclass(frozen=True)

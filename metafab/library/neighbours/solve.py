@@ -91,11 +91,11 @@ def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[Compl
     d_hop = _hop_derivatives(model, a, adjoint)
     parts = (d_site, d_source, d_own, d_side, d_hop)
     jacobian = np.concatenate([part.reshape(lines, count, -1) for part in parts], axis=-1)
-    uniform, d_uniform = uniform_field_and_jacobian(model, terms)
+    uniform, d_uniform = _uniform_jacobian(model, terms)
     return y - uniform, jacobian - d_uniform
 
 
-def uniform_field_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+def _uniform_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """:func:`uniform_field` and its derivatives by :attr:`LineModel.vector`.
 
     Args:

@@ -31,7 +31,7 @@ def coarse() -> Iterator[None]:
         for module in (rows, training):
             patch.setattr(module, "ROW_SITES", (3,))
             patch.setattr(module, "RESOLUTION", 1.0)
-        patch.setattr(training, "SHAPE", SMALL_SHAPE)
+        patch.setattr(training, "SHAPES", (SMALL_SHAPE, SMALL_SHAPE))
         patch.setattr(training, "STARTS", 1)
         yield
 
