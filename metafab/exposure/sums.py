@@ -1,4 +1,9 @@
-"""Compiled loops over the pillars of a tile: sums of linearised size errors, new doses, statistics of printed sizes."""
+"""Compiled loops over the pillars of a tile: sums of linearised size errors, new doses, statistics of printed sizes.
+
+Size indices and doses have the shape (n_y, n_x). ``others``, shape (2, n_y, n_x), is the energy of all other pillars at
+the edges. ``at_edge``, shape (2, n_sizes), is a pillar's own energy there per unit dose, and ``slope``, of that shape,
+its decrease per nm. ``ratio`` is the base dose over the clearing dose.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +18,7 @@ from metafab.core.numeric.compiled import compiled
 def dose_to_size_sums(
     size_index: NDArray[np.uint16], dose: Float32Array, others: Float32Array, at_edge: Float32Array, slope: Float32Array
 ) -> tuple[float, float]:
-    """Sums over both axes of all pillars of energy / slope and of 1 / slope.
-
-    Args:
-        size_index: shape (n_y, n_x).
-        dose: shape (n_y, n_x).
-        others: shape (2, n_y, n_x), energy of all other pillars at the edges.
-        at_edge: shape (2, n_sizes), own energy at the edges per unit dose.
-        slope: shape (2, n_sizes), its decrease per nm.
-    """
+    """Sums over both axes of all pillars of energy / slope and of 1 / slope; shapes as the module says."""
     energy, count = 0.0, 0.0
     for row in range(size_index.shape[0]):
         for column in range(size_index.shape[1]):
@@ -48,15 +45,8 @@ def newton_doses(
 ) -> tuple[float, int]:
     """Write new doses for a mean size error of zero; return the sum of squared residuals (nm^2) and the pillars.
 
-    Args:
-        size_index: shape (n_y, n_x).
-        dose: shape (n_y, n_x).
-        others: shape (2, n_y, n_x), energy of all other pillars at the edges.
-        at_edge: shape (2, n_sizes), own energy at the edges per unit dose.
-        slope: shape (2, n_sizes), its decrease per nm.
-        ratio: base dose over clearing dose.
-        bounds: least and largest dose.
-        new_dose: shape (n_y, n_x), written.
+    ``bounds`` are the least and the largest dose, ``new_dose`` has the shape of ``dose``; other shapes as the module
+    says.
     """
     square, count = 0.0, 0
     for row in range(size_index.shape[0]):
@@ -87,16 +77,10 @@ def size_statistics(
     bin_nm: float,
     histogram: NDArray[np.int64],
 ) -> FloatArray:
-    """Add printed less drawn sizes to a histogram and return their sums.
+    """Add printed less drawn sizes to a histogram and return their sums; shapes as the module says.
 
-    Args:
-        size_index: shape (n_y, n_x).
-        dose: shape (n_y, n_x).
-        slope: shape (2, n_sizes).
-        displacement_nm: shape (2, n_y, n_x), of each edge; -inf where a pillar does not print.
-        ratio: base dose over clearing dose.
-        bin_nm: width of a bin.
-        histogram: shape (n_bins,), centred on 0; added to in place.
+    ``displacement_nm``, shape (2, n_y, n_x), is that of each edge, -inf where a pillar does not print. The histogram,
+    shape (n_bins,), has bins of ``bin_nm`` and is centred on 0.
 
     Returns:
         Shape (8,): pillars, unprinted pillars, sum, sum of squares and largest magnitude of the size errors (nm), sum

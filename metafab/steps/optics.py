@@ -1,4 +1,8 @@
-"""PSF pairs of the written mask and of the target phases."""
+"""PSF pairs of the written mask and of the target phases.
+
+In all functions ``path`` is a mask file, or None for the target phases. ``copy`` is the number of the lens in a file
+that holds several, from 1. ``printed`` says which pillars ``[process]`` makes; None for those of the file.
+"""
 
 from __future__ import annotations
 
@@ -123,15 +127,9 @@ class PsfFigures(PairFigures):
         field_interpolation_error: float | None = None,
         light_at_um: Places | None = None,
     ) -> PsfFigures:
-        """Figures of a pair and of the target phases.
+        """Figures of a pair and of the target phases (None without a mask) at the verified depths.
 
-        Args:
-            psf: the pair.
-            ideal: the pair of the target phases at the verified depths; None without a mask.
-            verified: shape (n_depth,), the verified depths of ``psf``.
-            depth_interpolation_error: see the attribute.
-            field_interpolation_error: see the attribute.
-            light_at_um: see the attribute.
+        ``verified``, shape (n_depth,), marks these among the depths of ``psf``.
         """
         of_target = {} if ideal is None else _over_depth(ideal, np.ones(ideal.depth_m.size, dtype=bool), "ideal_")
         table = {
@@ -182,13 +180,8 @@ def calibration_depths(design: Design, imaging: Imaging, target_error: float | N
 def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) -> WrittenField:
     """Transmitted field of the pillars of a written file.
 
-    Consecutive steps share the pillars as long as file and design are unchanged.
-
-    Args:
-        job: the design.
-        path: the mask file.
-        copy: number of the lens in a file that holds several, from 1.
-        angles: number of angles of turned pillars in half a turn; None for upright pillars.
+    Consecutive steps share the pillars as long as file and design are unchanged. ``angles`` is the number of angles of
+    turned pillars in half a turn; None for upright pillars.
 
     Raises:
         InputError: the file cannot be read, or holds shapes that are no pillars of the lattice.
@@ -206,11 +199,7 @@ def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) 
 def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | NeighbourField:
     """Transmitted field of the pillars of a written file, among their neighbours if design and library say so.
 
-    Args:
-        job: the design; ``[optics] neighbours`` decides. Without it, the library's model is used if it
-            has one that pays.
-        path: the mask file.
-        copy: number of the lens in a file that holds several, from 1.
+    ``[optics] neighbours`` decides; without it, the library's model is used if it has one that pays.
 
     Raises:
         InputError: as :func:`mask_source`; the design asks for neighbours that the library has no model of.
@@ -326,12 +315,6 @@ def point_spread(
 def calibration(job: Job, path: Path | None, *, copy: int = 1, printed: Printed | None = None) -> Psf:
     """PSF pair over the depths and the field of the design's scene, as a run computes it for the decoder.
 
-    Args:
-        job: the design.
-        path: the mask file; None for the target phases.
-        copy: number of the lens in a file that holds several, from 1.
-        printed: pillars as ``[process]`` makes them; None for those of the file.
-
     Raises:
         InputError: the design has no scene.
     """
@@ -341,14 +324,9 @@ def calibration(job: Job, path: Path | None, *, copy: int = 1, printed: Printed 
 
 
 def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1, printed: Printed | None = None) -> Psf:
-    """PSF pair at the exact depths and directions of a scene, without interpolation over depth.
+    """PSF pair at the exact depths and directions of a scene, in all of its frames, without interpolation over depth.
 
-    Args:
-        job: the design; its own scene is not used.
-        path: the mask file; None for the target phases.
-        scene: the scene, in all of its frames.
-        copy: number of the lens in a file that holds several, from 1.
-        printed: pillars as ``[process]`` makes them; None for those of the file.
+    The scene of the design is not used.
     """
     from metafab import camera, optics
     from metafab.camera.exact import EXACT
