@@ -66,17 +66,9 @@ def corner_fields(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> list[CornerField]:
-    """Return the mask at plus and minus a deviation of each axis, one axis at a time.
+    """Return the mask at plus and minus a positive deviation of each axis: two corners an axis, one axis at a time.
 
-    Args:
-        written: mask with the amplitudes of the library.
-        library: library of the mask.
-        deviations: axis (of :class:`metafab.spec.cell.Axes`) -> positive deviation from the nominal value.
-        executor: solves cells; None for this process. The result does not depend on it.
-        progress: called as cells are solved.
-
-    Returns:
-        Two corners per axis, in the order of ``deviations``.
+    Axes are those of :class:`metafab.spec.cell.Axes`; other arguments are those of :func:`fields_at`.
     """
     corners = [
         (f"{axis} {sign * deviation:+g}", {axis: library.unit_cell.nominal(axis) + sign * deviation})
@@ -128,12 +120,7 @@ def slice_error(before: ComplexArray, fine: ComplexArray, coarse: ComplexArray) 
     """Return the relative error of sloped sidewalls in slices: the change from half as many slices.
 
     The error does not yet fall by the factor of four of second order: from four to eight slices it falls by 2.4, judged
-    against 64.
-
-    Args:
-        before: shape (n, 2), amplitudes without the slope.
-        fine: shape (n, 2), with all slices.
-        coarse: shape (n, 2), with half of the slices.
+    against 64. All amplitudes have the shape (n, 2): without the slope, with all and with half of the slices.
     """
     return float(np.linalg.norm(fine - coarse) / np.linalg.norm(before))
 
@@ -194,16 +181,10 @@ class MaskSizes:
         before: ComplexArray,
         after: ComplexArray,
     ) -> CornerField:
-        """Return the mask at a corner.
+        """Return the mask at a corner, axis -> value, from the sizes that were solved by its plan.
 
-        Args:
-            written: the nominal mask.
-            library: its library.
-            name: name of the corner.
-            corner: axis -> value.
-            plan: sizes that were solved.
-            before: shape (n_sample, 2), amplitudes of the sample without the change.
-            after: shape (plan.count, 2), amplitudes of the solved sizes at the corner.
+        Amplitudes of the sample without the change have the shape (n_sample, 2), those of the solved sizes at the
+        corner (plan.count, 2).
         """
         if _in_library(library, corner):
             there = library.at(**corner)

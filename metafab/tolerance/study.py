@@ -302,11 +302,7 @@ def require_block_memory(
 ) -> None:
     """Refuse write fields that only blocks of too few sites divide, before any corner is solved.
 
-    Args:
-        faults: faults with their largest block sizes.
-        written: the mask.
-        block_sites: sites along a side of a block, without faults.
-        most_blocks: memory limit.
+    ``block_sites`` are those along a side of a block without faults.
 
     Raises:
         InputError: the blocks do not fit into memory.

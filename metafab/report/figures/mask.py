@@ -30,11 +30,8 @@ from metafab.report.style import (
 def fill_map(fill: FloatArray, half_side_um: tuple[float, float], axes: Axes, marks_um: list[FloatArray]) -> Axes:
     """Draw the share of the surface that pillars cover, with frames at the places of the closer zooms.
 
-    Args:
-        fill: shape (n_y, n_x), 0 to 1; NaN without pillars.
-        half_side_um: half the width and half the height of the map.
-        axes: axes to draw on.
-        marks_um: one array for each closer zoom, shape (4,): left, right, low, high.
+    The share has the shape (n_y, n_x), 0 to 1 and NaN without pillars, over twice ``half_side_um``. ``marks_um`` holds
+    an array (left, right, low, high), shape (4,), for each closer zoom.
     """
     half_x, half_y = half_side_um
     extent = (-half_x, half_x, -half_y, half_y)
@@ -55,14 +52,9 @@ def fill_map(fill: FloatArray, half_side_um: tuple[float, float], axes: Axes, ma
 def pillar_outlines(
     rectangles_um: FloatArray, axes: Axes, title: str, *, outline: Outline = RECTANGLE, label_nearest: bool = False
 ) -> Axes:
-    """Draw pillars with the outlines of the file.
+    """Draw pillars (x, y of the centre, width, length), shape (n, 4), with the outlines of the file.
 
-    Args:
-        rectangles_um: shape (n, 4), (x, y) of each centre, width and length.
-        axes: axes to draw on.
-        title: title of the figure.
-        outline: shape of the pillars.
-        label_nearest: mark the pillar nearest to the middle and write its width x length above.
+    ``label_nearest`` marks the pillar nearest to the middle and writes its width x length above.
     """
     x, y = rectangles_um[:, 0], rectangles_um[:, 1]
     unit_um = outline.database_unit_nm * 1e-3
@@ -86,15 +78,7 @@ def pillar_outlines(
 
 
 def patch_phase(field: ComplexArray, x_um: FloatArray, y_um: FloatArray, axes: Axes, title: str) -> Axes:
-    """Draw the phase of a field at the sites of a patch on a cyclic scale.
-
-    Args:
-        field: shape (n_y, n_x).
-        x_um: shape (n_x,), sites along x.
-        y_um: shape (n_y,), sites along y.
-        axes: axes to draw on.
-        title: source of the field.
-    """
+    """Draw the phase of a field, shape (n_y, n_x), at the sites (x, y) of a patch on a cyclic scale."""
     extent = _extent(x_um, y_um)
     image = show_map(axes, np.angle(field), extent, cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
     colour_bar(image, axes, "phase / rad", (-math.pi, 0.0, math.pi), ("−π", "0", "π"))
@@ -106,16 +90,7 @@ def patch_phase(field: ComplexArray, x_um: FloatArray, y_um: FloatArray, axes: A
 def patch_amplitude(
     field: ComplexArray, x_um: FloatArray, y_um: FloatArray, axes: Axes, title: str, largest: float
 ) -> Axes:
-    """Draw the amplitude of a field at the sites of a patch.
-
-    Args:
-        field: shape (n_y, n_x).
-        x_um: shape (n_x,), sites along x.
-        y_um: shape (n_y,), sites along y.
-        axes: axes to draw on.
-        title: source of the field.
-        largest: upper end of the scale.
-    """
+    """Draw the amplitude of a field, shape (n_y, n_x), at the sites (x, y) of a patch, on a scale up to ``largest``."""
     extent = _extent(x_um, y_um)
     image = show_map(axes, np.abs(field), extent, cmap=SHARE_MAP, vmin=0.0, vmax=largest)
     colour_bar(image, axes, "field over incident field")

@@ -25,14 +25,9 @@ from metafab.report.style import (
 def aperture_phase(
     phase_rad: FloatArray, half_side_um: float, axes: Axes, polarisation: Polarisation, title: str
 ) -> Axes:
-    """Draw a phase over the aperture on a cyclic scale.
+    """Draw a phase over the aperture, a square of twice ``half_side_um``, on a cyclic scale.
 
-    Args:
-        phase_rad: shape (n, n), rad, any number of turns; NaN outside the aperture.
-        half_side_um: half the side of the square map.
-        axes: axes to draw on.
-        polarisation: polarisation of the light.
-        title: title of the map.
+    The phase, shape (n, n), has any number of turns, and is NaN outside the aperture.
     """
     extent = (-half_side_um, half_side_um, -half_side_um, half_side_um)
     image = show_map(axes, wrap_phase(phase_rad), extent, cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
@@ -43,13 +38,9 @@ def aperture_phase(
 
 
 def wanted_picture(picture: FloatArray, width_um: float, reach_um: float, axes: Axes) -> Axes:
-    """Draw the target picture at its size on the sensor.
+    """Draw the target picture, shape (rows, columns) from the top, at its size on the sensor.
 
-    Args:
-        picture: shape (rows, columns), first row at the top.
-        width_um: width of the picture.
-        reach_um: half the side of the drawn square about the axis.
-        axes: axes to draw on.
+    ``reach_um`` is half the side of the drawn square about the axis.
     """
     half_x = 0.5 * width_um
     half_y = half_x * picture.shape[0] / picture.shape[1]

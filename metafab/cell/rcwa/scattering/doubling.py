@@ -102,13 +102,9 @@ def solve_by_doubling(
 
 
 def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -> tuple[Matrix, Matrix] | None:
-    """P^-1 F and P^-1 G of a layer, both symmetric, shape (n, n); None where a matrix is singular.
+    """P^-1 F and P^-1 G of a layer of P and Q, all of shape (n, n); both symmetric; None where a matrix is singular.
 
-    Args:
-        p: shape (n, n), P of the layer.
-        q: shape (n, n), Q of the layer.
-        thickness_k0: thickness times k0.
-        largest_a: bound on the real part of the eigenvalues of A, where one is known.
+    ``largest_a`` bounds the real part of the eigenvalues of A, where one is known.
     """
     with np.errstate(all="ignore"):  # non-finite values reach the result, which the caller tests
         whole = doubled(p, q, thickness_k0, largest_a, last=0)
@@ -135,17 +131,9 @@ def doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: i
 
 
 def pull_back_doubled(p: Matrix, q: Matrix, thickness: float, f_bar: Matrix, *, last: int) -> tuple[Matrix, Matrix]:
-    """Derivatives of sum(f_bar * F) by P and by Q, with F as :func:`doubled` returns it: its steps in reverse.
+    """Derivatives of sum(f_bar * F) by P and by Q, all of shape (n, n): the steps of :func:`doubled` in reverse.
 
-    Args:
-        p: shape (n, n), P of the layer.
-        q: shape (n, n), Q of the layer.
-        thickness: thickness times k0.
-        f_bar: shape (n, n), weight of each element of F.
-        last: as of :func:`doubled`.
-
-    Returns:
-        Two matrices of shape (n, n).
+    ``f_bar`` is the weight of each element of F, which :func:`doubled` returns with ``last``.
 
     Raises:
         ValueError: the layer is singular.
