@@ -131,13 +131,18 @@ class VideoDecoder:
             if anew is not None and len(anew.decoded.regions.depths) <= len(last.decoded.regions.depths):
                 return anew
         self.changed_share = share
-        decoded = self._updated(frame, last.decoded, parts, affected)
-        # Changes in the margin next to a part are known with it.
-        known = np.pad(again, self._detector.margin, mode="edge")
-        return FilmState(decoded, self.decoder.image(decoded), last.patches.replaced(patches, known), last.camera)
+        m = self._detector.margin
+        decoded = self._updated(frame, last.decoded, parts, affected, changed[m:-m, m:-m])
+        # All other patches stay, so that a slow change adds up until it is seen.
+        return FilmState(decoded, self.decoder.image(decoded), last.patches.replaced(patches, changed), last.camera)
 
     def _updated(
-        self, frame: RawFrame, last: DecodedFrame, parts: list[Part], affected: NDArray[np.bool_]
+        self,
+        frame: RawFrame,
+        last: DecodedFrame,
+        parts: list[Part],
+        affected: NDArray[np.bool_],
+        changed: NDArray[np.bool_],
     ) -> DecodedFrame:
         """The last frame with parts of the next one.
 
@@ -145,21 +150,21 @@ class VideoDecoder:
             frame: the next frame.
             last: the last one.
             parts: changed rectangles, downsampled pixels.
-            affected: shape (n_y, n_x), the pixels in them whose light changed.
+            affected: shape (n_y, n_x), the pixels in them that filters mix with changed light.
+            changed: shape (n_y, n_x), the pixels whose light changed: only there may another surface stand.
         """
         prepared, volume = self._matched(frame, last, parts)
         with kept_threads() as pool:
             tiles = pool.submit(self._tile_spectra, prepared, parts, affected)
-            pixels, tracked = self._segmented(prepared, volume, last, parts, affected)
+            pixels, tracked = self._segmented(prepared, volume, last, parts, changed)
         step, (rows, columns) = self.decoder.filters.downsampling.step, self.decoder.filters.downsampling.shape
         regions = remeasured(tracked.regions, volume, step)
         redrawn = parts if regions is tracked.regions else [(slice(0, rows), slice(0, columns))]
         sharp = self._deconvolved(prepared, last, regions, parts, affected, tiles.result())
-        moved = moved_outlines(regions, sharp, step, affected)
+        moved = moved_outlines(regions, sharp, step, changed)
         if moved is not regions:
-            changed = moved.grown != regions.grown
-            before = replace(last, sharp=sharp)
-            sharp = self._deconvolved(prepared, before, moved, parts, changed, tiles.result())
+            elsewhere, before = moved.grown != regions.grown, replace(last, sharp=sharp)
+            sharp = self._deconvolved(prepared, before, moved, parts, elsewhere, tiles.result())
             regions = moved
         patches = []
         for part in redrawn:
@@ -207,9 +212,9 @@ class VideoDecoder:
         volume: CostVolume,
         last: DecodedFrame,
         parts: list[Part],
-        affected: NDArray[np.bool_],
+        changed: NDArray[np.bool_],
     ) -> tuple[PixelDepth, TrackedRegions]:
-        """The last frame's pixel depths and segments with those of the affected pixels of the changed parts."""
+        """The last frame's pixel depths and segments with those of the changed pixels in the parts."""
         before, regions = last.pixels, last.regions
         number = np.arange(len(regions.depths) + 1, dtype=np.int32)
         pixels = PixelDepth(before.vergence_per_m.copy(), before.relative_error.copy(), before.claimed.copy())
@@ -219,7 +224,7 @@ class VideoDecoder:
             inside = relative_slices(part, around)
             local, local_volume = prepared.within(*around), volume.within(*around)
             depth = pixel_depth(local_volume, local.window, local.variance)
-            claimed, renewed = depth.claimed & near_texture(local), affected[part]
+            claimed, renewed = depth.claimed & near_texture(local), changed[part]
             pixels.vergence_per_m[part][renewed] = depth.vergence_per_m[inside][renewed]
             pixels.relative_error[part][renewed] = depth.relative_error[inside][renewed]
             pixels.claimed[part][renewed] = claimed[inside][renewed]
