@@ -161,7 +161,7 @@ class VideoDecoder:
         regions = remeasured(tracked.regions, volume, step)
         redrawn = parts if regions is tracked.regions else [(slice(0, rows), slice(0, columns))]
         sharp = self._deconvolved(prepared, last, regions, parts, affected, tiles.result())
-        moved = moved_outlines(regions, sharp, step, changed)
+        moved = self._moved(regions, sharp, parts, changed)
         if moved is not regions:
             elsewhere, before = moved.grown != regions.grown, replace(last, sharp=sharp)
             sharp = self._deconvolved(prepared, before, moved, parts, elsewhere, tiles.result())
@@ -174,6 +174,22 @@ class VideoDecoder:
             patches.append((frame_slices(*part), maps, frame_slices(*around)))
         maps = last.maps.updated(tracked.number, patches)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
+
+    def _moved(self, regions: Regions, sharp: SharpImages, parts: list[Part], changed: NDArray[np.bool_]) -> Regions:
+        """Segments whose outlines in the parts stand where the contrast changes; ``regions`` if they all do."""
+        downsampling = self.decoder.filters.downsampling
+        for part in parts:
+            around = self._surroundings(part)
+            local = regions.within(*around)
+            moved = moved_outlines(
+                local, sharp.within(*downsampling.frame_slices(*around)), downsampling.step, changed[around]
+            )
+            if moved is not local:
+                arrays = {name: getattr(regions, name).copy() for name in ("label", "interior", "grown", "right")}
+                for name, array in arrays.items():
+                    array[around] = getattr(moved, name)
+                regions = replace(regions, **arrays)
+        return regions
 
     def _surroundings(self, part: Part) -> Part:
         """A part with the pixels around it, inside the window."""
@@ -230,7 +246,16 @@ class VideoDecoder:
             pixels.claimed[part][renewed] = claimed[inside][renewed]
             known = planes_around(regions, part, around, renewed, separation)
             numerics, here = self.decoder.numerics, pixels.within(*around)
-            current = find_regions(local, local_volume, here, known, numerics.outline_rounds, refined=numerics.refined)
+            # Segments that continue keep their depth: outliers are left out of the others once.
+            current = find_regions(
+                local,
+                local_volume,
+                here,
+                known,
+                numerics.outline_rounds,
+                refined=numerics.refined,
+                robust_rounds=1,
+            )
             tracked = track(regions, current, part, around, renewed, separation)
             regions, number = tracked.regions, tracked.number[number]
         return pixels, TrackedRegions(regions, number)

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.compiled import compiled
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.fit import across_outlines
@@ -78,11 +79,24 @@ def moved_outlines(regions: Regions, sharp: SharpImages, step: int, where: NDArr
     )
 
 
-def _log_ratio(images: NDArray[np.float32], step: int, shape: tuple[int, ...]) -> FloatArray:
+def _log_ratio(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -> FloatArray:
     """Logarithm of I_x / I_y in the window about each downsampled pixel, NaN in the dark: shape ``shape``."""
-    light = window_means(images, _WINDOW_PX)[:, ::step, ::step][:, : shape[0], : shape[1]].astype(np.float64)
+    light = window_means(_block_sums(images, step, shape), max(1, _WINDOW_PX // step) | 1).astype(np.float64)
     known = (light > 0.0).all(axis=0)
     return np.where(known, np.log(np.where(known, light[0], 1.0) / np.where(known, light[1], 1.0)), np.nan)
+
+
+@compiled
+def _block_sums(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Sums of images (2, n_y, n_x) over the block of ``step`` pixels about each downsampled pixel: (2, *shape)."""
+    _, n_y, n_x = images.shape
+    sums = np.zeros((2, shape[0], shape[1]), dtype=np.float32)
+    for image in range(2):
+        for i in range(n_y):
+            to, line = sums[image, min((i + step // 2) // step, shape[0] - 1)], images[image, i]
+            for j in range(n_x):
+                to[min((j + step // 2) // step, shape[1] - 1)] += line[j]
+    return sums
 
 
 def _classes(ratio: FloatArray, regions: Regions) -> tuple[FloatArray, FloatArray]:

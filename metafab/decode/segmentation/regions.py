@@ -45,7 +45,8 @@ _CLEARLY_BETTER = 0.93
 _LARGEST_MISFIT = 2.5
 #: Share of such pixels that changes no depth, and share of the interior that is kept at least.
 _FEW_OUTLIERS, _LEAST_KEPT = 0.01, 0.3
-_ROBUST_ROUNDS = 3
+#: Most rounds of leaving them out; a segment's depth settles after two.
+ROBUST_ROUNDS = 3
 #: Change of a depth, in standard errors, below which its outliers stay the same.
 _SETTLED = 0.25
 #: Parameters of a plane that are fitted to a segment's pixels: its depth, or its depth and slopes.
@@ -163,6 +164,7 @@ def find_regions(
     outline_rounds: int = ROUNDS,
     *,
     refined: bool = True,
+    robust_rounds: int = ROBUST_ROUNDS,
 ) -> Regions:
     """Segment a frame, with the probability that each pixel is in the right segment.
 
@@ -173,6 +175,7 @@ def find_regions(
         known: planes of the picture; if some are tilted, pixels are assigned to them at once.
         outline_rounds: most rounds of the refinement of outlines.
         refined: whether to separate layers by noise, leave outliers out of depths, and compute that probability.
+        robust_rounds: most rounds of leaving outliers out.
     """
     regions = _find_regions(prepared, volume, pixels, known, outline_rounds, refined=refined)
     if not (regions.depths and refined):
@@ -183,7 +186,7 @@ def find_regions(
         return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior)
 
     own, moving = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool)
-    for _ in range(_ROBUST_ROUNDS):
+    for _ in range(robust_rounds):
         judged = np.where(prepared.spoiled, np.float32(np.inf), own)
         before, step = regions.depths, prepared.downsampling.step
         regions = without_outliers(regions, volume, judged, step, moving)
