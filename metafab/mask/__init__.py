@@ -7,6 +7,8 @@ file, by whatever software. Out: a :class:`ReadBack` with the pillars and every 
 - ``sidecar``: the files next to the mask: counts, areas, write time (``layout.json``); layer names (``layout.lyp``)
 - ``plan``: seconds, bytes and core-hours of a layout, from a sample of tiles
 - ``read``: a file -> pillars at lattice sites, or its bare shapes
+- ``measured``: measured sizes of pillars, from a table
+- ``writing``: fracture into shots, write time, order of the write fields
 - ``exchange``: pillars of a gdstk cell
 - ``turned``: turned pillars of a file
 - ``drawing``: independent of the format: cells, copies, dose classes, the inverted field, chip features
@@ -18,7 +20,7 @@ from typing import TYPE_CHECKING
 
 from metafab.core.further import further_names
 from metafab.mask.drawing.cells import top_name
-from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.drawing.include import shapes_beside
 from metafab.mask.exchange import from_gdstk
 from metafab.mask.plan import announcement, plan
 from metafab.mask.read import ReadBack, read, read_shapes
@@ -30,10 +32,10 @@ __all__ = [
     "announcement",
     "biased",
     "from_gdstk",
-    "lens_copies",
     "plan",
     "read",
     "read_shapes",
+    "shapes_beside",
     "top_name",
     "write",
 ]

@@ -23,9 +23,8 @@ from metafab.mask.drawing.cell_writer import Drawing, EncodedTile, MaskWriter, T
 from metafab.mask.drawing.cells import top_name
 from metafab.mask.drawing.copies import lens_copies
 from metafab.mask.drawing.dose import DOSE_TABLES, dose_tables
-from metafab.mask.drawing.include import included_cells
+from metafab.mask.drawing.include import shapes_beside
 from metafab.mask.drawing.stamps import Stamps
-from metafab.mask.drawing.surroundings import surroundings
 from metafab.mask.gdsii.writer import GdsiiWriter
 from metafab.mask.oasis.writer import OasisWriter
 from metafab.mask.sidecar import MaskFigures, MaskSums, layer_properties, sidecar
@@ -127,9 +126,8 @@ def write_drawings(
     drawn = biased(pillars, design.mask.bias_nm)
     for copy in design.mask.copies:
         biased(drawn, copy.bias_nm)  # Refuses a bad bias now rather than after an hour.
-    around = surroundings(design)
+    around, included = shapes_beside(design)
     in_top_cell = [(layer.layer, layer.rectangles) for layer in around]
-    included = included_cells(design, around)
     polygons = [(one.layer, one.datatype, one.corners) for cell in included for one in cell.polygons]
     stamps = Stamps(drawn, design, dose_class)
     sums = MaskSums(drawn, design)

@@ -27,7 +27,9 @@ def preflight(design: Design) -> None:
     from metafab.phase.build import require_paintable
 
     faults: list[Fault] = []
-    of_lattice = (layout.Aperture.of, layout.field_sites, mask.lens_copies) if design.has_mask else (layout.lattice_of,)
+    of_lattice = (
+        (layout.Aperture.of, layout.field_sites, mask.shapes_beside) if design.has_mask else (layout.lattice_of,)
+    )
     for check in (Imaging.of, *of_lattice, require_paintable):
         try:
             check(design)

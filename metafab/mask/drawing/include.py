@@ -16,7 +16,7 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.layout.geometry import whole_dbu
 from metafab.mask.drawing.clearance import boxes_of, require_apart, require_clear_of_lenses
-from metafab.mask.drawing.surroundings import Surroundings
+from metafab.mask.drawing.surroundings import Surroundings, surroundings
 from metafab.mask.shapes.hierarchy import IntArray
 from metafab.spec import Design
 from metafab.spec.mask import Include
@@ -54,6 +54,16 @@ class IncludedCell:
         """Number of polygons on each "layer/datatype"."""
         counts = Counter(f"{polygon.layer}/{polygon.datatype}" for polygon in self.polygons)
         return dict(sorted(counts.items()))
+
+
+def shapes_beside(design: Design) -> tuple[tuple[Surroundings, ...], tuple[IncludedCell, ...]]:
+    """Return all that the design draws beside its lenses: own shapes, and cells of other files.
+
+    Raises:
+        InputError: as :func:`~metafab.mask.drawing.surroundings.surroundings` and :func:`included_cells`.
+    """
+    around = surroundings(design)
+    return around, included_cells(design, around)
 
 
 def included_cells(design: Design, around: tuple[Surroundings, ...]) -> tuple[IncludedCell, ...]:

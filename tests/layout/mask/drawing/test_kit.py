@@ -16,6 +16,7 @@ from metafab.core.errors import InputError
 from metafab.layout import Assignment
 from metafab.spec import Chip, Copy, Design
 from metafab.spec.mask import CdBars, Grating, Include, Kit, Overlay, Vernier
+from metafab.steps.preflight import preflight
 from tests.layout.conftest import sizes_at_sites
 
 kdb = pytest.importorskip("klayout.db")
@@ -164,6 +165,8 @@ def test_structures_that_cannot_be_are_refused_before_anything_is_written(
     kit: Kit, named: str, tiny: Assignment, tiny_design: Design, tmp_path: Path
 ) -> None:
     design = replace(tiny_design, mask=replace(tiny_design.mask, chip=CHIP, kit=kit, copies=COPIES))
+    with pytest.raises(InputError, match=named):
+        preflight(design)
     with pytest.raises(InputError, match=named):
         mask.write(tiny.pillars, tmp_path, design)
     assert list(tmp_path.iterdir()) == []
