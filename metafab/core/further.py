@@ -8,14 +8,10 @@ from typing import Any
 
 
 def further_names(face: str, names_of: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` of a face that imports further names when they are first used.
+    """Return the ``__getattr__`` of the package ``face`` that imports further names when they are first used.
 
-    Args:
-        face: name of the package.
-        names_of: the names, separated by spaces, of each module that defines them.
-
-    Returns:
-        Takes a name and returns the object; raises AttributeError for other names.
+    ``names_of`` holds the names, separated by spaces, of each module that defines them. Other names raise
+    AttributeError.
     """
     module_of = {name: module for module, names in names_of.items() for name in names.split()}
 

@@ -107,9 +107,7 @@ class Rows:
     def place(self, boxes: IntArray, shift: IntArray) -> Iterator[Near]:
         """Put the next chunk into its rows and yield the near pairs of complete bands.
 
-        Args:
-            boxes: shape (n, 4), as for :meth:`count`, in the same order of chunks.
-            shift: shape (2,).
+        Boxes, shape (n, 4), come in the order of chunks of :meth:`count`; ``shift``, shape (2,), moves them.
         """
         self._placed += 1
         for index in self._bands_of(boxes, shift):

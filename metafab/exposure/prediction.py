@@ -181,13 +181,7 @@ def predict(
 def process_window(
     process: Printing, dose: Float32Array, dose_change_percent: Sequence[float]
 ) -> tuple[WindowPoint, ...]:
-    """Predict the size errors of a sample of tiles at changed doses.
-
-    Args:
-        process: the pattern.
-        dose: shape (n_y, n_x).
-        dose_change_percent: changes of all doses.
-    """
+    """Predict the size errors of a sample of tiles at changes (%) of all doses, shape (n_y, n_x)."""
 
     def changed(tile: TileEnergy) -> FloatArray:
         rows = []

@@ -126,12 +126,7 @@ def candidates(table: SizeTable, period_dbu: tuple[int, int], min_gap_dbu: float
     """List the distinct best sizes within all pairs of limits "width up to a, length up to b".
 
     The best size of all comes first, then the best of those that are narrower or shorter, down to sizes that fit next
-    to the largest pillar.
-
-    Args:
-        table: all sizes; its look-up table is not used.
-        period_dbu: (x, y) pitch.
-        min_gap_dbu: smallest gap.
+    to the largest pillar. The look-up table of ``table`` is not used.
 
     Returns:
         Shape (256, 256, 16), indexed [phi_y, phi_x]: sizes in order of falling overlap; 0 ends a list.

@@ -196,9 +196,7 @@ class Library(Displayed):
     def at_sizes(self, width_nm: ArrayLike, length_nm: ArrayLike) -> SizeResponse:
         """Return the stored values at sizes of the grid, at the design wavelength.
 
-        Args:
-            width_nm: any shape; each must be a size of the library to within 1e-3 nm.
-            length_nm: shape of ``width_nm``.
+        Widths and lengths have any one shape; each must be a size of the library to within 1e-3 nm.
 
         Raises:
             InputError: a size is not in the library (nothing is extrapolated or rounded).

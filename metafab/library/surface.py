@@ -85,11 +85,7 @@ class Surface:
         return _tiled(fine_width, fine_length, coefficients, spline_error, cell_error, model, allowed)
 
     def __call__(self, width_nm: ArrayLike, length_nm: ArrayLike) -> SizeResponse:
-        """Evaluate at any sizes within the sweep.
-
-        Args:
-            width_nm: any shape.
-            length_nm: a shape that broadcasts with it.
+        """Evaluate at any sizes within the sweep; widths and lengths of any shapes broadcast.
 
         Raises:
             InputError: a size lies outside the sweep (nothing is extrapolated).

@@ -34,14 +34,11 @@ class JonesTarget:
 
     @classmethod
     def of(cls, design: Design, row_angle_deg: float) -> JonesTarget:
-        """Build the target of a design from its helix, its split angle and its sensor.
+        """Build the target of a design with a split lens from its helix, its split angle and its sensor.
 
-        The pairs of states stand in three rows, the first in the middle. The first state of a pair goes to -x and the
-        second to +x, like x and y polarisation in Eqs. 3 and 4 of Shen 2023.
-
-        Args:
-            design: a camera design with a split lens.
-            row_angle_deg: angle between neighbouring rows, seen from the lens.
+        The pairs of states stand in three rows, the first in the middle, at ``row_angle_deg`` as seen from the lens.
+        The first state of a pair goes to -x and the second to +x, like x and y polarisation in Eqs. 3 and 4 of Shen
+        2023.
         """
         helix, depth_m = without_carriers(profile_of(design)), design.sensor.focus_depth_m
         distance_um = sensor_distance_um(design.device.focal_length_mm, design.split_angle_deg, depth_m)

@@ -153,12 +153,7 @@ class NyquistImages:
 
     @classmethod
     def of(cls, pupil: Pupil, field_grid: ComplexArray) -> NyquistImages:
-        """Transform pupil fields.
-
-        Args:
-            pupil: the samples.
-            field_grid: shape (..., samples, samples), defocused fields, 0 outside the aperture.
-        """
+        """Transform defocused pupil fields, shape (..., samples, samples), 0 outside the aperture."""
         side = (2 * pupil.samples, 2 * pupil.samples)
         amplitude = fft.fft2(field_grid, side)
         slope = fft.fft2(1j * pupil.radius_squared_grid * field_grid, side)

@@ -120,9 +120,7 @@ def embedded_unit_cell(text: str, path: Path) -> UnitCell:
 def canonical_toml(spec: Any, folder: Path | None = None) -> str:
     """A spec as TOML text with every default written out, in the order of its fields.
 
-    Args:
-        spec: a spec.
-        folder: the folder of the text's file, to which absolute paths become relative; None keeps them.
+    Absolute paths become relative to ``folder``; None keeps them.
     """
     return tomli_w.dumps(_toml_table(spec, folder))
 

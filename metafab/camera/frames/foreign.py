@@ -105,14 +105,10 @@ def require_frame_name(path: Path) -> None:
 
 
 def counts_of(frame: RawFrame, *, black: int = 0) -> Counts:
-    """Meaning of the counts that :func:`save_counts` writes.
+    """Meaning of the counts that :func:`save_counts` writes, with ``black`` for a pixel without light.
 
     The largest count of 16 bits is the frame's level of saturation, so that saturated pixels are known from the file
     alone. Without such a level, a count is an electron.
-
-    Args:
-        frame: in electrons.
-        black: counts of a pixel without light.
 
     Raises:
         InputError: a black level outside the lower half of the 16 bits.

@@ -25,15 +25,11 @@ class Extrapolated:
 
 
 def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Extrapolated:
-    """Limit of v(h) = v + c_2 h^2 + c_4 h^4 + ... from grids that share their coordinates.
+    """Limit of v(h) = v + c_2 h^2 + c_4 h^4 + ... from two grids or more that share their coordinates, coarse to fine.
 
     The three finest grids give both coefficients, two grids the first only. The error assumes that the step between the
     last two second-order limits is due to a term in h^(4/3), the slowest that a pillar's corners add. With two grids it
-    is the whole correction.
-
-    Args:
-        pixel_um: at least two grid spacings, coarse to fine.
-        values: for each grid, shape (n_values,).
+    is the whole correction. The values of each grid have the shape (n_values,).
 
     Raises:
         ValueError: fewer than two grids, or spacings that do not descend.

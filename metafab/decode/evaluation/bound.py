@@ -68,9 +68,8 @@ class DepthBound:
     def relative_error(self, mask: NDArray[np.bool_] | tuple[slice, slice], *, known: bool = False) -> float:
         """Smallest standard error of depth over depth, from pixels of one depth together; infinite without pixels.
 
-        Args:
-            mask: shape (n_y, n_x), or the slices of a window.
-            known: whether the texture is known.
+        The mask has the shape (n_y, n_x), or consists of the slices of a window. ``known`` says whether the texture is
+        known.
         """
         total = float((self.known_per_m2 if known else self.unknown_per_m2)[mask].sum())
         return 1.0 / (np.sqrt(total) * self.depth_m) if total > 0.0 else float("inf")

@@ -145,10 +145,7 @@ def _continued(
 def remeasured(regions: Regions, volume: CostVolume, step: int) -> Regions:
     """Measure the depths of segments again that have become much larger; ``regions`` itself if there are none.
 
-    Args:
-        regions: segments.
-        volume: cost volume of the whole window.
-        step: frame pixels from one downsampled pixel to the next.
+    The cost volume is that of the whole window, ``step`` the frame pixels from one downsampled pixel to the next.
     """
     sizes = np.bincount(regions.interior.ravel(), minlength=len(regions.depths) + 1)[1:]
     larger = [index for index, one in enumerate(regions.depths) if sizes[index] > _GROWTH * one.pixels]

@@ -96,11 +96,9 @@ class Deconvolver:
         return sum(transfer.nbytes for transfer in self._transfers.values())
 
     def tile_spectra(self, images: NDArray[np.float32], wanted: NDArray[np.bool_]) -> TileSpectra:
-        """Transform the tiles that hold a wanted pixel.
+        """Transform the tiles that hold a wanted pixel, shape (n_y, n_x).
 
-        Args:
-            images: shape (2, n_y + 2 margin, n_x + 2 margin), electrons a pixel.
-            wanted: shape (n_y, n_x).
+        Images have the shape (2, n_y + 2 margin, n_x + 2 margin), electrons a pixel.
         """
         tiles = self.tiling.tiles_with(wanted)
         place = np.zeros(self.tiling.n_tiles, dtype=np.intp)

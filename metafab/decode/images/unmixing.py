@@ -64,13 +64,10 @@ class Unmixing:
         return np.asarray(np.abs(self._determinant) >= _LEAST_DETERMINANT)
 
     def separate(self, images: NDArray[np.float32], noise_gain: NDArray[np.float32]) -> None:
-        """Replace both images, and their noise gain, by those of the object's polarisations.
+        """Replace both images, and their noise gain, shape (2, n_y, n_x) each, by those of the object's polarisations.
 
-        Pixels whose polarisations cannot be told apart keep their means.
-
-        Args:
-            images: shape (2, n_y, n_x), electrons; negative values become 0.
-            noise_gain: shape (2, n_y, n_x).
+        Pixels whose polarisations cannot be told apart keep their means. Images are in electrons; negative values
+        become 0.
         """
         other = np.where(self._possible, self.share, np.float32(0.0))
         own = np.float32(1.0) - other[::-1]

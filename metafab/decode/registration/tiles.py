@@ -91,9 +91,7 @@ class Tiling:
     def labels_of_tiles(self, label: NDArray[np.int32], largest: int) -> list[tuple[int, int]]:
         """Pairs (tile, number) of all numbers from 1 to ``largest`` that occur in the cores of the tiles.
 
-        Args:
-            label: shape (n_y, n_x), numbers from 0.
-            largest: the largest number.
+        Labels have the shape (n_y, n_x) and are numbers from 0.
         """
         occurs = _labels_in_cores(label, self.core, self.counts, largest)
         return [(tile, number + 1) for tile, number in np.argwhere(occurs[:, 1:]).tolist()]

@@ -61,14 +61,9 @@ class PointSolver:
     progress: Progress  #: Called after every chunk.
 
     def __call__(self, numbers: IndexArray, expected_total: int) -> dict[int, SolvedPoint]:
-        """Solve cells.
+        """Solve cells by their numbers, shape (n,); return their answers by number.
 
-        Args:
-            numbers: shape (n,), numbers of the cells.
-            expected_total: cells that the whole build may need, for the progress.
-
-        Returns:
-            Answers by number.
+        ``expected_total`` is the number of cells that the whole build may need, for the progress.
         """
         known = {point.number: point for point in self.record.points}
         missing = [int(number) for number in numbers if int(number) not in known]

@@ -98,11 +98,9 @@ class CornerSequence:
         return [answers[int(number)] for number in numbers]
 
     def predicted(self, model: RationalModel, batch: IndexArray | slice = slice(None)) -> NDArray[np.complex128]:
-        """Return a model's t_xx, t_yy, r_xx, r_yy at cells of the sequence, shape (n, 4).
+        """Return a model's t_xx, t_yy, r_xx, r_yy at n cells of the sequence, shape (n, 4).
 
-        Args:
-            model: amplitudes over sizes and axes.
-            batch: shape (n,), indices into the sequence; all by default.
+        ``batch``, shape (n,), holds indices into the sequence; all by default.
         """
         return model(self.width_nm[batch], self.length_nm[batch], self.axes[batch])
 

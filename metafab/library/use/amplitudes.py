@@ -45,15 +45,7 @@ def empty_cell_t(unit_cell: UnitCell) -> ComplexArray:
 
 
 def power_amplitudes(library: Library, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
-    """Return t sqrt(n_out / n_in) of upright pillars of the library's grid, zero order.
-
-    Args:
-        library: response over width and length.
-        width_nm: shape (n,), within the library's range.
-        length_nm: shape (n,).
-
-    Returns:
-        Shape (n, 2), for x and y polarisation.
+    """Return t sqrt(n_out / n_in) of n upright pillars of the library's grid, zero order: shape (n, 2), for x and y.
 
     Raises:
         InputError: the library does not hold a size.
@@ -71,11 +63,7 @@ def turned_jones(amplitudes: ComplexArray, angle_deg: FloatArray) -> ComplexArra
     """Return the Jones matrices R(-a) diag(a_x, a_y) R(a) of pillars rotated counter-clockwise by an angle a.
 
     This rotates the library's lattice too, while the lattice of a mask does not rotate: an additional approximation
-    beyond the local period.
-
-    Args:
-        amplitudes: shape (..., 2), of the upright pillar for x and y polarisation.
-        angle_deg: shape (...), degrees.
+    beyond the local period. Amplitudes of the upright pillars have the shape (..., 2), angles in degrees (...).
 
     Returns:
         Shape (..., 3), matrix entries xx, xy = yx and yy.

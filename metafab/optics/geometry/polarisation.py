@@ -82,12 +82,7 @@ class FocusIntegrals:
 
     @classmethod
     def at(cls, radius: FloatArray, sine: float) -> FocusIntegrals:
-        """Evaluate the integrals.
-
-        Args:
-            radius: shape (n,), distance from the axis in wavelengths.
-            sine: numerical aperture in air, below 1.
-        """
+        """Evaluate the integrals at radii, shape (n,), in wavelengths, for the sine of an aperture in air, below 1."""
         node, weight = np.polynomial.legendre.leggauss(_NODES + math.ceil(4.0 * float(radius.max()) * sine))
         half = 0.5 * np.arcsin(sine)
         theta = half * (node + 1.0)

@@ -64,10 +64,7 @@ class BlindInformation:
         return fft.fft2(images.psf), fft.fft2(images.psf_slope)
 
     def with_gradient(self, phase_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Information, and the derivative of its mean over the phases.
-
-        Args:
-            phase_rad: shape (n,), phases of the pupil's samples.
+        """Information, and the derivative of its mean over the phases of the pupil's n samples.
 
         Returns:
             Shape (n_depth,), 1/rad^2, and shape (n,), 1/rad^3.

@@ -137,15 +137,9 @@ def optimise_peak(
 
 
 def target_waves(pupil: Pupil, defocus_rad: FloatArray, aim: FloatArray) -> ComplexArray:
-    """Target waves f_d: the masks that focus on one point each.
+    """Target waves f_d: the masks that focus on one point each, at n_depth rim defocuses.
 
-    Args:
-        pupil: the samples.
-        defocus_rad: shape (n_depth,), rim defocuses.
-        aim: shape (n_depth, 2), target points, optical units.
-
-    Returns:
-        Shape (n_depth, n), modulus 1.
+    The target points, optical units, have the shape (n_depth, 2), the waves (n_depth, n) and modulus 1.
     """
     phase = np.outer(aim[:, 0], pupil.x) + np.outer(aim[:, 1], pupil.y)
     phase -= np.outer(defocus_rad, pupil.radius_squared)

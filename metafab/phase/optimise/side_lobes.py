@@ -112,11 +112,7 @@ class SideLobes:
         return np.asarray(target_waves(self.pupil, self.defocus_rad, self.aim).conj() / self.pupil.count)
 
     def evaluate(self, mask: ComplexArray) -> LobeValues:
-        """Evaluate peaks and side lobes.
-
-        Args:
-            mask: shape (n,), pupil field.
-        """
+        """Evaluate peaks and side lobes of a pupil field, shape (n,)."""
         kernel = self._plane.kernel
         amplitude = kernel @ (self.pupil.on_grid(mask) * self._defocus) @ kernel.T
         target = self._waves @ mask

@@ -83,11 +83,9 @@ class SplitImaging:
         return self.wavelength_um * self.sensor_distance_um / (2.0 * self.aperture_um)
 
     def filtered(self, fwhm_nm: float, splits: Sequence[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
-        """Mean information behind a filter with a flat top, for several splits.
+        """Mean information behind a filter with a flat top, for several splits (angle, azimuth), degrees.
 
-        Args:
-            fwhm_nm: full width.
-            splits: angle and azimuth of each split, degrees; x polarisation goes to azimuth + 180.
+        Light of x polarisation goes to azimuth + 180.
 
         Returns:
             Information with the electrons of the reference width, and with those of ``fwhm_nm``; each of shape
@@ -125,14 +123,9 @@ class SplitImaging:
 
 
 def bandwidth_tradeoff(imaging: SplitImaging, *, fwhm_nm: ArrayLike, angle_deg: ArrayLike) -> BandwidthTradeoff:
-    """Compute the information for several widths of the filter and angles of the split.
+    """Compute the information for n_width widths of the filter and n_angle angles of the split, shapes (n,) each.
 
     The change of the PSF's scale with the wavelength (1 % at 8 nm) is left out.
-
-    Args:
-        imaging: mask, lens, depths and texture.
-        fwhm_nm: shape (n_width,), positive.
-        angle_deg: shape (n_angle,).
     """
     widths, angles = np.atleast_1d(np.asarray(fwhm_nm, float)), np.atleast_1d(np.asarray(angle_deg, float))
     splits = [(float(angle), 0.0) for angle in angles]

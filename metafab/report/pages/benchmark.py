@@ -23,12 +23,7 @@ _FIRST = ("room", "name", "error", "seconds", "peak_rss_mb")
 def benchmark_page(rows: Sequence[BenchmarkRow], directory: Path) -> tuple[Path, ...]:
     """Write ``benchmark.html``, ``benchmark.json``, one plot for each room and one picture for each row with a view.
 
-    Args:
-        rows: one row for each case.
-        directory: folder of the files, created when needed.
-
-    Returns:
-        The written files, the page first.
+    The folder is created when needed. Returns the written files, the page first.
     """
     directory.mkdir(parents=True, exist_ok=True)
     data = directory / "benchmark.json"

@@ -87,12 +87,9 @@ def _bases(
 
 
 def plane_waves_of_axis(period_nm: float, whole: FloatArray, orders: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Plane waves of the empty cell in the truncated basis.
+    """Plane waves of the empty cell in the basis of M ``orders``.
 
-    Args:
-        period_nm: period along the axis.
-        whole: shape (2 M + 1,), cosine integrals of dx/du over the period.
-        orders: M.
+    ``whole``, shape (2 M + 1,), holds the cosine integrals of dx/du over the period.
 
     Returns:
         Wave numbers, shape (M,), rad/nm; even functions, shape (M + 1, M + 1), and odd functions, shape (M, M), as
