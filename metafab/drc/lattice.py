@@ -89,16 +89,11 @@ def _check_leftovers(read_back: ReadBack, design: Design) -> Findings:
 
 
 class _Band(NamedTuple):
-    """Some rows of sites.
+    """Some rows of sites."""
 
-    Attributes:
-        row: the first of them.
-        size_index: shape (rows, n_x).
-        and_next: shape (rows + 1, n_x), the rows and the next one; at the end of the lattice only the rows.
-    """
-
-    row: int
-    size_index: SizeIndexArray
+    row: int  #: The first of them.
+    size_index: SizeIndexArray  #: Shape (rows, n_x).
+    #: Shape (rows + 1, n_x), the rows and the next one; at the end of the lattice only the rows.
     and_next: SizeIndexArray
 
 

@@ -49,80 +49,47 @@ _REACH_NM = 100.0
 
 @dataclass(frozen=True, eq=False)
 class MeasuredLens:
-    """Measured pillars of one lens at one or several doses.
+    """Measured pillars of one lens at one or several doses."""
 
-    Attributes:
-        pillars: the drawn pillars.
-        place: shape (n, 2), row and column of each measurement.
-        dose: shape (n,), dose of the whole lens relative to the base dose.
-        size_nm: shape (n, 2), measured width and length.
-    """
-
-    pillars: PillarMap
-    place: NDArray[np.int64]
-    dose: FloatArray
-    size_nm: FloatArray
+    pillars: PillarMap  #: The drawn pillars.
+    place: NDArray[np.int64]  #: Shape (n, 2), row and column of each measurement.
+    dose: FloatArray  #: Shape (n,), dose of the whole lens relative to the base dose.
+    size_nm: FloatArray  #: Shape (n, 2), measured width and length.
 
 
 @dataclass(frozen=True)
 class FittedValue:
-    """A parameter of the process.
+    """A parameter of the process."""
 
-    Attributes:
-        value: the value.
-        error: standard error; None for a value that was not fitted.
-    """
-
-    value: float
-    error: float | None
+    value: float  #: The value.
+    error: float | None  #: Standard error; None for a value that was not fitted.
 
 
 @dataclass(frozen=True)
 class BiasMap:
-    """Bias over the lens: mean + tilt_x x + tilt_y y + bowl (r^2 - mean r^2), each with its standard error.
+    """Bias over the lens: mean + tilt_x x + tilt_y y + bowl (r^2 - mean r^2), each with its standard error."""
 
-    Attributes:
-        mean_nm: bias in the mean.
-        tilt_x_nm_per_mm: change along x.
-        tilt_y_nm_per_mm: change along y.
-        bowl_nm_per_mm2: change with the squared radius.
-        rms_nm: rms of the sizes about the map.
-    """
-
-    mean_nm: FittedValue
-    tilt_x_nm_per_mm: FittedValue
-    tilt_y_nm_per_mm: FittedValue
-    bowl_nm_per_mm2: FittedValue
-    rms_nm: float
+    mean_nm: FittedValue  #: Bias in the mean.
+    tilt_x_nm_per_mm: FittedValue  #: Change along x.
+    tilt_y_nm_per_mm: FittedValue  #: Change along y.
+    bowl_nm_per_mm2: FittedValue  #: Change with the squared radius.
+    rms_nm: float  #: Rms of the sizes about the map.
 
 
 @dataclass(frozen=True)
 class ProcessFit:
-    """Fitted process.
+    """Fitted process."""
 
-    Attributes:
-        base_over_clearing_dose: base dose over the clearing dose of a large pad.
-        backscatter_ratio: backscattered over forward-scattered energy.
-        blur_nm: range of the beam's blur.
-        bias_nm: measured less printed size, of the etch and of the microscope.
-        residual_rms_nm: rms of measured less fitted sizes.
-        sizes: number of measured widths and lengths.
-        doses: number of distinct doses.
-        largest_correlation: magnitude of the largest correlation between two fitted parameters.
-        correlated: these parameters.
-        bias_map: bias over the lens.
-    """
-
-    base_over_clearing_dose: FittedValue
-    backscatter_ratio: FittedValue
-    blur_nm: FittedValue
-    bias_nm: FittedValue
-    residual_rms_nm: float
-    sizes: int
-    doses: int
-    largest_correlation: float
-    correlated: tuple[str, ...]
-    bias_map: BiasMap
+    base_over_clearing_dose: FittedValue  #: Base dose over the clearing dose of a large pad.
+    backscatter_ratio: FittedValue  #: Backscattered over forward-scattered energy.
+    blur_nm: FittedValue  #: Range of the beam's blur.
+    bias_nm: FittedValue  #: Measured less printed size, of the etch and of the microscope.
+    residual_rms_nm: float  #: Rms of measured less fitted sizes.
+    sizes: int  #: Number of measured widths and lengths.
+    doses: int  #: Number of distinct doses.
+    largest_correlation: float  #: Magnitude of the largest correlation between two fitted parameters.
+    correlated: tuple[str, ...]  #: These parameters.
+    bias_map: BiasMap  #: Bias over the lens.
 
 
 def fit_process(

@@ -25,16 +25,11 @@ _CORNER = ("height_nm", "sidewall_angle_deg", "corner_radius_nm")
 
 @dataclass(frozen=True)
 class FittedProcess:
-    """A fit and the specs that follow from it.
+    """A fit and the specs that follow from it."""
 
-    Attributes:
-        fit: parameters with their errors.
-        process: ``[process]`` of later designs.
-        unit_cell: unit cell with the measured height, sidewalls and corners; None if the table has none of them.
-    """
-
-    fit: ProcessFit
-    process: Process
+    fit: ProcessFit  #: Parameters with their errors.
+    process: Process  #: ``[process]`` of later designs.
+    #: Unit cell with the measured height, sidewalls and corners; None if the table has none of them.
     unit_cell: UnitCell | None
 
 

@@ -36,69 +36,42 @@ _TONES = {
 
 @dataclass(frozen=True)
 class CopyFigures:
-    """One lens of ``mask.copies``.
+    """One lens of ``mask.copies``."""
 
-    Attributes:
-        at_um: (x, y) of its optical axis.
-        bias_nm: its own bias.
-        dose: relative to the base dose.
-        focus_um: focus of the beam.
-        datatypes: first and last datatype of its pillars.
-        label: text above it.
-        area_um2: drawn area of its pillars.
-    """
-
-    at_um: tuple[float, float]
-    bias_nm: float
-    dose: float
-    focus_um: float
-    datatypes: tuple[int, int]
-    label: str | None
-    area_um2: float
+    at_um: tuple[float, float]  #: (x, y) of its optical axis.
+    bias_nm: float  #: Its own bias.
+    dose: float  #: Relative to the base dose.
+    focus_um: float  #: Focus of the beam.
+    datatypes: tuple[int, int]  #: First and last datatype of its pillars.
+    label: str | None  #: Text above it.
+    area_um2: float  #: Drawn area of its pillars.
 
 
 @dataclass(frozen=True)
 class IncludeFigures:
-    """One cell of ``mask.include``.
+    """One cell of ``mask.include``."""
 
-    Attributes:
-        file: name of its file.
-        cell: name of the cell.
-        polygons: number of polygons on each "layer/datatype".
-        texts_left_out: number of texts, which are not written.
-    """
-
-    file: str
-    cell: str
-    polygons: dict[str, int]
-    texts_left_out: int
+    file: str  #: Name of its file.
+    cell: str  #: Name of the cell.
+    polygons: dict[str, int]  #: Number of polygons on each "layer/datatype".
+    texts_left_out: int  #: Number of texts, which are not written.
 
 
 @dataclass(frozen=True, eq=False)
 class MaskFigures:
-    """Counts and areas of a written mask; those of one lens, if there are several.
+    """Counts and areas of a written mask; those of one lens, if there are several."""
 
-    Attributes:
-        pillars: number of pillars.
-        distinct_sizes: number of different sizes.
-        area_um2: drawn area of the pillars.
-        density: drawn area over the area of the pillars' cells.
-        field_density: shape (rows, columns), drawn area over the area of each whole write field, by rows from the
-            lowest y and columns from the lowest x.
-        copies: the lenses of ``mask.copies``.
-        exposure: write time of all lenses; None without ``mask.exposure``.
-        include: the cells of ``mask.include``.
-        fields: write fields in the order of writing; None without ``mask.exposure``, or where the field is exposed.
-    """
-
-    pillars: int
-    distinct_sizes: int
-    area_um2: float
-    density: float
+    pillars: int  #: Number of pillars.
+    distinct_sizes: int  #: Number of different sizes.
+    area_um2: float  #: Drawn area of the pillars.
+    density: float  #: Drawn area over the area of the pillars' cells.
+    #: Shape (rows, columns), drawn area over the area of each whole write field, by rows from the lowest y and columns
+    #: from the lowest x.
     field_density: FloatArray
-    copies: tuple[CopyFigures, ...] = ()
-    exposure: WriteTime | None = None
-    include: tuple[IncludeFigures, ...] = ()
+    copies: tuple[CopyFigures, ...] = ()  #: The lenses of ``mask.copies``.
+    exposure: WriteTime | None = None  #: Write time of all lenses; None without ``mask.exposure``.
+    include: tuple[IncludeFigures, ...] = ()  #: The cells of ``mask.include``.
+    #: Write fields in the order of writing; None without ``mask.exposure``, or where the field is exposed.
     fields: FieldTimes | None = None
 
 

@@ -29,15 +29,10 @@ _Numbers = tuple[IntArray, FloatArray]
 
 @dataclass(frozen=True)
 class Functions:
-    """Functions of a quarter cell for one symmetry of the light.
+    """Functions of a quarter cell for one symmetry of the light."""
 
-    Attributes:
-        elements: their values on each element.
-        gradient: shape (n_e, n_z), gradient of each function of E_z among those of E.
-    """
-
-    elements: tuple[Element, ...]
-    gradient: FloatArray
+    elements: tuple[Element, ...]  #: Their values on each element.
+    gradient: FloatArray  #: Shape (n_e, n_z), gradient of each function of E_z among those of E.
 
 
 def functions_of(mesh: QuarterMesh, light: Polarisation, order: int) -> Functions:

@@ -55,29 +55,17 @@ def zero_order(cell: PillarCell, order: int) -> ZeroOrder:
 
 @dataclass(frozen=True)
 class QuarterMatrices:
-    """Gram matrices of N functions of E and n_z of E_z over the quarter; ``_in`` over the pillar alone.
+    """Gram matrices of N functions of E and n_z of E_z over the quarter; ``_in`` over the pillar alone."""
 
-    Attributes:
-        e: shape (N, N), of E.
-        e_in: shape (N, N).
-        inverse: shape (N, N), inverse of ``e``.
-        curl: shape (N, N), of the curl of E.
-        z: shape (n_z, n_z), of E_z.
-        z_in: shape (n_z, n_z).
-        gradient: shape (N, n_z), gradient of each function of E_z among those of E.
-        uniform: shape (N,), integral of each function's component along the light.
-        area_nm2: area of the elements.
-    """
-
-    e: FloatArray
-    e_in: FloatArray
-    inverse: FloatArray
-    curl: FloatArray
-    z: FloatArray
-    z_in: FloatArray
-    gradient: FloatArray
-    uniform: FloatArray
-    area_nm2: float
+    e: FloatArray  #: Shape (N, N), of E.
+    e_in: FloatArray  #: Shape (N, N).
+    inverse: FloatArray  #: Shape (N, N), inverse of ``e``.
+    curl: FloatArray  #: Shape (N, N), of the curl of E.
+    z: FloatArray  #: Shape (n_z, n_z), of E_z.
+    z_in: FloatArray  #: Shape (n_z, n_z).
+    gradient: FloatArray  #: Shape (N, n_z), gradient of each function of E_z among those of E.
+    uniform: FloatArray  #: Shape (N,), integral of each function's component along the light.
+    area_nm2: float  #: Area of the elements.
 
     @classmethod
     def of(cls, functions: Functions, axis: int) -> QuarterMatrices:

@@ -21,17 +21,12 @@ _NO_SIDE = 1e-3
 
 @dataclass(frozen=True)
 class QuarterMesh:
-    """Elements of a quarter cell.
+    """Elements of a quarter cell."""
 
-    Attributes:
-        quads: the elements.
-        half_nm: (x, y) size of the quarter.
-        turned_about_nm: middle of the quarter, about which a half turn brings the elements to the other half of a
-            hexagonal lattice's quarter; None where they fill the quarter.
-    """
-
-    quads: tuple[Quad, ...]
-    half_nm: Point
+    quads: tuple[Quad, ...]  #: The elements.
+    half_nm: Point  #: (x, y) size of the quarter.
+    #: Middle of the quarter, about which a half turn brings the elements to the other half of a hexagonal lattice's
+    #: quarter; None where they fill the quarter.
     turned_about_nm: Point | None = None
 
 

@@ -23,19 +23,12 @@ _SLOPE = 0.1
 
 @dataclass(frozen=True)
 class Arc:
-    """Part of an ellipse with its axes along x and y.
+    """Part of an ellipse with its axes along x and y."""
 
-    Attributes:
-        centre_nm: centre.
-        half_nm: half axes along x and y.
-        from_rad: eccentric anomaly where the arc begins.
-        to_rad: eccentric anomaly where it ends.
-    """
-
-    centre_nm: Point
-    half_nm: Point
-    from_rad: float
-    to_rad: float
+    centre_nm: Point  #: Centre.
+    half_nm: Point  #: Half axes along x and y.
+    from_rad: float  #: Eccentric anomaly where the arc begins.
+    to_rad: float  #: Eccentric anomaly where it ends.
 
     def at(self, share: float) -> Point:
         """The point at a share of the arc, 0 to 1."""
@@ -61,25 +54,16 @@ class Arc:
 
 @dataclass(frozen=True)
 class Quad:
-    """One element.
+    """One element."""
 
-    Attributes:
-        corners_nm: points at (u, v) = (-1, -1), (1, -1), (1, 1) and (-1, 1).
-        inside: whether it lies in the pillar.
-        bottom: arc of the side v = -1, along u; None for a straight side. Likewise the others.
-        top: arc of the side v = 1, along u.
-        left: arc of the side u = -1, along v.
-        right: arc of the side u = 1, along v.
-        gathered: ends (of u, of v) at which the coordinate is gathered: -1 or 1, 0 for none. Elements that share a side
-            gather along it alike.
-    """
-
-    corners_nm: tuple[Point, Point, Point, Point]
-    inside: bool
-    bottom: Arc | None = None
-    top: Arc | None = None
-    left: Arc | None = None
-    right: Arc | None = None
+    corners_nm: tuple[Point, Point, Point, Point]  #: Points at (u, v) = (-1, -1), (1, -1), (1, 1) and (-1, 1).
+    inside: bool  #: Whether it lies in the pillar.
+    bottom: Arc | None = None  #: Arc of the side v = -1, along u; None for a straight side. Likewise the others.
+    top: Arc | None = None  #: Arc of the side v = 1, along u.
+    left: Arc | None = None  #: Arc of the side u = -1, along v.
+    right: Arc | None = None  #: Arc of the side u = 1, along v.
+    #: Ends (of u, of v) at which the coordinate is gathered: -1 or 1, 0 for none. Elements that share a side gather
+    #: along it alike.
     gathered: tuple[int, int] = (0, 0)
 
     @property

@@ -34,27 +34,16 @@ _OVER_RCWA = 1.5
 
 @dataclass(frozen=True)
 class CurvedDetails(SolverDetails):
-    """Figures of a solution by spectral elements.
+    """Figures of a solution by spectral elements."""
 
-    Attributes:
-        order: polynomial order of the finest solution.
-        elements: elements of a quarter of the cell.
-        functions: functions of the transverse E in that quarter.
-        solutions: number of orders that were solved.
-        transmitted_power_x: power in all transmitted orders over the incident power, for incident x.
-        transmitted_power_y: likewise for incident y.
-        reflected_power_x: power in all reflected orders over the incident power, for incident x.
-        reflected_power_y: likewise for incident y.
-    """
-
-    order: int
-    elements: int
-    functions: int
-    solutions: int
-    transmitted_power_x: float
-    transmitted_power_y: float
-    reflected_power_x: float
-    reflected_power_y: float
+    order: int  #: Polynomial order of the finest solution.
+    elements: int  #: Elements of a quarter of the cell.
+    functions: int  #: Functions of the transverse E in that quarter.
+    solutions: int  #: Number of orders that were solved.
+    transmitted_power_x: float  #: Power in all transmitted orders over the incident power, for incident x.
+    transmitted_power_y: float  #: Likewise for incident y.
+    reflected_power_x: float  #: Power in all reflected orders over the incident power, for incident x.
+    reflected_power_y: float  #: Likewise for incident y.
 
 
 def solve(cell: PillarCell, numerics: CellNumerics) -> CellResponse:

@@ -19,38 +19,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CellFigures:
-    """Response of one unit cell, as ``metafab cell --json`` prints it.
+    """Response of one unit cell, as ``metafab cell --json`` prints it."""
 
-    Attributes:
-        t_xx: zero-order transmission from x to x polarisation; ``t_xy``: from y to x; likewise the others.
-        r_xx: zero-order reflection from x to x polarisation; likewise ``r_yy``.
-        transmittance_x: zero-order power transmittance of x polarisation; likewise y.
-        error: error of t; ``target_error``: largest error requested; ``converged``: whether it was reached.
-        orders: diffraction orders of RCWA, or functions of spectral elements; None for Meep.
-        resolution: pixels per um of Meep; None for the others.
-        seconds: time of the solver.
-        solver: name of the solver: "rcwa", "elements" for curved outlines, or "meep".
-        details: further figures of the solver.
-        diffraction: power of each propagating order; None for a cell with one order.
-    """
-
-    t_xx: complex
+    t_xx: complex  #: Zero-order transmission from x to x polarisation; ``t_xy``: from y to x; likewise the others.
     t_yy: complex
     t_xy: complex
     t_yx: complex
-    r_xx: complex
+    r_xx: complex  #: Zero-order reflection from x to x polarisation; likewise ``r_yy``.
     r_yy: complex
-    transmittance_x: float
+    transmittance_x: float  #: Zero-order power transmittance of x polarisation; likewise y.
     transmittance_y: float
-    error: float
+    error: float  #: Error of t; ``target_error``: largest error requested; ``converged``: whether it was reached.
     target_error: float
     converged: bool
-    seconds: float
-    solver: str
-    details: Any
-    orders: Any = optional()
-    resolution: Any = optional()
-    diffraction: Any = optional()
+    seconds: float  #: Time of the solver.
+    solver: str  #: Name of the solver: "rcwa", "elements" for curved outlines, or "meep".
+    details: Any  #: Further figures of the solver.
+    orders: Any = optional()  #: Diffraction orders of RCWA, or functions of spectral elements; None for Meep.
+    resolution: Any = optional()  #: Pixels per um of Meep; None for the others.
+    diffraction: Any = optional()  #: Power of each propagating order; None for a cell with one order.
 
 
 @app.command("cell")

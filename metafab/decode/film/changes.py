@@ -41,18 +41,13 @@ _REACH = 0.5
 
 @dataclass(frozen=True)
 class PatchMeans:
-    """The patches of a frame.
+    """The patches of a frame."""
 
-    Attributes:
-        mean: shape (2, n_y, n_x), mean of the valid pixels of each patch of both images, margin included, saturated
-            ones at the level of saturation; 0 for none.
-        full: shape (2, n_y, n_x), number of saturated pixels.
-        invalid: shape (2, n_y, n_x), number of pixels that are not a number.
-    """
-
+    #: Shape (2, n_y, n_x), mean of the valid pixels of each patch of both images, margin included, saturated ones at
+    #: the level of saturation; 0 for none.
     mean: NDArray[np.float32]
-    full: NDArray[np.uint8]
-    invalid: NDArray[np.uint8]
+    full: NDArray[np.uint8]  #: Shape (2, n_y, n_x), number of saturated pixels.
+    invalid: NDArray[np.uint8]  #: Shape (2, n_y, n_x), number of pixels that are not a number.
 
     def replaced(self, other: PatchMeans, where: NDArray[np.bool_]) -> PatchMeans:
         """Those of ``other`` where the mask (n_y, n_x) is set, these elsewhere."""
@@ -65,19 +60,12 @@ class PatchMeans:
 
 @dataclass(frozen=True)
 class ChangeDetector:
-    """Patches of frames of one shape.
+    """Patches of frames of one shape."""
 
-    Attributes:
-        row: shape (2, n_y, n_x), first frame row of each patch.
-        column: shape (2, n_y, n_x), first frame column.
-        side: side of a patch, pixels.
-        margin: patches on all sides of the decoded window.
-    """
-
-    row: NDArray[np.int32]
-    column: NDArray[np.int32]
-    side: int
-    margin: int
+    row: NDArray[np.int32]  #: Shape (2, n_y, n_x), first frame row of each patch.
+    column: NDArray[np.int32]  #: Shape (2, n_y, n_x), first frame column.
+    side: int  #: Side of a patch, pixels.
+    margin: int  #: Patches on all sides of the decoded window.
 
     @classmethod
     def of(cls, grid: TwinGrid, downsampling: Downsampling) -> ChangeDetector:

@@ -58,17 +58,11 @@ def _divide_images(
 
 @dataclass(frozen=True)
 class SegmentLight:
-    """Light of each segment.
+    """Light of each segment."""
 
-    Attributes:
-        pixels: shape (n,), pixels of each segment.
-        inner: shape (n,), pixels of its interior.
-        light_e: shape (2, n), sum of each image over the interior, electrons.
-    """
-
-    pixels: NDArray[np.intp]
-    inner: NDArray[np.intp]
-    light_e: FloatArray
+    pixels: NDArray[np.intp]  #: Shape (n,), pixels of each segment.
+    inner: NDArray[np.intp]  #: Shape (n,), pixels of its interior.
+    light_e: FloatArray  #: Shape (2, n), sum of each image over the interior, electrons.
 
     @classmethod
     def of(

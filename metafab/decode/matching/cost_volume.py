@@ -19,19 +19,12 @@ _DEPTHS_PER_CANDIDATE = 64
 
 @dataclass(frozen=True)
 class CostVolume:
-    """Products of the filtered twin images a and b at each candidate depth.
+    """Products of the filtered twin images a and b at each candidate depth."""
 
-    Attributes:
-        vergences_per_m: shape (n,), 1/depth of the candidates, equally spaced.
-        products: shape (3, n, n_y, n_x): a b, a^2 and b^2.
-        samples: independent samples a pixel.
-        noise_gain: variance of a filtered image per variance of a pixel of the frame.
-    """
-
-    vergences_per_m: FloatArray
-    products: NDArray[np.float32]
-    samples: float
-    noise_gain: float
+    vergences_per_m: FloatArray  #: Shape (n,), 1/depth of the candidates, equally spaced.
+    products: NDArray[np.float32]  #: Shape (3, n, n_y, n_x): a b, a^2 and b^2.
+    samples: float  #: Independent samples a pixel.
+    noise_gain: float  #: Variance of a filtered image per variance of a pixel of the frame.
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -36,17 +36,11 @@ _DARK = 1e-15
 
 @dataclass(frozen=True)
 class PixelDepth:
-    """The depth of each pixel from the windows about it.
+    """The depth of each pixel from the windows about it."""
 
-    Attributes:
-        vergence_per_m: shape (n_y, n_x), 1/depth at the largest correlation.
-        relative_error: shape (n_y, n_x), standard error of depth over depth; inf without texture.
-        claimed: shape (n_y, n_x), whether a depth is claimed.
-    """
-
-    vergence_per_m: FloatArray
-    relative_error: FloatArray
-    claimed: NDArray[np.bool_]
+    vergence_per_m: FloatArray  #: Shape (n_y, n_x), 1/depth at the largest correlation.
+    relative_error: FloatArray  #: Shape (n_y, n_x), standard error of depth over depth; inf without texture.
+    claimed: NDArray[np.bool_]  #: Shape (n_y, n_x), whether a depth is claimed.
 
     def within(self, rows: slice, columns: slice) -> PixelDepth:
         """A part of the picture."""
@@ -56,34 +50,21 @@ class PixelDepth:
 
 @dataclass(frozen=True)
 class WindowDepth:
-    """The depth of each pixel from windows of one size.
+    """The depth of each pixel from windows of one size."""
 
-    Attributes:
-        pixels: depths and their errors.
-        correlation: shape (n_y, n_x), largest correlation of the window.
-        largest_product: shape (n_y, n_x), largest mean product of the twins.
-    """
-
-    pixels: PixelDepth
-    correlation: FloatArray
-    largest_product: NDArray[np.float32]
+    pixels: PixelDepth  #: Depths and their errors.
+    correlation: FloatArray  #: Shape (n_y, n_x), largest correlation of the window.
+    largest_product: NDArray[np.float32]  #: Shape (n_y, n_x), largest mean product of the twins.
 
 
 @dataclass(frozen=True)
 class Peak:
-    """A maximum of equally spaced values, interpolated between them.
+    """A maximum of equally spaced values, interpolated between them."""
 
-    Attributes:
-        place: any shape, place of the maximum, in steps of the values.
-        height: any shape, the maximum.
-        curvature: any shape, minus the second derivative, per squared step; positive.
-        inside: any shape, whether the maximum is inside the range of the values.
-    """
-
-    place: FloatArray
-    height: FloatArray
-    curvature: FloatArray
-    inside: NDArray[np.bool_]
+    place: FloatArray  #: Any shape, place of the maximum, in steps of the values.
+    height: FloatArray  #: Any shape, the maximum.
+    curvature: FloatArray  #: Any shape, minus the second derivative, per squared step; positive.
+    inside: NDArray[np.bool_]  #: Any shape, whether the maximum is inside the range of the values.
 
 
 def pixel_depth(volume: CostVolume, window: int, noise_variance: FloatArray) -> PixelDepth:

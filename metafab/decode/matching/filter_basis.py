@@ -22,17 +22,12 @@ _KEPT_SIZES = 6
 
 @dataclass(frozen=True)
 class FilterBasis:
-    """Basis kernels of the matched filters, and their transforms for the sizes that were used last.
+    """Basis kernels of the matched filters, and their transforms for the sizes that were used last."""
 
-    Attributes:
-        kernels: shape (2, n_basis, m_y, m_x), basis of each image's filters; origin at [0, 0].
-        power: shape (m_y, m_x // 2 + 1), mean of |H|^2 over depth and polarisation in the middle of the window.
-        step: frame pixels from one kernel pixel to the next.
-    """
-
-    kernels: NDArray[np.float32]
+    kernels: NDArray[np.float32]  #: Shape (2, n_basis, m_y, m_x), basis of each image's filters; origin at [0, 0].
+    #: Shape (m_y, m_x // 2 + 1), mean of |H|^2 over depth and polarisation in the middle of the window.
     power: FloatArray
-    step: int
+    step: int  #: Frame pixels from one kernel pixel to the next.
     _transforms: OrderedDict[tuple[int, int], tuple[NDArray[np.complex64], FloatArray]] = field(
         default_factory=OrderedDict, init=False, repr=False, compare=False
     )

@@ -54,21 +54,14 @@ _FADED_SHARE = 0.25
 
 @dataclass(frozen=True)
 class CrossFilters:
-    """Matched filters of both images at each candidate depth, on the downsampled pixels.
+    """Matched filters of both images at each candidate depth, on the downsampled pixels."""
 
-    Attributes:
-        downsampling: the pixels that are compared.
-        vergences_per_m: shape (n_candidates,), 1/depth, equally spaced.
-        basis: kernels of which the filters are mixtures.
-        weights: shape (2, n_block_y, n_block_x, n_candidates, n_basis), of the basis in the filters of each image.
-        block_px: side of the blocks that share a mixture, frame pixels.
-    """
-
-    downsampling: Downsampling
-    vergences_per_m: FloatArray
-    basis: FilterBasis
+    downsampling: Downsampling  #: The pixels that are compared.
+    vergences_per_m: FloatArray  #: Shape (n_candidates,), 1/depth, equally spaced.
+    basis: FilterBasis  #: Kernels of which the filters are mixtures.
+    #: Shape (2, n_block_y, n_block_x, n_candidates, n_basis), of the basis in the filters of each image.
     weights: NDArray[np.float32]
-    block_px: int
+    block_px: int  #: Side of the blocks that share a mixture, frame pixels.
 
     @classmethod
     def of(

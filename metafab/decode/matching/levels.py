@@ -23,21 +23,14 @@ _MODEL_ERROR = 0.03
 
 @dataclass(frozen=True)
 class Levels:
-    """Typical figures of the lit pixels of a pair of images.
+    """Typical figures of the lit pixels of a pair of images."""
 
-    Attributes:
-        signal: brightness, electrons a pixel; 0 for a dark frame.
-        noise_variance: variance of a pixel, electrons squared.
-        texture_rms: rms of the texture that filters are made for, electrons.
-        read_noise_e: standard deviation of a pixel without light, electrons; with the photon noise of the pedestal.
-        pedestal_e: light that forms no image, subtracted from the frame, electrons a pixel.
-    """
-
-    signal: float
-    noise_variance: float
-    texture_rms: float
+    signal: float  #: Brightness, electrons a pixel; 0 for a dark frame.
+    noise_variance: float  #: Variance of a pixel, electrons squared.
+    texture_rms: float  #: Rms of the texture that filters are made for, electrons.
+    #: Standard deviation of a pixel without light, electrons; with the photon noise of the pedestal.
     read_noise_e: float
-    pedestal_e: float = 0.0
+    pedestal_e: float = 0.0  #: Light that forms no image, subtracted from the frame, electrons a pixel.
 
     @classmethod
     def of(cls, images: NDArray[np.floating[Any]], read_noise_e: float) -> Levels:

@@ -24,17 +24,11 @@ _FRACTIONS = 512
 
 @dataclass(frozen=True)
 class Resampler:
-    """Interpolation of one image at the places of a fixed map.
+    """Interpolation of one image at the places of a fixed map."""
 
-    Attributes:
-        first_row: first row of the image that the map needs.
-        row: shape (n_x, n_y), place along y of each output pixel, counted from ``first_row``.
-        column: shape (n_rows, n_x), place along x of each output column on each needed row.
-    """
-
-    first_row: int
-    row: NDArray[np.float32]
-    column: NDArray[np.float32]
+    first_row: int  #: First row of the image that the map needs.
+    row: NDArray[np.float32]  #: Shape (n_x, n_y), place along y of each output pixel, counted from ``first_row``.
+    column: NDArray[np.float32]  #: Shape (n_rows, n_x), place along x of each output column on each needed row.
 
     @classmethod
     def of(cls, row: FloatArray, column: FloatArray, image_shape: tuple[int, int]) -> Resampler:

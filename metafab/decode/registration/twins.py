@@ -35,34 +35,20 @@ class TwinGrid:
     """The place of each x image pixel's twin in frames of one shape.
 
     All maps cover the decoded window and a margin on all sides, from which blur comes in.
-
-    Attributes:
-        frame_shape: (n_rows, n_columns) of the frames.
-        origin_um: (x, y) on the sensor of the decoded window's pixel [0, 0].
-        pixel_um: pixel pitch.
-        shape: (n_y, n_x) of the decoded window.
-        margin: pixels of the margin.
-        row: frame row of the first row of the margin.
-        column: frame column of the first column of the margin.
-        tangent_x: shape (n_y + 2 margin, n_x + 2 margin), x/z of the direction whose image is each pixel.
-        tangent_y: shape (n_y + 2 margin, n_x + 2 margin), y/z of that direction.
-        twin_row: shape (n_y + 2 margin, n_x + 2 margin), frame row (fractional) of the twin.
-        twin_column: shape (n_y + 2 margin, n_x + 2 margin), frame column (fractional) of the twin.
-        twin_area: shape (n_y + 2 margin, n_x + 2 margin), area in the y image per area in the x image.
     """
 
-    frame_shape: tuple[int, int]
-    origin_um: tuple[float, float]
-    pixel_um: float
-    shape: tuple[int, int]
-    margin: int
-    row: int
-    column: int
-    tangent_x: FloatArray
-    tangent_y: FloatArray
-    twin_row: FloatArray
-    twin_column: FloatArray
-    twin_area: FloatArray
+    frame_shape: tuple[int, int]  #: (n_rows, n_columns) of the frames.
+    origin_um: tuple[float, float]  #: (x, y) on the sensor of the decoded window's pixel [0, 0].
+    pixel_um: float  #: Pixel pitch.
+    shape: tuple[int, int]  #: (n_y, n_x) of the decoded window.
+    margin: int  #: Pixels of the margin.
+    row: int  #: Frame row of the first row of the margin.
+    column: int  #: Frame column of the first column of the margin.
+    tangent_x: FloatArray  #: Shape (n_y + 2 margin, n_x + 2 margin), x/z of the direction whose image is each pixel.
+    tangent_y: FloatArray  #: Shape (n_y + 2 margin, n_x + 2 margin), y/z of that direction.
+    twin_row: FloatArray  #: Shape (n_y + 2 margin, n_x + 2 margin), frame row (fractional) of the twin.
+    twin_column: FloatArray  #: Shape (n_y + 2 margin, n_x + 2 margin), frame column (fractional) of the twin.
+    twin_area: FloatArray  #: Shape (n_y + 2 margin, n_x + 2 margin), area in the y image per area in the x image.
 
     @classmethod
     def at(
@@ -171,16 +157,11 @@ class TwinGrid:
 
 @dataclass(frozen=True)
 class Twins:
-    """Both images of a frame on one grid, with margin.
+    """Both images of a frame on one grid, with margin."""
 
-    Attributes:
-        grid: the grid.
-        image: shape (2, n_y + 2 margin, n_x + 2 margin), electrons per pixel of the x image.
-        broken: shape (2, n_y + 2 margin, n_x + 2 margin), whether the frame is saturated or not a number there.
-    """
-
-    grid: TwinGrid
-    image: NDArray[np.float32]
+    grid: TwinGrid  #: The grid.
+    image: NDArray[np.float32]  #: Shape (2, n_y + 2 margin, n_x + 2 margin), electrons per pixel of the x image.
+    #: Shape (2, n_y + 2 margin, n_x + 2 margin), whether the frame is saturated or not a number there.
     broken: NDArray[np.bool_]
 
     @cached_property

@@ -27,13 +27,9 @@ _LEAST_MODEL_ERROR = 1e-3
 
 @dataclass(frozen=True)
 class TwinEnergies:
-    """Mean products of the filtered twins over the variance of their noise.
+    """Mean products of the filtered twins over the variance of their noise."""
 
-    Attributes:
-        products: shape (3, ...): a b, a^2 and b^2.
-    """
-
-    products: NDArray[np.float32]
+    products: NDArray[np.float32]  #: Shape (3, ...): a b, a^2 and b^2.
 
     @classmethod
     def of(cls, products: NDArray[np.float32], prepared: PreparedFrame, noise_gain: float) -> TwinEnergies:

@@ -47,17 +47,12 @@ _DEGENERATE = 1e-9
 
 @dataclass(frozen=True)
 class Plane:
-    """Vergence that is linear over the picture.
+    """Vergence that is linear over the picture."""
 
-    Attributes:
-        vergence_per_m: 1/depth at ``centre``.
-        slope_per_m: its change per downsampled pixel along (y, x); (0, 0) for one depth.
-        centre: (row, column), downsampled pixels.
-    """
-
-    vergence_per_m: float
+    vergence_per_m: float  #: 1/depth at ``centre``.
+    #: Its change per downsampled pixel along (y, x); (0, 0) for one depth.
     slope_per_m: tuple[float, float] = (0.0, 0.0)
-    centre: tuple[float, float] = (0.0, 0.0)
+    centre: tuple[float, float] = (0.0, 0.0)  #: (row, column), downsampled pixels.
 
     @property
     def tilted(self) -> bool:
@@ -94,28 +89,18 @@ def cell_side(step: int, side_px: int = _CELL_PX) -> int:
 
 @dataclass(frozen=True)
 class Cells:
-    """Square cells of a segment, each with its own depth.
+    """Square cells of a segment, each with its own depth."""
 
-    Attributes:
-        sums: shape (n, 3, n_candidates), products of the twins summed over each cell.
-        pixels: shape (n,), pixels of each cell.
-        row: shape (n,), row of its centre, downsampled pixels.
-        column: shape (n,), column of its centre.
-        vergence_per_m: shape (n,), 1/depth at the largest correlation of its twins.
-        error_per_m: shape (n,), standard error of the vergence; inf for a cell without a depth.
-        whole: shape (3, n_candidates), products summed over the segment, small cells included; without the cells along
-            the picture's rim, beyond which the segment may continue, unless hardly any others are there.
-        size: pixels of ``whole``.
-    """
-
-    sums: FloatArray
-    pixels: FloatArray
-    row: FloatArray
-    column: FloatArray
-    vergence_per_m: FloatArray
-    error_per_m: FloatArray
+    sums: FloatArray  #: Shape (n, 3, n_candidates), products of the twins summed over each cell.
+    pixels: FloatArray  #: Shape (n,), pixels of each cell.
+    row: FloatArray  #: Shape (n,), row of its centre, downsampled pixels.
+    column: FloatArray  #: Shape (n,), column of its centre.
+    vergence_per_m: FloatArray  #: Shape (n,), 1/depth at the largest correlation of its twins.
+    error_per_m: FloatArray  #: Shape (n,), standard error of the vergence; inf for a cell without a depth.
+    #: Shape (3, n_candidates), products summed over the segment, small cells included; without the cells along the
+    #: picture's rim, beyond which the segment may continue, unless hardly any others are there.
     whole: FloatArray
-    size: int
+    size: int  #: Pixels of ``whole``.
 
     @classmethod
     def of(cls, volume: CostVolume, mask: NDArray[np.bool_], step: int, side_px: int = _CELL_PX) -> Cells:

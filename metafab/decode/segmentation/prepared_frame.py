@@ -40,22 +40,14 @@ NO_LIGHT = "there is no light in the frame"
 
 @dataclass(frozen=True)
 class PreparedFrame:
-    """Registered twins of a frame and their downsampled images.
+    """Registered twins of a frame and their downsampled images."""
 
-    Attributes:
-        twins: both images at all pixels.
-        levels: their noise and texture.
-        downsampling: the pixels that are compared.
-        spectra: shape (2, n_ky, n_kx), transforms of the downsampled images.
-        images: shape (2, n_y + 2 margin, n_x + 2 margin), the downsampled images, electrons.
-        spill: distances from an outline, frame pixels, and the share of a surface's light beyond them.
-    """
-
-    twins: Twins
-    levels: Levels
-    downsampling: Downsampling
-    spectra: NDArray[np.complex64]
-    images: NDArray[np.float32]
+    twins: Twins  #: Both images at all pixels.
+    levels: Levels  #: Their noise and texture.
+    downsampling: Downsampling  #: The pixels that are compared.
+    spectra: NDArray[np.complex64]  #: Shape (2, n_ky, n_kx), transforms of the downsampled images.
+    images: NDArray[np.float32]  #: Shape (2, n_y + 2 margin, n_x + 2 margin), the downsampled images, electrons.
+    #: Distances from an outline, frame pixels, and the share of a surface's light beyond them.
     spill: tuple[tuple[int, float], ...] = ()
 
     @classmethod

@@ -43,23 +43,14 @@ _SAME_DEPTH, _SIZE_RATIO = 2.5, 4
 
 @dataclass(frozen=True)
 class SegmentDepth:
-    """The depth of one segment.
+    """The depth of one segment."""
 
-    Attributes:
-        vergence_per_m: 1/depth; at the centre of the plane for a tilted segment.
-        relative_error: standard error of depth over depth; inf if the twins agree at no depth.
-        correlation: of the twins at that depth.
-        power: mean square of the filtered twins there, geometric mean of both, electrons squared.
-        plane: depth over the picture.
-        pixels: downsampled pixels that the depth is measured on.
-    """
-
-    vergence_per_m: float
-    relative_error: float
-    correlation: float
-    power: float
-    plane: Plane
-    pixels: float = 0.0
+    vergence_per_m: float  #: 1/depth; at the centre of the plane for a tilted segment.
+    relative_error: float  #: Standard error of depth over depth; inf if the twins agree at no depth.
+    correlation: float  #: Of the twins at that depth.
+    power: float  #: Mean square of the filtered twins there, geometric mean of both, electrons squared.
+    plane: Plane  #: Depth over the picture.
+    pixels: float = 0.0  #: Downsampled pixels that the depth is measured on.
 
 
 def depth_layers(pixels: PixelDepth, separation_per_m: float) -> FloatArray:

@@ -62,38 +62,23 @@ ELEMENTS = {
 
 @dataclass(frozen=True)
 class Layer:
-    """A homogeneous layer.
+    """A homogeneous layer."""
 
-    Attributes:
-        formula: atoms per formula unit, by atomic number.
-        density_g_per_cm3: mass density.
-        thickness_nm: ``math.inf`` for the substrate.
-    """
-
-    formula: tuple[tuple[int, float], ...]
-    density_g_per_cm3: float
-    thickness_nm: float
+    formula: tuple[tuple[int, float], ...]  #: Atoms per formula unit, by atomic number.
+    density_g_per_cm3: float  #: Mass density.
+    thickness_nm: float  #: ``math.inf`` for the substrate.
 
 
 @dataclass(frozen=True)
 class ElectronHistogram:
-    """Result of a simulation.
+    """Result of a simulation."""
 
-    Attributes:
-        radius_nm: shape (n,), geometric centres of the rings.
-        density: shape (n,), energy deposited in the resist per area and electron, keV / nm^2.
-        statistical_error: shape (n,), relative standard error of ``density``.
-        backscattered: share of electrons that leave through the surface with more than 0.5 keV.
-        deposited_kev: mean energy deposited in the resist per electron.
-        electrons: number of histories.
-    """
-
-    radius_nm: FloatArray
-    density: FloatArray
-    statistical_error: FloatArray
-    backscattered: float
-    deposited_kev: float
-    electrons: int
+    radius_nm: FloatArray  #: Shape (n,), geometric centres of the rings.
+    density: FloatArray  #: Shape (n,), energy deposited in the resist per area and electron, keV / nm^2.
+    statistical_error: FloatArray  #: Shape (n,), relative standard error of ``density``.
+    backscattered: float  #: Share of electrons that leave through the surface with more than 0.5 keV.
+    deposited_kev: float  #: Mean energy deposited in the resist per electron.
+    electrons: int  #: Number of histories.
 
 
 ALUMINIUM = ((13, 1.0),)

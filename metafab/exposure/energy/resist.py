@@ -30,23 +30,14 @@ _MIDDLE_PERIODS = 0.3
 
 @dataclass(frozen=True)
 class TileEnergy:
-    """Energy on one tile, in units of that of a large pad at dose 1.
+    """Energy on one tile, in units of that of a large pad at dose 1."""
 
-    Attributes:
-        rows: lattice rows of the tile.
-        columns: lattice columns of the tile.
-        size_index: shape (n_y, n_x).
-        dose: shape (n_y, n_x).
-        centre: shape (n_y, n_x), at the centre of each pillar.
-        others: shape (2, n_y, n_x), energy of all other pillars, mean of both x edges and of both y edges.
-    """
-
-    rows: slice
-    columns: slice
-    size_index: NDArray[np.uint16]
-    dose: Float32Array
-    centre: Float32Array
-    others: Float32Array
+    rows: slice  #: Lattice rows of the tile.
+    columns: slice  #: Lattice columns of the tile.
+    size_index: NDArray[np.uint16]  #: Shape (n_y, n_x).
+    dose: Float32Array  #: Shape (n_y, n_x).
+    centre: Float32Array  #: Shape (n_y, n_x), at the centre of each pillar.
+    others: Float32Array  #: Shape (2, n_y, n_x), energy of all other pillars, mean of both x edges and of both y edges.
 
 
 class ResistEnergy:

@@ -12,15 +12,10 @@ from metafab.core.numeric.compiled import compiled
 
 @dataclass(frozen=True)
 class Scan:
-    """The order in which the pillars of one size are listed: strip by strip, and in each strip line by line.
+    """The order in which the pillars of one size are listed: strip by strip, and in each strip line by line."""
 
-    Attributes:
-        along_y: whether lines run along y; else along x.
-        strip_sites: length of a line; the strips lie side by side along the lines.
-    """
-
-    along_y: bool
-    strip_sites: int
+    along_y: bool  #: Whether lines run along y; else along x.
+    strip_sites: int  #: Length of a line; the strips lie side by side along the lines.
 
 
 def sorted_by_size(
