@@ -29,6 +29,7 @@ ROOMS = (
     "scenes",
     "files",
     "end_to_end",
+    "floor",
 )
 #: Options of rooms whose cases can be chosen, or drawn with other seeds.
 ROOM_OPTIONS = {
