@@ -51,12 +51,8 @@ def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> Stok
 
     Every direction has the PSFs of the axis (``field_px`` should be small), without vignetting; the scene stands as at
     its beginning. ``photons_per_pixel`` is the mean of the six images for an unpolarised surface of brightness 1. The
-    field stop passes ``field_px`` pixels and nothing of the margin around them.
-
-    Args:
-        scene: objects, photons, noise.
-        psf: PSFs over the depths of the scene.
-        seed: of textures and noise; ``scene.seed`` by default.
+    field stop passes ``field_px`` pixels and nothing of the margin around them. The seed of textures and noise is that
+    of the scene by default.
     """
     require_objects(scene)
     seed = scene.seed if seed is None else seed

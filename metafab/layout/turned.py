@@ -138,10 +138,7 @@ def assign_turned(
 def turned_sizes(design: Design, angles: int, size_step_nm: float) -> tuple[NDArray[np.int32], FloatArray]:
     """Return the sizes and angles of turned pillars that keep the rules; index 0 is no pillar.
 
-    Args:
-        design: size grid of the library, period and rules.
-        angles: angles in half a turn.
-        size_step_nm: step of widths and lengths, rounded up to a multiple of ``sweep.size_grid_nm``.
+    There are ``angles`` in half a turn; the step of sizes is rounded up to a multiple of ``sweep.size_grid_nm``.
 
     Returns:
         Width and length, shape (n_sizes + 1, 2), database units, and angles, shape (n_sizes + 1,), 0 to below 90.

@@ -252,11 +252,7 @@ class Library(Displayed):
 def evaluate(library: Library, width_nm: ArrayLike, length_nm: ArrayLike, **axes: float) -> SizeResponse:
     """Evaluate a library between its sizes; to evaluate a corner often, keep ``library.at(...).surface``.
 
-    Args:
-        library: library to evaluate.
-        width_nm: any shape.
-        length_nm: a shape that broadcasts with it.
-        axes: values of the library's axes, such as ``wavelength_nm=803.0``.
+    Widths and lengths of any shapes broadcast; ``axes`` are values of the library's, such as ``wavelength_nm=803.0``.
 
     Raises:
         InputError: a size lies outside the sweep, or a corner outside the library's axes.

@@ -55,13 +55,10 @@ class Surface:
 
     @classmethod
     def of_grid(cls, width_nm: FloatArray, length_nm: FloatArray, t: ComplexArray, error: FloatArray) -> Surface:
-        """Interpolate amplitudes on a grid of sizes.
+        """Interpolate amplitudes on a grid of uniform widths, shape (n_width,), and lengths, shape (n_length,).
 
-        Args:
-            width_nm: shape (n_width,), uniform.
-            length_nm: shape (n_length,), uniform.
-            t: shape (n_length, n_width, 2), t_xx and t_yy.
-            error: shape (n_length, n_width), error at each size.
+        ``t``, shape (n_length, n_width, 2), holds t_xx and t_yy, ``error``, shape (n_length, n_width), that at each
+        size.
         """
         return _tiled(width_nm, length_nm, bicubic_coefficients(t), _cells(left_out_error(t), 1), _cells(error, 1))
 

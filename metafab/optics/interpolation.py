@@ -29,11 +29,10 @@ _DEPTH_AXIS = {
 
 
 def at_depths(psf: Psf, depths_m: Sequence[float] | FloatArray) -> FloatArray:
-    """Interpolate the irradiance between depths by cubic splines in vergence 1/z.
+    """Interpolate the irradiance of four depths or more by cubic splines in vergence 1/z.
 
-    Args:
-        psf: stack of at least four depths (:func:`metafab.optics.depth_nodes` spaces them for a target error).
-        depths_m: shape (n,), any order.
+    The wanted depths, shape (n,), have any order; :func:`metafab.optics.depth_nodes` spaces those of a stack for a
+    target error.
 
     Returns:
         Shape (2, n, n_y, n_x), 1/um^2; exactly the stored images at stored depths.

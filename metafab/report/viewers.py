@@ -32,11 +32,8 @@ _NO_VALUE = 65535
 def psf_view(psf: Psf, ideal: Psf | None, source: str = "written file", *, has_lobe: bool = True) -> dict[str, Any]:
     """Data of the PSF view: a strip of pictures over depth and their figures, for the pair and the target phases.
 
-    Args:
-        psf: the PSF pair.
-        ideal: that of the target phases.
-        source: name of the first.
-        has_lobe: whether the maximum is a lobe beside the image point, whose direction is shown.
+    ``source`` names the pair; ``has_lobe`` says whether the maximum is a lobe beside the image point, whose direction
+    is shown.
     """
     views = [_psf_strip(source, psf, has_lobe)]
     if ideal is not None:

@@ -166,12 +166,7 @@ def save_exposure(exposed: ExposedMask, mask_file: Path, design: Design, path: P
 
 
 def corrected_folder(folder: Path, mask_file: Path) -> Path:
-    """Return where a corrected mask goes: ``folder``, or a folder in it where the plain mask or a run would be lost.
-
-    Args:
-        folder: the folder that was asked for.
-        mask_file: the mask that is corrected.
-    """
+    """Return where a corrected mask goes: ``folder``, or a folder in it where the plain mask or a run would be lost."""
     holds_mask = folder.is_dir() and folder.samefile(mask_file.parent)
     return folder / "corrected" if holds_mask or (folder / "summary.json").is_file() else folder
 

@@ -237,11 +237,7 @@ def _twin_maps(image_map: ImageMap, x_um: FloatArray, y_um: FloatArray) -> tuple
 
 
 def validated(counts: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Check the pixels of a frame.
-
-    Args:
-        counts: shape (n_rows, n_columns).
-        saturation: level from which a pixel is saturated.
+    """Check the pixels of a frame, shape (n_rows, n_columns), which saturate at a level.
 
     Returns:
         Values in single precision, NaN where a pixel is not a number or too bright, and whether it is one of these or
@@ -271,15 +267,9 @@ def _validate(
 
 
 def crop(values: NDArray[Any], corner: tuple[int, int], shape: tuple[int, int]) -> NDArray[Any]:
-    """Cut a part out of a frame; beyond the frame, the value of its edge is taken.
+    """Cut a part of shape (n_y, n_x) out of a frame, shape (n_rows, n_columns), from the corner (row, column) on.
 
-    Args:
-        values: shape (n_rows, n_columns).
-        corner: (row, column) of the part's first pixel.
-        shape: (n_y, n_x) of the part.
-
-    Returns:
-        Shape (n_y, n_x).
+    Beyond the frame, the value of its edge is taken.
     """
     (row, column), (n_y, n_x) = corner, shape
     if row >= 0 and column >= 0 and row + n_y <= values.shape[0] and column + n_x <= values.shape[1]:

@@ -18,17 +18,10 @@ SAMPLES = 16
 
 
 def index_phase_error_rad(library: Library, *, executor: Executor | None = None, samples: int = SAMPLES) -> float:
-    """Return the rms phase error by the standard uncertainty ``n_error`` of the pillar's index.
+    """Return the rms phase error (rad) by the standard uncertainty ``n_error`` of the pillar's index; 0 without one.
 
-    Sizes spread evenly over the sweep are solved with the index as given and with the index raised by ``n_error``.
-
-    Args:
-        library: its unit cell holds the sweep and the index with its uncertainty.
-        executor: runs the solver; None for this process.
-        samples: number of sizes.
-
-    Returns:
-        rad rms (:func:`phase_rms_rad`); 0 where ``n_error`` is 0.
+    ``samples`` sizes, spread evenly over the sweep, are solved with the index as given and with the index raised by
+    ``n_error``; see :func:`phase_rms_rad`.
     """
     from scipy.stats import qmc  # The import takes half a second, which a run without new work does not spend.
 

@@ -76,11 +76,7 @@ def require_clear_kit(design: Design, structures: Sequence[Structure], around: S
 
 
 def windows(marks: IntArray, margin_dbu: int) -> IntArray:
-    """Grow the bounding box of each mark by a margin.
-
-    Args:
-        marks: shape (n, 4), boxes (left, bottom, right, top) of the marks.
-        margin_dbu: margin on each side.
+    """Grow the bounding box (left, bottom, right, top) of each mark, shape (n, 4), by a margin.
 
     Returns:
         Shape (n, 4), rectangles (x, y, width, height).

@@ -25,14 +25,9 @@ class KnownShapes:
         return self.outline.is_rectangle
 
     def __call__(self, ring: IntArray, unit_nm: float) -> IntArray | None:
-        """Return the rectangle of a pillar: its centre, width and length.
+        """Return the rectangle (x, y, width, length) of a pillar, shape (4,), in units of the file; None for others.
 
-        Args:
-            ring: corners, shape (n, 2), closed or not, in units of the file.
-            unit_nm: unit of the file.
-
-        Returns:
-            x, y, width, length in units of the file, shape (4,); None if the ring is not a pillar.
+        The ring of corners has the shape (n, 2), closed or not.
         """
         if self.are_rectangles:
             return rectangle_of(ring)

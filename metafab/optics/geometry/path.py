@@ -87,14 +87,8 @@ class Ray:
     def jones_factor(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
         """Return the entry of the crystal's Jones matrix over the lens, relative to the ordinary wave; 1 without.
 
-        The matrix is smooth: it is computed on Chebyshev points and interpolated.
-
-        Args:
-            x_um: shape (n_x,), ascending.
-            y_um: shape (n_y,), ascending.
-
-        Returns:
-            Shape (n_y, n_x).
+        The matrix is smooth: it is computed on Chebyshev points and interpolated to ascending x, shape (n_x,), and y:
+        shape (n_y, n_x).
         """
         if self.crystal is None:
             return np.ones((y_um.size, x_um.size), dtype=np.complex128)

@@ -51,10 +51,7 @@ class BlindInformation:
         return conjugate_information(*self.transfer(field), self._signal_to_noise)
 
     def transfer(self, field: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
-        """Transfer functions of x polarisation and their derivatives over the rim defocus.
-
-        Args:
-            field: shape (n,), pupil field of x polarisation.
+        """Transfer functions of x polarisation and their derivatives over the rim defocus, from a field of shape (n,).
 
         Returns:
             Two arrays of shape (n_depth, m, m), zero frequency first, where the transfer is 1; y polarisation has the

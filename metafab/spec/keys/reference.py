@@ -71,9 +71,7 @@ def keys_of(spec: type, path: str = "") -> tuple[Key, ...]:
 def names_at(spec: Any, location: Iterable[int | str]) -> tuple[str, ...]:
     """Return the names of the keys of the table at a place of a file; empty if no table stands there.
 
-    Args:
-        spec: class of the file's spec.
-        location: keys, positions in lists, and names of phase terms, from the top of the file.
+    The location holds keys, positions in lists, and names of phase terms, from the top of the file of class ``spec``.
     """
     tables = _tables(spec)
     for part in location:
@@ -88,10 +86,7 @@ def names_at(spec: Any, location: Iterable[int | str]) -> tuple[str, ...]:
 def near(name: str, known: Iterable[str], *, likeness: float = 0.6) -> str:
     """Return "did you mean `a` or `b`?" for the known names that resemble ``name``; empty if none does.
 
-    Args:
-        name: the misspelt name; upper and lower case are alike.
-        known: names to choose from.
-        likeness: least ratio of resemblance, 0 to 1.
+    Upper and lower case are alike; ``likeness`` is the least ratio of resemblance, 0 to 1.
     """
     words = {word.lower(): word for word in known}
     close = [words[word] for word in difflib.get_close_matches(name.lower(), words, n=3, cutoff=likeness)]

@@ -23,28 +23,21 @@ class TransverseBasis:
 
     Coefficients of E_u and E_v with equal wave vector are rotated to (TM, TE). An unpaired coefficient is TM if its
     field is along the wave vector, TE if it is across. A wave vector of zero counts as TE.
-
-    Attributes:
-        u: families along x.
-        v: families along y.
-        k_squared: shape (n,), in-plane wave number squared of each coefficient, 1/nm^2; E_u first, then E_v.
-        is_tm: shape (n,), whether the coefficient is TM.
-        pair_u, pair_v: shape (pairs,), coefficients of E_u and of E_v that share a wave vector.
-        along: shape (2, pairs), unit vector (u, v) along the wave vector of each pair.
-        with_e_z: shape (n_z,), index of the coefficient that each coefficient of E_z drives: a TM coefficient, or one
-            of wave vector zero.
-        k_with_e_z: shape (n_z,), wave number that takes E_z to that coefficient, 1/nm; negative for an unpaired
-            coefficient of negative wave number.
     """
 
-    u: AxisParity
-    v: AxisParity
+    u: AxisParity  #: Families along x.
+    v: AxisParity  #: Families along y.
+    #: Shape (n,), in-plane wave number squared of each coefficient, 1/nm^2; E_u first, then E_v.
     k_squared: FloatArray
-    is_tm: np.ndarray
-    pair_u: IntArray
-    pair_v: IntArray
-    along: FloatArray
+    is_tm: np.ndarray  #: Shape (n,), whether the coefficient is TM.
+    pair_u: IntArray  #: Shape (pairs,), coefficients of E_u that share a wave vector with one of E_v.
+    pair_v: IntArray  #: Shape (pairs,), these coefficients of E_v.
+    along: FloatArray  #: Shape (2, pairs), unit vector (u, v) along the wave vector of each pair.
+    #: Shape (n_z,), index of the coefficient that each coefficient of E_z drives: a TM coefficient, or one of wave
+    #: vector zero.
     with_e_z: IntArray
+    #: Shape (n_z,), wave number that takes E_z to that coefficient, 1/nm; negative for an unpaired coefficient of
+    #: negative wave number.
     k_with_e_z: FloatArray
 
     @property
