@@ -39,6 +39,8 @@ autodoc_typehints = "description"
 autodoc_member_order = "bysource"
 napoleon_use_ivar = True
 nitpicky = False
+#: Names of fields are the targets of no reference; several classes share some of them.
+suppress_warnings = ["ref.python"]
 
 #: Notebooks are run when they have changed; `-D nb_execution_mode=off` leaves their outputs out.
 nb_execution_mode = "cache"
