@@ -56,6 +56,9 @@ def _plain_english(app: Any, what: str, name: str, item: Any, options: Any, line
         pieces = _VERBATIM.split(line)
         pieces[::2] = [re.sub(r"([|*]|_(?=\W|$))", r"\\\1", piece) for piece in pieces[::2]]
         lines[index] = "".join(pieces)
+    # Of a field, napoleon takes the first line up to a colon for its type; a line without one has none.
+    if what in {"attribute", "property"} and lines and ":" in lines[0]:
+        lines[:1] = lines[0].split(" ", 1)
 
 
 def setup(app: Any) -> None:
