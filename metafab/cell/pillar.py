@@ -140,13 +140,14 @@ class PillarCell:
         Returns:
             One fault for each field that differs and is not in ``treated``.
         """
+        outline = {"ellipse": "circles or ellipses", "cross": "crosses"}.get(self.shape, "rounded corners")
         special = {
             "angle_deg": (self.angle_deg != 0.0, "0", f"{self.angle_deg:g}"),
             "under, over": (bool(self.under or self.over), "no layers", "layers"),
             "sidewall_angle_deg": (self.is_sloped, "90", f"{self.sidewall_angle_deg:g}"),
             "n_substrate_z": (self.is_birefringent, "no index along z", f"{self.n_substrate_z}"),
             "is_staggered": (self.is_staggered, "a rectangular lattice", "a hexagonal one"),
-            "shape, corner_radius_nm": (self.is_shaped, "a plain rectangle", self.shape),
+            "shape, corner_radius_nm": (self.is_shaped, "a plain rectangle", f"{outline}: not available for these"),
         }
         return [
             Fault(name, f"{expected} for {purpose}", got, remedy)

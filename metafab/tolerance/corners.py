@@ -20,15 +20,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from metafab.cell import is_square
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.axes import CornerBox, corner_cell
 from metafab.library.library import Library
-from metafab.library.use.any_size import SOLVER_ERROR, response_of_sizes, solve_amplitudes
+from metafab.library.use.any_size import SOLVER_ERROR, must_be_solved, response_of_sizes, solved_amplitudes
 from metafab.optics.sources.source import WrittenField, made_field
 
 #: Sizes solved at a corner; twice as many for cells whose x and y axes differ.
@@ -103,12 +101,7 @@ def fields_at(
         for slices, chosen in ((_SLICES, plan.solved), (_SLICES // 2, plan.checked)):
             for width_nm, length_nm in sizes.size_nm[chosen].tolist():
                 tasks.append((corner_cell(library.unit_cell, width_nm, length_nm, corner), slices))
-    amplitudes = np.empty((len(tasks), 2), dtype=np.complex128)
-    # One thread of linear algebra here as in worker processes, so that results are bit-identical.
-    with threadpool_limits(1, "blas"):
-        for done, t in enumerate(in_order(executor or SerialExecutor(), solve_amplitudes, tasks)):
-            amplitudes[done] = t
-            progress("corners", done + 1, len(tasks))
+    amplitudes = solved_amplitudes(tasks, executor, progress)
     before, *after = np.split(amplitudes, np.cumsum([plan.count for plan in (nominal, *plans)])[:-1])
     return [
         sizes.corner_field(written, library, name, corner, plan, before, solved)
@@ -166,6 +159,8 @@ class MaskSizes:
         size_nm, count = pillars.size_nm()[index], counts[index]
         stored = response_of_sizes(library, size_nm)
         samples = min(_SAMPLES if is_square(library.unit_cell) else 2 * _SAMPLES, index.size)
+        # Without slopes over the sizes no change can be fitted: every size is solved.
+        samples = samples if library.is_continuous else index.size
         chosen = np.random.default_rng(0).choice(index.size, samples, replace=False, p=count / count.sum())
         place = {tuple(size): k for k, size in enumerate(size_nm.tolist())}
         mirror = np.array([place.get((length, width), index.size) for width, length in size_nm.tolist()])
@@ -226,7 +221,8 @@ class MaskSizes:
         inside = np.setdiff1d(np.arange(self.index.size), np.concatenate([solved, images]))
         t, error = np.empty_like(self.t), np.full(self.index.size, SOLVER_ERROR)
         if inside.size:
-            response = library.surface(*(self.size_nm[inside] + bias_nm).T)
+            found = library.surface if library.is_continuous else library.at_sizes
+            response = found(*(self.size_nm[inside] + bias_nm).T)
             t[inside] = np.stack([response.t_xx, response.t_yy], axis=1)
             error[inside] = response.error
         t[images] = after[mirrored, ::-1]
@@ -284,10 +280,7 @@ def _plan(sizes: MaskSizes, library: Library, corner: Mapping[str, float]) -> _P
     if bias_nm is None:
         sloped = "sidewall_angle_deg" in corner
         return _Plan(sizes.sample, sizes.sample[:SLICE_CHECKS] if sloped else _NONE, sampled=True)
-    low = np.array([library.width_nm[0], library.length_nm[0]]) - 1e-6
-    high = np.array([library.width_nm[-1], library.length_nm[-1]]) + 1e-6
-    biased = sizes.size_nm + bias_nm
-    outside = np.flatnonzero(np.any((biased < low) | (biased > high), axis=1))
+    outside = np.flatnonzero(must_be_solved(library, sizes.size_nm + bias_nm))
     # Of a size and its mirror image, one is solved.
     return _Plan(outside[sizes.mirror[outside] >= outside] if is_square(library.unit_cell) else outside)
 

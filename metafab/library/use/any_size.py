@@ -1,8 +1,13 @@
-"""Response of pillars of any size: stored on the grid, interpolated between, solved beyond the sweep."""
+"""Response of pillars of any size: stored on the grid, interpolated between, solved beyond the sweep.
+
+A library of circles, or of one width or length, is not continuous: between its sizes, pillars are solved too.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,23 +18,44 @@ from metafab.cell.rcwa import zero_order
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import SerialExecutor, in_order
+from metafab.core.parallel.progress import Progress, silent
 from metafab.library.library import Library
 from metafab.library.surface import SizeResponse
 
 #: Cosines of solved sizes, polynomial order of those with curved outlines, and their relative error.
 _ORDERS, _ELEMENT_ORDER, SOLVER_ERROR = 5, 4, 1e-3
-#: Most sizes beyond the sweep that are solved: about a minute.
+#: Most sizes that are solved: about a minute.
 MOST_SOLVED = 4000
 _SAME_NM = 1e-6
 
 
-def solve_amplitudes(task: tuple[PillarCell, int]) -> ComplexArray:
-    """Return (t_xx, t_yy), shape (2,), of a cell with a number of slices of its sidewall.
+def solved_amplitudes(
+    tasks: Sequence[tuple[PillarCell, int]], executor: Executor | None = None, progress: Progress = silent
+) -> ComplexArray:
+    """Return (t_xx, t_yy) of cells, each with a number of slices of its sidewall; shape (n, 2).
 
-    The truncation is fixed, so that its error is nearly the same with and without a small change.
+    All are solved at one truncation of one solver, so that its error is nearly the same with and without a small
+    change: by spectral elements where all cells have them, and otherwise by RCWA.
+
+    Args:
+        tasks: cells and slices.
+        executor: solves cells; None for this process. The result does not depend on it.
+        progress: called as cells are solved.
     """
+    has_elements = all(curved.is_treated(cell) for cell, _ in tasks)
+    amplitudes = np.empty((len(tasks), 2), dtype=np.complex128)
+    # One thread of linear algebra here as in worker processes, so that results are bit-identical.
+    with threadpool_limits(1, "blas"):
+        solve = partial(_solve, has_elements=has_elements)
+        for done, t in enumerate(in_order(executor or SerialExecutor(), solve, list(tasks))):
+            amplitudes[done] = t
+            progress("corners", done + 1, len(tasks))
+    return amplitudes
+
+
+def _solve(task: tuple[PillarCell, int], *, has_elements: bool) -> ComplexArray:
     cell, slices = task
-    if curved.is_treated(cell):
+    if has_elements:
         return np.diagonal(curved.zero_order(cell, _ELEMENT_ORDER).t).copy()
     return np.diagonal(zero_order(cell, _ORDERS, "adaptive", slices).t).copy()
 
@@ -40,13 +66,14 @@ def response_of_sizes(library: Library, size_nm: FloatArray, executor: Executor 
     Args:
         library: library of the pillars.
         size_nm: shape (n, 2), width and length, positive.
-        executor: solves sizes beyond the sweep; None for this process. The result does not depend on it.
+        executor: solves sizes; None for this process. The result does not depend on it.
 
     Raises:
-        InputError: more than :data:`MOST_SOLVED` sizes lie beyond the sweep, or the library is not continuous.
+        InputError: more than :data:`MOST_SOLVED` sizes must be solved.
     """
     t, error = np.empty((len(size_nm), 2), dtype=np.complex128), np.empty(len(size_nm))
-    stored, outside = _on_grid(library, size_nm), _outside(library, size_nm)
+    stored = _on_grid(library, size_nm)
+    outside = ~stored & must_be_solved(library, size_nm)
     between = ~(stored | outside)
     if stored.any():
         found = library.at_sizes(*size_nm[stored].T)
@@ -69,8 +96,10 @@ def _on_grid(library: Library, size_nm: FloatArray) -> NDArray[np.bool_]:
     return np.asarray((column >= 0) & (row >= 0) & library.known[row, column])
 
 
-def _outside(library: Library, size_nm: FloatArray) -> NDArray[np.bool_]:
-    """Whether each size lies beyond the sweep, shape (n,)."""
+def must_be_solved(library: Library, size_nm: FloatArray) -> NDArray[np.bool_]:
+    """Whether the library gives no amplitude between its sizes at each size, shape (n,), of shape (n, 2)."""
+    if not library.is_continuous:
+        return ~_on_grid(library, size_nm)
     low = np.array([library.width_nm[0], library.length_nm[0]]) - _SAME_NM
     high = np.array([library.width_nm[-1], library.length_nm[-1]]) + _SAME_NM
     return np.asarray(np.any((size_nm < low) | (size_nm > high), axis=1))
@@ -84,10 +113,13 @@ def _solved(library: Library, beyond: FloatArray, executor: Executor | None) -> 
     if len(solved) > MOST_SOLVED:
         sweep = f"{library.width_nm[0]:g} to {library.width_nm[-1]:g} nm"
         got = f"{len(solved)} sizes beyond it, {beyond.min():g} to {beyond.max():g} nm"
-        raise InputError.single("library", "sweep", f"sizes within {sweep}", got, "build a library of a wider sweep")
+        remedy = "build a library of a wider sweep"
+        if not library.is_continuous:
+            got, remedy = (
+                f"{len(solved)} sizes between, that would be solved one by one",
+                "round them to a coarser step",
+            )
+        raise InputError.single("library", "sweep", f"sizes within {sweep}", got, remedy)
     tasks = [(library.pillar(width_nm, length_nm), 8) for width_nm, length_nm in solved.tolist()]
-    # One thread of linear algebra here as in worker processes, so that results are bit-identical.
-    with threadpool_limits(1, "blas"):
-        amplitudes = np.array(list(in_order(executor or SerialExecutor(), solve_amplitudes, tasks))).reshape(-1, 2)
-    one_each = amplitudes[number.ravel()]
+    one_each = solved_amplitudes(tasks, executor)[number.ravel()]
     return np.where(swapped[:, None], one_each[:, ::-1], one_each)

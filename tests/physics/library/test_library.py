@@ -11,11 +11,17 @@ import numpy as np
 import pytest
 
 from metafab import library
+from metafab.cell import CellNumerics, solve
 from metafab.core.errors import InputError
+from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library import Library, build_size_table
+from metafab.library.axes import corner_cell
+from metafab.library.use.any_size import response_of_sizes
 from metafab.library.use.lookup import phase_slope_per_nm
+from metafab.optics import WrittenField, written_field
 from metafab.report.figures import library as figures
 from metafab.spec import UnitCell, load_unit_cell
+from metafab.tolerance import corner_fields
 
 NITRIDE = Path(__file__).parents[3] / "unitcell_lib" / "sin_circles_633nm.toml"
 DIAMETERS_NM = np.linspace(100.0, 160.0, 7)
@@ -99,3 +105,44 @@ def test_sweeps_that_are_no_circles_are_refused(tmp_path: Path, old: str, new: s
     (tmp_path / "cell.toml").write_text(text.replace(old, new))
     with pytest.raises(InputError, match=said):
         load_unit_cell(tmp_path / "cell.toml")
+
+
+def test_diameters_between_and_ellipses_are_solved(circles: Library) -> None:
+    """Printed or measured pillars are no longer on the grid, and not quite round."""
+    sizes_nm = np.array([[113.0, 113.0], [120.0, 120.0], [131.0, 127.5], [127.5, 131.0], [171.0, 171.0]])
+    found = response_of_sizes(circles, sizes_nm)
+    assert found.t_xx[1] == circles.at_sizes(120.0, 120.0).t_xx
+    assert found.t_xx[2] == found.t_yy[3]
+    for (width_nm, length_nm), t_xx in zip(sizes_nm, found.t_xx, strict=True):
+        exact = solve(circles.pillar(width_nm, length_nm), CellNumerics(5e-4)).t[0, 0]
+        assert abs(t_xx - exact) < 2e-3
+
+
+@pytest.fixture
+def two_circles(circles: Library) -> WrittenField:
+    """Circles of 110 and 150 nm as rows 1 and 2 of the table."""
+    lattice = Lattice((600, 600), (2, 2), 0.5)
+    size_dbu = np.array([[0, 0], [220, 220], [300, 300]], dtype=np.int32)
+    index = np.array([[1, 2], [2, 1]], dtype=np.uint16)
+    return written_field(PillarMap.from_array(lattice, size_dbu, index, 2), circles)
+
+
+@pytest.mark.parametrize(("axis", "deviation"), [("cd_bias_nm", 10.0), ("cd_bias_nm", 3.0), ("height_nm", 15.0)])
+def test_fabrication_corners_of_circles_are_those_of_their_cells(
+    circles: Library, two_circles: WrittenField, axis: str, deviation: float
+) -> None:
+    corner = corner_fields(two_circles, circles, {axis: deviation})[1]
+    for row, size_nm in ((1, 110.0), (2, 150.0)):
+        at = {axis: circles.unit_cell.nominal(axis) + deviation}
+        exact = solve(corner_cell(circles.unit_cell, size_nm, size_nm, at), CellNumerics(1e-3)).t[0, 0]
+        nominal = solve(circles.pillar(size_nm, size_nm), CellNumerics(1e-3)).t[0, 0]
+        assert corner.field.table[row, 0] / two_circles.table[row, 0] == pytest.approx(exact / nominal, abs=4e-3)
+
+
+def test_a_slope_of_circles_is_compared_with_upright_walls_by_the_same_solver(
+    circles: Library, two_circles: WrittenField
+) -> None:
+    """Staircases of RCWA are off by hundredths, alike with and without the slope: elements for one would add them."""
+    sloped = corner_fields(two_circles, circles, {"sidewall_angle_deg": 0.01})[1]
+    assert sloped.change < 2e-3
+    assert np.abs(sloped.field.table[1:] / two_circles.table[1:] - 1.0).max() < 4e-3

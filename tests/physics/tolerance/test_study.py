@@ -17,7 +17,7 @@ from metafab.core.parallel.executor import open_executor
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.axes import corner_cell
 from metafab.library.library import Library
-from metafab.library.use.any_size import solve_amplitudes
+from metafab.library.use.any_size import solved_amplitudes
 from metafab.optics import PsfNumerics, WrittenField, psf, relative_l2, written_field
 from metafab.spec import UnitCell
 from metafab.spec.design import Tolerances
@@ -125,7 +125,7 @@ def test_slices_of_a_sloped_wall_err_by_no_more_than_is_said(written: WrittenFie
     for slope in (-2.0, 2.0):
         at = {"sidewall_angle_deg": small_library.unit_cell.nominal("sidewall_angle_deg") + slope}
         cells = [corner_cell(small_library.unit_cell, float(w), float(h), at) for w, h in sample]
-        coarse, fine, finest = (np.array([solve_amplitudes((cell, slices)) for cell in cells]) for slices in (4, 8, 32))
+        coarse, fine, finest = (solved_amplitudes([(cell, slices) for cell in cells]) for slices in (4, 8, 32))
         before = np.ones_like(fine)
         stated = slice_error(before, fine, coarse)
         true = float(np.linalg.norm(fine - finest) / np.linalg.norm(before))
