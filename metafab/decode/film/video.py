@@ -22,7 +22,7 @@ from metafab.decode.evaluation.metrics import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
 from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track
 from metafab.decode.image import Image4D
-from metafab.decode.images.compose import FocusDepths, PixelMaps
+from metafab.decode.images.compose import PixelMaps, focus_depths
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import SharpImages, TileSpectra
 from metafab.decode.matching.cost_volume import CostVolume
@@ -161,11 +161,7 @@ class VideoDecoder:
         regions = remeasured(tracked.regions, volume, step)
         redrawn = parts if regions is tracked.regions else [(slice(0, rows), slice(0, columns))]
         sharp = self._deconvolved(prepared, last, regions, parts, affected, tiles.result())
-        moved = self._moved(regions, sharp, parts, changed)
-        if moved is not regions:
-            elsewhere, before = moved.grown != regions.grown, replace(last, sharp=sharp)
-            sharp = self._deconvolved(prepared, before, moved, parts, elsewhere, tiles.result())
-            regions = moved
+        regions = self._moved(regions, sharp, parts, changed)
         patches = []
         for part in redrawn:
             around, frame_slices = self._surroundings(part), self.decoder.filters.downsampling.frame_slices
@@ -283,10 +279,12 @@ class VideoDecoder:
         label, vergences = np.zeros(affected.shape, dtype=np.int32), np.zeros(0)
         for part in parts:
             around = self._surroundings(part)
-            focus = FocusDepths.of(prepared.within(*around), regions.within(*around), last.volume.vergences_per_m)
-            numbers = np.where(focus.label > 0, focus.label + vergences.size, 0)[relative_slices(part, around)]
+            depths, of_depths = focus_depths(
+                prepared.within(*around), regions.within(*around), last.volume.vergences_per_m
+            )
+            numbers = np.where(depths > 0, depths + vergences.size, 0)[relative_slices(part, around)]
             label[part] = np.where(affected[part], numbers, 0)
-            vergences = np.append(vergences, focus.vergences_per_m)
+            vergences = np.append(vergences, of_depths)
         wanted, renewed = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=bool)
         all_wanted, all_affected = (repeated(values, downsampling.step, shape) for values in (label, affected))
         for part in parts:

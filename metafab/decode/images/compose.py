@@ -46,33 +46,26 @@ def full_depth_m(pixels: PixelDepth, step: int, shape: tuple[int, int]) -> Float
     return depth_m
 
 
-@dataclass(frozen=True)
-class FocusDepths:
-    """Depths at which a frame is deconvolved: each pixel at that of the nearest segment."""
+def focus_depths(
+    prepared: PreparedFrame, regions: Regions, candidates_per_m: FloatArray
+) -> tuple[NDArray[np.int32], FloatArray]:
+    """Depths at which a frame is deconvolved: each pixel at that of the nearest segment.
 
-    label: NDArray[np.int32]  #: Shape (n_y, n_x), number of each downsampled pixel's depth from 1; 0 in the dark.
-    vergences_per_m: FloatArray  #: Shape (n_depths,), 1/depth of each number.
+    Args:
+        prepared: the frame.
+        regions: its segments.
+        candidates_per_m: shape (n_candidates,), vergences of the cost volume.
 
-    @classmethod
-    def of(cls, prepared: PreparedFrame, regions: Regions, candidates_per_m: FloatArray) -> FocusDepths:
-        """Depths of a frame with its segments.
-
-        Args:
-            prepared: the frame.
-            regions: its segments.
-            candidates_per_m: shape (n_candidates,), vergences of the cost volume.
-        """
-        near = prepared.near_light
-        if not regions.depths:
-            return cls(near.astype(np.int32), np.array([float(np.median(candidates_per_m))]))
-        everywhere = grown(regions.label, float(sum(regions.label.shape)))
-        band_per_m = _BAND_SHARE * float(candidates_per_m[-1] - candidates_per_m[0])
-        return cls(*regions.bands(np.where(near, everywhere, 0).astype(np.int32), band_per_m))
-
-    def changed(self, other: FocusDepths) -> FocusDepths:
-        """The depths where they are not those of ``other``; none elsewhere."""
-        here, there = (np.append(0.0, one.vergences_per_m)[one.label] for one in (self, other))
-        return replace(self, label=np.where(here != there, self.label, 0).astype(np.int32))
+    Returns:
+        Number of each downsampled pixel's depth from 1 (0 in the dark), shape (n_y, n_x), and 1/depth of each number,
+        shape (n_depths,).
+    """
+    near = prepared.near_light
+    if not regions.depths:
+        return near.astype(np.int32), np.array([float(np.median(candidates_per_m))])
+    everywhere = grown(regions.label, float(sum(regions.label.shape)))
+    band_per_m = _BAND_SHARE * float(candidates_per_m[-1] - candidates_per_m[0])
+    return regions.bands(np.where(near, everywhere, 0).astype(np.int32), band_per_m)
 
 
 @dataclass(frozen=True)
