@@ -16,11 +16,12 @@ In: a :class:`~metafab.layout.pillars.PillarMap` of drawn rectangles and a :clas
 Energies are relative to that of a large pad at the base dose, or to the clearing energy where stated.
 """
 
-from metafab.exposure.electrons.beam import BeamPsf, BeamTerm
+from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.electrons.process import beam_psf
 from metafab.exposure.energy.resist import ResistEnergy
 from metafab.exposure.expose import Exposure, ExposureFigures, ExposureNumerics, SampledPillar, expose
 from metafab.exposure.record import ExposureRecord, SizeErrors, load_record, save_record
+from metafab.spec.mask import BeamTerm
 
 __all__ = [
     "BeamPsf",

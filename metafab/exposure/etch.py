@@ -17,11 +17,12 @@ import numpy as np
 
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
-from metafab.exposure.electrons.beam import BeamPsf, BeamTerm
+from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.far import LONG_PERIODS, LongRange, block_masses
 from metafab.exposure.expose import Exposure
 from metafab.layout import PillarMap
 from metafab.layout.resized import bands, resized
+from metafab.spec.mask import BeamTerm
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.exposure.electrons.beam import BeamPsf, BeamTerm
+from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.electrons.presets import preset
 from metafab.spec.mask import ExposureProcess
 
@@ -25,8 +25,7 @@ def beam_psf(process: ExposureProcess) -> BeamPsf:
     if process.preset is not None:
         plain = preset(process.preset)
     elif process.terms:
-        terms = [BeamTerm(term.kind, term.weight, term.range_nm, term.exponent or 0.0) for term in process.terms]
-        plain = BeamPsf.of(terms, process.source)
+        plain = BeamPsf.of(process.terms, process.source)
     else:
         plain = _from_table(process)
     if process.backscatter_ratio is not None:
