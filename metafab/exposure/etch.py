@@ -22,16 +22,7 @@ from metafab.exposure.energy.far import LONG_PERIODS, LongRange, block_masses
 from metafab.exposure.expose import Exposure
 from metafab.layout import PillarMap
 from metafab.layout.resized import bands, resized
-from metafab.spec.mask import BeamTerm
-
-
-@dataclass(frozen=True)
-class EtchBias:
-    """Change of sizes by the etch."""
-
-    bias_nm: float = 0.0  #: Etched less printed width and length at the mean density.
-    microloading_nm: float = 0.0  #: Further change for a local density larger by 1 (full in place of empty).
-    range_um: float = 50.0  #: Range of the Gaussian exp(-r^2 / range^2) that averages the density.
+from metafab.spec.mask import BeamTerm, Etch
 
 
 @dataclass(frozen=True)
@@ -45,7 +36,7 @@ class MadePillars:
     density: float  #: Mean share of the surface under printed pillars, weighted by pillars.
 
 
-def made_pillars(wanted: PillarMap, exposed: Exposure, etch: EtchBias = EtchBias()) -> MadePillars:
+def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch) -> MadePillars:
     """Return the pillars that an exposure and an etch leave.
 
     Args:
@@ -54,7 +45,7 @@ def made_pillars(wanted: PillarMap, exposed: Exposure, etch: EtchBias = EtchBias
         etch: change of sizes.
 
     Raises:
-        InputError: printed sizes were not kept, or ``range_um`` is below 12 periods.
+        InputError: printed sizes were not kept, or ``microloading_range_um`` is below 12 periods.
     """
     change = exposed.printed_less_drawn_nm
     if change is None:
@@ -89,19 +80,17 @@ def made_pillars(wanted: PillarMap, exposed: Exposure, etch: EtchBias = EtchBias
     return MadePillars(pillars, bias_nm, rms_nm, int(np.count_nonzero(index)) - count // 2, mean)
 
 
-def _density(
-    pillars: PillarMap, printed_nm: Callable[[slice], Float32Array], etch: EtchBias
-) -> tuple[LongRange, float]:
+def _density(pillars: PillarMap, printed_nm: Callable[[slice], Float32Array], etch: Etch) -> tuple[LongRange, float]:
     """Local density on blocks, and its mean over the pillars."""
     lattice, index = pillars.lattice, pillars.to_array()
     least_nm = LONG_PERIODS * min(lattice.period_nm)
-    if etch.range_um * 1e3 < least_nm:
+    if etch.microloading_range_um * 1e3 < least_nm:
         expected = f"at least {LONG_PERIODS:g} periods, {least_nm * 1e-3:g} um"
-        raise InputError.single("process.etch", "microloading_range_um", expected, f"{etch.range_um:g} um")
+        raise InputError.single("process.etch", "microloading_range_um", expected, f"{etch.microloading_range_um:g} um")
     masses = []
     for rows in bands(index):
         masses.append(block_masses(np.prod(printed_nm(rows).astype(np.float64), axis=0)))
-    beam = BeamPsf.of([BeamTerm("gauss", 1.0, etch.range_um * 1e3)], "")
+    beam = BeamPsf.of([BeamTerm("gauss", 1.0, etch.microloading_range_um * 1e3)], "")
     density = LongRange.of(beam, np.concatenate(masses), lattice.period_nm)
     assert density is not None
     total, count = 0.0, 0

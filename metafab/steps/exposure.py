@@ -60,7 +60,7 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
         InputError: as :func:`expose_mask`; or sizes too far beyond the library.
     """
     from metafab import optics, tolerance
-    from metafab.exposure.etch import EtchBias, made_pillars
+    from metafab.exposure.etch import made_pillars
 
     design, work = job.design, job.work
     exposed = expose_mask(path, design, printed == "corrected", 0, copy, work, keep_sizes=True)
@@ -68,8 +68,7 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     assert design.process.exposure is not None
     correction = design.process.exposure.correction
     etch = design.process.etch or Etch()
-    bias = EtchBias(etch.bias_nm, etch.microloading_nm, etch.microloading_range_um)
-    made = made_pillars(exposed.drawn, exposed.exposure, bias)
+    made = made_pillars(exposed.drawn, exposed.exposure, etch)
     figures = exposed.exposure.figures
     library = open_library(job)
     corner = {"corner_radius_nm": round(figures.corner_radius_nm, 3), **etch.corner}

@@ -7,8 +7,9 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.exposure import BeamPsf, BeamTerm, ExposureNumerics, expose
-from metafab.exposure.etch import EtchBias, made_pillars
+from metafab.exposure.etch import made_pillars
 from metafab.layout import PillarMap
+from metafab.spec.mask import Etch
 from tests.physics.exposure.conftest import pattern
 
 SHARP = BeamPsf.of([BeamTerm("gauss", 1.0, 5.0)], "assumption")
@@ -22,7 +23,7 @@ def half_empty() -> PillarMap:
     return pattern(np.array([(120.0, 200.0)]), index)
 
 
-def made(pillars: PillarMap, etch: EtchBias) -> PillarMap:
+def made(pillars: PillarMap, etch: Etch) -> PillarMap:
     exposed = expose(pillars, SHARP, numerics=ExposureNumerics(keep_sizes=True))
     return made_pillars(pillars, exposed, etch).pillars
 
@@ -30,7 +31,7 @@ def made(pillars: PillarMap, etch: EtchBias) -> PillarMap:
 def test_a_bias_changes_all_sizes_alike(half_empty: PillarMap) -> None:
     """A beam of 5 nm prints at size; half a nanometre is the unit."""
     exposed = expose(half_empty, SHARP, numerics=ExposureNumerics(keep_sizes=True))
-    found = made_pillars(half_empty, exposed, EtchBias(bias_nm=-7.0))
+    found = made_pillars(half_empty, exposed, Etch(bias_nm=-7.0))
     assert found.bias_nm == pytest.approx(-7.0, abs=0.26)
     assert found.bias_rms_nm < 0.3
     assert found.missing == 0
@@ -38,7 +39,7 @@ def test_a_bias_changes_all_sizes_alike(half_empty: PillarMap) -> None:
 
 def test_microloading_follows_the_local_density(half_empty: PillarMap) -> None:
     """Far from the seam the densities are 0.196 and 0.098: sizes differ by half of that share."""
-    loaded = made(half_empty, EtchBias(microloading_nm=100.0, range_um=4.5))
+    loaded = made(half_empty, Etch(microloading_nm=100.0, microloading_range_um=4.5))
     sizes = loaded.size_nm()[loaded.to_array()]
     density = 120.0 * 200.0 / 350.0**2
     difference = sizes[80, 80] - sizes[80, 240]
@@ -47,10 +48,10 @@ def test_microloading_follows_the_local_density(half_empty: PillarMap) -> None:
 
 def test_ranges_that_blocks_do_not_resolve_are_refused(half_empty: PillarMap) -> None:
     with pytest.raises(InputError, match="microloading_range_um"):
-        made(half_empty, EtchBias(microloading_nm=10.0, range_um=1.0))
+        made(half_empty, Etch(microloading_nm=10.0, microloading_range_um=1.0))
 
 
 def test_pillars_that_are_etched_away_are_counted(half_empty: PillarMap) -> None:
     exposed = expose(half_empty, SHARP, numerics=ExposureNumerics(keep_sizes=True))
-    found = made_pillars(half_empty, exposed, EtchBias(bias_nm=-125.0))
+    found = made_pillars(half_empty, exposed, Etch(bias_nm=-125.0))
     assert found.missing == exposed.figures.pillars
