@@ -94,7 +94,8 @@ def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterE
             f"{address} ({error})",
             "start one with `dask scheduler` and give the address that it prints",
         ) from error
-    ended = threading.Event()
+    their_log = logging.getLogger("distributed.client")
+    level, ended = their_log.level, threading.Event()
     threading.Thread(target=_watch_workers, args=(client, address, progress, ended), daemon=True).start()
     try:
         yield ClusterExecutor(client)
@@ -102,11 +103,13 @@ def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterE
         # Dask cancels all futures as soon as the connection to the scheduler closes, and then refuses calls.
         if client.status == "running":
             raise
+        their_log.setLevel(logging.CRITICAL)  # Dask logs the traceback of its last attempt to connect again.
         raise ClusterLostError(address) from error
     finally:
         ended.set()
         with suppress(TimeoutError, OSError):
             client.close(timeout=_CLOSE_S)
+        their_log.setLevel(level)
 
 
 def _watch_workers(client: Any, address: str, progress: Progress, ended: threading.Event) -> None:
