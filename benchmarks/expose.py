@@ -109,12 +109,12 @@ def _energies(pillars: PillarMap, psf: BeamPsf, checked: int) -> list[dict[str, 
 
 
 def _direct(index: NDArray[np.uint16], size_nm: FloatArray, lattice: Lattice, psf: BeamPsf, at_nm: FloatArray) -> float:
-    """Energy at a place: sum over all pillars within five ranges of each Gaussian."""
+    """Energy at a place: sum over all pillars within four ranges of each Gaussian, beyond which it is below 2e-8."""
     x, y = 1e3 * lattice.x_um() - at_nm[0], 1e3 * lattice.y_um() - at_nm[1]
     (width, width_of), (length, length_of) = (np.unique(side, return_inverse=True) for side in size_nm.T)
     total = 0.0
     for weight, beta in zip(psf.weight, psf.range_nm, strict=True):
-        reach = 5.0 * beta + float(size_nm.max())
+        reach = 4.0 * beta + float(size_nm.max())
         columns, rows_ = (slice(*np.searchsorted(axis, (-reach, reach))) for axis in (x, y))
         along_x, along_y = _profile(x[columns], width, beta), _profile(y[rows_], length, beta)
         total += weight * _summed(index[rows_, columns], width_of, length_of, along_x, along_y)
