@@ -81,7 +81,9 @@ def moved_outlines(regions: Regions, sharp: SharpImages, step: int, where: NDArr
 
 def _log_ratio(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -> FloatArray:
     """Logarithm of I_x / I_y in the window about each downsampled pixel, NaN in the dark: shape ``shape``."""
-    light = window_means(_block_sums(images, step, shape), max(1, _WINDOW_PX // step) | 1).astype(np.float64)
+    light = window_means(_block_sums(np.ascontiguousarray(images), step, shape), max(1, _WINDOW_PX // step) | 1).astype(
+        np.float64
+    )
     known = (light > 0.0).all(axis=0)
     return np.where(known, np.log(np.where(known, light[0], 1.0) / np.where(known, light[1], 1.0)), np.nan)
 

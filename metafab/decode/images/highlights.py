@@ -27,8 +27,8 @@ _BRIGHT = 4.0
 _REACH_PX = 12
 #: Error of the calibration, as a share of a highlight's blurred light: it adds to the noise there.
 _MODEL_ERROR = 0.005
-#: Most unknowns of a tile and depth, 0.5 GFlop: with more of them, a surface is overexposed, and stays as it is.
-_MOST_UNKNOWNS = 1000
+#: Most unknowns of a tile and depth, 0.1 GFlop: with more of them, a surface is overexposed, and stays as it is.
+_MOST_UNKNOWNS = 600
 #: Share of the noise's precision that keeps the system of neighbouring free pixels regular.
 _RIDGE = 1e-6
 
@@ -63,11 +63,12 @@ def separated(
     free = np.argwhere(broken)
     if len(free) > _MOST_UNKNOWNS:
         return None
-    square = transfer.real**2 + transfer.imag**2
-    precision = ratio / (square + ratio)
+    square = transfer.real.astype(np.float64) ** 2 + transfer.imag.astype(np.float64) ** 2
+    total = np.maximum(square + ratio, 1e-30)
+    precision = ratio / total
     system = _System(transfer, precision, broken.shape)
     filled = system.solved(spectrum, free, np.zeros((0, 2), dtype=np.intp), 0.0)
-    wiener = scipy.fft.irfft2(np.conj(transfer) / (square + ratio) * filled.spectrum, broken.shape)
+    wiener = scipy.fft.irfft2(np.conj(transfer) / total * filled.spectrum, broken.shape)
     near = binary_dilation(broken, iterations=_REACH_PX)
     bright = np.argwhere(near & (wiener > _BRIGHT * level_e))
     if not len(bright) or len(free) + len(bright) > _MOST_UNKNOWNS:
@@ -82,10 +83,10 @@ def separated(
 class _System:
     """Normal equations of the free pixels and highlights of a tile."""
 
-    def __init__(self, transfer: NDArray[np.complex64], precision: NDArray[np.float32], shape: tuple[int, ...]) -> None:
+    def __init__(self, transfer: NDArray[np.complex64], precision: FloatArray, shape: tuple[int, ...]) -> None:
         self.transfer, self.precision, self.shape = transfer, precision, shape
         backward = precision * np.conj(transfer)
-        self.filters = (precision.astype(np.complex64), backward)
+        self.filters = (precision.astype(np.complex128), backward)
         spectra = (self.filters[0], np.conj(backward), backward * transfer)
         self.kernels = [self._image(one) for one in spectra]
 
@@ -115,14 +116,19 @@ class _System:
             other = self._block(2, bright, bright) + ridge * np.eye(len(bright))
             matrix = np.block([[own, across], [across.T, other]])
             right = np.concatenate([-self._at(0, spectrum, free), self._at(1, spectrum, bright)])
-            solution = scipy.linalg.solve(matrix, right, assume_a="pos")
+            solution = _solved(matrix, right)
             light[tuple(bright.T)] = np.maximum(solution[len(free) :], 0.0)
             spectrum = np.asarray(spectrum - self.transfer * scipy.fft.rfft2(light), dtype=np.complex64)
         values = np.zeros(self.shape)
-        values[tuple(free.T)] = -scipy.linalg.solve(own, self._at(0, spectrum, free), assume_a="pos")
+        values[tuple(free.T)] = -_solved(own, self._at(0, spectrum, free))
         whole = (spectrum + scipy.fft.rfft2(values)).astype(np.complex64)
         return SeparatedTile(whole, light.astype(np.float32))
 
     def _at(self, which: int, spectrum: NDArray[np.complex64], places: NDArray[np.intp]) -> FloatArray:
         """A filtered tile at pixels: shape (n,)."""
         return np.asarray(self._image(self.filters[which] * spectrum)[tuple(places.T)])
+
+
+def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
+    """Solution of a positive definite system, shape (n,)."""
+    return np.asarray(scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), right))

@@ -90,3 +90,14 @@ def test_a_dead_pixel_is_filled_in_within_noise() -> None:
 
 def test_an_overexposed_surface_stays_as_it_is() -> None:
     assert parted(np.full((SIDE, SIDE), LIMIT_E), np.ones((SIDE, SIDE), dtype=bool)) is None
+
+
+def test_a_large_hole_is_filled_with_finite_light() -> None:
+    frame = exposed(scene(0.0))
+    broken = np.zeros(frame.shape, dtype=bool)
+    broken[30:54, 40:64] = True
+    found = parted(np.where(broken, 0.0, frame), broken)
+    assert found is not None
+    filled = scipy.fft.irfft2(found.spectrum, frame.shape)[broken]
+    # In its middle nothing is known but the texture's spectrum, whose longest waves go on.
+    assert filled.mean() == pytest.approx(LEVEL_E, rel=0.2)
