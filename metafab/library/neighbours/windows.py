@@ -11,7 +11,6 @@ from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
 from metafab.library.neighbours.model import Neighbours
 from metafab.library.neighbours.open_lines import (
     IndexArray,
-    SingleArray,
     SizeTables,
     open_line_corrections,
     open_line_slopes,
@@ -46,14 +45,14 @@ class NeighbourTables:
             polarisation: 0 for x and 1 for y.
 
         Returns:
-            Shape (n_y, n_x), complex64.
+            Shape (n_y, n_x), complex128.
         """
         inner = slice(HALO_SITES, -HALO_SITES)
         rows = open_line_corrections(self.along_x[polarisation], size_index[inner])[:, inner]
         columns = open_line_corrections(self.along_y[polarisation], size_index[:, inner].T)[:, inner]
         return np.asarray(rows + columns.T)
 
-    def slopes(self, size_index: IndexArray, weight: ComplexArray) -> tuple[ComplexArray, SingleArray]:
+    def slopes(self, size_index: IndexArray, weight: ComplexArray) -> tuple[ComplexArray, FloatArray]:
         """Corrections of all sites of a window whose ends have no neighbours, and derivatives of their weighted sum.
 
         Args:
@@ -65,7 +64,7 @@ class NeighbourTables:
             polarisations by width and length of each pillar, shape (n_y, n_x, 2), per nm.
         """
         field = np.empty(weight.shape, dtype=np.complex128)
-        slopes = np.zeros((*size_index.shape, 2), dtype=np.float32)
+        slopes = np.zeros((*size_index.shape, 2), dtype=np.float64)
         for light in range(2):
             rows, by_rows = open_line_slopes(self.along_x[light], size_index, weight[light])
             columns, by_columns = open_line_slopes(self.along_y[light], size_index.T, weight[light].T)
