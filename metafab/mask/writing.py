@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,17 +120,17 @@ def fracture(polygons: Sequence[NDArray[np.int64]], unit_nm: float, exposure: Ex
 
 def _trapezoids(polygon: FloatArray) -> FloatArray:
     """Height and mean width of each trapezoid of a polygon cut at all its corners, shape (n, 2)."""
-    found = []
     start, end = polygon, np.roll(polygon, -1, axis=0)
     levels = np.unique(polygon[:, 1])
-    for low, high in pairwise(levels):
-        middle = 0.5 * (low + high)
-        crossed = (np.minimum(start[:, 1], end[:, 1]) < middle) & (np.maximum(start[:, 1], end[:, 1]) > middle)
-        first, last = start[crossed], end[crossed]
-        share = (middle - first[:, 1]) / (last[:, 1] - first[:, 1])
-        x = np.sort(first[:, 0] + share * (last[:, 0] - first[:, 0]))
-        found += [(high - low, right - left) for left, right in zip(x[::2], x[1::2], strict=True)]
-    return np.array(found, dtype=np.float64).reshape(-1, 2)
+    middle = 0.5 * (levels[1:] + levels[:-1])[:, None]
+    crossed = (np.minimum(start[:, 1], end[:, 1]) < middle) & (np.maximum(start[:, 1], end[:, 1]) > middle)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = start[:, 0] + (middle - start[:, 1]) / (end[:, 1] - start[:, 1]) * (end[:, 0] - start[:, 0])
+    x = np.sort(np.where(crossed, x, np.inf), axis=1)[:, : 2 * (len(polygon) // 2)]
+    left, right = x[:, ::2], x[:, 1::2]
+    height = np.broadcast_to(np.diff(levels)[:, None], left.shape)
+    inside = np.isfinite(right)
+    return np.stack([height[inside], right[inside] - left[inside]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
