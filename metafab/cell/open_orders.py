@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from metafab.cell import curved
 from metafab.cell.pillar import PillarCell
 from metafab.cell.problem import pillar_cell
 from metafab.cell.rcwa.diffraction import diffraction, propagating_orders
 from metafab.cell.response import CellNumerics
-from metafab.core.conventions import Side
+from metafab.core.conventions import FloatArray, Side
 from metafab.spec import UnitCell
 
 #: Sizes, as shares of the range of the sweep, whose orders are solved, and the error of their efficiencies.
@@ -40,7 +41,7 @@ class OpenOrders:
 
 
 def open_orders(unit_cell: UnitCell) -> tuple[OpenOrders, ...]:
-    """Return the orders that open on either side of a unit cell; solves three sizes by RCWA if there are any.
+    """Return the orders that open on either side of a unit cell; solves three sizes if there are any.
 
     Raises:
         InputError: as :func:`metafab.cell.pillar_cell`.
@@ -51,22 +52,38 @@ def open_orders(unit_cell: UnitCell) -> tuple[OpenOrders, ...]:
     counts = {side: len(propagating_orders(cells[0], index[side])) - 1 for side in sides}
     if not any(counts.values()):
         return ()
-    solved = [diffraction(cell, CellNumerics(target_error=_ERROR)) for cell in cells]
-    error = max(one.error for one in solved)
+    solved = [_shares(cell) for cell in cells]
+    error = max(one[2] for one in solved)
     found = []
     for side in sides:
         if not counts[side]:
             continue
-        lists = [one.reflected if side == unit_cell.illumination.side else one.transmitted for one in solved]
-        shares = np.array(
-            [[sum(getattr(o, f"efficiency_{p}") for o in orders if any(o.order)) for p in "xy"] for orders in lists]
-        ).mean(axis=0)
+        is_back = side == unit_cell.illumination.side
+        shares = np.mean([back if is_back else passed for passed, back, _ in solved], axis=0)
         densest = max(complex(n).real for n in index[side])
         # The first orders of a hexagonal lattice belong to its row distance, sqrt(3) / 2 of the period.
         factor = 2.0 / np.sqrt(3.0) if unit_cell.cell.is_hexagonal else 1.0
         largest_nm = float(factor * unit_cell.illumination.wavelength_nm / densest)
         found.append(OpenOrders(side, counts[side], largest_nm, float(shares[0]), float(shares[1]), error))
     return tuple(found)
+
+
+def _shares(cell: PillarCell) -> tuple[FloatArray, FloatArray, float]:
+    """Power in the other transmitted and reflected orders, shape (2,) each, for x and y light, and its error."""
+    numerics = CellNumerics(target_error=_ERROR)
+    if curved.is_treated(cell):
+        answer = curved.solve(cell, numerics)
+        whole = answer.details
+        assert isinstance(whole, curved.CurvedDetails)
+        passed = np.array([whole.transmitted_power_x, whole.transmitted_power_y]) - answer.transmittance
+        back = np.array([whole.reflected_power_x, whole.reflected_power_y]) - np.abs(np.diag(answer.r)) ** 2
+        return passed, back, 2.0 * answer.error
+    found = diffraction(cell, numerics)
+    transmitted, reflected = (
+        np.array([sum(getattr(o, f"efficiency_{p}") for o in orders if any(o.order)) for p in "xy"])
+        for orders in (found.transmitted, found.reflected)
+    )
+    return transmitted, reflected, found.error
 
 
 def _index(cell: PillarCell, unit_cell: UnitCell) -> dict[Side, tuple[complex, complex]]:

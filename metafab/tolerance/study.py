@@ -18,6 +18,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.errors import InputError
 from metafab.core.figures import ToleranceRow, ToleranceTable
 from metafab.core.numeric.peaks import parabolic_maximum
 from metafab.core.numeric.splines import spline_weights
@@ -250,9 +251,12 @@ def tolerance_table(
         work: processes or cluster that solve cells, and progress over the corners. The result does not depend on them.
 
     Raises:
-        InputError: inputs for which no PSF stack exists (:func:`metafab.optics.psf`), or write fields that only blocks
-            of so few sites divide that stitching does not fit into memory.
+        InputError: slopes in a hexagonal lattice, inputs for which no PSF stack exists (:func:`metafab.optics.psf`), or
+            write fields that only blocks of so few sites divide that stitching does not fit into memory.
     """
+    if library.unit_cell.cell.is_hexagonal and tolerances.sidewall_deg > 0.0:
+        expected, remedy = "0 for a hexagonal lattice, whose slopes are not available", "set it in `[tolerance]`"
+        raise InputError.single("tolerance", "sidewall_deg", expected, f"{tolerances.sidewall_deg:g}", remedy)
     with threadpool_limits(1, "blas"):
         optics, pupils, error = MaskOptics.of(written, imaging, depths_m, numerics, transmission, work)
         block = pupils[0].carrier.block_sites

@@ -165,6 +165,9 @@ def _outline(cell: PillarCell, layer: Slice, orders: int) -> Rectangles:
 
 def _staggered_axes(cell: PillarCell, orders: int, formulation: Formulation) -> _Axes:
     """Outlines of the pillar, and of the gap at its ends, in the centred cell of two rows of a hexagonal lattice."""
+    faults = cell.untreated("a hexagonal lattice by RCWA", treated=("is_staggered",))
+    if faults:
+        raise InputError("cell", faults)
     period, rows = cell.period_nm[0], 2.0 * cell.period_nm[1]
     x = outline_bases(period, (cell.width_nm, period - cell.width_nm), orders, formulation)
     y = outline_bases(rows, (cell.length_nm, rows - cell.length_nm), 2 * orders, formulation)

@@ -66,6 +66,8 @@ def cell_command(
     numerics = cell.CellNumerics(target_error=target_error or spec.sweep.target_error, solver=name)
     answer = cell.solve(problem, numerics)
     is_fdtd = name == "meep"
+    # Single orders are RCWA's, which has no ellipses of a hexagonal lattice.
+    has_orders = not is_fdtd and rcwa.diffracts(problem) and not (problem.is_staggered and problem.is_shaped)
     (t_xx, t_xy), (t_yx, t_yy) = answer.t
     figures = CellFigures(
         t_xx=complex(t_xx),
@@ -84,7 +86,7 @@ def cell_command(
         details=answer.details,
         orders=None if is_fdtd else answer.resolution,
         resolution=answer.resolution if is_fdtd else None,
-        diffraction=rcwa.diffraction(problem, numerics) if not is_fdtd and rcwa.diffracts(problem) else None,
+        diffraction=rcwa.diffraction(problem, numerics) if has_orders else None,
     )
     show(figures, json_)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 import pytest
 
@@ -58,3 +59,22 @@ def test_rows_of_a_hexagonal_lattice_count() -> None:
     (found,) = open_orders(cell)
     assert found.largest_period_nm == pytest.approx(2.0 / math.sqrt(3.0) * 532 / 1.46)
     assert found.count == 6
+
+
+@pytest.mark.parametrize("lattice", ["rectangular", "hexagonal"])
+def test_orders_of_circles_take_what_the_zero_order_lacks(lattice: Literal["rectangular", "hexagonal"]) -> None:
+    cell = make_unit_cell(
+        period_nm=450,
+        height_nm=300,
+        pillar=2.0,
+        substrate=1.46,
+        wavelength_nm=532,
+        sizes_nm=(80, 240),
+        size_grid_nm=20,
+        shape="circle",
+        lattice=lattice,
+    )
+    (found,) = open_orders(cell)
+    assert found.side == "substrate"
+    assert 0.01 < found.share_x < 0.5
+    assert found.share_x == pytest.approx(found.share_y, abs=2e-2)

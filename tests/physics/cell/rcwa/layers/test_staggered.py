@@ -1,4 +1,4 @@
-"""Hexagonal lattices by RCWA: limits that need no lattice, and plain Fourier modes of the whole centred cell."""
+"""Hexagonal lattices by RCWA: limits that need no lattice, plain Fourier modes of the whole centred cell, refusals."""
 
 from __future__ import annotations
 
@@ -71,3 +71,11 @@ def test_what_is_not_treated_is_refused() -> None:
             solve(replace(CELL, **changes))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="hexagonal"):
         solve(CELL, CellNumerics(solver="meep"))
+
+
+@pytest.mark.parametrize(
+    "change", [{"sidewall_angle_deg": 88.0}, {"shape": "ellipse"}, {"corner_radius_nm": 10.0}, {"angle_deg": 3.0}]
+)
+def test_what_would_be_taken_for_an_upright_rectangle_is_refused(change: dict[str, object]) -> None:
+    with pytest.raises(InputError, match="for a hexagonal lattice by RCWA"):
+        rcwa.zero_order(replace(CELL, **change), 4)  # type: ignore[arg-type]
