@@ -19,7 +19,7 @@ def skipped(run: RunFolder) -> str:
     unneeded = html.note("the design needs every step")
     if steps:
         unneeded = html.table(["skipped step", "reason"], steps, kind="stack")
-    head = ["step", "left out", "computed", "of", "safe because", "error"]
+    head = ["step", "pieces of work", "computed", "of", "safe because", "error"]
     return html.section(
         "skipped",
         "Skipped work",
