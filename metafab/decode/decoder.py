@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from metafab.decode.matching.levels import Levels
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import repeated
 from metafab.decode.registration.twins import TwinGrid
+from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import Regions, find_regions, textured_pixel_depth
@@ -48,6 +50,7 @@ class DecoderNumerics:
         outline_rounds: most rounds of the refinement of outlines.
         refined: whether to separate layers by noise, leave outliers out of segments' depths, and compute the
             probability that a pixel is in the right segment; without, decoding is faster.
+        modelled: whether a model of the frame with occlusion refines outlines of segments, if ``refined``.
         kept_bytes: most memory of the transfer functions that are kept for the next frame.
         step_px: pixels from one compared pixel to the next; None for the largest step that keeps the information about
             depth (:func:`metafab.decode.matching.filters.coarsest_step`).
@@ -57,6 +60,7 @@ class DecoderNumerics:
     compensate_space_variance: bool = True
     outline_rounds: int = ROUNDS
     refined: bool = True
+    modelled: bool = True
     kept_bytes: int = KEPT_BYTES
     step_px: int | None = None
 
@@ -225,6 +229,11 @@ class Decoder:
         """Cost volume of the twins over the candidate depths."""
         return self.filters.volume(prepared.spectra, prepared.levels, prepared.lit, progress)
 
+    @cached_property
+    def layer_optics(self) -> LayerOptics:
+        """The pair on the downsampled pixels, for the model of the frame along outlines."""
+        return LayerOptics.of(self.calibration, self.filters.downsampling)
+
     def complete(self, prepared: PreparedFrame, volume: CostVolume) -> DecodedFrame:
         """Depths, segments and sharp images of a frame."""
         step, shape = self.filters.downsampling.step, self.calibration.grid.shape
@@ -233,7 +242,8 @@ class Decoder:
             tiles = pool.submit(self.deconvolver.tile_spectra, prepared.twins.image, near_light)
             pixels = textured_pixel_depth(prepared, volume)
             rounds, refined = self.numerics.outline_rounds, self.numerics.refined
-            regions = find_regions(prepared, volume, pixels, outline_rounds=rounds, refined=refined)
+            optics = self.layer_optics if refined and self.numerics.modelled else None
+            regions = find_regions(prepared, volume, pixels, outline_rounds=rounds, refined=refined, optics=optics)
         label, vergences = focus_depths(prepared, regions, volume.vergences_per_m)
         depths = repeated(label, step, shape), vergences
         sharp = self.deconvolver(tiles.result(), prepared.levels, *depths, prepared.twins.broken)

@@ -64,7 +64,7 @@ class VideoDecoder:
     """A decoder that remembers the last frame.
 
     Attributes:
-        decoder: decoder of single frames.
+        decoder: decoder of single frames, without the model of the frame.
         second_looks: numbers of the changed frames that are decoded anew for comparison.
         changed_share: share of the last frame's pixels that were decoded again.
         state: the last frame; None before the first one, and after one that could not be decoded.
@@ -75,6 +75,10 @@ class VideoDecoder:
     changed_share: float = field(default=1.0, init=False)
     state: FilmState | None = field(default=None, init=False, repr=False)
     _changes: int = field(default=0, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        """Leave out the model of the frame along outlines: it is slow, and parts of a frame are decoded without it."""
+        self.decoder = replace(self.decoder, numerics=replace(self.decoder.numerics, modelled=False))
 
     def __call__(self, frame: RawFrame) -> Image4D:
         """Decode the next frame.

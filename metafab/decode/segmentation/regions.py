@@ -16,6 +16,7 @@ from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.segmentation.distance import distance
 from metafab.decode.segmentation.fit import across_outlines, misfit_at
+from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, fit_plane, ransac_planes
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
@@ -32,6 +33,7 @@ from metafab.decode.segmentation.segments import (
     segment_depth,
     textured_components,
 )
+from metafab.decode.segmentation.shares import outline_shares
 
 #: Largest separation of layers, as a share of the calibrated range of vergence.
 _LAYER_SHARE = 1.0 / 24.0
@@ -165,6 +167,7 @@ def find_regions(
     *,
     refined: bool = True,
     robust_rounds: int = ROBUST_ROUNDS,
+    optics: LayerOptics | None = None,
 ) -> Regions:
     """Segment a frame, with the probability that each pixel is in the right segment.
 
@@ -176,10 +179,16 @@ def find_regions(
         outline_rounds: most rounds of the refinement of outlines.
         refined: whether to separate layers by noise, leave outliers out of depths, and compute that probability.
         robust_rounds: most rounds of leaving outliers out.
+        optics: the pair, for outlines by the model of the frame; without, they stay where correlation puts them.
     """
     regions = _find_regions(prepared, volume, pixels, known, outline_rounds, refined=refined)
     if not (regions.depths and refined):
         return regions
+    shares = None
+    if optics is not None:
+        shares = outline_shares(prepared, regions.depths, regions.grown, regions.interior, optics)
+    if shares is not None:
+        regions = with_owners(regions, shares.owner)
     label = regions.grown
 
     def misfit_of(number: NDArray[np.int32]) -> NDArray[np.float32]:
@@ -197,6 +206,23 @@ def find_regions(
     across, away = across_outlines(label)
     other = misfit_of(across) if across.any() else own
     return replace(regions, right=right_segment(own, other, away * prepared.downsampling.step))
+
+
+def with_owners(regions: Regions, owner: NDArray[np.int32]) -> Regions:
+    """Segments with new outlines, and the depths of before; pixels without a segment stay without one.
+
+    Args:
+        regions: segments.
+        owner: shape (n_y, n_x), number of each pixel's segment.
+    """
+    grown_label = np.where(regions.grown > 0, owner, 0).astype(np.int32)
+    kept = (regions.label > 0) | (grown_label != regions.grown)
+    return replace(
+        regions,
+        label=np.where(kept, grown_label, 0).astype(np.int32),
+        interior=np.where(grown_label == regions.interior, regions.interior, 0).astype(np.int32),
+        grown=grown_label,
+    )
 
 
 def _is_settled(depth: SegmentDepth, before: SegmentDepth, shape: tuple[int, ...]) -> bool:
