@@ -42,26 +42,19 @@ MARGIN_PX = 36
 
 @dataclass(frozen=True)
 class DecoderNumerics:
-    """How a decoder computes.
+    """How a decoder computes."""
 
-    Attributes:
-        basis_error: relative L2 error of the low-rank basis of the matched filters; a larger one is faster.
-        compensate_space_variance: whether to correct the filters for the pair's change over the field.
-        outline_rounds: most rounds of the refinement of outlines.
-        refined: whether to separate layers by noise, leave outliers out of segments' depths, and compute the
-            probability that a pixel is in the right segment; without, decoding is faster.
-        modelled: whether a model of the frame with occlusion refines outlines of segments, if ``refined``.
-        kept_bytes: most memory of the transfer functions that are kept for the next frame.
-        step_px: pixels from one compared pixel to the next; None for the largest step that keeps the information about
-            depth (:func:`metafab.decode.matching.filters.coarsest_step`).
-    """
-
+    #: Relative L2 error of the low-rank basis of the matched filters; a larger one is faster.
     basis_error: float = 0.02
-    compensate_space_variance: bool = True
-    outline_rounds: int = ROUNDS
+    compensate_space_variance: bool = True  #: Whether to correct the filters for the pair's change over the field.
+    outline_rounds: int = ROUNDS  #: Most rounds of the refinement of outlines.
+    #: Whether to separate layers by noise, leave outliers out of segments' depths, and compute the probability that a
+    #: pixel is in the right segment; without, decoding is faster.
     refined: bool = True
-    modelled: bool = True
-    kept_bytes: int = KEPT_BYTES
+    modelled: bool = True  #: Whether a model of the frame with occlusion refines outlines of segments, if ``refined``.
+    kept_bytes: int = KEPT_BYTES  #: Most memory of the transfer functions that are kept for the next frame.
+    #: Pixels from one compared pixel to the next; None for the largest step that keeps the information about depth
+    #: (:func:`metafab.decode.matching.filters.coarsest_step`).
     step_px: int | None = None
 
 
@@ -106,23 +99,14 @@ def decode(
 
 @dataclass(frozen=True)
 class DecodedFrame:
-    """All results of which a frame's 4D image is made.
+    """All results of which a frame's 4D image is made."""
 
-    Attributes:
-        prepared: registered twins.
-        volume: cost volume.
-        pixels: depth of each pixel.
-        regions: segments.
-        sharp: all-in-focus images.
-        maps: arrays of the 4D image.
-    """
-
-    prepared: PreparedFrame
-    volume: CostVolume
-    pixels: PixelDepth
-    regions: Regions
-    sharp: SharpImages
-    maps: PixelMaps
+    prepared: PreparedFrame  #: Registered twins.
+    volume: CostVolume  #: Cost volume.
+    pixels: PixelDepth  #: Depth of each pixel.
+    regions: Regions  #: Segments.
+    sharp: SharpImages  #: All-in-focus images.
+    maps: PixelMaps  #: Arrays of the 4D image.
 
 
 @dataclass(frozen=True)
@@ -130,18 +114,12 @@ class Decoder:
     """A decoder for frames of one shape; everything that depends on the calibration alone is computed once.
 
     For one Python thread at a time: the transforms that are kept between frames are not locked.
-
-    Attributes:
-        calibration: the pair on the grid of the x image.
-        filters: matched filters of each candidate depth.
-        deconvolver: Wiener filters.
-        numerics: how it computes.
     """
 
-    calibration: Calibration
-    filters: CrossFilters
-    deconvolver: Deconvolver
-    numerics: DecoderNumerics = DecoderNumerics()
+    calibration: Calibration  #: The pair on the grid of the x image.
+    filters: CrossFilters  #: Matched filters of each candidate depth.
+    deconvolver: Deconvolver  #: Wiener filters.
+    numerics: DecoderNumerics = DecoderNumerics()  #: How it computes.
 
     @classmethod
     def of(

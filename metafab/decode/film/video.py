@@ -44,35 +44,23 @@ _SURROUNDINGS_PX = 12
 
 @dataclass(frozen=True)
 class FilmState:
-    """The last frame of a film.
+    """The last frame of a film."""
 
-    Attributes:
-        decoded: its decoding.
-        image: its 4D image, without errors against a truth.
-        patches: its patches, for change detection.
-        camera: shape of the frame, pixel, place, noise and saturation; frames of another camera do not continue it.
-    """
-
-    decoded: DecodedFrame
-    image: Image4D
-    patches: PatchMeans
+    decoded: DecodedFrame  #: Its decoding.
+    image: Image4D  #: Its 4D image, without errors against a truth.
+    patches: PatchMeans  #: Its patches, for change detection.
+    #: Shape of the frame, pixel, place, noise and saturation; frames of another camera do not continue it.
     camera: tuple[object, ...]
 
 
 @dataclass
 class VideoDecoder:
-    """A decoder that remembers the last frame.
+    """A decoder that remembers the last frame."""
 
-    Attributes:
-        decoder: decoder of single frames, without the model of the frame.
-        second_looks: numbers of the changed frames that are decoded anew for comparison.
-        changed_share: share of the last frame's pixels that were decoded again.
-        state: the last frame; None before the first one, and after one that could not be decoded.
-    """
-
-    decoder: Decoder
-    second_looks: tuple[int, ...] = SECOND_LOOKS
-    changed_share: float = field(default=1.0, init=False)
+    decoder: Decoder  #: Decoder of single frames, without the model of the frame.
+    second_looks: tuple[int, ...] = SECOND_LOOKS  #: Numbers of the changed frames that are decoded anew for comparison.
+    changed_share: float = field(default=1.0, init=False)  #: Share of the last frame's pixels that were decoded again.
+    #: The last frame; None before the first one, and after one that could not be decoded.
     state: FilmState | None = field(default=None, init=False, repr=False)
     _changes: int = field(default=0, init=False, repr=False)
 

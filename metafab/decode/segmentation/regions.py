@@ -67,22 +67,14 @@ _STRIPE_RATIO = 1.25
 
 @dataclass(frozen=True)
 class Regions:
-    """The segments of a frame, on the downsampled pixels.
+    """The segments of a frame, on the downsampled pixels."""
 
-    Attributes:
-        layers: number of depths at which many pixels lie.
-        depths: depth of each segment, in the order of their numbers.
-        label: shape (n_y, n_x), number of each pixel's segment from 1; 0 for none.
-        interior: shape (n_y, n_x), ``label`` where the segment's depth is measured; 0 elsewhere.
-        grown: shape (n_y, n_x), ``label`` grown over the pixels along the outlines.
-        right: shape (n_y, n_x), probability that a pixel of ``grown`` is in the right segment; None for certainty.
-    """
-
-    layers: int
-    depths: tuple[SegmentDepth, ...]
-    label: NDArray[np.int32]
-    interior: NDArray[np.int32]
-    grown: NDArray[np.int32]
+    layers: int  #: Number of depths at which many pixels lie.
+    depths: tuple[SegmentDepth, ...]  #: Depth of each segment, in the order of their numbers.
+    label: NDArray[np.int32]  #: Shape (n_y, n_x), number of each pixel's segment from 1; 0 for none.
+    interior: NDArray[np.int32]  #: Shape (n_y, n_x), ``label`` where the segment's depth is measured; 0 elsewhere.
+    grown: NDArray[np.int32]  #: Shape (n_y, n_x), ``label`` grown over the pixels along the outlines.
+    #: Shape (n_y, n_x), probability that a pixel of ``grown`` is in the right segment; None for certainty.
     right: FloatArray | None = None
 
     def within(self, rows: slice, columns: slice) -> Regions:
