@@ -162,7 +162,8 @@ class Decoder:
         """Memory of everything that is kept between frames."""
         grid = self.calibration.grid
         maps = grid.tangent_x.nbytes * 5 + grid.resampler.nbytes
-        return self.calibration.stack.nbytes + self.filters.nbytes + self.deconvolver.nbytes + maps
+        optics = self.layer_optics.nbytes if "layer_optics" in vars(self) else 0
+        return self.calibration.stack.nbytes + self.filters.nbytes + self.deconvolver.nbytes + optics + maps
 
     def depth_map(self, frame: RawFrame, *, progress: Progress = silent) -> FloatArray:
         """Depth of each pixel from the window about it, without segments: shape (n_y, n_x), m; NaN for none."""
