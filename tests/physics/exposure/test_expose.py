@@ -19,7 +19,7 @@ def test_correction_prints_what_is_drawn(lens: PillarMap) -> None:
     assert plain.figures.cd_error_rms_nm > 0.3
     assert corrected.figures.cd_error_rms_nm < 0.1
     assert corrected.figures.cd_error_max_nm < 0.5
-    assert corrected.figures.error < 2e-4
+    assert corrected.figures.error < 8e-4
     assert corrected.figures.unprinted == 0
     # Where many neighbours expose a pillar, it needs less.
     middle, rim = corrected.dose[350, 350], corrected.dose[350, 3]
