@@ -94,8 +94,8 @@ class ExposureFigures:
     corner_radius_nm: float  #: Mean radius of printed corners of random pillars.
     corner_radius_rms_nm: float  #: Rms deviation of the radii from their mean.
     base_over_clearing_dose: float  #: Base dose over the clearing dose of a large pad.
-    #: Bound of the error of an energy over the clearing energy: four times the largest difference from a direct sum over
-    #: all pillars in reach, at six random pillars.
+    #: Bound of the error of an energy over the clearing energy: four times the largest difference from a direct sum,
+    #: over all pillars in reach, at six random pillars.
     error: float
     rounds: int  #: Rounds of the correction; 0 without one.
 
