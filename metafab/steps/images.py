@@ -146,6 +146,11 @@ def capture_batch(
     """
     from metafab import camera, optics
 
+    for file, scene in scenes[1:]:
+        if scene.field_px != scenes[0][1].field_px:
+            expected, got = ("{} x {} pixels".format(*one.field_px) for one in (scenes[0][1], scene))
+            expected += f", the field of {scenes[0][0].name}"
+            raise InputError.single(str(file), "field_px", expected, got, "give all scenes one field")
     psf, total, photons = optics.load(psf_path), draws * len(scenes), 0.0
     shape: tuple[int, ...] = ()
     start = scenes[0][1].seed if seed is None else seed

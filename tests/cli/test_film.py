@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,8 @@ from PIL import Image
 from metafab import camera, optics, report
 from metafab.core.errors import InputError, MissingToolError
 from metafab.decode import decode
-from metafab.spec import Scene, SceneObject
+from metafab.spec import Scene, SceneObject, load_scene
+from metafab.steps.images import capture_batch
 from tests.conjugate_pair import helix_psf
 from tests.main_job import metafab
 
@@ -91,6 +93,21 @@ def test_a_batch_refuses_what_it_cannot_hold(folder: Path, options: list[str], w
     answer = metafab("capture", folder / "scene.toml", folder / "scene.toml", "--psf", folder / "psf.h5", *options)
     assert answer.code == 2
     assert words in answer.stderr
+
+
+def test_scenes_of_unlike_fields_are_refused_before_the_first_frame(folder: Path) -> None:
+    scene = load_scene(folder / "scene.toml")
+    n_y, n_x = scene.field_px
+    scenes = [(Path("one.toml"), scene), (Path("two.toml"), replace(scene, field_px=(n_y + 8, n_x)))]
+    calls: list[tuple[str, int, int]] = []
+
+    def progress(what: str, done: int, total: int) -> None:
+        calls.append((what, done, total))
+
+    with pytest.raises(InputError, match=rf"(?s)two\.toml.*field_px.*{n_y} x {n_x}.*one\.toml.*{n_y + 8} x {n_x}"):
+        capture_batch(scenes, folder / "psf.h5", folder / "unlike.h5", 2, progress=progress)
+    assert not calls
+    assert not (folder / "unlike.h5").exists()
 
 
 def test_a_film_is_decoded_frame_by_frame_and_drawn(folder: Path) -> None:

@@ -18,7 +18,6 @@ from metafab.optics.point_spread import Psf
 
 BATCH_KIND = "metafab batch"
 BATCH_FORMAT = 1
-#: Frames and truth are stored in single precision, which is finer than their noise and interpolation.
 #: Space that a frame may take on the disk, as a multiple of its arrays before they are deflated.
 _ROOM = 2.0
 
@@ -118,7 +117,10 @@ def _place(frame: RawFrame) -> tuple[object, ...]:
 
 
 def _reserve(file: h5py.File, frame: RawFrame, count: int) -> None:
-    """Make room for ``count`` frames like the first one."""
+    """Make room for ``count`` frames like the first one.
+
+    Frames and truth are stored in single precision, which is finer than their noise and interpolation.
+    """
     if frame.truth is None or frame.truth_origin_um is None or frame.x_window is None:
         raise ValueError("a frame of a batch holds its truth and its window")
     truth = file.create_group("truth")

@@ -177,7 +177,8 @@ def decode_command(
     read_noise_e: ReadNoise = 0.0,
     white: White = None,
     fast: Annotated[
-        bool, typer.Option("--fast", help="Leave out the refinement of segments, and with it some of their confidence.")
+        bool,
+        typer.Option("--fast", help="Faster: segments are not refined, and confidence counts noise only."),
     ] = False,
     json_: Json = False,
 ) -> None:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.conventions import FloatArray
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.registration.downsampling import relative_slices
 from metafab.decode.segmentation.planes import Cells, Plane, distinct_planes
@@ -109,12 +110,18 @@ def track(
         label = np.where(np.append(True, stays)[before], before, 0).astype(np.int32)
         label[part][affected] = number[now[inside][affected]]
         labels.append(renumbered[label])
-    right = None if last.right is None or current.right is None else last.right.copy()
-    if right is not None and current.right is not None:
-        right[part][affected] = current.right[inside][affected]
+    earlier, later = _right(last), _right(current)
+    right = None if earlier is None or later is None else earlier.copy()
+    if right is not None and later is not None:
+        right[part][affected] = later[inside][affected]
     label, interior, grown = labels
     regions = Regions(last.layers, tuple(one for one in depths if one is not None), label, interior, grown, right)
     return TrackedRegions(regions, np.append(0, np.where(stays, renumbered[1 : count + 1], 0)).astype(np.int32))
+
+
+def _right(regions: Regions) -> FloatArray | None:
+    """Probability of the right segment, shape (n_y, n_x); without segments none is doubted."""
+    return regions.right if regions.depths else np.ones(regions.grown.shape)
 
 
 def _continued(

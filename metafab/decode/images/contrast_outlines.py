@@ -34,8 +34,8 @@ _FEWEST, _LEAST_SPREAD = 20, 0.02
 _MOST_ODDS = 6.0
 #: Probability of the segmentation is kept within this of 0 and 1.
 _LEAST_DOUBT = 1e-3
-#: Share of the pixels moved that lie in the segment across, and share of the segmentation's doubt in all others that
-#: contrast leaves: the rest lie in a third segment. Measured in five frames of natural scenes.
+#: Probability that a moved pixel is right; and, for pixels that stay, the share of their prior doubt that remains
+#: because they may lie in a third segment. Measured in five frames of natural scenes.
 _MOVED_RIGHT, _DOUBT_LEFT = 0.86, 0.15
 
 

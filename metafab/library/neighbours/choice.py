@@ -48,12 +48,15 @@ class NeighbourChoice:
         grid[place[1:, 0], place[1:, 1]] = np.arange(1, len(size_nm))
         return cls(NeighbourTables.of(neighbours, size_nm), t, place, grid, length_nm, width_nm)
 
-    def improve(self, size_index: IndexArray, target_rad: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    def improve(
+        self, size_index: IndexArray, target_rad: FloatArray, parity: int = 0
+    ) -> tuple[ComplexArray, ComplexArray]:
         """Choose the sizes of a window of sites again, in place; its ends have no neighbours.
 
         Args:
             size_index: shape (n_y, n_x), 0 where no pillar stands, which stays so.
             target_rad: shape (2, n_y, n_x), target phases.
+            parity: row plus column of the window's corner, so that windows of one lens agree on the colours.
 
         Returns:
             Field over the target wave by the model before and after, shape (2, n_y, n_x) each; 0 without a pillar.
@@ -65,7 +68,8 @@ class NeighbourChoice:
             field, slopes = self.tables.slopes(size_index, weight)
             if number == 0:
                 before = weight * (self.t[size_index].transpose(2, 0, 1) + field)
-            _move(size_index, slopes, lone, parts, self.place, self.grid, self.length_nm, self.width_nm, number % 2)
+            colour = (number + parity) % 2
+            _move(size_index, slopes, lone, parts, self.place, self.grid, self.length_nm, self.width_nm, colour)
         field, _ = self.tables.slopes(size_index, weight)
         return before, weight * (self.t[size_index].transpose(2, 0, 1) + field)
 

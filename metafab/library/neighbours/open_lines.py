@@ -36,7 +36,7 @@ _NO_PILLAR = 1e12
 
 @dataclass(frozen=True)
 class SizeTables:
-    """What the solve needs of each size, real and imaginary parts."""
+    """Coefficients of the chain for each size, real and imaginary parts."""
 
     site: FloatArray  #: Shape (2, sizes, modes (modes + 1) / 2), upper triangle of H.
     source: FloatArray  #: Shape (2, sizes, modes), c; 0 for odd modes.

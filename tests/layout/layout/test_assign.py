@@ -130,9 +130,9 @@ def test_sizes_chosen_among_neighbours_send_more_light_to_the_target(
     assert np.array_equal(index > 0, tiny.pillars.to_array() > 0)
     assert figures.min_gap_nm is not None
     assert figures.min_gap_nm >= asked.rules.min_gap_nm
-    # Tiles end with 24 neighbours a side: few pillars take another of two nearly equal sizes.
+    # Tiles agree on the colours, and end with 24 neighbours a side: at most a tie of two sizes is broken otherwise.
     tiled = sizes_at_sites(layout.assign(profile, coupled_library, asked).pillars)
-    assert np.mean(np.any(tiled != sizes_at_sites(found.pillars), axis=-1)) < 0.01
+    assert np.any(tiled != sizes_at_sites(found.pillars), axis=-1).sum() <= 1
 
 
 def test_a_choice_among_neighbours_needs_their_model(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -100,6 +102,24 @@ def test_nothing_in_the_part_and_nothing_in_the_last_frame() -> None:
     assert both.label[:10].max() == 0
     assert number.tolist() == [0]
     assert planes_around(nothing, PART, ABOUT, ALL, STEP_PER_M) == []
+
+
+def test_a_part_without_segments_leaves_the_probabilities_of_all_others() -> None:
+    """Of a part in the dark no probability is computed: the rest of the frame keeps its own, and so do later frames."""
+    last = replace(regions(street(), ROAD, Plane(3.0), Plane(2.5)), right=np.full(SHAPE, 0.7))
+    dark = track(last, regions(np.zeros((30, 30))), PART, ABOUT, ALL, STEP_PER_M).regions
+    want = np.full(SHAPE, 0.7)
+    want[PART] = 1.0
+    np.testing.assert_array_equal(dark.right, want)
+    lit = track(dark, replace(now(None, Plane(9.0), Plane(2.2)), right=np.full((30, 30), 0.6)), PART, ABOUT, ALL, 0.1)
+    want[PART] = 0.6
+    np.testing.assert_array_equal(lit.regions.right, want)
+    # A film that starts in the dark; and one that is decoded fast, whose segments are not judged.
+    nothing, judged = regions(np.zeros(SHAPE)), replace(now(None, Plane(9.0), Plane(2.2)), right=np.full((30, 30), 0.6))
+    started = track(nothing, judged, PART, ABOUT, ALL, STEP_PER_M).regions.right
+    assert started is not None
+    assert (started[PART] == 0.6).all()
+    assert track(last, now(None, Plane(9.0), Plane(2.2)), PART, ABOUT, ALL, STEP_PER_M).regions.right is None
 
 
 @settings(max_examples=60, deadline=None)

@@ -19,8 +19,8 @@ EDGE = 30
 def regions(label: NDArray[np.int32], right: float | None = 0.8) -> Regions:
     count = int(label.max())
     depths = tuple(SegmentDepth(2.0 + k, 1e-3, 0.9, 1.0, Plane(2.0 + k)) for k in range(count))
-    row, column = np.indices(SHAPE)
-    inside = np.where((np.abs(column - EDGE) > 8) & (row >= 0), label, 0).astype(np.int32)
+    column = np.indices(SHAPE)[1]
+    inside = np.where(np.abs(column - EDGE) > 8, label, 0).astype(np.int32)
     sure = None if right is None else np.full(SHAPE, right)
     return Regions(count, depths, label, inside, label, sure)
 
