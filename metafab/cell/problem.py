@@ -89,11 +89,10 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     """
     check(cell)
     check_numerics(numerics)
-    has_elements = curved.is_treated(cell)
-    if numerics.solver == "elements" and not has_elements:
-        expected = "an upright ellipse or rounded rectangle, clear of its neighbours, under light along z"
-        raise InputError.single("cell", "shape", f"{expected} for the solver elements", cell.shape, "solve with rcwa")
-    if has_elements and numerics.solver != "meep" and numerics.formulation == "adaptive":
+    faults = curved.untreated(cell)
+    if numerics.solver == "elements" and faults:
+        raise InputError("cell", faults)
+    if not faults and numerics.solver != "meep" and numerics.formulation == "adaptive":
         return curved.solve(cell, numerics)
     if cell.is_staggered:
         _refuse_in_hexagonal_lattice(cell, numerics)
@@ -108,9 +107,10 @@ def _refuse_in_hexagonal_lattice(cell: PillarCell, numerics: CellNumerics) -> No
     """Refuse a cell of a hexagonal lattice that RCWA does not treat."""
     faults = cell.untreated("a hexagonal lattice", treated=("is_staggered", "shape, corner_radius_nm"))
     if cell.is_shaped:
-        expected = "a plain rectangle, or an ellipse clear of its neighbours, for a hexagonal lattice"
-        got = f"{cell.shape} of {cell.width_nm:g} x {cell.length_nm:g} nm"
-        faults.append(Fault("shape, corner_radius_nm", expected, got))
+        # Curved outlines have the elements alone.
+        faults = curved.untreated(cell)
+        if numerics.formulation != "adaptive":
+            faults.append(Fault("formulation", "adaptive for ellipses in a hexagonal lattice", numerics.formulation))
     if numerics.solver != "rcwa":
         faults.append(Fault("solver", "rcwa for a hexagonal lattice", numerics.solver))
     if faults:

@@ -59,6 +59,8 @@ def check_numerics(numerics: CellNumerics) -> None:
         ("solver", numerics.solver, ("rcwa", "elements", "meep")),
         ("formulation", numerics.formulation, ("adaptive", "fourier")),
     )
+    if (numerics.solver, numerics.formulation) == ("elements", "fourier"):
+        faults.append(Fault("formulation", "adaptive for the solver elements", "fourier", "or solve with rcwa"))
     if not 0.0 < numerics.target_error < 1.0:
         faults.append(Fault("target_error", "above 0 and below 1", f"{numerics.target_error:g}"))
     if not numerics.max_orders >= _FEWEST_ORDERS:

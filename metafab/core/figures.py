@@ -220,7 +220,7 @@ class AberrationFigures:
     polarisation: Literal["x", "y"]  #: Polarisation of the light.
     depth_m: float  #: Object depth.
     radius_um: float  #: Radius of the unit circle of the polynomials, half the aperture.
-    rms_waves: float  #: Rms of the wavefront error without its mean: of Noll's coefficients from 2 and the residual.
+    rms_waves: float  #: Rms of the wavefront error about its mean, weighted by power, over places within the circle.
     residual_waves: float  #: Rms of what the Noll polynomials leave.
     strehl_of_phase: float  #: Strehl ratio that these phases leave: |mean field|^2 over that without phase errors.
     noll_waves: FloatArray  #: Shape (36,), Noll coefficients from number 1, the piston.

@@ -17,7 +17,7 @@ Energies are relative to that of a large pad at the base dose, or to the clearin
 """
 
 from metafab.exposure.electrons.beam import BeamPsf
-from metafab.exposure.electrons.process import beam_psf
+from metafab.exposure.electrons.process import beam_psf, unavailable
 from metafab.exposure.energy.resist import ResistEnergy
 from metafab.exposure.expose import Exposure, ExposureFigures, ExposureNumerics, SampledPillar, expose
 from metafab.exposure.record import ExposureRecord, SizeErrors, load_record, save_record
@@ -37,4 +37,5 @@ __all__ = [
     "expose",
     "load_record",
     "save_record",
+    "unavailable",
 ]

@@ -23,11 +23,11 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.special import erf
 
 from metafab.core.conventions import FloatArray
-from metafab.core.errors import InputError
+from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.work import Work
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.resist import ResistEnergy, TileEnergy
@@ -136,11 +136,12 @@ def fit_process(
 
     found = least_squares(
         residuals,
-        np.clip(start, 1.001 * np.abs(_LOW) * np.sign(_LOW), 0.999 * _HIGH)[chosen],
+        np.clip(start, _LOW + 1e-3 * np.abs(_LOW), _HIGH - 1e-3 * _HIGH)[chosen],
         bounds=(_LOW[chosen], _HIGH[chosen]),
         x_scale="jac",
         diff_step=[1e-5],
     )
+    _require_inside(found, chosen)
     square = float((found.fun**2).sum()) / (count - int(chosen.sum()))
     covariance = _covariance(
         np.asarray(found.jac), [name for name, is_free in zip(PARAMETERS, chosen, strict=True) if is_free]
@@ -256,6 +257,21 @@ def _index(lens: MeasuredLens) -> NDArray[np.int64]:
     """Size index of each measured pillar."""
     row, column = lens.place.T
     return np.asarray(lens.pillars.to_array()[row, column], dtype=np.int64)
+
+
+def _require_inside(found: OptimizeResult, chosen: NDArray[np.bool_]) -> None:
+    """Refuse a fit that did not converge, or ended at a bound."""
+    free = np.flatnonzero(chosen)
+    faults = []
+    for place in np.flatnonzero(found.active_mask):
+        at = free[place]
+        expected = f"sizes that give one between {_LOW[at]:g} and {_HIGH[at]:g}"
+        got = f"the bound {found.x[place]:.4g}"
+        faults.append(Fault(PARAMETERS[at], expected, got, "measure other doses, or fit fewer (`--free`)"))
+    if not found.success:
+        faults.append(Fault("sizes", "sizes on which the fit converges", str(found.message), "fit fewer (`--free`)"))
+    if faults:
+        raise InputError("process fit", faults)
 
 
 def _covariance(jacobian: FloatArray, names: Sequence[str]) -> FloatArray:

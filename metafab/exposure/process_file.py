@@ -8,15 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from metafab import mask
-from metafab.core.errors import InputError
+from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import whole_file
-from metafab.exposure.electrons.process import beam_psf
+from metafab.exposure.electrons.process import beam_psf, unavailable
 from metafab.exposure.fit import MeasuredLens, Parameter, ProcessFit, fit_process
 from metafab.mask.measured import read_measured
 from metafab.spec import Design, UnitCell, canonical_toml
+from metafab.spec.keys.faults import faults_of
 from metafab.spec.mask import Etch, ExposureProcess, Process
 
 #: Columns of the table whose means become properties of the etch.
@@ -49,14 +51,24 @@ def fitted_process(
         work: threads and progress.
 
     Raises:
-        InputError: the design has no ``[process.exposure]``; a table that cannot be read, with places without a pillar
-            or doses that are not positive; or sizes that do not determine the parameters.
+        InputError: the design has no ``[process.exposure]``, or keys that the fit does not know; a table that cannot be
+            read, with places without a pillar, doses that are not positive or means that no pillar has; or sizes that
+            do not determine the parameters.
     """
     start = None if design.process is None else design.process.exposure
     if start is None:
         remedy = 'add `[process.exposure]` with `preset = "hsq_sos_100kv"`, or with your own `terms`'
         raise InputError.single(design.name, "process.exposure", "a table", "none", remedy)
+    faults = unavailable(design)
+    if design.mask.dose is not None:
+        faults.append(Fault("mask.dose", "one dose for all pillars", "dose classes", "fit a mask without them"))
+    if faults:
+        raise InputError(design.name, faults)
     measured = read_measured(table, ("copy", "dose", *_CORNER))
+    corner: dict[str, Any] = {
+        name: round(float(np.mean(values)), 3) for name, values in measured.further.items() if name in _CORNER
+    }
+    etch, unit_cell = _made(design, corner, table)
     numbers = measured.further.get("copy", np.full(len(measured.size_nm), float(copy)))
     doses = measured.further.get("dose", np.ones(len(measured.size_nm)))
     if (doses <= 0.0).any() or (numbers != np.rint(numbers)).any():
@@ -79,20 +91,21 @@ def fitted_process(
         start.base_over_clearing_dose,
         work,
     )
-    corner: dict[str, Any] = {
-        name: round(float(np.mean(values)), 3) for name, values in measured.further.items() if name in _CORNER
-    }
     known = "" if start.source == "assumption" else f"{start.source}; "
     source = f"{known}fit of {', '.join(free)} to {fit.sizes} sizes of {table.name} at {fit.doses} doses"
-    etch = design.process.etch if design.process is not None and design.process.etch is not None else Etch()
-    process = Process(
-        exposure=_exposure(start, fit, source),
-        etch=replace(
-            etch, **({"bias_nm": round(fit.bias_nm.value, 4)} if "bias" in free else {}), **corner, source=source
-        ),
-    )
-    cell = replace(design.unit_cell, cell=replace(design.unit_cell.cell, **corner)) if corner else None
-    return FittedProcess(fit, process, cell)
+    bias = {"bias_nm": round(fit.bias_nm.value, 4)} if "bias" in free else {}
+    process = Process(exposure=_exposure(start, fit, source), etch=replace(etch, **bias, source=source))
+    return FittedProcess(fit, process, unit_cell)
+
+
+def process_files(path: Path, fitted: FittedProcess) -> tuple[Path, ...]:
+    """Return the files of :func:`save_process`.
+
+    Args:
+        path: the process file.
+        fitted: the fit.
+    """
+    return (path,) if fitted.unit_cell is None else (path, path.with_name(f"{path.stem}_cell.toml"))
 
 
 def save_process(fitted: FittedProcess, path: Path) -> tuple[Path, ...]:
@@ -112,13 +125,31 @@ def save_process(fitted: FittedProcess, path: Path) -> tuple[Path, ...]:
             ("bias_nm", fit.bias_nm),
         )
     ]
-    texts = {path: "\n".join([*lines, ""]) + canonical_toml(fitted.process, path.parent)}
+    files = process_files(path, fitted)
+    texts = ["\n".join([*lines, ""]) + canonical_toml(fitted.process, path.parent)]
     if fitted.unit_cell is not None:
-        texts[path.with_name(f"{path.stem}_cell.toml")] = canonical_toml(fitted.unit_cell, path.parent)
-    for name, text in texts.items():
+        texts.append(canonical_toml(fitted.unit_cell, path.parent))
+    for name, text in zip(files, texts, strict=True):
         with whole_file(name) as part:
             part.write_text(text, encoding="utf-8")
-    return tuple(texts)
+    return files
+
+
+def _made(design: Design, corner: dict[str, Any], table: Path) -> tuple[Etch, UnitCell | None]:
+    """Etch and unit cell with the means of a table's columns; None for a table without such columns."""
+    etch = design.process.etch if design.process is not None and design.process.etch is not None else Etch()
+    if not corner:
+        return etch, None
+    try:
+        made = replace(etch, **corner)
+        return made, replace(design.unit_cell, cell=replace(design.unit_cell.cell, **corner))
+    except ValidationError as error:
+        means = ", ".join(f"{name} {value:g}" for name, value in corner.items())
+        faults = [
+            replace(fault, field=fault.field if fault.field in corner else ", ".join(corner), got=f"a mean of {means}")
+            for fault in faults_of(error, Etch)
+        ]
+        raise InputError(str(table), faults) from error
 
 
 def _exposure(start: ExposureProcess, fit: ProcessFit, source: str) -> ExposureProcess:

@@ -112,7 +112,10 @@ def expose_mask(
     if process is None:
         remedy = 'add `[process.exposure]` with `preset = "hsq_sos_100kv"`, or with your own `terms`'
         raise InputError.single(design.name, "process.exposure", "a table", "none", remedy)
-    faults = _unavailable(design, correct)
+    faults = exposure.unavailable(design)
+    if correct and any(copy.bias_nm for copy in design.mask.copies):
+        expected, remedy = "copies without a bias of their own", "correct each variant as a design of its own"
+        faults.append(Fault("mask.copies", expected, "biased copies", remedy))
     if faults:
         raise InputError(design.name, faults)
     psf = exposure.beam_psf(process)
@@ -194,19 +197,3 @@ def write_corrected(exposed: ExposedMask, design: Design, folder: Path, progress
         found.drawn, folder, dosed, progress=progress, dose_class=found.dose_class, class_dose=found.class_dose
     )
     return tuple(file.path for file in files)
-
-
-def _unavailable(design: Design, correct: bool) -> list[Fault]:
-    """Keys of a design that the exposure, or its correction, does not support."""
-    cell, faults = design.unit_cell.cell, []
-    if cell.shape != "rectangle":
-        faults.append(Fault("cell.shape", "'rectangle'", repr(cell.shape), "not available with the exposure"))
-    if cell.is_hexagonal:
-        faults.append(Fault("cell.lattice", "'rectangular'", "'hexagonal'", "not available with the exposure"))
-    if design.mask.tone != "negative":
-        expected = "'negative', where the drawn pillars are exposed"
-        faults.append(Fault("mask.tone", expected, repr(design.mask.tone), "not available with the exposure"))
-    if correct and any(copy.bias_nm for copy in design.mask.copies):
-        expected, remedy = "copies without a bias of their own", "correct each variant as a design of its own"
-        faults.append(Fault("mask.copies", expected, "biased copies", remedy))
-    return faults

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from metafab.core.conventions import POLARISATIONS, FloatArray
+from metafab.core.errors import InputError
 from metafab.core.figures import AberrationFigures, FocusFigures, Loss, Wavefront
 from metafab.core.storage.files import file_sha256, write_json
 from metafab.core.storage.tables import optional, typed
@@ -95,7 +97,8 @@ class MeritFigures:
     strehl: float | None = optional()
     encircled_energy: float | None = optional()
     focus: FocusFigures | None = optional()  #: The focus of a lens; None for other devices.
-    #: Wavefront of a lens at the focus depth, for each polarisation that it focuses; None for other devices.
+    #: Wavefront of a lens at the focus depth, for each polarisation that it focuses; None for other devices and where
+    #: too few places transmit for 36 polynomials.
     aberrations: tuple[AberrationFigures, ...] | None = optional()
 
 
@@ -181,7 +184,9 @@ def _focus(job: Job, imaging: Imaging) -> dict[str, Any]:
     )
     fronts = None
     if min(lattice.shape) >= _FEWEST_SITES:
-        fronts = tuple(aberrations(source, imaging, depth_m, polarisation=i, work=job.work) for i in focused)
+        # A thin ring transmits through too few blocks.
+        with suppress(InputError):
+            fronts = tuple(aberrations(source, imaging, depth_m, polarisation=i, work=job.work) for i in focused)
     headline = ("fwhm_x_um", "fwhm_y_um", "fwhm_limit_um", "strehl", "encircled_energy")
     return {"focus": figures, "aberrations": fronts, **{name: getattr(figures, name) for name in headline}}
 

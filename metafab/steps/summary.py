@@ -55,8 +55,8 @@ class Saving:
     computed: int  #: Number of pieces that were computed.
     of: int | None  #: Number of pieces without the saving; None for a continuous range.
     why: str  #: Reason for which the others need not be computed.
-    error: float | None = optional()  #: Measured error of leaving them out; None where nothing is lost.
-    error_of: str | None = optional()  #: Quantity of that error.
+    error: float | None = optional()  #: Measured error of leaving them out; None where it is not measured.
+    error_of: str | None = optional()  #: Quantity of that error; None where nothing is lost.
 
     @property
     def share_left_out(self) -> float | None:
@@ -269,12 +269,13 @@ def _of_psf(design: Design, psf: PsfFigures, layout: LayoutFigures | None) -> It
         psf.depth_interpolation_error,
         "relative L2",
     )
+    directions = math.prod(design.verify.field_points)
     yield Saving(
         "psf",
         "directions of the field",
-        math.prod(design.verify.field_points),
+        directions,
         math.prod(design.scene.field_px),
-        "PSFs are interpolated between the directions",
+        "one direction serves all" if directions == 1 else "PSFs are interpolated between the directions",
         psf.field_interpolation_error,
         "relative L2",
     )

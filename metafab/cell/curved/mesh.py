@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from metafab.cell.curved.quads import Arc, Point, Quad
 from metafab.cell.pillar import PillarCell
+from metafab.core.errors import Fault
 
 #: Corners of the square in the middle of a quarter disc, over its radius: on the axes, and on the diagonal.
 _ON_AXIS, _ON_DIAGONAL = 0.55, 0.45
@@ -31,26 +32,41 @@ class QuarterMesh:
 
 
 def is_treated(cell: PillarCell) -> bool:
-    """Whether :func:`quarter_mesh` has elements for a cell, and light and layers keep its symmetry.
+    """Whether :func:`quarter_mesh` has elements for a cell, and light and layers keep its symmetry."""
+    return not untreated(cell)
 
-    It has for upright dielectric ellipses and rounded rectangles that leave a gap, under light along z, with layers of
-    the pillar's own outline or of none.
+
+def untreated(cell: PillarCell) -> list[Fault]:
+    """Faults of a cell that has no elements.
+
+    Upright ellipses and rounded rectangles that leave a gap have, among dielectrics, under light along z, with layers
+    of the pillar's own outline or of none.
     """
+    purpose = "spectral elements"
+    faults = cell.untreated(purpose, treated=("under, over", "is_staggered", "shape, corner_radius_nm"))
+    shapes = "an ellipse" if cell.is_staggered else "an ellipse or a rounded rectangle"
+    is_rounded = cell.shape == "rectangle" and cell.corner_radius_nm > 0.0 and not cell.is_staggered
+    if cell.shape != "ellipse" and not is_rounded:
+        faults.append(Fault("shape, corner_radius_nm", f"{shapes} for {purpose}", cell.shape))
     half_nm, radius_nm = _sizes(cell)
     reach = [radius / half for radius, half in zip(radius_nm, half_nm, strict=True)]
+    if min(radius_nm) <= 0.0 or (math.hypot(*reach) if cell.is_staggered else max(reach)) > 1.0 - _SMALLEST_GAP:
+        expected = f"sizes above 0 that leave a gap of {_SMALLEST_GAP:.0%} for {purpose}"
+        faults.append(Fault("width_nm, length_nm", expected, f"{cell.width_nm:g} x {cell.length_nm:g} nm"))
     layers = (*cell.under, *cell.over)
-    return (
-        cell.is_shaped
-        and cell.shape != "cross"
-        and (not cell.is_staggered or cell.shape == "ellipse")
-        and min(radius_nm) > 0.0
-        and (math.hypot(*reach) if cell.is_staggered else max(reach)) <= 1.0 - _SMALLEST_GAP
-        and cell.angle_deg == 0.0
-        and not cell.is_birefringent
-        and not cell.is_sloped
-        and all(each.n_inside == each.n_around or (each.width_nm, each.length_nm) == (None, None) for each in layers)
-        and all((complex(n) ** 2).real > 0.0 for n in (cell.n_pillar, *(each.n_inside for each in layers)))
-    )
+    if any(each.n_inside != each.n_around and (each.width_nm, each.length_nm) != (None, None) for each in layers):
+        faults.append(Fault("under, over", f"layers of the pillar's outline for {purpose}", "another outline"))
+    indices = {
+        "n_pillar": (cell.n_pillar,),
+        "n_ambient": (cell.n_ambient,),
+        "n_substrate": cell.n_substrate,
+        "under, over": [n for each in layers for n in (each.n_inside, each.n_around)],
+    }
+    for name, values in indices.items():
+        metals = [n for n in map(complex, values) if (n**2).real <= 0.0]
+        if metals:
+            faults.append(Fault(name, f"dielectrics for {purpose}", f"the index of a metal, {metals[0]:g}"))
+    return faults
 
 
 def quarter_mesh(cell: PillarCell) -> QuarterMesh:

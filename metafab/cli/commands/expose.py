@@ -135,7 +135,7 @@ def process_fit_command(
     """
     from metafab.core.parallel.measure import measured as measured_cost
     from metafab.exposure.fit import PARAMETERS
-    from metafab.exposure.process_file import fitted_process, save_process
+    from metafab.exposure.process_file import fitted_process, process_files, save_process
     from metafab.spec import load_design
 
     names = free or ["threshold", "eta", "bias"]
@@ -146,6 +146,10 @@ def process_fit_command(
         chosen = [name for name in PARAMETERS if name in names]
         fitted = fitted_process(measured, layout, spec, chosen, copy, work)
     path = output or Path("process.toml")
+    read = [file for file in (measured, layout, design, spec.library) if file.is_file()]
+    for file in process_files(path, fitted):
+        if file.is_file() and any(file.samefile(each) for each in read):
+            raise InputError.single("--output", "output", "files of its own", f"{file}, which is read", "name another")
     files = save_process(fitted, path)
     if fitted.fit.largest_correlation > 0.99:
         one, other = fitted.fit.correlated

@@ -10,9 +10,10 @@ from typing import Literal
 import numpy as np
 
 from metafab.core.conventions import FloatArray
-from metafab.core.errors import InputError
+from metafab.core.errors import Fault, InputError
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.electrons.presets import preset
+from metafab.spec import Design
 from metafab.spec.mask import ExposureProcess
 
 
@@ -87,3 +88,16 @@ def _unit_of(header: str) -> Literal["nm", "um"] | None:
     if found is None:
         return None
     return "nm" if found.group(1).lower() == "nm" else "um"
+
+
+def unavailable(design: Design) -> list[Fault]:
+    """Keys of a design whose pillars the exposure cannot predict."""
+    cell, faults = design.unit_cell.cell, []
+    if cell.shape != "rectangle":
+        faults.append(Fault("cell.shape", "'rectangle'", repr(cell.shape), "not available with the exposure"))
+    if cell.is_hexagonal:
+        faults.append(Fault("cell.lattice", "'rectangular'", "'hexagonal'", "not available with the exposure"))
+    if design.mask.tone != "negative":
+        expected = "'negative', where the drawn pillars are exposed"
+        faults.append(Fault("mask.tone", expected, repr(design.mask.tone), "not available with the exposure"))
+    return faults

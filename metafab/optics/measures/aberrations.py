@@ -74,7 +74,7 @@ def aberrations(
         polarisation=POLARISATIONS[polarisation],
         depth_m=depth_m,
         radius_um=radius_um,
-        rms_waves=math.hypot(*of_noll[1:], residual),
+        rms_waves=math.sqrt(float(weight @ (waves - mean) ** 2)),
         residual_waves=residual,
         strehl_of_phase=float(abs(field.sum()) ** 2 / np.abs(field).sum() ** 2),
         noll_waves=of_noll,

@@ -31,7 +31,9 @@ def skipped(run: RunFolder) -> str:
 def _saving(entry: Saving) -> list[str]:
     """Row of a saving."""
     of = "any" if entry.of is None else html.number(entry.of)
-    error = html.number(entry.error, 2) + (f" ({escape(entry.error_of)})" if entry.error_of else "")
+    error = "none" if entry.error_of is None else "not measured"
+    if entry.error is not None and entry.error_of is not None:
+        error = f"{html.number(entry.error, 2)} ({escape(entry.error_of)})"
     return [entry.step, entry.what, html.number(entry.computed), of, html.prose(entry.why), error]
 
 

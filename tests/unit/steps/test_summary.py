@@ -122,6 +122,14 @@ def test_each_saving_has_its_numbers_and_its_error(small_design: Design) -> None
     assert by_name["psf", "directions of the field"].of == rows * columns
 
 
+def test_one_direction_of_the_field_is_named_and_its_error_is_not_measured(small_design: Design) -> None:
+    design = replace(small_design, verify=replace(small_design.verify, field_points=(1, 1)))
+    savings = {entry.what: entry for entry in ledger(design, None, LAYOUT, PSF, None)}
+    field = savings["directions of the field"]
+    assert (field.computed, field.why, field.error) == (1, "one direction serves all", None)
+    assert field.error_of is not None and savings["depths"].error_of is not None, "not lossless, but not measured"
+
+
 def test_mirror_images_alone_lose_nothing(small_design: Design) -> None:
     library = run_summary().library
     assert library is not None

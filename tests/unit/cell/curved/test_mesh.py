@@ -60,6 +60,9 @@ def test_slopes_of_the_map_are_its_derivatives() -> None:
         (replace(ELLIPSE, angle_deg=5.0), False),
         (replace(ELLIPSE, sidewall_angle_deg=88.0), False),
         (replace(ELLIPSE, n_pillar=0.2 + 4.0j), False),
+        (replace(ELLIPSE, n_ambient=0.2 + 4.0j), False),
+        (replace(ELLIPSE, n_substrate=(1.461, 0.2 + 4.0j)), False),
+        (replace(ELLIPSE, over=(Slice(30.0, 1.46, 0.2 + 4.0j),)), False),
     ],
 )
 def test_cells_that_have_elements(cell: PillarCell, treated: bool) -> None:
@@ -69,7 +72,23 @@ def test_cells_that_have_elements(cell: PillarCell, treated: bool) -> None:
 def test_the_solver_says_which_way_it_went() -> None:
     assert solve(ELLIPSE, CellNumerics(0.5)).numerics.solver == "elements"
     assert solve(ELLIPSE, CellNumerics(0.5, formulation="fourier", max_orders=6)).numerics.solver == "rcwa"
-    with pytest.raises(InputError, match="`shape`: expected an upright ellipse"):
-        solve(replace(ELLIPSE, angle_deg=5.0), CellNumerics(0.5, solver="elements"))
-    with pytest.raises(InputError, match="an ellipse clear of its neighbours"):
-        solve(replace(HEXAGONAL, width_nm=330.0, length_nm=290.0))
+    with pytest.raises(InputError, match="`formulation`: expected adaptive"):
+        solve(ELLIPSE, CellNumerics(0.5, solver="elements", formulation="fourier"))
+
+
+@pytest.mark.parametrize(
+    ("cell", "numerics", "named"),
+    [
+        (replace(ELLIPSE, angle_deg=5.0), CellNumerics(0.5, solver="elements"), ["angle_deg"]),
+        (replace(ROUNDED, shape="cross", corner_radius_nm=0.0), CellNumerics(solver="elements"), ["shape"]),
+        (replace(HEXAGONAL, width_nm=330.0, length_nm=290.0), CellNumerics(), ["width_nm, length_nm"]),
+        (replace(HEXAGONAL, n_pillar=0.2 + 4.0j), CellNumerics(), ["n_pillar"]),
+        (replace(HEXAGONAL, n_pillar=0.2 + 4.0j, angle_deg=5.0), CellNumerics(), ["angle_deg", "n_pillar"]),
+        (HEXAGONAL, CellNumerics(formulation="fourier"), ["formulation"]),
+        (replace(HEXAGONAL, shape="rectangle", corner_radius_nm=20.0), CellNumerics(), ["shape"]),
+    ],
+)
+def test_a_refusal_names_the_cause(cell: PillarCell, numerics: CellNumerics, named: list[str]) -> None:
+    with pytest.raises(InputError) as refused:
+        solve(cell, numerics)
+    assert [fault.field.removesuffix(", corner_radius_nm") for fault in refused.value.faults] == named

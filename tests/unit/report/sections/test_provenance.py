@@ -16,9 +16,18 @@ def test_savings_stand_with_their_numbers_and_errors(tmp_path: Path, smooth_libr
     saved = (
         Saving("library", "unit cells", 120, 5776, "a <model>", 3.1e-4, "complex t"),
         Saving("psf", "d", 12, None, "w"),
+        Saving("psf", "e", 1, 9, "w", None, "relative L2"),
     )
     steps = (SkippedStep("tolerance", "no `[tolerance]`"), SkippedStep("drc", UNCHANGED))
     page = skipped(replace(run, summary=replace(run.summary, saved=saved, skipped=steps)))
-    for text in ("5\u202f776", "a &lt;model&gt;", "0.00031 (complex t)", ">any<", "<code>[tolerance]</code>"):
+    for text in (
+        "5\u202f776",
+        "a &lt;model&gt;",
+        "0.00031 (complex t)",
+        ">any<",
+        "<code>[tolerance]</code>",
+        ">none<",
+        ">not measured<",
+    ):
         assert text in page
     assert "drc" not in page
