@@ -14,7 +14,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.spectra import transfer_functions
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.images.highlights import separated
+from metafab.decode.images.highlights import one_depth_each, separated
 from metafab.decode.images.unmixing import Unmixing
 from metafab.decode.matching.levels import Levels
 from metafab.decode.registration.calibration import Calibration
@@ -144,7 +144,7 @@ class Deconvolver:
         steps = np.round((vergences_per_m - low) / (high - low) * _DEPTH_STEPS).astype(np.intp)
         pairs = tiling.labels_of_tiles(label, len(vergences_per_m))
         transfers = self.transfers([(int(steps[number - 1]), tile) for tile, number in pairs])
-        spectra, highlights = tiles.spectra, dict[int, NDArray[np.float32]]()
+        spectra, highlights = tiles.spectra, dict[tuple[int, int], NDArray[np.float32]]()
         if broken is not None and broken.any():
             spectra = tiles.spectra.copy()
             highlights = self._separated(
@@ -158,8 +158,9 @@ class Deconvolver:
             rows = np.flatnonzero(mask.any(axis=1))
             part, mask = tiling.place(tile, rows[0], rows[-1] + 1), mask[rows[0] : rows[-1] + 1]
             core = tiling.cores(filtered, rows[0], rows[-1] + 1)[..., : mask.shape[1]]
-            if tile in highlights:
-                core += highlights[tile][:, rows[0] : rows[-1] + 1, : mask.shape[1]]
+            for image in range(2):
+                if (tile, image) in highlights:
+                    core[image] += highlights[tile, image][rows[0] : rows[-1] + 1, : mask.shape[1]]
             np.copyto(sharp.images[:, *part], np.maximum(core, 0.0), where=mask)
             np.copyto(sharp.noise_gain[:, *part], gain[:, None, None], where=mask)
 
@@ -180,32 +181,44 @@ class Deconvolver:
         broken: NDArray[np.bool_],
         pairs: list[tuple[int, int]],
         transfers: list[NDArray[np.complex64]],
-    ) -> dict[int, NDArray[np.float32]]:
+    ) -> dict[tuple[int, int], NDArray[np.float32]]:
         """Fill in the broken pixels of the tiles and take the highlights about them off; see :func:`separated`.
 
         Returns:
-            Sharp light of the highlights in the core of each tile that has some, shape (2, *core).
+            Sharp light of the highlights in the core of each (tile, image) that has some, shape ``core``.
         """
         tiling, spare = self.tiling, self.calibration.grid.margin - self.tiling.margin
         inside = slice(spare, -spare or None)
-        depths = np.pad(label, tiling.margin, mode="edge")
-        light: dict[int, NDArray[np.float32]] = {}
-        core = (slice(None), *(slice(tiling.margin, tiling.margin + n) for n in tiling.core))
+        depths, masks = np.pad(label, tiling.margin, mode="edge"), broken[:, inside, inside]
+        core = tuple(slice(tiling.margin, tiling.margin + n) for n in tiling.core)
+        of_tiles: dict[int, dict[int, NDArray[np.complex64]]] = {}
         for (tile, number), transfer in zip(pairs, transfers, strict=True):
-            at_depth = tiling.window(depths, tile) == number
-            for image, mask in enumerate(broken[:, inside, inside]):
-                free = tiling.window(mask, tile) & at_depth
+            of_tiles.setdefault(tile, {})[number] = transfer
+
+        def separate(of_image: tuple[int, int]) -> NDArray[np.float32] | None:
+            tile, image = of_image
+            mask = tiling.window(masks[image], tile)
+            if not mask.any():
+                return None
+            place, light = (image, tiles.place[tile]), np.zeros(tiling.size, dtype=np.float32)
+            owner = one_depth_each(mask, tiling.window(depths, tile), np.array(list(of_tiles[tile])))
+            for number, transfer in of_tiles[tile].items():
+                free = owner == number
                 if not free.any():
                     continue
-                place = image, tiles.place[tile]
                 found = separated(
                     tiles.spectra[place], transfer[image], ratio, free, levels.noise_variance, levels.signal
                 )
                 if found is not None:
                     tiles.spectra[place] = found.spectrum
-                    whole = light.setdefault(tile, np.zeros((2, *tiling.size), dtype=np.float32))
-                    whole[image] += found.light
-        return {tile: whole[core] for tile, whole in light.items()}
+                    light += found.light
+            return light[core] if light.any() else None
+
+        # The depths of a tile follow each other: each takes its highlights off what the others left.
+        jobs = [(tile, image) for tile in of_tiles for image in range(2)]
+        with kept_threads() as pool:
+            found = zip(jobs, pool.map(separate, jobs), strict=True)
+            return {job: light for job, light in found if light is not None}
 
     @property
     def _range_per_m(self) -> tuple[float, float]:

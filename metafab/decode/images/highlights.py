@@ -18,6 +18,7 @@ import scipy.fft
 import scipy.linalg
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
+from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 
@@ -40,6 +41,22 @@ class SeparatedTile:
     #: Shape (n_ky, n_kx), transform of the tile with its broken pixels filled in, less the highlights.
     spectrum: NDArray[np.complex64]
     light: NDArray[np.float32]  #: Shape (n_y, n_x), sharp light of the highlights, electrons.
+
+
+def one_depth_each(broken: NDArray[np.bool_], label: NDArray[np.int32], numbers: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Number of the depth at which each broken pixel of a tile is solved: shape (n_y, n_x); 0 for none.
+
+    Broken pixels that touch each other belong to one highlight: all have the depth of most of them. Solved in parts,
+    the pixels of the other part would pass for data.
+
+    Args:
+        broken: shape (n_y, n_x).
+        label: shape (n_y, n_x), number of each pixel's depth.
+        numbers: shape (n,), depths that count.
+    """
+    component, count = connected_components(broken, np.ones((3, 3)))
+    votes = np.stack([np.bincount(component[broken & (label == one)], minlength=count + 1) for one in numbers], axis=1)
+    return np.asarray(np.where(votes.any(axis=1), numbers[votes.argmax(axis=1)], 0)[component])
 
 
 def separated(

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 import scipy.fft
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.decode.registration.downsampling import blocks_with, edge_taper
+
+Value = TypeVar("Value", np.bool_, np.int32)
 
 #: Share of the margin over which a tile fades out.
 _FADE_SHARE = 0.75
@@ -69,7 +72,7 @@ class Tiling:
             cut += level
             yield cut
 
-    def window(self, picture: NDArray[np.bool_ | np.int32], tile: int) -> NDArray[np.bool_ | np.int32]:
+    def window(self, picture: NDArray[Value], tile: int) -> NDArray[Value]:
         """A tile's part of a picture (n_y + 2 margin, n_x + 2 margin), 0 beyond it: shape ``size``."""
         row, column = (index * core for index, core in zip(divmod(tile, self.counts[1]), self.core, strict=True))
         part = picture[row : row + self.size[0], column : column + self.size[1]]

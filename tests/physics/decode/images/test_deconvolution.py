@@ -36,7 +36,7 @@ def sharp(decoder: Decoder, frame: RawFrame, label: np.ndarray) -> SharpImages:
     tiling = dataclasses.replace(decoder.deconvolver.tiling, core=(45, 40), size=(120, 120), counts=(2, 3))
     deconvolver = Deconvolver(decoder.calibration, tiling)
     tiles = deconvolver.tile_spectra(seen.twins.image, label > 0)
-    return deconvolver(tiles, seen.levels, label.astype(np.int32), DEPTHS_PER_M)
+    return deconvolver(tiles, seen.levels, label.astype(np.int32), DEPTHS_PER_M, seen.twins.broken)
 
 
 def test_each_pixel_is_as_sharp_as_if_all_lay_at_its_depth(psf: Psf, frame: RawFrame) -> None:
@@ -51,6 +51,23 @@ def test_each_pixel_is_as_sharp_as_if_all_lay_at_its_depth(psf: Psf, frame: RawF
         np.testing.assert_array_equal(mixed.noise_gain[:, mask], alone.noise_gain[:, mask])
     assert not mixed.images[:, label == 0].any()
     assert not mixed.noise_gain[:, label == 0].any()
+
+
+def test_broken_pixels_across_an_outline_are_filled_in_at_one_depth(psf: Psf, frame: RawFrame) -> None:
+    """Three quarters of a hole lie in segment 1: its image is as if segment 2 began elsewhere."""
+    decoder = Decoder.of(psf, frame.frame.shape, frame.origin_um, frame.x_window)
+    assert decoder is not None
+    assert frame.x_window is not None
+    row, column = frame.x_window[0] + 40, frame.x_window[1] + 50
+    values = frame.frame.copy()
+    values[row : row + 8, column : column + 8] = np.nan
+    holed = dataclasses.replace(frame, frame=values)
+    left = np.broadcast_to(np.arange(SCENE.field_px[1]) < 56, SCENE.field_px)
+    seen = decoder.prepare(holed)
+    assert not isinstance(seen, str)
+    assert [int((seen.twins.bad & side).sum()) for side in (left, ~left)] == [48, 16]
+    parted, whole = (sharp(decoder, holed, label) for label in (np.where(left, 1, 2), np.ones(SCENE.field_px, int)))
+    np.testing.assert_array_equal(parted.images[:, left], whole.images[:, left])
 
 
 def test_replaced_pixels_leave_all_others(psf: Psf, frame: RawFrame) -> None:

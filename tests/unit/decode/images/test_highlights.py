@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.spectra import transfer_functions
-from metafab.decode.images.highlights import SeparatedTile, separated
+from metafab.decode.images.highlights import SeparatedTile, one_depth_each, separated
 from metafab.decode.matching.levels import Levels
 
 SIDE, LEVEL_E, LIMIT_E = 96, 3000.0, 12000.0
@@ -86,6 +86,15 @@ def test_a_dead_pixel_is_filled_in_within_noise() -> None:
     np.testing.assert_allclose(filled[~broken], frame[~broken], atol=1e-2)
     # Its own noise, and that of the neighbours from which it is filled in.
     assert np.std((filled - frame)[broken]) < 2.0 * np.sqrt(LEVEL_E)
+
+
+def test_pixels_that_touch_are_solved_at_the_depth_of_most_of_them() -> None:
+    broken = np.array([[1, 1, 0, 0, 1], [0, 0, 1, 0, 1], [0, 0, 0, 0, 0], [1, 1, 0, 1, 1]], dtype=bool)
+    label = np.array([[1, 2, 1, 1, 2], [1, 1, 2, 1, 1], [1, 1, 1, 1, 1], [0, 2, 1, 3, 3]], dtype=np.int32)
+    # Two of three at depth 2, across a corner; a tie goes to the first; none has no vote, nor has 3, whose pixels are
+    # beyond the core.
+    want = [[2, 2, 0, 0, 1], [0, 0, 2, 0, 1], [0, 0, 0, 0, 0], [2, 2, 0, 0, 0]]
+    np.testing.assert_array_equal(one_depth_each(broken, label, np.array([1, 2])), want)
 
 
 def test_an_overexposed_surface_stays_as_it_is() -> None:
