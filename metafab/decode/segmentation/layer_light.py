@@ -15,20 +15,21 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from metafab.camera.rendering.windows import shifts_px_m
 from metafab.core.conventions import FloatArray
 from metafab.decode.matching.filter_basis import frequencies
 from metafab.decode.matching.levels import LOWEST_FREQUENCY
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import Downsampling
 
-#: Basis kernels of a layer: 2 to 6 % of the pair is left out over the whole field, less over an object.
-_BASIS = 5
+#: Share of the pair that the basis kernels of a layer may leave out (rms), and most of them.
+_LEFT_OUT, _MOST_BASIS = 0.08, 8
 #: Size of the windows of downsampled kernels over that of the pair's.
 _ROOM = 1.25
 #: Side of the blocks at whose centres the pair is computed, frame pixels.
 _BLOCK_PX = 24
-#: Relative change of vergence over a layer from which its kernels are interpolated over depth, at this many depths.
-_TILT, _DEPTHS = 2e-3, 3
+#: Relative change of vergence over a layer from which its kernels change over it.
+_TILT = 2e-3
 
 Part = tuple[slice, slice]
 
@@ -47,6 +48,11 @@ class LayerLight:
     def shape(self) -> tuple[int, int]:
         """(n_y, n_x) of the part."""
         return self.weights.shape[-2], self.weights.shape[-1]
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the arrays."""
+        return self.weights.nbytes + self.transfer.nbytes + self.texture.nbytes
 
     def blurred(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
         """Both images of light of shape (n_y, n_x): shape (2, n_y, n_x)."""
@@ -127,11 +133,9 @@ class LayerOptics:
         Returns:
             Shape (n, 2): (columns, rows), downsampled pixels; (0, 0) where the calibration does not know the aperture.
         """
-        psf = self.calibration.kernels.psf
-        if psf.aperture_um is None:
-            return np.zeros((1, 2))
-        pixel_tangent = self.downsampling.step * psf.pixel_um / psf.sensor_distance_um
-        return np.asarray(1e-6 * psf.aperture_um / pixel_tangent)
+        grid = self.calibration.grid
+        shifts = shifts_px_m(self.calibration.kernels.psf.aperture_um, grid.tangent_x, grid.tangent_y)
+        return shifts / self.downsampling.step
 
     def layer(self, vergence_per_m: FloatArray, support: NDArray[np.bool_]) -> LayerLight:
         """The blur of a layer.
@@ -152,9 +156,10 @@ class LayerOptics:
         shares, kernels = self._points(vergence_per_m, blocks, block)
         used = np.sqrt((shares**2).mean(axis=0)) + 1e-6
         scaled = used[:, None] * kernels.reshape(len(used), -1)
-        _, vectors = np.linalg.eigh((scaled @ scaled.T).astype(np.float64))
-        basis = vectors[:, ::-1][:, :_BASIS]
-        count = basis.shape[1]
+        power, vectors = np.linalg.eigh((scaled @ scaled.T).astype(np.float64))
+        left_out = np.cumsum(np.maximum(power, 0.0))
+        count = min(_MOST_BASIS, int((left_out > _LEFT_OUT**2 * left_out[-1]).sum()))
+        basis = vectors[:, ::-1][:, :count]
         at_blocks = np.tensordot(shares, basis / used[:, None], axes=(1, 0)).reshape(
             *(one.stop - one.start for one in blocks), count
         )
@@ -196,22 +201,15 @@ class LayerOptics:
             for one, n in zip(blocks, vergence_per_m.shape, strict=True)
         ]
         vergence = vergence_per_m[np.ix_(*places)].ravel()
-        low, high = float(vergence.min()), float(vergence.max())
-        nodes = np.linspace(low, high, _DEPTHS) if high > (1.0 + _TILT) * low else np.array([0.5 * (low + high)])
-        depths = self.calibration.depth_weights(nodes)
-        kernels = np.einsum("vd,cdfyx->vfcyx", depths, self.kernels, optimize=True)
-        of_depth = np.ones((vergence.size, 1))
-        if nodes.size > 1:
-            of_depth = np.stack(
-                [
-                    np.prod([(vergence - other) / (node - other) for other in nodes if other != node], axis=0)
-                    for node in nodes
-                ],
-                axis=1,
-            )
+        tilted = vergence.max() > (1.0 + _TILT) * vergence.min()
+        of_depth = self.calibration.depth_weights(vergence if tilted else np.array([vergence.mean()]))
         of_field = self.field_weights[blocks].reshape(vergence.size, -1)
-        shares = (of_depth[:, :, None] * of_field[:, None, :]).reshape(vergence.size, -1)
-        return shares, np.asarray(kernels.reshape(-1, *kernels.shape[2:]))
+        kernels = np.moveaxis(self.kernels, 0, 2)
+        if tilted:
+            shares = (of_depth[:, :, None] * of_field[:, None, :]).reshape(vergence.size, -1)
+            return np.asarray(shares, dtype=np.float64), kernels.reshape(-1, *kernels.shape[2:])
+        middle = np.tensordot(of_depth[0].astype(np.float32), kernels, axes=(0, 0))
+        return np.asarray(of_field, dtype=np.float64), np.asarray(middle)
 
 
 def _even(count: int) -> int:

@@ -33,7 +33,7 @@ from metafab.decode.segmentation.segments import (
     segment_depth,
     textured_components,
 )
-from metafab.decode.segmentation.shares import outline_shares
+from metafab.decode.segmentation.shares import outline_owners
 
 #: Largest separation of layers, as a share of the calibrated range of vergence.
 _LAYER_SHARE = 1.0 / 24.0
@@ -176,11 +176,9 @@ def find_regions(
     regions = _find_regions(prepared, volume, pixels, known, outline_rounds, refined=refined)
     if not (regions.depths and refined):
         return regions
-    shares = None
     if optics is not None:
-        shares = outline_shares(prepared, regions.depths, regions.grown, regions.interior, optics)
-    if shares is not None:
-        regions = with_owners(regions, shares.owner)
+        owner = outline_owners(prepared, regions.depths, regions.grown, regions.interior, optics)
+        regions = regions if owner is None else with_owners(regions, owner)
     label = regions.grown
 
     def misfit_of(number: NDArray[np.int32]) -> NDArray[np.float32]:

@@ -39,9 +39,11 @@ _GROWN_PX = 60
 _ROUNDS, _STEPS = 2, 8
 #: Rms contrast of the texture, and error of the calibration as a share of the light.
 _TEXTURE, _MODEL_ERROR = 0.3, 0.01
-#: Inverse of the open share of the aperture from which a farther layer counts in full: 2 at a straight outline, of
-#: which pooling over both sides leaves this.
+#: A farther layer is expected in full from an open share of the aperture of 1 / 1.7: 1/2 at a straight outline, a
+#: little more after pooling over both sides.
 _OPEN = 1.7
+#: Least variance of a pixel, over that of a typical one.
+_LEAST_VARIANCE = 0.05
 #: Energy of whitened light that counts as none, over that of the prior.
 _LEAST_ENERGY = 0.05
 #: Standard deviation of the Gaussian over which energy is pooled, frame pixels.
@@ -52,28 +54,20 @@ _LIGHT_PX = 21
 _BLUR_PX = 12
 #: Relative difference of vergence from which a layer is nearer than another.
 _NEARER = 2e-3
-#: Most segments: pieces of a shattered segmentation are no layers.
-_MOST_LAYERS = 40
+#: Most segments, and most memory of their blur: pieces of a shattered segmentation are no layers.
+_MOST_LAYERS, _MOST_BYTES = 40, 1 << 30
 
 Pictures = list[NDArray[np.float32]]
 
 
-@dataclass(frozen=True)
-class OutlineShares:
-    """Owners of the pixels by the model."""
-
-    owner: NDArray[np.int32]  #: Shape (n_y, n_x), number of each pixel's segment; 0 for none.
-    share: NDArray[np.float32]  #: Shape (n_y, n_x), share of the owner in the pixel; 1 away from outlines.
-
-
-def outline_shares(
+def outline_owners(
     prepared: PreparedFrame,
     depths: Sequence[SegmentDepth],
     label: NDArray[np.int32],
     interior: NDArray[np.int32],
     optics: LayerOptics,
-) -> OutlineShares | None:
-    """Assign the pixels along outlines to segments by the model of the frame; None where no two segments touch.
+) -> NDArray[np.int32] | None:
+    """Assign the pixels along outlines to segments by the model of the frame.
 
     Args:
         prepared: the frame.
@@ -81,6 +75,10 @@ def outline_shares(
         label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
         interior: shape (n_y, n_x), number of the segment whose interior holds the pixel; 0 for none.
         optics: the pair on the frame's downsampled pixels.
+
+    Returns:
+        Shape (n_y, n_x), number of each pixel's segment, 0 for none. None where the model says nothing: no two segments
+        touch, a segment has no lit pixel, or there are more than 40 segments or 1 GB of their blur.
     """
     if not 2 <= len(depths) <= _MOST_LAYERS:
         return None
@@ -88,9 +86,7 @@ def outline_shares(
     if model is None:
         return None
     share = model.fitted()[:, *prepared.downsampling.inner]
-    owner = _without_specks(share, model.label[prepared.downsampling.inner])
-    best = np.take_along_axis(share, np.maximum(owner - 1, 0)[None].astype(np.intp), axis=0)[0]
-    return OutlineShares(np.where(owner > 0, owner, 0).astype(np.int32), best)
+    return _without_specks(share, model.label[prepared.downsampling.inner])
 
 
 def _without_specks(share: NDArray[np.float32], label: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -115,7 +111,7 @@ class _FrameModel:
     allowed: NDArray[np.bool_]  # (n_layers, n_y, n_x), pixels that may belong to a layer
     first: NDArray[np.float32]  # (n_layers, n_y, n_x), shares to begin with
     layers: tuple[LayerLight, ...]
-    vergence_per_m: FloatArray  # (n_layers,)
+    vergence_per_m: FloatArray  # (n_layers, 2), least and largest over the layer's pixels
     gains: NDArray[np.float32]  # (n_layers, 2), light of each image over the mean of both
     light: tuple[NDArray[np.float32], ...]  # mean light of each layer's part, electrons
     shifts_px_m: FloatArray  # (n, 2), of the aperture
@@ -130,7 +126,7 @@ class _FrameModel:
         interior: NDArray[np.int32],
         optics: LayerOptics,
     ) -> _FrameModel | None:
-        """The model of a frame; arguments as for :func:`outline_shares`. None where no two segments touch."""
+        """The model of a frame; arguments as for :func:`outline_owners`. None where no two segments touch."""
         step, margin = prepared.downsampling.step, prepared.downsampling.margin
         lit = np.pad(prepared.lit, margin)
         away, row, column = nearest(segments > 0)
@@ -144,8 +140,10 @@ class _FrameModel:
         for number, own in zip(numbers, allowed, strict=True):
             others = (label > 0) & (label != number)
             mine = label == number
-            deep = mine & (distance(others) * step > _BAND_PX) if others.any() else mine
-            # A piece without pixels away from its outline tells nothing of its light: its outline stays.
+            deep = mine & np.pad(segments == number, margin)
+            if others.any():
+                deep &= distance(others) * step > _BAND_PX
+            # A piece without pixels away from its outline has none from which its light could be measured: it stays.
             fixed = deep if deep.any() else mine
             allowed &= ~fixed
             own[:] = own & deep.any() | fixed
@@ -153,17 +151,22 @@ class _FrameModel:
             return None
         first = np.where(allowed, np.exp(-away_px / np.float32(_FIRST_FALL_PX)), np.float32(0.0))
         first /= np.maximum(first.sum(axis=0), np.float32(1e-9))
-        vergence = np.array([depth.vergence_per_m for depth in depths])
+        inner, shape = prepared.downsampling.inner, prepared.downsampling.shape
+        planes = [depth.plane.over(shape) for depth in depths]
+        spanned = [plane[label[inner] == number] for number, plane in zip(numbers, planes, strict=True)]
+        vergence = np.array([(one.min(), one.max()) for one in spanned])
         shifts = optics.shifts_px_m()
         hidden_px = step * float(np.abs(shifts).max()) * (vergence.max() - vergence.min())
-        shape = prepared.downsampling.shape
-        layers = tuple(
-            optics.layer(depth.plane.over(shape), (px <= _BAND_PX + hidden_px) & lit)
-            for depth, px in zip(depths, away_px, strict=True)
-        )
+        layers: list[LayerLight] = []
+        for plane, px in zip(planes, away_px, strict=True):
+            layers.append(optics.layer(plane, (px <= _BAND_PX + hidden_px) & lit))
+            if sum(layer.nbytes for layer in layers) > _MOST_BYTES:
+                return None
         images = prepared.images
         mean = window_means(images, max(3, _LIGHT_PX // step | 1))
-        variance = np.maximum(mean, np.float32(0.0)) + np.float32(prepared.levels.read_noise_e**2)
+        # Dark pixels are not known better than a frame's usual noise allows, whatever read noise it states.
+        floor_e2 = prepared.levels.read_noise_e**2 + _LEAST_VARIANCE * prepared.levels.noise_variance
+        variance = np.maximum(mean, np.float32(0.0)) + np.float32(floor_e2)
         sigma = np.sqrt(variance / step**2 + (_MODEL_ERROR * mean) ** 2 + np.float32(1e-9))
         weight = (1.0 / sigma).astype(np.float32)
         # Light from beyond the window is not modelled.
@@ -178,7 +181,7 @@ class _FrameModel:
             label,
             allowed,
             first.astype(np.float32),
-            layers,
+            tuple(layers),
             vergence,
             _gains(images, np.pad(interior, margin), len(layers)),
             tuple(light[layer.at] for layer in layers),
@@ -188,8 +191,9 @@ class _FrameModel:
 
     @cached_property
     def nearer(self) -> list[list[int]]:
-        """Of each layer, the layers nearer than it whose light may hide it."""
-        nearer = self.vergence_per_m[None, :] > (1.0 + _NEARER) * self.vergence_per_m[:, None]
+        """Of each layer, the layers nearer than it throughout, whose light may hide it."""
+        least, largest = self.vergence_per_m.T
+        nearer = least[None, :] > (1.0 + _NEARER) * largest[:, None]
         return [
             [j for j in np.flatnonzero(row).tolist() if _overlap(self.layers[k].at, self.layers[j].at)]
             for k, row in enumerate(nearer)
@@ -218,16 +222,17 @@ class _FrameModel:
 
         A layer continues behind nearer ones; both of shape (n_layers, n_y, n_x).
         """
-        open_share, extent = np.ones_like(share), share.copy()
+        open_share, extent, vergence = np.ones_like(share), share.copy(), self.vergence_per_m.mean(axis=1)
         for k, nearer in enumerate(self.nearer):
             support = np.zeros(share.shape[1:], dtype=bool)
             support[self.layers[k].at] = True
             for j in nearer:
                 at = self.layers[j].at
-                kernel = _aperture_kernel(self.shifts_px_m * (self.vergence_per_m[j] - self.vergence_per_m[k]))
+                kernel = _aperture_kernel(self.shifts_px_m * (vergence[j] - vergence[k]))
                 covered = fftconvolve(share[j][at], kernel, mode="same")
-                open_share[k][at] *= np.clip(np.float32(1.0) - covered, 0.0, 1.0)
+                open_share[k][at] -= covered
                 extent[k] += np.where(support, share[j], np.float32(0.0))
+        open_share = np.clip(open_share, np.float32(0.0), np.float32(1.0))
         return open_share * np.minimum(extent, np.float32(1.0)), open_share
 
     def _light_given(
@@ -288,14 +293,18 @@ class _FrameModel:
         self, share: NDArray[np.float32], seen: NDArray[np.float32], open_share: NDArray[np.float32]
     ) -> Pictures:
         """Gain of each layer at each pixel of both images: radiance does not change where layers hide each other."""
-        veil, gains = np.zeros_like(self.images), [np.zeros(0, dtype=np.float32)] * len(self.layers)
-        for k in np.argsort(-self.vergence_per_m).tolist():
-            layer = self.layers[k]
-            gains[k] = np.broadcast_to(self.gains[k][:, None, None], (2, *layer.shape))
+        hiding = {j for nearer in self.nearer for j in nearer}
+        veils = {j: self.layers[j].blurred(np.minimum(share[j], seen[j])[self.layers[j].at]) for j in hiding}
+        gains = []
+        for k, layer in enumerate(self.layers):
+            gain = np.broadcast_to(self.gains[k][:, None, None], (2, *layer.shape))
             if self.nearer[k]:
+                veil = np.zeros_like(self.images)
+                for j in self.nearer[k]:
+                    veil[:, *self.layers[j].at] += veils[j]
                 hidden = layer.blurred(np.float32(1.0) - open_share[k][layer.at])
-                gains[k] = gains[k] * (np.float32(1.0) + hidden - veil[:, *layer.at])
-            veil[:, *layer.at] += layer.blurred(np.minimum(share[k], seen[k])[layer.at])
+                gain = gain * (np.float32(1.0) + hidden - veil[:, *layer.at])
+            gains.append(gain)
         return gains
 
     def _preconditioned(self, pictures: Sequence[NDArray[np.float32]]) -> Pictures:

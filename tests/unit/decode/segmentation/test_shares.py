@@ -7,7 +7,7 @@ import numpy as np
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
-from metafab.decode.segmentation.shares import outline_shares
+from metafab.decode.segmentation.shares import outline_owners
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 
@@ -25,4 +25,4 @@ def test_one_surface_is_not_modelled() -> None:
     regions = find_regions(prepared, volume, textured_pixel_depth(prepared, volume))
     assert len(regions.depths) == 1
     model = (prepared, regions.depths, regions.grown, regions.interior, decoder.layer_optics)
-    assert outline_shares(*model) is None
+    assert outline_owners(*model) is None
