@@ -39,19 +39,30 @@ class SharedFixtures(LoadScopeScheduling):  # type: ignore[misc]
         return _shared_by(nodeid.partition("::")[0]) or nodeid
 
 
+#: Names of the fixtures that are made once for a file or a session.
+_MADE_ONCE = re.compile(r'fixture\(.*scope="(?:module|session)".*\)\ndef (\w+)')
+
+
 @cache
 def _shared_by(path: str) -> str | None:
-    """Name of the fixture, or of the file whose fixture, the tests of a file share; None where there is none."""
+    """The fixture, or the file itself, whose tests stay together; None for a file without fixtures made once.
+
+    They are its own, or those of the nearest ``conftest.py`` but this one: files of one folder may still be apart.
+    """
     text = (ROOT / path).read_text(encoding="utf-8")
     if "main_job: MainJob" in text:
         return "main_job"
-    return path if re.search(r'fixture\(.*scope="(module|session)"', text) else None
+    folders = (ROOT / path).relative_to(ROOT / "tests").parents[:-1]
+    nearest = next((file for each in folders if (file := ROOT / "tests" / each / "conftest.py").is_file()), None)
+    of_folder = _MADE_ONCE.findall(nearest.read_text(encoding="utf-8")) if nearest else []
+    is_shared = _MADE_ONCE.search(text) or any(re.search(rf"\b{name}: ", text) for name in of_folder)
+    return path if is_shared else None
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> SharedFixtures:
-    """Use :class:`SharedFixtures`."""
-    return SharedFixtures(config, log)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> SharedFixtures | None:
+    """Use :class:`SharedFixtures`, unless ``--dist`` names another way."""
+    return SharedFixtures(config, log) if config.getoption("dist") in ("load", "loadscope") else None
 
 
 @pytest.fixture(scope="session")

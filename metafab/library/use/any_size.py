@@ -24,7 +24,7 @@ from metafab.library.surface import SizeResponse
 
 #: Cosines of solved sizes, polynomial order of those with curved outlines, and their relative error.
 _ORDERS, _ELEMENT_ORDER, SOLVER_ERROR = 5, 5, 1e-3
-#: Most sizes that are solved: about a minute.
+#: Most sizes that are solved: about a minute; in one process ten for circles.
 MOST_SOLVED = 4000
 _SAME_NM = 1e-6
 

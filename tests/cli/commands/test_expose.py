@@ -188,6 +188,12 @@ def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, t
     refused = metafab(*common, "--free", "focus")
     assert refused.code == 2
     assert "threshold" in refused.stderr
+    own = design_file(tmp_path / "own.toml", design, "", library='"process_cell.toml"')
+    cell = (tmp_path / "process_cell.toml").read_bytes()
+    refused = metafab(*common[:5], own, *common[6:], "--free", "bias")
+    assert refused.code == 2, refused.stderr
+    assert "process_cell.toml, which is read" in refused.stderr
+    assert (tmp_path / "process_cell.toml").read_bytes() == cell
 
 
 @pytest.mark.parametrize(
@@ -206,6 +212,33 @@ def test_refusals_name_the_key(library: str, further: str, named: str, folder: P
     answer = metafab("expose", folder / "layout.oas", "--design", path, "--json")
     assert (answer.code, answer.stdout) == (2, "")
     assert named in answer.stderr
+
+
+@pytest.mark.parametrize(
+    ("library", "further", "columns", "named"),
+    [
+        ("sin_circles_633nm", PROCESS, "", "cell.shape"),
+        ("tio2_hexagonal_660nm", PROCESS, "", "cell.lattice"),
+        ("sos_800nm", READ_BACK + PROCESS, "", "mask.dose"),
+        ("sos_800nm", PROCESS, "sidewall_angle_deg=40", "sidewall_angle_deg"),
+        ("sos_800nm", PROCESS, "height_nm=-10", "height_nm"),
+        ("sos_800nm", PROCESS, "corner_radius_nm=-1", "corner_radius_nm"),
+    ],
+)
+def test_a_fit_names_what_it_refuses(
+    library: str, further: str, columns: str, named: str, folder: Path, tmp_path: Path
+) -> None:
+    design = design_file(
+        tmp_path / "design.toml", SMALL, further, library=f'"{ROOT}/unitcell_lib/{library}.toml"', optimise='"none"'
+    )
+    name, _, value = columns.partition("=")
+    table = tmp_path / "cd.csv"
+    table.write_text(f"x_um,y_um,width_nm,length_nm,{name or 'note'}\n0.2,0.2,120,120,{value}\n", encoding="utf-8")
+    answer = metafab("process", "fit", table, folder / "layout.oas", "--design", design, "-o", tmp_path / "p.toml")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert f"`{named}`" in answer.stderr
+    assert not columns or str(table) in answer.stderr
+    assert not (tmp_path / "p.toml").exists()
 
 
 def test_options_that_need_each_other(folder: Path, tmp_path: Path) -> None:

@@ -93,6 +93,16 @@ def test_fixed_parameters_keep_their_values(small_lens: PillarMap) -> None:
     assert (fit.largest_correlation, fit.correlated) == (0.0, ())
 
 
+def test_a_parameter_at_its_bound_is_refused_by_name(small_lens: PillarMap) -> None:
+    """All sizes 250 nm too large: beyond the bias that is fitted."""
+    lens = measured(small_lens, (1.0,), 0.0)
+    lens.size_nm[:] += 250.0
+    with pytest.raises(
+        InputError, match="`bias`: expected sizes that give one between -200 and 200, got the bound 200"
+    ):
+        fit_process([lens], BEAM.with_backscatter(ETA), BLUR_NM, ("bias",), RATIO)
+
+
 def test_sizes_that_determine_nothing_are_refused(small_lens: PillarMap) -> None:
     lens = measured(small_lens, (1.0,), 0.0)
     one = MeasuredLens(lens.pillars, lens.place[:1], lens.dose[:1], lens.size_nm[:1])
