@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from metafab import library, run
 from metafab.core.errors import InputError
 from metafab.optics import Imaging, depth_nodes, field_tangents
-from metafab.spec import Design, canonical_toml, load_design
+from metafab.spec import Design, Optics, canonical_toml, load_design
 from metafab.spec.terms import Lens
 from metafab.steps import open_library
 from metafab.steps.job import Job
@@ -62,3 +63,13 @@ def test_a_lens_without_a_scene_runs_to_its_report(tmp_path: Path, plain_lens: D
     assert "pupil reduction and sampling" in sources
     assert not sources & {"decoder", "depth interpolation", "field interpolation"}, "there is no image to be wrong in"
     assert (tmp_path / "report.html").is_file()
+
+
+def test_a_thin_ring_of_light_has_a_focus_but_no_polynomials(tmp_path: Path, plain_lens: Design) -> None:
+    x_um = np.linspace(-10.5, 10.5, 211)
+    np.save(tmp_path / "ring.npy", 1.0 * (np.hypot(x_um, x_um[:, None]) > 9.7))
+    optics = Optics(amplitude_file=tmp_path / "ring.npy", amplitude_pitch_um=0.1)
+    ring = replace(plain_lens, device=replace(plain_lens.device, aperture_um=20.0), optics=optics)
+    merit = run.run(ring, tmp_path / "run").merit
+    assert merit is not None and merit.focus is not None
+    assert merit.aberrations is None
