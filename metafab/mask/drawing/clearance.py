@@ -32,7 +32,8 @@ def require_clear_of_lenses(design: Design, key: str, boxes: IntArray, name: str
     for number, copy in enumerate(lens_copies(design), start=1):
         at = np.array([copy.x_dbu, copy.y_dbu])
         away = np.maximum(np.maximum(boxes[:, :2] - at, at - boxes[:, 2:]), 0)
-        is_round = design.device.aperture_shape in {"circle", "ring"}
+        # The field of other tones is a square.
+        is_round = design.device.aperture_shape in {"circle", "ring"} and design.mask.tone == "negative"
         reach = np.hypot(*away.T) if is_round else away.max(axis=1)
         for left, bottom, *_ in boxes[reach <= half][:1].tolist():
             um = design.mask.database_unit_nm * 1e-3

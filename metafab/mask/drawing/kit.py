@@ -61,10 +61,14 @@ def require_clear_kit(design: Design, structures: Sequence[Structure], around: S
         around: description and rectangles, shape (n, 4), of each kind of shapes around the lenses.
 
     Raises:
-        InputError: naming both.
+        InputError: naming both; or a tone in which bars would be printed as trenches.
     """
     if design.mask.kit is None:
         return
+    if design.mask.tone != "negative":
+        got = f'tone = "{design.mask.tone}"'
+        remedy = "exposed structures would be trenches there: take out mask.kit, or include a cell drawn for that tone"
+        raise InputError.single(design.name, "mask.kit", 'tone = "negative"', got, remedy)
     distance = round(design.mask.kit.distance_um * 1e3 / design.mask.database_unit_nm)
     for number, structure in enumerate(structures):
         box = structure.box(distance)

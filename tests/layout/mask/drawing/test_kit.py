@@ -6,6 +6,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import gdstk
 import numpy as np
@@ -170,6 +171,15 @@ def test_structures_that_cannot_be_are_refused_before_anything_is_written(
     with pytest.raises(InputError, match=named):
         mask.write(tiny.pillars, tmp_path, design)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("tone", ["positive", "inverted"])
+def test_bars_are_not_drawn_where_they_would_be_trenches(
+    tone: Literal["positive", "inverted"], tiny_design: Design
+) -> None:
+    options = replace(tiny_design.mask, kit=KIT, tone=tone, field_layer=9)
+    with pytest.raises(InputError, match="trenches"):
+        preflight(replace(tiny_design, mask=options))
 
 
 def test_included_cells_and_structures_never_touch(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
