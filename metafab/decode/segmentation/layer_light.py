@@ -166,11 +166,10 @@ class LayerOptics:
         grid = np.meshgrid(*(one - one_first for one, one_first in zip(place, first, strict=True)), indexing="ij")
         weights = np.stack([map_coordinates(at_blocks[..., k], grid, order=1, mode="nearest") for k in range(count)])
         shape = kernels.shape[-2:]
-        size = (_even(rows + self.reach), _even(columns + self.reach))
-        padded = np.zeros((count, 2, max(size[0], shape[0]), max(size[1], shape[1])), dtype=np.float32)
+        size = (max(_even(rows + self.reach), shape[0]), max(_even(columns + self.reach), shape[1]))
+        padded = np.zeros((count, 2, *size), dtype=np.float32)
         padded[..., : shape[0], : shape[1]] = (basis.T @ scaled).reshape(count, 2, *shape)
         rolled = np.roll(padded, (-(shape[0] // 2), -(shape[1] // 2)), axis=(-2, -1))
-        size = (padded.shape[-2], padded.shape[-1])
         return LayerLight(
             at,
             size,

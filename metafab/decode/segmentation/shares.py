@@ -133,13 +133,13 @@ class _FrameModel:
         whole = np.where(away * step <= _GROWN_PX, segments[row, column], 0)
         label = np.where(lit, np.pad(whole, margin), 0).astype(np.int32)
         numbers = range(1, len(depths) + 1)
-        if any(not (label == number).any() for number in numbers):
+        parts = [label == number for number in numbers]
+        if not all(part.any() for part in parts):
             return None
-        away_px = np.stack([distance(label == number) * np.float32(step) for number in numbers])
+        away_px = np.stack([distance(part) * np.float32(step) for part in parts])
         allowed = (away_px <= _BAND_PX) & lit
-        for number, own in zip(numbers, allowed, strict=True):
-            others = (label > 0) & (label != number)
-            mine = label == number
+        for number, mine, own in zip(numbers, parts, allowed, strict=True):
+            others = (label > 0) & ~mine
             deep = mine & np.pad(segments == number, margin)
             if others.any():
                 deep &= distance(others) * step > _BAND_PX
@@ -153,7 +153,7 @@ class _FrameModel:
         first /= np.maximum(first.sum(axis=0), np.float32(1e-9))
         inner, shape = prepared.downsampling.inner, prepared.downsampling.shape
         planes = [depth.plane.over(shape) for depth in depths]
-        spanned = [plane[label[inner] == number] for number, plane in zip(numbers, planes, strict=True)]
+        spanned = [plane[part[inner]] for part, plane in zip(parts, planes, strict=True)]
         vergence = np.array([(one.min(), one.max()) for one in spanned])
         shifts = optics.shifts_px_m()
         hidden_px = step * float(np.abs(shifts).max()) * (vergence.max() - vergence.min())
@@ -204,21 +204,21 @@ class _FrameModel:
         share, white = self.first, [np.zeros(layer.shape, dtype=np.float32) for layer in self.layers]
         deep = self.allowed.sum(axis=0) == 1
         for _ in range(_ROUNDS):
-            seen, open_share = self._visible(share)
-            white = self._light_given(share, seen, open_share, white)
+            extent, open_share = self._extended(share)
+            white = self._light_given(share, extent * open_share, open_share, white)
             energy = np.zeros_like(share)
             for k, layer in enumerate(self.layers):
                 pooled = gaussian_filter(white[k] * white[k], self.pooled) + np.float32(_LEAST_ENERGY)
                 own = pooled[deep[layer.at] & (self.label[layer.at] == k + 1)]
                 typical = float(np.median(own)) if own.size else float(pooled.mean())
                 expected = np.minimum(np.float32(1.0), np.float32(_OPEN) * open_share[k][layer.at])
-                energy[k][layer.at] = pooled / typical * expected * _extent(seen, open_share, k, layer.at)
+                energy[k][layer.at] = pooled / typical * expected * extent[k][layer.at]
             energy = np.where(self.allowed, energy + np.float32(1e-4), np.float32(0.0))
             share = energy / np.maximum(energy.sum(axis=0), np.float32(1e-9))
         return share
 
-    def _visible(self, share: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Visible share of each layer's light, and share of the aperture that nearer layers leave open to it.
+    def _extended(self, share: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Share of each pixel that a layer fills, seen or hidden, and share of the aperture that sees it there.
 
         A layer continues behind nearer ones; both of shape (n_layers, n_y, n_x).
         """
@@ -233,7 +233,7 @@ class _FrameModel:
                 open_share[k][at] -= covered
                 extent[k] += np.where(support, share[j], np.float32(0.0))
         open_share = np.clip(open_share, np.float32(0.0), np.float32(1.0))
-        return open_share * np.minimum(extent, np.float32(1.0)), open_share
+        return np.minimum(extent, np.float32(1.0)), open_share
 
     def _light_given(
         self,
@@ -329,11 +329,6 @@ def _gains(images: NDArray[np.float32], interior: NDArray[np.int32], count: int)
     return np.where((light > 0.0).all(axis=1, keepdims=True), 2.0 * light / np.maximum(total, 1e-30), 1.0).astype(
         np.float32
     )
-
-
-def _extent(seen: NDArray[np.float32], open_share: NDArray[np.float32], k: int, at: tuple[slice, slice]) -> FloatArray:
-    """Share of each pixel that a layer fills, seen or hidden."""
-    return np.asarray(seen[k][at] / np.maximum(open_share[k][at], np.float32(1e-6)))
 
 
 def _overlap(one: tuple[slice, slice], other: tuple[slice, slice]) -> bool:

@@ -12,7 +12,13 @@ from metafab.core.conventions import Side
 from metafab.spec import UnitCell, make_unit_cell
 
 
-def _cell(period_nm: float, side: Side = "substrate") -> UnitCell:
+def _cell(
+    period_nm: float,
+    side: Side = "substrate",
+    *,
+    shape: Literal["rectangle", "circle"] = "rectangle",
+    lattice: Literal["rectangular", "hexagonal"] = "rectangular",
+) -> UnitCell:
     return make_unit_cell(
         period_nm=period_nm,
         height_nm=300,
@@ -23,6 +29,8 @@ def _cell(period_nm: float, side: Side = "substrate") -> UnitCell:
         size_grid_nm=20,
         target_error=0.02,
         side=side,
+        shape=shape,
+        lattice=lattice,
     )
 
 
@@ -46,35 +54,14 @@ def test_orders_in_the_substrate_are_said_with_their_share(side: Side) -> None:
 
 def test_rows_of_a_hexagonal_lattice_count() -> None:
     """Orders open when the row distance, sqrt(3) / 2 of the period, exceeds the wavelength in the glass."""
-    cell = make_unit_cell(
-        period_nm=440,
-        height_nm=300,
-        pillar=2.0,
-        substrate=1.46,
-        wavelength_nm=532,
-        sizes_nm=(80, 240),
-        size_grid_nm=20,
-        lattice="hexagonal",
-    )
-    (found,) = open_orders(cell)
+    (found,) = open_orders(_cell(440, lattice="hexagonal"))
     assert found.largest_period_nm == pytest.approx(2.0 / math.sqrt(3.0) * 532 / 1.46)
     assert found.count == 6
 
 
 @pytest.mark.parametrize("lattice", ["rectangular", "hexagonal"])
 def test_orders_of_circles_take_what_the_zero_order_lacks(lattice: Literal["rectangular", "hexagonal"]) -> None:
-    cell = make_unit_cell(
-        period_nm=450,
-        height_nm=300,
-        pillar=2.0,
-        substrate=1.46,
-        wavelength_nm=532,
-        sizes_nm=(80, 240),
-        size_grid_nm=20,
-        shape="circle",
-        lattice=lattice,
-    )
-    (found,) = open_orders(cell)
+    (found,) = open_orders(_cell(450, shape="circle", lattice=lattice))
     assert found.side == "substrate"
     assert 0.01 < found.share_x < 0.5
     assert found.share_x == pytest.approx(found.share_y, abs=2e-2)
