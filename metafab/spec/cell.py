@@ -3,48 +3,47 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import fields
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import Side
-from metafab.spec.fields import CONFIG, NonNegative, Positive, Real, TargetError
+from metafab.spec.fields import BOTH, CONFIG, Checked, NonNegative, Positive, Real, TargetError
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Material:
+class Material(Checked):
     """A refractive index n + ik by numbers or by the name of a record."""
 
-    n: Positive | None = None
-    """Real part of the refractive index."""
-    k: NonNegative = 0.0
-    """Imaginary part of the refractive index; above 0 absorbs."""
-    n_error: NonNegative = 0.0
-    """Standard uncertainty of `n`; it enters the error budget, not the solution."""
+    n: Positive | None = None  #: Real part of the refractive index.
+    k: NonNegative = 0.0  #: Imaginary part of the refractive index; above 0 absorbs.
+    n_error: NonNegative = 0.0  #: Standard uncertainty of `n`; it enters the error budget, not the solution.
+    #: Index of a substrate for y polarisation, if it differs (a crystal with its optic axis in the surface).
     n_y: Positive | None = None
-    """Index of a substrate for y polarisation, if it differs (a crystal with its optic axis in the surface)."""
-    k_y: NonNegative | None = None
-    """Imaginary part that belongs to `n_y`."""
-    n_z: Positive | None = None
-    """Index of a substrate along z; it matters at oblique incidence."""
-    k_z: NonNegative | None = None
-    """Imaginary part that belongs to `n_z`."""
+    k_y: NonNegative | None = None  #: Imaginary part that belongs to `n_y`.
+    n_z: Positive | None = None  #: Index of a substrate along z; it matters at oblique incidence.
+    k_z: NonNegative | None = None  #: Imaginary part that belongs to `n_z`.
+    #: Name of a cited record, a CSV file (`wavelength_nm,n,k`), or shelf/book/page of refractiveindex.info; it replaces
+    #: the numbers. A text in place of the table means the same.
     record: str | None = None
-    """Name of a cited record, a CSV file (`wavelength_nm,n,k`), or shelf/book/page of refractiveindex.info; it replaces
-    the numbers. A text in place of the table means the same."""
 
-    @model_validator(mode="after")
-    def _one_source(self) -> Material:
+    def _faults(self) -> Iterator[str]:
         if (self.n is None) == (self.record is None):
-            raise ValueError("give either a number `n` (with `k`) or the name of a `record`, not both or neither")
-        return self
+            yield "give either a number `n` (with `k`) or the name of a `record`, not both or neither"
+
+    @property
+    def directional(self) -> list[str]:
+        """Keys that make a substrate birefringent, if any are given."""
+        return [key for key in ("n_y", "k_y", "n_z", "k_z") if getattr(self, key) is not None]
 
 
-def as_material(value: object) -> object:
-    """Return a material's table for the name of a record; other values unchanged."""
-    return {"record": value} if isinstance(value, str) else value
+#: A material's table, or the name of a record in its place.
+MaterialOrName = Annotated[
+    Material, BeforeValidator(lambda value: {"record": value} if isinstance(value, str) else value)
+]
 
 
 #: Row distance of a regular hexagonal lattice over its period, and its largest allowed relative deviation.
@@ -60,56 +59,38 @@ SidewallAngle = Annotated[float, Field(strict=True, ge=60.0, le=120.0)]
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Layer:
+class Layer(Checked):
     """A uniform layer of one isotropic material."""
 
-    height_nm: Positive
-    """Thickness of the layer."""
-    material: Material
-    """Material of the layer; isotropic."""
+    height_nm: Positive  #: Thickness of the layer.
+    material: MaterialOrName  #: Material of the layer; isotropic.
 
-    @field_validator("material", mode="before")
-    @classmethod
-    def _by_name(cls, value: object) -> object:
-        return as_material(value)
-
-    @model_validator(mode="after")
-    def _isotropic(self) -> Layer:
-        if self.material.n_y is not None or self.material.n_z is not None:
-            raise ValueError("`material`: only the substrate may be birefringent")
-        return self
+    def _faults(self) -> Iterator[str]:
+        if self.material.directional:
+            yield "`material`: only the substrate may be birefringent"
 
 
 @dataclass(frozen=True, config=CONFIG)
-class CellGeometry:
+class CellGeometry(Checked):
     """Geometry of the unit cell: one pillar centred in a rectangular or hexagonal lattice cell."""
 
-    period_nm: tuple[Positive, Positive]
-    """Distance of pillars along x and y; one number for both. In a hexagonal lattice: within a row, and between rows
-    (within 1 % of sqrt(3)/2 of the first; by default that, rounded to 1 nm)."""
-    height_nm: Positive
-    """Height of the pillars."""
+    #: Distance of pillars along x and y; one number for both. In a hexagonal lattice: within a row, and between rows
+    #: (within 1 % of sqrt(3)/2 of the first; by default that, rounded to 1 nm).
+    period_nm: Annotated[tuple[Positive, Positive], BOTH]
+    height_nm: Positive  #: Height of the pillars.
+    #: Cross-section within width and length. Circles have equal width and length; a cross is the union of the rectangle
+    #: and the same rectangle turned by 90 degrees.
     shape: Literal["rectangle", "ellipse", "circle", "cross"] = "rectangle"
-    """Cross-section within width and length. Circles have equal width and length; a cross is the union of the rectangle
-    and the same rectangle turned by 90 degrees."""
+    #: Angle between wall and substrate inside the pillar; 90 without the key. Below 90 the pillar narrows upwards.
     sidewall_angle_deg: SidewallAngle | None = None
-    """Angle between wall and substrate inside the pillar; 90 without the key. Below 90 the pillar narrows upwards."""
+    #: Height at which width and length are measured; the middle without the key.
     sizes_at: Literal["bottom", "middle", "top"] | None = None
-    """Height at which width and length are measured; the middle without the key."""
-    film: tuple[Layer, ...] | None = None
-    """Uniform films between substrate and pillars, from the substrate up."""
-    cap: tuple[Layer, ...] | None = None
-    """Layers on top of each pillar with the pillar's outline, from the pillar up."""
+    film: tuple[Layer, ...] | None = None  #: Uniform films between substrate and pillars, from the substrate up.
+    cap: tuple[Layer, ...] | None = None  #: Layers on top of each pillar with the pillar's outline, from the pillar up.
+    #: Lattice of the pillars; rectangular without the key. In a hexagonal one every other row is shifted by half a
+    #: period.
     lattice: Literal["rectangular", "hexagonal"] | None = None
-    """Lattice of the pillars; rectangular without the key. In a hexagonal one every other row is shifted by half a
-    period."""
-    corner_radius_nm: NonNegative | None = None
-    """Radius of a rectangle's corners."""
-
-    @field_validator("period_nm", mode="before")
-    @classmethod
-    def _square(cls, value: object) -> object:
-        return (value, value) if isinstance(value, int | float) else value
+    corner_radius_nm: NonNegative | None = None  #: Radius of a rectangle's corners.
 
     @model_validator(mode="after")
     def _rows(self) -> CellGeometry:
@@ -125,16 +106,14 @@ class CellGeometry:
         object.__setattr__(self, "period_nm", (along_row, float(round(regular_nm))))
         return self
 
-    @model_validator(mode="after")
-    def _corners(self) -> CellGeometry:
+    def _faults(self) -> Iterator[str]:
         if self.is_hexagonal and (self.shape == "cross" or self.corner_radius_nm):
-            raise ValueError(
+            yield (
                 "`shape`, `corner_radius_nm`: pillars of a hexagonal lattice are rectangles, circles or ellipses; "
                 "crosses and rounded corners are not available there"
             )
         if self.corner_radius_nm and self.shape != "rectangle":
-            raise ValueError(f"`corner_radius_nm` rounds a rectangle's corners, not those of the shape {self.shape!r}")
-        return self
+            yield f"`corner_radius_nm` rounds a rectangle's corners, not those of the shape {self.shape!r}"
 
     @property
     def is_hexagonal(self) -> bool:
@@ -143,64 +122,49 @@ class CellGeometry:
 
 
 @dataclass(frozen=True, config=CONFIG)
-class CellMaterials:
+class CellMaterials(Checked):
     """Materials of the pillar, of the half space below it and of the half space above it."""
 
-    pillar: Material
-    """Material of the pillars."""
-    substrate: Material
-    """Material of the half space below the pillars."""
-    ambient: Material = Field(default_factory=lambda: Material(n=1.0))
-    """Material of the half space above and between the pillars; vacuum without the key."""
+    pillar: MaterialOrName  #: Material of the pillars.
+    substrate: MaterialOrName  #: Material of the half space below the pillars.
+    #: Material of the half space above and between the pillars; vacuum without the key.
+    ambient: MaterialOrName = Field(default_factory=lambda: Material(n=1.0))
 
-    @field_validator("pillar", "substrate", "ambient", mode="before")
-    @classmethod
-    def _by_name(cls, value: object) -> object:
-        return as_material(value)
-
-    @model_validator(mode="after")
-    def _one_birefringent(self) -> CellMaterials:
-        for name in ("pillar", "ambient"):
-            given = [key for key in ("n_y", "k_y", "n_z", "k_z") if getattr(getattr(self, name), key) is not None]
-            if given:
-                raise ValueError(f"`{name}.{given[0]}`: only the substrate may be birefringent")
-        return self
+    def _faults(self) -> Iterator[str]:
+        for name, material in (("pillar", self.pillar), ("ambient", self.ambient)):
+            for key in material.directional:
+                yield f"`{name}.{key}`: only the substrate may be birefringent"
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Illumination:
     """Incident plane wave: vacuum wavelength and side of incidence."""
 
-    wavelength_nm: Positive
-    """Vacuum wavelength."""
-    side: Side = "substrate"
-    """Side from which the light comes."""
+    wavelength_nm: Positive  #: Vacuum wavelength.
+    side: Side = "substrate"  #: Side from which the light comes.
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Axes:
+class Axes(Checked):
     """Further axes of a library beyond the sizes, each a range [lowest, highest]; all optional.
 
     Only one plane of incidence can be swept: in any other the polarisations mix, and a library holds no cross-polarised
     amplitudes.
     """
 
+    #: Range of wavelengths [lowest, highest]; it contains the unit cell's.
     wavelength_nm: tuple[Positive, Positive] | None = None
-    """Range of wavelengths [lowest, highest]; it contains the unit cell's."""
-    height_nm: tuple[Positive, Positive] | None = None
-    """Range of pillar heights; it contains the unit cell's."""
+    height_nm: tuple[Positive, Positive] | None = None  #: Range of pillar heights; it contains the unit cell's.
+    #: Range of sidewall angles; it contains the unit cell's.
     sidewall_angle_deg: tuple[SidewallAngle, SidewallAngle] | None = None
-    """Range of sidewall angles; it contains the unit cell's."""
+    #: Range of corner radii; it contains the unit cell's.
     corner_radius_nm: tuple[NonNegative, NonNegative] | None = None
-    """Range of corner radii; it contains the unit cell's."""
-    cd_bias_nm: tuple[Real, Real] | None = None
-    """Range of the bias of width and length; it contains 0."""
-    pillar_n_shift: tuple[Real, Real] | None = None
-    """Range of the change of the pillar's index; it contains 0."""
+    cd_bias_nm: tuple[Real, Real] | None = None  #: Range of the bias of width and length; it contains 0.
+    pillar_n_shift: tuple[Real, Real] | None = None  #: Range of the change of the pillar's index; it contains 0.
+    #: Range [0, largest] of the angle of incidence in the x-z plane, in the medium of incidence.
     angle_x_deg: tuple[NonNegative, NonNegative] | None = None
-    """Range [0, largest] of the angle of incidence in the x-z plane, in the medium of incidence."""
+    #: Range [0, largest] of the angle of incidence in the y-z plane; not together with `angle_x_deg`.
     angle_y_deg: tuple[NonNegative, NonNegative] | None = None
-    """Range [0, largest] of the angle of incidence in the y-z plane; not together with `angle_x_deg`."""
 
     @property
     def spans(self) -> dict[str, tuple[float, float]]:
@@ -208,95 +172,73 @@ class Axes:
         spans = {item.name: getattr(self, item.name) for item in fields(self)}
         return {name: span for name, span in spans.items() if span is not None}
 
-    @model_validator(mode="after")
-    def _sound(self) -> Axes:
+    def _faults(self) -> Iterator[str]:
         for name, (low, high) in self.spans.items():
             if not low < high:
-                raise ValueError(f"`{name}` must be [lowest, highest], got [{low}, {high}]")
+                yield f"`{name}` must be [lowest, highest], got [{low}, {high}]"
             if name.startswith("angle") and not (low == 0.0 and high < 90.0):
-                raise ValueError(f"`{name}` must be [0, largest], largest below 90, got [{low}, {high}]")
+                yield f"`{name}` must be [0, largest], largest below 90, got [{low}, {high}]"
         if self.angle_x_deg is not None and self.angle_y_deg is not None:
-            raise ValueError("give `angle_x_deg` or `angle_y_deg`, not both: between the planes polarisations mix")
-        return self
+            yield "give `angle_x_deg` or `angle_y_deg`, not both: between the planes polarisations mix"
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Sweep:
+class Sweep(Checked):
     """Sizes of a library, and its target error."""
 
-    width_nm: tuple[Positive, Positive]
-    """Smallest and largest width."""
-    length_nm: tuple[Positive, Positive]
-    """Smallest and largest length; for circles equal to `width_nm`."""
-    size_grid_nm: Positive
-    """Step of the sizes; both ranges hold a whole number of steps."""
-    target_error: TargetError = 2e-3
-    """Target error of the complex transmission t of every size."""
-    axes: Axes | None = None
-    """Further axes of the library."""
+    width_nm: tuple[Positive, Positive]  #: Smallest and largest width.
+    length_nm: tuple[Positive, Positive]  #: Smallest and largest length; for circles equal to `width_nm`.
+    size_grid_nm: Positive  #: Step of the sizes; both ranges hold a whole number of steps.
+    target_error: TargetError = 2e-3  #: Target error of the complex transmission t of every size.
+    axes: Axes | None = None  #: Further axes of the library.
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Sweep:
+    def _faults(self) -> Iterator[str]:
         for name in ("width_nm", "length_nm"):
             low, high = getattr(self, name)
             if low > high:
-                raise ValueError(f"`{name}` must be [smallest, largest], got [{low}, {high}]")
+                yield f"`{name}` must be [smallest, largest], got [{low}, {high}]"
             steps = (high - low) / self.size_grid_nm
             if steps > _MOST_STEPS:
-                raise ValueError(f"`size_grid_nm` must leave at most {_MOST_STEPS} steps of `{name}`, got {steps:.3g}")
+                yield f"`size_grid_nm` must leave at most {_MOST_STEPS} steps of `{name}`, got {steps:.3g}"
             if abs(steps - round(steps)) > 1e-6:
-                raise ValueError(
+                yield (
                     f"`{name}` must span a whole number of `size_grid_nm` steps, got {high - low} nm in steps "
                     f"of {self.size_grid_nm} nm"
                 )
-        return self
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Solver:
     """Solver that builds the library."""
 
-    name: Literal["rcwa", "meep"] = "rcwa"
-    """Solver that builds the library."""
+    name: Literal["rcwa", "meep"] = "rcwa"  #: Solver that builds the library.
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Neighbours:
     """Training of the model of unlike neighbours, which a library holds if its unit cell has this table."""
 
+    #: Rows of unlike pillars to solve, for each direction of the row and each polarisation.
     rows: Annotated[int, Field(strict=True, ge=60, le=20_000)] = 480
-    """Rows of unlike pillars to solve, for each direction of the row and each polarisation."""
 
 
 @dataclass(frozen=True, config=CONFIG)
-class UnitCell:
+class UnitCell(Checked):
     """A unit-cell file (``unitcell_lib/NAME.toml``)."""
 
-    cell: CellGeometry
-    """Geometry of the unit cell."""
-    materials: CellMaterials
-    """Materials."""
-    illumination: Illumination
-    """Incident light."""
-    sweep: Sweep
-    """Sizes of the library."""
-    solver: Solver = Field(default_factory=Solver)
-    """Solver of the library."""
-    neighbours: Neighbours | None = None
-    """Training of the model of unlike neighbours."""
-    source: str = ""
-    """Where the numbers come from."""
+    cell: CellGeometry  #: Geometry of the unit cell.
+    materials: CellMaterials  #: Materials.
+    illumination: Illumination  #: Incident light.
+    sweep: Sweep  #: Sizes of the library.
+    solver: Solver = Field(default_factory=Solver)  #: Solver of the library.
+    neighbours: Neighbours | None = None  #: Training of the model of unlike neighbours.
+    source: str = ""  #: Where the numbers come from.
 
-    @model_validator(mode="after")
-    def _fits(self) -> UnitCell:
+    def _faults(self) -> Iterator[str]:
         for name, period in zip(("width_nm", "length_nm"), self.cell.period_nm, strict=True):
             largest = getattr(self.sweep, name)[1]
             if largest > period:
-                raise ValueError(f"`sweep.{name}` reaches {largest} nm, beyond `cell.period_nm` of {period} nm")
-        return self
-
-    @model_validator(mode="after")
-    def _in_nanometres(self) -> UnitCell:
+                yield f"`sweep.{name}` reaches {largest} nm, beyond `cell.period_nm` of {period} nm"
         wavelength_nm = self.illumination.wavelength_nm
         least_nm, most_nm = _LEAST_WAVELENGTHS * wavelength_nm, _MOST_WAVELENGTHS * wavelength_nm
         lengths = {
@@ -307,45 +249,33 @@ class UnitCell:
         }
         wrong = [f"`{name}` = {length:g}" for name, length in lengths.items() if not least_nm <= length <= most_nm]
         if wrong:
-            raise ValueError(
+            yield (
                 f"{', '.join(wrong)}: lengths must be {least_nm:g} to {most_nm:g} nm, a hundredth to a hundred of the "
                 f"wavelength of {wavelength_nm:g} nm; are they in nanometres?"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _round(self) -> UnitCell:
-        if self.cell.shape != "circle":
-            return self
-        if self.sweep.width_nm != self.sweep.length_nm:
-            raise ValueError("`sweep.length_nm` of circles must equal `sweep.width_nm`: both are the diameter")
-        if self.sweep.axes is not None and self.sweep.axes.spans:
-            raise ValueError("`sweep.axes` is not available for circles; build one library for each value")
-        return self
-
-    @model_validator(mode="after")
-    def _axes_around_the_cell(self) -> UnitCell:
+        circles = self.cell.shape == "circle"
+        if circles and self.sweep.width_nm != self.sweep.length_nm:
+            yield "`sweep.length_nm` of circles must equal `sweep.width_nm`: both are the diameter"
+        if circles and self.sweep.axes is not None and self.sweep.axes.spans:
+            yield "`sweep.axes` is not available for circles; build one library for each value"
         spans = {} if self.sweep.axes is None else self.sweep.axes.spans
         for name, (low, high) in spans.items():
             if not low <= self.nominal(name) <= high:
-                raise ValueError(
-                    f"`sweep.axes.{name}` must contain the cell's own {self.nominal(name):g}, got [{low}, {high}]"
-                )
+                yield (f"`sweep.axes.{name}` must contain the cell's own {self.nominal(name):g}, got [{low}, {high}]")
         low, high = spans.get("cd_bias_nm", (0.0, 0.0))
         for name, period in zip(("width_nm", "length_nm"), self.cell.period_nm, strict=True):
             smallest, largest = getattr(self.sweep, name)
             if smallest + low <= 0.0 or largest + high > period:
-                raise ValueError(
+                yield (
                     f"`sweep.axes.cd_bias_nm` takes `sweep.{name}` to {smallest + low:g}..{largest + high:g} nm, "
                     f"outside 0 to `cell.period_nm` of {period:g} nm"
                 )
-        return self
+        yield from self._neighbour_faults()
 
-    @model_validator(mode="after")
-    def _neighbours_by_rows(self) -> UnitCell:
+    def _neighbour_faults(self) -> Iterator[str]:
         """Refuse a model of neighbours where the row solver cannot supply its training rows."""
         if self.neighbours is None:
-            return self
+            return
         cell, substrate = self.cell, self.materials.substrate
         hindrances = {
             "a rectangular lattice": cell.is_hexagonal,
@@ -360,8 +290,7 @@ class UnitCell:
         }
         wrong = [name for name, stands in hindrances.items() if stands]
         if wrong:
-            raise ValueError(f"`neighbours`: the model of neighbours needs {', '.join(wrong)}; remove the table")
-        return self
+            yield f"`neighbours`: the model of neighbours needs {', '.join(wrong)}; remove the table"
 
     def nominal(self, axis: str) -> float:
         """Value of the unit cell on an axis of :class:`Axes`."""

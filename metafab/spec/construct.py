@@ -53,7 +53,7 @@ def make_unit_cell(
     """
     table = {
         "cell": {"period_nm": period_nm, "height_nm": height_nm, "shape": shape, "lattice": lattice},
-        "materials": {name: _material(value) for name, value in _named(pillar, substrate, ambient).items()},
+        "materials": {"pillar": _material(pillar), "substrate": _material(substrate), "ambient": _material(ambient)},
         "illumination": {"wavelength_nm": wavelength_nm, "side": side},
         "sweep": {
             "width_nm": sizes_nm,
@@ -124,15 +124,8 @@ def make_design(
     return validate(Design, _as_floats(table), "design")
 
 
-def _named(pillar: complex | str, substrate: complex | str, ambient: complex | str) -> dict[str, complex | str]:
-    return {"pillar": pillar, "substrate": substrate, "ambient": ambient}
-
-
-def _material(value: complex | str) -> dict[str, Any]:
-    if isinstance(value, str):
-        return {"record": value}
-    index = complex(value)
-    return {"n": index.real, "k": index.imag}
+def _material(value: complex | str) -> str | dict[str, float]:
+    return value if isinstance(value, str) else {"n": complex(value).real, "k": complex(value).imag}
 
 
 #: Keys whose values are integers.

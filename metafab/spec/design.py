@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import FloatArray
 from metafab.spec.cell import UnitCell
-from metafab.spec.fields import CONFIG, DepthOrInfinity, Flag, Name, NonNegative, Positive, Real, TargetError
+from metafab.spec.fields import (
+    BOTH,
+    CONFIG,
+    Checked,
+    DepthOrInfinity,
+    Flag,
+    Name,
+    NonNegative,
+    Positive,
+    Real,
+    TargetError,
+)
 from metafab.spec.mask import Mask, Process
 from metafab.spec.scene import Scene
 from metafab.spec.substrate import Substrate
@@ -32,36 +44,30 @@ MAX_WINDOW_PX = 2048
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Device:
+class Device(Checked):
     """The lens: aperture and focal length.
 
     Helices are optimised for the full circle or square, whatever the outline.
     """
 
-    aperture_um: Annotated[float, Field(strict=True, gt=0.0, le=300_000.0)]
-    """Diameter or side of the aperture."""
-    focal_length_mm: Positive
-    """Focal length for collimated light."""
-    aperture_shape: Literal["circle", "square", "ring", "polygon"] = "circle"
-    """Shape of the aperture."""
-    inner_um: NonNegative = 0.0
-    """Diameter of the circle that a ring excludes."""
+    aperture_um: Annotated[float, Field(strict=True, gt=0.0, le=300_000.0)]  #: Diameter or side of the aperture.
+    focal_length_mm: Positive  #: Focal length for collimated light.
+    aperture_shape: Literal["circle", "square", "ring", "polygon"] = "circle"  #: Shape of the aperture.
+    inner_um: NonNegative = 0.0  #: Diameter of the circle that a ring excludes.
+    #: Vertices (x, y) of a polygon, relative to the axis, within the square of side `aperture_um`.
     outline_um: tuple[tuple[Real, Real], ...] = ()
-    """Vertices (x, y) of a polygon, relative to the axis, within the square of side `aperture_um`."""
 
-    @model_validator(mode="after")
-    def _outline(self) -> Device:
+    def _faults(self) -> Iterator[str]:
         if (self.aperture_shape == "ring") != (self.inner_um > 0.0) or self.inner_um >= self.aperture_um:
-            raise ValueError("`inner_um` must be between 0 and `aperture_um` for a ring, and not given otherwise")
+            yield "`inner_um` must be between 0 and `aperture_um` for a ring, and not given otherwise"
         if (self.aperture_shape == "polygon") != bool(self.outline_um):
-            raise ValueError("`outline_um` must be given for a polygon, and not otherwise")
+            yield "`outline_um` must be given for a polygon, and not otherwise"
         if not self.outline_um:
-            return self
+            return
         if len(self.outline_um) < 3 or not (polygon := shapely.Polygon(self.outline_um)).is_valid or not polygon.area:
-            raise ValueError("`outline_um` must be the vertices of one polygon whose edges do not cross or touch")
+            yield "`outline_um` must be the vertices of one polygon whose edges do not cross or touch"
         if max(abs(u) for vertex in self.outline_um for u in vertex) > 0.5 * self.aperture_um:
-            raise ValueError("`outline_um` must lie within the square of side `aperture_um` about the axis")
-        return self
+            yield "`outline_um` must lie within the square of side `aperture_um` about the axis"
 
     def encloses(self, x_um: FloatArray, y_um: FloatArray) -> NDArray[np.bool_]:
         """Whether grid points at x, shape (n_x,), and y lie in the aperture, its rim included: shape (n_y, n_x)."""
@@ -82,242 +88,180 @@ class Device:
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Rules:
+class Rules(Checked):
     """Design rules of the process."""
 
-    min_gap_nm: Positive = 100.0
-    """Smallest gap between drawn pillars."""
-    min_feature_nm: Positive = 100.0
-    """Smallest width and length of a drawn pillar."""
-    max_aspect_ratio: Positive | None = None
-    """Largest height over shorter side."""
+    min_gap_nm: Positive = 100.0  #: Smallest gap between drawn pillars.
+    min_feature_nm: Positive = 100.0  #: Smallest width and length of a drawn pillar.
+    max_aspect_ratio: Positive | None = None  #: Largest height over shorter side.
+    #: How gaps are kept: "each" limits every width and length to the period minus the gap; with "pairs" a pillar may be
+    #: larger where its neighbours leave room.
     gap_rule: Literal["each", "pairs"] = "each"
-    """How gaps are kept: "each" limits every width and length to the period minus the gap; with "pairs" a pillar may be
-    larger where its neighbours leave room."""
+    #: Standard deviation of a common bias of width and length in fabrication; the mapping then avoids sizes with a
+    #: steep phase.
     cd_sigma_nm: NonNegative = 0.0
-    """Standard deviation of a common bias of width and length in fabrication; the mapping then avoids sizes with a
-    steep phase."""
+    #: Choose sizes for the light that pillars have among their neighbours, by the library's model of them.
     neighbours: Flag = False
-    """Choose sizes for the light that pillars have among their neighbours, by the library's model of them."""
+    #: Use only sizes that respond equally to both polarisations by symmetry: equal width and length, or crosses, in a
+    #: square cell.
     polarisation_independent: Flag = False
-    """Use only sizes that respond equally to both polarisations by symmetry: equal width and length, or crosses, in a
-    square cell."""
 
-    @model_validator(mode="after")
-    def _one_weight(self) -> Rules:
+    def _faults(self) -> Iterator[str]:
         if self.cd_sigma_nm and self.gap_rule == "pairs":
-            raise ValueError('`cd_sigma_nm` weighs sizes one by one; it goes with `gap_rule = "each"`')
+            yield '`cd_sigma_nm` weighs sizes one by one; it goes with `gap_rule = "each"`'
         if self.neighbours and (self.gap_rule == "pairs" or self.cd_sigma_nm):
-            raise ValueError('`neighbours` goes with `gap_rule = "each"` and `cd_sigma_nm = 0`')
-        return self
+            yield '`neighbours` goes with `gap_rule = "each"` and `cd_sigma_nm = 0`'
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Sensor:
     """The image sensor: pixel pitch, and the object depth for which it is in focus."""
 
-    pixel_um: Positive
-    """Pixel pitch."""
-    focus_depth_m: Positive
-    """Depth of an object that is in focus on the sensor."""
+    pixel_um: Positive  #: Pixel pitch.
+    focus_depth_m: Positive  #: Depth of an object that is in focus on the sensor.
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Optics:
+class Optics(Checked):
     """Optical elements besides the lens; each is optional.
 
     Efficiencies remain relative to the light on the device's aperture.
     """
 
+    #: Full width at half maximum of a colour filter centred on the wavelength.
     filter_fwhm_nm: Annotated[float | None, Field(strict=True, gt=0.0, le=100.0)] = None
-    """Full width at half maximum of a colour filter centred on the wavelength."""
+    #: Thickness of the substrate between scene and pillars: a plane-parallel plate.
     substrate_um: Annotated[float, Field(strict=True, ge=0.0, le=20_000.0)] = 0.0
-    """Thickness of the substrate between scene and pillars: a plane-parallel plate."""
-    stop_um: Positive | None = None
-    """Diameter of a round stop in the plane of the pillars."""
+    stop_um: Positive | None = None  #: Diameter of a round stop in the plane of the pillars.
+    #: Amplitude transmission (0 to 1) in that plane: a .npy, .csv or .h5 file, shape (n_y, n_x), lowest y first.
     amplitude_file: Path | None = None
-    """Amplitude transmission (0 to 1) in that plane: a .npy, .csv or .h5 file, shape (n_y, n_x), lowest y first."""
-    amplitude_pitch_um: Positive | None = None
-    """Pitch of that file's square grid, which is centred on the axis."""
-    amplitude_dataset: str = "amplitude"
-    """Name of the map in an .h5 file."""
+    amplitude_pitch_um: Positive | None = None  #: Pitch of that file's square grid, which is centred on the axis.
+    amplitude_dataset: str = "amplitude"  #: Name of the map in an .h5 file.
+    #: Whether the light of pillars depends on their neighbours; by default where the library's model of them pays.
     neighbours: Flag | None = None
-    """Whether the light of pillars depends on their neighbours; by default where the library's model of them pays."""
 
-    @model_validator(mode="after")
-    def _samples_have_a_pitch(self) -> Optics:
+    def _faults(self) -> Iterator[str]:
         if (self.amplitude_file is None) != (self.amplitude_pitch_um is None):
-            raise ValueError("`amplitude_file` and `amplitude_pitch_um`, its sample pitch, must be given together")
-        return self
+            yield "`amplitude_file` and `amplitude_pitch_um`, its sample pitch, must be given together"
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Verify:
+class Verify(Checked):
     """Depths, window and number of field points at which the written mask is simulated.
 
     The PSF pair changes fastest along x, the axis of the split.
     """
 
-    depths_m: tuple[DepthOrInfinity, ...]
-    """Depths in increasing order; the last may be inf."""
-    window_px: Annotated[int, Field(strict=True, ge=4, le=MAX_WINDOW_PX)] = 64
-    """Side of the PSF windows."""
-    field_points: tuple[FieldPoints, FieldPoints] = (5, 5)
-    """Number of field points along x and y; one number for both."""
-    target_error: TargetError = 1e-3
-    """Target error of the PSFs (relative L2)."""
+    depths_m: tuple[DepthOrInfinity, ...]  #: Depths in increasing order; the last may be inf.
+    window_px: Annotated[int, Field(strict=True, ge=4, le=MAX_WINDOW_PX)] = 64  #: Side of the PSF windows.
+    #: Number of field points along x and y; one number for both.
+    field_points: Annotated[tuple[FieldPoints, FieldPoints], BOTH] = (5, 5)
+    target_error: TargetError = 1e-3  #: Target error of the PSFs (relative L2).
+    #: Whether the polarisation of the light bends with its direction.
     vectorial: Annotated[Flag | None, Field(description="omitted: where its effect counts, from an NA near 0.3")] = None
-    """Whether the polarisation of the light bends with its direction."""
+    #: (x, y) of the centre of the PSF windows on the sensor, from the axis.
     centre_um: Annotated[tuple[Real, Real] | None, Field(description="omitted: where the target sends light")] = None
-    """(x, y) of the centre of the PSF windows on the sensor, from the axis."""
 
-    @field_validator("field_points", mode="before")
-    @classmethod
-    def _both_axes(cls, value: object) -> object:
-        return (value, value) if isinstance(value, int) else value
-
-    @model_validator(mode="after")
-    def _increasing(self) -> Verify:
+    def _faults(self) -> Iterator[str]:
         if not self.depths_m or any(b <= a for a, b in zip(self.depths_m, self.depths_m[1:], strict=False)):
-            raise ValueError("`depths_m` must hold at least one depth, in increasing order")
-        return self
+            yield "`depths_m` must hold at least one depth, in increasing order"
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Tolerances:
     """Fabrication tolerances; a run with this table simulates the PSFs at each of its corners. 0 omits a tolerance."""
 
-    cd_bias_nm: NonNegative = 10.0
-    """Bias of width and length, applied with both signs."""
-    height_nm: NonNegative = 10.0
-    """Error of the height, applied with both signs."""
+    cd_bias_nm: NonNegative = 10.0  #: Bias of width and length, applied with both signs.
+    height_nm: NonNegative = 10.0  #: Error of the height, applied with both signs.
+    #: Error of the sidewall angle, applied with both signs.
     sidewall_deg: Annotated[float, Field(strict=True, ge=0.0, le=10.0)] = 2.0
-    """Error of the sidewall angle, applied with both signs."""
+    #: Error of the pillar's index, applied with both signs; by default half the spread of published indices of silicon.
     pillar_n: NonNegative = 0.0135
-    """Error of the pillar's index, applied with both signs; by default half the spread of published indices of silicon.
-    """
-    misplacement_nm: NonNegative = 10.0
-    """Displacement of each pillar along x and y, rms."""
-    stitching_nm: NonNegative = 30.0
-    """Displacement of each write field along x and y, rms."""
-    missing_share: Annotated[float, Field(strict=True, ge=0.0, le=0.5)] = 1e-3
-    """Share of missing pillars."""
+    misplacement_nm: NonNegative = 10.0  #: Displacement of each pillar along x and y, rms.
+    stitching_nm: NonNegative = 30.0  #: Displacement of each write field along x and y, rms.
+    missing_share: Annotated[float, Field(strict=True, ge=0.0, le=0.5)] = 1e-3  #: Share of missing pillars.
+    #: Number of random masks over which random errors are averaged.
     draws: Annotated[int, Field(strict=True, ge=2, le=1000)] = 8
-    """Number of random masks over which random errors are averaged."""
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Measured:
     """Measured figures of the made device, shown with the simulated ones; all optional."""
 
+    #: Measured efficiency of x polarisation: power through the pinhole over power on the aperture.
     efficiency_x: Annotated[float | None, Field(strict=True, gt=0.0, le=1.0)] = None
-    """Measured efficiency of x polarisation: power through the pinhole over power on the aperture."""
-    efficiency_y: Annotated[float | None, Field(strict=True, gt=0.0, le=1.0)] = None
-    """The same of y polarisation."""
-    extinction_ratio: Positive | None = None
-    """Measured extinction ratio."""
-    pinhole_um: Positive = 100.0
-    """Diameter of the pinhole."""
-    source: str = ""
-    """Reference of the measured figures."""
+    efficiency_y: Annotated[float | None, Field(strict=True, gt=0.0, le=1.0)] = None  #: The same of y polarisation.
+    extinction_ratio: Positive | None = None  #: Measured extinction ratio.
+    pinhole_um: Positive = 100.0  #: Diameter of the pinhole.
+    source: str = ""  #: Reference of the measured figures.
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Numerics:
     """Numerical settings."""
 
-    tile_sites: Annotated[int, Field(strict=True, ge=16, le=4096)] = 476
-    """Sites along a tile's side."""
-    seed: Annotated[int, Field(strict=True, ge=0)] = 1
-    """Seed of random starts."""
-    iterations: NonNegative = 200
-    """Most iterations of an optimisation."""
+    tile_sites: Annotated[int, Field(strict=True, ge=16, le=4096)] = 476  #: Sites along a tile's side.
+    seed: Annotated[int, Field(strict=True, ge=0)] = 1  #: Seed of random starts.
+    iterations: NonNegative = 200  #: Most iterations of an optimisation.
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Design:
+class Design(Checked):
     """A design file (``layouts/NAME.toml``) with its unit cell and scene resolved.
 
     Without a scene, nothing is photographed or decoded, and the mask is verified on the axis alone.
     """
 
-    name: Name
-    """Name of the design, of its mask files and of its run folder."""
-    library: Path
-    """Unit-cell file or built library, relative to the design."""
-    unit_cell: UnitCell
-    """Unit cell of `library`; not a key of a design file."""
-    device: Device
-    """The lens."""
-    phase: Annotated[tuple[PhaseTerm, ...], Field(min_length=1)]
-    """Phase terms, whose sum is the target phase."""
-    rules: Rules
-    """Design rules of the process."""
-    mask: Mask
-    """Mask files."""
-    sensor: Sensor
-    """Image sensor."""
-    verify: Verify
-    """What is simulated of the written mask."""
+    name: Name  #: Name of the design, of its mask files and of its run folder.
+    library: Path  #: Unit-cell file or built library, relative to the design.
+    unit_cell: UnitCell  #: Unit cell of `library`; not a key of a design file.
+    device: Device  #: The lens.
+    phase: Annotated[tuple[PhaseTerm, ...], Field(min_length=1)]  #: Phase terms, whose sum is the target phase.
+    rules: Rules  #: Design rules of the process.
+    mask: Mask  #: Mask files.
+    sensor: Sensor  #: Image sensor.
+    verify: Verify  #: What is simulated of the written mask.
+    #: Scene to photograph and decode: a table, or the path of a scene file; without it the mask is verified on the axis
+    #: alone.
     scene: Scene | None = None
-    """Scene to photograph and decode: a table, or the path of a scene file; without it the mask is verified on the axis
-    alone."""
-    numerics: Numerics = Field(default_factory=Numerics)
-    """Numerical settings."""
-    optics: Optics | None = None
-    """Optical elements besides the lens; none without the table, and one wavelength."""
+    numerics: Numerics = Field(default_factory=Numerics)  #: Numerical settings.
+    optics: Optics | None = None  #: Optical elements besides the lens; none without the table, and one wavelength.
+    #: Birefringent substrate between scene and pillars; without the table the substrate keeps the polarisation.
     substrate: Substrate | None = None
-    """Birefringent substrate between scene and pillars; without the table the substrate keeps the polarisation."""
-    tolerance: Tolerances | None = None
-    """Fabrication tolerances; no corners are simulated without the table."""
+    tolerance: Tolerances | None = None  #: Fabrication tolerances; no corners are simulated without the table.
+    #: Fabrication process, a table or the path of a process file; no exposure is simulated without it.
     process: Process | None = None
-    """Fabrication process, a table or the path of a process file; no exposure is simulated without it."""
-    measured: Measured | None = None
-    """Measured figures of the made device, shown beside the simulated ones."""
+    measured: Measured | None = None  #: Measured figures of the made device, shown beside the simulated ones.
 
-    @model_validator(mode="after")
-    def _rules_in_nanometres(self) -> Design:
+    def _faults(self) -> Iterator[str]:
         least_nm = _LEAST_RULE * self.unit_cell.illumination.wavelength_nm
         for name in ("min_gap_nm", "min_feature_nm"):
             if getattr(self.rules, name) < least_nm:
-                raise ValueError(
+                yield (
                     f"`rules.{name}` must be at least {least_nm:g} nm, a thousandth of the wavelength, got "
                     f"{getattr(self.rules, name):g}; is it in nanometres?"
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _one_window(self) -> Design:
         if self.verify.centre_um is not None and (self.split_angle_deg or self.scene is not None):
-            raise ValueError(
+            yield (
                 "`verify.centre_um` moves the window of a device without scene and `split_lens`, whose windows follow "
                 "the images of objects"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _photons(self) -> Design:
         informed = any(isinstance(term, SpiralZones) and term.optimise == "blind_information" for term in self.phase)
         if informed and self.scene is None:
-            raise ValueError("`optimise` = 'blind_information' needs a `scene`: its photons and noise decide")
-        return self
-
-    @model_validator(mode="after")
-    def _light_reaches_the_lens(self) -> Design:
+            yield "`optimise` = 'blind_information' needs a `scene`: its photons and noise decide"
         isotropic_um = 0.0 if self.optics is None else self.optics.substrate_um
         if isotropic_um > 0.0 and self.substrate is not None:
-            raise ValueError("give `optics.substrate_um` or a `[substrate]`, not both: they are the same plate")
+            yield "give `optics.substrate_um` or a `[substrate]`, not both: they are the same plate"
         crystal_um = 0.0 if self.substrate is None else self.substrate.thickness_um
         nearest_m = min(self.sensor.focus_depth_m, *self.depths_m)
         for name, substrate_um in (("optics.substrate_um", isotropic_um), ("substrate.thickness_um", crystal_um)):
             if substrate_um > 0.0 and self.unit_cell.illumination.side != "substrate":
-                raise ValueError(f"`{name}` needs `illumination.side` = 'substrate': light from the ambient misses it")
+                yield f"`{name}` needs `illumination.side` = 'substrate': light from the ambient misses it"
             if substrate_um >= 1e6 * nearest_m:
-                raise ValueError(f"`{name}` must end before the nearest object, {1e6 * nearest_m:g} um away")
+                yield f"`{name}` must end before the nearest object, {1e6 * nearest_m:g} um away"
         stop_um = None if self.optics is None else self.optics.stop_um
         if stop_um is not None and stop_um > self.device.aperture_um:
-            raise ValueError(f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um")
-        return self
+            yield f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um"
 
     @property
     def depths_m(self) -> tuple[float, ...]:

@@ -1,11 +1,16 @@
-"""Validated field types of input files. Numbers are strict: a quoted "350" is a fault, not 350."""
+"""Validated field types of input files, and the base of the specs whose fields must fit each other.
+
+Numbers are strict: a quoted "350" is a fault, not 350.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from collections.abc import Iterator
+from typing import Annotated, Self
 
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic.dataclasses import dataclass
 
 #: Unknown keys are refused, values cannot change, defaults are checked too.
 CONFIG = ConfigDict(extra="forbid", validate_default=True)
@@ -30,3 +35,20 @@ DepthOrInfinity = Annotated[float, Field(strict=True, gt=0.0), AfterValidator(_f
 Flag = Annotated[bool, Field(strict=True)]
 Index = Annotated[int, Field(strict=True, ge=0, le=65535)]
 Name = Annotated[str, Field(strict=True, min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+#: Marks a pair (x, y) for which a file may give one number.
+BOTH = BeforeValidator(lambda value: (value, value) if isinstance(value, int | float) else value)
+
+
+@dataclass(frozen=True, config=CONFIG)
+class Checked:
+    """Base of the specs whose fields must fit each other."""
+
+    @model_validator(mode="after")
+    def _sound(self) -> Self:
+        if fault := next(self._faults(), None):
+            raise ValueError(fault)
+        return self
+
+    def _faults(self) -> Iterator[str]:
+        """Sentences about fields that contradict each other; the first one is reported."""
+        yield from ()

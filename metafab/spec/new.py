@@ -14,7 +14,7 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage.files import whole_file
-from metafab.spec.cell import Sweep, UnitCell
+from metafab.spec.cell import UnitCell
 from metafab.spec.keys.reference import near
 from metafab.spec.load import load_unit_cell_of
 
@@ -49,8 +49,8 @@ class NewLens:
         if not 0.0 < self.aperture_um < math.inf:
             raise InputError.single("new", "--aperture-um", "a diameter above 0", f"{self.aperture_um:g}")
         focal_um = 0.5 * self.aperture_um / math.tan(math.asin(self.numerical_aperture))
-        sweep, period_nm = unit_cell.sweep, unit_cell.cell.period_nm
-        gap_nm = min(period - high for period, (_, high) in zip(period_nm, _spans(sweep), strict=True))
+        spans_nm = unit_cell.sweep.width_nm, unit_cell.sweep.length_nm
+        gap_nm = min(period - high for period, (_, high) in zip(unit_cell.cell.period_nm, spans_nm, strict=True))
         pixel_um = min(0.5, 1e-3 * unit_cell.illumination.wavelength_nm / (8.0 * self.numerical_aperture))
         return {
             "numerical_aperture": f"{self.numerical_aperture:g}",
@@ -59,12 +59,8 @@ class NewLens:
             "pixel_um": f"{pixel_um:.3g}",
             # Sizes up to the period leave no gap between equals; the usual rule then limits them.
             "min_gap_nm": f"{gap_nm if gap_nm > 0.0 else 100.0:.1f}",
-            "min_feature_nm": f"{min(low for low, _ in _spans(sweep)):.1f}",
+            "min_feature_nm": f"{min(low for low, _ in spans_nm):.1f}",
         }
-
-
-def _spans(sweep: Sweep) -> tuple[tuple[float, float], tuple[float, float]]:
-    return sweep.width_nm, sweep.length_nm
 
 
 def write_new(

@@ -3,71 +3,52 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage.pictures import read_counts
-from metafab.spec.fields import CONFIG, Fraction, NonNegative, Positive, Real
+from metafab.spec.fields import CONFIG, Checked, Fraction, NonNegative, Positive, Real
 
 
 @dataclass(frozen=True, config=CONFIG)
-class SceneObject:
+class SceneObject(Checked):
     """An opaque surface: flat, tilted or bulging; nearer objects occlude farther ones.
 
     Centre and size are tangents of directions (x/z, y/z), so the image of an object does not move when its depth
     changes. At u, v from -1/2 to 1/2 across the object, depth / depth_m = 1 + tilt . (u, v) + 4 bulge . (u^2, v^2).
     """
 
-    depth_m: Positive
-    """Depth at the object's centre."""
-    centre: tuple[Real, Real] = (0.0, 0.0)
-    """Direction of the centre: x/z and y/z."""
-    size: tuple[Positive, Positive] = (0.01, 0.01)
-    """Extent in x/z and y/z."""
-    outline: Literal["rectangle", "ellipse"] = "rectangle"
-    """Shape of the outline."""
-    tilt: tuple[Real, Real] = (0.0, 0.0)
-    """Change of depth over depth at the centre, along the full size in x and y."""
+    depth_m: Positive  #: Depth at the object's centre.
+    centre: tuple[Real, Real] = (0.0, 0.0)  #: Direction of the centre: x/z and y/z.
+    size: tuple[Positive, Positive] = (0.01, 0.01)  #: Extent in x/z and y/z.
+    outline: Literal["rectangle", "ellipse"] = "rectangle"  #: Shape of the outline.
+    tilt: tuple[Real, Real] = (0.0, 0.0)  #: Change of depth over depth at the centre, along the full size in x and y.
+    #: Change of depth over depth from the centre to the edges in x and y; a ball's is positive.
     bulge: tuple[Real, Real] = (0.0, 0.0)
-    """Change of depth over depth from the centre to the edges in x and y; a ball's is positive."""
-    brightness: Positive = 1.0
-    """Brightness relative to other objects."""
-    polarisation_contrast: Positive = 1.0
-    """I_x / I_y."""
+    brightness: Positive = 1.0  #: Brightness relative to other objects.
+    polarisation_contrast: Positive = 1.0  #: I_x / I_y.
+    #: (S1, S2, S3) / S0 for `metafab stokes`; x and y polarisation as by the contrast without the key.
     stokes: tuple[Real, Real, Real] | None = None
-    """(S1, S2, S3) / S0 for `metafab stokes`; x and y polarisation as by the contrast without the key."""
-    texture: Literal["uniform", "fractal", "checker", "image"] = "fractal"
-    """Texture of the surface."""
-    texture_contrast: Fraction = 0.25
-    """Rms of the texture over its mean."""
+    texture: Literal["uniform", "fractal", "checker", "image"] = "fractal"  #: Texture of the surface.
+    texture_contrast: Fraction = 0.25  #: Rms of the texture over its mean.
+    #: Velocity along x, y and away from the lens; the first frame starts in place.
     velocity_m_per_s: tuple[Real, Real, Real] = (0.0, 0.0, 0.0)
-    """Velocity along x, y and away from the lens; the first frame starts in place."""
-    texture_file: Path | None = None
-    """Picture of an object with `texture = "image"`."""
+    texture_file: Path | None = None  #: Picture of an object with `texture = "image"`.
 
-    @model_validator(mode="after")
-    def _picture(self) -> SceneObject:
+    def _faults(self) -> Iterator[str]:
         if (self.texture == "image") != (self.texture_file is not None):
-            raise ValueError("`texture_file` belongs to texture = 'image', and only to it")
-        return self
-
-    @model_validator(mode="after")
-    def _shape(self) -> SceneObject:
+            yield "`texture_file` belongs to texture = 'image', and only to it"
         if 0.5 * sum(map(abs, self.tilt)) + sum(map(abs, self.bulge)) > 0.5:
-            raise ValueError("`tilt` and `bulge` must change the depth by at most half of itself: |tilt| / 2 + |bulge|")
-        return self
-
-    @model_validator(mode="after")
-    def _polarised(self) -> SceneObject:
+            yield "`tilt` and `bulge` must change the depth by at most half of itself: |tilt| / 2 + |bulge|"
         if self.stokes is not None and math.hypot(*self.stokes) > 1.0 + 1e-9:
-            raise ValueError("`stokes` must not be longer than 1: light cannot be more than fully polarised")
-        return self
+            yield "`stokes` must not be longer than 1: light cannot be more than fully polarised"
 
     @property
     def stokes_vector(self) -> tuple[float, float, float]:
@@ -93,26 +74,20 @@ class SceneObject:
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Rgbd:
+class Rgbd(Checked):
     """A picture with its depth, which fills the field (table ``[rgbd]`` of a scene file).
 
     All files have one shape. Integer depths need ``depth_range_m``, and 0 marks their unknown pixels.
     """
 
-    image_file: Path
-    """Brightness: .png, .tif, .npy or .npz; colours are averaged."""
-    depth_file: Path
-    """Depth, NaN where it is unknown: .npy, .npz, .tif, .png."""
-    contrast_file: Path | None = None
-    """I_x / I_y of each pixel; 1 without the key."""
-    depth_range_m: tuple[Positive, Positive] | None = None
-    """[near, far] that the file's depths are scaled into."""
+    image_file: Path  #: Brightness: .png, .tif, .npy or .npz; colours are averaged.
+    depth_file: Path  #: Depth, NaN where it is unknown: .npy, .npz, .tif, .png.
+    contrast_file: Path | None = None  #: I_x / I_y of each pixel; 1 without the key.
+    depth_range_m: tuple[Positive, Positive] | None = None  #: [near, far] that the file's depths are scaled into.
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Rgbd:
+    def _faults(self) -> Iterator[str]:
         if self.depth_range_m is not None and self.depth_range_m[0] >= self.depth_range_m[1]:
-            raise ValueError("`depth_range_m` must be [near, far] with near < far")
-        return self
+            yield "`depth_range_m` must be [near, far] with near < far"
 
     def depths_m(self) -> FloatArray:
         """Depths of the file, shape (n_y, n_x), top row first; NaN where they are unknown.
@@ -141,68 +116,40 @@ class Rgbd:
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Scene:
+class Scene(Checked):
     """A scene (table ``[scene]`` of a design, or a file of its own)."""
 
-    objects: tuple[SceneObject, ...] = ()
-    """Opaque surfaces; nearer ones hide farther ones."""
-    rgbd: Rgbd | None = None
-    """Picture with its depth, in place of objects."""
-    photons_per_pixel: Positive = 3000.0
-    """Photons on an axial pixel at brightness 1, mean of both images."""
-    quantum_efficiency: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0
-    """Electrons per photon."""
-    vignetting: Literal["natural", "none"] = "natural"
-    """Natural: the fourth power of the field angle's cosine."""
-    read_noise_e: NonNegative = 2.0
-    """Read noise, rms."""
-    dark_e: NonNegative = 0.0
-    """Dark electrons per pixel and frame."""
-    dark_current_e_per_s: NonNegative = 0.0
-    """Dark electrons per pixel and second."""
-    response_rms: Fraction = 0.0
-    """Fixed-pattern noise: rms of the pixels' responses over their mean."""
-    hot_pixels: Fraction = 0.0
-    """Share of pixels that are always saturated."""
-    full_well_e: Positive | None = None
-    """Full-well capacity."""
-    bit_depth: Annotated[int | None, Field(strict=True, ge=1, le=16)] = None
-    """Bits of a count; needs the full well."""
-    frames: Annotated[int, Field(strict=True, ge=1)] = 1
-    """Number of frames of a film."""
-    frame_interval_s: Positive = 0.04
-    """Time from the start of one frame to that of the next."""
-    exposure_s: NonNegative = 0.0
-    """Exposure time; 0 for a flash."""
-    row_time_s: NonNegative = 0.0
-    """Rolling shutter: delay of each row after the row below; 0 for a global shutter."""
-    background: Fraction = 0.0
-    """Brightness behind all objects."""
+    objects: tuple[SceneObject, ...] = ()  #: Opaque surfaces; nearer ones hide farther ones.
+    rgbd: Rgbd | None = None  #: Picture with its depth, in place of objects.
+    photons_per_pixel: Positive = 3000.0  #: Photons on an axial pixel at brightness 1, mean of both images.
+    quantum_efficiency: Annotated[float, Field(strict=True, gt=0.0, le=1.0)] = 1.0  #: Electrons per photon.
+    vignetting: Literal["natural", "none"] = "natural"  #: Natural: the fourth power of the field angle's cosine.
+    read_noise_e: NonNegative = 2.0  #: Read noise, rms.
+    dark_e: NonNegative = 0.0  #: Dark electrons per pixel and frame.
+    dark_current_e_per_s: NonNegative = 0.0  #: Dark electrons per pixel and second.
+    response_rms: Fraction = 0.0  #: Fixed-pattern noise: rms of the pixels' responses over their mean.
+    hot_pixels: Fraction = 0.0  #: Share of pixels that are always saturated.
+    full_well_e: Positive | None = None  #: Full-well capacity.
+    bit_depth: Annotated[int | None, Field(strict=True, ge=1, le=16)] = None  #: Bits of a count; needs the full well.
+    frames: Annotated[int, Field(strict=True, ge=1)] = 1  #: Number of frames of a film.
+    frame_interval_s: Positive = 0.04  #: Time from the start of one frame to that of the next.
+    exposure_s: NonNegative = 0.0  #: Exposure time; 0 for a flash.
+    row_time_s: NonNegative = 0.0  #: Rolling shutter: delay of each row after the row below; 0 for a global shutter.
+    background: Fraction = 0.0  #: Brightness behind all objects.
+    #: Rows and columns of each image.
     field_px: tuple[Annotated[int, Field(strict=True, ge=8)], Annotated[int, Field(strict=True, ge=8)]] = (128, 128)
-    """Rows and columns of each image."""
-    seed: Annotated[int, Field(strict=True, ge=0)] = 1
-    """Seed of texture and noise."""
+    seed: Annotated[int, Field(strict=True, ge=0)] = 1  #: Seed of texture and noise.
 
-    @model_validator(mode="after")
-    def _surfaces(self) -> Scene:
+    def _faults(self) -> Iterator[str]:
         if bool(self.objects) == (self.rgbd is not None):
-            raise ValueError("a scene must have `objects` or a picture with its depth (`rgbd`), one of both")
-        return self
-
-    @model_validator(mode="after")
-    def _counts(self) -> Scene:
+            yield "a scene must have `objects` or a picture with its depth (`rgbd`), one of both"
         if self.full_well_e is None and (self.bit_depth is not None or self.hot_pixels > 0.0):
-            raise ValueError("`bit_depth` and `hot_pixels` need `full_well_e`")
-        return self
-
-    @model_validator(mode="after")
-    def _times(self) -> Scene:
+            yield "`bit_depth` and `hot_pixels` need `full_well_e`"
         for name, used_s in (("exposure_s", self.exposure_s), ("row_time_s", self.row_time_s * self.field_px[0])):
             if used_s > self.frame_interval_s:
-                raise ValueError(f"`{name}` must leave a frame no longer than `frame_interval_s`, got {used_s:g} s")
+                yield f"`{name}` must leave a frame no longer than `frame_interval_s`, got {used_s:g} s"
         if any(piece.depth_m + self.end_s * piece.velocity_m_per_s[2] <= 0.0 for piece in self.objects):
-            raise ValueError("`velocity_m_per_s` takes an object through the lens before the last frame's end")
-        return self
+            yield "`velocity_m_per_s` takes an object through the lens before the last frame's end"
 
     @property
     def end_s(self) -> float:

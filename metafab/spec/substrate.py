@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from metafab.spec.cell import Material, as_material
-from metafab.spec.fields import CONFIG
+from metafab.spec.cell import Material, MaterialOrName
+from metafab.spec.fields import CONFIG, Checked
 
 #: c / a of sapphire (hexagonal axes), Kronberg, Acta Metall. 5, 507 (1957). It sets the tilt of the r-plane (1-102).
 _SAPPHIRE_C_OVER_A = 2.730
@@ -24,40 +25,30 @@ OPTIC_AXIS_DEG = {
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Substrate:
+class Substrate(Checked):
     """Uniaxial plane-parallel plate that light crosses before it meets the pillars."""
 
-    thickness_um: Annotated[float, Field(strict=True, gt=0.0, le=20_000.0)]
-    """Thickness of the plate."""
+    thickness_um: Annotated[float, Field(strict=True, gt=0.0, le=20_000.0)]  #: Thickness of the plate.
+    #: Direction of the optic axis' projection on the wafer, counter-clockwise from x.
     azimuth_deg: Annotated[float, Field(strict=True, ge=-360.0, le=360.0)] = 0.0
-    """Direction of the optic axis' projection on the wafer, counter-clockwise from x."""
+    #: Plane of sapphire that is the wafer's face.
     cut: Literal["c-plane", "r-plane", "a-plane", "m-plane"] | None = None
-    """Plane of sapphire that is the wafer's face."""
+    #: Angle between optic axis and normal, in place of `cut`, for other cuts and crystals.
     optic_axis_deg: Annotated[float | None, Field(strict=True, ge=0.0, le=90.0)] = None
-    """Angle between optic axis and normal, in place of `cut`, for other cuts and crystals."""
-    ordinary: Material = Field(default_factory=lambda: Material(record="Al2O3/Malitson"))
-    """Ordinary index: a number `{ n = ... }` or a record."""
-    extraordinary: Material = Field(default_factory=lambda: Material(record="Al2O3/Malitson-e"))
-    """Extraordinary index: a number `{ n = ... }` or a record."""
+    #: Ordinary index: a number `{ n = ... }` or a record.
+    ordinary: MaterialOrName = Field(default_factory=lambda: Material(record="Al2O3/Malitson"))
+    #: Extraordinary index: a number `{ n = ... }` or a record.
+    extraordinary: MaterialOrName = Field(default_factory=lambda: Material(record="Al2O3/Malitson-e"))
+    #: Face that light enters by: "bare" reflects as the crystal does, "coated" reflects nothing.
     back_face: Literal["bare", "coated"] = "bare"
-    """Face that light enters by: "bare" reflects as the crystal does, "coated" reflects nothing."""
 
-    @field_validator("ordinary", "extraordinary", mode="before")
-    @classmethod
-    def _by_name(cls, value: object) -> object:
-        return as_material(value)
-
-    @model_validator(mode="after")
-    def _one_cut(self) -> Substrate:
+    def _faults(self) -> Iterator[str]:
         if (self.cut is None) == (self.optic_axis_deg is None):
-            raise ValueError("give either `cut`, a plane of sapphire, or `optic_axis_deg`, not both or neither")
+            yield "give either `cut`, a plane of sapphire, or `optic_axis_deg`, not both or neither"
         for name in ("ordinary", "extraordinary"):
             material = getattr(self, name)
-            if material.k or any(getattr(material, key) is not None for key in ("n_y", "k_y", "n_z", "k_z")):
-                raise ValueError(
-                    f"`{name}` must be one real index: the crystal is transparent, and itself birefringent"
-                )
-        return self
+            if material.k or material.directional:
+                yield (f"`{name}` must be one real index: the crystal is transparent, and itself birefringent")
 
     @property
     def tilt_deg(self) -> float:

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import Polarisation
-from metafab.spec.fields import CONFIG, Positive, Real
+from metafab.spec.fields import CONFIG, Checked, Positive, Real
 
 #: Largest numbers of Zernike polynomials and of radial coefficients, those of Zemax' Binary 2 surface.
 _MOST_ZERNIKES, _MOST_RADIAL = 231, 240
 
 
 @dataclass(frozen=True, config=CONFIG)
-class _Term:
+class _Term(Checked):
     """Base of all phase terms."""
 
-    polarisation: Polarisation | None = None
-    """Polarisation that the term acts on; both without the key."""
+    polarisation: Polarisation | None = None  #: Polarisation that the term acts on; both without the key.
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -31,25 +31,22 @@ class SpiralZones(_Term):
     """
 
     term: Literal["spiral_zones"] = "spiral_zones"
+    #: Number of zones; zone number n has topological charge n.
     zones: Annotated[int, Field(strict=True, ge=1, le=64)] = 4
-    """Number of zones; zone number n has topological charge n."""
-    exponent: Annotated[float, Field(strict=True, gt=0.0, le=16.0)] = 0.5
-    """Exponent of the zones' radii."""
+    exponent: Annotated[float, Field(strict=True, gt=0.0, le=16.0)] = 0.5  #: Exponent of the zones' radii.
+    #: Optimisation of the lobe after the zones: its mean peak, its lowest peak, or the information about depth under
+    #: unknown texture.
     optimise: Literal["none", "peak", "worst_peak", "blind_information"] = "none"
-    """Optimisation of the lobe after the zones: its mean peak, its lowest peak, or the information about depth under
-    unknown texture."""
+    #: Upper limit of side lobe over main lobe.
     side_lobe_limit: Annotated[float | None, Field(strict=True, gt=0.0, lt=1.0)] = None
-    """Upper limit of side lobe over main lobe."""
+    #: Whether the limit holds at the worst depth of a turn or in the mean over them.
     side_lobe_over: Literal["worst", "mean"] = "worst"
-    """Whether the limit holds at the worst depth of a turn or in the mean over them."""
 
-    @model_validator(mode="after")
-    def _turns(self) -> SpiralZones:
+    def _faults(self) -> Iterator[str]:
         if self.zones == 1 and self.optimise != "none":
-            raise ValueError("`zones` must be at least 2 to be optimised: a single zone does not turn with depth")
+            yield "`zones` must be at least 2 to be optimised: a single zone does not turn with depth"
         if self.side_lobe_limit is not None and self.optimise != "peak":
-            raise ValueError("`side_lobe_limit` needs `optimise` = 'peak'")
-        return self
+            yield "`side_lobe_limit` needs `optimise` = 'peak'"
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -57,10 +54,9 @@ class SplitLens(_Term):
     """Off-axis lenses, one for each polarisation: Eqs. 3 and 4 of Shen 2023."""
 
     term: Literal["split_lens"] = "split_lens"
+    #: Off-axis angle: x polarisation is focused at minus, y polarisation at plus this angle.
     angle_deg: Annotated[float, Field(strict=True, ge=0.0, lt=90.0)] = 8.0
-    """Off-axis angle: x polarisation is focused at minus, y polarisation at plus this angle."""
-    object_depth_m: Positive | None = None
-    """Depth of the object in focus; collimated light without the key."""
+    object_depth_m: Positive | None = None  #: Depth of the object in focus; collimated light without the key.
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -68,8 +64,7 @@ class Lens(_Term):
     """A hyperbolic lens on the axis."""
 
     term: Literal["lens"] = "lens"
-    object_depth_m: Positive | None = None
-    """Depth of the object in focus; collimated light without the key."""
+    object_depth_m: Positive | None = None  #: Depth of the object in focus; collimated light without the key.
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -77,8 +72,7 @@ class Vortex(_Term):
     """A spiral phase of integer charge."""
 
     term: Literal["vortex"] = "vortex"
-    charge: Annotated[int, Field(strict=True)] = 1
-    """Topological charge."""
+    charge: Annotated[int, Field(strict=True)] = 1  #: Topological charge.
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -86,10 +80,8 @@ class Grating(_Term):
     """A linear phase."""
 
     term: Literal["grating"] = "grating"
-    angle_deg: Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)] = 0.0
-    """Deflection of normal incidence."""
-    azimuth_deg: Real = 0.0
-    """Direction of the deflection, from x towards y."""
+    angle_deg: Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)] = 0.0  #: Deflection of normal incidence.
+    azimuth_deg: Real = 0.0  #: Direction of the deflection, from x towards y.
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -97,8 +89,8 @@ class Axicon(_Term):
     """A conical phase."""
 
     term: Literal["axicon"] = "axicon"
+    #: Deflection towards the axis; away from it if negative.
     angle_deg: Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)] = 0.0
-    """Deflection towards the axis; away from it if negative."""
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -106,32 +98,26 @@ class DoubleHelix(_Term):
     """A double helix of Gauss-Laguerre modes."""
 
     term: Literal["double_helix"] = "double_helix"
-    waist: Positive = 0.35
-    """Waist of the modes in units of the aperture's radius."""
-    modes: Annotated[int, Field(strict=True, ge=2, le=8)] = 5
-    """Number of Gauss-Laguerre modes."""
+    waist: Positive = 0.35  #: Waist of the modes in units of the aperture's radius.
+    modes: Annotated[int, Field(strict=True, ge=2, le=8)] = 5  #: Number of Gauss-Laguerre modes.
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Zernike(_Term):
     """A Zernike polynomial, normalised to 1 at the rim, times an amplitude."""
 
-    amplitude_rad: Real = 0.0
-    """Phase at the rim."""
+    amplitude_rad: Real = 0.0  #: Phase at the rim.
     term: Literal["zernike"] = "zernike"
-    degree: Annotated[int, Field(strict=True, ge=0, le=40)] = 0
-    """Degree n."""
+    degree: Annotated[int, Field(strict=True, ge=0, le=40)] = 0  #: Degree n.
+    #: Order m, one of -n, -n + 2, ..., n; cos(m phi) if positive, sin(|m| phi) if negative.
     order: Annotated[int, Field(strict=True, ge=-40, le=40)] = 0
-    """Order m, one of -n, -n + 2, ..., n; cos(m phi) if positive, sin(|m| phi) if negative."""
 
-    @model_validator(mode="after")
-    def _exists(self) -> Zernike:
+    def _faults(self) -> Iterator[str]:
         if abs(self.order) > self.degree or (self.degree - abs(self.order)) % 2:
-            raise ValueError(
+            yield (
                 f"`order` must be one of -{self.degree}, -{self.degree} + 2, ..., {self.degree} for this `degree`, "
                 f"got {self.order}"
             )
-        return self
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -139,18 +125,13 @@ class Zernikes(_Term):
     """A sum of Zernike polynomials by their numbers in a named convention, from number 1 on."""
 
     term: Literal["zernikes"] = "zernikes"
-    coefficients_rad: tuple[Real, ...] = ()
-    """Coefficients of numbers 1, 2, 3, ...; piston is the first."""
+    coefficients_rad: tuple[Real, ...] = ()  #: Coefficients of numbers 1, 2, 3, ...; piston is the first.
+    #: Numbers and norm: rms 1 over the circle for "noll", 1 at the rim for "fringe".
     convention: Literal["noll", "fringe"] = "noll"
-    """Numbers and norm: rms 1 over the circle for "noll", 1 at the rim for "fringe"."""
 
-    @model_validator(mode="after")
-    def _some(self) -> Zernikes:
+    def _faults(self) -> Iterator[str]:
         if not 1 <= len(self.coefficients_rad) <= _MOST_ZERNIKES:
-            raise ValueError(
-                f"`coefficients_rad` must hold 1 to {_MOST_ZERNIKES} numbers, got {len(self.coefficients_rad)}"
-            )
-        return self
+            yield (f"`coefficients_rad` must hold 1 to {_MOST_ZERNIKES} numbers, got {len(self.coefficients_rad)}")
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -158,44 +139,36 @@ class Radial(_Term):
     """An even polynomial of the radius, as lens-design programs have it; a negative first coefficient focuses."""
 
     term: Literal["radial"] = "radial"
-    coefficients: tuple[Real, ...] = ()
-    """Coefficients of r^2, r^4, r^6, ..."""
+    coefficients: tuple[Real, ...] = ()  #: Coefficients of r^2, r^4, r^6, ...
+    #: Zemax Binary 2 in order 1: radians, of r over ``norm_radius_um``. CODE V: optical path in mm, of r in mm.
     convention: Literal["binary2", "path_mm"] = "binary2"
-    """Zemax Binary 2 in order 1: radians, of r over ``norm_radius_um``. CODE V: optical path in mm, of r in mm."""
-    norm_radius_um: Positive | None = None
-    """Norm radius of "binary2"; omitted: the radius of the aperture."""
+    norm_radius_um: Positive | None = None  #: Norm radius of "binary2"; omitted: the radius of the aperture.
 
-    @model_validator(mode="after")
-    def _some(self) -> Radial:
+    def _faults(self) -> Iterator[str]:
         if not 1 <= len(self.coefficients) <= _MOST_RADIAL:
-            raise ValueError(f"`coefficients` must hold 1 to {_MOST_RADIAL} numbers, got {len(self.coefficients)}")
+            yield f"`coefficients` must hold 1 to {_MOST_RADIAL} numbers, got {len(self.coefficients)}"
         if self.convention == "path_mm" and self.norm_radius_um is not None:
-            raise ValueError("`norm_radius_um` belongs to `convention` = 'binary2'; with 'path_mm', r is in mm")
-        return self
+            yield "`norm_radius_um` belongs to `convention` = 'binary2'; with 'path_mm', r is in mm"
 
 
 @dataclass(frozen=True, config=CONFIG)
 class UserArray(_Term):
     """A phase map from a file."""
 
+    #: A .npy, .csv or .h5 file of phases in radians: shape (n_y, n_x), lowest y first, or (2, n_y, n_x) for x and y
+    #: polarisation.
     file: Path = Field(kw_only=True)
-    """A .npy, .csv or .h5 file of phases in radians: shape (n_y, n_x), lowest y first, or (2, n_y, n_x) for x and y
-    polarisation."""
-    pitch_um: Positive = Field(kw_only=True)
-    """Pitch of the square grid, which is centred on the axis."""
+    pitch_um: Positive = Field(kw_only=True)  #: Pitch of the square grid, which is centred on the axis.
     term: Literal["array"] = "array"
-    dataset: str = "phase_rad"
-    """Name of the map in an .h5 file."""
+    dataset: str = "phase_rad"  #: Name of the map in an .h5 file.
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Picture(_Term):
     """A hologram: with a lens, the phase that projects a picture onto the sensor."""
 
-    file: Path = Field(kw_only=True)
-    """Picture to project: .png, .tif or .npy, its first row at the top."""
-    width_um: Positive = Field(kw_only=True)
-    """Width of the projected picture."""
+    file: Path = Field(kw_only=True)  #: Picture to project: .png, .tif or .npy, its first row at the top.
+    width_um: Positive = Field(kw_only=True)  #: Width of the projected picture.
     term: Literal["hologram"] = "hologram"
 
 

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import difflib
 import inspect
-import textwrap
+import re
 import types
 from collections.abc import Iterable
 from dataclasses import MISSING, dataclass
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 from pydantic.fields import FieldInfo
 
+#: A field of a class, without the comment beside it.
+_FIELD = re.compile(r" {4}(\w+): ")
 _PLAIN = {float: "number", int: "whole number", bool: "true or false", str: "text", Path: "path of a file"}
 
 #: Units at the ends of names, the longest first.
@@ -100,13 +100,16 @@ def _key(spec: type, item: dataclasses.Field[Any], hint: Any, path: str) -> Key:
 
 @cache
 def _meanings(spec: type) -> dict[str, str]:
-    """The text under each field of a spec and of the specs that it extends, on one line."""
+    """The comments (``#:``) above and beside each field of a spec and of the specs that it extends, on one line."""
     meanings: dict[str, str] = {}
     for base in reversed(spec.__mro__[:-1]):
-        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
-        for field, text in pairwise(body.body if isinstance(body, ast.ClassDef) else []):
-            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
-                meanings[field.target.id] = " ".join(str(ast.literal_eval(text.value)).split())
+        texts: list[str] = []
+        for line in inspect.getsource(base).splitlines():
+            field, _, text = line.partition("#:")
+            texts.append(text.strip())
+            if name := _FIELD.match(field):
+                meanings[name[1]] = " ".join(filter(None, texts))
+                texts.clear()
     return meanings
 
 

@@ -3,66 +3,52 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from metafab.spec.fields import CONFIG, Index, NonNegative, Positive, Real
+from metafab.spec.fields import CONFIG, Checked, Index, NonNegative, Positive, Real
 
 #: Most dose classes by size or density.
 MOST_CLASSES = 32
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Dose:
+class Dose(Checked):
     """Dose classes on consecutive datatypes. By size or density, classes divide the range of the values evenly."""
 
+    #: What decides a pillar's class: its drawn area, the pattern density around it, or the dose corrected for proximity
+    #: (`metafab expose --correct`).
     by: Literal["size", "density", "proximity"] = "size"
-    """What decides a pillar's class: its drawn area, the pattern density around it, or the dose corrected for proximity
-    (`metafab expose --correct`)."""
+    #: Number of classes; class 0, on `mask.datatype`, holds the smallest areas, densities or doses.
     classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 4
-    """Number of classes; class 0, on `mask.datatype`, holds the smallest areas, densities or doses."""
-    block_um: Positive = 20.0
-    """Side of the blocks in which density is counted."""
+    block_um: Positive = 20.0  #: Side of the blocks in which density is counted.
 
-    @model_validator(mode="after")
-    def _few_classes(self) -> Dose:
+    def _faults(self) -> Iterator[str]:
         if self.by != "proximity" and self.classes > MOST_CLASSES:
-            raise ValueError(f"`classes` must be at most {MOST_CLASSES} by size or density, got {self.classes}")
-        return self
+            yield f"`classes` must be at most {MOST_CLASSES} by size or density, got {self.classes}"
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Chip:
     """Marks, frame, text and dicing street around the lens, each on its own layer (datatype 0)."""
 
-    margin_um: Positive = 100.0
-    """Distance of the frame from the aperture's bounding square."""
-    mark_um: NonNegative = 60.0
-    """Length of the crosses' arms at the four corners; 0 draws none."""
-    mark_line_um: Positive = 4.0
-    """Line width of the crosses."""
-    frame_um: NonNegative = 10.0
-    """Width of the frame; 0 draws none."""
-    street_um: NonNegative = 100.0
-    """Width of the dicing street outside the frame; 0 draws none."""
-    label: str | None = None
-    """Text below the lens."""
-    text_um: Positive = 40.0
-    """Height of texts."""
-    scale_bar_um: NonNegative = 100.0
-    """Length of the scale bar; 0 draws none."""
-    mark_layer: Index = 10
-    """Layer of the crosses."""
-    frame_layer: Index = 11
-    """Layer of the frame."""
-    text_layer: Index = 12
-    """Layer of texts and scale bar."""
-    street_layer: Index = 13
-    """Layer of the dicing street."""
+    margin_um: Positive = 100.0  #: Distance of the frame from the aperture's bounding square.
+    mark_um: NonNegative = 60.0  #: Length of the crosses' arms at the four corners; 0 draws none.
+    mark_line_um: Positive = 4.0  #: Line width of the crosses.
+    frame_um: NonNegative = 10.0  #: Width of the frame; 0 draws none.
+    street_um: NonNegative = 100.0  #: Width of the dicing street outside the frame; 0 draws none.
+    label: str | None = None  #: Text below the lens.
+    text_um: Positive = 40.0  #: Height of texts.
+    scale_bar_um: NonNegative = 100.0  #: Length of the scale bar; 0 draws none.
+    mark_layer: Index = 10  #: Layer of the crosses.
+    frame_layer: Index = 11  #: Layer of the frame.
+    text_layer: Index = 12  #: Layer of texts and scale bar.
+    street_layer: Index = 13  #: Layer of the dicing street.
 
     @property
     def layers(self) -> tuple[int, ...]:
@@ -74,34 +60,26 @@ class Chip:
 class Copy:
     """One of several lenses on a chip, for process variants."""
 
-    at_um: tuple[Real, Real]
-    """Centre (x, y) of the lens."""
+    at_um: tuple[Real, Real]  #: Centre (x, y) of the lens.
+    #: Added to `mask.bias_nm`; the mapping leaves no room for it, and one that breaks a design rule is refused.
     bias_nm: Real = 0.0
-    """Added to `mask.bias_nm`; the mapping leaves no room for it, and one that breaks a design rule is refused."""
-    dose: Positive = 1.0
-    """Dose relative to the base dose; each distinct dose has datatypes of its own."""
+    dose: Positive = 1.0  #: Dose relative to the base dose; each distinct dose has datatypes of its own.
+    #: Focus of the beam above the resist's surface; listed for the writer, no shape depends on it.
     focus_um: Real = 0.0
-    """Focus of the beam above the resist's surface; listed for the writer, no shape depends on it."""
-    label: str | None = None
-    """Text above the lens, on the chip's text layer."""
+    label: str | None = None  #: Text above the lens, on the chip's text layer.
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Include:
+class Include(Checked):
     """A cell of another file, drawn beside the lenses (``[[mask.include]]``)."""
 
-    file: Path
-    """GDSII or OASIS file."""
-    cell: str | None = None
-    """Name of the cell; without the key the only top cell."""
-    at_um: tuple[Real, Real] = (0.0, 0.0)
-    """Place (x, y) of the cell's origin."""
+    file: Path  #: GDSII or OASIS file.
+    cell: str | None = None  #: Name of the cell; without the key the only top cell.
+    at_um: tuple[Real, Real] = (0.0, 0.0)  #: Place (x, y) of the cell's origin.
+    #: New "layer/datatype" of each "layer/datatype" of the file; others keep theirs.
     layers: dict[str, str] = field(default_factory=dict)
-    """New "layer/datatype" of each "layer/datatype" of the file; others keep theirs."""
 
-    @model_validator(mode="after")
-    def _pairs(self) -> Include:
+    def _faults(self) -> Iterator[str]:
         for pair in (*self.layers, *self.layers.values()):
             if not re.fullmatch(r"\d{1,5}/\d{1,5}", pair):
-                raise ValueError(f'`layers` must name each layer as "layer/datatype", got {pair!r}')
-        return self
+                yield f'`layers` must name each layer as "layer/datatype", got {pair!r}'

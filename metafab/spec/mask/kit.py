@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from metafab.spec.fields import CONFIG, Index, NonNegative, Positive, Real
+from metafab.spec.fields import CONFIG, Checked, Index, NonNegative, Positive, Real
 
 _Odd = Annotated[int, Field(strict=True, ge=3, le=999)]
 
@@ -19,118 +20,87 @@ class CdBars:
     For each width there is a dense group, whose gaps are as wide as its bars, and one bar by itself.
     """
 
-    at_um: tuple[Real, Real]
-    """Centre (x, y)."""
-    width_nm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=50)]
-    """Widths of the bars."""
-    length_um: Positive = 10.0
-    """Length of the bars."""
-    lines: _Odd = 5
-    """Bars of a dense group."""
-    spacing_um: Positive = 5.0
-    """Distance between groups, and of a single bar from its group."""
+    at_um: tuple[Real, Real]  #: Centre (x, y).
+    width_nm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=50)]  #: Widths of the bars.
+    length_um: Positive = 10.0  #: Length of the bars.
+    lines: _Odd = 5  #: Bars of a dense group.
+    spacing_um: Positive = 5.0  #: Distance between groups, and of a single bar from its group.
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Vernier:
+class Vernier(Checked):
     """Two combs of slightly different pitch, along both axes, read with a microscope."""
 
-    at_um: tuple[Real, Real]
-    """Centre (x, y)."""
-    pitch_um: Positive = 4.0
-    """Pitch of the first comb."""
-    step_nm: Positive = 20.0
-    """Difference of the pitches, which is the resolution."""
+    at_um: tuple[Real, Real]  #: Centre (x, y).
+    pitch_um: Positive = 4.0  #: Pitch of the first comb.
+    step_nm: Positive = 20.0  #: Difference of the pitches, which is the resolution.
+    #: Teeth of each comb, an odd number; the middle ones, which face each other without a shift, are longer.
     teeth: Annotated[int, Field(strict=True, ge=3, le=199)] = 21
-    """Teeth of each comb, an odd number; the middle ones, which face each other without a shift, are longer."""
-    tooth_um: tuple[Positive, Positive] = (1.0, 10.0)
-    """Width and length of a tooth."""
+    tooth_um: tuple[Positive, Positive] = (1.0, 10.0)  #: Width and length of a tooth.
+    #: "both": the first comb belongs to the first exposure, so that the shift between two exposures is read. "second":
+    #: both are written with the pillars, so that the stitching of fields is read.
     levels: Literal["both", "second"] = "both"
-    """"both": the first comb belongs to the first exposure, so that the shift between two exposures is read. "second":
-    both are written with the pillars, so that the stitching of fields is read."""
 
-    @model_validator(mode="after")
-    def _shape(self) -> Vernier:
+    def _faults(self) -> Iterator[str]:
         if self.teeth % 2 == 0:
-            raise ValueError(f"`teeth` must be odd, got {self.teeth}")
+            yield f"`teeth` must be odd, got {self.teeth}"
         if self.tooth_um[0] >= self.pitch_um:
-            raise ValueError("`tooth_um` must be narrower than `pitch_um`")
-        return self
+            yield "`tooth_um` must be narrower than `pitch_um`"
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Grating:
+class Grating(Checked):
     """A field of lines or of equal pillars, for ellipsometry and scatterometry."""
 
-    at_um: tuple[Real, Real]
-    """Centre (x, y)."""
+    at_um: tuple[Real, Real]  #: Centre (x, y).
+    #: Period along x; with a second value also along y.
     pitch_nm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=2)]
-    """Period along x; with a second value also along y."""
+    #: Width of lines along y; with two values, width and length of pillars.
     line_nm: Annotated[tuple[Positive, ...], Field(min_length=1, max_length=2)]
-    """Width of lines along y; with two values, width and length of pillars."""
-    size_um: tuple[Positive, Positive] = (50.0, 50.0)
-    """Sides of the field; whole periods that fit are drawn."""
+    size_um: tuple[Positive, Positive] = (50.0, 50.0)  #: Sides of the field; whole periods that fit are drawn.
 
-    @model_validator(mode="after")
-    def _dimensions(self) -> Grating:
+    def _faults(self) -> Iterator[str]:
         if len(self.pitch_nm) != len(self.line_nm):
-            raise ValueError("`pitch_nm` and `line_nm` need equally many values: one for lines, two for pillars")
+            yield "`pitch_nm` and `line_nm` need equally many values: one for lines, two for pillars"
         if any(line >= pitch for line, pitch in zip(self.line_nm, self.pitch_nm, strict=True)):
-            raise ValueError("`line_nm` must be smaller than `pitch_nm`")
-        return self
+            yield "`line_nm` must be smaller than `pitch_nm`"
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Overlay:
+class Overlay(Checked):
     """A frame of the first exposure around a frame of the second, for overlay measurements."""
 
-    at_um: tuple[Real, Real]
-    """Centre (x, y)."""
-    outer_um: Positive = 20.0
-    """Outer side of the outer frame."""
-    inner_um: Positive = 10.0
-    """Outer side of the inner frame."""
-    line_um: Positive = 2.0
-    """Width of both frames' lines."""
+    at_um: tuple[Real, Real]  #: Centre (x, y).
+    outer_um: Positive = 20.0  #: Outer side of the outer frame.
+    inner_um: Positive = 10.0  #: Outer side of the inner frame.
+    line_um: Positive = 2.0  #: Width of both frames' lines.
 
-    @model_validator(mode="after")
-    def _nested(self) -> Overlay:
+    def _faults(self) -> Iterator[str]:
         if not 2.0 * self.line_um < self.inner_um < self.outer_um - 2.0 * self.line_um:
-            raise ValueError("`inner_um` must be more than two lines, and less than `outer_um` without its two lines")
-        return self
+            yield "`inner_um` must be more than two lines, and less than `outer_um` without its two lines"
 
 
 @dataclass(frozen=True, config=CONFIG)
-class Kit:
+class Kit(Checked):
     """Test structures (``[mask.kit]``), each on datatype 0 of the layers below.
 
     Marks of ``[mask.chip]`` and the shapes on `first_layer` belong to the first exposure, all others to the second.
     """
 
-    cd_bars: tuple[CdBars, ...] = ()
-    """Bars for size measurements."""
-    verniers: tuple[Vernier, ...] = ()
-    """Verniers."""
-    gratings: tuple[Grating, ...] = ()
-    """Fields of lines or pillars."""
-    overlays: tuple[Overlay, ...] = ()
-    """Overlay marks."""
-    distance_um: NonNegative = 2.0
-    """Smallest distance of a structure from lenses, marks, texts and other structures."""
-    layer: Index = 15
-    """Layer of structures that are written with the pillars."""
-    first_layer: Index = 14
-    """Layer of structures of the first exposure."""
+    cd_bars: tuple[CdBars, ...] = ()  #: Bars for size measurements.
+    verniers: tuple[Vernier, ...] = ()  #: Verniers.
+    gratings: tuple[Grating, ...] = ()  #: Fields of lines or pillars.
+    overlays: tuple[Overlay, ...] = ()  #: Overlay marks.
+    distance_um: NonNegative = 2.0  #: Smallest distance of a structure from lenses, marks, texts and other structures.
+    layer: Index = 15  #: Layer of structures that are written with the pillars.
+    first_layer: Index = 14  #: Layer of structures of the first exposure.
+    #: Margin of windows around the marks of the first exposure, on `clear_layer`; 0 draws none.
     clear_um: NonNegative = 0.0
-    """Margin of windows around the marks of the first exposure, on `clear_layer`; 0 draws none."""
-    clear_layer: Index = 16
-    """Layer of the windows."""
+    clear_layer: Index = 16  #: Layer of the windows.
 
-    @model_validator(mode="after")
-    def _windows(self) -> Kit:
+    def _faults(self) -> Iterator[str]:
         if self.clear_um and self.clear_um >= self.distance_um:
-            raise ValueError("`clear_um` must be less than `distance_um`, so that windows touch nothing")
-        return self
+            yield "`clear_um` must be less than `distance_um`, so that windows touch nothing"
 
     @property
     def layers(self) -> tuple[int, ...]:

@@ -2,93 +2,74 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from metafab.spec.cell import SidewallAngle
-from metafab.spec.fields import CONFIG, NonNegative, Positive, Real
+from metafab.spec.fields import CONFIG, Checked, NonNegative, Positive, Real
 
 
 @dataclass(frozen=True, config=CONFIG)
-class BeamTerm:
+class BeamTerm(Checked):
     """One term of the beam's point-spread function."""
 
-    kind: Literal["gauss", "power"]
-    """Gaussian or power law."""
-    weight: Positive
-    """Weight relative to the other terms."""
-    range_nm: Positive
-    """Range of the term."""
-    exponent: Annotated[float, Field(strict=True, gt=2.0, le=20.0)] | None = None
-    """Exponent of a power law."""
+    kind: Literal["gauss", "power"]  #: Gaussian or power law.
+    weight: Positive  #: Weight relative to the other terms.
+    range_nm: Positive  #: Range of the term.
+    exponent: Annotated[float, Field(strict=True, gt=2.0, le=20.0)] | None = None  #: Exponent of a power law.
 
-    @model_validator(mode="after")
-    def _exponent_of_power(self) -> BeamTerm:
+    def _faults(self) -> Iterator[str]:
         if (self.kind == "power") != (self.exponent is not None):
-            raise ValueError("`exponent` must be given for a power law, and only for it")
-        return self
+            yield "`exponent` must be given for a power law, and only for it"
 
 
 @dataclass(frozen=True, config=CONFIG)
-class ExposureProcess:
+class ExposureProcess(Checked):
     """Electron-beam exposure (``[process.exposure]``): the beam as a preset, as terms, or as a table."""
 
-    preset: str | None = None
-    """Name of a supplied point-spread function of the beam."""
-    terms: tuple[BeamTerm, ...] = ()
-    """The beam's point-spread function as a sum of terms."""
+    preset: str | None = None  #: Name of a supplied point-spread function of the beam.
+    terms: tuple[BeamTerm, ...] = ()  #: The beam's point-spread function as a sum of terms.
+    #: The beam's point-spread function as a text file with radius and energy in each row, as Monte Carlo and proximity-
+    #: correction programs write it.
     table_file: Path | None = None
-    """The beam's point-spread function as a text file with radius and energy in each row, as Monte Carlo and proximity-
-    correction programs write it."""
-    table_unit: Literal["nm", "um"] | None = None
-    """Unit of the table's radius; without the key that in its header."""
+    table_unit: Literal["nm", "um"] | None = None  #: Unit of the table's radius; without the key that in its header.
+    #: Whether the table holds an energy density, or the energy of each ring between one radius and the next.
     table_energy: Literal["density", "ring"] = "density"
-    """Whether the table holds an energy density, or the energy of each ring between one radius and the next."""
-    blur_nm: NonNegative = 5.0
-    """Range of a further Gaussian blur: beam, secondary electrons, diffusion."""
+    blur_nm: NonNegative = 5.0  #: Range of a further Gaussian blur: beam, secondary electrons, diffusion.
+    #: Energy of the backscattered electrons (ranges of at least 2 um) over that of the others; without the key that of
+    #: the function.
     backscatter_ratio: Positive | None = None
-    """Energy of the backscattered electrons (ranges of at least 2 um) over that of the others; without the key that of
-    the function."""
+    #: Base dose over the clearing dose of a large pad; without the key that at which printed sizes equal drawn ones in
+    #: the mean.
     base_over_clearing_dose: Positive | None = None
-    """Base dose over the clearing dose of a large pad; without the key that at which printed sizes equal drawn ones in
-    the mean."""
+    #: Whether a correction gives each pillar one of some doses, or changes the drawn sizes, for tools with one dose.
     correction: Literal["dose", "shape"] = "dose"
-    """Whether a correction gives each pillar one of some doses, or changes the drawn sizes, for tools with one dose."""
-    classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 64
-    """Number of doses that a correction may use."""
-    source: str = "assumption"
-    """Reference of the numbers."""
+    classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 64  #: Number of doses that a correction may use.
+    source: str = "assumption"  #: Reference of the numbers.
 
-    @model_validator(mode="after")
-    def _one_function(self) -> ExposureProcess:
+    def _faults(self) -> Iterator[str]:
         if (self.preset is not None) + bool(self.terms) + (self.table_file is not None) != 1:
-            raise ValueError("give one of `preset`, `terms` and `table_file`")
+            yield "give one of `preset`, `terms` and `table_file`"
         if self.table_file is None and (self.table_unit is not None or self.table_energy != "density"):
-            raise ValueError("`table_unit` and `table_energy` belong to `table_file`")
-        return self
+            yield "`table_unit` and `table_energy` belong to `table_file`"
 
 
 @dataclass(frozen=True, config=CONFIG)
 class Etch:
     """Dry etch (``[process.etch]``): made less printed pillars."""
 
-    bias_nm: Real = 0.0
-    """Change of width and length at the mean density."""
-    microloading_nm: Real = 0.0
-    """Further change where the local density is larger by 1."""
-    microloading_range_um: Positive = 50.0
-    """Range of the Gaussian that averages the density."""
-    height_nm: Positive | None = None
-    """Height of the made pillar; without the key the unit cell's."""
-    sidewall_angle_deg: SidewallAngle | None = None
-    """Angle of the made sidewalls; without the key the unit cell's."""
+    bias_nm: Real = 0.0  #: Change of width and length at the mean density.
+    microloading_nm: Real = 0.0  #: Further change where the local density is larger by 1.
+    microloading_range_um: Positive = 50.0  #: Range of the Gaussian that averages the density.
+    height_nm: Positive | None = None  #: Height of the made pillar; without the key the unit cell's.
+    sidewall_angle_deg: SidewallAngle | None = None  #: Angle of the made sidewalls; without the key the unit cell's.
+    #: Radius of the made corners; without the key that of the printed ones.
     corner_radius_nm: NonNegative | None = None
-    """Radius of the made corners; without the key that of the printed ones."""
-    source: str = "assumption"
-    """Reference of the numbers."""
+    source: str = "assumption"  #: Reference of the numbers.
 
     @property
     def corner(self) -> dict[str, float]:
@@ -101,7 +82,5 @@ class Etch:
 class Process:
     """Fabrication process (``[process]``)."""
 
-    exposure: ExposureProcess | None = None
-    """Electron-beam exposure."""
-    etch: Etch | None = None
-    """Dry etch; without the table the printed pillars remain as they are."""
+    exposure: ExposureProcess | None = None  #: Electron-beam exposure.
+    etch: Etch | None = None  #: Dry etch; without the table the printed pillars remain as they are.

@@ -15,7 +15,7 @@ KEYS = {key.path: key for spec in (Design, UnitCell, Scene) for key in keys_of(s
 
 def test_every_key_has_a_meaning() -> None:
     silent = [path for path, key in KEYS.items() if not key.meaning]
-    assert not silent, f"write a docstring under these fields of metafab/spec: {silent}"
+    assert not silent, f"write a comment (#:) beside these fields of metafab/spec: {silent}"
     assert len(KEYS) > 200
 
 
