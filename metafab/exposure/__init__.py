@@ -17,7 +17,7 @@ Energies are relative to that of a large pad at the base dose, or to the clearin
 """
 
 from metafab.exposure.electrons.beam import BeamPsf
-from metafab.exposure.electrons.process import beam_psf, unavailable
+from metafab.exposure.electrons.process import beam_psf, exposure_process
 from metafab.exposure.energy.resist import ResistEnergy
 from metafab.exposure.expose import Exposure, ExposureFigures, ExposureNumerics, SampledPillar, expose
 from metafab.exposure.record import ExposureRecord, SizeErrors, load_record, save_record
@@ -35,7 +35,7 @@ __all__ = [
     "SizeErrors",
     "beam_psf",
     "expose",
+    "exposure_process",
     "load_record",
     "save_record",
-    "unavailable",
 ]

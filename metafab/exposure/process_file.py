@@ -14,7 +14,7 @@ from metafab import mask
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import whole_file
-from metafab.exposure.electrons.process import beam_psf, unavailable
+from metafab.exposure.electrons.process import beam_psf, exposure_process
 from metafab.exposure.fit import MeasuredLens, Parameter, ProcessFit, fit_process
 from metafab.mask.measured import read_measured
 from metafab.spec import Design, UnitCell, canonical_toml
@@ -55,15 +55,8 @@ def fitted_process(
             read, with places without a pillar, doses that are not positive or means that no pillar has; or sizes that
             do not determine the parameters.
     """
-    start = None if design.process is None else design.process.exposure
-    if start is None:
-        remedy = 'add `[process.exposure]` with `preset = "hsq_sos_100kv"`, or with your own `terms`'
-        raise InputError.single(design.name, "process.exposure", "a table", "none", remedy)
-    faults = unavailable(design)
-    if design.mask.dose is not None:
-        faults.append(Fault("mask.dose", "one dose for all pillars", "dose classes", "fit a mask without them"))
-    if faults:
-        raise InputError(design.name, faults)
+    classes = Fault("mask.dose", "one dose for all pillars", "dose classes", "fit a mask without them")
+    start = exposure_process(design, () if design.mask.dose is None else (classes,))
     measured = read_measured(table, ("copy", "dose", *_CORNER))
     corner: dict[str, Any] = {
         name: round(float(np.mean(values)), 3) for name, values in measured.further.items() if name in _CORNER

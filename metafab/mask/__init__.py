@@ -24,7 +24,7 @@ from metafab.mask.drawing.include import shapes_beside
 from metafab.mask.exchange import from_gdstk
 from metafab.mask.plan import announcement, plan
 from metafab.mask.read import ReadBack, read, read_shapes
-from metafab.mask.write import WrittenFile, biased, write
+from metafab.mask.write import WrittenFile, biased, table_names, write
 
 __all__ = [
     "ReadBack",
@@ -36,6 +36,7 @@ __all__ = [
     "read",
     "read_shapes",
     "shapes_beside",
+    "table_names",
     "top_name",
     "write",
 ]

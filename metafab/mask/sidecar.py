@@ -155,10 +155,12 @@ class MaskSums:
             # The field reaches to the corners of the square, where no pillar stands.
             each = np.full(len(copies), shapes // len(copies))
             each[: shapes % len(copies)] += 1
-            loads = [
-                LensLoad(1.0, sites_um2 - area_um2, count, None)
-                for area_um2, count in zip(areas_um2, each.tolist(), strict=True)
-            ]
+            pitch_nm = mask.exposure.shot_pitch_nm
+            loads = []
+            for dose, area_um2, count in zip(doses, areas_um2, each.tolist(), strict=True):
+                exposed_um2 = sites_um2 - area_um2
+                shots = None if pitch_nm is None else math.ceil(exposed_um2 * 1e6 / pitch_nm**2)
+                loads.append(LensLoad(dose, exposed_um2, count, shots))
             return write_time(mask.exposure, loads, shapes, len(copies) * self._pillars_in.size), None
         trapezoids, shots = (int(total) for total in self._load_in.sum(axis=(1, 2)))
         plain_um2, counted = self._area_dbu(0) * (lattice.database_unit_nm * 1e-3) ** 2, shots > 0

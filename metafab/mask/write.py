@@ -100,6 +100,13 @@ def write(
     return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
 
 
+def table_names(design: Design) -> tuple[str, ...]:
+    """Names of the tables that :func:`write` makes for a design without doses of classes."""
+    mask = design.mask
+    has_fields = mask.exposure is not None and mask.tone == "negative"
+    return *(("fields.csv",) if has_fields else ()), *dose_tables(design)
+
+
 def write_drawings(
     pillars: PillarMap,
     files: Mapping[str, Path],

@@ -32,4 +32,4 @@ __all__ = [
     "write_film",
     "require_film_name",
     "benchmark_page",
-]  # noqa: RUF022: most useful first
+]  # most useful first

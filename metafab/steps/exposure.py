@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from metafab.core.errors import Fault, InputError
+from metafab.core.errors import Fault
 from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import file_sha256
@@ -108,16 +108,10 @@ def expose_mask(
     """
     from metafab import exposure, mask
 
-    process = None if design.process is None else design.process.exposure
-    if process is None:
-        remedy = 'add `[process.exposure]` with `preset = "hsq_sos_100kv"`, or with your own `terms`'
-        raise InputError.single(design.name, "process.exposure", "a table", "none", remedy)
-    faults = exposure.unavailable(design)
-    if correct and any(copy.bias_nm for copy in design.mask.copies):
-        expected, remedy = "copies without a bias of their own", "correct each variant as a design of its own"
-        faults.append(Fault("mask.copies", expected, "biased copies", remedy))
-    if faults:
-        raise InputError(design.name, faults)
+    expected, remedy = "copies without a bias of their own", "correct each variant as a design of its own"
+    biased = correct and any(copy.bias_nm for copy in design.mask.copies)
+    further = [Fault("mask.copies", expected, "biased copies", remedy)] if biased else []
+    process = exposure.exposure_process(design, further)
     psf = exposure.beam_psf(process)
     back = mask.read(path, design, progress=work.progress, copy=copy)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")

@@ -51,6 +51,14 @@ def mask_paths(job: Job) -> tuple[Path, ...]:
     return tuple(job.folder / f"layout.{suffix}" for suffix in job.design.mask.formats)
 
 
+def _layout_files(job: Job) -> tuple[Path, ...]:
+    """Paths of the mask files and of all files next to them."""
+    from metafab import mask
+
+    names = "layout.lyp", "layout.json", *mask.table_names(job.design)
+    return *mask_paths(job), *in_folder(*names)(job)
+
+
 def write_layout(job: Job) -> LayoutFigures:
     """Map the target phases to pillars and write the mask files.
 
@@ -121,7 +129,7 @@ LAYOUT = Step(
     rooms=("layout", "mask", "drc"),
     after=("library", "phase"),
     inputs=lambda d: (d.name, d.rules, d.mask, d.device, d.numerics),
-    outputs=lambda job: (*mask_paths(job), *in_folder("layout.lyp", "layout.json")(job)),
+    outputs=_layout_files,
     work=write_layout,
     figures=LayoutFigures,
     not_needed=no_mask,

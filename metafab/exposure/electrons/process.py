@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -90,7 +91,26 @@ def _unit_of(header: str) -> Literal["nm", "um"] | None:
     return "nm" if found.group(1).lower() == "nm" else "um"
 
 
-def unavailable(design: Design) -> list[Fault]:
+def exposure_process(design: Design, further: Sequence[Fault] = ()) -> ExposureProcess:
+    """Return ``[process.exposure]`` of a design whose pillars the exposure can predict.
+
+    Args:
+        design: the design.
+        further: faults that the caller found.
+
+    Raises:
+        InputError: no such table, keys that are not available with the exposure, or ``further`` faults.
+    """
+    process = None if design.process is None else design.process.exposure
+    if process is None:
+        remedy = 'add `[process.exposure]` with `preset = "hsq_sos_100kv"`, or with your own `terms`'
+        raise InputError.single(design.name, "process.exposure", "a table", "none", remedy)
+    if faults := [*_unavailable(design), *further]:
+        raise InputError(design.name, faults)
+    return process
+
+
+def _unavailable(design: Design) -> list[Fault]:
     """Keys of a design whose pillars the exposure cannot predict."""
     cell, faults = design.unit_cell.cell, []
     if cell.shape != "rectangle":

@@ -85,7 +85,7 @@ class DoseClasses:
 
 
 def dose_tables(design: Design, class_dose: FloatArray | None = None) -> dict[str, list[str]]:
-    """Dose of each datatype relative to the base dose, as a table and as the shot modulation of JEOL writers.
+    """Dose of each exposed datatype relative to the base dose, as a table and as the shot modulation of JEOL writers.
 
     Args:
         design: copies with their doses, datatypes.
@@ -101,6 +101,8 @@ def dose_tables(design: Design, class_dose: FloatArray | None = None) -> dict[st
     of_class = np.ones(mask.dose_classes) if class_dose is None else class_dose
     doses = np.outer(mask.doses, of_class).ravel().tolist()
     table = [(mask.datatype + number, dose) for number, dose in enumerate(doses)]
+    if mask.tone != "negative":  # The field is exposed, at one dose, on datatype 0 of its layer.
+        table = [(0, mask.doses[0])]
     rows = ["datatype,dose_over_base_dose", *(f"{datatype},{dose:.6f}" for datatype, dose in table)]
     # The shot rank is the datatype, the modulation a change of dose in percent.
     ranks = [f"({datatype:4d}, {100.0 * (dose - 1.0):8.3f} )" for datatype, dose in table]

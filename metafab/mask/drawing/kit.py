@@ -52,16 +52,22 @@ def kit_structures(design: Design) -> tuple[Structure, ...]:
     return tuple(drawn)
 
 
-def require_clear_kit(design: Design, structures: Sequence[Structure], around: Sequence[tuple[str, IntArray]]) -> None:
+def require_clear_kit(
+    design: Design,
+    structures: Sequence[Structure],
+    around: Sequence[tuple[str, IntArray]],
+    inner: tuple[int, int, int, int] | None = None,
+) -> None:
     """Refuse structures that are nearer than ``distance_um`` to a lens, to another structure, or to shapes around.
 
     Args:
         design: the chip.
         structures: the test structures.
         around: description and rectangles, shape (n, 4), of each kind of shapes around the lenses.
+        inner: box (left, bottom, right, top) within frame and dicing street, database units; None without them.
 
     Raises:
-        InputError: naming both; or a tone in which bars would be printed as trenches.
+        InputError: naming both; a structure beyond the frame; or a tone in which bars would be printed as trenches.
     """
     if design.mask.kit is None:
         return
@@ -72,6 +78,14 @@ def require_clear_kit(design: Design, structures: Sequence[Structure], around: S
     distance = round(design.mask.kit.distance_um * 1e3 / design.mask.database_unit_nm)
     for number, structure in enumerate(structures):
         box = structure.box(distance)
+        if inner is not None and (np.any(box[0, :2] < inner[:2]) or np.any(box[0, 2:] > inner[2:])):
+            um = design.mask.database_unit_nm * 1e-3
+            left, bottom, right, top = (f"{side * um:g}" for side in inner)
+            expected = f"a place within the frame, x from {left} to {right} um and y from {bottom} to {top} um"
+            left, bottom, right, top = (f"{side * um:g}" for side in box[0])
+            got = f"x from {left} to {right} um and y from {bottom} to {top} um, with its distance"
+            remedy = "move it, or widen `mask.chip.margin_um`"
+            raise InputError.single(design.name, f"{structure.key}.at_um", expected, got, remedy)
         require_clear_of_lenses(design, structure.key, box, "the structure with its distance")
         for name, rectangles in around:
             require_apart(design, structure.key, box, boxes_of(rectangles), name)

@@ -47,7 +47,7 @@ def surroundings(design: Design) -> tuple[Surroundings, ...]:
     if design.mask.chip is not None:
         layers += _chip(design, design.mask.chip, copies)
     if design.mask.kit is not None:
-        layers += _kit(design, design.mask.kit, layers)
+        layers += _kit(design, design.mask.kit, layers, copies)
     return tuple(layer for layer in layers if len(layer.rectangles))
 
 
@@ -67,8 +67,7 @@ class _Box:
 
 def _chip(design: Design, chip: Chip, copies: Sequence[LensCopy]) -> list[Surroundings]:
     lens, margin = aperture_dbu(design) // 2, _dbu(design, chip.margin_um)
-    across, along = [copy.x_dbu for copy in copies], [copy.y_dbu for copy in copies]
-    lenses = _Box(min(across), min(along), max(across), max(along)).grown(lens)
+    lenses = _lenses(design, copies)
     inner = lenses.grown(margin)
     outer = inner.grown(_dbu(design, chip.frame_um))
     text = np.concatenate([_text(design, chip, lenses, margin), *_copy_labels(design, chip, copies, lens)])
@@ -80,10 +79,19 @@ def _chip(design: Design, chip: Chip, copies: Sequence[LensCopy]) -> list[Surrou
     ]
 
 
-def _kit(design: Design, kit: Kit, around: Sequence[Surroundings]) -> list[Surroundings]:
+def _lenses(design: Design, copies: Sequence[LensCopy]) -> _Box:
+    """Bounding box of all lenses."""
+    across, along = [copy.x_dbu for copy in copies], [copy.y_dbu for copy in copies]
+    return _Box(min(across), min(along), max(across), max(along)).grown(aperture_dbu(design) // 2)
+
+
+def _kit(design: Design, kit: Kit, around: Sequence[Surroundings], copies: Sequence[LensCopy]) -> list[Surroundings]:
     """Test structures, and windows around all that the first exposure draws."""
-    structures = kit_structures(design)
-    require_clear_kit(design, structures, [(layer.name, layer.rectangles) for layer in around])
+    structures, chip, inner = kit_structures(design), design.mask.chip, None
+    if chip is not None and (chip.frame_um or chip.street_um):
+        inside = _lenses(design, copies).grown(_dbu(design, chip.margin_um))
+        inner = (inside.left, inside.bottom, inside.right, inside.top)
+    require_clear_kit(design, structures, [(layer.name, layer.rectangles) for layer in around], inner)
     nothing = [np.empty((0, 4), dtype=np.int64)]
     first = np.concatenate([*nothing, *(one.first for one in structures)])
     second = np.concatenate([*nothing, *(one.second for one in structures)])

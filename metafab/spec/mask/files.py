@@ -86,6 +86,8 @@ class Mask(Checked):
     def _faults(self) -> Iterator[str]:
         if len(self.doses) > 1 and self.tone != "negative":
             yield 'copies with different `dose` need `tone = "negative"`, where the pillars are exposed'
+        if self.exposure is not None and self.exposure.max_shot_um is not None and self.tone != "negative":
+            yield '`exposure.max_shot_um` needs `tone = "negative"`; shots of the field are not counted'
         if len(self.doses) * self.dose_classes > MOST_DATATYPES:
             yield (
                 f"doses of `copies` times dose classes must be at most {MOST_DATATYPES}, "

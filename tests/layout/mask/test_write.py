@@ -254,9 +254,16 @@ def test_the_write_time_of_an_inverted_mask_is_that_of_its_field(
 ) -> None:
     """Against the rectangles that KLayout reads on the field layer, of two lenses with a bias each."""
     kdb = pytest.importorskip("klayout.db")
-    exposure = Exposure(dose_uc_per_cm2=800.0, beam_current_na=2.0, settle_shape_us=0.5, settle_field_ms=40.0)
-    copies = (Copy((0.0, 0.0)), Copy((60.0, 0.0), 4.0))
-    mask.write(tiny.pillars, tmp_path, _with(tiny_design, exposure=exposure, tone="inverted", copies=copies))
+    exposure = Exposure(
+        dose_uc_per_cm2=800.0, beam_current_na=2.0, settle_shape_us=0.5, settle_field_ms=40.0,
+        shot_pitch_nm=4.0, clock_mhz=1.0,
+    )  # fmt: skip
+    copies = (Copy((0.0, 0.0), dose=1.1), Copy((60.0, 0.0), 4.0, dose=1.1))
+    design = _with(tiny_design, exposure=exposure, tone="inverted", copies=copies)
+    written = mask.write(tiny.pillars, tmp_path, design)
+    assert {file.path.name for file in written} >= set(mask.table_names(design)) == {"doses.csv", "doses.jdi"}
+    # Datatype 0 of the field layer is the only one that is exposed.
+    assert (tmp_path / "doses.csv").read_text() == "datatype,dose_over_base_dose\n0,1.100000\n"
     told = json.loads((tmp_path / "layout.json").read_text())["exposure"]
     drawn = kdb.Layout()
     drawn.read(str(tmp_path / "layout.gds"))
@@ -265,6 +272,16 @@ def test_the_write_time_of_an_inverted_mask_is_that_of_its_field(
     assert told["shapes"] == field.count() > 2 * 4 * tiny.figures.pillars
     assert told["area_um2"] == pytest.approx(field.area() * 0.25e-6, rel=1e-9)
     assert told["settling_seconds"] == pytest.approx(field.count() * 0.5e-6 + 2 * 0.040, rel=1e-12)
+    # A shot of 4 nm takes 70 ns of current, so that the clock's 1 us counts.
+    assert told["shots"] == pytest.approx(told["area_um2"] / 16e-6, abs=2)
+    assert told["beam_seconds"] == pytest.approx(told["shots"] * 1e-6, rel=1e-9)
+    mask.write(
+        tiny.pillars, tmp_path, replace(design, mask=replace(design.mask, exposure=replace(exposure, clock_mhz=None)))
+    )
+    slower = json.loads((tmp_path / "layout.json").read_text())["exposure"]
+    assert slower["beam_seconds"] == pytest.approx(1.1 * 800.0 * told["area_um2"] * 1e-8 / 2e-3, rel=1e-9)
+    with pytest.raises(ValueError, match="max_shot_um"):
+        _with(tiny_design, exposure=Exposure(800.0, 2.0, max_shot_um=1.0), tone="inverted")
 
 
 def test_a_mask_of_an_earlier_design_does_not_stay_beside_the_new_one(

@@ -13,7 +13,7 @@ from metafab.core.storage.tables import typed
 from metafab.library import Library, save
 from metafab.spec import Exposure, load_design
 from metafab.steps import Job, write_layout
-from metafab.steps.layout import LayoutFigures
+from metafab.steps.layout import LAYOUT, LayoutFigures
 from tests.main_job import SMALL
 
 COPIES = "\n[[mask.copies]]\nat_um = [0.0, 0.0]\n[[mask.copies]]\nat_um = [40.0, 0.0]\nbias_nm = {bias}\n"
@@ -48,3 +48,7 @@ def test_equal_copies_are_written_and_timed(smooth_library: Library, tmp_path: P
     assert time.trapezoids == 2 * figures.pillars < time.shots
     assert time.seconds == time.beam_seconds > 0.0
     assert figures == typed(LayoutFigures, plain(figures))
+    # All files that are written are recorded, so that a deleted one is written again.
+    recorded = {path.name for path in LAYOUT.outputs(Job(design, made.folder))}
+    assert recorded == {path.name for path in made.folder.iterdir()} - {"library.h5", "design.toml"}
+    assert "fields.csv" in recorded
