@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,9 @@ import typer
 if TYPE_CHECKING:
     from metafab.core.parallel.progress import Progress
     from metafab.core.parallel.work import Work
+
+#: Least time between two drawings of the bars (s).
+_REDRAW_S = 0.1
 
 
 @contextmanager
@@ -27,14 +31,20 @@ def progress_bars() -> Iterator[Progress]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+    # A thread that draws the bars would keep this process from forking its workers.
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=Console(stderr=True)) as bars:
+    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as bars:
         tasks: dict[str, TaskID] = {}
+        drawn_s = -math.inf
 
         def advance(step: str, done: float, total: float) -> None:
+            nonlocal drawn_s
             if step not in tasks:
                 tasks[step] = bars.add_task(step, total=total)
             bars.update(tasks[step], completed=done, total=total)
+            if done >= total or time.monotonic() - drawn_s > _REDRAW_S:
+                bars.refresh()
+                drawn_s = time.monotonic()
 
         yield advance
 

@@ -5,9 +5,7 @@ All have the interface of :class:`concurrent.futures.Executor`.
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
@@ -18,7 +16,6 @@ from typing import Any, TypeVar
 
 from metafab.core.errors import InputError
 from metafab.core.parallel.cluster import ClusterExecutor, open_cluster
-from metafab.core.parallel.orphans import end_with_parent
 from metafab.core.parallel.processes import WorkerProcesses
 from metafab.core.parallel.progress import Progress, silent
 
@@ -48,15 +45,6 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
-def _single_threaded() -> None:
-    """Initialise a worker: one thread of BLAS, Ctrl-C is left to the parent, and no life without it."""
-    end_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    from threadpoolctl import threadpool_limits
-
-    threadpool_limits(1)
-
-
 @contextmanager
 def open_executor(
     workers: int | None = None, cluster: str | None = None, progress: Progress = silent
@@ -84,8 +72,7 @@ def open_executor(
         return
     saved = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
-    context = multiprocessing.get_context("spawn")
-    pool = WorkerProcesses(count, context, _single_threaded)
+    pool = WorkerProcesses(count)
     try:
         yield pool
     finally:

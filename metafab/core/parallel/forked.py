@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 import multiprocessing
-import signal
-import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -15,8 +11,7 @@ from typing import Any, TypeVar
 
 from metafab.core.errors import WorkerLostError
 from metafab.core.parallel.executor import default_workers
-from metafab.core.parallel.orphans import end_with_forking_thread
-from metafab.core.parallel.processes import MOST_LOSSES, call_name
+from metafab.core.parallel.processes import MOST_LOSSES, begin_copy, call_name, can_fork
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -42,7 +37,7 @@ def shared(function: Callable[[Item], Result], items: Sequence[Item], workers: i
         WorkerLostError: three processes in a row ended on one item.
     """
     count = min(default_workers() if workers is None else workers, len(items))
-    if count < 2 or sys.platform != "linux" or threading.active_count() > 1:
+    if count < 2 or not can_fork():
         yield from map(function, items)
         return
     context = multiprocessing.get_context("fork")
@@ -62,11 +57,8 @@ def shared(function: Callable[[Item], Result], items: Sequence[Item], workers: i
 
 
 def _inherit(function: Callable[[Any], Any], items: Sequence[Any]) -> None:
-    end_with_forking_thread()
+    begin_copy()
     _inherited[:] = function, items
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to the whole group; the parent handles it
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    gc.freeze()  # a collection would touch, and so copy, every inherited page
 
 
 def _apply(index: int) -> Any:

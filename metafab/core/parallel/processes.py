@@ -3,21 +3,27 @@
 A dead worker breaks its pool, and all pieces in flight are lost with it; which of them ended the worker is unknown. The
 first time they all start again in a new pool. A piece that is lost twice goes on alone, in a pool of one worker. A
 piece that is lost there too ends in :class:`metafab.core.errors.WorkerLostError`, which names it.
+
+Workers are forked where that is safe, which saves each a second of imports, and otherwise spawned.
 """
 
 from __future__ import annotations
 
+import gc
+import multiprocessing
+import signal
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
-from multiprocessing.context import BaseContext
 from typing import Any, TypeVar
 
 from metafab.core.errors import WorkerLostError
 from metafab.core.parallel.interrupts import held_interrupts
+from metafab.core.parallel.orphans import end_with_forking_thread, end_with_parent
 
 Result = TypeVar("Result")
 
@@ -50,13 +56,11 @@ class WorkerProcesses(Executor):
     """Process pool that replaces workers that die.
 
     Args:
-        count: number of workers.
-        context: how processes are started.
-        initializer: called in every new worker.
+        count: number of workers, each with one thread of BLAS.
     """
 
-    def __init__(self, count: int, context: BaseContext, initializer: Callable[[], None]) -> None:
-        self._count, self._context, self._initializer = count, context, initializer
+    def __init__(self, count: int) -> None:
+        self._count = count
         self._lock = threading.RLock()
         self._pool: ProcessPoolExecutor | None = None
         self._lone_pool: ProcessPoolExecutor | None = None
@@ -108,7 +112,9 @@ class WorkerProcesses(Executor):
         self._follow(piece, inner, self._lone_pool)
 
     def _new_pool(self, count: int) -> ProcessPoolExecutor:
-        return ProcessPoolExecutor(count, mp_context=self._context, initializer=self._initializer)
+        if can_fork():
+            return ProcessPoolExecutor(count, multiprocessing.get_context("fork"), initializer=_begin_forked)
+        return ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), initializer=_begin_spawned)
 
     def _follow(self, piece: _Piece, inner: Future[Any], pool: ProcessPoolExecutor) -> None:
         piece.running_in = inner
@@ -150,6 +156,40 @@ class WorkerProcesses(Executor):
                     self._start_alone()
                 return
         piece.set_exception(WorkerLostError(call_name(piece.call), piece.losses))
+
+
+def can_fork() -> bool:
+    """Whether this process may be copied: on Linux, and without other threads, whose locks a copy would inherit."""
+    return sys.platform == "linux" and threading.active_count() == 1
+
+
+def begin_copy() -> None:
+    """Initialise a forked process: the parent handles Ctrl-C, SIGTERM ends it, and it has no life without its parent.
+
+    Garbage collections leave what it inherited alone; they would touch, and so copy, every page.
+    """
+    end_with_forking_thread()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to the whole group
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    gc.freeze()
+
+
+def _begin_forked() -> None:
+    begin_copy()
+    _limit_threads()
+
+
+def _begin_spawned() -> None:
+    end_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _limit_threads()
+
+
+def _limit_threads() -> None:
+    """Use one thread of BLAS."""
+    from threadpoolctl import threadpool_limits
+
+    threadpool_limits(1)
 
 
 def call_name(call: partial[Any]) -> str:

@@ -12,6 +12,7 @@ import json
 import logging
 import multiprocessing
 import os
+import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -29,6 +30,8 @@ except ImportError:  # Windows, where an open file cannot be removed under anoth
 
 _LOG = logging.getLogger(__name__)
 _KIND = "metafab library checkpoint"
+#: Time between two writes to the disk itself (s), which take up to 0.3 s each on a busy disk.
+_SYNCHRONISE_S = 5.0
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class Checkpoint:
         self._path = path
         self._inputs = inputs_sha256
         self._stream: IO[str] | None = None
+        self._synchronised_s = time.monotonic()
         self.points: list[SolvedPoint] = []
         self.waited = False
 
@@ -75,6 +79,7 @@ class Checkpoint:
             self._stream.truncate(whole)
             if whole == 0:
                 self._write({"kind": _KIND, "inputs_sha256": self._inputs})
+            self._stream.flush()  # a forked worker must not inherit buffered text
         except BaseException:
             _owner_file(self._path).unlink(missing_ok=True)
             self._stream.close()
@@ -86,17 +91,22 @@ class Checkpoint:
     ) -> None:
         if self._stream is not None and self._path is not None:
             _owner_file(self._path).unlink(missing_ok=True)
+            if fcntl is not None:
+                with suppress(OSError):  # a file system without locks
+                    fcntl.flock(self._stream, fcntl.LOCK_UN)  # forked workers hold the file, too
             self._stream.close()
 
     def add(self, points: Sequence[SolvedPoint]) -> None:
-        """Record points; they are on disk when this returns."""
+        """Record points; they survive the end of this process, and after a few seconds that of the machine."""
         self.points += points
         for point in points:
             parts = [part for value in point.amplitudes for part in (value.real, value.imag)]
             self._write([point.number, *parts, point.error, point.seconds])
         if self._stream is not None:
             self._stream.flush()
-            os.fsync(self._stream.fileno())
+            if time.monotonic() - self._synchronised_s > _SYNCHRONISE_S:
+                os.fsync(self._stream.fileno())
+                self._synchronised_s = time.monotonic()
 
     def remove(self) -> None:
         """Delete the file, once its points are part of a library."""

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from metafab.cell import CellNumerics, pillar_cell, solve
-from metafab.core.conventions import ComplexArray
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.library.library import Library
 
@@ -23,15 +23,13 @@ def index_phase_error_rad(library: Library, *, executor: Executor | None = None,
     ``samples`` sizes, spread evenly over the sweep, are solved with the index as given and with the index raised by
     ``n_error``; see :func:`phase_rms_rad`.
     """
-    from scipy.stats import qmc  # The import takes half a second, which a run without new work does not spend.
-
     unit_cell = library.unit_cell
     n_error = unit_cell.materials.pillar.n_error
     if n_error == 0.0:
         return 0.0
     sweep = unit_cell.sweep
     low, high = np.array([sweep.width_nm, sweep.length_nm]).T
-    sizes = low + (high - low) * qmc.Halton(2, scramble=False).random(samples)
+    sizes = low + (high - low) * halton(samples)
     if not library.known.all():  # circles
         sizes[:, 1] = sizes[:, 0]
     cells = [pillar_cell(unit_cell, float(width), float(length)) for width, length in sizes]
@@ -41,6 +39,18 @@ def index_phase_error_rad(library: Library, *, executor: Executor | None = None,
     answers = in_order(executor or SerialExecutor(), solver, [*cells, *raised])
     t = np.array([np.diagonal(answer.t) for answer in answers])
     return phase_rms_rad(t[:samples], t[samples:])
+
+
+def halton(count: int) -> FloatArray:
+    """First points of the Halton sequence of bases 2 and 3 in the unit square, shape (count, 2); the first is 0."""
+    points = np.zeros((count, 2))
+    for axis, base in enumerate((2, 3)):
+        left, digit = np.arange(count), 1.0 / base
+        while left.any():
+            left, digits = np.divmod(left, base)
+            points[:, axis] += digit * digits
+            digit /= base
+    return points
 
 
 def phase_rms_rad(before: ComplexArray, after: ComplexArray) -> float:

@@ -150,14 +150,16 @@ def test_builds_to_other_targets_do_not_meet(coarse: UnitCell, tmp_path: Path) -
 
 @pytest.mark.slow
 def test_a_script_without_a_guard_is_told_so_and_does_not_hang(coarse: UnitCell, tmp_path: Path) -> None:
-    """Its workers run it again, to the very checkpoint that their parent holds open: they must not wait for it."""
+    """Spawned workers run it again, to the checkpoint that their parent holds open: they must not wait for it."""
     (tmp_path / "cell.toml").write_text(canonical_toml(coarse))
     script = tmp_path / "unguarded.py"
     script.write_text(
+        "import threading, time\n"
         "from pathlib import Path\n"
         "from metafab import library\n"
         "from metafab.core.parallel.executor import open_executor\n"
         "from metafab.spec import load_unit_cell\n"
+        "threading.Thread(target=time.sleep, args=(600,), daemon=True).start()\n"  # beside it, workers are spawned
         "with open_executor(2) as executor:\n"
         "    library.build_file(load_unit_cell(Path('cell.toml')), Path('library.h5'), executor=executor)\n"
     )

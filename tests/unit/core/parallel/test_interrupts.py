@@ -17,6 +17,7 @@ from multiprocessing import resource_tracker
 
 import pytest
 
+from metafab.core.parallel import processes
 from metafab.core.parallel.executor import open_executor
 from metafab.core.parallel.interrupts import InterruptedRunError, held_interrupts, raised_interrupts
 
@@ -125,6 +126,7 @@ def test_workers_of_an_interrupted_run_begin_whole(
 
     resource_tracker.ensure_running()  # which starts as they do
     monkeypatch.setattr(multiprocessing.util, "spawnv_passfds", interrupted)
+    monkeypatch.setattr(processes, "can_fork", lambda: False)
     with pytest.raises(InterruptedRunError), raised_interrupts(), open_executor(2) as executor:
         executor.submit(abs, -1)
     assert workers

@@ -13,10 +13,13 @@ import pytest
 
 from tests.main_job import ROOT
 
-_SPAWNED = """
+_POOL = """
+import threading
 import time
 from metafab.core.parallel.executor import open_executor
 if __name__ == "__main__":
+    if {spawned}:
+        threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
     with open_executor(2) as executor:
         waits = [executor.submit(time.sleep, 0.01) for _ in range(8)]
         print([wait.result() for wait in waits], flush=True)
@@ -31,9 +34,11 @@ def work(item):
 if __name__ == "__main__":
     list(shared(work, [1, 2], 2))
 """
+_WORK = "[wait.result() for wait in [executor.submit(time.sleep, 60)] * 2]"
 PROGRAMS = {
-    "spawned, idle": _SPAWNED.format(then="time.sleep(60)"),
-    "spawned, at work": _SPAWNED.format(then="[wait.result() for wait in [executor.submit(time.sleep, 60)] * 2]"),
+    "spawned, idle": _POOL.format(spawned=True, then="time.sleep(60)"),
+    "spawned, at work": _POOL.format(spawned=True, then=_WORK),
+    "pool of copies, at work": _POOL.format(spawned=False, then=_WORK),
     "forked": _FORKED,
 }
 

@@ -10,8 +10,16 @@ from pathlib import Path
 import pytest
 
 from metafab.core.errors import WorkerLostError
+from metafab.core.parallel import processes
 from metafab.core.parallel.executor import in_order, open_executor, stream
 from metafab.core.parallel.processes import MOST_LOSSES
+
+
+@pytest.fixture(params=[True, False], ids=["forked", "spawned"], autouse=True)
+def start(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Both ways of starting workers; the first only where this process has no other threads."""
+    if not request.param:
+        monkeypatch.setattr(processes, "can_fork", lambda: False)
 
 
 def _squared(value: int) -> int:
