@@ -44,7 +44,7 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
 
     Returns:
         A frame of both images and the margin of their blur. Its pixels stand on whole multiples of ``psf.pixel_um``
-        from the axis.
+            from the axis.
 
     Raises:
         InputError: a depth is outside the calibrated range, or the two images overlap.
@@ -53,14 +53,11 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
 
 
 def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress = silent) -> Iterator[RawFrame]:
-    """Expose the frames of a scene whose objects move; see :func:`capture`.
+    """Expose the ``scene.frames`` frames of a scene whose objects move; see :func:`capture`.
 
     An exposure in which something moves is the mean of one instant per pixel of motion; with a rolling shutter, each
     row has its own instants. The truth is that of the middle of each row's exposure. Noise differs from frame to frame;
     textures stay with their objects, and hot pixels in their places.
-
-    Yields:
-        ``scene.frames`` frames.
     """
     yield from _film(scene, psf, _lenses(scene, psf), scene.seed if seed is None else seed, progress)
 

@@ -82,8 +82,7 @@ class PairKernels:
     def at_depth(self, depth_m: float) -> FloatArray:
         """Kernels at the field points for one depth: shape (2, n_field_y, n_field_x, n_y, n_x).
 
-        Raises:
-            InputError: the depth is outside the calibrated range.
+        A depth outside the calibrated range raises InputError.
         """
         nearest, farthest = self.psf.depth_m.min(), self.psf.depth_m.max()
         slack = 1e-9 * farthest
@@ -110,9 +109,5 @@ def _mean_sum(psf: Psf) -> float:
 
 
 def pixel_transfer(shape: tuple[int, int]) -> FloatArray:
-    """Return the transfer function of a square pixel on the half plane of a real transform of (n_y, n_x) pixels.
-
-    Returns:
-        Shape (n_y, n_x // 2 + 1).
-    """
+    """Return the transfer function of a square pixel for a real transform, shape (n_y, n_x // 2 + 1)."""
     return np.asarray(np.sinc(scipy.fft.fftfreq(shape[0]))[:, None] * np.sinc(scipy.fft.rfftfreq(shape[1])))

@@ -30,17 +30,10 @@ class FixedPattern:
 
 
 def expose(mean_e: FloatArray, scene: Scene, pattern: FixedPattern, rng: np.random.Generator) -> FloatArray:
-    """Expose one frame.
+    """Expose one frame: electrons, from the mean electrons in each pixel of mean response, shape (n_y, n_x) each.
 
-    Args:
-        mean_e: shape (n_y, n_x), mean electrons in each pixel of mean response.
-        scene: figures of the sensor.
-        pattern: fixed pattern of the same shape.
-        rng: source of the noise.
-
-    Returns:
-        Shape (n_y, n_x), electrons: Poisson arrivals with the dark current, minus its known mean, plus Gaussian read
-        noise; at most ``full_well_e``, and in steps of a count where ``bit_depth`` is given.
+    Poisson arrivals with the dark current, minus its known mean, plus Gaussian read noise; at most ``full_well_e``, and
+    in steps of a count where ``bit_depth`` is given.
     """
     arrived = rng.poisson(np.maximum(mean_e, 0.0) * pattern.response + scene.dark_frame_e).astype(np.float64)
     if scene.full_well_e is not None:

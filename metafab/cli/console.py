@@ -59,13 +59,7 @@ def open_work(workers: int | None = None, cluster: str | None = None) -> Iterato
 
 
 def show(result: Any, as_json: bool, **further: Any) -> None:
-    """Print a result as text or as one JSON object.
-
-    Args:
-        result: a dataclass, or a table by name.
-        as_json: whether to print JSON.
-        further: figures of the command itself, such as its time and its output file.
-    """
+    """Print a result (a dataclass or a table) and ``further`` figures of the command, as text or as one JSON object."""
     from metafab.core.storage.files import plain
 
     table = plain(result) | plain(further)

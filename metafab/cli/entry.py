@@ -62,8 +62,7 @@ def _end(error: BaseException, message: str, exit_code: int) -> NoReturn:
 def spread_depths(arguments: list[str]) -> list[str]:
     """Turn ``--depths-m 0.25 0.3`` and ``--depths-m 0.25,0.3`` into one option for each depth, likewise ``--depths``.
 
-    Raises:
-        InputError: no number follows ``--depths-m``.
+    InputError if no number follows ``--depths-m``.
     """
     spread: list[str] = []
     rest = deque(arguments)

@@ -59,10 +59,7 @@ def rivals(design: Design, depth_m: FloatArray, *, progress: Progress = silent) 
     """Return the design's target phases, a lens in focus, a lens focused nearer (depth from defocus), a double helix.
 
     All split the polarisations alike, so that sensor, aperture and light are equal. The compared depths, shape (n,),
-    ascend.
-
-    Raises:
-        InputError: the design has no split lens, or nothing but a lens.
+    ascend. A design without a split lens, or of nothing but a lens, raises InputError.
     """
     carriers = tuple(term for term in design.phase if isinstance(term, _CARRIERS))
     if design.split_angle_deg == 0.0 or len(carriers) == len(design.phase):
@@ -122,12 +119,9 @@ def compare(design: Design, *, planes: int = 6, contrast: float = 0.25, progress
 
     Args:
         design: its ``verify`` depths span the range, its scene gives light and noise (without one, a scene's defaults).
+            InputError without a split lens, or for nothing but a lens.
         planes: photographs a depth, each of another texture.
         contrast: rms over mean of the texture.
-        progress: called camera by camera.
-
-    Raises:
-        InputError: the design has no split lens, or nothing but a lens.
     """
     nearest, farthest = 1.0 / design.verify.depths_m[0], 1.0 / design.verify.depths_m[-1]
     share = (np.arange(_DEPTHS) + 0.5) / _DEPTHS
@@ -190,15 +184,10 @@ def _kernels(rival: Rival, depth_m: float) -> FloatArray:
 
 
 def photographed(kernels: FloatArray, scene: Scene, number: int) -> FloatArray:
-    """Photograph a plane that has the texture of the scene's first object.
+    """Photograph a plane that has the texture of the scene's first object: both images, shape (2, n, n), electrons.
 
-    Args:
-        kernels: shape (2, k, k), PSFs per pixel of both polarisations.
-        scene: texture, light and noise.
-        number: seed of texture and noise, from 0; one number gives all cameras the same texture.
-
-    Returns:
-        Both images, shape (2, n, n), electrons.
+    Kernels, shape (2, k, k), are PSFs per pixel of both polarisations. ``number`` is the seed of texture and noise,
+    from 0; one number gives all cameras the same texture.
     """
     from scipy.signal import fftconvolve  # Loaded late: reading a comparison does not need it.
 

@@ -19,11 +19,10 @@ def check(path: Path, design: Design, *, engine: str = "lattice", work: Work = W
     """Check a GDSII or OASIS file; nothing but the file is read.
 
     Args:
-        path: the file.
         design: rules, lattice, aperture, layer.
         engine: ``lattice`` checks every rule exactly, on the sites of the design; ``rectangles`` takes rectangles of
-            any lattice; ``polygons`` is KLayout's and takes any shapes. The last two check width, aspect ratio, gap,
-            overlap, grid and foreign shapes.
+            any lattice; ``polygons`` is KLayout's (MissingToolError without it) and takes any shapes. The last two
+            check width, aspect ratio, gap, overlap, grid and foreign shapes.
         work: threads, progress, and a cluster, whose workers check bands of rows (``lattice``) or rows of tiles
             (``polygons``; they must find the file at the same path). ``rectangles`` is one stream and runs here.
         copy: lens of ``mask.copies`` that ``lattice`` checks, counted from 1; the others are counted. The two engines
@@ -31,7 +30,6 @@ def check(path: Path, design: Design, *, engine: str = "lattice", work: Work = W
 
     Raises:
         InputError: the file cannot be read as a mask, or the engine is unknown.
-        MissingToolError: KLayout is not installed.
     """
     start = time.perf_counter()
     if engine == "lattice":

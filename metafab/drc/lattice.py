@@ -24,18 +24,11 @@ _BAND_ROWS = 256
 
 
 def check_lattice(read_back: ReadBack, design: Design, work: Work = Work()) -> DrcReport:
-    """Check all rules of :data:`RULES` on the contents of a file.
+    """Check all rules of :data:`RULES` on the contents of a file; InputError if it has several top cells.
 
     Gaps are those between pillars on their sites. A pillar elsewhere is a violation by itself and its gaps are not
-    checked; the smallest gap of the report is then None.
-
-    Args:
-        read_back: contents of the file.
-        design: rules, aperture.
-        work: threads or cluster that check the bands; progress by rows.
-
-    Raises:
-        InputError: the file has several top cells.
+    checked; the smallest gap of the report is then None. Bands of rows are checked by the threads or the cluster of
+    ``work``.
     """
     require_one_top(read_back.path, read_back.top_cells)
     size_index = read_back.pillars.to_array()

@@ -56,12 +56,7 @@ def check_polygons(path: Path, design: Design, work: Work = Work(), tile_um: flo
     the ``foreign`` shapes. Gaps of rectangles are counted by pairs of pillars, gaps of other outlines by pairs of
     sides.
 
-    Args:
-        path: GDSII or OASIS file.
-        design: rules, layer, unit.
-        work: threads of KLayout, or a cluster whose workers take rows of tiles, each on one thread and with the file
-            read once; progress by rows of tiles.
-        tile_um: side of KLayout's tiles.
+    The workers of a cluster take rows of tiles, each on one thread and with the file read once.
 
     Raises:
         MissingToolError: KLayout is not installed.

@@ -27,14 +27,11 @@ _VISIBLE = {"min_width", "min_length", "aspect_ratio", "grid", "foreign", *_PAIR
 def check_rectangles(path: Path, design: Design, work: Work = Work()) -> DrcReport:
     """Check width, length, aspect ratio, gap (diagonals included), overlap, duplicates, grid and foreign shapes.
 
-    Args:
-        path: GDSII or OASIS file.
-        design: rules, layers, unit; of its lattice only the period, as the scale of the search.
-        work: threads; progress by bytes, rectangles and rows.
+    Of the design's lattice only the period counts, as the scale of the search.
 
     Raises:
-        InputError: the file cannot be read, has several top cells or nothing on the pillar layer; the design's
-            pillars are not rectangles; or a cluster is asked for.
+        InputError: the file cannot be read, has several top cells or nothing on the pillar layer; the design's pillars
+            are not rectangles; or a cluster is asked for.
     """
     if work.cluster is not None:
         expected, remedy = "'lattice' or 'polygons'", "it runs on one machine: leave it out"

@@ -89,12 +89,7 @@ class Rows:
         self._spare: list[_Band] = []
 
     def count(self, boxes: IntArray, shift: IntArray) -> None:
-        """Count the rectangles of a chunk by row.
-
-        Args:
-            boxes: shape (n, 4), x, y, width, height.
-            shift: shape (2,), to be added to x and y.
-        """
+        """Count the rectangles (x, y, width, height) of a chunk by row: shape (n, 4), moved by ``shift``, (2,)."""
         self._counted += 1
         indices = self._bands_of(boxes, shift)
         numbers = np.zeros((len(indices), _BAND_ROWS), dtype=np.int64)
@@ -242,14 +237,8 @@ def _sweep(
 ) -> float:
     """Compare near pairs of the first rows and the rows above them; return the smallest signed square of a distance.
 
-    Args:
-        start: shape (rows + 2,), as :attr:`_Band.start`.
-        rows: number of first rows.
-        corner: shape (n, 2).
-        size: shape (n, 2).
-        gap: smallest distance.
-        pairs: shape (m, 3), filled with both indices and the kind of the first pairs.
-        counts: shape (3,), filled as :attr:`Near.counts`.
+    Corners and sizes have the shape (n, 2); ``start``, shape (rows + 2,), is that of a band. ``pairs``, shape (m, 3),
+    is filled with both indices and the kind of the first pairs, ``counts``, shape (3,), as :attr:`Near.counts`.
     """
     reach = int(gap) + 2  # Includes pairs exactly at the limit, which may be the nearest.
     smallest = np.inf

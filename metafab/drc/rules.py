@@ -59,11 +59,7 @@ def rules_in(design: Design, visible: Collection[str]) -> list[str]:
 
 
 def require_one_top(path: Path, top_cells: Sequence[str]) -> None:
-    """Refuse a file whose top cell is ambiguous.
-
-    Raises:
-        InputError: it does not have one top cell.
-    """
+    """Raise InputError for a file that does not have one top cell."""
     if len(top_cells) != 1:
         names = ", ".join(map(repr, sorted(top_cells)[:5]))
         got = f"{len(top_cells)}: {names}"
@@ -71,11 +67,7 @@ def require_one_top(path: Path, top_cells: Sequence[str]) -> None:
 
 
 def require_shapes(path: Path, design: Design, shapes: int) -> None:
-    """Refuse an empty file, in which an engine without a lattice would find no violation.
-
-    Raises:
-        InputError: there is no shape on the pillar layer.
-    """
+    """Raise InputError for an empty pillar layer, on which an engine without a lattice would find no violation."""
     if shapes == 0:
         first, last = design.mask.datatypes
         layer = f"{design.mask.layer}/{first}" + (f" to {last}" if last > first else "")

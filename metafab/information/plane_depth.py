@@ -144,11 +144,7 @@ class PlaneEstimator:
 
 
 def frequency_weight(side: int) -> FloatArray:
-    """Multiplicity of each frequency of a half spectrum; 0 below the lowest frequency in use.
-
-    Returns:
-        Shape (side, side // 2 + 1).
-    """
+    """Multiplicity of each frequency of a half spectrum, shape (side, side // 2 + 1); 0 below the lowest one in use."""
     frequency = np.hypot(scipy.fft.fftfreq(side)[:, None], scipy.fft.rfftfreq(side)) * side
     weight = np.where(frequency >= _LOWEST, 2.0, 0.0)
     weight[:, 0] *= 0.5

@@ -20,10 +20,8 @@ from metafab.information.twin_images import twin_information
 def depth_slope(stack: FloatArray, depth_m: ArrayLike) -> FloatArray:
     """Return the derivative of a stack with respect to depth, per metre, by a cubic spline over the vergence 1/depth.
 
-    The stack is real, of shape (..., n_depth, n_y, n_x), like the derivative.
-
-    Raises:
-        ValueError: fewer than 4 depths, or depths that do not ascend.
+    The stack is real, of shape (..., n_depth, n_y, n_x), like the derivative. Fewer than 4 depths, or depths that do
+    not ascend, raise ValueError.
     """
     depth = np.asarray(depth_m, dtype=np.float64)
     if depth.size < 4 or np.any(np.diff(depth) <= 0.0):
@@ -72,7 +70,6 @@ def twin_depth_information(
     Args:
         psf: shape (2, n_depth, n_y, n_x), irradiance at pixel centres, 1/um^2 per unit power.
         depth_m: shape (n_depth,), ascending.
-        pixel_um: pixel pitch.
         texture: electrons per pixel, contrast, spectrum and noise.
         contrast_known: whether the brightness ratio of the two images is known.
 

@@ -31,35 +31,22 @@ class Texture:
         return self.electrons + self.background_e + self.read_noise_e**2
 
     def power(self, shape: tuple[int, int], extent: tuple[int, int] | None = None) -> FloatArray:
-        """Power spectrum of the texture.
+        """Power spectrum of the texture, electrons^2, on the frequencies of a DFT of ``shape``, zero frequency first.
 
-        Args:
-            shape: (n_y, n_x) pixels of the DFT.
-            extent: (n_y, n_x) pixels over which the texture has its contrast; ``shape`` by default. In a larger
-                extent a part of the contrast belongs to structure that is wider than ``shape``.
-
-        Returns:
-            Shape ``shape``, electrons^2, zero frequency first. The mean over all frequencies is
-            (electrons contrast)^2. The zero frequency has no power, because the mean brightness is unknown.
+        The mean over all frequencies is (electrons contrast)^2; the zero frequency has no power, because the mean
+        brightness is unknown. ``extent`` is the shape over which the texture has its contrast, ``shape`` by default: in
+        a larger one a part of the contrast belongs to structure that is wider than ``shape``.
         """
         spectrum = self._spectrum(shape)
         mean = spectrum.mean() if extent is None else self._spectrum(extent).mean()
         return np.asarray((self.electrons * self.contrast) ** 2 * spectrum / mean)
 
     def half_power(self, side_px: int) -> FloatArray:
-        """Power spectrum of a square of ``side_px`` pixels on the frequencies of a real transform.
-
-        Returns:
-            Shape (side_px, side_px // 2 + 1), electrons^2: the first columns of :meth:`power`.
-        """
+        """The first columns of :meth:`power` of a square, as of a real transform: shape (side_px, side_px // 2 + 1)."""
         return self.power((side_px, side_px))[:, : side_px // 2 + 1]
 
     def signal_to_noise(self, shape: tuple[int, int], extent: tuple[int, int] | None = None) -> FloatArray:
-        """Power of the texture over the power of the noise; arguments as in :meth:`power`.
-
-        Returns:
-            Shape ``shape``, zero frequency first.
-        """
+        """Power of the texture over the power of the noise; arguments and shape as in :meth:`power`."""
         return self.power(shape, extent) / self.noise_variance_e2
 
     def _spectrum(self, shape: tuple[int, int]) -> FloatArray:
@@ -83,19 +70,16 @@ class PointSource:
 def restored_error(kernels: FloatArray, texture: Texture, *, side_px: int = 128) -> float:
     """Relative rms error of the best linear restoration of a texture: the sharpness that a set of PSFs allows.
 
-    The Wiener filter for several images of one texture of power S leaves, at each spatial frequency, the share
-    1 / (1 + S sum_p |H_p|^2 / N_p) of S, where image p has the transfer function H_p and the noise power N_p. Transfer
-    functions and photons alone decide, so a helix pair and a standard lens are measured alike (Supplementary 8 of Shen
-    2023 compares them by pictures).
+    The Wiener filter for several images of one texture of power S leaves, at each spatial frequency, the share 1 / (1 +
+    S sum_p |H_p|^2 / N_p) of S, where image p has the transfer function H_p and the noise power N_p. Transfer functions
+    and photons alone decide, so a helix pair and a standard lens are measured alike (Supplementary 8 of Shen 2023
+    compares them by pictures). 0 is a perfect restoration, 1 none.
 
     Args:
         kernels: shape (n_images, n, n), PSFs per pixel of simultaneous images; the sum of each is its share of the
             light at the sensor (at most 1).
         texture: spectrum; its ``electrons`` are the mean of a pixel of one image behind a kernel of sum 1.
         side_px: side of the picture whose frequencies are summed, pixels; at least n.
-
-    Returns:
-        Rms error over the rms of the texture: 0 for a perfect restoration, 1 if nothing is restored.
     """
     power = texture.power((side_px, side_px))
     gain = np.zeros_like(power)

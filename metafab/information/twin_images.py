@@ -26,17 +26,13 @@ from metafab.core.conventions import ComplexArray, FloatArray
 def twin_information(
     transfer: ComplexArray, slope: ComplexArray, signal_to_noise: FloatArray, *, contrast_known: bool = False
 ) -> float:
-    """Information about depth in two images of an unknown texture.
+    """Information about depth in two images of an unknown texture, in the inverse square of the unit of depth.
 
     Args:
         transfer: shape (2, n_y, n_x), DFT of both PSFs, zero frequency first.
         slope: shape (2, n_y, n_x), derivative of ``transfer`` with respect to depth.
         signal_to_noise: shape (n_y, n_x), power of the texture over that of the noise in either image.
-        contrast_known: whether the brightness ratio of the two images is known; it makes no difference for a
-            conjugate pair.
-
-    Returns:
-        Sum over all frequencies, in the inverse square of the unit of depth.
+        contrast_known: whether the brightness ratio of the images is known; no difference for a conjugate pair.
     """
     mixed = signal_to_noise * (transfer[0] * slope[1] - transfer[1] * slope[0])
     ratio = signal_to_noise * transfer[0] * transfer[1]
@@ -50,16 +46,11 @@ def twin_information(
 
 
 def conjugate_information(transfer: ComplexArray, slope: ComplexArray, signal_to_noise: FloatArray) -> FloatArray:
-    """Information about depth in conjugate pairs of images of an unknown texture.
+    """Information about depth in conjugate pairs of images of an unknown texture, in the inverse square of its unit.
 
-    Args:
-        transfer: shape (..., n_y, n_x), transfer function of x polarisation, zero frequency first; y polarisation has
-            the complex conjugate.
-        slope: shape (..., n_y, n_x), derivative of ``transfer`` with respect to depth.
-        signal_to_noise: shape (n_y, n_x), power of the texture over that of the noise in either image.
-
-    Returns:
-        Shape (...), sums over all frequencies, in the inverse square of the unit of depth.
+    The transfer function of x polarisation and its derivative with respect to depth have the shape (..., n_y, n_x),
+    zero frequency first, those of y polarisation are the complex conjugates. The signal-to-noise ratio, shape (n_y,
+    n_x), is that of :func:`twin_information`, the information has the shape (...).
     """
     turn = (slope * transfer.conj()).imag
     density = 4.0 * (signal_to_noise * turn) ** 2 / (1.0 + 2.0 * signal_to_noise * np.abs(transfer) ** 2)
@@ -69,11 +60,6 @@ def conjugate_information(transfer: ComplexArray, slope: ComplexArray, signal_to
 def known_texture_information(slope: ComplexArray, signal_to_noise: FloatArray) -> float:
     """Information about depth in two images of a known texture; at least that of :func:`twin_information`.
 
-    Args:
-        slope: shape (2, n_y, n_x), derivative of the DFT of both PSFs with respect to depth.
-        signal_to_noise: shape (n_y, n_x), power of the texture over that of the noise in either image.
-
-    Returns:
-        Sum over all frequencies, in the inverse square of the unit of depth.
+    ``slope``, shape (2, n_y, n_x), is the derivative of the DFT of both PSFs with respect to depth.
     """
     return float((signal_to_noise * (np.abs(slope) ** 2).sum(axis=0)).sum())

@@ -42,8 +42,7 @@ class Aperture:
     def of(cls, design: Design) -> Aperture:
         """Return the aperture of ``design`` on its lattice.
 
-        Raises:
-            InputError: no cell of the lattice lies inside, or as :func:`lattice_of`.
+        No cell of the lattice inside, and faults of :func:`lattice_of`, raise InputError.
         """
         aperture = cls._of(lattice_of(design), design)
         if aperture.count == 0:

@@ -66,12 +66,10 @@ def assign(
     the gap rule allows (:mod:`metafab.layout.gap_rule`).
 
     Args:
-        profile: target phases.
         library: response of every size.
         design: lattice, aperture, rules, mask grid.
-        executor: runs tiles; threads of this process by default. It must stay open while the map of a lens of more
-            than ``kept_sites`` sites is read.
-        progress: callback with the number of mapped tiles.
+        executor: runs tiles; threads of this process by default. It must stay open while the map of a lens of more than
+            ``kept_sites`` sites is read.
         kept_sites: largest lattice that is kept in memory.
 
     Raises:
@@ -112,8 +110,7 @@ def _mapped(
 def mapping_of(profile: PhaseProfile, library: Library, design: Design) -> TileMapping:
     """Return the mapping of a design's tiles, with the constant phases that suit the library best.
 
-    Raises:
-        InputError: as :func:`assign`.
+    Errors as :func:`assign`.
     """
     each = allowed_sizes(library, design)
     aperture = Aperture.of(design)

@@ -33,8 +33,7 @@ def largest_sides_nm(design: Design) -> tuple[float, float]:
 def allowed_sizes(library: Library, design: Design) -> SizeTable:
     """Return the look-up table of the sizes that are allowed at every site, whatever the neighbours.
 
-    Raises:
-        InputError: the library has no such size.
+    A library without such a size raises InputError.
     """
     width_nm, length_nm = largest_sides_nm(design)
     return build_size_table(
@@ -51,10 +50,7 @@ def allowed_sizes(library: Library, design: Design) -> SizeTable:
 def neighbour_choice(library: Library, design: Design, each: SizeTable) -> NeighbourChoice | None:
     """Return the choice of sizes for their light among neighbours, if ``rules.neighbours`` asks for it.
 
-    ``each`` holds the sizes of :func:`allowed_sizes`.
-
-    Raises:
-        InputError: the library has no model of neighbours.
+    ``each`` holds the sizes of :func:`allowed_sizes`. A library without a model of neighbours raises InputError.
     """
     if not design.rules.neighbours:
         return None

@@ -47,10 +47,8 @@ def smallest_gap(
     Args:
         size_index: shape (n_y, n_x), 0 for no pillar.
         size_dbu: shape (n_sizes + 1, 2), width and length.
-        lattice: periods and pairs of neighbours.
         limit_dbu: pairs below this distance are counted and listed.
         rows: compare only pairs whose first site lies in these first rows; None for all.
-        outline: outline of the pillars.
     """
     rows = size_index.shape[0] if rows is None else rows
     block, size = np.ascontiguousarray(size_index), size_dbu.astype(np.float64)

@@ -32,8 +32,7 @@ _SHARE_OF_NYQUIST = 0.9
 def whole_dbu(length_nm: float, database_unit_nm: float, field: str, *, even: bool = False) -> int:
     """Convert ``length_nm``, known to messages as ``field``, to database units.
 
-    Raises:
-        InputError: it is not a whole number of units, or, if ``even``, its half is not.
+    InputError unless it is a whole number of units, or, if ``even``, its half is one.
     """
     units = length_nm / database_unit_nm
     count = round(units)
@@ -107,12 +106,9 @@ def nearest_dbu(length_um: float, design: Design) -> int:
 def field_sites(design: Design) -> tuple[int, int]:
     """Sites along (x, y) of one write field.
 
-    A field is a whole number of periods, so that no pillar is stitched from two fields. The periods of a hexagonal
-    lattice have no common multiple of that size: there, a field is ``write_field_um`` wide and as many whole tiles
-    high as fit, and its sides follow the zigzag of the rows, half a period deep.
-
-    Raises:
-        InputError: the write field is not a whole number of periods.
+    A field is a whole number of periods (else InputError), so that no pillar is stitched from two fields. The periods
+    of a hexagonal lattice have no common multiple of that size: there, a field is ``write_field_um`` wide and as many
+    whole tiles high as fit, and its sides follow the zigzag of the rows, half a period deep.
     """
     field_nm = design.mask.write_field_um * 1e3
     cell = design.unit_cell.cell
@@ -152,10 +148,7 @@ def sampling_lattice(profile: PhaseProfile, design: Design) -> Lattice:
 
     The pitch is an even number of periods. The steepest slope decides it, a few steps between zones left out: the
     phase, lens and split included, turns by less than pi from site to site, so that no alias of the image falls into
-    the window. Where no coarser lattice will do, the lattice of the pillars is returned.
-
-    Raises:
-        InputError: as :func:`lattice_of`.
+    the window. Where no coarser lattice will do, the lattice of the pillars is returned. Errors as :func:`lattice_of`.
     """
     fine = lattice_of(design)
     period, aperture = max(fine.cell_dbu), aperture_dbu(design)

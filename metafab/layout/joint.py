@@ -74,12 +74,7 @@ class JointSizes:
     ) -> JointSizes:
         """Return the joint choice among the sizes of ``wide``.
 
-        Args:
-            wide: all sizes.
-            each: the subset of ``wide`` that keeps the gap with any neighbour; the search starts from its look-up.
-            lattice: periods and neighbours.
-            min_gap_dbu: smallest gap.
-            outline: outline of the pillars.
+        ``each`` is the subset of ``wide`` that keeps the gap with any neighbour; the search starts from its look-up.
         """
         row_of = {tuple(size): row for row, size in enumerate(wide.size_dbu.tolist())}
         rows = np.array([row_of[tuple(size)] for size in each.size_dbu.tolist()], dtype=np.uint16)
@@ -94,7 +89,6 @@ class JointSizes:
         Args:
             size_index: shape (n_y, n_x), sizes that keep the gap; 0 for no pillar, which stays so.
             target_rad: shape (2, n_y, n_x), target phases, not necessarily wrapped.
-            lattice: periods and neighbours.
             corner: (row, column) of the first site of the block on the lattice, which sets the colours.
         """
         cells = self.table.cells
@@ -126,10 +120,8 @@ def candidates(table: SizeTable, period_dbu: tuple[int, int], min_gap_dbu: float
     """List the distinct best sizes within all pairs of limits "width up to a, length up to b".
 
     The best size of all comes first, then the best of those that are narrower or shorter, down to sizes that fit next
-    to the largest pillar. The look-up table of ``table`` is not used.
-
-    Returns:
-        Shape (256, 256, 16), indexed [phi_y, phi_x]: sizes in order of falling overlap; 0 ends a list.
+    to the largest pillar. The look-up table of ``table`` is not used. The lists have the shape (256, 256, 16), indexed
+    [phi_y, phi_x], in order of falling overlap; 0 ends a list.
     """
     u = np.concatenate([table.t.real, table.t.imag], axis=1)[1:]
     limit_x, limit_y = (_first_limit(table.size_dbu[1:, axis], period_dbu[axis], min_gap_dbu) for axis in (0, 1))
@@ -252,10 +244,9 @@ def _restore_ring(size_index: SizeIndexArray, row: int, column: int, tables: _Ta
 def _make_room(
     size_index: SizeIndexArray, cell: NDArray[np.int32], row: int, column: int, tables: _Tables, old: SizeIndexArray
 ) -> float:
-    """Shrink the ``old`` neighbours that are too near to the new size of a site.
+    """Shrink the ``old`` neighbours that are too near to the new size of a site; return the overlap lost.
 
-    Returns:
-        Overlap lost: 0 if no neighbour is too near, infinity if one cannot fall back.
+    It is 0 if no neighbour is too near, and infinite if one cannot fall back.
     """
     cost = 0.0
     new = tables.size_dbu[size_index[row, column]]

@@ -193,15 +193,10 @@ def _ellipse_distance(x: float, y: float, a: FloatArray, b: FloatArray) -> float
 
 @compiled
 def distance(kind: int, radius: float, x: float, y: float, a: FloatArray, b: FloatArray) -> float:
-    """Distance between two pillars; negative if they overlap.
+    """Distance between two pillars of sizes (width, length) ``a`` and ``b``, shape (2,); negative if they overlap.
 
-    Args:
-        kind: :attr:`Outline.kind`; for round outlines the curve is meant, not its polygon.
-        radius: radius of rounded corners.
-        x: distance between the centres along x, >= 0.
-        y: distance between the centres along y, >= 0.
-        a: shape (2,), width and length of one pillar.
-        b: shape (2,), width and length of the other.
+    ``kind`` is :attr:`Outline.kind`; for round outlines the curve is meant, not its polygon. ``x`` and ``y``, at least
+    0, are the distances between the centres.
     """
     gap_x, gap_y = x - 0.5 * (a[0] + b[0]), y - 0.5 * (a[1] + b[1])
     if kind == 1:

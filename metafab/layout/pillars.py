@@ -154,18 +154,7 @@ class PillarMap(Displayed):
         tile_sites: int,
         angle_deg: FloatArray | None = None,
     ) -> PillarMap:
-        """Make a map from an array in memory, or on disk (memory-mapped).
-
-        Args:
-            lattice: lattice of the sites.
-            size_dbu: shape (n_sizes + 1, 2), as the attribute.
-            size_index: shape ``lattice.shape``.
-            tile_sites: sites per side of a tile.
-            angle_deg: shape (n_sizes + 1,), as the attribute.
-
-        Raises:
-            ValueError: ``size_index`` has another shape.
-        """
+        """Make a map from an array of the shape ``lattice.shape`` (else ValueError), in memory or on disk."""
         if size_index.shape != lattice.shape:
             raise ValueError(f"`size_index`: expected shape {lattice.shape}, got {size_index.shape}")
 
@@ -203,8 +192,7 @@ class PillarMap(Displayed):
     def to_xarray(self) -> xarray.Dataset:
         """Width and length of every pillar over (y_um, x_um), NaN where none stands; 8 bytes per site.
 
-        Raises:
-            MissingToolError: xarray is not installed.
+        MissingToolError without xarray.
         """
         axes, index = ("y_um", "x_um"), self.to_array()
         sizes = np.where(self.size_dbu > 0, self.size_nm(), np.nan).astype(np.float32)
@@ -217,13 +205,7 @@ class PillarMap(Displayed):
         """Return the pillars as a gdstk cell centred on the optical axis, in micrometres: one polygon a size.
 
         Each polygon carries its places as a repetition. For chips composed with gdstk or gdsfactory, up to some million
-        pillars; ``metafab.mask.write`` streams any number to a file.
-
-        Args:
-            name: name of the cell.
-            layer: layer of the pillars.
-            datatype: datatype of the pillars.
-            outline: outline of the pillars, such as ``Outline.of(design)``.
+        pillars; ``metafab.mask.write`` streams any number to a file. The outline is that of ``Outline.of(design)``.
         """
         import gdstk
 

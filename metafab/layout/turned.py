@@ -56,12 +56,10 @@ class TurnedRectangles(Outline):
 
 
 def turned_rectangles(size_dbu: NDArray[np.integer[Any]], angle_deg: FloatArray) -> IntArray:
-    """Return the vertices of turned rectangles about their centres, rounded to whole database units.
+    """Return the vertices of turned rectangles about their centres, rounded to whole database units: shape (n, 4, 2).
 
     Sizes, shape (n, 2), are width and length; angles, shape (n,), are counter-clockwise, 0 to below 90 degrees.
-
-    Returns:
-        Shape (n, 4, 2), counter-clockwise from the lowest vertex; of two that are as low, from the left one.
+    Vertices run counter-clockwise from the lowest; of two that are as low, from the left one.
     """
     cosine, sine = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     corners = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * size_dbu[:, None]
@@ -101,7 +99,6 @@ def assign_turned(
         design: lattice, aperture and rules. Bounding boxes keep the gap, so that no pair of neighbours is too close.
         angles: angles in half a turn, even, so that both diagonals are among them.
         size_step_nm: step of widths and lengths, rounded up to a multiple of ``sweep.size_grid_nm``.
-        progress: called while sites are assigned.
 
     Raises:
         InputError: the gap leaves no room for any pillar, or sizes lie off the mask's grid.
@@ -138,13 +135,9 @@ def assign_turned(
 def turned_sizes(design: Design, angles: int, size_step_nm: float) -> tuple[NDArray[np.int32], FloatArray]:
     """Return the sizes and angles of turned pillars that keep the rules; index 0 is no pillar.
 
-    There are ``angles`` in half a turn; the step of sizes is rounded up to a multiple of ``sweep.size_grid_nm``.
-
-    Returns:
-        Width and length, shape (n_sizes + 1, 2), database units, and angles, shape (n_sizes + 1,), 0 to below 90.
-
-    Raises:
-        InputError: the gap leaves no room for any pillar, or sizes lie off the mask's grid.
+    There are ``angles`` in half a turn; the step of sizes is rounded up to a multiple of ``sweep.size_grid_nm``. Width
+    and length have the shape (n_sizes + 1, 2), database units, angles (n_sizes + 1,), 0 to below 90. InputError as
+    :func:`assign_turned`.
     """
     sweep, unit_nm = design.unit_cell.sweep, design.mask.database_unit_nm
     step_nm = math.ceil(size_step_nm / sweep.size_grid_nm - 1e-6) * sweep.size_grid_nm

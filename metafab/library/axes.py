@@ -58,8 +58,7 @@ class CornerBox:
     def completed(self, corner: Corner) -> dict[str, float]:
         """Return ``corner`` with the nominal value of every axis that it does not name.
 
-        Raises:
-            InputError: the library lacks an axis, or a value lies outside its span (nothing is extrapolated).
+        An axis that the library lacks, or a value outside its span, raises InputError (nothing is extrapolated).
         """
         faults, completed = [], dict(self.nominal)
         for name, value in corner.items():
@@ -119,8 +118,7 @@ def corner_unit_cell(unit_cell: UnitCell, corner: Corner) -> UnitCell:
 def corner_cell(unit_cell: UnitCell, width_nm: float, length_nm: float, corner: Corner) -> PillarCell:
     """Return the cell of one pillar at a corner; axes that the corner does not name keep the unit cell's values.
 
-    Raises:
-        InputError: as :func:`metafab.cell.pillar_cell`.
+    Errors as :func:`metafab.cell.pillar_cell`.
     """
     bias = corner.get("cd_bias_nm", 0.0)
     angles = {azimuth: corner[name] for name, azimuth in _AZIMUTH_DEG.items() if name in corner}

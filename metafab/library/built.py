@@ -31,19 +31,16 @@ def build_file(
 
     Lone pillars that are in the file and current serve a training, or stay alone where the unit cell asks for no model
     any more. A killed build or training continues where it stopped: until the library is saved, files in its folder
-    keep what was solved. If two processes build one library, the second waits for the first and loads its file.
+    keep what was solved. If two processes build one library, the second waits for the first and loads its file. A
+    damaged checkpoint raises InputError.
 
     Args:
         unit_cell: unit cell with its sweep and, for a model of neighbours, the table ``[neighbours]``.
         path: library file; an earlier file is replaced once the new one is complete.
         target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
         executor: runs the solvers; None for this process.
-        progress: called with the number of solved sizes, and of solved rows.
         solver: solves one unit cell; must be importable by the workers.
         every_size: solve every distinct size of the grid, none by a model.
-
-    Raises:
-        InputError: a checkpoint is damaged.
     """
     unit_cell = with_target(unit_cell, target_error)
     asked = unit_cell.neighbours is not None

@@ -45,17 +45,10 @@ class Corners:
     def at(
         self, box: CornerBox, corner: Corner, width_nm: FloatArray, length_nm: FloatArray, exchange: bool
     ) -> tuple[RationalModel, FloatArray, FloatArray]:
-        """Return the model of a corner and its error bounds on a grid of sizes.
+        """Return the model of a corner's drawn sizes, and its error at and around each: shape (n_length, n_width).
 
-        Args:
-            box: axes of the library.
-            corner: a value for every axis, as :meth:`CornerBox.completed` returns.
-            width_nm: shape (n_width,).
-            length_nm: shape (n_length,).
-            exchange: whether t_xx(W, L) = t_yy(L, W) at this corner.
-
-        Returns:
-            Model of the drawn sizes, error at each size, and error around each size, shape (n_length, n_width) each.
+        The grid of sizes has the axes ``width_nm``, shape (n_width,), and ``length_nm``. ``corner`` holds a value for
+        every axis, as :meth:`CornerBox.completed` returns; ``exchange`` says whether t_xx(W, L) = t_yy(L, W) there.
         """
         bias_nm, axes = corner.get("cd_bias_nm", 0.0), box.to_variables(corner)
         models = self.models.at(axes, bias_nm)

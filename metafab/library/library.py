@@ -131,11 +131,8 @@ class Library(Displayed):
     def at(self, **axes: float) -> Library:
         """Return the library at other values of its axes: ``library.at(wavelength_nm=803.0, cd_bias_nm=2.0)``.
 
-        Returns:
-            A library with the amplitudes and errors of that corner; the library itself at the unit cell's values.
-
-        Raises:
-            InputError: an axis is not in ``unit_cell.sweep.axes``, or a value lies outside its span.
+        At the unit cell's values that is the library itself. An axis that is not in ``unit_cell.sweep.axes``, or a
+        value outside its span, raises InputError.
         """
         box = CornerBox.of(self.unit_cell)
         if box is None or self.corners is None:
@@ -176,8 +173,7 @@ class Library(Displayed):
     def surface(self) -> Surface:
         """The library as continuous functions of size, built on first use.
 
-        Raises:
-            InputError: the library has fewer than four widths or lengths, or holds circles.
+        Fewer than four widths or lengths, and circles, raise InputError.
         """
         if not self.known.all():
             expected = "a library of widths and lengths, which is continuous in both"
@@ -196,10 +192,8 @@ class Library(Displayed):
     def at_sizes(self, width_nm: ArrayLike, length_nm: ArrayLike) -> SizeResponse:
         """Return the stored values at sizes of the grid, at the design wavelength.
 
-        Widths and lengths have any one shape; each must be a size of the library to within 1e-3 nm.
-
-        Raises:
-            InputError: a size is not in the library (nothing is extrapolated or rounded).
+        Widths and lengths have any one shape; a size that is not in the library to within 1e-3 nm raises InputError
+        (nothing is extrapolated or rounded).
         """
         column = _index(self.width_nm, np.asarray(width_nm, dtype=np.float64), "width_nm")
         row = _index(self.length_nm, np.asarray(length_nm, dtype=np.float64), "length_nm")
@@ -238,11 +232,7 @@ class Library(Displayed):
         } | ({} if self.neighbours is None else {"neighbours": self.neighbours.summary})
 
     def to_xarray(self) -> xarray.Dataset:
-        """Amplitudes and errors over (wavelength_nm, length_nm, width_nm).
-
-        Raises:
-            MissingToolError: xarray is not installed.
-        """
+        """Amplitudes and errors over (wavelength_nm, length_nm, width_nm); MissingToolError without xarray."""
         axes = ("wavelength_nm", "length_nm", "width_nm")
         amplitudes = {name: (axes, getattr(self, name), "") for name in ("t_xx", "t_yy", "r_xx", "r_yy")}
         error = np.broadcast_to(self.error, self.t_xx.shape)
@@ -252,10 +242,8 @@ class Library(Displayed):
 def evaluate(library: Library, width_nm: ArrayLike, length_nm: ArrayLike, **axes: float) -> SizeResponse:
     """Evaluate a library between its sizes; to evaluate a corner often, keep ``library.at(...).surface``.
 
-    Widths and lengths of any shapes broadcast; ``axes`` are values of the library's, such as ``wavelength_nm=803.0``.
-
-    Raises:
-        InputError: a size lies outside the sweep, or a corner outside the library's axes.
+    Widths and lengths of any shapes broadcast; ``axes`` are values of the library's, such as ``wavelength_nm=803.0``. A
+    size outside the sweep, or a corner outside the library's axes, raises InputError.
     """
     return library.at(**axes).surface(width_nm, length_nm)
 

@@ -42,10 +42,7 @@ _DETAIL, _CORNER_DETAIL = "detail_", "detail_corner_"
 def save(library: Library, path: Path) -> None:
     """Write a library atomically; an earlier file of that name is replaced.
 
-    Equal builds give equal bytes, on any machine.
-
-    Raises:
-        InputError: ``library`` is a corner of another library.
+    Equal builds give equal bytes, on any machine. A corner of another library raises InputError.
     """
     if library.corner:
         corner = ", ".join(f"{name} = {value:g}" for name, value in library.corner.items())
@@ -78,8 +75,7 @@ def save(library: Library, path: Path) -> None:
 def load(path: Path | str) -> Library:
     """Read a library.
 
-    Raises:
-        InputError: the file is missing, truncated, of another kind or a newer format, or its content is inconsistent.
+    A file that is missing, truncated, of another kind, newer or inconsistent raises InputError.
     """
     with hdf5.open_kind(path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, remedy=_REMEDY) as file:
         wavelength_nm, length_nm, width_nm = (np.asarray(file[name][()], dtype=np.float64) for name in _AXES)
@@ -121,11 +117,9 @@ def is_current(path: Path, unit_cell: UnitCell) -> bool:
 
 
 def statistics_json(library: Library) -> dict[str, float | str]:
-    """Return the statistics of a build as one JSON table.
+    """Return the statistics of a build as one JSON table, without figures that do not apply to the library (NaN).
 
     Those of corners have the prefix ``corner_``, those of the model of neighbours ``neighbours_``.
-
-    Figures that do not apply to the library (NaN) are left out.
     """
     table: dict[str, float | str] = plain(library.statistics)
     if library.neighbours is not None:
@@ -200,11 +194,7 @@ def _corners(group: h5py.Group) -> Corners:
 def _checked(
     group: h5py.Group, weight: int, variables: int, numerator: ComplexArray, denominator: ComplexArray
 ) -> RationalModel:
-    """Return the model with the degrees and ranges stored in ``group``.
-
-    Raises:
-        KeyError: the number of coefficients does not fit the degrees.
-    """
+    """Model with the degrees and ranges stored in ``group``; KeyError if the coefficients do not fit the degrees."""
     above, below = (int(degree) for degree in group.attrs["degrees"])
     width_nm, length_nm = _span(group, "width_nm"), _span(group, "length_nm")
     shape = Shape((above, below), weight, variables)

@@ -68,12 +68,8 @@ class Surface:
     ) -> Surface:
         """Sample a model, finely enough that the spline adds little to the target error.
 
-        Args:
-            width_nm: shape (n_width,), uniform.
-            length_nm: shape (n_length,), uniform.
-            model: amplitudes.
-            error: shape (n_length, n_width), error of the model around each size.
-            target_error: largest error of the library in complex t.
+        Widths, shape (n_width,), and lengths, shape (n_length,), are uniform; ``error``, shape (n_length, n_width), is
+        that of the model around each size.
         """
         fine_width, fine_length = refined_axis(width_nm, STEPS), refined_axis(length_nm, STEPS)
         coefficients, node_error = _spline(model, fine_width, fine_length)
@@ -82,11 +78,7 @@ class Surface:
         return _tiled(fine_width, fine_length, coefficients, spline_error, cell_error, model, allowed)
 
     def __call__(self, width_nm: ArrayLike, length_nm: ArrayLike) -> SizeResponse:
-        """Evaluate at any sizes within the sweep; widths and lengths of any shapes broadcast.
-
-        Raises:
-            InputError: a size lies outside the sweep (nothing is extrapolated).
-        """
+        """Evaluate at any sizes within the sweep (else InputError); widths and lengths of any shapes broadcast."""
         widths, lengths = np.asarray(width_nm, dtype=np.float64), np.asarray(length_nm, dtype=np.float64)
         widths, lengths = np.broadcast_arrays(widths, lengths)
         shape, width, length = widths.shape, widths.ravel(), lengths.ravel()
@@ -134,11 +126,10 @@ def _tiled(
     """Cut a spline over a uniform grid into tiles and refine those whose error is too large.
 
     Args:
-        width_nm: shape (n_width,), nodes of the uniform grid.
-        length_nm: shape (n_length,), nodes of the uniform grid.
+        width_nm: shape (n_width,), nodes of the grid; likewise ``length_nm``.
         coefficients: shape (n_length + 2, n_width + 2, 2).
-        spline_error: shape (n_length - 1, n_width - 1), error of the spline in each cell.
-        library_error: shape (n_length - 1, n_width - 1), error of the interpolated amplitudes in each cell.
+        spline_error: shape (n_length - 1, n_width - 1), error of the spline in each cell; ``library_error``: error of
+            the interpolated amplitudes.
         model: amplitudes for finer tiles; None if there are none.
         allowed: largest error of a spline before its tile is refined.
     """
@@ -171,13 +162,10 @@ def _tiled(
 def _finer_tile(
     model: RationalModel, width_nm: FloatArray, length_nm: FloatArray, parts: int
 ) -> tuple[ComplexArray, FloatArray]:
-    """Coefficients of a finer spline over one tile, and its error in each cell.
+    """Coefficients of a finer spline over one tile, ``parts`` steps for each cell, and its error in each cell.
 
-    Args:
-        model: amplitudes; the spline's margin ends where its ranges end.
-        width_nm: shape (n_width,), nodes of the uniform grid from edge to edge of the tile.
-        length_nm: shape (n_length,), nodes of the uniform grid from edge to edge of the tile.
-        parts: steps of the tile's grid for each cell.
+    ``width_nm`` and ``length_nm``, shape (n,), are nodes of the uniform grid from edge to edge of the tile. The
+    spline's margin ends where the model's ranges end.
     """
     columns, left = _with_margin(refined_axis(width_nm, parts), model.width_nm)
     rows, bottom = _with_margin(refined_axis(length_nm, parts), model.length_nm)

@@ -38,12 +38,10 @@ _RUTILE_NM = (430.0, 1530.0)
 
 
 def refractive_index(material: Material, wavelength_nm: float) -> IndexPair:
-    """Return the complex index n + ik for x and y polarisation.
+    """Return the complex index n + ik for x and y polarisation at a vacuum wavelength.
 
-    Args:
-        material: explicit numbers; or the name of a record: one of :func:`records`, the path of a CSV file
-            (``wavelength_nm,n,k``), or ``shelf/book/page`` of refractiveindex.info (extra ``materials``).
-        wavelength_nm: vacuum wavelength.
+    A material has explicit numbers or the name of a record: one of :func:`records`, the path of a CSV file
+    (``wavelength_nm,n,k``), or ``shelf/book/page`` of refractiveindex.info (extra ``materials``).
 
     Raises:
         InputError: no such record, an unusable CSV file, or a wavelength outside the range of the record.

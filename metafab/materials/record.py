@@ -29,11 +29,7 @@ class IndexRecord:
     index: Callable[[float], IndexPair]
 
     def at(self, wavelength_nm: float) -> IndexPair:
-        """Complex index for x and y polarisation.
-
-        Raises:
-            InputError: the wavelength is outside the range of the source.
-        """
+        """Complex index for x and y polarisation; a wavelength outside the range of the source raises InputError."""
         low, high = self.range_nm
         if not low <= wavelength_nm <= high:
             raise InputError.single(
@@ -70,10 +66,8 @@ def sellmeier(terms: Iterable[tuple[float, float]]) -> Callable[[float], complex
 def read_table(path: Path, name: str) -> IndexRecord:
     """Read a record from a CSV file with the columns ``wavelength_nm,n,k``, linear between its rows.
 
-    Lines that begin with ``#`` are comments; the first of them is the citation.
-
-    Raises:
-        InputError: the file is missing, or its rows are not increasing wavelengths with n > 0 and k >= 0.
+    Lines that begin with ``#`` are comments; the first of them is the citation. A missing file, or rows that are not
+    increasing wavelengths with n > 0 and k >= 0, raise InputError.
     """
 
     def refuse(got: str) -> InputError:

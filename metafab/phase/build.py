@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,27 +16,26 @@ from metafab.core.storage.latest import Latest, file_mark
 from metafab.core.storage.pictures import read_grey
 from metafab.core.storage.tables import applicable
 from metafab.information.texture import Texture
-from metafab.phase.optimise.blind import BlindInformation, optimise_blind
+from metafab.phase.optimise.blind import BlindDesign, BlindInformation, optimise_blind
 from metafab.phase.optimise.peak import PeakDesign, optimise_peak
 from metafab.phase.optimise.rotation import helix_half_width, main_lobe, ring_rotation, rotation_deg_per_dioptre
-from metafab.phase.optimise.side_lobes import limit_side_lobes
+from metafab.phase.optimise.side_lobes import SideLobeDesign, limit_side_lobes
 from metafab.phase.pupil import Pupil, phasor, pupil_field, rim_defocus_rad
 from metafab.phase.terms.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.terms.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase, spiral_field
 from metafab.phase.terms.hologram import ImagePlane, design_hologram
 from metafab.phase.terms.profile import PhaseProfile, SumTerm, Term
-from metafab.phase.terms.sampled import SampledPhase, load_array
+from metafab.phase.terms.sampled import SampledMask, SampledPhase, load_array
 from metafab.phase.terms.zernike import RadialPhase, ZernikePhase, zernike_number
 from metafab.spec import terms as spec
 from metafab.spec.design import Design
 
 #: Depths at which the rotation is measured; between neighbours the lobe turns by less than half a turn.
 _ROTATION_DEPTHS = 49
-#: Depths and pupil samples of the search for information.
+#: Depths of the search for information.
 _BLIND_DEPTHS = 10
-_BLIND_SAMPLES = 64
-#: Pupil samples of a helix with limited side lobes.
-_LIMITED_SAMPLES = 64
+#: Pupil samples a side of a helix whose samples are free: of largest information, or with limited side lobes.
+_SEARCH_SAMPLES = 64
 #: Places along a side of the aperture at which the mean slope of a target is taken.
 _SLOPE_PLACES = 128
 #: Terms of the user's own, whose light may go anywhere.
@@ -45,18 +45,10 @@ _DIRECTIONS: Latest[tuple[tuple[float, float], tuple[float, float]]] = Latest()
 
 
 def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
-    """Build the target phase of a design.
+    """Build the target phase of a design, the sum of its phase terms, with its key figures.
 
-    Args:
-        design: its phase terms add up. ``spiral_zones`` is optimised as its ``optimise`` says, for the aperture of the
-            design and over one full turn of the lobe.
-        progress: called while optimising.
-
-    Returns:
-        The profile, with its key figures.
-
-    Raises:
-        InputError: a user's array or picture is unusable, or one polarisation has two terms with spiral zones.
+    ``spiral_zones`` is optimised as its ``optimise`` says, for the aperture of the design and over one full turn of the
+    lobe. An unusable array or picture, and two terms with spiral zones for one polarisation, raise InputError.
     """
     helices = [term.polarisation for term in design.phase if isinstance(term, spec.SpiralZones)]
     if len(helices) > 1 and (None in helices or len(set(helices)) < len(helices)):
@@ -126,82 +118,67 @@ def _conjugates_um(design: Design, object_depth_m: float | None) -> tuple[float,
 
 def _helix(design: Design, term: spec.SpiralZones, progress: Progress) -> tuple[Term, PhaseFigures]:
     """Spiral zones, optimised as the design file says, and their figures."""
-    radius_um = 0.5 * design.device.aperture_um
-    pupil = Pupil(shape=design.device.aperture_shape)
+    radius_um, shape = 0.5 * design.device.aperture_um, design.device.aperture_shape
     if term.optimise == "none":
         plain = SpiralZonesPhase(term.zones, term.exponent, radius_um, polarisation=term.polarisation)
-        return plain, _with_rotation(PhaseFigures(peak_gain=1.0), design, term, plain, pupil)
+        return plain, _with_rotation(PhaseFigures(peak_gain=1.0), design, term, plain, Pupil(shape=shape))
     brightest = optimise_peak(
         term.zones,
         term.exponent,
-        pupil=pupil,
+        pupil=Pupil(shape=shape),
         goal="worst" if term.optimise == "worst_peak" else "mean",
         iterations=max(1, round(design.numerics.iterations)),
         seed=design.numerics.seed,
         progress=progress,
     )
+    mask: PeakDesign | SampledMask = brightest
+    lobe, plain_lobe, pupil = brightest.lobe, brightest.plain, Pupil(_SEARCH_SAMPLES, shape)
     if term.optimise == "blind_information":
-        return _blind_helix(design, term, brightest, progress)
-    if term.side_lobe_limit is not None:
-        return _limited_helix(design, term, term.side_lobe_limit, brightest, progress)
-    helix = brightest.term(radius_um, term.polarisation)
+        mask, gain = _informed(design, term, brightest, pupil, progress)
+        lobe = main_lobe(pupil, phasor(mask.phase_rad), brightest.defocus_rad, helix_half_width(term.zones))
+        further = {"blind_information_gain": gain}
+    elif term.side_lobe_limit is not None:
+        mask = limited = _limited(design, term, term.side_lobe_limit, brightest, pupil, progress)
+        lobe, plain_lobe = limited.lobe, limited.plain
+        further = {"side_lobe": limited.limited, "side_lobe_without_limit": limited.limited_at_start}
+    else:
+        pupil, bound = Pupil(shape=shape), brightest.bound.dual
+        further = {"target_reached": brightest.reached, "target_bound": bound}
+        further["bound_fraction"] = brightest.bound_fraction
     figures = PhaseFigures(
-        peak_gain=brightest.peak_gain,
-        worst_gain=brightest.worst_gain,
-        peak_mean=float(brightest.lobe.peak.mean()),
-        target_reached=brightest.reached,
-        target_bound=brightest.bound.dual,
-        bound_fraction=brightest.bound_fraction,
+        peak_gain=lobe.peak_gain(plain_lobe),
+        worst_gain=lobe.worst_gain(plain_lobe),
+        peak_mean=float(lobe.peak.mean()),
+        **further,
     )
+    helix = mask.term(radius_um, term.polarisation)
     return helix, _with_rotation(figures, design, term, helix, pupil)
 
 
-def _limited_helix(
-    design: Design, term: spec.SpiralZones, limit: float, start: PeakDesign, progress: Progress
-) -> tuple[Term, PhaseFigures]:
+def _limited(
+    design: Design, term: spec.SpiralZones, limit: float, start: PeakDesign, pupil: Pupil, progress: Progress
+) -> SideLobeDesign:
     """The brightest helix whose side lobes stay below the limit."""
-    pupil = Pupil(_LIMITED_SAMPLES, design.device.aperture_shape)
     try:
-        limited = limit_side_lobes(
+        return limit_side_lobes(
             start, limit, over=term.side_lobe_over, pupil=pupil, exponent=term.exponent, progress=progress
         )
     except ValueError as error:
         expected = "a limit that some mask keeps"
         raise InputError.single(design.name, "phase.side_lobe_limit", expected, f"{limit:g}", str(error)) from error
-    helix = limited.term(0.5 * design.device.aperture_um, term.polarisation)
-    figures = PhaseFigures(
-        peak_gain=limited.peak_gain,
-        worst_gain=limited.lobe.worst_gain(limited.plain),
-        peak_mean=float(limited.lobe.peak.mean()),
-        side_lobe=limited.limited,
-        side_lobe_without_limit=limited.limited_at_start,
-    )
-    return helix, _with_rotation(figures, design, term, helix, pupil)
 
 
-def _blind_helix(
-    design: Design, term: spec.SpiralZones, start: PeakDesign, progress: Progress
-) -> tuple[Term, PhaseFigures]:
-    """The helix with the largest depth information for the scene over the depths of ``[verify]``."""
-    radius_um, scene = 0.5 * design.device.aperture_um, design.scene
+def _informed(
+    design: Design, term: spec.SpiralZones, start: PeakDesign, pupil: Pupil, progress: Progress
+) -> tuple[BlindDesign, float]:
+    """The helix with the largest depth information for the scene, and its gain over the plain spiral's."""
+    scene = design.scene
     assert scene is not None  # validated with the design
-    vergence = np.linspace(1.0 / design.depths_m[0], 1.0 / design.depths_m[-1], _BLIND_DEPTHS)
-    with np.errstate(divide="ignore"):  # The farthest depth may be infinite.
-        defocus = rim_defocus_rad(1.0 / vergence, design.sensor.focus_depth_m, radius_um, design.wavelength_um)
-    texture = Texture(electrons=scene.photons_per_pixel, read_noise_e=scene.read_noise_e)
-    pupil = Pupil(_BLIND_SAMPLES, design.device.aperture_shape)
-    problem = BlindInformation(pupil, defocus, texture)
+    _, defocus = _vergences(design, design.depths_m, _BLIND_DEPTHS)
+    problem = BlindInformation(pupil, defocus, Texture(scene.photons_per_pixel, read_noise_e=scene.read_noise_e))
     best = optimise_blind(problem, pupil_field(start.term(1.0), pupil, 1.0), iterations=20, progress=progress)
-    plain_information = problem.of_field(spiral_field(pupil, term.zones, term.exponent))
-    helix = best.term(radius_um, term.polarisation)
-    lobe = main_lobe(pupil, phasor(best.phase_rad), start.defocus_rad, helix_half_width(term.zones))
-    figures = PhaseFigures(
-        peak_gain=lobe.peak_gain(start.plain),
-        worst_gain=lobe.worst_gain(start.plain),
-        peak_mean=float(lobe.peak.mean()),
-        blind_information_gain=float(best.information.mean() / plain_information.mean()),
-    )
-    return helix, _with_rotation(figures, design, term, helix, pupil)
+    plain = problem.of_field(spiral_field(pupil, term.zones, term.exponent))
+    return best, float(best.information.mean() / plain.mean())
 
 
 def _with_rotation(
@@ -209,16 +186,13 @@ def _with_rotation(
 ) -> PhaseFigures:
     """Add the turn of the lobe over the depths of ``[verify]`` to the figures."""
     radius_um = 0.5 * design.device.aperture_um
-    nearest_m, farthest_m = design.verify.depths_m[0], design.verify.depths_m[-1]
     theory = rotation_deg_per_dioptre(term.zones, radius_um, design.wavelength_um)
     if term.optimise == "none" and term.zones > 1:
         theory *= -term.zones * ring_rotation(term.zones, term.exponent)[1]
     figures = replace(figures, rotation_deg_per_dioptre_theory=theory)
-    if nearest_m == farthest_m or term.zones == 1:
+    if design.verify.depths_m[0] == design.verify.depths_m[-1] or term.zones == 1:
         return replace(figures, rotation_deg=0.0)
-    vergence = np.linspace(1.0 / nearest_m, 1.0 / farthest_m, _ROTATION_DEPTHS)
-    with np.errstate(divide="ignore"):  # The farthest depth may be infinite.
-        defocus = rim_defocus_rad(1.0 / vergence, design.sensor.focus_depth_m, radius_um, design.wavelength_um)
+    vergence, defocus = _vergences(design, design.verify.depths_m, _ROTATION_DEPTHS)
     lobe = main_lobe(pupil, pupil_field(helix, pupil, radius_um), defocus, helix_half_width(term.zones))
     return replace(
         figures,
@@ -227,14 +201,21 @@ def _with_rotation(
     )
 
 
+def _vergences(design: Design, depths_m: Sequence[float], count: int) -> tuple[FloatArray, FloatArray]:
+    """Even vergences (1/m) from the first to the last depth, and the rim defocus (rad) at each."""
+    vergence = np.linspace(1.0 / depths_m[0], 1.0 / depths_m[-1], count)
+    with np.errstate(divide="ignore"):  # The farthest depth may be infinite.
+        depth_m = 1.0 / vergence
+    radius_um = 0.5 * design.device.aperture_um
+    return vergence, rim_defocus_rad(depth_m, design.sensor.focus_depth_m, radius_um, design.wavelength_um)
+
+
 def mean_direction(design: Design) -> tuple[tuple[float, float], tuple[float, float]]:
     """Direction cosines (x, y) that the mean slope of a design's own phases adds, for x and y polarised light.
 
-    Arrays and Zernike polynomials count. Gratings have their own direction; lenses, helices and holograms are centred
-    on it. The slope is the mean over the aperture of the wrapped difference between neighbouring sites.
-
-    Raises:
-        InputError: a user's array is unusable.
+    Arrays and Zernike polynomials count; an unusable array raises InputError. Gratings have their own direction;
+    lenses, helices and holograms are centred on it. The slope is the mean over the aperture of the wrapped difference
+    between neighbouring sites.
     """
     own = tuple(term for term in design.phase if isinstance(term, _OWN_PHASES))
     if not own:
@@ -262,11 +243,7 @@ def _mean_direction(design: Design, terms: list[Term]) -> tuple[tuple[float, flo
 
 
 def require_paintable(design: Design) -> None:
-    """Refuse pictures that cannot be read, are dark, or reach farther than the lattice can send light.
-
-    Raises:
-        InputError: all faults of all pictures.
-    """
+    """Raise InputError for pictures that cannot be read, are dark, or reach farther than the lattice can send light."""
     faults = []
     for number, term in enumerate(design.phase):
         if isinstance(term, spec.Picture):

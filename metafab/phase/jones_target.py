@@ -51,11 +51,7 @@ class JonesTarget:
         return cls(helix, np.array(places), distance_um, depth_m, 2.0 * math.pi / design.wavelength_um)
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
-        """Evaluate the sum at x, shape (n_x,), and y, shape (n_y,), from the axis.
-
-        Returns:
-            Shape (3, n_y, n_x), matrix entries xx, xy = yx and yy.
-        """
+        """Evaluate the entries xx, xy = yx and yy, shape (3, n_y, n_x), at x, shape (n_x,), and y from the axis."""
         helix_rad = self.helix(x_um, y_um)
         total = np.zeros((3, y_um.size, x_um.size), dtype=np.complex128)
         for index, (state, (place_x, place_y)) in enumerate(zip(JONES.conj(), self.places_um.tolist(), strict=True)):

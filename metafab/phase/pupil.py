@@ -126,17 +126,12 @@ class FocalPlane:
         return phasor(-np.outer(self.axis, self.pupil.axis))
 
     def psf(self, field: ComplexArray, defocus_rad: ArrayLike) -> FloatArray:
-        """Return the PSFs of a pupil field, shape (n,), at n_depth rim defocuses.
-
-        Returns:
-            Shape (n_depth, n_v, n_v), Strehl ratios.
-        """
-        defocus = np.atleast_1d(np.asarray(defocus_rad, dtype=np.float64))
-        images = [self._amplitude(field * phasor(value * self.pupil.radius_squared)) for value in defocus]
-        return np.stack([np.abs(image) ** 2 for image in images])
-
-    def _amplitude(self, field: ComplexArray) -> ComplexArray:
-        return np.asarray(self.kernel @ self.pupil.on_grid(field / self.pupil.count) @ self.kernel.T)
+        """Return the PSFs (Strehl ratios), shape (n_depth, n_v, n_v), of a field, shape (n,), at some rim defocuses."""
+        images = []
+        for value in np.atleast_1d(np.asarray(defocus_rad, dtype=np.float64)):
+            blurred = field * phasor(value * self.pupil.radius_squared) / self.pupil.count
+            images.append(np.abs(self.kernel @ self.pupil.on_grid(blurred) @ self.kernel.T) ** 2)
+        return np.stack(images)
 
 
 @dataclass(frozen=True)

@@ -50,13 +50,9 @@ def save(profile: PhaseProfile, design: Design, path: Path, *, samples: int = 40
 
 
 def load(path: Path) -> tuple[FloatArray, FloatArray]:
-    """Read the pupil part of the target phases from ``phase.h5``.
+    """Read positions along either axis, shape (n,), um, and the pupil part of the phases, shape (2, n, n), rad.
 
-    Returns:
-        Positions along either axis, shape (n,), um, and phases, shape (2, n, n), rad, NaN outside the aperture.
-
-    Raises:
-        InputError: the file is missing, truncated or foreign.
+    Phases are NaN outside the aperture. A missing, truncated or foreign file raises InputError.
     """
     remedy = "run `metafab run DESIGN.toml` again"
     with hdf5.open_kind(path, kind=KIND, format_version=FORMAT, remedy=remedy) as file:

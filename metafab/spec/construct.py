@@ -32,24 +32,16 @@ def make_unit_cell(
     lattice: Literal["rectangular", "hexagonal"] = "rectangular",
     target_error: float = 2e-3,
 ) -> UnitCell:
-    """Make a unit cell.
+    """Make a unit cell; InputError with all faults.
 
     Args:
         period_nm: lattice period, or (x, y).
-        height_nm: pillar height.
-        pillar: refractive index n + ik, or the name of a material record.
-        substrate: index or record.
-        wavelength_nm: vacuum wavelength.
+        pillar: refractive index n + ik, or the name of a material record; likewise ``substrate`` and ``ambient``.
         sizes_nm: smallest and largest width and length of a pillar.
         size_grid_nm: step of the sizes.
-        ambient: index or record.
         side: side from which the light comes.
         shape: cross-section of the pillar.
-        lattice: kind of lattice.
         target_error: largest error of complex t in a library of the cell.
-
-    Raises:
-        InputError: with all faults.
     """
     table = {
         "cell": {"period_nm": period_nm, "height_nm": height_nm, "shape": shape, "lattice": lattice},
@@ -83,27 +75,20 @@ def make_design(
     window_px: int = 64,
     target_error: float = 1e-3,
 ) -> Design:
-    """Make a design; the other keys of a design file keep their defaults.
+    """Make a design; the other keys of a design file keep their defaults. InputError with all faults.
 
     Args:
-        cell: the unit cell.
         aperture_um: diameter, or side of a square.
-        focal_length_mm: focal length.
         phase: terms of :mod:`metafab.spec.terms`, added up in order.
-        pixel_um: pixel pitch of the sensor.
         focus_depth_m: object depth for which the sensor is in focus.
         depths_m: depths at which PSFs are simulated, ascending; ``focus_depth_m`` alone by default.
         scene: a scene to photograph.
         name: name of the design and of the top cell of its mask.
-        aperture_shape: outline of the lens.
         min_gap_nm: smallest gap between pillars.
         min_feature_nm: smallest width or length.
         formats: formats of the mask; none for a lens simulated from its target phases.
         window_px: side of the PSF window.
         target_error: relative error of the PSFs.
-
-    Raises:
-        InputError: with all faults.
     """
     table = {
         "name": name,

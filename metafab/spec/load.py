@@ -19,19 +19,14 @@ from metafab.spec.toml import adapter, read_toml, unit_cell_of_library, validate
 
 
 def load_unit_cell(path: Path | str) -> UnitCell:
-    """Read a unit-cell file.
-
-    Raises:
-        InputError: the file cannot be read, or holds faults (all of them are reported).
-    """
+    """Read a unit-cell file; InputError if it cannot be read, or with all of its faults."""
     return validate(UnitCell, _table(Path(path), "a unit-cell file"), str(path))
 
 
 def load_unit_cell_of(library: Path) -> UnitCell:
     """Read the unit cell of a design's ``library``: a unit-cell file, or a built library that contains one.
 
-    Raises:
-        InputError: as :func:`load_unit_cell`.
+    Errors as :func:`load_unit_cell`.
     """
     if library.suffix == ".h5":
         return unit_cell_of_library(library)
@@ -41,8 +36,7 @@ def load_unit_cell_of(library: Path) -> UnitCell:
 def load_scene(path: Path | str) -> Scene:
     """Read a scene file: the keys of a design's ``[scene]`` table, at top level or under ``[scene]``.
 
-    Raises:
-        InputError: the file cannot be read, or holds faults (all of them are reported).
+    Errors as :func:`load_unit_cell`.
     """
     table = _table(Path(path), "a scene file")
     return validate(Scene, table.get("scene", table), str(path))
@@ -51,21 +45,17 @@ def load_scene(path: Path | str) -> Scene:
 def load_process(path: Path | str) -> Process:
     """Read a process file: the tables of a design's ``[process]``, at top level or under ``[process]``.
 
-    Raises:
-        InputError: the file cannot be read, or holds faults (all of them are reported).
+    Errors as :func:`load_unit_cell`.
     """
     table = read_toml(Path(path))
     return validate(Process, table.get("process", table), str(path))
 
 
 def load_design(path: Path | str) -> Design:
-    """Read a design file with the unit cell and the scene that it references.
+    """Read a design file with the unit cell, the scene and the process that it references.
 
     ``library`` is a unit-cell file or a built library, relative to the design; ``scene`` and ``process`` a table or a
-    file each.
-
-    Raises:
-        InputError: all faults of the design, its unit cell, its scene and its process, each with its path.
+    file each. InputError holds all faults of these files, each with its path.
     """
     path = Path(path)
     table = _table(path, "a design file")
@@ -99,11 +89,7 @@ _KINDS = {
 
 
 def _table(path: Path, expected: str) -> dict[str, Any]:
-    """Table of an input file.
-
-    Raises:
-        InputError: the file cannot be read, or is a file of another kind.
-    """
+    """Table of an input file; InputError if the file cannot be read, or is of another kind."""
     table = read_toml(path)
     found = {kind: len(keys & table.keys()) for kind, (keys, _) in _KINDS.items()}
     likeliest = max(found, key=lambda kind: found[kind])

@@ -40,8 +40,7 @@ class NewLens:
     def filled(self, unit_cell: UnitCell) -> dict[str, str]:
         """Return the placeholders of the kind "metalens": focal length, pixel and rules that fit the unit cell.
 
-        Raises:
-            InputError: an aperture out of range.
+        An aperture out of range raises InputError.
         """
         if not 0.0 < self.numerical_aperture < 1.0:
             got = f"{self.numerical_aperture:g}"
@@ -66,18 +65,15 @@ class NewLens:
 def write_new(
     name: str, kind: str, folder: Path, library: Path | None = None, lens: NewLens | None = None
 ) -> tuple[Path, ...]:
-    """Write ``folder/name.toml`` and the sample files of its kind.
+    """Write ``folder/name.toml`` and the sample files of its kind; return the files, the design first.
 
     Args:
         name: design name; letters, digits, ``_`` and ``-``.
         kind: one of :func:`kinds`.
         folder: output folder, created if missing.
-        library: unit-cell file or built library; None for the paper's: that in ``unitcell_lib`` of the folder or of
-            a folder above it, else a copy that is written beside the design.
+        library: unit-cell file or built library; None for the paper's: that in ``unitcell_lib`` of the folder or of a
+            folder above it, else a copy that is written beside the design.
         lens: aperture, for the kind "metalens"; None for its default.
-
-    Returns:
-        The files written, the design first.
 
     Raises:
         InputError: an unknown kind, an unfit name, a missing or faulty unit cell, or a file that is there already

@@ -92,8 +92,7 @@ class Rgbd(Checked):
     def depths_m(self) -> FloatArray:
         """Depths of the file, shape (n_y, n_x), top row first; NaN where they are unknown.
 
-        Raises:
-            InputError: the file cannot be read, or its depths make no sense.
+        A file that cannot be read, or whose depths make no sense, raises InputError.
         """
         values, largest_count = read_counts(self.depth_file)
         source, field = str(self.depth_file), "rgbd.depth_file"

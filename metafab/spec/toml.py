@@ -38,8 +38,7 @@ _LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}\.[ \t]*+){{32}}")
 def read_toml(path: Path) -> dict[str, Any]:
     """Read a TOML file and make its paths absolute.
 
-    Raises:
-        InputError: the file is missing, unreadable, no plain file, larger than any design, or no TOML.
+    A file that is missing, unreadable, no plain file, larger than any design, or no TOML raises InputError.
     """
     try:
         return parse_toml(_text(path), path.parent)
@@ -55,11 +54,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str, folder: Path) -> dict[str, Any]:
-    """Parse TOML and make its paths, which are relative to ``folder``, absolute.
-
-    Raises:
-        ValueError, RecursionError: no TOML.
-    """
+    """Parse TOML and make its paths, relative to ``folder``, absolute; ValueError or RecursionError if it is none."""
     table: dict[str, Any] = _resolved(tomllib.loads(text), folder)
     return table
 
@@ -78,11 +73,7 @@ def _text(path: Path) -> str:
 
 
 def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
-    """Convert ``table`` to a spec.
-
-    Raises:
-        InputError: with all faults of the table.
-    """
+    """Convert ``table`` to a spec; InputError with all faults of the table."""
     try:
         checked: Spec = adapter(spec).validate_python(table)
     except ValidationError as error:
@@ -93,8 +84,7 @@ def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:
 def unit_cell_of_library(path: Path) -> UnitCell:
     """The unit-cell spec stored in a built library (attribute ``unit_cell_toml``).
 
-    Raises:
-        InputError: the file is missing, truncated, foreign or of a newer format.
+    A file that is missing, truncated, foreign or newer raises InputError.
     """
     from metafab.core.storage import hdf5  # Loaded late: designs alone do not need HDF5.
 
@@ -104,15 +94,10 @@ def unit_cell_of_library(path: Path) -> UnitCell:
 
 
 def embedded_unit_cell(text: str, path: Path) -> UnitCell:
-    """The unit-cell spec of a library file; tables that it names are relative to the file's folder.
+    """The unit-cell spec of a library file ``path``; tables that it names are relative to the file's folder.
 
-    Args:
-        text: attribute ``unit_cell_toml``, as :func:`canonical_toml` wrote it for that folder.
-        path: the library file.
-
-    Raises:
-        InputError: faults of the spec.
-        ValueError, RecursionError: no TOML.
+    ``text`` is the attribute ``unit_cell_toml``, as :func:`canonical_toml` wrote it for that folder. Errors as
+    :func:`validate` and :func:`parse_toml`.
     """
     return validate(UnitCell, parse_toml(text, path.parent), str(path))
 

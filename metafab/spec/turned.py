@@ -8,11 +8,7 @@ from metafab.spec.terms import Axicon, Grating, Lens, SplitLens
 
 
 def require_turnable(design: Design) -> None:
-    """Refuse a design that turned pillars or a full-Stokes lens cannot follow, before any work.
-
-    Raises:
-        InputError: with one fault for each key of the design that is not available.
-    """
+    """Refuse a design that turned pillars or a full-Stokes lens cannot follow: InputError with all keys at fault."""
     cell, rules, mask = design.unit_cell.cell, design.rules, design.mask
     unavailable = {
         "unit_cell.cell.shape": cell.shape != "rectangle",

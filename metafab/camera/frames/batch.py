@@ -34,19 +34,10 @@ class Draw:
 def save_batch(
     draws: Iterable[Draw], count: int, scenes: Sequence[str], psf: Psf, path: Path, *, inputs_sha256: str = ""
 ) -> None:
-    """Write frames of one shape as they come, one in memory at a time; an interrupted write leaves no file.
+    """Write ``count`` frames of one shape as they come, one in memory at a time; an interrupted write leaves no file.
 
-    Args:
-        draws: the frames.
-        count: number of frames.
-        scenes: names of the scenes.
-        psf: pair that made them.
-        path: an .h5 file.
-        inputs_sha256: fingerprint of all inputs.
-
-    Raises:
-        InputError: a frame whose shape or place on the sensor is not the first one's.
-        OSError: the disk is full.
+    ``scenes`` are names, ``psf`` is the pair that made the frames. A frame whose shape or place on the sensor is not
+    the first one's raises InputError, a full disk OSError.
     """
     with hdf5.create(
         path, kind=BATCH_KIND, format_version=BATCH_FORMAT, inputs_sha256=inputs_sha256, streamed=True
@@ -86,8 +77,7 @@ def save_batch(
 def load_draw(path: Path | str, number: int) -> Draw:
     """Read one frame of a batch, numbered from 0.
 
-    Raises:
-        InputError: the file is missing, truncated, foreign or of a newer format, or has no such frame.
+    A file that is missing, truncated, foreign, newer, or without such a frame raises InputError.
     """
     remedy = "make it with `metafab capture SCENE.toml --psf PSF.h5 --draws N`"
     with hdf5.open_kind(path, kind=BATCH_KIND, format_version=BATCH_FORMAT, remedy=remedy) as file:

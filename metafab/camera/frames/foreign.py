@@ -52,7 +52,7 @@ def load_frame(path: Path, psf: Psf, *, counts: Counts = _ELECTRONS, first_row: 
 
     Returns:
         The frame in electrons, its lowest row first. Its ``saturation_e`` is ``counts.white``; without it, the file
-        type's largest value, or the frame's own largest value where many pixels share it (``saturation_assumed``).
+            type's largest value, or the frame's own largest value where many pixels share it (``saturation_assumed``).
 
     Raises:
         InputError: the file cannot be read, is no grey picture, or is metafab's own, in electrons already.
@@ -95,11 +95,7 @@ def _piled_up(values: FloatArray, black: float) -> float | None:
 
 
 def require_frame_name(path: Path) -> None:
-    """Check that a frame can be written to a file of this name.
-
-    Raises:
-        InputError: the ending of the name is not one of a raw frame.
-    """
+    """Raise InputError unless the ending of a name is one of a raw frame."""
     if path.suffix.lower() not in {*HDF5_SUFFIXES, *_COUNTED}:
         raise InputError.single(str(path), "output", "a .h5, .tif, .png or .npy file", repr(path.suffix))
 
@@ -108,10 +104,8 @@ def counts_of(frame: RawFrame, *, black: int = 0) -> Counts:
     """Meaning of the counts that :func:`save_counts` writes, with ``black`` for a pixel without light.
 
     The largest count of 16 bits is the frame's level of saturation, so that saturated pixels are known from the file
-    alone. Without such a level, a count is an electron.
-
-    Raises:
-        InputError: a black level outside the lower half of the 16 bits.
+    alone. Without such a level, a count is an electron. A black level outside the lower half of the 16 bits raises
+    InputError.
     """
     if not 0 <= black <= _FULL_COUNT // 2:
         raise InputError.single("counts", "black", f"0 to {_FULL_COUNT // 2} counts", f"{black}")
@@ -122,14 +116,9 @@ def counts_of(frame: RawFrame, *, black: int = 0) -> Counts:
 def save_counts(frame: RawFrame, path: Path, *, black: int = 0) -> None:
     """Write a frame as a camera would: whole counts of 16 bits, the axis in the middle, top row first.
 
-    Args:
-        frame: its pixels stand on whole multiples of the pitch from the axis; its truth is not written.
-        path: a .tif, .tiff, .png or .npy file.
-        black: counts of a pixel without light. With 0, noise below zero is cut off, and the mean of dark pixels rises
-            by 0.4 of the read noise.
-
-    Raises:
-        InputError: another kind of file, or a black level outside the lower half of the 16 bits.
+    The file is a .tif, .tiff, .png or .npy (else InputError), without the frame's truth. Pixels stand on whole
+    multiples of the pitch from the axis. With ``black`` = 0, noise below zero is cut off, and the mean of dark pixels
+    rises by 0.4 of the read noise; see :func:`counts_of`.
     """
     require_frame_name(path)
     meant = counts_of(frame, black=black)

@@ -70,11 +70,7 @@ class RawFrame(Displayed):
         }
 
     def to_xarray(self) -> xarray.Dataset:
-        """The frame over (y_um, x_um) on the sensor.
-
-        Raises:
-            MissingToolError: xarray is not installed.
-        """
+        """The frame over (y_um, x_um) on the sensor; MissingToolError without xarray."""
         (x, y), (n_y, n_x) = self.origin_um, self.frame.shape
         coordinates = {"y_um": y + np.arange(n_y) * self.pixel_um, "x_um": x + np.arange(n_x) * self.pixel_um}
         return dataset({"frame": (("y_um", "x_um"), self.frame, "electron")}, coordinates)

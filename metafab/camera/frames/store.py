@@ -48,11 +48,7 @@ def save(frame: RawFrame, path: Path, *, inputs_sha256: str = "") -> None:
 
 
 def load(path: Path | str) -> RawFrame:
-    """Read a frame.
-
-    Raises:
-        InputError: the file is missing, truncated, foreign or of a newer format.
-    """
+    """Read a frame; InputError if the file is missing, truncated, foreign or of a newer format."""
     remedy = "make it with `metafab capture SCENE.toml --psf PSF.h5`"
     with hdf5.open_kind(path, kind=RAW_KIND, format_version=RAW_FORMAT, remedy=remedy) as file:
         truth, truth_origin_um = None, None

@@ -54,11 +54,8 @@ class FieldBlur:
     def __call__(self, light: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
         """Blur the light (electrons a pixel) of a layer, zero outside, by the kernels of its pixels' directions.
 
-        Light and directions have the shape (n_y, n_x).
-
-        Returns:
-            The full convolution, shape (n_y + k_y - 1, n_x + k_x - 1); the layer's pixel [0, 0] is at
-            ``[k_y // 2, k_x // 2]``.
+        Light and directions have the shape (n_y, n_x), the full convolution (n_y + k_y - 1, n_x + k_x - 1); the layer's
+        pixel [0, 0] is at ``[k_y // 2, k_x // 2]``.
         """
         weights = self.kernels.field_weights(tangent_x, tangent_y).reshape(*light.shape, -1)
         return np.asarray(self._spread(light[None], weights, len(self.basis))[0])

@@ -165,15 +165,9 @@ def _add_hidden(
 ) -> None:
     """Add the bilinear coverage of a mask where the rays from pixels to aperture points cross it.
 
-    Args:
-        hidden: shape (n_pixels, n_points), added to.
-        rows: shape (n_pixels,), rows of the pixels.
-        columns: shape (n_pixels,), columns of the pixels.
-        vergence_per_m: shape (n_pixels,), of the surface.
-        coverage: shape (n_y, n_x), of the mask.
-        mask_per_m: shape (n_y, n_x), vergence of the mask.
-        corner: (row, column) of the mask's first pixel.
-        points: shape (n_points, 2), shift (columns, rows) per 1/m.
+    ``hidden`` has the shape (n_pixels, n_points); rows, columns and vergence of the pixels (n_pixels,), coverage and
+    vergence of the mask (n_y, n_x). ``corner`` is (row, column) of the mask's first pixel, ``points``, shape (n_points,
+    2), the shift (columns, rows) per 1/m.
     """
     n_y, n_x = coverage.shape
     for pixel in range(rows.size):

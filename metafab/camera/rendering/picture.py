@@ -31,11 +31,7 @@ _OUTLINE_PX = 1.0
 
 
 def require_objects(scene: Scene) -> None:
-    """Refuse a picture with its depth where only objects can be photographed.
-
-    Raises:
-        InputError: the scene is a picture with its depth.
-    """
+    """Raise InputError for a picture with its depth where only objects can be photographed."""
     if scene.rgbd is not None:
         remedy = "give `objects`, or photograph it with a pair over depth"
         raise InputError.single("scene", "rgbd", "objects at depths of their own", "a picture with its depth", remedy)
@@ -52,11 +48,7 @@ class DepthPicture:
 
     @classmethod
     def of(cls, scene: Scene, pixel_tangent: float) -> DepthPicture:
-        """Read the files of a scene.
-
-        Raises:
-            InputError: a file cannot be read, or shapes and values do not fit.
-        """
+        """Read the files of a scene; InputError if one cannot be read, or shapes and values do not fit."""
         if scene.rgbd is None:
             raise InputError.single("scene", "rgbd", "a picture with its depth", "none")
         spec, shape = scene.rgbd, scene.field_px
@@ -100,15 +92,10 @@ def pieces(
     """Yield what is seen of a picture through the aperture: its surface, and the surface behind its outlines.
 
     Args:
-        picture: the picture.
-        tangent_x: shape (n_y, n_x), x/z of the grid's directions.
-        tangent_y: shape (n_y, n_x), y/z of the grid's directions.
-        layers_m: shape (n,), calibrated depths.
+        tangent_x: shape (n_y, n_x), x/z of the grid's directions; likewise ``tangent_y``.
+        layers_m: shape (n,), calibrated depths; InputError for depths outside of them.
         shifts_px_m: shape (n, 2), shift (columns, rows) of outlines by each aperture point, pixels per 1/m.
         polarisation: 0 for x, 1 for y.
-
-    Raises:
-        InputError: a depth is outside the calibrated range.
     """
     light, depth_m, contrast = picture.at(tangent_x, tangent_y)
     light = light * (2.0 * contrast if polarisation == 0 else 2.0) / (1.0 + contrast)

@@ -51,15 +51,10 @@ class Window:
 
 
 def shifts_px_m(aperture_um: FloatArray | None, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
-    """Shift of outlines as seen from each point of the aperture, on a grid of directions.
+    """Shift of outlines as seen from each point of the aperture, on a grid of directions, shape (n_y, n_x) each.
 
-    Args:
-        aperture_um: shape (n, 2), points of the aperture; None for a pinhole.
-        tangent_x: shape (n_y, n_x), x/z of the grid's directions.
-        tangent_y: shape (n_y, n_x), y/z of the grid's directions.
-
-    Returns:
-        Shape (n, 2): (columns, rows) for each 1/m between the vergences of two surfaces; (0, 0) for a pinhole.
+    Aperture points have the shape (n, 2), None for a pinhole; shifts too, (columns, rows) for each 1/m between the
+    vergences of two surfaces, (0, 0) for a pinhole.
     """
     if aperture_um is None:
         return PINHOLE
@@ -70,8 +65,7 @@ def shifts_px_m(aperture_um: FloatArray | None, tangent_x: FloatArray, tangent_y
 def sensor_windows(scene: Scene, psf: Psf, image_map: ImageMap) -> tuple[Window, Window]:
     """The x polarisation's window of ``field_px`` pixels about the axis, and the window that holds its twin.
 
-    Raises:
-        InputError: the two images overlap.
+    Images that overlap raise InputError.
     """
     pixel = psf.pixel_um
     n_y, n_x = scene.field_px

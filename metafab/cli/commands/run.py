@@ -108,12 +108,7 @@ def run_command(
 
 
 def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
-    """Return the most important figures of a run and the path of its report, as text by label.
-
-    Args:
-        summary: summary of the run; figures of steps that were not needed are left out.
-        folder: the run folder.
-    """
+    """Return the most important figures of a run and the path of its report, as text by label."""
     lines: dict[str, str] = {}
     if (library := summary.library) is not None:
         lines |= _library_error(library, summary.layout)

@@ -44,7 +44,6 @@ def solver_errors(
     ratio of slopes where it is steeper than they are.
 
     Args:
-        grid: sizes.
         sizes_nm: shape (2, n), solved widths and lengths, their mirror images included where the grid has exchange.
         error: shape (n,), certificates of the solved sizes.
         model: amplitudes; None if every size was solved.
@@ -91,10 +90,9 @@ def steepness(model: RationalModel, width_nm: FloatArray, length_nm: FloatArray)
 
 
 def amplitude_slopes(model: RationalModel, width_nm: FloatArray, length_nm: FloatArray) -> FloatArray:
-    """Return the slope of the steepest amplitude on a grid with ``SUBSTEPS`` parts for each step.
+    """Return the slope of the steepest amplitude, per part of a step, on a grid with ``SUBSTEPS`` parts for each step.
 
-    Returns:
-        Change per part of a step, shape ((n_length - 1) SUBSTEPS + 1, (n_width - 1) SUBSTEPS + 1).
+    Its shape is ((n_length - 1) SUBSTEPS + 1, (n_width - 1) SUBSTEPS + 1).
     """
     values = model.on_grid(refined_axis(width_nm, SUBSTEPS), refined_axis(length_nm, SUBSTEPS))
     slope = np.zeros(values.shape[1:])

@@ -40,15 +40,10 @@ class RankedModels:
     rivals: tuple[RationalModel, ...]
 
     def disagreement(self, width_nm: FloatArray, length_nm: FloatArray, *, around: bool = False) -> FloatArray:
-        """Return the largest difference of any amplitude between the best model and a rival on a grid of sizes.
+        """Return the largest difference of any amplitude between the best model and a rival: shape (n_length, n_width).
 
-        Args:
-            width_nm: shape (n_width,).
-            length_nm: shape (n_length,).
-            around: take the largest difference up to half a step around each size, which detects spurious poles.
-
-        Returns:
-            Shape (n_length, n_width).
+        The grid of sizes has the axes ``width_nm``, shape (n_width,), and ``length_nm``. With ``around``, the largest
+        difference up to half a step around each size counts, which detects spurious poles.
         """
         if around:
             fine = self.disagreement(refined_axis(width_nm, 2), refined_axis(length_nm, 2))
@@ -58,12 +53,7 @@ class RankedModels:
         return np.asarray(np.max(differences, axis=0), dtype=np.float64)
 
     def at(self, axes: FloatArray, bias_nm: float) -> RankedModels:
-        """Return the models of one corner.
-
-        Args:
-            axes: shape (n_variables,), each in -1..1.
-            bias_nm: bias of width and length.
-        """
+        """Return the models of one corner: axes, shape (n_variables,), each in -1..1, and bias of width and length."""
         return RankedModels(self.best.at(axes, bias_nm), tuple(rival.at(axes, bias_nm) for rival in self.rivals))
 
 
@@ -72,11 +62,8 @@ def fit_size_models(
 ) -> RankedModels:
     """Rank degrees of models over sizes alone by their error at held-out samples, then fit the two best to all samples.
 
-    Args:
-        samples: solved sizes.
-        held_out: shape (n,), True for samples that rank the degrees.
-        spans_nm: ranges of width and length.
-        exchange: whether t_yy(W, L) = t_xx(L, W).
+    ``held_out``, shape (n,), is True for samples that rank the degrees; ``spans_nm`` are the ranges of width and
+    length; ``exchange`` says whether t_yy(W, L) = t_xx(L, W).
     """
 
     def fit(some: Samples, shape: Shape) -> RationalModel:
@@ -94,11 +81,8 @@ def fit_corner_models(
 ) -> RankedModels:
     """Rank shapes of models over sizes and axes by their error at held-out samples, then fit the best to all samples.
 
-    Args:
-        samples: solved cells.
-        held_out: shape (n,), True for samples that rank the shapes.
-        spans_nm: ranges of width and length.
-        exchange: whether t_yy(W, L) = t_xx(L, W) at every corner.
+    The arguments are those of :func:`fit_size_models`; ``held_out`` has the shape (n,), ``exchange`` holds at every
+    corner.
     """
 
     def fit(some: Samples, shape: Shape) -> RationalModel:

@@ -98,15 +98,9 @@ class RationalModel:
     denominator: ComplexArray  #: Shape (2, n_denominator_terms): polarisation, term.
 
     def __call__(self, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray | None = None) -> ComplexArray:
-        """Evaluate at scattered cells.
+        """Evaluate t_xx, t_yy, r_xx, r_yy at n cells, shape (n, 4), from widths and lengths, shape (n,).
 
-        Args:
-            width_nm: shape (n,).
-            length_nm: shape (n,).
-            axes: shape (n, n_variables), each in -1..1; None for a model of sizes alone.
-
-        Returns:
-            t_xx, t_yy, r_xx, r_yy, shape (n, 4).
+        ``axes``, shape (n, n_variables), are each in -1..1; None for a model of sizes alone.
         """
         u, v = scaled(width_nm, self.width_nm), scaled(length_nm, self.length_nm)
         above, below = _bases(self.shape, u, v, np.zeros((u.size, 0)) if axes is None else axes)
@@ -114,11 +108,7 @@ class RationalModel:
         return np.stack([x[:, 0], y[:, 0], x[:, 1], y[:, 1]], axis=1)
 
     def on_grid(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
-        """Evaluate a model of sizes alone on the grid of two axes, shapes (n_width,) and (n_length,).
-
-        Returns:
-            t_xx, t_yy, r_xx, r_yy, shape (4, n_length, n_width).
-        """
+        """Evaluate t_xx, t_yy, r_xx, r_yy of sizes alone on a grid, shape (4, n_length, n_width), from its two axes."""
         u, v = scaled(width_nm, self.width_nm), scaled(length_nm, self.length_nm)
         above, below = self.shape.degrees
         coefficients = zip(self.numerator, self.denominator, strict=True)
@@ -126,11 +116,9 @@ class RationalModel:
         return np.stack([x[0], y[0], x[1], y[1]])
 
     def at(self, axes: FloatArray, bias_nm: float = 0.0) -> RationalModel:
-        """Return the model of one corner: a function of the drawn sizes alone.
+        """Return the model of one corner, a function of the drawn sizes alone; sizes as made have the bias added.
 
-        Args:
-            axes: shape (n_variables,), each in -1..1.
-            bias_nm: bias of width and length; sizes as made are the drawn ones plus the bias.
+        ``axes``, shape (n_variables,), are each in -1..1.
         """
         width_nm, length_nm = ((low - bias_nm, high - bias_nm) for low, high in (self.width_nm, self.length_nm))
         sizes_alone = Shape(self.shape.degrees)
@@ -147,10 +135,9 @@ def fit_model(
     mirrored: NDArray[np.bool_] | None,
     penalised: bool = False,
 ) -> RationalModel:
-    """Fit a rational model to both polarisations by least squares.
+    """Fit a rational model to both polarisations of n solved cells by least squares.
 
     Args:
-        samples: n solved cells.
         shape: products of polynomials.
         spans_nm: ranges of width and length; equal where x and y can be exchanged.
         mirrored: shape (n,), True for samples whose mirror image counts as well. One fit then serves both

@@ -119,16 +119,10 @@ def refined_axis(axis_nm: FloatArray, parts: int) -> FloatArray:
 
 
 def worst_points(grid: SizeGrid, estimate: FloatArray, excluded: NDArray[np.bool_], count: int) -> IndexArray:
-    """Return the distinct points with the largest error estimates, no two within two grid steps of each other.
+    """Return the numbers of the distinct points with the largest error estimates, at most ``count``, worst first.
 
-    Args:
-        grid: sizes.
-        estimate: shape (n_length, n_width), error estimate of each point.
-        excluded: shape (n_points,), True for points that are not returned, such as solved ones.
-        count: largest number of points.
-
-    Returns:
-        Numbers of the points, shape (at most count,), worst first.
+    No two lie within two grid steps of each other. Estimates have the shape (n_length, n_width); ``excluded``, shape
+    (n_points,), is True for points that are not returned, such as solved ones.
     """
     worst = estimate.ravel()
     if grid.exchange:

@@ -42,7 +42,9 @@ def import_sweep(
     quantity: Quantity,
     time_sign: Literal["minus", "plus"] = "minus",
 ) -> Library:
-    """Make a library of a sweep in a file.
+    """Make a library of a sweep in a file, with ``error`` from cross-validation; reflection is unknown (NaN).
+
+    Amplitudes and errors are NaN at sizes outside the hull of the samples.
 
     Args:
         path: .csv, .npz or .h5 (:mod:`metafab.library.foreign.table`).
@@ -50,10 +52,6 @@ def import_sweep(
         quantity: "field" for the ratio of the electric fields, "power" if the modulus is the power transmittance, "s21"
             for a scattering parameter that is normalised to power.
         time_sign: sign in exp(-+ i omega t) of the program; amplitudes of "plus" are conjugated.
-
-    Returns:
-        The library, with ``error`` from cross-validation; NaN at sizes outside the hull of the samples. Reflection is
-        unknown (NaN).
 
     Raises:
         InputError: the file cannot be used, a shape does not fit, or the amplitudes exceed the incident power.

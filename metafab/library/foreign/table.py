@@ -45,11 +45,7 @@ class SweepTable:
 
 
 def read_sweep(path: Path) -> SweepTable:
-    """Read a sweep.
-
-    Raises:
-        InputError: the file cannot be read, lacks a column, or has no finite row.
-    """
+    """Read a sweep; InputError if the file cannot be read, lacks a column, or has no finite row."""
     columns = _columns(path)
     sizes, circles = _sizes(columns, path)
     shape = np.broadcast_shapes(*(size.shape for size in sizes))

@@ -118,13 +118,10 @@ class GridSampling:
 def fit_solved(
     grid: SizeGrid, solved: dict[int, SolvedPoint], held_out: IndexArray, more: Samples | None = None
 ) -> RankedModels:
-    """Fit models to solved sizes.
+    """Fit models to solved sizes, answers by number.
 
-    Args:
-        grid: sizes.
-        solved: answers by number.
-        held_out: shape (n,), numbers of the sizes that rank the models' degrees.
-        more: samples off the grid, which rank the degrees as well.
+    ``held_out``, shape (n,), are numbers of the sizes that rank the models' degrees; samples off the grid (``more``)
+    rank them as well.
     """
     numbers = np.array(sorted(solved), dtype=np.intp)
     samples = samples_at(grid, {int(number): solved[int(number)] for number in numbers})
@@ -141,15 +138,7 @@ def sample_grid(
     fit: FitModels = fit_solved,
     first_round: int = FIRST_ROUND,
 ) -> GridSampling:
-    """Solve sizes until the model's error estimate is within the tolerance at every other size.
-
-    Args:
-        grid: sizes.
-        solve_sizes: solves sizes by number.
-        tolerance: largest error of the model.
-        fit: fits the models.
-        first_round: number of sizes of the first round.
-    """
+    """Solve sizes until the model's error estimate is within the tolerance at every other size."""
     batch = grid.even_order if grid.diagonal else grid.even_order[:first_round]
     solved = solve_sizes(batch, batch.size)
     ranking, left, factor, rounds = batch[-(batch.size // 4) :], 0, 1.0, 1
@@ -186,8 +175,7 @@ def prediction_errors(
 ) -> tuple[FloatArray, FloatArray]:
     """Compare a model that was fitted without some sizes with the answers at them, by number.
 
-    Returns:
-        Largest error of any amplitude, and the solver's own error, of each new size: shape (n,) each.
+    Returns the largest error of any amplitude, and the solver's own error, of each new size: shape (n,) each.
     """
     predicted = model(*grid.sizes_nm(np.array(list(new), dtype=np.intp)))
     miss = np.abs(predicted - amplitudes_of(list(new.values()))).max(axis=-1)
@@ -195,14 +183,10 @@ def prediction_errors(
 
 
 def error_ratio(miss: FloatArray, certificate: FloatArray, disagreement: FloatArray) -> float:
-    """Return the largest ratio of prediction errors to the models' disagreement, at least 1.
+    """Return the largest ratio of prediction errors to the models' disagreement, at least 1; shapes (n,).
 
-    The disagreement must not contain the factor of an earlier round, which would make the next factor too small.
-
-    Args:
-        miss: shape (n,), errors of predictions.
-        certificate: shape (n,), the solver's own errors, for which the model is not to blame.
-        disagreement: shape (n,), disagreement of the models.
+    The disagreement must not contain the factor of an earlier round, which would make the next factor too small. The
+    model is not to blame for the solver's own errors (``certificate``).
     """
     return max(1.0, float(np.max(miss / (disagreement + certificate))))
 

@@ -69,22 +69,17 @@ def build(
 ) -> Library:
     """Sweep width and length on the manufacturable grid until every size is known to the target error.
 
+    The library's ``error`` is solver certificate plus interpolation estimate at each size.
+    ``statistics.sizes_beyond_target`` counts the sizes whose error is above the target.
+
     Args:
         unit_cell: unit cell with its sweep.
         target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
         executor: runs the solver; None for this process.
-        checkpoint: file that keeps the solved sizes; after a kill, a call with equal arguments continues from it. It
-            is not removed at the end.
-        progress: called with the number of solved sizes and the expected number.
+        checkpoint: file that keeps the solved sizes; after a kill, a call with equal arguments continues from it. It is
+            not removed at the end. One of another build raises InputError.
         solver: solves one unit cell; must be importable by the workers.
         numerics: size of the adaptive sampling.
-
-    Returns:
-        The library. Its ``error`` is solver certificate plus interpolation estimate at each size.
-        ``statistics.sizes_beyond_target`` counts the sizes whose error is above the target.
-
-    Raises:
-        InputError: ``checkpoint`` belongs to another build.
     """
     unit_cell = with_target(unit_cell, target_error)
     with Checkpoint(checkpoint, inputs_of(unit_cell)) as record:
@@ -115,15 +110,7 @@ def build_lone(
 
 
 def estimate_cost(unit_cell: UnitCell, *, target_error: float | None = None) -> BuildCost | None:
-    """Estimate the cells and the processor time of a build, but not of one by Meep.
-
-    Args:
-        unit_cell: unit cell with its sweep.
-        target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
-
-    Returns:
-        None for Meep, whose time depends far more on the machine and on resonances.
-    """
+    """Estimate the cells and the processor time of a build; None for Meep, whose time varies far more."""
     if unit_cell.solver.name != "rcwa":
         return None
     solver_error = SOLVER_SHARE * (target_error or unit_cell.sweep.target_error)

@@ -83,15 +83,9 @@ class CornerSequence:
         return corner_cell(self._unit_cell, float(self.width_nm[k]), float(self.length_nm[k]), corner)
 
     def solve(self, solve_points: PointSolver, batch: IndexArray, expected_total: int) -> list[SolvedPoint]:
-        """Solve cells of the sequence.
+        """Solve cells of the sequence, shape (n,) indices; return their answers in this order.
 
-        Args:
-            solve_points: solves cells by checkpoint number.
-            batch: shape (n,), indices into the sequence.
-            expected_total: cells that the whole build may need.
-
-        Returns:
-            Answers in the order of ``batch``.
+        ``solve_points`` solves cells by checkpoint number; the whole build may need ``expected_total`` cells.
         """
         numbers = batch + self._first
         answers = solve_points(numbers, expected_total)
@@ -118,12 +112,10 @@ def sample_corners(
 
     Args:
         grid: sizes of the nominal library.
-        box: axes and their spans.
         sequence: cells to choose from.
         nominal: answers of the nominal library by number.
         solve_points: solves cells of the sequence by checkpoint number.
         tolerance: largest error of the model.
-        numerics: size of the sampling.
     """
     dimensions = sequence.place.shape[1]
     most, nominal_count = numerics.most_cells * dimensions, len(nominal)

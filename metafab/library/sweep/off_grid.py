@@ -121,8 +121,7 @@ class OffGridSampler:
     def sample_steep_places(self, off_grid: OffGridSampling, target: float) -> OffGridSampling:
         """Solve the steepest places around sizes whose error bound, solver and model together, is above ``target``.
 
-        Returns:
-            ``off_grid`` with the new answers, and with the model's errors at them.
+        Returns ``off_grid`` with the new answers, and with the model's errors at them.
         """
         if off_grid.models is None:
             return off_grid

@@ -22,20 +22,15 @@ def half_space_indices(unit_cell: UnitCell) -> tuple[ComplexArray, ComplexArray]
 
 
 def power_transmittance(library: Library) -> FloatArray:
-    """Return the zero-order power transmittance |t|^2 n_out / n_in of every size.
-
-    Returns:
-        Shape (n_length, n_width, 2), for x and y polarisation.
-    """
+    """Return the zero-order power transmittance |t|^2 n_out / n_in, shape (n_length, n_width, 2), for x and y."""
     n_in, n_out = half_space_indices(library.unit_cell)
     return np.asarray(np.abs(library.t) ** 2 * (n_out.real / n_in.real), dtype=np.float64)
 
 
 def empty_cell_t(unit_cell: UnitCell) -> ComplexArray:
-    """Return the transmission of a cell without a pillar: Fresnel's t and a path of one pillar height in the ambient.
+    """Return the transmission of a cell without a pillar for x and y polarisation, shape (2,).
 
-    Returns:
-        Shape (2,), x and y polarisation.
+    It is Fresnel's t and a path of one pillar height in the ambient.
     """
     n_in, n_out = half_space_indices(unit_cell)
     light = unit_cell.illumination
@@ -47,8 +42,7 @@ def empty_cell_t(unit_cell: UnitCell) -> ComplexArray:
 def power_amplitudes(library: Library, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
     """Return t sqrt(n_out / n_in) of n upright pillars of the library's grid, zero order: shape (n, 2), for x and y.
 
-    Raises:
-        InputError: the library does not hold a size.
+    A size that the library does not hold raises InputError.
     """
     return power_normalised(library.at_sizes(width_nm, length_nm), library.unit_cell)
 
@@ -63,10 +57,8 @@ def turned_jones(amplitudes: ComplexArray, angle_deg: FloatArray) -> ComplexArra
     """Return the Jones matrices R(-a) diag(a_x, a_y) R(a) of pillars rotated counter-clockwise by an angle a.
 
     This rotates the library's lattice too, while the lattice of a mask does not rotate: an additional approximation
-    beyond the local period. Amplitudes of the upright pillars have the shape (..., 2), angles in degrees (...).
-
-    Returns:
-        Shape (..., 3), matrix entries xx, xy = yx and yy.
+    beyond the local period. Amplitudes of the upright pillars have the shape (..., 2), angles in degrees (...), the
+    entries xx, xy = yx and yy (..., 3).
     """
     a_x, a_y = amplitudes[..., 0], amplitudes[..., 1]
     cosine, sine = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))

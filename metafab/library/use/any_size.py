@@ -35,12 +35,8 @@ def solved_amplitudes(
     """Return (t_xx, t_yy) of cells, each with a number of slices of its sidewall; shape (n, 2).
 
     All are solved at one truncation of one solver, so that its error is nearly the same with and without a small
-    change: by spectral elements where all cells have them, and otherwise by RCWA.
-
-    Args:
-        tasks: cells and slices.
-        executor: solves cells; None for this process. The result does not depend on it.
-        progress: called as cells are solved.
+    change: by spectral elements where all cells have them, and otherwise by RCWA. The result does not depend on the
+    executor (None for this process).
     """
     has_elements = all(curved.is_treated(cell) for cell, _ in tasks)
     amplitudes = np.empty((len(tasks), 2), dtype=np.complex128)
@@ -61,15 +57,10 @@ def _solve(task: tuple[PillarCell, int], *, has_elements: bool) -> ComplexArray:
 
 
 def response_of_sizes(library: Library, size_nm: FloatArray, executor: Executor | None = None) -> SizeResponse:
-    """Return the transmission of any sizes.
+    """Return the transmission of any sizes: positive widths and lengths, shape (n, 2).
 
-    Args:
-        library: library of the pillars.
-        size_nm: shape (n, 2), width and length, positive.
-        executor: solves sizes; None for this process. The result does not depend on it.
-
-    Raises:
-        InputError: more than :data:`MOST_SOLVED` sizes must be solved.
+    The result does not depend on the executor (None for this process). More than :data:`MOST_SOLVED` sizes that must be
+    solved raise InputError.
     """
     t, error = np.empty((len(size_nm), 2), dtype=np.complex128), np.empty(len(size_nm))
     stored = _on_grid(library, size_nm)

@@ -78,17 +78,11 @@ def check(
     """Compare a library with a solver at random sizes.
 
     Args:
-        library: library to check.
-        against: "rcwa" at a tenth of the library's target error, or "meep" at the target error, but no less than 1e-2.
-            Finished runs of Meep are kept, so that a check that was stopped continues.
+        against: "rcwa" at a tenth of the library's target error, or "meep" (MissingToolError without it) at the target
+            error, but no less than 1e-2. Finished runs of Meep are kept, so that a check that was stopped continues.
         samples: number of sizes.
         seed: of the random draw.
         executor: runs the solver; None for this process.
-        progress: called after each size.
-        solver: solves one cell.
-
-    Raises:
-        MissingToolError: Meep is requested but not installed.
     """
     rng = np.random.default_rng(seed)
     if library.is_continuous:

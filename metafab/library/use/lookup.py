@@ -62,11 +62,7 @@ class SizeTable:
         return sizes
 
     def histogram(self, phase_x_rad: ArrayLike, phase_y_rad: ArrayLike) -> NDArray[np.int64]:
-        """Count the targets (rad, any shape) in each cell; histograms of tiles add up.
-
-        Returns:
-            Shape (cells, cells), indexed [phi_y, phi_x].
-        """
+        """Count the targets (rad, any shape) in each cell: shape (cells, cells), indexed [phi_y, phi_x]."""
         flat = self.nearest_cell(phase_y_rad) * self.cells + self.nearest_cell(phase_x_rad)
         return np.bincount(flat.ravel(), minlength=self.cells**2).reshape(self.cells, self.cells)
 
@@ -106,13 +102,12 @@ def build_size_table(
     Args:
         library: amplitudes of the sizes.
         database_unit_nm: unit of the mask; every admitted size must be an even number of units.
-        max_width_nm: largest width, period minus smallest gap.
-        max_length_nm: largest length, period minus smallest gap.
+        max_width_nm: largest width, period minus smallest gap; likewise ``max_length_nm``.
         min_feature_nm: smallest width and length.
         cells: cells of the table along each phase, a power of two; 512 is a step of 0.012 rad.
         cd_sigma_nm: standard deviation of a bias that fabrication adds to width and length alike. The overlap is then
-            its expectation over the bias: t is damped by exp(-(cd_sigma d phi/d bias)^2 / 2), which favours sizes
-            whose phase changes slowly. 0 maps to the nominal field.
+            its expectation over the bias: t is damped by exp(-(cd_sigma d phi/d bias)^2 / 2), which favours sizes whose
+            phase changes slowly. 0 maps to the nominal field.
         max_error: largest error bound of an admitted size.
         isotropic: admit only sizes whose response is equal for both polarisations by symmetry
             (:func:`isotropic_sizes`).
@@ -156,12 +151,10 @@ def global_offsets(table: SizeTable, histogram: NDArray[np.int64]) -> tuple[floa
     """Return constant phases (c_x, c_y) that, added to a design's target phases, give the largest total overlap.
 
     A constant phase of a whole lens does not change its image, but moves the targets away from pairs of phases that no
-    size reaches. For targets spread evenly over the torus all offsets are equal.
+    size reaches. For targets spread evenly over the torus all offsets are equal, and (0, 0) is returned.
 
-    The number of targets in each cell, shape (cells, cells), is that of :meth:`SizeTable.histogram`.
-
-    Returns:
-        Offsets in radians, multiples of 2 pi / cells, wrapped to (-pi, pi]; (0, 0) if no other is better.
+    The number of targets in each cell, shape (cells, cells), is that of :meth:`SizeTable.histogram`. Offsets are
+    multiples of 2 pi / cells, wrapped to (-pi, pi].
     """
     if histogram.shape != table.overlap.shape:
         raise ValueError(f"`histogram`: expected shape {table.overlap.shape}, got {histogram.shape}")
@@ -177,8 +170,7 @@ def global_offsets(table: SizeTable, histogram: NDArray[np.int64]) -> tuple[floa
 def isotropic_sizes(library: Library) -> NDArray[np.bool_]:
     """Return the mask of sizes with t_xx = t_yy by symmetry: squares and all crosses, shape (n_length, n_width).
 
-    Raises:
-        InputError: the cell itself has no such symmetry.
+    A cell without such a symmetry raises InputError.
     """
     unit_cell = library.unit_cell
     if not is_square(unit_cell):
@@ -191,10 +183,8 @@ def isotropic_sizes(library: Library) -> NDArray[np.bool_]:
 def phase_slope_per_nm(library: Library) -> FloatArray:
     """Return the change of phase per nm when width and length grow together (a bias of the critical dimension).
 
-    Where |t| vanishes the phase is undefined; the slope is then finite but huge.
-
-    Returns:
-        Shape (n_length, n_width, 2), rad per nm of bias, for x and y polarisation at the design wavelength.
+    Where |t| vanishes the phase is undefined; the slope is then finite but huge. Its shape is (n_length, n_width, 2),
+    rad per nm, for x and y polarisation at the design wavelength.
     """
     slope = np.zeros(library.t.shape)
     for channel, t in enumerate((library.t_xx[0], library.t_yy[0])):
@@ -265,10 +255,8 @@ def _exact_dbu(size_nm: FloatArray, database_unit_nm: float) -> NDArray[np.int32
 def best_overlap(t: ComplexArray, cells: int) -> tuple[NDArray[np.uint16], FloatArray]:
     """Find the size with the largest field overlap for every cell of the (phi_x, phi_y) torus.
 
-    ``t``, shape (n_sizes, 2), is the transmission of x and y polarised light; each phase has ``cells`` cells.
-
-    Returns:
-        Row of ``t``, counted from 1, and its overlap: shape (cells, cells) each, indexed [phi_y, phi_x].
+    ``t``, shape (n_sizes, 2), is the transmission of x and y polarised light. Row of ``t``, counted from 1, and overlap
+    have the shape (cells, cells), indexed [phi_y, phi_x].
     """
     u = np.stack([t[:, 0].real, t[:, 0].imag, t[:, 1].real, t[:, 1].imag], axis=-1)
     power = np.sum(u**2, axis=-1)

@@ -43,29 +43,20 @@ class BlindInformation:
         return phasor(np.multiply.outer(self.defocus_rad, self.pupil.radius_squared_grid)) * self.pupil.inside
 
     def of_field(self, field: ComplexArray) -> FloatArray:
-        """Information about the rim defocus, shape (n_depth,), 1/rad^2.
-
-        Args:
-            field: shape (n,), pupil field of x polarisation.
-        """
+        """Information about the rim defocus, shape (n_depth,), 1/rad^2, of an x-polarised pupil field, shape (n,)."""
         return conjugate_information(*self.transfer(field), self._signal_to_noise)
 
     def transfer(self, field: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Transfer functions of x polarisation and their derivatives over the rim defocus, from a field of shape (n,).
 
-        Returns:
-            Two arrays of shape (n_depth, m, m), zero frequency first, where the transfer is 1; y polarisation has the
-            complex conjugates.
+        Both have the shape (n_depth, m, m), zero frequency first, where the transfer is 1; y polarisation has the
+        complex conjugates.
         """
         images = self._images(field)
         return fft.fft2(images.psf), fft.fft2(images.psf_slope)
 
     def with_gradient(self, phase_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Information, and the derivative of its mean over the phases of the pupil's n samples.
-
-        Returns:
-            Shape (n_depth,), 1/rad^2, and shape (n,), 1/rad^3.
-        """
+        """Information, shape (n_depth,), 1/rad^2, and the slope of its mean over the phases, shape (n,), 1/rad^3."""
         field = phasor(phase_rad)
         images = self._images(field)
         transfer, slope = fft.fft2(images.psf), fft.fft2(images.psf_slope)
@@ -93,28 +84,15 @@ class BlindInformation:
 
 @dataclass(frozen=True)
 class BlindDesign(SampledMask):
-    """A mask optimised for information.
+    """A mask optimised for information."""
 
-    Attributes:
-        pupil: samples.
-        phase_rad: shape (n,), phases of x polarisation at the samples.
-        information: shape (n_depth,), 1/rad^2 of rim defocus.
-    """
-
-    information: FloatArray
+    information: FloatArray  #: Shape (n_depth,), information about the rim defocus, 1/rad^2.
 
 
 def optimise_blind(
     problem: BlindInformation, start: ComplexArray, *, iterations: int = 60, progress: Progress = silent
 ) -> BlindDesign:
-    """Maximise the mean information over the depths (L-BFGS).
-
-    Args:
-        problem: depths, texture and noise.
-        start: shape (n,), pupil field to start from.
-        iterations: largest number.
-        progress: called at each evaluation of the gradient.
-    """
+    """Maximise the mean information over the depths (L-BFGS), from a pupil field ``start``, shape (n,)."""
     scale = float(problem.of_field(start).mean()) or 1.0
     evaluations = 0
 

@@ -97,16 +97,13 @@ def optimise_peak(
     """Maximise the peak of the main lobe over one full turn, in the mean or at the worst depth, under the law of Eq. 2.
 
     Args:
-        zones: L of Eq. 2, at least 2; the orientation changes by -1 / L rad per rad of rim defocus.
+        zones: L of Eq. 2, at least 2 (else ValueError: a plain vortex does not turn); the orientation changes by -1 / L
+            rad per rad of rim defocus.
         exponent: epsilon of the plain spiral, whose lobe sets the range of radii and the origin of phi.
         pupil: samples; a circle of 128 by default.
         goal: "mean" peak, or the "worst" one.
         iterations: largest number of steps of each kind.
         seed: of the random start; the result does not depend on it.
-        progress: called at the start and at the end.
-
-    Raises:
-        ValueError: fewer than two zones: a plain vortex does not turn.
     """
     if zones < 2:
         raise ValueError(f"`zones`: expected at least 2, got {zones}; a plain vortex does not turn with depth")

@@ -39,8 +39,7 @@ def rotation_deg_per_dioptre(zones: int, aperture_radius_um: float, wavelength_u
 def ring_rotation(zones: int, exponent: float) -> tuple[float, float]:
     """Radius and rotation rate of the main lobe of Eq. 2 in focus, from one integral for each of two zones or more.
 
-    Returns:
-        Radius in optical units, and turn in rad per rad of rim defocus (-1 / L for many zones at exponent 1/2).
+    The radius is in optical units, the rate in rad per rad of rim defocus (-1 / L for many zones at exponent 1/2).
     """
     charge = np.arange(1, zones + 1)
     edges = np.concatenate([[0.0], zone_radii(zones, exponent)]) ** 2
@@ -67,11 +66,7 @@ def full_turn_dioptre(zones: int, aperture_radius_um: float, wavelength_um: floa
 
 
 def full_turn_defocus_rad(zones: int, depths: int) -> FloatArray:
-    """Rim defocuses that cover one full turn evenly.
-
-    Returns:
-        Shape (depths,), middles of equal parts of (-pi L, pi L), ascending.
-    """
+    """Rim defocuses of one full turn, ascending: the middles of equal parts of (-pi L, pi L), shape (depths,)."""
     return ((2.0 * np.arange(depths) + 1.0) / depths - 1.0) * math.pi * zones
 
 
@@ -100,13 +95,9 @@ class MainLobe:
 
 
 def main_lobe(pupil: Pupil, field: ComplexArray, defocus_rad: ArrayLike, half_width: float) -> MainLobe:
-    """Measure the main lobe of a pupil field.
+    """Measure the main lobe of a pupil field, shape (n,), within ``half_width`` of the axis (:func:`helix_half_width`).
 
-    Args:
-        pupil: the samples.
-        field: shape (n,), complex transmission of the samples.
-        defocus_rad: shape (n_depth,), rim defocuses in an order in which phi changes by less than 180 degrees.
-        half_width: of the search window, optical units; see :func:`helix_half_width`.
+    Rim defocuses, shape (n_depth,), stand in an order in which phi changes by less than 180 degrees.
     """
     plane = FocalPlane(pupil, half_width)
     defocus = np.atleast_1d(np.asarray(defocus_rad, dtype=np.float64))

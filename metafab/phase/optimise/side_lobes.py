@@ -39,25 +39,14 @@ Over: TypeAlias = Literal["worst", "mean"]
 
 @dataclass(frozen=True)
 class SideLobeDesign(SampledMask):
-    """A mask with limited side lobes.
+    """A mask with limited side lobes."""
 
-    Attributes:
-        pupil: samples.
-        phase_rad: shape (n,), phases of x polarisation at the samples.
-        limit: largest side lobe allowed, over the main lobe.
-        over: limited quantity, the worst or the mean side lobe.
-        side_lobe: shape (n_depth,), side lobe over main lobe at the defocuses of the start.
-        start_side_lobe: shape (n_depth,), the same ratio of the mask without a limit.
-        lobe: measured main lobe.
-        plain: measured main lobe of the spiral of Eq. 2.
-    """
-
-    limit: float
-    over: Over
-    side_lobe: FloatArray
-    start_side_lobe: FloatArray
-    lobe: MainLobe
-    plain: MainLobe
+    limit: float  #: Largest side lobe allowed, over the main lobe.
+    over: Over  #: Limited quantity, the worst or the mean side lobe.
+    side_lobe: FloatArray  #: Shape (n_depth,), side lobe over main lobe at the defocuses of the start.
+    start_side_lobe: FloatArray  #: Shape (n_depth,), the same ratio of the mask without a limit.
+    lobe: MainLobe  #: Measured main lobe.
+    plain: MainLobe  #: Measured main lobe of the spiral of Eq. 2.
 
     @property
     def limited(self) -> float:
@@ -120,13 +109,10 @@ class SideLobes:
         return LobeValues(np.abs(target) ** 2, power.sum(axis=(1, 2)) ** (1.0 / _NORM), amplitude, target)
 
     def gradient(self, mask: ComplexArray, values: LobeValues, by_peak: FloatArray, by_side: FloatArray) -> FloatArray:
-        """Derivative over the phases of a function of the peaks and side lobes, shape (n,).
+        """Derivative of a function of the peaks and side lobes over the phases of a pupil field, shape (n,).
 
-        Args:
-            mask: shape (n,), pupil field.
-            values: of :meth:`evaluate` for this mask.
-            by_peak: shape (n_depth,), derivatives of the function over the peaks.
-            by_side: shape (n_depth,), derivatives of the function over the side lobes.
+        ``values`` are those of :meth:`evaluate` for the field ``mask``, shape (n,); ``by_peak`` and ``by_side``, shape
+        (n_depth,), the derivatives of the function over the peaks and over the side lobes.
         """
         light = np.abs(values.amplitude) ** 2 * self._outside
         by_light = (light / values.side[:, None, None]) ** (_NORM - 1) * self._outside * by_side[:, None, None]
@@ -156,7 +142,6 @@ def limit_side_lobes(
         pupil: samples; a circle of 64 by default.
         exponent: epsilon of the plain spiral that serves for comparison.
         iterations: of the ascent in each round.
-        progress: called at each round.
 
     Raises:
         ValueError: the limit is not between 0 and 1, or no mask met it.
@@ -177,16 +162,9 @@ def limit_side_lobes(
 
 
 def measured_side_lobes(pupil: Pupil, mask: ComplexArray, defocus_rad: FloatArray, half_width: float) -> FloatArray:
-    """Measure the brightest light farther than Airy's dark ring from the main lobe, over the peak of the main lobe.
+    """Measure the brightest light farther than Airy's dark ring from the main lobe, over its peak: shape (n_depth,).
 
-    Args:
-        pupil: the samples.
-        mask: shape (n,), pupil field.
-        defocus_rad: shape (n_depth,), rim defocuses in an order in which phi changes by less than 180 degrees.
-        half_width: of the search window, optical units.
-
-    Returns:
-        Shape (n_depth,).
+    The arguments are those of :func:`~metafab.phase.optimise.rotation.main_lobe`.
     """
     plane = FocalPlane(pupil, half_width)
     lobe = main_lobe(pupil, mask, defocus_rad, half_width)

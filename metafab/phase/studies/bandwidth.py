@@ -85,11 +85,8 @@ class SplitImaging:
     def filtered(self, fwhm_nm: float, splits: Sequence[tuple[float, float]]) -> tuple[FloatArray, FloatArray]:
         """Mean information behind a filter with a flat top, for several splits (angle, azimuth), degrees.
 
-        Light of x polarisation goes to azimuth + 180.
-
-        Returns:
-            Information with the electrons of the reference width, and with those of ``fwhm_nm``; each of shape
-            (n_split,), 1/rad^2.
+        Light of x polarisation goes to azimuth + 180. The information is that with the electrons of the reference
+        width, and that with those of ``fwhm_nm``; each has the shape (n_split,), 1/rad^2.
         """
         smears = [smear_um_per_nm(self.sensor_distance_um, angle, self.wavelength_um) for angle, _ in splits]
         # A longer wavelength has a shorter focal length: the power 1 / f grows by d lambda / lambda.

@@ -46,10 +46,9 @@ class DepthBounds:
 
 
 def reference_masks(pupil: Pupil, zones: int, exponent: float) -> dict[str, ComplexArray]:
-    """Masks for comparison: a standard lens, the plain spiral of Eq. 2, the double helix of Pavani and Piestun (2008).
+    """Pupil fields, shape (2, n), of masks for comparison, by name.
 
-    Returns:
-        Name -> pupil fields of shape (2, n), for x and y polarisation.
+    A standard lens, the plain spiral of Eq. 2, and the double helix of Pavani and Piestun (2008).
     """
     terms: dict[str, Term] = {
         "plain spiral": SpiralZonesPhase(zones, exponent, 1.0),

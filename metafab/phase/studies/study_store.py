@@ -33,11 +33,7 @@ def save_study(result: PhaseStudy, path: Path, *, inputs_sha256: str) -> None:
 
 
 def load_study(path: Path) -> PhaseStudy:
-    """Read a file of :func:`save_study`.
-
-    Raises:
-        InputError: the file is missing, truncated, foreign, or of a newer format.
-    """
+    """Read a file of :func:`save_study`; one that is missing, truncated, foreign or newer raises InputError."""
     remedy = "run `metafab run DESIGN.toml` again"
     with hdf5.open_kind(path, kind=KIND, format_version=FORMAT, remedy=remedy) as file:
         return PhaseStudy(

@@ -40,16 +40,13 @@ def angle(values: ComplexArray) -> FloatArray:
 def angles_of_waves(
     weighted_x: ComplexArray, along_y: Callable[[FloatArray], ComplexArray], y: FloatArray, slope_rad: float
 ) -> FloatArray:
-    """Return the angle of sum_k weighted_x[:, k] along_y(y)[:, k] on a grid.
+    """Return the angle of sum_k weighted_x[:, k] along_y(y)[:, k] on a grid: shape (n_y, n_x), rad in [-pi, pi].
 
     Args:
         weighted_x: shape (n_x, n), the waves along x times their weights.
         along_y: the waves, shape (m, n), at positions of shape (m,).
         y: shape (n_y,), in any order, within [-1, 1].
         slope_rad: largest slope of the phase of any wave along y, rad per unit of y.
-
-    Returns:
-        Shape (n_y, n_x), rad in [-pi, pi].
     """
     panels = 2 ** math.ceil(math.log2(max(slope_rad, _FEWEST_PANELS)))
     panel = np.clip(np.floor(y * panels), -panels, panels - 1)

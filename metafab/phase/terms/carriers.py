@@ -55,16 +55,9 @@ def path_um(
 ) -> FloatArray:
     """Return the path from an on-axis object through each lens point to its image, less the path through the centre.
 
-    Args:
-        image_um: distance of the image from the lens' centre.
-        object_um: distance of the object; infinite for parallel light.
-        sine_x: minus the direction cosine of the image along x.
-        sine_y: minus the direction cosine of the image along y.
-        x_um: shape (n_x,), lens points.
-        y_um: shape (n_y,).
-
-    Returns:
-        Shape (n_y, n_x), um.
+    Image and object distances are from the lens' centre, the object's infinite for parallel light. ``sine_x`` and
+    ``sine_y`` are minus the direction cosines of the image. Lens points x, shape (n_x,), and y, shape (n_y,), give the
+    shape (n_y, n_x).
     """
     path = np.empty((y_um.size, x_um.size))
     shift_x, shift_y = 2.0 * image_um * sine_x, 2.0 * image_um * sine_y

@@ -19,11 +19,7 @@ from metafab.phase.terms.profile import PolarisedTerm
 
 
 def zone_radii(zones: int, exponent: float) -> FloatArray:
-    """Outer radii (l / L)^epsilon of the zones of Eq. 2.
-
-    Returns:
-        Shape (zones,), l = 1 to L, in units of the aperture's radius.
-    """
+    """Outer radii (l / L)^epsilon of the zones of Eq. 2 over the aperture's radius, shape (zones,), l = 1 to L."""
     return np.asarray((np.arange(1, zones + 1) / zones) ** exponent)
 
 
@@ -83,12 +79,7 @@ class WaveSumPhase(PolarisedTerm):
         return angles_of_waves(weighted_x, lambda points: self._waves(points, tilt_y), y, slope_rad)
 
     def field(self, x: FloatArray, y: FloatArray) -> ComplexArray:
-        """Evaluate the sum of waves on a rectangular grid, shape (n_y, n_x).
-
-        Args:
-            x: shape (n_x,), in units of the aperture's radius.
-            y: shape (n_y,), in units of the aperture's radius.
-        """
+        """Evaluate the sum of waves, shape (n_y, n_x), at x, shape (n_x,), and y, in units of the aperture's radius."""
         along_x = self._waves(x, self.tilt_rad[:, 0])
         along_y = self._waves(y, self.tilt_rad[:, 1])
         return np.asarray((along_y * self.amplitude) @ along_x.T)

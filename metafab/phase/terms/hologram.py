@@ -80,14 +80,11 @@ def design_hologram(
 
     Args:
         picture: shape (rows, columns), irradiance >= 0 with some light, first row at the top.
-        width_um: width in the image plane, at most :meth:`ImagePlane.widest_um`; the shape sets the height.
+        width_um: width in the image plane, at most :meth:`ImagePlane.widest_um` (else ValueError); the shape sets the
+            height.
         plane: distance and wavelength of the image, pitch of the sites.
         inside: shape (n_y, n_x), True for sites in the aperture.
         iterations: of the search, which is deterministic.
-        progress: called after each iteration.
-
-    Raises:
-        ValueError: the picture is wider or higher than one period of the image plane.
     """
     rows, columns = picture.shape
     widest_um = plane.widest_um((rows, columns))

@@ -16,13 +16,7 @@ class Term(Protocol):
     """One summand of a target phase."""
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
-        """Evaluate the phase on a rectangular grid, shape (n_y, n_x), radians, not wrapped.
-
-        Args:
-            x_um: shape (n_x,), positions from the optical axis.
-            y_um: shape (n_y,), positions from the optical axis.
-            polarisation: "x" or "y".
-        """
+        """Evaluate the phase at x, shape (n_x,), and y from the axis: shape (n_y, n_x), radians, not wrapped."""
 
 
 @dataclass(frozen=True)
@@ -62,10 +56,9 @@ class PhaseProfile:
     figures: PhaseFigures = field(default_factory=PhaseFigures)  #: Key figures of the phase design.
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
-        """Evaluate the phase of both polarisations at x, shape (n_x,), and y, shape (n_y,), from the axis.
+        """Evaluate the phase of x and y polarisation at x, shape (n_x,), and y, shape (n_y,), from the axis.
 
-        Returns:
-            Shape (2, n_y, n_x), radians, not wrapped; first axis x and y polarisation.
+        The shape is (2, n_y, n_x), radians, not wrapped.
         """
         total = np.zeros((2, y_um.size, x_um.size))
         for index, polarisation in enumerate(POLARISATIONS):

@@ -89,8 +89,7 @@ def load_array(
 def read_array(file: Path, dataset: str) -> NDArray[np.generic]:
     """Read the array, of any shape and type, of a .npy or .csv file, or that named ``dataset`` of an .h5 file.
 
-    Raises:
-        InputError: the file cannot be read.
+    A file that cannot be read raises InputError.
     """
     expected = "a .npy, .csv or .h5 file with an array"
     if file.suffix not in {".npy", ".csv", ".h5"}:

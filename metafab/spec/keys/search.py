@@ -18,11 +18,7 @@ def files() -> dict[str, tuple[Key, ...]]:
 
 
 def search(place: str) -> tuple[Key, ...]:
-    """Return the keys whose path contains ``place``.
-
-    Raises:
-        InputError: there is none.
-    """
+    """Return the keys whose path contains ``place``; InputError if there is none."""
     keys = [key for group in files().values() for key in group]
     found = tuple(key for key in keys if place.lower() in key.path.lower())
     if not found:
