@@ -90,6 +90,16 @@ class MappingFigures:
 
 
 @dataclass(frozen=True)
+class LightMapping:
+    """How well the pillars follow the target phases of one of several lights."""
+
+    wavelength_nm: float  #: Vacuum wavelength.
+    weight: float  #: Weight in the choice of sizes.
+    offsets_rad: tuple[float, ...]  #: Constants added to the target phases of x and y polarisation.
+    figures: MappingFigures  #: Figures at this wavelength.
+
+
+@dataclass(frozen=True)
 class WriteTime:
     """Time that the e-beam takes, without blanking, alignment, further stage moves and loading."""
 

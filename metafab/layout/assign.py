@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
-from metafab.core.figures import MappingFigures
+from metafab.core.conventions import FloatArray
+from metafab.core.figures import LightMapping, MappingFigures
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import plain
@@ -19,10 +22,11 @@ from metafab.layout.aperture import Aperture
 from metafab.layout.figures import TileSums
 from metafab.layout.gap_rule import allowed_sizes, joint_sizes, neighbour_choice
 from metafab.layout.geometry import tile_sites
-from metafab.layout.mapping import TileMapping
+from metafab.layout.mapping import LightChoice, LightTarget, TileMapping
 from metafab.layout.outlines import Outline
 from metafab.layout.pillars import PillarMap, PillarTile
 from metafab.library import Library, SizeTable
+from metafab.library.use.lights import SizesOfLights
 from metafab.library.use.lookup import global_offsets
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
@@ -43,11 +47,13 @@ class Assignment:
     offsets_rad: tuple[float, float]  #: Constants added to the target phases of x and y polarisation.
     #: The figures under ``gap_rule = "each"``, where sizes were chosen jointly; else None.
     gap_rule_each: MappingFigures | None = None
+    lights: tuple[LightMapping, ...] = ()  #: The figures at each wavelength, where sizes were chosen for several.
 
     def to_json(self) -> dict[str, Any]:
         """The figures as they stand in ``summary.json`` and ``layout.json``."""
         each = {} if self.gap_rule_each is None else {"gap_rule_each": self.gap_rule_each}
-        table: dict[str, Any] = plain({**plain(self.figures), **each, "offsets_rad": self.offsets_rad})
+        lights = {"lights": self.lights} if self.lights else {}
+        table: dict[str, Any] = plain({**plain(self.figures), **each, "offsets_rad": self.offsets_rad, **lights})
         return table
 
 
@@ -56,6 +62,7 @@ def assign(
     library: Library,
     design: Design,
     *,
+    lights: Sequence[LightTarget] = (),
     executor: Executor | None = None,
     progress: Progress = silent,
     kept_sites: int = KEPT_SITES,
@@ -63,11 +70,14 @@ def assign(
     """Choose the size of every pillar.
 
     Each site inside the aperture gets the size whose field overlaps best with its two target phases, among those that
-    the gap rule allows (:mod:`metafab.layout.gap_rule`).
+    the gap rule allows (:mod:`metafab.layout.gap_rule`). With several lights, the weighted sum of their overlaps
+    decides.
 
     Args:
-        library: response of every size.
+        profile: target phases at the wavelength of the design's unit cell.
+        library: response of every size at that wavelength.
         design: lattice, aperture, rules, mask grid.
+        lights: the lights of ``design.light`` in order; empty for one light.
         executor: runs tiles; threads of this process by default. It must stay open while the map of a lens of more than
             ``kept_sites`` sites is read.
         kept_sites: largest lattice that is kept in memory.
@@ -75,7 +85,7 @@ def assign(
     Raises:
         InputError: the library has no size that the rules allow, or lengths do not fit the database unit.
     """
-    mapping = mapping_of(profile, library, design)
+    mapping = mapping_of(profile, library, design, lights)
     table, lattice, corners = mapping.table, mapping.aperture.lattice, mapping.corners()
     kept = math.prod(lattice.shape) <= kept_sites
     whole = np.zeros(lattice.shape if kept else (0, 0), dtype=np.uint16)
@@ -96,29 +106,75 @@ def assign(
     else:
         pillars = PillarMap(lattice, table.size_dbu, tiles, mapping.tile_sites)
     each = None if total.each is None else total.each.figures(library, table)
-    return Assignment(pillars, total.figures(library, table), mapping.offset_rad, each)
+    found = () if mapping.lights is None else _of_lights(mapping.lights, lights, total, design)
+    return Assignment(pillars, total.figures(library, table), mapping.offset_rad, each, found)
+
+
+def _of_lights(
+    choice: LightChoice, lights: Sequence[LightTarget], total: TileSums, design: Design
+) -> tuple[LightMapping, ...]:
+    """Figures of the mapping at each wavelength."""
+    return tuple(
+        LightMapping(spec.wavelength_nm, spec.weight, tuple(offset), sums.figures(light.library, table))
+        for spec, light, sums, table, offset in zip(
+            design.light, lights, total.lights, choice.sizes.tables, choice.offsets_rad.tolist(), strict=True
+        )
+    )
 
 
 def _mapped(
     mapping: TileMapping, corners: list[tuple[int, int]], executor: Executor | None
 ) -> Iterator[tuple[PillarTile, TileSums]]:
     """Map the tiles in order, on threads of this process by default."""
-    with ThreadPoolExecutor(default_workers()) as threads:
+    # The choice for several lights is a matrix product; its threads would compete with those of the tiles.
+    alone = nullcontext() if mapping.lights is None else threadpool_limits(1, "blas")
+    with alone, ThreadPoolExecutor(default_workers()) as threads:
         yield from in_order(executor or threads, mapping, corners)
 
 
-def mapping_of(profile: PhaseProfile, library: Library, design: Design) -> TileMapping:
+def mapping_of(
+    profile: PhaseProfile, library: Library, design: Design, lights: Sequence[LightTarget] = ()
+) -> TileMapping:
     """Return the mapping of a design's tiles, with the constant phases that suit the library best.
 
-    Errors as :func:`assign`.
+    Arguments and errors are those of :func:`assign`.
     """
     each = allowed_sizes(library, design)
     aperture = Aperture.of(design)
     joint = joint_sizes(library, design, each, aperture.lattice)
     choice = neighbour_choice(library, design, each)
-    offsets = constant_phases(profile, each, aperture)
+    of_lights = _light_choice(lights, each, aperture) if lights else None
+    if of_lights is None:
+        offsets = constant_phases(profile, each, aperture)
+    else:
+        own = [light.wavelength_nm for light in design.light].index(design.unit_cell.illumination.wavelength_nm)
+        offset_x, offset_y = of_lights.offsets_rad[own].tolist()
+        offsets = offset_x, offset_y
     table = each if joint is None else joint.table
-    return TileMapping(profile, table, aperture, offsets, tile_sites(design), joint, choice, Outline.of(design))
+    outline = Outline.of(design)
+    return TileMapping(profile, table, aperture, offsets, tile_sites(design), joint, choice, of_lights, outline)
+
+
+def _light_choice(lights: Sequence[LightTarget], table: SizeTable, aperture: Aperture) -> LightChoice:
+    """Choice among the sizes of ``table`` for several lights, with constant phases that suit a sample of the sites."""
+    sizes = SizesOfLights.of(table, [light.library for light in lights], [light.weight for light in lights])
+    profiles = tuple(light.profile for light in lights)
+    targets = np.concatenate([_sampled_targets(profile, aperture) for profile in profiles]).reshape(len(lights), 2, -1)
+    return LightChoice(profiles, sizes, sizes.constant_phases(targets))
+
+
+def _sampled_targets(profile: PhaseProfile, aperture: Aperture) -> FloatArray:
+    """Target phases at up to :data:`_SAMPLED_LINES` evenly spread sites of the aperture, shape (2, n)."""
+    lattice = aperture.lattice
+    rows, columns = _sampled_lines(lattice.shape[0]), _sampled_lines(lattice.shape[1])
+    inside = np.flatnonzero(aperture.at(rows, columns))
+    row, column = np.divmod(inside[_sampled_lines(inside.size)], columns.size)
+    x_um, y_um = lattice.x_um()[columns], lattice.y_um()[rows]
+    found = np.empty((2, row.size))
+    for line in np.unique(row):
+        chosen = row == line
+        found[:, chosen] = profile(x_um[column[chosen]], y_um[line : line + 1])[:, 0]
+    return found
 
 
 def constant_phases(profile: PhaseProfile, table: SizeTable, aperture: Aperture) -> tuple[float, float]:

@@ -32,6 +32,7 @@ class TileSums:
     #: Shape (2, 2), overlaps by the model of neighbours, of the sizes that suit lone pillars best and of those chosen
     #: among neighbours, for x and y polarisation; None without that choice.
     among: ComplexArray | None = None
+    lights: tuple[TileSums, ...] = ()  #: Sums at each wavelength, where sizes were chosen for several.
 
     @classmethod
     def of(
@@ -57,6 +58,7 @@ class TileSums:
             min(self.smallest_gap_dbu, other.smallest_gap_dbu),
             self.each + other.each if self.each and other.each else None,
             None if self.among is None or other.among is None else self.among + other.among,
+            tuple(one + two for one, two in zip(self.lights, other.lights, strict=True)),
         )
 
     def figures(self, library: Library, table: SizeTable) -> MappingFigures:

@@ -13,10 +13,37 @@ from metafab.layout.gaps import smallest_gap
 from metafab.layout.joint import JointSizes, reach_sites
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import PillarTile, SizeIndexArray
-from metafab.library import SizeTable
+from metafab.library import Library, SizeTable
 from metafab.library.neighbours.choice import NeighbourChoice
 from metafab.library.neighbours.windows import HALO_SITES
+from metafab.library.use.lights import SizesOfLights
 from metafab.phase.terms.profile import PhaseProfile
+
+
+@dataclass(frozen=True)
+class LightTarget:
+    """One of several lights that a mask serves."""
+
+    profile: PhaseProfile  #: Target phases.
+    library: Library  #: Library at the wavelength of the light.
+    weight: float  #: Weight of the field overlap in the choice of each size.
+
+
+@dataclass(frozen=True)
+class LightChoice:
+    """Choice of sizes for several lights."""
+
+    profiles: tuple[PhaseProfile, ...]  #: Target phases of each light.
+    sizes: SizesOfLights  #: Sizes and their transmission of each light.
+    offsets_rad: FloatArray  #: Shape (n_lights, 2), constants added to the target phases of x and y polarisation.
+
+    def target_rad(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
+        """Evaluate the target phases, constants included, at x, shape (n_x,), and y, shape (n_y,).
+
+        Returns:
+            Shape (n_lights, 2, n_y, n_x).
+        """
+        return np.stack([profile(x_um, y_um) for profile in self.profiles]) + self.offsets_rad[..., None, None]
 
 
 @dataclass(frozen=True)
@@ -32,6 +59,7 @@ class TileMapping:
     joint: JointSizes | None = None
     #: Chooses sizes for their light among neighbours, starting likewise; None where the library's t counts.
     choice: NeighbourChoice | None = None
+    lights: LightChoice | None = None  #: Chooses sizes for several lights; None for the light of ``profile`` alone.
     outline: Outline = RECTANGLE  #: Outline of the pillars, for their gaps.
 
     def corners(self) -> list[tuple[int, int]]:
@@ -49,9 +77,14 @@ class TileMapping:
             halo += HALO_SITES
         row, column = np.maximum(np.subtract(corner, halo), 0).tolist()
         last_row, last_column = np.minimum(np.add(corner, self.tile_sites + halo), lattice.shape).tolist()
-        target = self.profile(lattice.x_um()[column:last_column], lattice.y_um()[row:last_row])
+        x_um, y_um = lattice.x_um()[column:last_column], lattice.y_um()[row:last_row]
+        target = self.profile(x_um, y_um)
         target += np.reshape(self.offset_rad, (2, 1, 1))
-        sizes = self.table.sizes_for(target[0], target[1])
+        of_lights = None if self.lights is None else self.lights.target_rad(x_um, y_um)
+        if self.lights is None or of_lights is None:
+            sizes = self.table.sizes_for(target[0], target[1])
+        else:
+            sizes = self.lights.sizes.best(of_lights)[0]
         sizes *= self.aperture.inside(row, column, sizes.shape)
         inset = corner[0] - row, corner[1] - column
         if self.choice is not None:
@@ -60,6 +93,12 @@ class TileMapping:
             core = np.s_[:, inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
             return tile, replace(sums, among=np.array([field[core].sum(axis=(1, 2)) for field in fields]))
         tile, sums = self._tile(corner, inset, sizes, target)
+        if self.lights is not None and of_lights is not None:
+            each = [
+                self._tile(corner, inset, sizes, at, table)[1]
+                for at, table in zip(of_lights, self.lights.sizes.tables, strict=True)
+            ]
+            return tile, replace(sums, lights=tuple(each))
         if self.joint is None:
             return tile, sums
         self.joint.improve(sizes, target, lattice, (row, column))
@@ -67,9 +106,14 @@ class TileMapping:
         return tile, replace(joint_sums, each=sums)
 
     def _tile(
-        self, corner: tuple[int, int], inset: tuple[int, int], sizes: SizeIndexArray, target_rad: FloatArray
+        self,
+        corner: tuple[int, int],
+        inset: tuple[int, int],
+        sizes: SizeIndexArray,
+        target_rad: FloatArray,
+        table: SizeTable | None = None,
     ) -> tuple[PillarTile, TileSums]:
-        """Cut the tile at ``inset`` out of a block with a halo, and sum over it."""
+        """Cut the tile at ``inset`` out of a block with a halo, and sum over it with a table of the same sizes."""
         row, column = inset
         core = np.s_[row : row + self.tile_sites, column : column + self.tile_sites]
         lattice = self.aperture.lattice
@@ -80,4 +124,4 @@ class TileMapping:
         counted = np.zeros_like(sizes)
         counted[core] = sizes[core]
         tile = PillarTile(*corner, np.ascontiguousarray(sizes[core]))
-        return tile, TileSums.of(counted, target_rad, self.table, gaps.smallest_dbu)
+        return tile, TileSums.of(counted, target_rad, table or self.table, gaps.smallest_dbu)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import io
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from metafab.core.parallel.executor import default_workers
 from metafab.layout import Aperture, Outline, PillarMap, PillarTile, lattice_of
 from metafab.layout.assign import KEPT_SITES, mapping_of
+from metafab.layout.mapping import LightTarget
 from metafab.library import Library
 from metafab.mask.drawing.cell_writer import MaskWriter
 from metafab.mask.drawing.stamps import Stamps, shapes_per_pillar
@@ -45,6 +47,7 @@ def plan(
     design: Design,
     workers: int | None = None,
     *,
+    lights: Sequence[LightTarget] = (),
     kept_sites: int = KEPT_SITES,
 ) -> LayoutPlan:
     """Map and encode a sample of tiles, and extrapolate to the whole lens, of any size.
@@ -54,11 +57,12 @@ def plan(
         library: response of every size.
         design: the lens.
         workers: cores that share the work, each as fast as one of this machine; None for the cores of this machine.
+        lights: as for :func:`metafab.layout.assign`.
         kept_sites: largest lattice that :func:`metafab.layout.assign` keeps in memory.
     """
     workers, mappings = workers or default_workers(), _mappings(design, kept_sites)
     start = time.perf_counter()
-    mapping = mapping_of(profile, library, design)
+    mapping = mapping_of(profile, library, design, lights)
     table, aperture = mapping.table, mapping.aperture
     corners = mapping.corners()
     # Evenly through the list: rim and centre, all rows of tiles alike. The first is mapped twice, to warm up.

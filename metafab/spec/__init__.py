@@ -4,6 +4,7 @@
 - ``cell``     UnitCell: geometry, materials and illumination of one cell, and the sweep of a library
 - ``design``   Design: device, rules, sensor, verification
 - ``terms``    phase terms of a design
+- ``light``    Light: one of several wavelengths that a mask serves
 - ``mask/``    Mask: formats, layers, bias, tone, chip, copies, test structures, exposure; Process
 - ``scene``    Scene: objects at depths, photons, noise
 - ``substrate``  Substrate: birefringent plate before the pillars
@@ -20,6 +21,7 @@ In: paths. Out: frozen dataclasses whose public names carry their units.
 from metafab.spec.cell import Axes, Illumination, Material, Solver, Sweep, UnitCell
 from metafab.spec.construct import make_design, make_unit_cell
 from metafab.spec.design import Design, Device, Numerics, Optics, Rules, Sensor, Verify
+from metafab.spec.light import Light
 from metafab.spec.load import load_design, load_process, load_scene, load_unit_cell
 from metafab.spec.mask import Chip, Copy, Dose, Exposure, Mask
 from metafab.spec.new import kinds, write_new
@@ -37,6 +39,7 @@ __all__ = [
     "Dose",
     "Exposure",
     "Illumination",
+    "Light",
     "Mask",
     "Material",
     "Numerics",

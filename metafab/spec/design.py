@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -26,6 +27,7 @@ from metafab.spec.fields import (
     Real,
     TargetError,
 )
+from metafab.spec.light import Light
 from metafab.spec.mask import Mask, Process
 from metafab.spec.scene import Scene
 from metafab.spec.substrate import Substrate
@@ -232,6 +234,8 @@ class Design(Checked):
     #: Fabrication process, a table or the path of a process file; no exposure is simulated without it.
     process: Process | None = None
     measured: Measured | None = None  #: Measured figures of the made device, shown beside the simulated ones.
+    #: Wavelengths that the mask serves together, the unit cell's among them; it alone without the table.
+    light: tuple[Light, ...] = ()
 
     def _faults(self) -> Iterator[str]:
         least_nm = _LEAST_RULE * self.unit_cell.illumination.wavelength_nm
@@ -249,6 +253,7 @@ class Design(Checked):
         informed = any(isinstance(term, SpiralZones) and term.optimise == "blind_information" for term in self.phase)
         if informed and self.scene is None:
             yield "`optimise` = 'blind_information' needs a `scene`: its photons and noise decide"
+        yield from self._faults_of_lights()
         isotropic_um = 0.0 if self.optics is None else self.optics.substrate_um
         if isotropic_um > 0.0 and self.substrate is not None:
             yield "give `optics.substrate_um` or a `[substrate]`, not both: they are the same plate"
@@ -290,6 +295,41 @@ class Design(Checked):
         """Whether the phase is that of a lens with one focus, aberrations included."""
         focusing = any(isinstance(term, Lens | Radial | SplitLens) for term in self.phase)
         return focusing and not any(isinstance(term, _SHAPED) for term in self.phase)
+
+    def _faults_of_lights(self) -> Iterator[str]:
+        if not self.light:
+            return
+        own_nm = self.unit_cell.illumination.wavelength_nm
+        wavelengths = [light.wavelength_nm for light in self.light]
+        if len(set(wavelengths)) < max(len(wavelengths), 2) or own_nm not in wavelengths:
+            listed = ", ".join(f"{value:g}" for value in wavelengths)
+            yield (
+                f"`light` must list two or more different wavelengths, the {own_nm:g} nm of the unit cell among them, "
+                f"got {listed} nm"
+            )
+        elif self.light[wavelengths.index(own_nm)].phase is not None:
+            yield f"the `light` of {own_nm:g} nm, the unit cell's, has the design's `phase`; leave out `light.phase`"
+        rules = self.rules
+        hindrances = {
+            'gap_rule = "pairs"': rules.gap_rule == "pairs",
+            "cd_sigma_nm": rules.cd_sigma_nm > 0.0,
+            "neighbours": rules.neighbours,
+        }
+        if given := [name for name, stands in hindrances.items() if stands]:
+            yield f"`light` is not available with `rules.{'`, `rules.'.join(given)}`; leave one out"
+
+    def at_light(self, light: Light) -> Design:
+        """Return the design for one light alone: with its wavelength, and with its phase terms if it has its own.
+
+        Raises:
+            ValidationError: the unit cell's lengths do not suit the wavelength.
+        """
+        unit_cell, illumination = self.unit_cell, self.unit_cell.illumination
+        if light.wavelength_nm != illumination.wavelength_nm:
+            illumination = replace(illumination, wavelength_nm=light.wavelength_nm)
+            sweep = replace(unit_cell.sweep, axes=None)
+            unit_cell = replace(unit_cell, illumination=illumination, sweep=sweep, neighbours=None)
+        return replace(self, unit_cell=unit_cell, phase=light.phase or self.phase, light=())
 
     @property
     def wavelength_um(self) -> float:

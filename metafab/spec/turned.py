@@ -19,6 +19,7 @@ def require_turnable(design: Design) -> None:
         "mask.tone": mask.tone == "inverted",
         "mask.draw_corners": mask.draw_corners and bool(cell.corner_radius_nm),
         "substrate": design.substrate is not None,
+        "light": bool(design.light),
     }
     if design.optics is not None:
         unavailable["optics.filter_fwhm_nm"] = design.optics.filter_fwhm_nm is not None

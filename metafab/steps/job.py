@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pydantic import ValidationError
+
+from metafab.core.errors import InputError
 from metafab.core.parallel.work import Work
-from metafab.spec import Design
+from metafab.spec import Design, Light
+from metafab.spec.keys.faults import faults_of
 
 if TYPE_CHECKING:
     from metafab.phase import PhaseProfile
@@ -25,6 +29,8 @@ class Job:
     work: Work = Work()  #: Workers, cluster and progress.
     #: Whether steps leave out work that the target errors allow to leave out (:mod:`metafab.steps.summary`).
     skips: bool = True
+    #: Design for the unit cell's own wavelength, where ``design`` is that design at another (:meth:`at_light`).
+    nominal: Design | None = None
 
     @cached_property
     def profile(self) -> PhaseProfile:
@@ -32,6 +38,19 @@ class Job:
         from metafab.phase import profile_of
 
         return profile_of(self.design, progress=self.work.progress)
+
+    def at_light(self, light: Light) -> Job:
+        """Return the job of one light alone.
+
+        Raises:
+            InputError: the unit cell's lengths do not suit the wavelength.
+        """
+        try:
+            design = self.design.at_light(light)
+        except ValidationError as error:
+            raise InputError(f"{self.design.name} at {light.wavelength_nm:g} nm", faults_of(error, Design)) from error
+        own = light.wavelength_nm == self.design.unit_cell.illumination.wavelength_nm
+        return replace(self, design=design, nominal=None if own else self.design)
 
 
 def relative_to(folder: Path, path: Path) -> str:

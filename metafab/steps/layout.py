@@ -5,12 +5,16 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from metafab.core.errors import InputError
-from metafab.core.figures import MappingFigures, WriteTime
+from metafab.core.figures import LightMapping, MappingFigures, WriteTime
 from metafab.core.storage.tables import optional, typed
 from metafab.steps.job import Job, Step, in_folder, no_mask
-from metafab.steps.library import open_library
+from metafab.steps.library import libraries, open_library
+
+if TYPE_CHECKING:
+    from metafab.layout.mapping import LightTarget
 
 
 @dataclass(frozen=True)
@@ -30,6 +34,8 @@ class LayoutFigures(MappingFigures):
     #: Figures of the mapping if every pillar kept the gap rule within its own cell; None unless the design asks for
     #: ``gap_rule = "pairs"``.
     gap_rule_each: MappingFigures | None = optional()
+    #: The mapping at each wavelength; None for a design with one light.
+    lights: tuple[LightMapping, ...] | None = optional()
     write_time: WriteTime | None = optional()  #: Time on the e-beam writer; None without ``mask.exposure``.
 
 
@@ -71,8 +77,11 @@ def write_layout(job: Job) -> LayoutFigures:
         remedy = 'set it to ["oas"]; `metafab run` does without a mask'
         raise InputError.single(job.design.name, "mask.formats", "'gds', 'oas' or both", "none", remedy)
     progress = job.work.progress
+    lights = light_targets(job)
     with job.work.threads() as executor:
-        assignment = layout.assign(job.profile, open_library(job), job.design, executor=executor, progress=progress)
+        assignment = layout.assign(
+            job.profile, open_library(job), job.design, lights=lights, executor=executor, progress=progress
+        )
         written = mask.write(
             assignment.pillars,
             job.folder,
@@ -87,6 +96,16 @@ def write_layout(job: Job) -> LayoutFigures:
     if job.design.mask.exposure is not None:
         figures["write_time"] = json.loads((job.folder / "layout.json").read_text(encoding="utf-8"))["exposure"]
     return typed(LayoutFigures, figures)
+
+
+def light_targets(job: Job) -> list[LightTarget]:
+    """Target phases and library of each light of the design; none for a design with one light."""
+    from metafab.layout.mapping import LightTarget
+
+    return [
+        LightTarget(job.at_light(light).profile, library, light.weight)
+        for light, library in zip(job.design.light, libraries(job), strict=True)
+    ]
 
 
 def _require_rules_of_copies(job: Job) -> None:
@@ -128,7 +147,7 @@ LAYOUT = Step(
     name="layout",
     rooms=("layout", "mask", "drc"),
     after=("library", "phase"),
-    inputs=lambda d: (d.name, d.rules, d.mask, d.device, d.numerics),
+    inputs=lambda d: (d.name, d.rules, d.mask, d.device, d.numerics, d.light),
     outputs=_layout_files,
     work=write_layout,
     figures=LayoutFigures,

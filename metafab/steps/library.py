@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from metafab.core.errors import InputError
 from metafab.core.storage.files import plain
 from metafab.core.storage.latest import Latest, file_mark
 from metafab.core.storage.tables import optional, typed
+from metafab.spec import Design
 from metafab.steps.job import Job, Step, no_mask, relative_to
 
 if TYPE_CHECKING:
@@ -89,9 +92,12 @@ class LibraryFigures:
 def library_path(job: Job) -> Path:
     """Path of the built library: beside its unit-cell file, or in the run folder if that place is read-only.
 
-    A library with every size solved stands in the run folder under a name of its own.
+    A library with every size solved stands in the run folder under a name of its own, one at another wavelength under
+    a name with the wavelength.
     """
     source = job.design.library
+    if job.nominal is not None and not _is_swept(job.nominal, job.design):
+        source = source.with_stem(f"{source.stem}_{job.design.unit_cell.illumination.wavelength_nm:g}nm")
     if source.suffix == ".h5":
         return source
     if not job.skips:
@@ -108,9 +114,23 @@ def library_is_current(job: Job) -> bool:
 
 
 def open_library(job: Job) -> Library:
-    """Load the library of the design; build it first if it is missing or was built from another unit cell."""
+    """Load the library of the design; build it first if it is missing or was built from another unit cell.
+
+    At another wavelength than the unit cell's, a library that was swept over the wavelength is evaluated there.
+
+    Raises:
+        InputError: another wavelength is asked of a built library without that axis.
+    """
     from metafab import library
 
+    if job.nominal is not None:
+        wavelength_nm = job.design.unit_cell.illumination.wavelength_nm
+        if _is_swept(job.nominal, job.design):
+            return open_library(replace(job, design=job.nominal, nominal=None)).at(wavelength_nm=wavelength_nm)
+        if job.design.library.suffix == ".h5":
+            remedy = "name the unit-cell file in its place; libraries at other wavelengths are then built from it"
+            expected = f"a library swept over the wavelength up to {wavelength_nm:g} nm (`sweep.axes.wavelength_nm`)"
+            raise InputError.single(job.design.name, "library", expected, job.design.library.name, remedy)
     path = library_path(job)
     if not library_is_current(job):
         with job.work.processes() as executor:
@@ -124,13 +144,36 @@ def open_library(job: Job) -> Library:
     return _OPENED.of(file_mark(path), lambda: library.load(path))
 
 
+def libraries(job: Job) -> list[Library]:
+    """Load the libraries of all lights of the design, in their order; none for a design with one light."""
+    return [open_library(job.at_light(light)) for light in job.design.light]
+
+
+def _is_swept(nominal: Design, design: Design) -> bool:
+    """Whether the library of ``nominal`` has an axis that contains the wavelength of ``design``."""
+    axes = nominal.unit_cell.sweep.axes
+    low, high = (axes and axes.wavelength_nm) or (math.inf, -math.inf)
+    return low <= design.unit_cell.illumination.wavelength_nm <= high
+
+
+def _library(job: Job) -> LibraryFigures:
+    figures = LibraryFigures.of(open_library(job), relative_to(job.folder, library_path(job)))
+    libraries(job)
+    return figures
+
+
+def _library_files(job: Job) -> tuple[Path, ...]:
+    """The library of the unit cell, and those of other lights."""
+    return tuple(dict.fromkeys([library_path(job), *(library_path(job.at_light(each)) for each in job.design.light)]))
+
+
 LIBRARY = Step(
     name="library",
     rooms=("spec", "materials", "cell", "library"),
     after=(),
-    inputs=lambda design: (design.unit_cell, design.library if design.library.suffix == ".h5" else None),
-    outputs=lambda job: (library_path(job),),
-    work=lambda job: LibraryFigures.of(open_library(job), relative_to(job.folder, library_path(job))),
+    inputs=lambda d: (d.unit_cell, d.library if d.library.suffix == ".h5" else None, d.light),
+    outputs=_library_files,
+    work=_library,
     figures=LibraryFigures,
     not_needed=no_mask,
 )

@@ -1,9 +1,13 @@
-"""Figures of merit of the written mask, compared with the target phases, a standard lens and measured values."""
+"""Figures of merit of the written mask, compared with the target phases, a standard lens and measured values.
+
+A mask that serves several wavelengths has a PSF pair and a focus at each of them.
+"""
 
 from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,12 +17,13 @@ from metafab.core.errors import InputError
 from metafab.core.figures import AberrationFigures, FocusFigures, Loss, Wavefront
 from metafab.core.storage.files import file_sha256, write_json
 from metafab.core.storage.tables import optional, typed
+from metafab.spec import Design, Light
 from metafab.spec.design import Measured
 from metafab.spec.terms import Lens, Radial, SplitLens
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
-from metafab.steps.optics import lit_source, written_light
+from metafab.steps.optics import PairFigures, lit_source, point_spread, save_psf, written_light
 
 if TYPE_CHECKING:
     from metafab.optics import Imaging, Psf
@@ -103,6 +108,25 @@ class MeritFigures:
 
 
 @dataclass(frozen=True)
+class LightFigures:
+    """The written mask at one wavelength."""
+
+    wavelength_nm: float  #: Vacuum wavelength.
+    file: str  #: PSF pair of the written mask at the verified depths.
+    pair: PairFigures  #: Its figures.
+    ideal_efficiency_x: tuple[float, ...]  #: Efficiency of the target phases, for each depth; likewise y.
+    ideal_efficiency_y: tuple[float, ...]
+    focus: FocusFigures | None = optional()  #: The focus of a lens; None for other devices.
+
+
+@dataclass(frozen=True)
+class LightsFigures:
+    """The written mask at every wavelength that it serves."""
+
+    lights: tuple[LightFigures, ...]  #: In the order of the design.
+
+
+@dataclass(frozen=True)
 class CouplingFigures:
     """Error of the local-period approximation, from full-wave simulations of rows of the mask."""
 
@@ -161,34 +185,48 @@ def _merit(job: Job) -> MeritFigures:
 
 def _focus(job: Job, imaging: Imaging) -> dict[str, Any]:
     """Focus and wavefront at the focus depth, the focus' headline once more by name; empty for other devices."""
-    from metafab import layout, optics
+    from metafab import layout
     from metafab.optics.measures.aberrations import aberrations
+
+    design, mask_path = job.design, mask_paths(job)[-1]
+    if not design.is_lens:
+        return {}
+    figures = focus_figures(job, imaging, mask_path)
+    fronts = None
+    if min(layout.lattice_of(design).shape) >= _FEWEST_SITES:
+        source, depth_m = lit_source(job, written_light(job, mask_path)), design.sensor.focus_depth_m
+        # A thin ring transmits through too few blocks.
+        with suppress(InputError):
+            fronts = tuple(
+                aberrations(source, imaging, depth_m, polarisation=i, work=job.work) for i in _focused(design)
+            )
+    headline = ("fwhm_x_um", "fwhm_y_um", "fwhm_limit_um", "strehl", "encircled_energy")
+    return {"focus": figures, "aberrations": fronts, **{name: getattr(figures, name) for name in headline}}
+
+
+def focus_figures(job: Job, imaging: Imaging, mask_path: Path) -> FocusFigures:
+    """Return the focus of a lens from its mask file, at the focus depth."""
+    from metafab import layout, optics
     from metafab.optics.measures.focus import PerfectLens, focus
 
     design = job.design
-    if not design.is_lens:
-        return {}
     depth_m, lattice = design.sensor.focus_depth_m, layout.lattice_of(design)
     perfect = optics.ideal_field(PerfectLens(imaging, depth_m), lattice, design.device)
-    lenses = [term.polarisation for term in design.phase if isinstance(term, Lens | Radial | SplitLens)]
-    focused = tuple(i for i, p in enumerate(POLARISATIONS) if None in lenses or p in lenses)
-    source = lit_source(job, written_light(job, mask_paths(job)[-1]))
-    figures = focus(
-        source,
+    return focus(
+        lit_source(job, written_light(job, mask_path)),
         lit_source(job, perfect),
         imaging,
         depth_m,
-        polarisations=focused,
+        polarisations=_focused(design),
         target_error=design.verify.target_error,
         work=job.work,
     )
-    fronts = None
-    if min(lattice.shape) >= _FEWEST_SITES:
-        # A thin ring transmits through too few blocks.
-        with suppress(InputError):
-            fronts = tuple(aberrations(source, imaging, depth_m, polarisation=i, work=job.work) for i in focused)
-    headline = ("fwhm_x_um", "fwhm_y_um", "fwhm_limit_um", "strehl", "encircled_energy")
-    return {"focus": figures, "aberrations": fronts, **{name: getattr(figures, name) for name in headline}}
+
+
+def _focused(design: Design) -> tuple[int, ...]:
+    """Polarisations that the design focuses, 0 for x and 1 for y."""
+    lenses = [term.polarisation for term in design.phase if isinstance(term, Lens | Radial | SplitLens)]
+    return tuple(i for i, p in enumerate(POLARISATIONS) if None in lenses or p in lenses)
 
 
 def _modulation(job: Job, imaging: Imaging, written: Psf) -> ModulationFigures:
@@ -258,6 +296,38 @@ def _space_variance(imaging: Imaging, written: Psf) -> SpaceVarianceFigures | No
     )
 
 
+def _light_path(job: Job, light: Light) -> Path:
+    return job.folder / f"psf_{light.wavelength_nm:g}nm.h5"
+
+
+def _at_light(job: Job, light: Light) -> LightFigures:
+    from metafab.optics import Imaging
+
+    alone, mask_path, verify = job.at_light(light), mask_paths(job)[-1], job.design.verify
+    (written, light_at_um), (ideal, _) = (
+        point_spread(
+            alone,
+            path,
+            depths_m=verify.depths_m,
+            object_mm=(0.0, 0.0),
+            pixel_um=None,
+            window_px=verify.window_px,
+            target_error=verify.target_error,
+        )
+        for path in (mask_path, None)
+    )
+    save_psf(alone, written, mask_path, _light_path(job, light))
+    is_focus = alone.design.is_lens
+    return LightFigures(
+        wavelength_nm=light.wavelength_nm,
+        file=_light_path(job, light).name,
+        pair=PairFigures.of(written, light_at_um),
+        ideal_efficiency_x=tuple(ideal.efficiency[0].tolist()),
+        ideal_efficiency_y=tuple(ideal.efficiency[1].tolist()),
+        focus=focus_figures(alone, Imaging.of(alone.design), mask_path) if is_focus else None,
+    )
+
+
 MERIT = Step(
     name="merit",
     rooms=("mask", "library", "optics", "phase"),
@@ -268,4 +338,15 @@ MERIT = Step(
     figures=MeritFigures,
     not_needed=no_mask,
     reads=("coupling.json",),
+)
+
+LIGHTS = Step(
+    name="lights",
+    rooms=("mask", "library", "optics", "phase"),
+    after=("library", "phase", "layout"),
+    inputs=lambda d: (d.light, d.phase, d.device, d.sensor, d.verify, d.optics, d.substrate),
+    outputs=lambda job: tuple(_light_path(job, light) for light in job.design.light),
+    work=lambda job: LightsFigures(tuple(_at_light(job, light) for light in job.design.light)),
+    figures=LightsFigures,
+    not_needed=lambda design: no_mask(design) or (None if design.light else "the design serves one wavelength"),
 )

@@ -359,6 +359,8 @@ def save_psf(
         sampling += [design.optics, contents_sha256(design.optics)]
     if design.substrate is not None:
         sampling.append(design.substrate)
+    if job.nominal is not None:
+        sampling.append(design.wavelength_um)
     optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, sampling))
 
 

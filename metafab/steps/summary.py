@@ -16,7 +16,7 @@ from metafab.spec import Design
 from metafab.steps.images import CaptureFigures, DecodeFigures
 from metafab.steps.layout import DrcFigures, LayoutFigures
 from metafab.steps.library import LibraryFigures
-from metafab.steps.merit import CouplingFigures, MeritFigures
+from metafab.steps.merit import CouplingFigures, LightsFigures, MeritFigures
 from metafab.steps.optics import PsfFigures
 from metafab.steps.phase import StudyFigures
 
@@ -77,6 +77,7 @@ class RunSummary:
     drc: DrcFigures | None = None
     psf: PsfFigures | None = None
     merit: MeritFigures | None = None
+    lights: LightsFigures | None = None
     tolerance: ToleranceTable | None = None
     capture: CaptureFigures | None = None
     decode: DecodeFigures | None = None

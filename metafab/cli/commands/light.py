@@ -27,6 +27,7 @@ from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
     from metafab.core.conventions import FloatArray
+    from metafab.steps.job import Job
 
 
 @app.command("psf")
@@ -51,6 +52,12 @@ def psf_command(
     centre_um: Annotated[
         tuple[float, float] | None,
         typer.Option(metavar="X Y", help="Centre of the window on the sensor, from the axis [default: image point]."),
+    ] = None,
+    wavelength_nm: Annotated[
+        float | None,
+        typer.Option(
+            metavar="L", help="One of the wavelengths in the design's [[light]] tables [default: the unit cell's]."
+        ),
     ] = None,
     pixel_um: Annotated[float | None, typer.Option(metavar="P", help="Sampling step [default: the sensor's].")] = None,
     window_px: Annotated[
@@ -102,10 +109,13 @@ def psf_command(
         raise InputError.single("psf", whole, "no option that it answers itself", ", ".join(present))
     require_positive("--depths-m", *(depth for depth in depths_m or () if depth != math.inf))
     require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
+    require_positive("--wavelength-nm", *([] if wavelength_nm is None else [wavelength_nm]))
     require_finite("--object-mm", *(object_mm or ()))
     require_finite("--centre-um", *(centre_um or ()))
     with open_work(workers, cluster) as work, measured() as cost:
         job = open_job(design, None, work)
+        if wavelength_nm is not None:
+            job = _at_wavelength(job, wavelength_nm)
         verify, light_at_um = job.design.verify, None
         if calibration:
             pair = optics.calibration(job, layout, copy=copy, printed=printed)
@@ -130,6 +140,16 @@ def psf_command(
     figures = optics.PairFigures.of(pair, light_at_um)
     announce(figures.warnings())
     show(figures, json_, seconds=cost.seconds, file=output)
+
+
+def _at_wavelength(job: Job, wavelength_nm: float) -> Job:
+    """The job at one of the wavelengths that its design serves."""
+    for light in job.design.light:
+        if light.wavelength_nm == wavelength_nm:
+            return job.at_light(light)
+    listed = ", ".join(f"{light.wavelength_nm:g}" for light in job.design.light)
+    expected = f"a wavelength of the design's `light` tables ({listed or 'it has none'})"
+    raise InputError.single("psf", "--wavelength-nm", expected, f"{wavelength_nm:g}", "add a [[light]] to the design")
 
 
 @app.command("psf import")

@@ -29,6 +29,7 @@ def layout_command(
     from metafab import mask
     from metafab.core.parallel.measure import measured
     from metafab.steps import preflight, write_layout
+    from metafab.steps.layout import light_targets
 
     with open_work(workers, cluster) as work:
         job = open_job(design, output, work)
@@ -37,7 +38,8 @@ def layout_command(
             if cluster is not None:
                 expected, remedy = "`--workers` with the cluster's cores", "a plan is made on one machine"
                 raise InputError.single("--cluster", "plan", expected, repr(cluster), remedy)
-            show(mask.plan(job.profile, _library_for_plan(job), job.design, workers), json_)
+            lights = light_targets(job)
+            show(mask.plan(job.profile, _library_for_plan(job), job.design, workers, lights=lights), json_)
             return
         announce(mask.announcement(job.design))
         with measured() as cost:

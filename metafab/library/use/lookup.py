@@ -126,7 +126,7 @@ def build_size_table(
     t = library.t[row, column]
     error = library.error_of_sizes[row, column]
     damping = np.exp(-0.5 * (cd_sigma_nm * phase_slope_per_nm(library)[row, column]) ** 2)
-    damping *= _doubt(t, error, library.unit_cell.sweep.target_error)
+    damping *= trust(t, error, library.unit_cell.sweep.target_error)
     size_index, overlap = best_overlap(t * damping, cells)
     return SizeTable(
         database_unit_nm=database_unit_nm,
@@ -138,10 +138,11 @@ def build_size_table(
     )
 
 
-def _doubt(t: ComplexArray, error: FloatArray, target_error: float) -> FloatArray:
-    """Factor of the overlap of each size, shape (n_sizes, 2): what its error bound leaves of t beyond the target error.
+def trust(t: ComplexArray, error: FloatArray, target_error: float) -> FloatArray:
+    """Return the factor of the overlap of each size: the share of t that its error bound leaves.
 
-    Sizes within the target error keep their overlap.
+    The factor is 1 for sizes within the target error. ``t`` and the result have the shape (n_sizes, 2), error bounds
+    (n_sizes,).
     """
     left = np.maximum(1.0 - error[:, None] / np.maximum(np.abs(t), 1e-12), _LEAST_TRUST)
     return np.where(error[:, None] > target_error, left, 1.0)

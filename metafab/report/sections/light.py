@@ -10,7 +10,7 @@ from metafab.report import html
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import depth_text
-from metafab.steps.merit import MeritFigures
+from metafab.steps.merit import LightsFigures, MeritFigures
 
 #: Source of the simulated light, by whether the design has a mask.
 _SOURCE = {True: "the pillars in the written file", False: "the target phases themselves: this design writes no mask"}
@@ -45,6 +45,7 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
         html.figures(drawn, *(("psf_orientation", "psf_peak") if several else ()), "psf_focus", "psf_mtf"),
         "" if run.summary.merit is None else _merit(run.summary.merit, has_lobe=run.outline.has_lobe),
+        "" if run.summary.lights is None else _lights(run.summary.lights),
         html.figures(drawn, "wavefront_x", "wavefront_y"),
         html.figures(drawn, "psf_field_x", "psf_field_y"),
         html.figures(drawn, "depth_bias", "distortion"),
@@ -92,6 +93,33 @@ def _focus(focus: FocusFigures) -> str:
         "power; the circle is the first dark ring of Airy."
     )
     return html.table(["", "written mask", "limit"], rows, ["", "n", "n"]) + html.paragraph(text, "caption")
+
+
+def _lights(figures: LightsFigures) -> str:
+    """Efficiency and focus at each wavelength that the mask serves."""
+    rows = [
+        [
+            html.number(light.wavelength_nm),
+            _share(0.5 * sum(pair[0] for pair in (light.pair.efficiency_x, light.pair.efficiency_y))),
+            _share(0.5 * (light.ideal_efficiency_x[0] + light.ideal_efficiency_y[0])),
+            *(
+                ["", "", ""]
+                if light.focus is None
+                else [
+                    html.number(0.5 * (light.focus.fwhm_x_um + light.focus.fwhm_y_um)),
+                    html.number(light.focus.fwhm_limit_um),
+                    _share(light.focus.strehl),
+                ]
+            ),
+        ]
+        for light in figures.lights
+    ]
+    head = ["wavelength / nm", "efficiency", "of the target phases", "FWHM / µm", "limit / µm", "Strehl ratio"]
+    text = (
+        "Wavelengths that the mask serves, at the first depth, mean of both polarisations. Efficiency: share of the "
+        "light at the aperture in the window."
+    )
+    return html.table(head, rows, ["n"] * len(head)) + html.paragraph(text, "caption")
 
 
 def _both(first: float, second: float) -> str:

@@ -1,0 +1,43 @@
+"""Several wavelengths of one design: what is refused, and the design of each alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from pydantic import ValidationError
+
+from metafab.spec import Design, Light
+from metafab.spec.terms import Lens
+from tests.main_job import SMALL, metafab
+
+OWN, OTHER = Light(800.0), Light(700.0)
+
+
+def test_several_lights_are_checked(small_design: Design) -> None:
+    assert replace(small_design, light=(OTHER, OWN)).light[0].weight == 1.0
+    for lights in ((OWN,), (OTHER,), (OWN, OWN), (OTHER, Light(750.0))):
+        with pytest.raises(ValidationError, match="two or more different wavelengths, the 800 nm of the unit cell"):
+            replace(small_design, light=lights)
+    with pytest.raises(ValidationError, match=r"leave out `light\.phase`"):
+        replace(small_design, light=(OTHER, Light(800.0, phase=(Lens(),))))
+    with pytest.raises(ValidationError, match=r"not available with `rules\.gap_rule"):
+        replace(small_design, light=(OTHER, OWN), rules=replace(small_design.rules, gap_rule="pairs"))
+    with pytest.raises(ValidationError, match="phase"):
+        Light(700.0, phase=())
+
+
+def test_a_light_has_its_wavelength_and_its_own_phase(small_design: Design) -> None:
+    design = replace(small_design, light=(OWN, OTHER, Light(650.0, phase=(Lens(),))))
+    first, second, third = (design.at_light(light) for light in design.light)
+    assert first == small_design
+    assert second.wavelength_um == pytest.approx(0.7)
+    assert second.phase == small_design.phase
+    assert third.phase == (Lens(),)
+    assert third.light == ()
+
+
+def test_a_psf_at_a_wavelength_that_the_design_does_not_serve_is_refused() -> None:
+    answer = metafab("psf", "--ideal", "--design", SMALL, "--wavelength-nm", "700")
+    assert answer.code == 2
+    assert "`light` tables (it has none)" in answer.stderr
