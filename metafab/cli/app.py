@@ -130,16 +130,14 @@ def open_job(design: Path, folder: Path | None, work: Work) -> Job:
     return Job(spec, folder or Path("runs") / spec.name, work)
 
 
-def require_positive(option: str, *values: float) -> None:
-    """Check that all values of an option are finite and above zero."""
-    _require(option, "a number above zero", [value for value in values if not 0.0 < value < math.inf])
+def require_finite(option: str, *values: float | None, positive: bool = False) -> None:
+    """Check that all values of an option are finite (and above zero); None stands for an option that is not given."""
+    given = [value for value in values if value is not None]
+    if wrong := [f"{value:g}" for value in given if not math.isfinite(value) or (positive and value <= 0.0)]:
+        expected = "a number above zero" if positive else "a finite number"
+        raise InputError.single(option, option.removeprefix("--"), expected, ", ".join(wrong))
 
 
-def require_finite(option: str, *values: float) -> None:
-    """Check that all values of an option are finite."""
-    _require(option, "a finite number", [value for value in values if not math.isfinite(value)])
-
-
-def _require(option: str, expected: str, others: list[float]) -> None:
-    if others:
-        raise InputError.single(option, option.removeprefix("--"), expected, ", ".join(f"{v:g}" for v in others))
+def require_positive(option: str, *values: float | None) -> None:
+    """Check that all values of an option are finite and above zero; None stands for an option that is not given."""
+    require_finite(option, *values, positive=True)

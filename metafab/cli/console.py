@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
+    from metafab.core.parallel.measure import Cost
     from metafab.core.parallel.progress import Progress
     from metafab.core.parallel.work import Work
 
@@ -50,12 +51,13 @@ def progress_bars() -> Iterator[Progress]:
 
 
 @contextmanager
-def open_work(workers: int | None = None, cluster: str | None = None) -> Iterator[Work]:
-    """Open the resources of a command, with progress bars."""
+def open_work(workers: int | None = None, cluster: str | None = None) -> Iterator[tuple[Work, Cost]]:
+    """Open the resources of a command, with progress bars; its cost is filled in when the block ends."""
+    from metafab.core.parallel.measure import measured
     from metafab.core.parallel.work import Work
 
-    with progress_bars() as progress:
-        yield Work(workers, cluster, progress)
+    with progress_bars() as progress, measured() as cost:
+        yield Work(workers, cluster, progress), cost
 
 
 def show(result: Any, as_json: bool, **further: Any) -> None:

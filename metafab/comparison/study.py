@@ -7,7 +7,6 @@ split lens and sensor; their phases differ.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -139,10 +138,11 @@ def compare(design: Design, *, planes: int = 6, contrast: float = 0.25, progress
         methods = {"": estimator.likeliest}
         if rival.name == "double helix":
             methods[", cepstrum"] = estimator.by_cepstrum
-        error = np.array([[_errors(rival, z, k, scene, methods.values()) for k in range(planes)] for z in depth_m])
-        for index, suffix in enumerate(methods):
+        images = [[photographed(_kernels(rival, z), scene, k) for k in range(planes)] for z in depth_m]
+        for suffix, method in methods.items():
+            error = np.array([[method(pair) for pair in pairs] for pairs in images]) / depth_m[:, None] - 1.0
             names.append(rival.name + suffix)
-            errors.append(np.sqrt((error[..., index] ** 2).mean(axis=1)))
+            errors.append(np.sqrt((error**2).mean(axis=1)))
             bounds.append(bound)
         progress("planes", done, len(cameras))
     return Comparison(
@@ -169,14 +169,6 @@ def plane_estimator(calibration: PairKernels, side_px: int, texture: Texture) ->
     vergence = np.linspace(1.0 / depth_m[0], 1.0 / depth_m[-1], _CANDIDATES)
     kernels = np.stack([calibration.at_depth(1.0 / v)[:, 0, 0] for v in vergence])
     return PlaneEstimator.of(1.0 / vergence, kernels, side_px, texture)
-
-
-def _errors(
-    rival: Rival, depth_m: float, number: int, scene: Scene, methods: Iterable[Callable[[FloatArray], float]]
-) -> list[float]:
-    """Relative errors of depth of all methods for one photograph."""
-    images = photographed(_kernels(rival, depth_m), scene, number)
-    return [method(images) / depth_m - 1.0 for method in methods]
 
 
 def _kernels(rival: Rival, depth_m: float) -> FloatArray:

@@ -8,6 +8,7 @@ of known spectrum only). Maximum likelihood uses both.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,6 +17,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.numeric.peaks import parabolic_maximum
 from metafab.information.texture import Texture
 
 #: Trial contrasts of a plane, whose own contrast is unknown.
@@ -135,11 +137,9 @@ class PlaneEstimator:
 
     def _peak(self, score: FloatArray) -> float:
         """Depth of the highest score, refined by a parabola through the neighbouring candidates."""
-        top = int(np.argmax(score))
-        if not 0 < top < score.size - 1:
-            return float(self.depth_m[top])
-        low, middle, high = score[top - 1 : top + 2]
-        place = top + 0.5 * (low - high) / min(float(low - 2.0 * middle + high), -1e-12)
+        place = parabolic_maximum(score)
+        if math.isnan(place):
+            return float(self.depth_m[np.argmax(score)])
         return 1.0 / float(np.interp(place, np.arange(score.size), 1.0 / self.depth_m))
 
 

@@ -50,16 +50,13 @@ def point_information(
         return np.asarray((by_depth**2 / variance).sum(axis=(0, 2, 3)), dtype=np.float64)
     by_y, by_x = np.gradient(mean, axis=(2, 3))
     parameters = np.stack([by_depth, by_x, by_y, mean])
-    # Shape (depth, parameter, parameter); the Schur complement projects the nuisance parameters out.
+    # Shape (depth, parameter, parameter); the Schur complement projects the nuisance parameters out. Ones on the
+    # diagonal make the inverses well-conditioned.
     fisher = np.einsum("apdyx,bpdyx->dab", parameters / variance, parameters)
-    kept = np.array([1.0 / np.linalg.pinv(matrix, hermitian=True)[0, 0] for matrix in _normalised(fisher)])
-    return np.asarray(kept * fisher[:, 0, 0], dtype=np.float64)
-
-
-def _normalised(fisher: FloatArray) -> FloatArray:
-    """Information matrices scaled to ones on the diagonal, for well-conditioned inverses; shape of ``fisher``."""
     size = np.sqrt(np.einsum("daa->da", fisher))
-    return np.asarray(fisher / size[:, :, None] / size[:, None, :])
+    normalised = fisher / size[:, :, None] / size[:, None, :]
+    kept = np.array([1.0 / np.linalg.pinv(matrix, hermitian=True)[0, 0] for matrix in normalised])
+    return np.asarray(kept * fisher[:, 0, 0], dtype=np.float64)
 
 
 def twin_depth_information(
@@ -76,15 +73,11 @@ def twin_depth_information(
     Returns:
         Shape (n_depth,), 1/m^2; proportional to the area of the patch.
     """
-    transfer = np.fft.fft2(np.fft.ifftshift(psf, axes=(2, 3))) * pixel_um**2
-    slope = np.fft.fft2(np.fft.ifftshift(depth_slope(psf, depth_m), axes=(2, 3))) * pixel_um**2
-    signal_to_noise = texture.signal_to_noise((psf.shape[2], psf.shape[3]))
-    return np.array(
-        [
-            twin_information(transfer[:, i], slope[:, i], signal_to_noise, contrast_known=contrast_known)
-            for i in range(psf.shape[1])
-        ]
-    )
+    stacks = (np.fft.ifftshift(stack, axes=(2, 3)) for stack in (psf, depth_slope(psf, depth_m)))
+    transfer, slope = (np.moveaxis(np.fft.fft2(stack), 1, 0) * pixel_um**2 for stack in stacks)
+    snr = texture.signal_to_noise((psf.shape[2], psf.shape[3]))
+    pairs = zip(transfer, slope, strict=True)
+    return np.array([twin_information(*pair, snr, contrast_known=contrast_known) for pair in pairs])
 
 
 def depth_crlb_m(information: ArrayLike) -> FloatArray:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray, power_transmittance
 from metafab.core.figures import MappingFigures
+from metafab.core.numeric.chebyshev import power_coefficients
 from metafab.core.numeric.compiled import compiled
 from metafab.layout.pillars import SizeIndexArray
 from metafab.library import Library, SizeTable
@@ -100,23 +101,10 @@ class TileSums:
         )
 
 
-def _even_series(function: np.ufunc, odd: bool) -> tuple[float, ...]:
-    """Coefficients of cos(e), or of sin(e) / e if ``odd``, as a polynomial of degree 9 in e^2 on [0, pi^2].
-
-    Interpolation at Chebyshev points; coefficients from the lowest power. They fall like (pi / 2)^(2 n) / (2 n)!, to
-    1e-14 at the tenth.
-    """
-
-    def sampled(q: FloatArray) -> FloatArray:
-        root = np.sqrt(q)
-        return np.asarray(function(root) / root if odd else function(root))
-
-    chebyshev = np.polynomial.Chebyshev.interpolate(sampled, 9, domain=[0.0, np.pi**2])
-    power = chebyshev.convert(kind=np.polynomial.Polynomial, domain=[-1.0, 1.0], window=[-1.0, 1.0])
-    return tuple(float(c) for c in power.coef)
-
-
-_COSINE, _SINE = _even_series(np.cos, odd=False), _even_series(np.sin, odd=True)
+#: Coefficients of cos(e) and of sin(e) / e as polynomials of degree 9 in q = e^2, e up to pi, lowest power first. They
+#: fall like (pi / 2)^(2 n) / (2 n)!, to 1e-14 at the tenth.
+_COSINE = power_coefficients(lambda q: np.cos(np.sqrt(q)), 9, (0.0, np.pi**2))
+_SINE = power_coefficients(lambda q: np.sin(np.sqrt(q)) / np.sqrt(q), 9, (0.0, np.pi**2))
 
 
 @compiled

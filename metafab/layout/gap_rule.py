@@ -35,13 +35,18 @@ def allowed_sizes(library: Library, design: Design) -> SizeTable:
 
     A library without such a size raises InputError.
     """
-    width_nm, length_nm = largest_sides_nm(design)
+    return _sizes_up_to(largest_sides_nm(design), library, design)
+
+
+def _sizes_up_to(largest_nm: tuple[float, float], library: Library, design: Design, cells: int = 512) -> SizeTable:
+    """Look-up table of the sizes up to a width and a length."""
     return build_size_table(
         library,
         database_unit_nm=design.mask.database_unit_nm,
-        max_width_nm=width_nm,
-        max_length_nm=length_nm,
+        max_width_nm=largest_nm[0],
+        max_length_nm=largest_nm[1],
         min_feature_nm=design.min_side_nm,
+        cells=cells,
         cd_sigma_nm=design.rules.cd_sigma_nm,
         isotropic=design.rules.polarisation_independent,
     )
@@ -71,16 +76,7 @@ def joint_sizes(library: Library, design: Design, each: SizeTable, lattice: Latt
         """Largest side that leaves the gap next to the smallest pillar and does not exceed the cell."""
         return min(period_nm, 2.0 * (period_nm - design.min_spacing_nm) - design.min_side_nm)
 
-    wide = build_size_table(
-        library,
-        database_unit_nm=design.mask.database_unit_nm,
-        max_width_nm=largest_nm(p_x),
-        max_length_nm=largest_nm(p_y),
-        min_feature_nm=design.min_side_nm,
-        cells=2,
-        cd_sigma_nm=design.rules.cd_sigma_nm,
-        isotropic=design.rules.polarisation_independent,
-    )
+    wide = _sizes_up_to((largest_nm(p_x), largest_nm(p_y)), library, design, cells=2)
     if len(wide.size_dbu) == len(each.size_dbu):
         return None
     gap_dbu = design.min_spacing_nm / design.mask.database_unit_nm

@@ -72,20 +72,17 @@ def lattice_of(design: Design) -> Lattice:
     if aperture < max(whole_x, whole_y):
         got = f"{design.device.aperture_um:g} um for periods of {design.unit_cell.cell.period_nm} nm"
         raise InputError.single(design.name, "device.aperture_um", "at least one period", got)
-    _require_coarse_unit(design, max(whole_x, whole_y), aperture)
-    if hexagonal:  # Odd numbers make the lattice symmetric about both axes.
-        columns, rows = columns // 2 * 2 + 1, (rows - 1) // 2 * 2 + 1
-    return Lattice((p_x, p_y), (rows, columns), unit_nm, hexagonal)
-
-
-def _require_coarse_unit(design: Design, cell_dbu: int, aperture: int) -> None:
-    """Refuse a database unit of which an aperture or a unit cell holds too many."""
-    unit_nm = design.mask.database_unit_nm
-    for name, units, most in (("unit cell", cell_dbu, MAX_CELL_DBU), ("aperture", aperture, MAX_APERTURE_DBU)):
+    for name, units, most in (
+        ("unit cell", max(whole_x, whole_y), MAX_CELL_DBU),
+        ("aperture", aperture, MAX_APERTURE_DBU),
+    ):
         if units > most:
             expected, got = f"at most {most} units across the {name}", f"{units} units of {unit_nm:g} nm"
             remedy = f"choose one of at least {unit_nm * units / most:.3g} nm"
             raise InputError.single(design.name, "mask.database_unit_nm", expected, got, remedy)
+    if hexagonal:  # Odd numbers make the lattice symmetric about both axes.
+        columns, rows = columns // 2 * 2 + 1, (rows - 1) // 2 * 2 + 1
+    return Lattice((p_x, p_y), (rows, columns), unit_nm, hexagonal)
 
 
 def aperture_dbu(design: Design) -> int:

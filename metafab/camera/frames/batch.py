@@ -9,8 +9,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from metafab.camera.frames.frame import RawFrame, Truth
-from metafab.camera.frames.store import TRUTH_UNITS, put_axes
+from metafab.camera.frames.frame import RawFrame
+from metafab.camera.frames.store import TRUTH_UNITS, put_axes, stored_frame
 from metafab.core.errors import InputError
 from metafab.core.storage import hdf5
 from metafab.optics import store
@@ -84,21 +84,9 @@ def load_draw(path: Path | str, number: int) -> Draw:
         count = file["frame"].shape[0]
         if not 0 <= number < count:
             raise InputError.single(str(path), "number", f"0 to {count - 1}", f"{number}")
-        group, saturation_e = file["truth"], float(file["saturation_e"][number])
-        arrays = {name: group[name][number] for name in TRUTH_UNITS}
-        floats = {name: values.astype(np.float64) for name, values in arrays.items() if name != "label"}
-        origin, truth_origin = (tuple(map(float, one.attrs["origin_um"])) for one in (file, group))
-        row, column, rows, columns = map(int, file.attrs["x_window"])
-        frame = RawFrame(
-            file["frame"][number].astype(np.float64),
-            float(file.attrs["pixel_um"]),
-            (origin[0], origin[1]),
-            float(file["read_noise_e"][number]),
-            Truth(**floats, label=arrays["label"]),
-            (truth_origin[0], truth_origin[1]),
-            (row, column, rows, columns),
-            None if np.isnan(saturation_e) else saturation_e,
-        )
+        saturation_e = float(file["saturation_e"][number])
+        known_e = None if np.isnan(saturation_e) else saturation_e
+        frame = stored_frame(file, float(file["read_noise_e"][number]), known_e, number)
         return Draw(int(file["scene"][number]), int(file["seed"][number]), frame)
 
 

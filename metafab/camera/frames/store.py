@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import EllipsisType
 
 import h5py
 import numpy as np
@@ -51,29 +52,35 @@ def load(path: Path | str) -> RawFrame:
     """Read a frame; InputError if the file is missing, truncated, foreign or of a newer format."""
     remedy = "make it with `metafab capture SCENE.toml --psf PSF.h5`"
     with hdf5.open_kind(path, kind=RAW_KIND, format_version=RAW_FORMAT, remedy=remedy) as file:
-        truth, truth_origin_um = None, None
-        if "truth" in file:
-            group = file["truth"]
-            depth_m, intensity_x, intensity_y = (
-                np.asarray(group[name], dtype=np.float64) for name in ("depth_m", "intensity_x", "intensity_y")
-            )
-            truth = Truth(depth_m, intensity_x, intensity_y, np.asarray(group["label"], dtype=np.int32))
-            truth_origin_um = _pair(group.attrs["origin_um"])
-        saturation, window = file.attrs.get("saturation_e"), file.attrs.get("x_window")
-        frame = RawFrame(
-            np.asarray(file["frame"], dtype=np.float64),
-            float(file.attrs["pixel_um"]),
-            _pair(file.attrs["origin_um"]),
-            float(file.attrs["read_noise_e"]),
-            truth,
-            truth_origin_um,
-            None if window is None else (int(window[0]), int(window[1]), int(window[2]), int(window[3])),
-            None if saturation is None else float(saturation),
-            bool(file.attrs.get("saturation_assumed", False)),
-        )
+        saturation = file.attrs.get("saturation_e")
+        frame = stored_frame(file, float(file.attrs["read_noise_e"]), None if saturation is None else float(saturation))
     if faults := _faults(frame):
         raise InputError(str(path), faults)
     return frame
+
+
+def stored_frame(
+    file: h5py.File, read_noise_e: float, saturation_e: float | None, number: int | EllipsisType = ...
+) -> RawFrame:
+    """Return the frame of a file and its truth, or that of a ``number`` in a file of several."""
+    truth, truth_origin_um, window = None, None, file.attrs.get("x_window")
+    if "truth" in file:
+        group = file["truth"]
+        arrays = {name: group[name][number] for name in TRUTH_UNITS}
+        floats = {name: values.astype(np.float64) for name, values in arrays.items() if name != "label"}
+        truth = Truth(**floats, label=arrays["label"].astype(np.int32))
+        truth_origin_um = _pair(group.attrs["origin_um"])
+    return RawFrame(
+        file["frame"][number].astype(np.float64),
+        float(file.attrs["pixel_um"]),
+        _pair(file.attrs["origin_um"]),
+        read_noise_e,
+        truth,
+        truth_origin_um,
+        None if window is None else (int(window[0]), int(window[1]), int(window[2]), int(window[3])),
+        saturation_e,
+        bool(file.attrs.get("saturation_assumed", False)),
+    )
 
 
 def _faults(frame: RawFrame) -> list[Fault]:

@@ -67,7 +67,8 @@ class DepthPicture:
             raise InputError.single(str(spec.contrast_file), "rgbd.contrast_file", expected, "otherwise")
         brightness = np.maximum(_averaged(grey, shape) / grey.mean(), _DARKEST)
         half = (0.5 * pixel_tangent * shape[1], 0.5 * pixel_tangent * shape[0])
-        return cls(brightness, _nearest(depth_m, shape), _averaged(contrast, shape), half)
+        places = [((np.arange(n) + 0.5) * m / n).astype(int) for n, m in zip(shape, depth_m.shape, strict=True)]
+        return cls(brightness, depth_m[np.ix_(*places)], _averaged(contrast, shape), half)
 
     def at(self, tangent_x: FloatArray, tangent_y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Brightness, depth and contrast in directions of shape (n_y, n_x); the rim goes on beyond the picture."""
@@ -211,10 +212,3 @@ def _averaged(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
 
     image = Image.fromarray(values.astype(np.float32), mode="F")
     return np.asarray(image.resize(shape[::-1], Image.Resampling.BOX), dtype=np.float64)
-
-
-def _nearest(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
-    indices = [
-        np.minimum(((np.arange(n) + 0.5) * m / n).astype(int), m - 1) for n, m in zip(shape, values.shape, strict=True)
-    ]
-    return np.asarray(values[np.ix_(*indices)])

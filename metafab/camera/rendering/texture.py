@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import scipy.fft
@@ -29,9 +28,12 @@ def make_texture(spec: SceneObject, texels: tuple[int, int], rng: np.random.Gene
     if spec.texture == "uniform" or spec.texture_contrast == 0.0:
         return lambda u, v: np.ones(np.broadcast_shapes(u.shape, v.shape))
     if spec.texture == "checker":
-        return lambda u, v: _checker(u, v, spec.texture_contrast)
+        contrast = min(spec.texture_contrast, 1.0 - _DARKEST)
+        squares = _CHECKER_SQUARES
+        return lambda u, v: 1.0 + contrast * (2.0 * ((np.floor(squares * u) + np.floor(squares * v)) % 2) - 1.0)
     if spec.texture == "image" and spec.texture_file is not None:
-        pattern = _picture(spec.texture_file)
+        grey = read_grey(spec.texture_file)[::-1]  # lowest row first
+        pattern = (grey - grey.mean()) / max(float(grey.std()), 1e-300)
     else:
         pattern = fractal(texels, rng)
     return _sampled(_with_contrast(pattern, spec.texture_contrast))
@@ -46,18 +48,6 @@ def fractal(shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:
     pattern = scipy.fft.irfft2(spectrum, (n_y, n_x))[: shape[0], : shape[1]]
     pattern -= pattern.mean()
     return np.asarray(pattern / max(float(pattern.std()), 1e-300))
-
-
-def _checker(u: FloatArray, v: FloatArray, contrast: float) -> FloatArray:
-    parity = (np.floor(_CHECKER_SQUARES * u) + np.floor(_CHECKER_SQUARES * v)) % 2
-    return 1.0 + min(contrast, 1.0 - _DARKEST) * (2.0 * parity - 1.0)
-
-
-def _picture(path: Path) -> FloatArray:
-    """A picture's grey values, lowest row first, mean 0, rms 1."""
-    grey = read_grey(path)[::-1]
-    grey = grey - grey.mean()
-    return np.asarray(grey / max(float(grey.std()), 1e-300))
 
 
 def _with_contrast(pattern: FloatArray, contrast: float) -> FloatArray:

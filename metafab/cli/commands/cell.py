@@ -119,7 +119,6 @@ def library_build(
     from metafab import library
     from metafab.cell.open_orders import open_orders
     from metafab.core.parallel.executor import default_workers
-    from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import plain
     from metafab.library.neighbours.training import estimate_seconds
     from metafab.library.store import statistics_json
@@ -136,7 +135,7 @@ def library_build(
     if spec.neighbours is not None:
         seconds = estimate_seconds(spec) / (workers or default_workers())
         announce([f"{spec.neighbours.rows} rows of unlike pillars for each direction and light, about {seconds:.2g} s"])
-    with open_work(workers, cluster) as work, measured() as cost, work.processes() as executor:
+    with open_work(workers, cluster) as (work, cost), work.processes() as executor:
         built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=work.progress)
     quality = library.quality(built)
     announce(coverage_warning(quality.coverage_rad))
@@ -160,7 +159,7 @@ def library_check(
     from metafab import library
 
     opened = library.load(file)
-    with open_work(workers, cluster) as work, work.processes() as executor:
+    with open_work(workers, cluster) as (work, _), work.processes() as executor:
         result = library.check(
             opened, against=against, samples=samples, seed=seed, executor=executor, progress=work.progress
         )

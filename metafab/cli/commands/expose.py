@@ -42,7 +42,6 @@ def expose_command(
     DIR/corrected. With -o DIR/exposure.json in a run folder, the next report shows the
     size errors, before and after the correction with --correct.
     """
-    from metafab.core.parallel.measure import measured
     from metafab.spec import load_design
     from metafab.steps.exposure import corrected_folder, expose_mask, save_exposure, write_corrected
 
@@ -59,7 +58,7 @@ def expose_command(
         asked, folder = folder, corrected_folder(folder, layout)
         if folder != asked:
             announce([f"{asked} keeps its mask: the corrected one goes to {folder}"])
-    with open_work(workers) as work, measured() as cost:
+    with open_work(workers) as (work, cost):
         exposed = expose_mask(layout, spec, correct, sample, copy, work, keep_plain=record is not None)
         files = () if folder is None else write_corrected(exposed, spec, folder, work.progress)
         if record is not None:
@@ -133,7 +132,6 @@ def process_fit_command(
     file by `process = "process.toml"`. Columns height_nm, sidewall_angle_deg and corner_radius_nm become those of the
     etch, and of a unit cell beside the file.
     """
-    from metafab.core.parallel.measure import measured as measured_cost
     from metafab.exposure.fit import PARAMETERS
     from metafab.exposure.process_file import fitted_process, process_files, save_process
     from metafab.spec import load_design
@@ -142,7 +140,7 @@ def process_fit_command(
     if unknown := sorted(set(names) - set(PARAMETERS)):
         raise InputError.single("--free", "free", f"some of {', '.join(PARAMETERS)}", ", ".join(unknown))
     spec = load_design(design)
-    with open_work(workers) as work, measured_cost() as cost:
+    with open_work(workers) as (work, cost):
         chosen = [name for name in PARAMETERS if name in names]
         fitted = fitted_process(measured, layout, spec, chosen, copy, work)
     path = output or Path("process.toml")

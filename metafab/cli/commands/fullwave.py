@@ -26,49 +26,9 @@ from metafab.core.errors import InputError
 if TYPE_CHECKING:
     from metafab.cell.supercell import IntArray
     from metafab.core.conventions import ComplexArray
-    from metafab.fullwave.coupling import CouplingRow
 
 #: A simulation is stopped when it takes this many times the estimated time.
 _PATIENCE = 20.0
-
-
-@dataclass(frozen=True)
-class CouplingAnswer:
-    """Error of the local-period approximation, as ``metafab coupling --json`` prints it."""
-
-    coupling_error: float  #: Relative L2 error of the field.
-    efficiency_ratio: float  #: Power in the focusing order relative to that of the stitched library.
-    rows: tuple[CouplingRow, ...]  #: The simulated rows.
-
-
-@dataclass(frozen=True)
-class PatchEstimate:
-    """Estimated size of a simulation."""
-
-    pixels: float  #: Pixels of the grid.
-    seconds: float  #: Time.
-    memory_mb: float  #: Memory.
-
-
-@dataclass(frozen=True)
-class PatchNumerics:
-    """Grid of a simulation."""
-
-    pixels_per_period: int  #: Pixels of Meep per period.
-    padding_sites: int  #: Neighbours on each side of the patch.
-
-
-@dataclass(frozen=True)
-class PatchAnswer:
-    """Simulation of a patch, as ``metafab patch --json`` prints it, with the figures of the comparison."""
-
-    pillars: int  #: Pillars of the patch.
-    polarisation: str  #: Polarisation of the incident light.
-    decay: float  #: Remaining field at which the simulation stopped.
-    seconds: float  #: Time.
-    estimate: PatchEstimate  #: Estimated size of the simulation.
-    numerics: PatchNumerics  #: Its grid.
-    file: Path  #: Path of the fields.
 
 
 @dataclass(frozen=True)
@@ -105,11 +65,10 @@ def coupling_command(
     """
     from metafab import fullwave, mask
     from metafab.cell.meep import SupercellSettings
-    from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import file_sha256
     from metafab.steps import open_library
 
-    with open_work() as work, measured() as cost:
+    with open_work() as (work, cost):
         job = open_job(design, None, work)
         coupling = fullwave.measure_coupling(
             mask.read(layout, job.design, progress=work.progress).pillars,
@@ -125,7 +84,7 @@ def coupling_command(
         )
     if output is not None:
         fullwave.save_coupling(coupling, output)
-    figures = CouplingAnswer(coupling.coupling_error, coupling.efficiency_ratio, coupling.rows)
+    figures = {name: getattr(coupling, name) for name in ("coupling_error", "efficiency_ratio", "rows")}
     show(figures, json_, seconds=cost.seconds, file=output)
 
 
@@ -151,13 +110,13 @@ def patch_command(
     from metafab import fullwave, mask
     from metafab.cell.meep import Pool, SupercellSettings
     from metafab.cell.meep.pool import own_folder
-    from metafab.core.storage.files import file_sha256, fingerprint, plain
+    from metafab.core.storage.files import file_sha256, fingerprint
     from metafab.fullwave.patch import PATCH_DECAY
     from metafab.steps import open_library
 
     require_positive("--size-um", size_um)
     path = output or Path("patch.h5")
-    with open_work() as work:
+    with open_work() as (work, _):
         job = open_job(design, None, work)
         opened = open_library(job)
         plan = fullwave.plan_patch(
@@ -180,13 +139,20 @@ def patch_command(
         with Pool(1, limit_s=max(3600.0, _PATIENCE * plan.cost.seconds), keep=own_folder()) as pool:
             patch = fullwave.solve_patch(plan, opened, polarisation, pool, work.progress)
     fullwave.save_patch(patch, path, inputs_sha256=fingerprint(file_sha256(layout), at_um, size_um, polarisation))
-    estimate = PatchEstimate(plan.cost.pixels, plan.cost.seconds, memory_mb)
-    numerics = PatchNumerics(pixels_per_period, padding_sites)
-    answer = PatchAnswer(patch.full_wave.size, polarisation, patch.decay, patch.seconds, estimate, numerics, path)
     differences = asdict(patch.against_library)
     for name, difference in (("coupling", patch.coupling), ("grid", patch.grid)):
         differences |= {f"{name}_{figure}": value for figure, value in asdict(difference).items()}
-    show(differences | plain(answer), json_)
+    show(
+        differences,
+        json_,
+        pillars=patch.full_wave.size,
+        polarisation=polarisation,
+        decay=patch.decay,
+        seconds=patch.seconds,
+        estimate={"pixels": plan.cost.pixels, "seconds": plan.cost.seconds, "memory_mb": memory_mb},
+        numerics={"pixels_per_period": pixels_per_period, "padding_sites": padding_sites},
+        file=path,
+    )
 
 
 @app.command("fullwave")
@@ -204,7 +170,6 @@ def fullwave_command(
 ) -> None:
     """Transmitted orders of supercells: by the library's model, RCWA, Meep, or lone pillars."""
     from metafab.cell.elements import ElementNumerics
-    from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import write_json
     from metafab.fullwave.blocks import BlockNumerics, read_blocks, solve_blocks
     from metafab.library import load
@@ -214,7 +179,7 @@ def fullwave_command(
     rcwa = ElementNumerics() if target_error is None else ElementNumerics(target_error)
     numerics = BlockNumerics(rcwa, tuple(pixels_per_period or BlockNumerics().pixels_per_period))
     answers = []
-    with open_work(workers) as work, measured() as cost, work.processes() as executor:
+    with open_work(workers) as (work, cost), work.processes() as executor:
         for found in solve_blocks(supercells, opened, solver, numerics, executor=executor, progress=work.progress):
             (t_xx, t_xy), (t_yx, t_yy) = found.t.transpose(1, 2, 0)
             answers.append(BlockAnswer(found.order, t_xx, t_xy, t_yx, t_yy, found.error, found.seconds))

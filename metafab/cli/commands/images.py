@@ -37,7 +37,7 @@ White = Annotated[
 
 @dataclass(frozen=True)
 class CaptureAnswer:
-    """Written frames, as ``metafab capture --json`` prints them."""
+    """Written frames, as ``metafab capture --json`` prints them; of files in counts with their :class:`Counts`."""
 
     shape: tuple[int, ...]  #: Rows and columns of a frame; of a batch, frames before them.
     photons: float | list[float]  #: Sum of all pixels, electrons; one value for each frame of a film.
@@ -45,12 +45,6 @@ class CaptureAnswer:
     #: Path of a single frame or of a batch; ``files``: paths of the frames of a film. One of them is None.
     file: Path | None = optional()
     files: list[Path] | None = optional()
-    #: Black level of a file in counts; this and the following are the options that ``decode`` needs to read it, and
-    #: None for an ``.h5``.
-    black: float | None = optional()
-    electrons_per_count: float | None = optional()  #: Gain.
-    read_noise_e: float | None = optional()  #: Standard deviation of the read noise, electrons.
-    white: float | None = optional()  #: White level, counts.
 
 
 def _counts(black: float, gain: float, read_noise_e: float, white: float | None) -> Counts:
@@ -60,7 +54,7 @@ def _counts(black: float, gain: float, read_noise_e: float, white: float | None)
     require_finite("--black", black)
     require_positive("--electrons-per-count", gain)
     require_finite("--read-noise-e", read_noise_e)
-    require_finite("--white", *([] if white is None else [white]))
+    require_finite("--white", white)
     if white is not None and white <= black:
         raise InputError.single("--white", "value", f"more than the black level, {black:g} counts", f"{white:g}")
     return Counts(black, gain, read_noise_e, white)
@@ -89,7 +83,6 @@ def capture_command(
     A frame is an .h5 with its truth, or counts in .tif, .png or .npy.
     """
     from metafab.camera import counts_of
-    from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import HDF5_SUFFIXES
     from metafab.spec import load_scene
     from metafab.steps.images import capture, capture_batch
@@ -101,7 +94,7 @@ def capture_command(
         raise InputError.single("capture", "--black", expected, f"{path.name}, in electrons", "leave it out")
     if draws is not None:
         _require_batch(path, frames)
-        with open_work() as work, measured() as cost:
+        with open_work() as (work, cost):
             pairs = [(scene, load_scene(scene)) for scene in scenes]
             batch = capture_batch(pairs, psf, path, draws, seed=seed, progress=work.progress)
         show(CaptureAnswer(shape=batch.shape, photons=batch.photons, seconds=cost.seconds, file=path), json_)
@@ -112,7 +105,7 @@ def capture_command(
     files: list[Path] = []
     shape: tuple[int, ...] = ()
     counts: Counts | None = None
-    with open_work() as work, measured() as cost:
+    with open_work() as (work, cost):
         filmed = capture(load_scene(scenes[0]), psf, path, frames, seed=seed, black=black, progress=work.progress)
         for frame, file in filmed:
             counts = counts_of(frame, black=black) if in_counts else None
@@ -125,12 +118,9 @@ def capture_command(
         seconds=cost.seconds,
         file=files[0] if frames == 1 else None,
         files=None if frames == 1 else files,
-        black=None if counts is None else counts.black,
-        electrons_per_count=None if counts is None else counts.electrons_per_count,
-        read_noise_e=None if counts is None else counts.read_noise_e,
-        white=None if counts is None else counts.white,
     )
-    show(answer, json_)
+    # The options that `decode` needs to read files in counts.
+    show(answer, json_, **({} if counts is None else vars(counts)))
 
 
 def _require_batch(path: Path, frames: int) -> None:
@@ -154,14 +144,13 @@ def film_command(
 ) -> None:
     """Simulate, decode and draw a film of a moving scene: .gif, or .mp4 with ffmpeg."""
     from metafab import report
-    from metafab.core.parallel.measure import measured
     from metafab.spec import load_scene
     from metafab.steps.images import FilmFigures, decoded_film
 
     path = output or Path("film.gif")
     report.require_film_name(path)
     moving = load_scene(scene)
-    with open_work() as work, measured() as cost:
+    with open_work() as (work, cost):
         film = list(decoded_film(moving, psf, frames, seed=seed, progress=work.progress))
         report.write_film(film, path, frame_interval_s=moving.frame_interval_s)
     show(FilmFigures.of(film), json_, seconds=cost.seconds, file=path)
@@ -188,7 +177,7 @@ def decode_command(
 
     path = output or Path("decoded.h5")
     require_hdf5_name(path)
-    with open_work() as work:
+    with open_work() as (work, _):
         from metafab.decode import FAST
 
         counts = _counts(black, electrons_per_count, read_noise_e, white)

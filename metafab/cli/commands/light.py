@@ -78,7 +78,6 @@ def psf_command(
     json_: Json = False,
 ) -> None:
     """Compute the PSF pair of a written mask over depth."""
-    from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import require_hdf5_name
     from metafab.spec import load_scene
     from metafab.steps import optics
@@ -108,11 +107,11 @@ def psf_command(
         whole = "--scene" if scene is not None else "--calibration"
         raise InputError.single("psf", whole, "no option that it answers itself", ", ".join(present))
     require_positive("--depths-m", *(depth for depth in depths_m or () if depth != math.inf))
-    require_positive("--pixel-um", *([] if pixel_um is None else [pixel_um]))
-    require_positive("--wavelength-nm", *([] if wavelength_nm is None else [wavelength_nm]))
+    require_positive("--pixel-um", pixel_um)
+    require_positive("--wavelength-nm", wavelength_nm)
     require_finite("--object-mm", *(object_mm or ()))
     require_finite("--centre-um", *(centre_um or ()))
-    with open_work(workers, cluster) as work, measured() as cost:
+    with open_work(workers, cluster) as (work, cost):
         job = open_job(design, None, work)
         if wavelength_nm is not None:
             job = _at_wavelength(job, wavelength_nm)
@@ -204,9 +203,9 @@ def import_command(
     if path.is_file() and len(depths) == 1 and Path(depths[0]).is_file() and path.samefile(depths[0]):
         raise InputError.single("--output", "output", "a file of its own", f"{path}, which is read", "name another")
     require_positive("--pixel-um", pixel_um)
-    require_positive("--distance-mm", *([] if distance_mm is None else [distance_mm]))
+    require_positive("--distance-mm", distance_mm)
     require_finite("--split-um", *(split_um or ()))
-    require_finite("--zero-m", *([] if zero_m is None else [zero_m]))
+    require_finite("--zero-m", zero_m)
     depth_m = _depths_m(depths)
     values = read_stack(stack, len(depth_m), datasets or ())
     if channels is not None and channels != len(values):
@@ -258,11 +257,10 @@ def tolerance_command(
     folder, the next report shows the table.
     """
     from metafab import tolerance
-    from metafab.core.parallel.measure import measured
     from metafab.core.storage.files import file_sha256
     from metafab.steps.tolerance import tolerances
 
-    with open_work(workers, cluster) as work, measured() as cost:
+    with open_work(workers, cluster) as (work, cost):
         table = tolerances(open_job(design, None, work), layout, copy=copy)
     if output is not None:
         tolerance.save_tolerance(table, output, mask_sha256=file_sha256(layout))

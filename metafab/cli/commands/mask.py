@@ -27,11 +27,10 @@ def layout_command(
 ) -> None:
     """Map the target phases to pillars and write the mask files."""
     from metafab import mask
-    from metafab.core.parallel.measure import measured
     from metafab.steps import preflight, write_layout
     from metafab.steps.layout import light_targets
 
-    with open_work(workers, cluster) as work:
+    with open_work(workers, cluster) as (work, cost):
         job = open_job(design, output, work)
         preflight(job.design)
         if plan:
@@ -42,8 +41,7 @@ def layout_command(
             show(mask.plan(job.profile, _library_for_plan(job), job.design, workers, lights=lights), json_)
             return
         announce(mask.announcement(job.design))
-        with measured() as cost:
-            figures = write_layout(job)
+        figures = write_layout(job)
     show(figures, json_, seconds=cost.seconds, peak_rss_mb=cost.peak_rss_mb)
 
 
@@ -81,7 +79,7 @@ def drc_command(
     from metafab.spec import load_design
 
     spec = load_design(design)
-    with open_work(workers, cluster) as work:
+    with open_work(workers, cluster) as (work, _):
         report = drc.check(layout, spec, engine=engine, work=work, copy=copy)
     if output is not None:
         drc.save([report], output, mask.top_name(spec.name))

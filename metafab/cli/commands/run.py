@@ -95,7 +95,7 @@ def run_command(
 
     spec = load_design(design)
     folder = output or Path("runs") / (spec.name if skip else f"{spec.name}_no_skip")
-    with open_work(workers, cluster) as work:
+    with open_work(workers, cluster) as (work, _):
         summary = run(spec, folder, work=work, skips=skip, say=announce)
     if summary.library is not None:
         announce(coverage_warning(summary.library.coverage_rad))

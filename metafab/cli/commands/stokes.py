@@ -27,12 +27,11 @@ def stokes_command(
     """Full-Stokes imaging with a camera design: turned pillars, six images, Stokes vectors and depth."""
     from metafab import report
     from metafab.core.errors import InputError
-    from metafab.core.parallel.measure import measured
     from metafab.steps.stokes import full_stokes
 
     if angles % 4:
         raise InputError.single("stokes", "--angles", "a multiple of 4, which holds both diagonals", str(angles))
-    with open_work() as work, measured() as cost:
+    with open_work() as (work, cost):
         job = open_job(design, output, work)
         row_deg = row_angle_deg or job.design.split_angle_deg
         run = full_stokes(job, row_angle_deg=row_deg, angles=angles, size_step_nm=size_step_nm)

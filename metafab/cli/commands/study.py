@@ -75,9 +75,8 @@ def compare_command(
     The result goes to the design's run folder unless ``-o`` names another; the next report shows it.
     """
     from metafab import comparison, report
-    from metafab.core.parallel.measure import measured
 
-    with open_work() as work, measured() as cost:
+    with open_work() as (work, cost):
         job = open_job(design, output, work)
         result = comparison.compare(job.design, planes=planes, contrast=contrast, progress=work.progress)
         job.folder.mkdir(parents=True, exist_ok=True)

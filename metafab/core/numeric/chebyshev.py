@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -26,6 +27,13 @@ def interpolation(span: Span, count: int, at: FloatArray) -> FloatArray:
     order = np.arange(count)
     cosines = np.cos(np.outer(angles, order)) * np.where(order == 0, 1.0, 2.0) / count
     return np.asarray(cosines @ np.cos(np.outer(order, np.pi * (order + 0.5) / count)))
+
+
+def power_coefficients(function: Callable[[FloatArray], FloatArray], degree: int, span: Span) -> tuple[float, ...]:
+    """Return a function's polynomial through the Chebyshev points of a span: coefficients, lowest power first."""
+    series = np.polynomial.Chebyshev.interpolate(function, degree, domain=list(span))
+    power = series.convert(kind=np.polynomial.Polynomial, domain=[-1.0, 1.0], window=[-1.0, 1.0])
+    return tuple(float(c) for c in power.coef)
 
 
 def points_needed(phase_rad: float, tolerance: float) -> int:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.numeric.chebyshev import power_coefficients
 from metafab.core.numeric.compiled import compiled
 
 #: Largest error of the interpolated sum, as a share of the sum of the moduli of the weights. For n points it is
@@ -68,16 +69,8 @@ def _lagrange(position: FloatArray, points: FloatArray) -> FloatArray:
     return np.asarray(np.polynomial.chebyshev.chebvander(position, order) @ series.T)
 
 
-def _coefficients() -> tuple[float, ...]:
-    """Coefficients of arctan(a) / a as a polynomial in q = a^2 on [0, 1], lowest power first."""
-    chebyshev = np.polynomial.Chebyshev.interpolate(
-        lambda q: np.arctan(np.sqrt(q)) / np.sqrt(q), _DEGREE, domain=[0.0, 1.0]
-    )
-    power = chebyshev.convert(kind=np.polynomial.Polynomial, domain=[-1.0, 1.0], window=[-1.0, 1.0])
-    return tuple(float(c) for c in power.coef)
-
-
-_COEFFICIENTS = _coefficients()
+#: Coefficients of arctan(a) / a as a polynomial in q = a^2, lowest power first.
+_COEFFICIENTS = power_coefficients(lambda q: np.arctan(np.sqrt(q)) / np.sqrt(q), _DEGREE, (0.0, 1.0))
 
 
 @compiled
