@@ -96,7 +96,6 @@ def rows_of(room: str, *, quick: bool = False, progress: Progress = silent, **op
     Args:
         room: one of :data:`ROOMS`, or "all".
         quick: run fewer and smaller cases.
-        progress: called once for each room.
         options: those of the room in :data:`ROOM_OPTIONS`; None, or an empty list, for the default.
 
     Returns:

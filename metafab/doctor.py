@@ -59,7 +59,6 @@ def examine(*, rehearse: bool = False, progress: Progress = silent) -> Diagnosis
 
     Args:
         rehearse: also run all steps on a small lens, which compiles the kernels that a first run would compile.
-        progress: callback of the rehearsal.
     """
     from metafab.cell import meep
     from metafab.cell.meep.pool import own_folder

@@ -111,11 +111,9 @@ def run(
     """Run every step that is not up to date.
 
     Args:
-        design: a validated design.
         folder: run folder; files of earlier runs in it are used again as long as they are up to date.
         steps: the steps, in their order.
         check: step that checks the design before the folder is made.
-        work: workers, cluster and progress.
         skips: whether to leave out what need not be computed; with False, every step runs, and computes what it
             otherwise interpolates.
         say: called with announcements before the work begins.

@@ -40,11 +40,10 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
         scene: objects, photons, noise. A field stop passes ``scene.field_px`` pixels about the axis.
         psf: the pair over depth; depths of the scene must lie inside its range.
         seed: of textures and noise; ``scene.seed`` by default.
-        progress: called after each layer.
 
     Returns:
         A frame of both images and the margin of their blur. Its pixels stand on whole multiples of ``psf.pixel_um``
-            from the axis.
+        from the axis.
 
     Raises:
         InputError: a depth is outside the calibrated range, or the two images overlap.

@@ -36,7 +36,6 @@ def film(
 
     Args:
         admittance_in: admittance of the medium that the light comes from.
-        admittance_film: admittance of the film.
         admittance_out: admittance of the medium behind the film.
         propagation: exp(i q k0 d), one pass through the film.
 

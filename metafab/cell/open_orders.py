@@ -43,8 +43,7 @@ class OpenOrders:
 def open_orders(unit_cell: UnitCell) -> tuple[OpenOrders, ...]:
     """Return the orders that open on either side of a unit cell; solves three sizes if there are any.
 
-    Raises:
-        InputError: as :func:`metafab.cell.pillar_cell`.
+    Errors as :func:`metafab.cell.pillar_cell`.
     """
     sides: tuple[Side, Side] = ("substrate", "ambient")
     cells = [pillar_cell(unit_cell, *_size_nm(unit_cell, share)) for share in _SIZES]

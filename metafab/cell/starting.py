@@ -45,7 +45,6 @@ def starting_cell(
     """Return the text of a commented unit-cell file.
 
     Args:
-        wavelength_nm: vacuum wavelength.
         material: of the pillars: a usual name (TiO2, Si, a-Si, SiN, SiO2, Al2O3) or a record.
         substrate: likewise.
         shape: cross-section of the pillars: "rectangle", "circle", "ellipse" or "cross".

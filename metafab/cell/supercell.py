@@ -24,8 +24,7 @@ IntArray = NDArray[np.intp]
 class Supercell:
     """Pillars of many sizes in one period.
 
-    Raises:
-        InputError: sizes of another shape or beyond the period, or a cell that no supercell solver treats.
+    InputError for sizes of another shape or beyond the period, or a cell that no supercell solver treats.
     """
 
     #: Period of one site, materials, and light along the axis; its own pillar size is ignored. Pillars are upright

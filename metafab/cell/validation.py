@@ -22,11 +22,7 @@ _FEWEST_ORDERS = 3
 
 
 def check(cell: PillarCell) -> None:
-    """Refuse an unphysical cell.
-
-    Raises:
-        InputError: with every fault of the cell.
-    """
+    """Refuse an unphysical cell; InputError with every fault of the cell."""
     faults = _faults_of_choices(
         ("side", cell.side, get_args(Side)),
         ("sizes_at", cell.sizes_at, get_args(SizesAt)),
@@ -50,11 +46,7 @@ def check(cell: PillarCell) -> None:
 
 
 def check_numerics(numerics: CellNumerics) -> None:
-    """Refuse numerics that are out of range.
-
-    Raises:
-        InputError: with every fault of the numerics.
-    """
+    """Refuse numerics that are out of range; InputError with every fault of the numerics."""
     faults = _faults_of_choices(
         ("solver", numerics.solver, ("rcwa", "elements", "meep")),
         ("formulation", numerics.formulation, ("adaptive", "fourier")),

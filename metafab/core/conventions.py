@@ -64,8 +64,7 @@ def power_transmittance(t: ArrayLike, n_in: complex, n_out: complex) -> FloatArr
 def image_distance_mm(focal_length_mm: float, depth_m: float) -> float:
     """Image distance s' of an object at ``depth_m``: 1/s' = 1/f - 1/depth; ``math.inf`` is a valid depth.
 
-    Raises:
-        ValueError: the object stands within the focal length and has no real image.
+    ValueError if the object stands within the focal length and has no real image.
     """
     vergence_per_mm = 1.0 / focal_length_mm - (0.0 if math.isinf(depth_m) else 1e-3 / depth_m)
     if vergence_per_mm <= 0.0:

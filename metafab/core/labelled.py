@@ -24,7 +24,6 @@ def dataset(
     Args:
         variables: name -> (dimensions, values of any shape, unit).
         coordinates: dimension -> values of shape (n,); the unit is the suffix of the name.
-        attributes: attributes of the dataset.
 
     Raises:
         MissingToolError: xarray is not installed.

@@ -74,8 +74,6 @@ def decode(
     Args:
         frame: electrons or counts; saturated and invalid pixels are left out.
         psf: calibration over the depths that are to be measured, at least three.
-        numerics: how to compute.
-        progress: called as images are filtered.
 
     Returns:
         The image on the geometric image grid of the x polarisation.
@@ -133,11 +131,9 @@ class Decoder:
         """A decoder, or None if no part of such frames holds both images.
 
         Args:
-            psf: calibration.
             frame_shape: (n_y, n_x) of the frames.
             origin_um: (x, y) on the sensor of pixel [0, 0].
             x_window: (row, column, rows, columns) of the x image; by default, all pixels whose twins are in the frame.
-            numerics: how to compute.
         """
         numerics = numerics or DecoderNumerics()
         kernels, image_map = PairKernels.of_unpolarised(psf), ImageMap.from_psf(psf)

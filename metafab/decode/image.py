@@ -64,11 +64,7 @@ class Image4D(Displayed):
         }
 
     def to_xarray(self) -> xarray.Dataset:
-        """All maps over (y_um, x_um).
-
-        Raises:
-            MissingToolError: xarray is not installed.
-        """
+        """All maps over (y_um, x_um); MissingToolError if xarray is not installed."""
         axes, (n_y, n_x) = ("y_um", "x_um"), self.depth_m.shape
         units = {"intensity_x": "electron", "intensity_y": "electron", "contrast": "", "depth_m": "m", "confidence": ""}
         variables = {name: (axes, getattr(self, name), unit) for name, unit in units.items()}

@@ -51,11 +51,7 @@ def save(image: Image4D, path: Path, *, inputs_sha256: str = "") -> None:
 
 
 def load(path: Path | str) -> Image4D:
-    """Read a decoded image.
-
-    Raises:
-        InputError: the file is missing, truncated, foreign or of a newer format.
-    """
+    """Read a decoded image; InputError if the file is missing, truncated, foreign or of a newer format."""
     remedy = "make it with `metafab decode RAW --psf PSF.h5`"
     with hdf5.open_kind(path, kind=DECODED_KIND, format_version=DECODED_FORMAT, remedy=remedy) as file:
         arrays = {name: np.asarray(file[name]) for name, _, _ in _DATASETS if name in file}

@@ -27,11 +27,9 @@ _VISIBLE = {"min_width", "min_length", "aspect_ratio", "grid", "foreign", *_PAIR
 def check_rectangles(path: Path, design: Design, work: Work = Work()) -> DrcReport:
     """Check width, length, aspect ratio, gap (diagonals included), overlap, duplicates, grid and foreign shapes.
 
-    Of the design's lattice only the period counts, as the scale of the search.
-
-    Raises:
-        InputError: the file cannot be read, has several top cells or nothing on the pillar layer; the design's pillars
-            are not rectangles; or a cluster is asked for.
+    Of the design's lattice only the period counts, as the scale of the search. InputError if the file cannot be read,
+    has several top cells or nothing on the pillar layer; the design's pillars are not rectangles; or a cluster is asked
+    for.
     """
     if work.cluster is not None:
         expected, remedy = "'lattice' or 'polygons'", "it runs on one machine: leave it out"

@@ -141,7 +141,6 @@ def expose(
         correction: "dose" finds a dose for each pillar so that it prints at size; "shape" finds sizes to draw at one
             dose.
         numerics: classes and samples.
-        work: threads and progress.
 
     Raises:
         InputError: a hexagonal lattice, no pillar, or a pattern that cannot be printed.

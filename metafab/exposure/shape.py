@@ -53,7 +53,6 @@ def corrected_shapes(
         psf: point-spread function of the beam.
         base_over_clearing_dose: base dose over the clearing dose of a large pad.
         executor: threads that compute tiles.
-        progress: called after each round.
 
     Returns:
         The pillars to draw, and the number of rounds.

@@ -75,9 +75,8 @@ class Blocks:
 def read_blocks(path: Path, library: Library) -> list[Supercell]:
     """Read supercells of the library's unit cell.
 
-    Raises:
-        InputError: the file is missing or holds faults (all of them are reported), or the unit cell is none that
-            supercells are solved for.
+    InputError if the file is missing or holds faults (all of them are reported), or the unit cell is none that
+    supercells are solved for.
     """
     try:
         table = json.loads(path.read_text(encoding="utf-8-sig"))
@@ -126,11 +125,9 @@ def solve_blocks(
     Args:
         supercells: pillars in the library's unit cell.
         library: library for ``lone`` and ``model``.
-        solver: method.
         numerics: numerics of ``rcwa`` and ``meep``.
         executor: runs ``rcwa`` in parallel; by default this process.
         pool: workers of Meep; by default one that lives as long as this process.
-        progress: called after each supercell, and during runs of Meep.
 
     Raises:
         InputError: the solver does not treat a supercell, or the library has no model.
@@ -153,10 +150,7 @@ def lone_orders(supercell: Supercell, library: Library) -> SupercellOrders:
     """Transmitted orders by the local-period approximation, with the values of a library.
 
     The error is the library's; of equal pillars that is all. Unlike neighbours add what :data:`_PER_STEP` says of the
-    steps from site to site.
-
-    Raises:
-        InputError: a size lies outside the library's sweep.
+    steps from site to site. InputError if a size lies outside the library's sweep.
     """
     start = time.perf_counter()
     pillar = np.all(supercell.size_nm > 0.0, axis=-1)

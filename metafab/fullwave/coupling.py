@@ -93,15 +93,12 @@ def measure_coupling(
     """Solve one local period at each place.
 
     Args:
-        pillars: pillars read from the mask.
         library: library of the mask; its phases determine the local period.
         places_um: (x, y) of the middle of each row.
         mask_sha256: hash of the written file, kept in the result.
-        axis: direction of the rows.
         polarisations: polarisations of the light; each has a local period of its own.
         numerics: full-wave solvers.
         pool: workers of Meep; by default one that lives as long as this process.
-        progress: called after each row.
 
     Raises:
         InputError: a place is off the lens, or its local period is too long.

@@ -115,12 +115,9 @@ def plan_patch(
     """Cut a square patch from a mask and estimate the cost of its simulation.
 
     Args:
-        pillars: pillars read from a mask.
-        library: library of the mask.
         at_um: (x, y) of the patch's middle.
         size_um: side, rounded to whole sites.
         padding_sites: neighbours on each side that are simulated but not compared.
-        settings: grid and decay.
 
     Raises:
         InputError: the place is off the lens, no pillar stands there, or the grid does not fit.
@@ -147,10 +144,8 @@ def solve_patch(
 
     Args:
         plan: patch and settings.
-        library: library of the mask.
         polarisation: polarisation of the incident light.
         pool: workers of Meep; by default one that lives as long as this process.
-        progress: called during the simulation.
 
     Raises:
         MissingToolError: no interpreter has Meep.
@@ -206,11 +201,7 @@ def save_patch(patch: Patch, path: Path, *, inputs_sha256: str) -> None:
 
 
 def load_patch(path: Path) -> Patch:
-    """Read ``patch.h5``.
-
-    Raises:
-        InputError: the file is missing, damaged, or of another kind.
-    """
+    """Read ``patch.h5``; InputError if the file is missing, damaged, or of another kind."""
     with open_kind(path, kind=KIND, format_version=FORMAT, remedy="make it with `metafab patch`") as file:
         return Patch(
             polarisation="y" if file.attrs["polarisation"] == "y" else "x",

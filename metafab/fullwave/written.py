@@ -21,11 +21,7 @@ _LONGEST_SITES = 40
 
 
 def site_at(pillars: PillarMap, x_um: float, y_um: float) -> tuple[int, int]:
-    """Return (row, column) of the site nearest to a point.
-
-    Raises:
-        InputError: the point lies outside the lattice.
-    """
+    """Return (row, column) of the site nearest to a point; InputError if the point lies outside the lattice."""
     lattice = pillars.lattice
     nearest = []
     for name, at, sites in (("y", y_um, lattice.y_um()), ("x", x_um, lattice.x_um())):
@@ -41,7 +37,6 @@ def sizes_at(pillars: PillarMap, row: int, column: int, shape: tuple[int, int]) 
     """Return the sizes of a block of sites.
 
     Args:
-        pillars: pillars read from a mask.
         row: first row of the block; may lie outside the lattice.
         column: first column of the block; may lie outside the lattice.
         shape: (n_y, n_x) sites.
@@ -67,7 +62,6 @@ def supercell_at(
     """Return a block of written pillars around a point.
 
     Args:
-        pillars: pillars read from a mask.
         library: library with the pillars' materials and illumination.
         x_um: middle of the block; the nearest site is used.
         y_um: middle of the block; the nearest site is used.

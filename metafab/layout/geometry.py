@@ -58,9 +58,8 @@ def _remedy(length_nm: float, unit_nm: float, step: int) -> str:
 def lattice_of(design: Design) -> Lattice:
     """Lattice of the sites whose unit cells fit into the square that bounds the aperture, centred on the axis.
 
-    Raises:
-        InputError: the period is not a whole number of database units, the aperture holds no cell, or the database
-            unit is too small for the integers of the file or for the tables of sizes.
+    InputError if the period is not a whole number of database units, the aperture holds no cell, or the database unit
+    is too small for the integers of the file or for the tables of sizes.
     """
     unit_nm, hexagonal = design.mask.database_unit_nm, design.unit_cell.cell.is_hexagonal
     period_x_nm, period_y_nm = design.unit_cell.cell.period_nm

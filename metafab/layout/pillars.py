@@ -32,11 +32,9 @@ class Lattice:
     """A lattice centred on the optical axis: all sites of a rectangular grid, or every other one.
 
     A hexagonal lattice consists of the grid sites whose row and column are both even or both odd, like the squares of
-    one colour on a chessboard. The grid is half a period fine along x. Both kinds are thus rectangular arrays of
-    sites, and code that sums over pillars need not distinguish them.
-
-    Raises:
-        InputError: an odd period with an even number of sites, which puts sites on half units.
+    one colour on a chessboard. The grid is half a period fine along x. Both kinds are thus rectangular arrays of sites,
+    and code that sums over pillars need not distinguish them. InputError for an odd period with an even number of
+    sites, which puts sites on half units.
     """
 
     period_dbu: tuple[int, int]  #: (x, y) pitch of the grid.

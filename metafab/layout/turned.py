@@ -94,7 +94,6 @@ def assign_turned(
     """Choose the size and the angle of every pillar whose site's centre lies in the aperture.
 
     Args:
-        target: wanted Jones matrices.
         library: response over width and length.
         design: lattice, aperture and rules. Bounding boxes keep the gap, so that no pair of neighbours is too close.
         angles: angles in half a turn, even, so that both diagonals are among them.

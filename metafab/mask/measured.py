@@ -34,8 +34,7 @@ class MeasuredTable:
     def sites(self, pillars: PillarMap) -> NDArray[np.int64]:
         """Row and column of the pillar at each place, within half a pitch: shape (n, 2).
 
-        Raises:
-            InputError: no pillar stands at a place.
+        InputError if no pillar stands at a place.
         """
         axes = pillars.lattice.y_um(), pillars.lattice.x_um()
         pitch_um = [1e-3 * period * pillars.lattice.database_unit_nm for period in pillars.lattice.period_dbu[::-1]]
@@ -54,8 +53,7 @@ class MeasuredTable:
     def require_each_once(self, *of: NDArray[np.float64] | NDArray[np.int64]) -> None:
         """Refuse rows that agree in all columns ``of``, shape (n,) or (n, m) each.
 
-        Raises:
-            InputError: with the first such place.
+        InputError with the first such place.
         """
         _, first, count = np.unique(np.column_stack(of), axis=0, return_index=True, return_counts=True)
         if (count > 1).any():
@@ -67,7 +65,6 @@ def read_measured(path: Path, optional: Sequence[str] = ()) -> MeasuredTable:
     """Read a .csv file with the columns :data:`COLUMNS`; lines that begin with # are left out.
 
     Args:
-        path: the file.
         optional: further columns to read where the file has them.
 
     Raises:

@@ -53,9 +53,6 @@ def plan(
     """Map and encode a sample of tiles, and extrapolate to the whole lens, of any size.
 
     Args:
-        profile: target phases.
-        library: response of every size.
-        design: the lens.
         workers: cores that share the work, each as fast as one of this machine; None for the cores of this machine.
         lights: as for :func:`metafab.layout.assign`.
         kept_sites: largest lattice that :func:`metafab.layout.assign` keeps in memory.

@@ -25,10 +25,8 @@ def read_turned(path: Path, design: Design, angles: int, progress: Progress = si
     """Read turned pillars from a GDSII or OASIS file, as :func:`metafab.mask.read` reads upright ones.
 
     Args:
-        path: the file.
         design: lattice, layer, unit, bias and rules; widths and lengths lie on the size grid of its library.
         angles: angles in half a turn that pillars may have.
-        progress: called while the file is read.
         copy: lens of ``mask.copies``, counted from 1.
 
     Returns:

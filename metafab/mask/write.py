@@ -68,7 +68,6 @@ def write(
         pillars: the standing pillars; drawn sizes must be even in database units.
         directory: created if missing; files appear under their names only when complete.
         design: formats, layer, unit, write field, name.
-        progress: callback with the number of written sites.
         mapping: figures of the mapping, for ``layout.json``.
         executor: encodes tiles, by default threads of this process. The file is written in this process.
         dose_class: shape (n_y, n_x) of the lattice, dose class of each site, for ``mask.dose.by = "proximity"``.
@@ -121,7 +120,6 @@ def write_drawings(
         pillars: the standing pillars; drawn sizes must be even in database units.
         files: path by format, "gds" or "oas".
         design: layer, unit, write field, name.
-        progress: callback with the number of written sites.
         executor: encodes tiles, by default threads of this process.
         dose_class: shape (n_y, n_x) of the lattice, dose class of each site, for ``mask.dose.by = "proximity"``.
 
@@ -181,8 +179,7 @@ def drawing_of(lattice: Lattice, design: Design) -> Drawing:
 def biased(pillars: PillarMap, bias_nm: float) -> PillarMap:
     """Return the pillars with ``bias_nm`` added to width and length.
 
-    Raises:
-        InputError: the bias is not an even number of database units, or a size would vanish.
+    InputError if the bias is not an even number of database units, or a size would vanish.
     """
     if bias_nm == 0.0:
         return pillars

@@ -44,7 +44,6 @@ def write_time(
     Dose classes within a lens count with the dose of the lens.
 
     Args:
-        exposure: the machine.
         lenses: area, dose, trapezoids and shots of each lens.
         shapes: exposed shapes of all lenses.
         fields: write fields of all lenses that hold any.
@@ -75,9 +74,7 @@ def beam_seconds(exposure: Exposure, dose: float, area_um2: FloatArray, shots: F
     """Time of the beam for areas and shots of equal shape: the charge over the current, or the shots over their rate.
 
     Args:
-        exposure: the machine.
         dose: relative to the base dose.
-        area_um2: exposed areas.
         shots: numbers of shots; 0 where they are not known.
     """
     # 1 uC/cm2 is 1e-8 uC/um2; nA are 1e-3 uC/s.
@@ -100,7 +97,6 @@ def fracture(polygons: Sequence[NDArray[np.int64]], unit_nm: float, exposure: Ex
 
     Args:
         polygons: corners of each size, shape (n, 2), database units; a single point for no pillar.
-        unit_nm: database unit.
         exposure: shot size of the machine.
     """
     trapezoids = np.zeros(len(polygons), dtype=np.int64)

@@ -96,10 +96,8 @@ def without_depths(psf: Psf, left_out: NDArray[np.bool_]) -> Psf:
 def concatenate(stacks: Sequence[Psf]) -> Psf:
     """Join stacks of the same sampling and sensor along depth.
 
-    Details are those of the first stack with the sum of all times. Fields are dropped.
-
-    Raises:
-        ValueError: no stacks, different sampling, or depths that do not ascend from one stack to the next.
+    Details are those of the first stack with the sum of all times. Fields are dropped. ValueError for no stacks,
+    different sampling, or depths that do not ascend from one stack to the next.
     """
     if not stacks:
         raise ValueError("`stacks`: expected at least one")

@@ -88,7 +88,6 @@ def psf_of_stack(
     Args:
         stack: shape (channels, n_depth, n_y, n_x), one or two channels, lowest row first; counts of any scale.
         depth_m: shape (n_depth,), increasing, relative to ``zero_m``.
-        pixel_um: pixel pitch.
         split_um: (x, y) from the x to the y image; made by default.
         distance_mm: distance of the sensor; made by default.
         zero_m: distance from the lens of depth 0; by default 0, or made where a depth is not positive.

@@ -57,9 +57,8 @@ def require_valid(
 ) -> None:
     """Refuse inputs for which no PSF stack exists, all faults at once.
 
-    Raises:
-        InputError: depths or field points that do not ascend, numbers that are not finite or out of range, or pixels
-            so coarse that their sum is not the power in the window.
+    InputError for depths or field points that do not ascend, numbers that are not finite or out of range, or pixels so
+    coarse that their sum is not the power in the window.
     """
     faults = [*_depth_faults(depths_m), *_direction_faults(tangent, grid), *_numerics_faults(imaging, numerics)]
     if faults:

@@ -149,8 +149,7 @@ class Psf(Displayed):
     def to_xarray(self) -> xarray.Dataset:
         """PSFs over (polarisation, depth_m, y_um, x_um); places are relative to the geometric image point.
 
-        Raises:
-            MissingToolError: xarray is not installed.
+        MissingToolError if xarray is not installed.
         """
         n_y, n_x = self.psf.shape[-2:]
         image = ("polarisation", "depth_m", "y_um", "x_um")

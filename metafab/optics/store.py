@@ -89,8 +89,7 @@ def _put_all(group: h5py.Group, result: Psf | PsfField, datasets: Datasets) -> N
 def load(path: Path | str) -> Psf:
     """Read a file that :func:`save` wrote.
 
-    Raises:
-        InputError: the file is missing, truncated, foreign or of a newer format, or its arrays do not fit together.
+    InputError if the file is missing, truncated, foreign or of a newer format, or its arrays do not fit together.
     """
     with hdf5.open_kind(Path(path), kind=PSF_KIND, format_version=PSF_FORMAT, remedy=_REMEDY) as file:
         psf = replace(

@@ -112,7 +112,6 @@ def colour_bar(
 
     Args:
         mappable: picture with the colours and limits.
-        axes: axes of the picture.
         label: quantity and unit.
         ticks: values with ticks; round values if empty.
         names: text of each tick.

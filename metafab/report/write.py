@@ -25,8 +25,6 @@ def write(run_dir: Path, progress: Progress = silent, workers: int | None = None
     A section whose files are missing holds a note.
 
     Args:
-        run_dir: the run folder.
-        progress: called after each figure.
         workers: processes that draw; None for all cores.
 
     Returns:

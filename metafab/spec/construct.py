@@ -82,12 +82,10 @@ def make_design(
         phase: terms of :mod:`metafab.spec.terms`, added up in order.
         focus_depth_m: object depth for which the sensor is in focus.
         depths_m: depths at which PSFs are simulated, ascending; ``focus_depth_m`` alone by default.
-        scene: a scene to photograph.
         name: name of the design and of the top cell of its mask.
         min_gap_nm: smallest gap between pillars.
         min_feature_nm: smallest width or length.
         formats: formats of the mask; none for a lens simulated from its target phases.
-        window_px: side of the PSF window.
         target_error: relative error of the PSFs.
     """
     table = {

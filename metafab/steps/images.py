@@ -99,14 +99,11 @@ def capture(
     """Simulate the frames of a scene through a stored PSF pair, write each and yield it with its path.
 
     Args:
-        scene: the scene.
-        psf_path: file of the PSF pair.
         path: file of a single frame; several get numbers from 1. An ``.h5`` holds electrons and the truth; a TIFF, PNG
             or NumPy file holds whole counts, as a camera writes them.
         frames: number of frames.
         seed: seed of the noise; that of the scene by default.
         black: black level of files in counts.
-        progress: called during an exposure.
     """
     from metafab import camera, optics
 
@@ -135,11 +132,9 @@ def capture_batch(
 
     Args:
         scenes: scenes with their files, of one field.
-        psf_path: file of the PSF pair.
         path: an ``.h5`` file.
         draws: frames of each scene.
         seed: seed of the first frame; that of the first scene by default. Each next frame has the next seed.
-        progress: called after each frame.
 
     Raises:
         InputError: a scene does not fit the pair, or the scenes have unlike fields; nothing is written.
@@ -184,14 +179,9 @@ def decode_file(
     """Decode a stored raw frame, simulated or from a camera, with a stored PSF pair, and write the 4D image.
 
     Args:
-        raw_path: the frame.
-        psf_path: the pair.
-        path: file of the image.
-        unfit: treatment of a frame that cannot be decoded: "refuse" raises an error, "empty" writes an empty image
-            with the reason. A dark frame gives an empty image in both cases.
+        unfit: treatment of a frame that cannot be decoded: "refuse" raises an error, "empty" writes an empty image with
+            the reason. A dark frame gives an empty image in both cases.
         counts: meaning of the counts in a camera's own file; electrons by default.
-        numerics: how to decode.
-        progress: called after each candidate depth.
 
     Raises:
         InputError: a file cannot be read, or the frame is refused; nothing is written or replaced.
@@ -244,11 +234,9 @@ def decoded_film(
     """Simulate and decode the frames of a moving scene one by one; unchanged regions are decoded once.
 
     Args:
-        scene: the scene.
         psf_path: file of the PSF pair, for exposure and decoding.
         frames: number of frames; that of the scene by default.
         seed: seed of textures and noise; that of the scene by default.
-        progress: called during an exposure.
 
     Raises:
         InputError: the pair does not suit the scene, or its frames do not hold both images.
@@ -275,7 +263,6 @@ def calibrate(
     """Calibrate a camera from photographs of a point source at known depths, and write its PSF pair.
 
     Args:
-        frames: the photographs.
         depths_path: CSV table with the depth of each photograph.
         psf_path: PSF pair predicted from the mask.
         path: file of the calibrated pair.

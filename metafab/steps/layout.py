@@ -68,8 +68,7 @@ def _layout_files(job: Job) -> tuple[Path, ...]:
 def write_layout(job: Job) -> LayoutFigures:
     """Map the target phases to pillars and write the mask files.
 
-    Raises:
-        InputError: the design asks for no file, or a biased lens of ``mask.copies`` violates the design rules.
+    InputError if the design asks for no file, or a biased lens of ``mask.copies`` violates the design rules.
     """
     from metafab import layout, mask
 

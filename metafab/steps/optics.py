@@ -162,8 +162,6 @@ def calibration_depths(design: Design, imaging: Imaging, target_error: float | N
     """Depths of the PSF stack: the verified depths, and interpolation nodes over the range of the scene.
 
     Args:
-        design: the design.
-        imaging: lens and sensor.
         target_error: largest relative L2 error of interpolation; that of ``[verify]`` by default.
     """
     from metafab import optics
@@ -181,10 +179,8 @@ def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) 
     """Transmitted field of the pillars of a written file.
 
     Consecutive steps share the pillars as long as file and design are unchanged. ``angles`` is the number of angles of
-    turned pillars in half a turn; None for upright pillars.
-
-    Raises:
-        InputError: the file cannot be read, or holds shapes that are no pillars of the lattice.
+    turned pillars in half a turn; None for upright pillars. InputError if the file cannot be read, or holds shapes that
+    are no pillars of the lattice.
     """
     from metafab import optics
 
@@ -199,10 +195,8 @@ def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) 
 def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | NeighbourField:
     """Transmitted field of the pillars of a written file, among their neighbours if design and library say so.
 
-    ``[optics] neighbours`` decides; without it, the library's model is used if it has one that pays.
-
-    Raises:
-        InputError: as :func:`mask_source`; the design asks for neighbours that the library has no model of.
+    ``[optics] neighbours`` decides; without it, the library's model is used if it has one that pays. Errors as
+    :func:`mask_source`; the design asks for neighbours that the library has no model of.
     """
     from metafab import optics
 
@@ -266,9 +260,7 @@ def point_spread(
     """PSF pair of a written file, or of the target phases, and where its light is if a window misses it.
 
     Args:
-        job: the design.
         path: the mask file; None for the target phases.
-        depths_m: object depths, m.
         object_mm: object position (x, y), mm from the axis.
         pixel_um: sampling step; None for the pixel of the sensor.
         window_px: side of the window, pixels.
@@ -315,8 +307,7 @@ def point_spread(
 def calibration(job: Job, path: Path | None, *, copy: int = 1, printed: Printed | None = None) -> Psf:
     """PSF pair over the depths and the field of the design's scene, as a run computes it for the decoder.
 
-    Raises:
-        InputError: the design has no scene.
+    InputError if the design has no scene.
     """
     if job.design.scene is None:
         raise InputError.single(job.design.name, "scene", "one, whose depths and field are covered", "none", "add it")

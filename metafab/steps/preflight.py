@@ -19,8 +19,7 @@ class PreflightFigures:
 def preflight(design: Design) -> None:
     """Check whether the steps of a design can work, from the design alone.
 
-    Raises:
-        InputError: all faults that were found.
+    InputError with all faults that were found.
     """
     from metafab import layout, mask
     from metafab.optics import Imaging

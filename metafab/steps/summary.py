@@ -111,8 +111,7 @@ class RunSummary:
     def load(cls, path: Path) -> RunSummary:
         """Read ``summary.json``; figures that an older version wrote in another form are left out.
 
-        Raises:
-            ValueError: the file does not hold one JSON object.
+        ValueError if the file does not hold one JSON object.
         """
         table = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(table, dict):

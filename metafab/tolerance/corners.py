@@ -88,10 +88,8 @@ def fields_at(
 
     Args:
         written: upright pillars of any size with their amplitudes.
-        library: library of the mask.
         corners: name of each corner and its values, by axis (of :class:`metafab.spec.cell.Axes`).
         executor: solves cells; None for this process. The result does not depend on it.
-        progress: called as cells are solved.
     """
     sizes = MaskSizes.of(written, library)
     plans = [_plan(sizes, library, corner) for _, corner in corners]

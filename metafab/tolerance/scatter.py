@@ -138,7 +138,6 @@ def _scattered(
     """Damp and scatter blocks.
 
     Args:
-        pupil: the blocks.
         mean: shape (n_y, n_x), mean of a site's random factor.
         in_step: shape (3, n_y, n_x), scatter in step with S in units of S / sqrt(N), of the sum and the moments.
         variance: shape (n_y, n_x), variance of a site's random factor.

@@ -88,8 +88,7 @@ class MaskOptics:
     ) -> tuple[MaskOptics, list[Pupil], float]:
         """Return the optics with the coarsest blocks that keep the target error, the blocks of the mask, and the error.
 
-        Raises:
-            InputError: inputs for which no PSF stack exists.
+        InputError for inputs for which no PSF stack exists.
         """
         depths = [float(z) for z in depths_m]
         require_valid(imaging, depths, _AXIS, None, numerics)
@@ -240,8 +239,6 @@ def tolerance_table(
 
     Args:
         written: mask with the amplitudes of the library.
-        library: library of the mask.
-        imaging: geometry.
         depths_m: shape (n_depth,), object depths, ascending.
         tolerances: deviations of the fabrication; zeros leave corners out.
         field_sites: sites along a side of a write field.
@@ -306,10 +303,7 @@ def require_block_memory(
 ) -> None:
     """Refuse write fields that only blocks of too few sites divide, before any corner is solved.
 
-    ``block_sites`` are those along a side of a block without faults.
-
-    Raises:
-        InputError: the blocks do not fit into memory.
+    ``block_sites`` are those along a side of a block without faults. InputError if the blocks do not fit into memory.
     """
     for fault in faults:
         block = fault.block_sites(block_sites)

@@ -59,11 +59,7 @@ class Mesh:
 
 
 def mesh_of(supercell: Supercell) -> Mesh:
-    """Mesh of a supercell.
-
-    Raises:
-        InputError: pillars that touch or nearly touch.
-    """
+    """Mesh of a supercell; InputError for pillars that touch or nearly touch."""
     n_y, n_x = supercell.shape
     period = np.array(supercell.cell.period_nm)
     size = supercell.size_nm
@@ -142,7 +138,6 @@ def corner_function(
     Args:
         tau: exponent.
         place: the points.
-        corner_nm: the corner.
         inwards: signs of (x, y) from the corner into the pillar.
         inside: whether the points lie in the pillar.
     """

@@ -29,10 +29,8 @@ def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Ext
 
     The three finest grids give both coefficients, two grids the first only. The error assumes that the step between the
     last two second-order limits is due to a term in h^(4/3), the slowest that a pillar's corners add. With two grids it
-    is the whole correction. The values of each grid have the shape (n_values,).
-
-    Raises:
-        ValueError: fewer than two grids, or spacings that do not descend.
+    is the whole correction. The values of each grid have the shape (n_values,). ValueError for fewer than two grids, or
+    spacings that do not descend.
     """
     if len(pixel_um) < 2 or len(pixel_um) != len(values):
         raise ValueError(f"`pixel_um`: expected two or more, as many as `values`, got {len(pixel_um)}")

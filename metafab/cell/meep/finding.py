@@ -52,8 +52,7 @@ def find(interpreter: str | Path | None = None) -> list[MeepCandidate]:
 def best(interpreter: str | Path | None = None) -> MeepCandidate:
     """The first interpreter that has Meep; those after it are not probed.
 
-    Raises:
-        MissingToolError: none has it; the message gives the reason for each, and how to install Meep.
+    MissingToolError if none has it; the message gives the reason for each, and how to install Meep.
     """
     reasons = []
     for path in [Path(interpreter)] if interpreter is not None else _likely():

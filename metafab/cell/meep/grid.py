@@ -125,7 +125,6 @@ def plan(
     """FDTD run of one polarisation; light from either half space travels along +z, and the pillar begins at z = 0.
 
     Args:
-        cell: the cell.
         polarisation: of the incident wave.
         grids: grids from :func:`family`.
         member: resolution, in multiples of the coarsest.

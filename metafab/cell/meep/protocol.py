@@ -210,8 +210,7 @@ class Worker:
 def load_reply(path: Path) -> Reply:
     """Read the arrays of an .npz file.
 
-    Raises:
-        OSError, ValueError, EOFError, zipfile.BadZipFile: there is no file, or it is damaged.
+    OSError, ValueError, EOFError, zipfile.BadZipFile if there is no file, or it is damaged.
     """
     with _LOADING, np.load(path, allow_pickle=False) as content:
         return {name: np.array(content[name]) for name in content.files}

@@ -20,11 +20,7 @@ from metafab.core.errors import Fault, InputError
 
 @dataclass(frozen=True)
 class MeepSettings:
-    """Numerics of FDTD.
-
-    Raises:
-        InputError: fewer than two members, or members that do not ascend from 1.
-    """
+    """Numerics of FDTD; InputError for fewer than two members, or members that do not ascend from 1."""
 
     #: Grids of the cell's family, coarse to fine, at least two. Member j has 10 j to 18 j pixels a period. From the
     #: third on, finer ones are skipped once the target error is reached.
@@ -58,9 +54,7 @@ def solve(
     """Solve one cell at normal incidence for its Jones matrices.
 
     Args:
-        cell: the cell.
         numerics: target error; ``solver`` is ignored.
-        settings: grids and decay.
         pool: workers; by default a pool that lives as long as this process.
 
     Raises:
@@ -120,11 +114,7 @@ def solve(
 
 
 def refuse_untreated(cell: PillarCell) -> None:
-    """Refuse a cell that FDTD does not treat here, before any worker starts.
-
-    Raises:
-        InputError: with every reason.
-    """
+    """Refuse a cell that FDTD does not treat here, before any worker starts; InputError with every reason."""
     faults = cell.untreated("the solver meep", treated=("angle_deg",), remedy="solve with rcwa")
     if cell.angle_deg != 0.0:
         remedy = "a pulse of fixed wave vector has another angle at every frequency; use rcwa"

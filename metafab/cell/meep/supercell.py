@@ -60,8 +60,7 @@ class Cost:
 def estimate(supercell: Supercell, settings: SupercellSettings = SupercellSettings()) -> Cost:
     """Expected cost of :func:`solve_supercell` for one polarisation, lone pillars included.
 
-    Raises:
-        InputError: the grid does not fit.
+    InputError if the grid does not fit.
     """
     whole = plan(supercell, "x", settings).job
     alone = [plan(_lone(cell), "x", settings).job for cell in supercell.periodic_cells().values()]
@@ -80,11 +79,8 @@ def solve_supercell(
     """Solve a supercell at normal incidence, and each distinct pillar alone on the same grid.
 
     Args:
-        supercell: the supercell.
         polarisation: of the incident wave.
-        settings: grid and decay.
         pool: workers; by default a pool that lives as long as this process.
-        progress: callback with the simulated optical periods, and the lone pillars done.
 
     Raises:
         InputError: the solver does not treat the cell, or the grid does not fit.
@@ -130,11 +126,9 @@ def refined_orders(
     error is the step from the finest grid to that limit, and what is left of the fields.
 
     Args:
-        supercell: the supercell.
         pixels_per_period: two or more grids, ascending (:class:`SupercellSettings`).
         decay: as in :class:`SupercellSettings`.
         pool: workers; by default a pool that lives as long as this process.
-        progress: callback with the simulated optical periods.
 
     Raises:
         InputError: the solver does not treat the cell, or a grid does not fit.
@@ -190,8 +184,7 @@ def plan(
 ) -> Plan:
     """The FDTD run of one polarisation, which records the orders (m, n), shape (n_orders, 2), or only the zero order.
 
-    Raises:
-        InputError: the grid does not fit.
+    InputError if the grid does not fit.
     """
     cell = supercell.cell
     per_x = settings.pixels_per_period

@@ -290,7 +290,6 @@ def _layer_tangents(
         basis: symmetry class, n coefficients.
         d_u: derivative of the axis along x; None where it does not change.
         d_v: derivative of the axis along y; None where it does not change.
-        k0_per_nm: vacuum wave number.
         eps_pillar: permittivity of the pillar; that of a uniform medium leaves the change of its wave numbers alone.
         eps_around: permittivity around the pillar.
         d_eps_pillar: derivative of the pillar's permittivity.

@@ -59,10 +59,7 @@ def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Di
     """Efficiencies of every order that leaves ``cell``, to ``numerics.target_error`` where that can be reached.
 
     In an absorbing half space the orders are those that propagate by the real part of its index, with their power where
-    the layer ends.
-
-    Raises:
-        InputError: as :func:`metafab.cell.rcwa.jones.zero_order`.
+    the layer ends. Errors as :func:`metafab.cell.rcwa.jones.zero_order`.
     """
     cut = slicing(cell, numerics)
     solved: dict[int, FloatArray] = {}

@@ -77,7 +77,6 @@ def zero_order(
     One BLAS thread is used: on matrices of this size more threads cost time.
 
     Args:
-        cell: the cell.
         orders: cosines along each axis.
         formulation: "adaptive" or "fourier".
         steps: a sloped pillar is cut into so many steps of equal height, each as wide as the pillar in the step's

@@ -60,10 +60,8 @@ def slicing(cell: PillarCell, numerics: CellNumerics) -> Slicing:
     """Choose the number of steps, and bound its error.
 
     The number is ``numerics.steps``, or the smallest that keeps to the steps' share of the target error. The bound is
-    larger than this share where the largest number of steps does not reach it.
-
-    Raises:
-        InputError: ``numerics.steps`` is odd or below 2; or as :func:`metafab.cell.rcwa.jones.zero_order`.
+    larger than this share where the largest number of steps does not reach it. InputError if ``numerics.steps`` is odd
+    or below 2; or as :func:`metafab.cell.rcwa.jones.zero_order`.
     """
     steps = numerics.steps
     if steps is not None and (steps < 2 or steps % 2):

@@ -111,7 +111,6 @@ def symmetry_classes(
     """Yield the symmetry classes that incident light of either polarisation excites.
 
     Args:
-        cell: the cell.
         orders: cosines besides the constant along each axis, equally many along a short and a long period: with fewer
             along the short one, the error does not fall as orders are added.
         formulation: "adaptive" or "fourier".

@@ -30,7 +30,7 @@ def interpolation(span: Span, count: int, at: FloatArray) -> FloatArray:
 
 
 def power_coefficients(function: Callable[[FloatArray], FloatArray], degree: int, span: Span) -> tuple[float, ...]:
-    """Return a function's polynomial through the Chebyshev points of a span: coefficients, lowest power first."""
+    """Return the polynomial through a function of shape (n,) at Chebyshev points: coefficients, lowest power first."""
     series = np.polynomial.Chebyshev.interpolate(function, degree, domain=list(span))
     power = series.convert(kind=np.polynomial.Polynomial, domain=[-1.0, 1.0], window=[-1.0, 1.0])
     return tuple(float(c) for c in power.coef)

@@ -73,7 +73,6 @@ def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterE
 
     Args:
         address: address of the scheduler.
-        progress: called while the cluster has no worker.
 
     Raises:
         MissingToolError: dask distributed is not installed.

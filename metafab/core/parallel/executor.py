@@ -54,7 +54,6 @@ def open_executor(
     Args:
         workers: number of processes; None for all cores.
         cluster: address of the scheduler; None for this machine.
-        progress: called while the cluster has no worker.
 
     Raises:
         InputError: ``workers`` is below one, or no scheduler answers.
@@ -89,8 +88,7 @@ def open_threads(
 ) -> AbstractContextManager[Executor]:
     """Open an executor over threads of this process (for work that releases the interpreter lock), or a cluster.
 
-    Raises:
-        InputError, MissingToolError, ClusterLostError: as :func:`open_executor`.
+    Errors as :func:`open_executor`.
     """
     if cluster is not None:
         return open_executor(cluster=cluster, progress=progress)

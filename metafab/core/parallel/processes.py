@@ -68,11 +68,7 @@ class WorkerProcesses(Executor):
         self._closed = False
 
     def submit(self, fn: Callable[..., Result], /, *args: Any, **kwargs: Any) -> Future[Result]:
-        """Submit a call; the first one starts the processes.
-
-        Raises:
-            RuntimeError: the pool is shut down.
-        """
+        """Submit a call; the first one starts the processes; RuntimeError if the pool is shut down."""
         piece = _Piece(partial(fn, *args, **kwargs))
         with self._lock:
             if self._closed:

@@ -45,11 +45,7 @@ _PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part")
 
 
 def require_hdf5_name(path: Path) -> None:
-    """Check that an output name ends with an HDF5 suffix.
-
-    Raises:
-        InputError: neither .h5 nor .hdf5.
-    """
+    """Check that an output name ends with an HDF5 suffix; InputError for neither .h5 nor .hdf5."""
     if path.suffix.lower() not in HDF5_SUFFIXES:
         raise InputError.single(str(path), "output", "a name ending with .h5", repr(path.suffix))
 

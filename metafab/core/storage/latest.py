@@ -29,8 +29,7 @@ class Latest(Generic[Result]):
 def file_mark(path: Path) -> tuple[str, int, int]:
     """Absolute path, size in bytes and modification time in ns of a file, as a cache key.
 
-    Raises:
-        OSError: there is no such file.
+    OSError if there is no such file.
     """
     found = path.resolve().stat()
     return str(path.resolve()), found.st_size, found.st_mtime_ns

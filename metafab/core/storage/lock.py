@@ -25,8 +25,7 @@ _RUN_LOCK = ".run.lock"
 def alone_in(folder: Path) -> Iterator[None]:
     """Hold an existing folder for one run; on a file system without locks the block runs unguarded.
 
-    Raises:
-        InputError: another process holds it; the message names the process and its host.
+    InputError if another process holds it; the message names the process and its host.
     """
     path = folder / _RUN_LOCK
     stream = _locked(path)
@@ -57,11 +56,7 @@ def owner_in(path: Path) -> str:
 
 
 def _locked(path: Path) -> IO[str] | None:
-    """The open and locked file; None on a system without locks.
-
-    Raises:
-        InputError: another process holds the lock.
-    """
+    """The open and locked file; None on a system without locks; InputError if another process holds the lock."""
     if fcntl is None:
         return None
     while True:

@@ -34,10 +34,7 @@ def sources_of(roots: tuple[str, ...]) -> tuple[Path, ...]:
     """Sorted files of ``roots`` and of all modules of this package that they import, directly or not.
 
     Imports inside functions and for type checking count. A program that is started by its path has to be named among
-    the roots.
-
-    Raises:
-        ValueError: a root is no module of this package.
+    the roots. ValueError if a root is no module of this package.
     """
     found: set[str] = set()
     ahead = [*roots]

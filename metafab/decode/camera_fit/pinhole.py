@@ -129,8 +129,7 @@ def calibrate(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: 
 def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
     """Read the depths of frames from a table of lines "file name, depth in m"; lines that start with # are skipped.
 
-    Raises:
-        InputError: the table cannot be read, a depth is not a positive number, or a frame is not in it.
+    InputError if the table cannot be read, a depth is not a positive number, or a frame is not in it.
     """
     try:
         lines = path.read_text(encoding="utf-8").splitlines()

@@ -48,7 +48,6 @@ def find_point(
     """Find the image of a point and fit the prediction to it.
 
     Args:
-        frame: the photograph.
         depth_m: depth of the point, for messages.
         polarisation: 0 for x, 1 for y.
         kernels: the prediction on the axis.

@@ -42,7 +42,6 @@ class DepthBound:
         """Evaluate the bound of a calibration for a texture.
 
         Args:
-            calibration: the pair.
             depth_m: inside the calibrated depths.
             texture: electrons a pixel of either image, contrast and noise.
             extent_px: (n_y, n_x) of the piece over which the texture has its contrast; the window by default.

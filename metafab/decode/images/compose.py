@@ -52,8 +52,6 @@ def focus_depths(
     """Depths at which a frame is deconvolved: each pixel at that of the nearest segment.
 
     Args:
-        prepared: the frame.
-        regions: its segments.
         candidates_per_m: shape (n_candidates,), vergences of the cost volume.
 
     Returns:

@@ -76,7 +76,6 @@ class CrossFilters:
         """Compute the filters of a calibration.
 
         Args:
-            calibration: the pair.
             vergences_per_m: shape (n_candidates,), 1/depth, equally spaced.
             basis_error: relative L2 error of the mixtures; a larger one is faster.
             compensate: whether to correct the filters for the pair's change over the field.
@@ -123,7 +122,6 @@ class CrossFilters:
             spectra: shape (2, n_ky, n_kx), transforms of the downsampled twins.
             levels: noise and texture of the frame.
             lit: shape (n_y, n_x), whether a pixel is lit; blocks without a lit pixel are left out.
-            progress: called after every few filtered images.
         """
         kernels, power = self.basis.transforms(self.downsampling)
         weight = _likelihood_weight(levels, power, *self.downsampling.frequencies).astype(np.float32)

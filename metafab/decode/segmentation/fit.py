@@ -62,8 +62,6 @@ def misfit_at(
     """Null energy at each pixel's depth over what noise and the calibration's error explain.
 
     Args:
-        prepared: the frame.
-        volume: its cost volume.
         vergence_per_m: shape (n_y, n_x), 1/depth of each pixel; any value where it has none.
         interior: shape (n_y, n_x), number of the segment whose interior holds the pixel, 0 for none.
 

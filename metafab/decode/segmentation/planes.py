@@ -107,7 +107,6 @@ class Cells:
         """Cells of a mask that hold at least a quarter of a whole cell.
 
         Args:
-            volume: cost volume.
             mask: shape (n_y, n_x), downsampled pixels.
             step: frame pixels from one downsampled pixel to the next.
             side_px: side of a cell, frame pixels.

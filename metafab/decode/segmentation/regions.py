@@ -164,8 +164,6 @@ def find_regions(
     """Segment a frame, with the probability that each pixel is in the right segment.
 
     Args:
-        prepared: the frame.
-        volume: its cost volume.
         pixels: depth of each pixel.
         known: planes of the picture; if some are tilted, pixels are assigned to them at once.
         outline_rounds: most rounds of the refinement of outlines.
@@ -202,7 +200,6 @@ def with_owners(regions: Regions, owner: NDArray[np.int32]) -> Regions:
     """Segments with new outlines, and the depths of before; pixels without a segment stay without one.
 
     Args:
-        regions: segments.
         owner: shape (n_y, n_x), number of each pixel's segment.
     """
     grown_label = np.where(regions.grown > 0, owner, 0).astype(np.int32)
@@ -230,8 +227,6 @@ def without_outliers(
     """Measure the depths of segments again without the pixels that they do not explain; ``regions`` if there are few.
 
     Args:
-        regions: segments.
-        volume: cost volume.
         misfits: shape (n_y, n_x), misfit of each pixel at its segment's depth.
         step: frame pixels from one downsampled pixel to the next.
         which: shape (n_segments + 1,), segments that are measured, by number.
@@ -301,7 +296,6 @@ def misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_], free
     """Mean square distance of the pixels' depths from robust fits to their segments, in standard errors.
 
     Args:
-        regions: segments.
         pixels: depth of each pixel.
         inside: shape (n_y, n_x), pixels that count; those without a segment count as outliers.
         free: fitted parameters of each segment: its depth (1), or its depth and slopes (3).
@@ -358,7 +352,6 @@ def planes_across(cells: Cells, side: int, volume: CostVolume, pixels: PixelDept
     Args:
         cells: of the whole picture.
         side: of a cell, downsampled pixels.
-        volume: cost volume.
         pixels: depth of each pixel.
         regions: segments of one depth.
     """

@@ -97,7 +97,6 @@ def assign_layers(
     """Assign each pixel to the layer at whose depth the twins correlate best about it.
 
     Args:
-        volume: cost volume.
         layers: depths of the layers over the picture.
         pixels: depth of each pixel.
         separation_per_m: vergence by which layers differ.
@@ -200,7 +199,6 @@ def segment_depth(volume: CostVolume, sums: FloatArray, pixels: float, tilt: Pla
     The error is infinite where the twins do not correlate, or best at an end of the candidates.
 
     Args:
-        volume: cost volume.
         sums: shape (3, n_candidates), its products summed over the segment's interior.
         pixels: pixels of that interior.
         tilt: plane along which they were summed; none by default.

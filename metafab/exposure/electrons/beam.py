@@ -51,11 +51,7 @@ class BeamPsf:
 
     @classmethod
     def of(cls, terms: Sequence[BeamTerm], source: str) -> BeamPsf:
-        """Expand terms into Gaussians; weights are normalised to a sum of 1.
-
-        Raises:
-            InputError: no term.
-        """
+        """Expand terms into Gaussians; weights are normalised to a sum of 1; InputError for no term."""
         if not terms:
             raise InputError.single("exposure", "terms", "at least one term", "none")
         total = sum(term.weight for term in terms)
@@ -118,8 +114,7 @@ class BeamPsf:
     def scattered(self) -> tuple[BeamPsf, BeamPsf, float]:
         """Split into the forward and the backscattered part, each of weight 1, and their ratio eta.
 
-        Raises:
-            InputError: there is no backscattered, or no forward, part.
+        InputError if there is no backscattered, or no forward, part.
         """
         parts = self.between(0.0, BACKSCATTER_NM), self.between(BACKSCATTER_NM, math.inf)
         forward, back = (float(part.weight.sum()) for part in parts)

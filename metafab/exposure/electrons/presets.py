@@ -72,11 +72,7 @@ PRESETS = {
 
 
 def preset(name: str) -> BeamPsf:
-    """Return the point-spread function of a preset.
-
-    Raises:
-        InputError: no preset of that name.
-    """
+    """Return the point-spread function of a preset; InputError for no preset of that name."""
     if name not in PRESETS:
         raise InputError.single("exposure", "preset", f"one of {', '.join(PRESETS)}", repr(name))
     text = (resources.files("metafab.exposure.electrons") / "tables" / f"{name}.csv").read_text(encoding="utf-8")

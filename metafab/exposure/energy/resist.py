@@ -85,7 +85,6 @@ class ResistEnergy:
 
         Args:
             dose: shape (n_y, n_x) of the lattice, relative to the base dose.
-            executor: threads.
             work: called with each tile, returns an array of any shape.
             tiles: some of ``tiles``; all by default.
 

@@ -73,13 +73,11 @@ def build(
     ``statistics.sizes_beyond_target`` counts the sizes whose error is above the target.
 
     Args:
-        unit_cell: unit cell with its sweep.
         target_error: largest error in any complex amplitude; default is ``unit_cell.sweep.target_error``.
         executor: runs the solver; None for this process.
         checkpoint: file that keeps the solved sizes; after a kill, a call with equal arguments continues from it. It is
             not removed at the end. One of another build raises InputError.
         solver: solves one unit cell; must be importable by the workers.
-        numerics: size of the adaptive sampling.
     """
     unit_cell = with_target(unit_cell, target_error)
     with Checkpoint(checkpoint, inputs_of(unit_cell)) as record:

@@ -115,7 +115,6 @@ def sample_corners(
         sequence: cells to choose from.
         nominal: answers of the nominal library by number.
         solve_points: solves cells of the sequence by checkpoint number.
-        tolerance: largest error of the model.
     """
     dimensions = sequence.place.shape[1]
     most, nominal_count = numerics.most_cells * dimensions, len(nominal)

@@ -80,7 +80,6 @@ def check(
     Args:
         against: "rcwa" at a tenth of the library's target error, or "meep" (MissingToolError without it) at the target
             error, but no less than 1e-2. Finished runs of Meep are kept, so that a check that was stopped continues.
-        samples: number of sizes.
         seed: of the random draw.
         executor: runs the solver; None for this process.
     """

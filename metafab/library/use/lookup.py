@@ -100,7 +100,6 @@ def build_size_table(
     """Return the table of the best sizes under a process' rules.
 
     Args:
-        library: amplitudes of the sizes.
         database_unit_nm: unit of the mask; every admitted size must be an even number of units.
         max_width_nm: largest width, period minus smallest gap; likewise ``max_length_nm``.
         min_feature_nm: smallest width and length.

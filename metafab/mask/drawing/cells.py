@@ -61,11 +61,8 @@ def pillar_stamp(
 
     Args:
         size_dbu: shape (n_sizes + 1, 2), width and length without the bias; row 0 means no pillar.
-        layer: layer of the pillars.
         datatype: datatype of dose class 0 of the variant; the others follow.
-        dose_class: dose class.
         variant: bias and dose of the copies.
-        outline: outline of the pillars.
     """
     drawn = size_dbu.astype(np.int64) + variant.bias_dbu
     tag = f"_D{dose_class:02d}" if dose_class else ""

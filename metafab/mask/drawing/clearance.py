@@ -20,7 +20,6 @@ def require_clear_of_lenses(design: Design, key: str, boxes: IntArray, name: str
     """Refuse boxes that reach into a lens.
 
     Args:
-        design: the chip.
         key: table of the boxes in the design.
         boxes: shape (n, 4), database units.
         name: description of the shapes.
@@ -45,7 +44,6 @@ def require_apart(design: Design, key: str, boxes: IntArray, others: IntArray, n
     """Refuse boxes, shape (n, 4), that touch ``others``, shape (m, 4), described by ``name``.
 
     Args:
-        design: the chip.
         key: table of the boxes in the design.
         boxes: shape (n, 4), database units.
         others: shape (m, 4), database units.

@@ -48,8 +48,7 @@ class LensCopy:
 def lens_copies(design: Design) -> tuple[LensCopy, ...]:
     """Return the lenses in the order of ``mask.copies``; a single one in the middle if none are listed.
 
-    Raises:
-        InputError: a place is not a whole, or a bias not an even, number of database units, or two lenses overlap.
+    InputError if a place is not a whole, or a bias not an even, number of database units, or two lenses overlap.
     """
     unit_nm = design.mask.database_unit_nm
     copies: list[LensCopy] = []
@@ -67,11 +66,7 @@ def lens_copies(design: Design) -> tuple[LensCopy, ...]:
 
 
 def lens_copy(design: Design, number: int) -> LensCopy:
-    """Return copy ``number``, counted from 1.
-
-    Raises:
-        InputError: there is no such copy.
-    """
+    """Return copy ``number``, counted from 1; InputError if there is no such copy."""
     copies = lens_copies(design)
     if not 1 <= number <= len(copies):
         raise InputError.single(design.name, "copy", f"1 to {len(copies)}", str(number), "see `mask.copies`")

@@ -59,8 +59,7 @@ class IncludedCell:
 def shapes_beside(design: Design) -> tuple[tuple[Surroundings, ...], tuple[IncludedCell, ...]]:
     """Return all that the design draws beside its lenses: own shapes, and cells of other files.
 
-    Raises:
-        InputError: as :func:`~metafab.mask.drawing.surroundings.surroundings` and :func:`included_cells`.
+    Errors as :func:`~metafab.mask.drawing.surroundings.surroundings` and :func:`included_cells`.
     """
     around = surroundings(design)
     return around, included_cells(design, around)
@@ -70,7 +69,6 @@ def included_cells(design: Design, around: tuple[Surroundings, ...]) -> tuple[In
     """Read the cells of ``mask.include``.
 
     Args:
-        design: the chip.
         around: shapes around the lenses, which the cells must not touch.
 
     Raises:

@@ -27,7 +27,6 @@ class InvertedField:
     """Stamps of the field around pillars, and rectangles of tiles without pillars.
 
     Args:
-        pillars: the drawn pillars.
         layer: layer of the field; its datatype is 0.
         biases_dbu: biases of the copies of the lens.
 
@@ -79,7 +78,6 @@ class InvertedField:
         Args:
             used: shape (n_sizes + 1,), number of sites of each size in the ``filled`` tiles.
             filled: (row, column) of the tiles that hold pillars.
-            copies: the lenses.
         """
         total = len(self.without_pillars(filled, copies))
         for stamp, drawn in zip(self._stamps, self._drawn, strict=True):

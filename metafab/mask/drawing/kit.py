@@ -34,11 +34,7 @@ class Structure:
 
 
 def kit_structures(design: Design) -> tuple[Structure, ...]:
-    """Draw the test structures.
-
-    Raises:
-        InputError: a length is off the grid, or a structure is too large.
-    """
+    """Draw the test structures; InputError if a length is off the grid, or a structure is too large."""
     kit, drawn = design.mask.kit, []
     if kit is None:
         return ()
@@ -61,8 +57,6 @@ def require_clear_kit(
     """Refuse structures that are nearer than ``distance_um`` to a lens, to another structure, or to shapes around.
 
     Args:
-        design: the chip.
-        structures: the test structures.
         around: description and rectangles, shape (n, 4), of each kind of shapes around the lenses.
         inner: box (left, bottom, right, top) within frame and dicing street, database units; None without them.
 

@@ -34,8 +34,7 @@ class Surroundings:
 def surroundings(design: Design) -> tuple[Surroundings, ...]:
     """Return the layers that the design draws around its lenses; empty for a lens alone in negative tone.
 
-    Raises:
-        InputError: marks, label or scale bar do not fit in their place, or a test structure touches something.
+    InputError if marks, label or scale bar do not fit in their place, or a test structure touches something.
     """
     layers, copies = [], lens_copies(design)
     if design.mask.tone == "positive":
@@ -146,8 +145,7 @@ def _ring(inner: _Box, outer: _Box) -> IntArray:
 def _copy_labels(design: Design, chip: Chip, copies: Sequence[LensCopy], lens: int) -> Iterator[IntArray]:
     """Label of each copy, just above the square of its lens.
 
-    Raises:
-        InputError: a label is wider than its lens, or lies on another lens.
+    InputError if a label is wider than its lens, or lies on another lens.
     """
     square = _dbu(design, chip.text_um) // ROWS
     for number, copy in enumerate(copies, start=1):

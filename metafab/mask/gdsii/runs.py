@@ -27,7 +27,6 @@ class Window:
     """Sequential reading of records through a window that moves along the file.
 
     Args:
-        stream: the file.
         size: its length in bytes.
         source: its name, for messages.
 

@@ -52,8 +52,7 @@ class Imaging:
     def of(cls, design: Design) -> Imaging:
         """Return the geometry of a design, with the sensor where an object at ``focus_depth_m`` is sharp.
 
-        Raises:
-            InputError: the focus depth does not exceed the focal length.
+        InputError if the focus depth does not exceed the focal length.
         """
         device, sensor, angle_deg = design.device, design.sensor, design.split_angle_deg
         if sensor.focus_depth_m * 1e3 <= device.focal_length_mm:
@@ -103,9 +102,7 @@ class Imaging:
         The ray through the lens centre obeys the grating law with the phase gradient of Eq. 3 or 4 of Shen 2023: its
         direction cosines are (-t_x, -t_y) / sqrt(1 + t^2) + (-+sin theta, 0) plus those of the design's gratings.
         Images are inverted: the image of an object at +x lies at -x of the on-axis image point. Polarisation 0 is x.
-
-        Raises:
-            InputError: the light would leave the lens at 90 degrees or more.
+        InputError if the light would leave the lens at 90 degrees or more.
         """
         t_x, t_y = tangent
         secant = math.sqrt(1.0 + t_x * t_x + t_y * t_y)
@@ -202,8 +199,7 @@ def _cosines(place_um: tuple[float, float], distance_um: float) -> tuple[float, 
 def _deflections(design: Design, distance_um: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Direction cosines of the centre of the window that the design names, or of its target, for x and y polarisation.
 
-    Raises:
-        InputError: the target sends the light beyond 90 degrees, or a user's array is unusable.
+    InputError if the target sends the light beyond 90 degrees, or a user's array is unusable.
     """
     if design.verify.centre_um is not None:
         cosines = _cosines(design.verify.centre_um, distance_um)

@@ -48,10 +48,7 @@ class Ray:
         """Return the ray to the geometric image point of one polarisation (0 for x, 1 for y).
 
         Args:
-            imaging: lens and sensor.
             polarisation: of the image point.
-            depth_m: object depth.
-            tangent: object direction.
             entry: of the Jones matrix of a birefringent substrate; by default ``polarisation`` behind and before it.
         """
         x, y = imaging.image_point_um(polarisation, tangent)

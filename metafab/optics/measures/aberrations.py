@@ -41,11 +41,7 @@ def aberrations(
     """Return the wavefront error for an object on the axis.
 
     Args:
-        source: field behind the lens.
-        imaging: geometry.
-        depth_m: object depth.
         polarisation: 0 for x, 1 for y.
-        work: threads and progress.
 
     Raises:
         InputError: too few blocks transmit light for the polynomials.

@@ -53,13 +53,10 @@ def focus(
     """Return the figures of a focus.
 
     Args:
-        source: field behind the lens.
         perfect: field behind a :class:`PerfectLens` of the same aperture.
         imaging: geometry; its pixel is not used.
-        depth_m: object depth.
         polarisations: those that the lens focuses, 0 for x and 1 for y.
         target_error: relative L2 error of the images.
-        work: threads and progress.
     """
     unit_um = imaging.wavelength_um / imaging.numerical_aperture
     fine = replace(imaging, pixel_um=min(imaging.finest_fringe_um(p, (0.0, 0.0)) for p in (0, 1)) / _PER_FRINGE)

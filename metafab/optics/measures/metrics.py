@@ -68,10 +68,7 @@ def pinhole_efficiency(psf: Psf, diameter_um: float = PINHOLE_UM) -> FloatArray:
 
     This is the measure of diffraction efficiency in Shen 2023 (Methods). The pinhole is scanned over whole pixels. Its
     rim is exact: the irradiance is band-limited, so that the spectrum of the transmitted power is the spectrum of the
-    irradiance times that of a disc, R J_1(2 pi R f) / f.
-
-    Raises:
-        InputError: the pinhole does not fit into the window.
+    irradiance times that of a disc, R J_1(2 pi R f) / f. InputError if the pinhole does not fit into the window.
     """
     n_y, n_x = psf.psf.shape[2:]
     reach = int(np.ceil(0.5 * diameter_um / psf.pixel_um))
@@ -113,8 +110,7 @@ def peak_irradiance(psf: Psf) -> FloatArray:
 def relative_peak(psf: Psf, ideal: Psf) -> FloatArray:
     """Return the Strehl ratio, the peak over that of the target phases, shape (2, n_depth).
 
-    Raises:
-        InputError: the two stacks have different depths.
+    InputError if the two stacks have different depths.
     """
     if psf.depth_m.shape != ideal.depth_m.shape or not np.allclose(psf.depth_m, ideal.depth_m):
         raise InputError.single("PSF stack", "ideal", f"depths {psf.depth_m}", f"{ideal.depth_m}", "compute both alike")

@@ -46,7 +46,6 @@ def lens_modulation(
 
     Args:
         imaging: wavelength, sensor distance, split angle (which only shortens the sensor distance).
-        device: outline of the aperture.
         depth_m: object depth; ``math.inf`` is allowed.
         frequency_per_um: shape (n,), cycles per um on the sensor.
         focus_depth_m: depth of an object in focus.

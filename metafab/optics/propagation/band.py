@@ -88,7 +88,6 @@ def band_irradiance(
         monochromatic: computes images of one wavelength.
         imaging: geometry in the middle of the band.
         polarisation: 0 for x, 1 for y.
-        tangent: object direction.
         filter_fwhm_nm: full width of the flat-top filter.
         window_px: points along a side of the window.
         target_error: relative L2 error at which no more wavelengths are added.

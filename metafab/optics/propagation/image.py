@@ -89,7 +89,6 @@ class Window:
         Args:
             pyramid: blocks of one polarisation, then blocks of twice the side, and so on.
             polarisation: polarisation of the image point, 0 for x, 1 for y.
-            tangent: object direction.
             depths_m: shape (n_depth,), object depths.
             judged: depths whose errors are estimated.
             entry: of the Jones matrix of a birefringent substrate; by default ``polarisation`` behind and before it.

@@ -111,7 +111,6 @@ def reduce_field(source: Source, carriers: Sequence[Carrier], wavenumber: float,
     Memory beyond the source is that of the block sums: a tile is summed and dropped.
 
     Args:
-        source: field behind the metasurface.
         carriers: polarisation, ray and block size of each result.
         wavenumber: k, rad/um.
         work: number of threads, and progress over the sites.

@@ -42,9 +42,7 @@ class Apodisation:
     def of(cls, design: Design) -> Apodisation | None:
         """Return the apodisation of a design (``[optics]``); None for none.
 
-        Raises:
-            InputError: the file of amplitudes cannot be read, has values outside 0 to 1, or does not cover the
-                aperture.
+        InputError if the file of amplitudes cannot be read, has values outside 0 to 1, or does not cover the aperture.
         """
         optics = design.optics
         if optics is None or (optics.stop_um is None and optics.amplitude_file is None):

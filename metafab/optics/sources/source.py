@@ -148,8 +148,7 @@ class ApodisedField:
 def written_field(pillars: PillarMap, library: Library) -> WrittenField:
     """Return the field behind the pillars of a mask, by the zero-order transmission of the library.
 
-    Raises:
-        InputError: the library lacks a size of the mask.
+    InputError if the library lacks a size of the mask.
     """
     width_nm, length_nm = pillars.size_nm()[1:].T
     table = power_amplitudes(library, width_nm, length_nm) if width_nm.size else np.empty((0, 2), dtype=np.complex128)
@@ -161,10 +160,7 @@ def written_field(pillars: PillarMap, library: Library) -> WrittenField:
 def made_field(pillars: PillarMap, library: Library, executor: Executor | None = None) -> WrittenField:
     """Return the field behind upright pillars of any size, such as printed or measured ones.
 
-    The executor solves sizes beyond the library's sweep.
-
-    Raises:
-        InputError: too many sizes lie beyond the sweep.
+    The executor solves sizes beyond the library's sweep. InputError if too many sizes lie beyond the sweep.
     """
     response = response_of_sizes(library, pillars.size_nm()[1:], executor)
     return _with_dark(pillars, power_normalised(response, library.unit_cell))

@@ -73,11 +73,7 @@ def compare_masks(
 
     Args:
         masks: name -> pupil fields of x and y polarisation, shape (2, n).
-        pupil: the samples.
         depth_m: shape (n_depth,), depths.
-        focus_depth_m: depth in focus.
-        aperture_um: diameter.
-        wavelength_um: vacuum wavelength.
         source: the point, with its noise per Nyquist pixel of lambda s' / (4 R).
         texture: the texture, with its noise per Nyquist pixel.
     """

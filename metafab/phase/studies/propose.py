@@ -65,8 +65,6 @@ def propose(
     Args:
         nearest_m: nearest depth.
         farthest_m: farthest depth, finite.
-        aperture_um: diameter.
-        wavelength_um: vacuum wavelength.
         texture: unknown texture and noise, per Nyquist pixel.
         zones: candidates for L.
         exponents: candidates for epsilon.

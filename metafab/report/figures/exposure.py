@@ -35,7 +35,6 @@ def size_map(errors: SizeMap, axes: Axes, title: str, largest_nm: float) -> Axes
 
     Args:
         errors: the map.
-        axes: axes to draw on.
         title: title of the figure.
         largest_nm: end of the scale on both sides of 0.
     """

@@ -128,8 +128,7 @@ def peak(psf: Psf, axes: Axes, ideal: Psf | None = None, source: str = "written 
 def over_field(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
     """Draw one PSF over the field of view at the middle depth, each about its image point, on one scale.
 
-    Raises:
-        ValueError: ``psf`` holds no field.
+    ValueError if ``psf`` holds no field.
     """
     if psf.field is None:
         raise ValueError("`psf`: expected one with a field of view, got the axis alone")
@@ -190,7 +189,6 @@ def modulation(
     Args:
         frequency_per_mm: shape (n,), spatial frequency on the sensor.
         curves: shape (n,) each, transfer by the name of its depth.
-        axes: axes to draw on.
         lens: shape (n,) each, transfer of a standard lens at these depths.
     """
     for transfer, style in zip(lens, ("-", "--", ":"), strict=False):

@@ -45,7 +45,6 @@ def assembled(
 
     Args:
         basis: symmetry class, n coefficients.
-        k0_per_nm: vacuum wave number.
         contrast_u: shape (n_u, n_u), permittivity for E_u less ``eps_around``.
         contrast_v: shape (n_v, n_v), permittivity for E_v less ``eps_around``.
         eta_z: shape (n_z, n_z), inverse of the permittivity for E_z.

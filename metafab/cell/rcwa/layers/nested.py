@@ -80,7 +80,6 @@ def nested_matrices(
 
     Args:
         bases: symmetry class with the outline of each rectangle, from the widest to the longest.
-        k0_per_nm: vacuum wave number.
         eps_pillar: permittivity of the pillar; a real number gives real matrices.
         eps_around: permittivity around the pillar.
 

@@ -40,7 +40,6 @@ def staggered_matrices(
     Args:
         basis: symmetry class with the first pillar's outline.
         gap: the same class with the outline of the gap that the second pillar leaves around the origin.
-        k0_per_nm: vacuum wave number.
         eps_pillar: permittivity of the pillars; a real number gives real matrices.
         eps_around: permittivity around them.
 
