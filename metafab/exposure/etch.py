@@ -58,7 +58,7 @@ def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch) -> MadePillar
         size = drawn_nm[:, index[rows]] + change[:, rows]
         return np.asarray(np.where((index[rows] > 0) & np.isfinite(size).all(axis=0), size, 0.0), dtype=np.float32)
 
-    density, mean = _density(drawn, printed_nm, etch) if etch.microloading_nm else (None, 0.0)
+    density, mean = local_density(drawn, printed_nm, etch) if etch.microloading_nm else (None, 0.0)
 
     def made_nm(rows: slice) -> FloatArray:
         size = printed_nm(rows)
@@ -80,8 +80,17 @@ def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch) -> MadePillar
     return MadePillars(pillars, bias_nm, rms_nm, int(np.count_nonzero(index)) - count // 2, mean)
 
 
-def _density(pillars: PillarMap, printed_nm: Callable[[slice], Float32Array], etch: Etch) -> tuple[LongRange, float]:
-    """Local density on blocks, and its mean over the pillars."""
+def local_density(pillars: PillarMap, sizes_nm: Callable[[slice], Float32Array], etch: Etch) -> tuple[LongRange, float]:
+    """Return the local density on blocks, averaged over ``microloading_range_um``, and its mean over the pillars.
+
+    Args:
+        pillars: lattice, and sites that count for the mean.
+        sizes_nm: returns width and length of all sites of some rows, shape (2, n_rows, n_x); 0 without a pillar.
+        etch: range of the average.
+
+    Raises:
+        InputError: a range below 12 periods.
+    """
     lattice, index = pillars.lattice, pillars.to_array()
     least_nm = LONG_PERIODS * min(lattice.period_nm)
     if etch.microloading_range_um * 1e3 < least_nm:
@@ -89,7 +98,7 @@ def _density(pillars: PillarMap, printed_nm: Callable[[slice], Float32Array], et
         raise InputError.single("process.etch", "microloading_range_um", expected, f"{etch.microloading_range_um:g} um")
     masses = []
     for rows in bands(index):
-        masses.append(block_masses(np.prod(printed_nm(rows).astype(np.float64), axis=0)))
+        masses.append(block_masses(np.prod(sizes_nm(rows).astype(np.float64), axis=0)))
     beam = BeamPsf.of([BeamTerm("gauss", 1.0, etch.microloading_range_um * 1e3)], "")
     density = LongRange.of(beam, np.concatenate(masses), lattice.period_nm)
     assert density is not None

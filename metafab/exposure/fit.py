@@ -1,24 +1,27 @@
-"""Process from measured sizes: dose to clear, backscatter, blur and bias, by nonlinear least squares.
+"""Process from measured sizes: dose to clear, backscatter, blur, focus and etch, by nonlinear least squares.
 
 A pillar of a lens with dose D prints where its energy reaches the clearing energy. Both edges of a side stand s outside
 the drawn ones, where
 
-    D base_over_clearing_dose [S(s) + O] = 1,    size = drawn + 2 s + bias,
+    D base_over_clearing_dose [S(s) + O] = 1,    size = drawn + 2 s + bias + microloading (density - mean density),
 
 with its own energy S(s) (:mod:`metafab.exposure.printing`) and that of all others O, both per unit dose. The
 point-spread function is f / (1 + eta) + eta b / (1 + eta), with its forward and backscattered parts f and b and the
 backscatter ratio eta, so that O follows from two energies of each measured pillar. The forward one depends smoothly on
-the blur and is interpolated between Chebyshev nodes.
+the blur and is interpolated between Chebyshev nodes. A beam out of focus has a wider blur
+(:func:`metafab.exposure.electrons.process.blur_out_of_focus_nm`). The density is that of the drawn pillars, times the
+printed over the drawn area of the measured ones at the same dose and focus (:mod:`metafab.exposure.etch`).
 
 The size's dependence on dose separates the clearing dose from the bias, and its dependence on the pillars around, from
-the middle of the lens to its rim, gives the backscatter ratio. Standard errors follow from the residuals.
+the middle of the lens to its rim, gives the backscatter ratio. The rim gives the microloading too; only the dose
+separates both. Standard errors follow from the residuals.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -30,17 +33,24 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.work import Work
 from metafab.exposure.electrons.beam import BeamPsf
+from metafab.exposure.electrons.process import beam_psf, blur_out_of_focus_nm
 from metafab.exposure.energy.resist import ResistEnergy, TileEnergy
+from metafab.exposure.etch import local_density
 from metafab.exposure.prediction import inside
 from metafab.layout import PillarMap
+from metafab.spec.mask import Etch, ExposureProcess
 
 #: Parameters of the process in the order of the fit.
-Parameter = Literal["threshold", "eta", "blur", "bias"]
+Parameter = Literal["threshold", "eta", "blur", "bias", "microloading", "convergence", "focus"]
 PARAMETERS: tuple[Parameter, ...] = get_args(Parameter)
-#: Bounds of base over clearing dose, backscatter ratio, blur (nm) and bias (nm).
-_LOW, _HIGH = np.array([0.05, 1e-3, 0.5, -200.0]), np.array([100.0, 20.0, 60.0, 200.0])
+#: Bounds of base over clearing dose, backscatter ratio, blur (nm), bias (nm), microloading (nm), convergence (mrad) and
+#: best focus (um).
+_LOW = np.array([0.05, 1e-3, 0.5, -200.0, -500.0, 0.1, -50.0])
+_HIGH = np.array([100.0, 20.0, 60.0, 200.0, 500.0, 100.0, 50.0])
+#: Start of the convergence, mrad, and largest blur of a beam out of focus, nm.
+_CONVERGENCE_MRAD, _WIDEST_NM = 5.0, 100.0
 #: Nodes of the blur for the energy of the other pillars; the error of the interpolation is below 1e-5.
-_BLUR_NODES = 5
+_BLUR_NODES = 7
 #: Halvings of the interval of an edge's displacement (of up to 200 nm): to 1e-8 nm, for difference quotients.
 _HALVINGS = 35
 #: Reach of an edge outwards (nm).
@@ -49,12 +59,13 @@ _REACH_NM = 100.0
 
 @dataclass(frozen=True, eq=False)
 class MeasuredLens:
-    """Measured pillars of one lens at one or several doses."""
+    """Measured pillars of one lens at one or several doses, and one focus."""
 
     pillars: PillarMap  #: The drawn pillars.
     place: NDArray[np.int64]  #: Shape (n, 2), row and column of each measurement.
     dose: FloatArray  #: Shape (n,), dose of the whole lens relative to the base dose.
     size_nm: FloatArray  #: Shape (n, 2), measured width and length.
+    focus_um: float = 0.0  #: Focus of the beam.
 
 
 @dataclass(frozen=True)
@@ -84,9 +95,13 @@ class ProcessFit:
     backscatter_ratio: FittedValue  #: Backscattered over forward-scattered energy.
     blur_nm: FittedValue  #: Range of the beam's blur.
     bias_nm: FittedValue  #: Measured less printed size, of the etch and of the microscope.
+    microloading_nm: FittedValue  #: Further, where the local density is larger by 1.
+    convergence_mrad: FittedValue | None  #: Half angle of the beam; None where it is neither stated nor fitted.
+    best_focus_um: FittedValue  #: Focus of the smallest blur.
     residual_rms_nm: float  #: Rms of measured less fitted sizes.
     sizes: int  #: Number of measured widths and lengths.
     doses: int  #: Number of distinct doses.
+    focuses: int  #: Number of distinct focuses.
     largest_correlation: float  #: Magnitude of the largest correlation between two fitted parameters.
     correlated: tuple[str, ...]  #: These parameters.
     bias_map: BiasMap  #: Bias over the lens.
@@ -94,40 +109,47 @@ class ProcessFit:
 
 def fit_process(
     lenses: Sequence[MeasuredLens],
-    psf: BeamPsf,
-    blur_nm: float,
+    start: ExposureProcess,
     free: Sequence[Parameter] = ("threshold", "eta", "bias"),
-    base_over_clearing_dose: float | None = None,
+    etch: Etch | None = None,
     work: Work = Work(),
 ) -> ProcessFit:
     """Fit the process to measured sizes.
 
     Args:
         lenses: the measurements.
-        psf: point-spread function of the beam without its blur; its ratio of backscattered to forward energy is the
-            start of "eta".
-        blur_nm: range of the blur; the start of "blur".
-        free: parameters that are fitted; the others keep their start. The bias starts at 0.
-        base_over_clearing_dose: start of "threshold"; None for the dose at which pillars print as measured.
+        start: beam and dose, from which fitted parameters start and at which the others stay. Without
+            ``base_over_clearing_dose`` the threshold starts where pillars print as measured.
+        free: parameters that are fitted.
+        etch: bias and microloading, likewise, and the range of the microloading.
         work: threads.
 
     Raises:
-        InputError: no backscattered term, no dose, too few sizes, or sizes that do not determine the parameters.
+        InputError: no backscattered term, no dose, lenses out of focus without a convergence, too few sizes, or sizes
+            that do not determine the parameters.
     """
-    forward, back, eta = psf.scattered()
+    etch = etch or Etch()
+    forward, back, eta = beam_psf(replace(start, blur_nm=0.0)).scattered()
     chosen = np.array([name in free for name in PARAMETERS])
     count = 2 * sum(len(lens.dose) for lens in lenses)
     if not chosen.any() or count <= chosen.sum():
         expected = f"more sizes than the {int(chosen.sum())} fitted parameters, of which at least one"
         raise InputError.single("process fit", "sizes", expected, f"{count}", "measure more pillars")
-    if base_over_clearing_dose is None and "threshold" not in free:
+    if start.base_over_clearing_dose is None and "threshold" not in free:
         expected, remedy = "a dose, where `threshold` is not fitted", "state it, or fit `threshold` too"
         raise InputError.single("process.exposure", "base_over_clearing_dose", expected, "none", remedy)
-    model = _Model(lenses, forward, back, None if "blur" in free else blur_nm, work)
-    start = np.array([base_over_clearing_dose or model.first_ratio(eta, blur_nm), eta, blur_nm, 0.0])
+    focuses = {lens.focus_um for lens in lenses}
+    known_beam = start.convergence_mrad is not None or "convergence" in free
+    if not known_beam and (focuses != {start.best_focus_um} or "focus" in free):
+        expected, remedy = "a half angle, for lenses out of focus", "state it, or fit `convergence` too"
+        raise InputError.single("process.exposure", "convergence_mrad", expected, "none", remedy)
+    convergence = start.convergence_mrad or (_CONVERGENCE_MRAD if known_beam else 0.0)
+    values = [0.0, eta, start.blur_nm, etch.bias_nm, etch.microloading_nm, convergence, start.best_focus_um]
+    model = _Model(lenses, forward, back, np.array(values), chosen, etch, work)
+    first = np.array([start.base_over_clearing_dose or model.first_ratio(np.array(values)), *values[1:]])
 
     def all_values(values: FloatArray) -> FloatArray:
-        whole = start.copy()
+        whole = first.copy()
         whole[chosen] = values
         return whole
 
@@ -136,7 +158,7 @@ def fit_process(
 
     found = least_squares(
         residuals,
-        np.clip(start, _LOW + 1e-3 * np.abs(_LOW), _HIGH - 1e-3 * _HIGH)[chosen],
+        np.clip(first, _LOW + 1e-3 * np.abs(_LOW), _HIGH - 1e-3 * _HIGH)[chosen],
         bounds=(_LOW[chosen], _HIGH[chosen]),
         x_scale="jac",
         diff_step=[1e-5],
@@ -148,6 +170,7 @@ def fit_process(
     )
     covariance *= square
     whole = all_values(np.asarray(found.x, dtype=np.float64))
+    model.require_within_reach(whole)
     errors = np.full(len(PARAMETERS), np.nan)
     errors[chosen] = np.sqrt(np.diag(covariance))
     fitted = [
@@ -160,9 +183,13 @@ def fit_process(
         backscatter_ratio=fitted[1],
         blur_nm=fitted[2],
         bias_nm=fitted[3],
+        microloading_nm=fitted[4],
+        convergence_mrad=fitted[5] if known_beam else None,
+        best_focus_um=fitted[6],
         residual_rms_nm=float(np.sqrt(np.mean(found.fun**2))),
         sizes=count,
         doses=len(np.unique(np.concatenate([lens.dose for lens in lenses]))),
+        focuses=len(focuses),
         largest_correlation=largest,
         correlated=names,
         bias_map=_bias_map(lenses, whole[3] - found.fun.reshape(-1, 2)),
@@ -170,72 +197,109 @@ def fit_process(
 
 
 class _Model:
-    """Sizes of measured pillars for any process.
+    """Sizes of measured pillars for any process, whose values have the order of :data:`PARAMETERS`.
 
     Args:
         lenses: the measurements.
         forward: forward part of the point-spread function, weights of sum 1, without blur.
         back: backscattered part, weights of sum 1.
-        blur_nm: the blur if it is fixed.
+        start: values of the process.
+        chosen: whether each is fitted.
+        etch: range of the microloading.
         work: threads.
     """
 
     def __init__(
-        self, lenses: Sequence[MeasuredLens], forward: BeamPsf, back: BeamPsf, blur_nm: float | None, work: Work
+        self,
+        lenses: Sequence[MeasuredLens],
+        forward: BeamPsf,
+        back: BeamPsf,
+        start: FloatArray,
+        chosen: NDArray[np.bool_],
+        etch: Etch,
+        work: Work,
     ) -> None:
         self._forward, self._back = forward, back
         self._drawn = np.concatenate([lens.pillars.size_nm()[_index(lens)] for lens in lenses])
         self._dose = np.concatenate([lens.dose for lens in lenses])
+        self._focus_um = np.concatenate([np.full(len(lens.dose), lens.focus_um) for lens in lenses])
         self.measured_nm = np.concatenate([lens.size_nm for lens in lenses])
-        turn = np.cos(np.pi * (np.arange(_BLUR_NODES) + 0.5) / _BLUR_NODES)
-        middle, half = 0.5 * (_LOW[2] + _HIGH[2]), 0.5 * (_HIGH[2] - _LOW[2])
-        self._nodes = np.array([blur_nm]) if blur_nm is not None else middle + half * turn
+        exposed = np.stack([self._dose, self._focus_um], axis=1)
+        self._exposed = np.unique(exposed, axis=0, return_inverse=True)[1].ravel()
+        is_loaded = bool(chosen[4] or start[4])
+        self._density = np.concatenate([_excess_density(lens, etch) for lens in lenses]) if is_loaded else None
+        fixed = np.unique(self._blurs_nm(start))
+        if chosen[[2, 5, 6]].any() or fixed.size > _BLUR_NODES:
+            turn = np.cos(np.pi * (np.arange(_BLUR_NODES) + 0.5) / _BLUR_NODES)
+            widest = _WIDEST_NM if self._focus_um.any() or chosen[[5, 6]].any() else float(_HIGH[2])
+            fixed = 0.5 * (widest + _LOW[2]) + 0.5 * (widest - _LOW[2]) * turn
+        self._nodes = fixed
+        place = np.concatenate([lens.place for lens in lenses])
+        patterns, of_lens = _distinct([lens.pillars for lens in lenses])
+        pattern = np.repeat(of_lens, [len(lens.dose) for lens in lenses])
         with work.threads() as executor:
 
             def others(part: BeamPsf) -> FloatArray:
                 """Energy of all other pillars at the edges, per unit dose: shape (n, 2)."""
-                found = []
-                for lens in lenses:
-                    resist = ResistEnergy(lens.pillars, part)
+                values = np.zeros((len(pattern), 2))
+                for number, pillars in enumerate(patterns):
+                    rows = np.flatnonzero(pattern == number)
+                    resist = ResistEnergy(pillars, part)
                     dose = np.ones(resist.size_index.shape, dtype=np.float32)
-                    touched = [block for block in resist.tiles if len(inside(lens.place, *block))]
-                    values = np.zeros((len(lens.place), 2))
+                    touched = [block for block in resist.tiles if len(inside(place[rows], *block))]
 
-                    def keep(tile: TileEnergy, lens: MeasuredLens = lens, values: FloatArray = values) -> FloatArray:
-                        row, column = lens.place[:, 0] - tile.rows.start, lens.place[:, 1] - tile.columns.start
-                        here = (row >= 0) & (row < tile.dose.shape[0]) & (column >= 0) & (column < tile.dose.shape[1])
-                        values[here] = tile.others[:, row[here], column[here]].T
+                    def keep(tile: TileEnergy, rows: NDArray[np.int64] = rows) -> FloatArray:
+                        row, column = (place[rows] - (tile.rows.start, tile.columns.start)).T
+                        n_y, n_x = tile.dose.shape
+                        here = (row >= 0) & (row < n_y) & (column >= 0) & (column < n_x)
+                        values[rows[here]] = tile.others[:, row[here], column[here]].T
                         return np.empty(0)
 
                     for _ in resist.map_tiles(dose, executor, keep, touched):
                         pass
-                    found.append(values)
-                return np.concatenate(found)
+                return values
 
             # The backscattered part is far wider than any blur.
             self._others_back = others(back)
             self._others_forward = np.stack([others(forward.blurred(float(blur))) for blur in self._nodes])
 
-    def first_ratio(self, eta: float, blur_nm: float) -> float:
+    def first_ratio(self, values: FloatArray) -> float:
         """Base over clearing dose at which the measured edges are at the clearing energy in the mean."""
         moved = 0.5 * (self.measured_nm - self._drawn)
-        return float(1.0 / np.mean(self._dose[:, None] * self._energy(moved, eta, blur_nm)))
+        return float(1.0 / np.mean(self._dose[:, None] * self._energy(moved, values)))
 
     def sizes_nm(self, values: FloatArray) -> FloatArray:
-        """Sizes for a ratio, eta, blur and bias, by bisection of the edges: shape (n, 2)."""
-        ratio, eta, blur_nm, bias_nm = values.tolist()
+        """Sizes for a process, by bisection of the edges: shape (n, 2)."""
         low, high = -0.5 * self._drawn, np.full_like(self._drawn, _REACH_NM)
-        clearing = 1.0 / (ratio * self._dose[:, None])
+        clearing = 1.0 / (values[0] * self._dose[:, None])
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            stays = self._energy(middle, eta, blur_nm) > clearing
+            stays = self._energy(middle, values) > clearing
             low, high = np.where(stays, middle, low), np.where(stays, high, middle)
-        return np.asarray(self._drawn + low + high + bias_nm)
+        printed = self._drawn + low + high
+        if self._density is None:
+            return np.asarray(printed + values[3])
+        areas = [np.bincount(self._exposed, sizes.prod(axis=1)) for sizes in (printed, self._drawn)]
+        excess = self._density * (areas[0] / areas[1])[self._exposed]
+        return np.asarray(printed + values[3] + values[4] * excess[:, None])
 
-    def _energy(self, moved_nm: FloatArray, eta: float, blur_nm: float) -> FloatArray:
+    def require_within_reach(self, values: FloatArray) -> None:
+        """Refuse a process whose blur out of focus is beyond the interpolation."""
+        widest = float(self._blurs_nm(values).max())
+        if widest > max(self._nodes.max(), _WIDEST_NM):
+            expected = f"a blur of at most {_WIDEST_NM:g} nm at each focus"
+            raise InputError.single("process fit", "convergence", expected, f"{widest:.3g} nm", "leave out that focus")
+
+    def _blurs_nm(self, values: FloatArray) -> FloatArray:
+        """Blur of each measurement, shape (n,)."""
+        return blur_out_of_focus_nm(values[2], values[5], self._focus_um - values[6])
+
+    def _energy(self, moved_nm: FloatArray, values: FloatArray) -> FloatArray:
         """Energy at edges moved outwards, per unit dose: shape (n, 2), like ``moved_nm``."""
+        eta, blur_nm = float(values[1]), np.minimum(self._blurs_nm(values), _WIDEST_NM)
         others = (self._interpolated(blur_nm) + eta * self._others_back) / (1.0 + eta)
-        ranges = np.concatenate([np.hypot(self._forward.range_nm, blur_nm), self._back.range_nm])
+        ranges = [np.hypot(beta, blur_nm)[:, None] for beta in self._forward.range_nm]
+        ranges += [np.full((1, 1), beta) for beta in self._back.range_nm]
         weights = np.concatenate([self._forward.weight, eta * self._back.weight]) / (1.0 + eta)
         own = np.zeros_like(moved_nm)
         for weight, beta in zip(weights, ranges, strict=True):
@@ -243,14 +307,39 @@ class _Model:
             own += 0.5 * weight * (erf((self._drawn + moved_nm) / beta) - erf(moved_nm / beta)) * across
         return np.asarray(own + others)
 
-    def _interpolated(self, blur_nm: float) -> FloatArray:
-        """Forward energy of the other pillars at a blur, by Lagrange's polynomial in its square."""
-        nodes = self._nodes**2
+    def _interpolated(self, blur_nm: FloatArray) -> FloatArray:
+        """Forward energy of the others at a blur for each pillar, shape (n,): Lagrange's polynomial in its square."""
+        nodes, square = self._nodes**2, blur_nm[:, None] ** 2
         total = np.zeros_like(self._others_back)
         for k, node in enumerate(nodes):
             rest = np.delete(nodes, k)
-            total += float(np.prod((blur_nm**2 - rest) / (node - rest))) * self._others_forward[k]
+            total += np.prod((square - rest) / (node - rest), axis=1)[:, None] * self._others_forward[k]
         return total
+
+
+def _distinct(pillars: Sequence[PillarMap]) -> tuple[list[PillarMap], list[int]]:
+    """Distinct patterns, and the number of that of each lens; copies of a lens share theirs."""
+    patterns: list[PillarMap] = []
+    number = []
+    for one in pillars:
+        sizes, index = one.size_dbu, one.to_array()
+        same = (
+            k
+            for k, other in enumerate(patterns)
+            if other is one or (np.array_equal(other.size_dbu, sizes) and np.array_equal(other.to_array(), index))
+        )
+        number.append(next(same, len(patterns)))
+        if number[-1] == len(patterns):
+            patterns.append(one)
+    return patterns, number
+
+
+def _excess_density(lens: MeasuredLens, etch: Etch) -> FloatArray:
+    """Local density of the drawn pillars at each measurement, less its mean over all pillars: shape (n,)."""
+    index, size_nm = lens.pillars.to_array(), lens.pillars.size_nm().astype(np.float32).T
+    density, mean = local_density(lens.pillars, lambda rows: size_nm[:, index[rows]], etch)
+    at = [density.at(slice(row, row + 1), slice(column, column + 1)).item() for row, column in lens.place.tolist()]
+    return np.array(at) - mean
 
 
 def _index(lens: MeasuredLens) -> NDArray[np.int64]:

@@ -14,12 +14,12 @@ from metafab import mask
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import whole_file
-from metafab.exposure.electrons.process import beam_psf, exposure_process
+from metafab.exposure.electrons.process import exposure_process
 from metafab.exposure.fit import MeasuredLens, Parameter, ProcessFit, fit_process
 from metafab.mask.measured import read_measured
 from metafab.spec import Design, UnitCell, canonical_toml
 from metafab.spec.keys.faults import faults_of
-from metafab.spec.mask import Etch, ExposureProcess, Process
+from metafab.spec.mask import Copy, Etch, ExposureProcess, Process
 
 #: Columns of the table whose means become properties of the etch.
 _CORNER = ("height_nm", "sidewall_angle_deg", "corner_radius_nm")
@@ -42,8 +42,8 @@ def fitted_process(
 
     Args:
         table: .csv with x_um, y_um (from the axis of the lens), width_nm, length_nm; further columns where they are
-            known: copy (lens of ``mask.copies``), dose (relative to that of the copy), height_nm, sidewall_angle_deg,
-            corner_radius_nm.
+            known: copy (lens of ``mask.copies``), dose (relative to that of the copy), focus_um (added to that of the
+            copy), height_nm, sidewall_angle_deg, corner_radius_nm.
         mask_file: the mask that was exposed.
         design: its design, with ``[process.exposure]`` as the start.
         free: parameters that are fitted.
@@ -57,37 +57,34 @@ def fitted_process(
     """
     classes = Fault("mask.dose", "one dose for all pillars", "dose classes", "fit a mask without them")
     start = exposure_process(design, () if design.mask.dose is None else (classes,))
-    measured = read_measured(table, ("copy", "dose", *_CORNER))
+    measured = read_measured(table, ("copy", "dose", "focus_um", *_CORNER))
     corner: dict[str, Any] = {
         name: round(float(np.mean(values)), 3) for name, values in measured.further.items() if name in _CORNER
     }
     etch, unit_cell = _made(design, corner, table)
     numbers = measured.further.get("copy", np.full(len(measured.size_nm), float(copy)))
     doses = measured.further.get("dose", np.ones(len(measured.size_nm)))
+    focuses = measured.further.get("focus_um", np.zeros(len(measured.size_nm)))
     if (doses <= 0.0).any() or (numbers != np.rint(numbers)).any():
         expected = "positive doses, and whole numbers of copies"
         raise InputError.single(str(table), "rows", expected, f"dose {doses.min():g}, copy {numbers.min():g}")
     lenses = []
     for number in np.unique(numbers).astype(int).tolist():
-        rows = measured.part(numbers == number)
         back = mask.read(mask_file, design, progress=work.progress, copy=number)
         back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
-        sites, dose = rows.sites(back.pillars), doses[numbers == number]
-        rows.require_each_once(sites, dose)
-        lens_dose = design.mask.copies[number - 1].dose if design.mask.copies else 1.0
-        lenses.append(MeasuredLens(back.pillars, sites, dose * lens_dose, rows.size_nm))
-    fit = fit_process(
-        lenses,
-        beam_psf(replace(start, blur_nm=0.0)),
-        start.blur_nm,
-        free,
-        start.base_over_clearing_dose,
-        work,
-    )
+        lens = design.mask.copies[number - 1] if design.mask.copies else Copy((0.0, 0.0))
+        for focus_um in np.unique(focuses[numbers == number]).tolist():
+            here = (numbers == number) & (focuses == focus_um)
+            rows = measured.part(here)
+            sites = rows.sites(back.pillars)
+            rows.require_each_once(sites, doses[here])
+            exposed = doses[here] * lens.dose, rows.size_nm, lens.focus_um + focus_um
+            lenses.append(MeasuredLens(back.pillars, sites, *exposed))
+    fit = fit_process(lenses, start, free, etch, work)
     known = "" if start.source == "assumption" else f"{start.source}; "
     source = f"{known}fit of {', '.join(free)} to {fit.sizes} sizes of {table.name} at {fit.doses} doses"
-    bias = {"bias_nm": round(fit.bias_nm.value, 4)} if "bias" in free else {}
-    process = Process(exposure=_exposure(start, fit, source), etch=replace(etch, **bias, source=source))
+    changes = {"bias_nm": round(fit.bias_nm.value, 4), "microloading_nm": round(fit.microloading_nm.value, 4)}
+    process = Process(exposure=_exposure(start, fit, source), etch=replace(etch, **changes, source=source))
     return FittedProcess(fit, process, unit_cell)
 
 
@@ -116,7 +113,11 @@ def save_process(fitted: FittedProcess, path: Path) -> tuple[Path, ...]:
             ("backscatter_ratio", fit.backscatter_ratio),
             ("blur_nm", fit.blur_nm),
             ("bias_nm", fit.bias_nm),
+            ("microloading_nm", fit.microloading_nm),
+            ("convergence_mrad", fit.convergence_mrad),
+            ("best_focus_um", fit.best_focus_um),
         )
+        if value is not None
     ]
     files = process_files(path, fitted)
     texts = ["\n".join([*lines, ""]) + canonical_toml(fitted.process, path.parent)]
@@ -151,6 +152,8 @@ def _exposure(start: ExposureProcess, fit: ProcessFit, source: str) -> ExposureP
     return replace(
         start,
         blur_nm=round(fit.blur_nm.value, 6),
+        convergence_mrad=None if fit.convergence_mrad is None else round(fit.convergence_mrad.value, 6),
+        best_focus_um=round(fit.best_focus_um.value, 6),
         backscatter_ratio=ratio,
         base_over_clearing_dose=round(fit.base_over_clearing_dose.value, 6),
         source=source,

@@ -112,11 +112,12 @@ def expose_mask(
     biased = correct and any(copy.bias_nm for copy in design.mask.copies)
     further = [Fault("mask.copies", expected, "biased copies", remedy)] if biased else []
     process = exposure.exposure_process(design, further)
-    psf = exposure.beam_psf(process)
+    lens = design.mask.copies[copy - 1] if 1 <= copy <= len(design.mask.copies) else None
+    psf = exposure.beam_psf(process, None if lens is None else lens.focus_um)
     back = mask.read(path, design, progress=work.progress, copy=copy)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
     ratio, plain = process.base_over_clearing_dose, None
-    lens_dose = design.mask.copies[copy - 1].dose if design.mask.copies else 1.0
+    lens_dose = 1.0 if lens is None else lens.dose
     if correct and keep_plain:
         before = exposure.expose(back.pillars, psf, base_over_clearing_dose=ratio, lens_dose=lens_dose, work=work)
         ratio, plain = before.figures.base_over_clearing_dose, exposure.SizeErrors.of(before)

@@ -113,13 +113,20 @@ def _write_samples(samples: tuple[SampledPillar, ...], path: Path) -> None:
 @app.command("process fit")
 def process_fit_command(
     measured: Annotated[
-        Path, typer.Argument(metavar="CD.csv", help="Measured sizes: x_um, y_um, width_nm, length_nm [copy, dose].")
+        Path,
+        typer.Argument(
+            metavar="CD.csv", help="Measured sizes: x_um, y_um, width_nm, length_nm [copy, dose, focus_um]."
+        ),
     ],
     layout: LayoutFile,
     design: DesignOption,
     free: Annotated[
         list[str] | None,
-        typer.Option("--free", metavar="NAME", help="threshold, eta, bias or blur [default: the first three]."),
+        typer.Option(
+            "--free",
+            metavar="NAME",
+            help="threshold, eta, bias, blur, microloading, convergence or focus [default: the first three].",
+        ),
     ] = None,
     copy: Copy = 1,
     output: Output = None,
@@ -128,9 +135,9 @@ def process_fit_command(
 ) -> None:
     """Fit dose to clear, backscatter and bias to measured sizes, and write a process file for later designs.
 
-    The table lists pillars by place, from the axis of their lens, at one or several doses; a design uses the written
-    file by `process = "process.toml"`. Columns height_nm, sidewall_angle_deg and corner_radius_nm become those of the
-    etch, and of a unit cell beside the file.
+    The table lists pillars by place, from the axis of their lens, at one or several doses and focuses; a design uses
+    the written file by `process = "process.toml"`. Columns height_nm, sidewall_angle_deg and corner_radius_nm become
+    those of the etch, and of a unit cell beside the file.
     """
     from metafab.exposure.fit import PARAMETERS
     from metafab.exposure.process_file import fitted_process, process_files, save_process

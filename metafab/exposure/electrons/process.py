@@ -18,11 +18,16 @@ from metafab.spec import Design
 from metafab.spec.mask import ExposureProcess
 
 
-def beam_psf(process: ExposureProcess) -> BeamPsf:
+def beam_psf(process: ExposureProcess, focus_um: float | None = None) -> BeamPsf:
     """Build the function from a preset, terms or a table, with the process' blur.
 
+    Args:
+        process: the process.
+        focus_um: focus of the beam; None for the best one.
+
     Raises:
-        InputError: an unknown preset, an unreadable table, or a ratio for a function without backscattered part.
+        InputError: an unknown preset, an unreadable table, a ratio for a function without backscattered part, or a
+            beam out of focus without its convergence.
     """
     if process.preset is not None:
         plain = preset(process.preset)
@@ -32,7 +37,24 @@ def beam_psf(process: ExposureProcess) -> BeamPsf:
         plain = _from_table(process)
     if process.backscatter_ratio is not None:
         plain = plain.with_backscatter(process.backscatter_ratio)
-    return plain.blurred(process.blur_nm)
+    if focus_um is None or focus_um == process.best_focus_um:
+        return plain.blurred(process.blur_nm)
+    if process.convergence_mrad is None:
+        expected = f"the half angle of the beam, for a focus of {focus_um:g} um"
+        remedy = "state it; `metafab process fit --free convergence` finds it from a focus-dose matrix"
+        raise InputError.single("process.exposure", "convergence_mrad", expected, "none", remedy)
+    defocus_um = np.array(focus_um - process.best_focus_um)
+    return plain.blurred(float(blur_out_of_focus_nm(process.blur_nm, process.convergence_mrad, defocus_um)))
+
+
+def blur_out_of_focus_nm(blur_nm: float, convergence_mrad: float, defocus_um: FloatArray) -> FloatArray:
+    """Range of the blur of a beam out of focus, in the shape of ``defocus_um``.
+
+    A cone of the half angle ``convergence_mrad``, evenly filled, is a disc of the radius angle times defocus. Its rms
+    radius, 1 / sqrt(2) of that, is the range of the Gaussian of equal second moment, and adds to the blur in
+    quadrature.
+    """
+    return np.asarray(np.hypot(blur_nm, convergence_mrad * defocus_um / math.sqrt(2.0)))
 
 
 def _from_table(process: ExposureProcess) -> BeamPsf:

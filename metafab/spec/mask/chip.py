@@ -64,7 +64,7 @@ class Copy:
     #: Added to `mask.bias_nm`; the mapping leaves no room for it, and one that breaks a design rule is refused.
     bias_nm: Real = 0.0
     dose: Positive = 1.0  #: Dose relative to the base dose; each distinct dose has datatypes of its own.
-    #: Focus of the beam above the resist's surface; listed for the writer, no shape depends on it.
+    #: Focus of the beam above the resist's surface; listed for the writer, and widens the blur of printed pillars.
     focus_um: Real = 0.0
     label: str | None = None  #: Text above the lens, on the chip's text layer.
 

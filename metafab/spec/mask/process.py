@@ -39,7 +39,12 @@ class ExposureProcess(Checked):
     table_unit: Literal["nm", "um"] | None = None  #: Unit of the table's radius; without the key that in its header.
     #: Whether the table holds an energy density, or the energy of each ring between one radius and the next.
     table_energy: Literal["density", "ring"] = "density"
-    blur_nm: NonNegative = 5.0  #: Range of a further Gaussian blur: beam, secondary electrons, diffusion.
+    #: Range of a further Gaussian blur in the best focus: beam, secondary electrons, diffusion.
+    blur_nm: NonNegative = 5.0
+    #: Half angle of the focused beam, by which `focus_um` of a copy widens the blur; needed where a copy is out of
+    #: focus.
+    convergence_mrad: Annotated[float, Field(strict=True, gt=0.0, le=100.0)] | None = None
+    best_focus_um: Real = 0.0  #: Focus of the smallest blur, as `focus_um` of a copy.
     #: Energy of the backscattered electrons (ranges of at least 2 um) over that of the others; without the key that of
     #: the function.
     backscatter_ratio: Positive | None = None

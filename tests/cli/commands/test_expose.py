@@ -185,7 +185,7 @@ def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, t
     assert (made.etch.height_nm, made.etch.sidewall_angle_deg) == (590.0, 88.0)
     assert made.exposure.preset == "hsq_sos_100kv"
     assert load_unit_cell(tmp_path / "process_cell.toml").cell.height_nm == 590.0
-    refused = metafab(*common, "--free", "focus")
+    refused = metafab(*common, "--free", "contrast")
     assert refused.code == 2
     assert "threshold" in refused.stderr
     own = design_file(tmp_path / "own.toml", design, "", library='"process_cell.toml"')
@@ -203,6 +203,7 @@ def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, t
         ("tio2_hexagonal_660nm", PROCESS, "cell.lattice"),
         ("sin_circles_633nm", PROCESS, "cell.shape"),
         ("sos_800nm", '\n[process.exposure]\npreset = "unknown"\n', "hsq_sos_100kv"),
+        ("sos_800nm", "\n[[mask.copies]]\nat_um = [0.0, 0.0]\nfocus_um = 0.5\n" + PROCESS, "convergence_mrad"),
     ],
 )
 def test_refusals_name_the_key(library: str, further: str, named: str, folder: Path, tmp_path: Path) -> None:

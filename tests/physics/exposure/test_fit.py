@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from metafab.core.errors import InputError
 from metafab.exposure import ExposureNumerics, expose
 from metafab.exposure.fit import MeasuredLens, fit_process
 from metafab.layout import PillarMap
-from tests.physics.exposure.conftest import BEAM, disc, pattern
+from metafab.spec.mask import Etch, ExposureProcess
+from tests.physics.exposure.conftest import BEAM, PERIOD_NM, disc, pattern
 
 #: The true process, which the fit does not know: ratio of doses, backscatter, blur (nm), bias (nm), noise (nm).
 RATIO, ETA, BLUR_NM, BIAS_NM, NOISE_NM = 2.1, 0.62, 14.0, -4.0, 1.0
 DOSES = (0.85, 1.0, 1.2)
+#: Half angle of the beam and its best focus, for lenses out of focus; microloading (nm) and its range (um).
+CONVERGENCE_MRAD, BEST_FOCUS_UM = 12.0, -0.3
+LOADING_NM, LOADING_UM = 15.0, 6.0
 
 
 @pytest.fixture(scope="module")
@@ -22,33 +27,41 @@ def small_lens() -> PillarMap:
     return pattern(2.0 * rng.integers(50, 126, (100, 2)), disc(160, 100))
 
 
-def measured(lens: PillarMap, doses: tuple[float, ...], noise_nm: float, seed: int = 1) -> MeasuredLens:
-    """Sizes of 150 random pillars at each dose."""
+def beam(eta: float | None = None, blur_nm: float = 5.0, **keys: float) -> ExposureProcess:
+    """The start of a fit: the beam without its blur."""
+    return ExposureProcess(terms=BEAM.terms, blur_nm=blur_nm, backscatter_ratio=eta, **keys)
+
+
+def measured(
+    lens: PillarMap, doses: tuple[float, ...], noise_nm: float, seed: int = 1, focus_um: float = 0.0, count: int = 150
+) -> MeasuredLens:
+    """Sizes of random pillars at each dose."""
     rng = np.random.default_rng(seed)
     index = lens.to_array()
     rows, columns = np.nonzero(index)
+    blur_nm = np.hypot(BLUR_NM, CONVERGENCE_MRAD * (focus_um - BEST_FOCUS_UM) / np.sqrt(2.0)) if focus_um else BLUR_NM
     places, sizes = [], []
     for dose in doses:
         found = expose(
             lens,
-            BEAM.with_backscatter(ETA).blurred(BLUR_NM),
+            BEAM.with_backscatter(ETA).blurred(blur_nm),
             base_over_clearing_dose=RATIO,
             lens_dose=dose,
             numerics=ExposureNumerics(keep_sizes=True),
         )
         assert found.printed_less_drawn_nm is not None
-        chosen = rng.choice(rows.size, 150, replace=False)
+        chosen = rng.choice(rows.size, count, replace=False)
         place = np.stack([rows[chosen], columns[chosen]], axis=1)
         change = found.printed_less_drawn_nm[:, place[:, 0], place[:, 1]].T.astype(float)
         size = lens.size_nm()[index[place[:, 0], place[:, 1]]] + change + BIAS_NM
         places.append(place)
         sizes.append(size + rng.normal(0.0, noise_nm, size.shape))
-    return MeasuredLens(lens, np.concatenate(places), np.repeat(doses, 150), np.concatenate(sizes))
+    return MeasuredLens(lens, np.concatenate(places), np.repeat(doses, count), np.concatenate(sizes), focus_um)
 
 
 def test_without_noise_the_process_is_exact(small_lens: PillarMap) -> None:
     """The table of edges that predicts the sizes is in single precision: 1e-3 nm, on which all errors here depend."""
-    fit = fit_process([measured(small_lens, DOSES, 0.0)], BEAM, 5.0, ("threshold", "eta", "blur", "bias"))
+    fit = fit_process([measured(small_lens, DOSES, 0.0)], beam(), ("threshold", "eta", "blur", "bias"))
     assert fit.residual_rms_nm < 0.02
     assert fit.base_over_clearing_dose.value == pytest.approx(RATIO, rel=2e-3)
     assert fit.backscatter_ratio.value == pytest.approx(ETA, rel=5e-3)
@@ -58,7 +71,7 @@ def test_without_noise_the_process_is_exact(small_lens: PillarMap) -> None:
 
 def test_with_noise_each_parameter_is_within_its_error(small_lens: PillarMap) -> None:
     """Four standard errors; the errors follow from 1 nm of noise and 900 sizes."""
-    fit = fit_process([measured(small_lens, DOSES, NOISE_NM)], BEAM, 5.0, ("threshold", "eta", "blur", "bias"))
+    fit = fit_process([measured(small_lens, DOSES, NOISE_NM)], beam(), ("threshold", "eta", "blur", "bias"))
     assert (fit.sizes, fit.doses) == (900, 3)
     assert fit.residual_rms_nm == pytest.approx(NOISE_NM, rel=0.1)
     truths = (RATIO, ETA, BLUR_NM, BIAS_NM)
@@ -78,7 +91,7 @@ def test_a_tilt_of_the_bias_is_mapped(small_lens: PillarMap) -> None:
     """20 nm per mm along x, from an etch that is deeper on one side."""
     lens = measured(small_lens, (1.0, 1.2), 0.2)
     lens.size_nm[:] += 20.0 * lens.pillars.lattice.x_um()[lens.place[:, 1], None] * 1e-3
-    fit = fit_process([lens], BEAM.with_backscatter(ETA), BLUR_NM)
+    fit = fit_process([lens], beam(ETA, BLUR_NM))
     tilt_x, tilt_y = fit.bias_map.tilt_x_nm_per_mm, fit.bias_map.tilt_y_nm_per_mm
     assert tilt_x.error is not None and tilt_y.error is not None
     assert abs(tilt_x.value - 20.0) < 4.0 * tilt_x.error < 10.0
@@ -86,11 +99,51 @@ def test_a_tilt_of_the_bias_is_mapped(small_lens: PillarMap) -> None:
 
 
 def test_fixed_parameters_keep_their_values(small_lens: PillarMap) -> None:
-    fit = fit_process([measured(small_lens, (1.0,), 0.5)], BEAM, 12.0, ("bias",), RATIO)
+    fit = fit_process([measured(small_lens, (1.0,), 0.5)], beam(blur_nm=12.0, base_over_clearing_dose=RATIO), ("bias",))
     assert fit.base_over_clearing_dose.value == RATIO
     assert fit.base_over_clearing_dose.error is None
     assert fit.blur_nm.value == 12.0
     assert (fit.largest_correlation, fit.correlated) == (0.0, ())
+
+
+def test_a_focus_dose_matrix_gives_the_angle_of_the_beam_and_its_focus(small_lens: PillarMap) -> None:
+    """Four focuses of two doses each, 60 pillars with 1 nm of noise."""
+    focuses, doses = (-2.5, -1.0, 1.0, 2.5), DOSES[::2]
+    matrix = [measured(small_lens, doses, NOISE_NM, 7 + n, focus, 60) for n, focus in enumerate(focuses)]
+    free = ("threshold", "blur", "bias", "convergence", "focus")
+    fit = fit_process(matrix, beam(ETA, 10.0), free)
+    assert (fit.sizes, fit.doses, fit.focuses) == (960, 2, 4)
+    assert fit.convergence_mrad is not None
+    for found, truth, largest in (
+        (fit.convergence_mrad, CONVERGENCE_MRAD, 1.0),
+        (fit.best_focus_um, BEST_FOCUS_UM, 0.2),
+        (fit.blur_nm, BLUR_NM, 3.0),
+    ):
+        assert found.error is not None
+        assert abs(found.value - truth) < 4.0 * found.error < 4.0 * largest
+    with pytest.raises(InputError, match="convergence_mrad"):
+        fit_process(matrix, beam(ETA, 10.0), ("threshold", "bias"))
+    with pytest.raises(InputError, match=r"leave convergence open|`convergence`"):
+        fit_process([measured(small_lens, DOSES, 0.0)], beam(ETA, 10.0), ("threshold", "bias", "convergence"))
+
+
+def test_microloading_is_told_from_backscatter_by_the_dose(small_lens: PillarMap) -> None:
+    """The density by a filter of the drawn areas over sites; sizes of an etch that leaves wider pillars among many."""
+    lens = measured(small_lens, DOSES, 0.2)
+    index, size_nm = small_lens.to_array(), small_lens.size_nm()
+    sigma = LOADING_UM * 1e3 / np.sqrt(2.0) / PERIOD_NM
+    local = gaussian_filter(size_nm.prod(axis=1)[index] / PERIOD_NM**2, sigma, mode="constant", truncate=6.0)
+    excess = local - local[index > 0].mean()
+    lens.size_nm[:] += LOADING_NM * excess[lens.place[:, 0], lens.place[:, 1], None]
+    etch = Etch(microloading_range_um=LOADING_UM)
+    fit = fit_process([lens], beam(None, BLUR_NM), ("threshold", "eta", "bias", "microloading"), etch)
+    assert fit.microloading_nm.error is not None and fit.backscatter_ratio.error is not None
+    # The printed pillars are wider than the drawn ones by a few percent, and so is the density.
+    assert abs(fit.microloading_nm.value - LOADING_NM) < 4.0 * fit.microloading_nm.error + 0.1 * LOADING_NM
+    assert fit.microloading_nm.error < 0.2 * LOADING_NM
+    assert abs(fit.backscatter_ratio.value - ETA) < 4.0 * fit.backscatter_ratio.error + 0.02
+    plain = fit_process([lens], beam(None, BLUR_NM))
+    assert plain.residual_rms_nm > 1.1 * fit.residual_rms_nm
 
 
 def test_a_parameter_at_its_bound_is_refused_by_name(small_lens: PillarMap) -> None:
@@ -100,19 +153,19 @@ def test_a_parameter_at_its_bound_is_refused_by_name(small_lens: PillarMap) -> N
     with pytest.raises(
         InputError, match="`bias`: expected sizes that give one between -200 and 200, got the bound 200"
     ):
-        fit_process([lens], BEAM.with_backscatter(ETA), BLUR_NM, ("bias",), RATIO)
+        fit_process([lens], beam(ETA, BLUR_NM, base_over_clearing_dose=RATIO), ("bias",))
 
 
 def test_sizes_that_determine_nothing_are_refused(small_lens: PillarMap) -> None:
     lens = measured(small_lens, (1.0,), 0.0)
     one = MeasuredLens(lens.pillars, lens.place[:1], lens.dose[:1], lens.size_nm[:1])
     with pytest.raises(InputError, match="more sizes"):
-        fit_process([one], BEAM, 5.0)
+        fit_process([one], beam())
     # The same pillar again and again: three parameters from two sizes.
     same = MeasuredLens(lens.pillars, lens.place[[0] * 5], lens.dose[:5], lens.size_nm[[0] * 5])
     with pytest.raises(InputError, match="--free"):
-        fit_process([same], BEAM, 5.0)
+        fit_process([same], beam())
     with pytest.raises(InputError, match="base_over_clearing_dose"):
-        fit_process([lens], BEAM, 5.0, ("bias",))
+        fit_process([lens], beam(), ("bias",))
     with pytest.raises(InputError, match="backscatter_ratio"):
-        fit_process([lens], BEAM.between(0.0, 1000.0), 5.0)
+        fit_process([lens], ExposureProcess(terms=BEAM.terms[:1]))

@@ -112,6 +112,16 @@ def test_tables_that_cannot_be_read(text: str, named: str, tmp_path: Path) -> No
         beam_psf(ExposureProcess(table_file=path))
 
 
+def test_a_beam_out_of_focus_is_as_wide_as_its_cone() -> None:
+    """Rms radius of an evenly filled disc of 10 mrad times 2 um, 20 nm, from its own integral."""
+    process = ExposureProcess(terms=BEAM.terms, blur_nm=5.0, convergence_mrad=10.0, best_focus_um=-0.5)
+    radius = np.linspace(0.0, 20.0, 2001)
+    mean_square = np.trapezoid(radius**3, radius) / np.trapezoid(radius, radius)
+    assert beam_psf(process, 1.5).blur_nm == pytest.approx(np.sqrt(5.0**2 + mean_square), rel=1e-6)
+    assert beam_psf(process, 1.5).blur_nm == beam_psf(process, -2.5).blur_nm
+    assert beam_psf(process, -0.5).blur_nm == beam_psf(process).blur_nm == 5.0
+
+
 def test_keys_of_a_table_need_a_table() -> None:
     with pytest.raises(ValueError, match="belong to `table_file`"):
         ExposureProcess(preset="hsq_sos_100kv", table_unit="um")
