@@ -46,12 +46,7 @@ def scene_depths_m(scene: Scene, pixel_tangent: float, rows: int) -> FloatArray:
 
 
 def exact_psf(
-    scene: Scene,
-    source: Source,
-    imaging: Imaging,
-    numerics: PsfNumerics = EXACT,
-    *,
-    work: Work = Work(),
+    scene: Scene, source: Source, imaging: Imaging, numerics: PsfNumerics = EXACT, *, work: Work = Work()
 ) -> Psf:
     """Compute the pair with which :func:`metafab.camera.capture` photographs ``scene`` most exactly.
 

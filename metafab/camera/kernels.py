@@ -87,13 +87,9 @@ class PairKernels:
         nearest, farthest = self.psf.depth_m.min(), self.psf.depth_m.max()
         slack = 1e-9 * farthest
         if not nearest - slack <= depth_m <= farthest + slack:
-            raise InputError.single(
-                "scene",
-                "depth_m",
-                f"a depth inside the PSF calibration, {nearest:g} to {farthest:g} m",
-                f"{depth_m:g} m",
-                "calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`)",
-            )
+            expected = f"a depth inside the PSF calibration, {nearest:g} to {farthest:g} m"
+            remedy = "calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`)"
+            raise InputError.single("scene", "depth_m", expected, f"{depth_m:g} m", remedy)
         weights = spline_weights(1.0 / self.psf.depth_m, 1.0 / depth_m)
         return np.asarray(np.tensordot(weights, self.nodes, axes=(0, 1)), dtype=np.float64)
 

@@ -30,9 +30,8 @@ class _Command(TyperCommand):
         output = ctx.params.get("output")
         read = [value for name, value in ctx.params.items() if name != "output" and isinstance(value, Path)]
         if isinstance(output, Path) and output.is_file() and any(p.is_file() and p.samefile(output) for p in read):
-            raise InputError.single(
-                "--output", "output", "a file of its own", f"{output}, which is read", "name another"
-            )
+            expected = "a file of its own"
+            raise InputError.single("--output", "output", expected, f"{output}, which is read", "name another")
         with noted(f"`{' '.join([_called(ctx), *map(str, read)])}`"):
             return super().invoke(ctx)
 

@@ -135,9 +135,8 @@ def _open(path: Path, design: Design, tile_um: float) -> _Opened:
     try:
         layout.read(str(path))
     except RuntimeError as error:
-        raise InputError.single(
-            str(path), "file", "a whole GDSII or OASIS file", str(error), "write it again"
-        ) from error
+        expected = "a whole GDSII or OASIS file"
+        raise InputError.single(str(path), "file", expected, str(error), "write it again") from error
     tops = layout.top_cells()
     first, last = design.mask.datatypes
     layers = [layout.layer(kdb.LayerInfo(design.mask.layer, datatype)) for datatype in range(first, last + 1)]

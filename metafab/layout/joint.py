@@ -264,11 +264,7 @@ def _make_room(
 
 @compiled
 def _visit_colour(
-    size_index: SizeIndexArray,
-    cell: NDArray[np.int32],
-    tables: _Tables,
-    first: tuple[int, int],
-    every: tuple[int, int],
+    size_index: SizeIndexArray, cell: NDArray[np.int32], tables: _Tables, first: tuple[int, int], every: tuple[int, int]
 ) -> None:
     """Make the best move of each site of one colour: from ``first`` on, in steps of ``every``."""
     n_y, n_x = size_index.shape

@@ -261,11 +261,8 @@ def _index(grid_nm: FloatArray, size_nm: FloatArray, name: str) -> NDArray[np.in
     nearest = np.clip(np.searchsorted(grid_nm, size_nm - 1e-3), 0, grid_nm.size - 1)
     wrong = np.abs(grid_nm[nearest] - size_nm) > 1e-3
     if np.any(wrong):
-        raise InputError.single(
-            "library",
-            name,
-            f"sizes of its grid, {grid_nm[0]:g} to {grid_nm[-1]:g} nm",
-            f"{np.asarray(size_nm)[wrong].flat[0]:g} nm ({int(np.count_nonzero(wrong))} sizes off the grid)",
-            "use the library that the layout was made with, or build one that holds these sizes",
-        )
+        expected = f"sizes of its grid, {grid_nm[0]:g} to {grid_nm[-1]:g} nm"
+        got = f"{np.asarray(size_nm)[wrong].flat[0]:g} nm ({int(np.count_nonzero(wrong))} sizes off the grid)"
+        remedy = "use the library that the layout was made with, or build one that holds these sizes"
+        raise InputError.single("library", name, expected, got, remedy)
     return np.asarray(nearest)

@@ -88,6 +88,10 @@ def load(path: Path | str) -> Library:
         model_error = np.asarray(file["model/error"][()], dtype=np.float64) if "model/error" in file else None
         if model_error is not None and model_error.shape != shape[1:]:
             raise InputError.single(str(path), "model/error", f"shape {shape[1:]}", f"{model_error.shape}", _REMEDY)
+        model = None
+        if "model" in file:
+            parts = [[_complex(file, f"model/{axis}/{part}") for axis in "xy"] for part in ("numerator", "denominator")]
+            model = _checked(file["model/x"], 1, 0, np.stack(parts[0]), np.stack(parts[1]))
         return Library(
             embedded_unit_cell(str(file.attrs["unit_cell_toml"]), Path(path)),
             wavelength_nm,
@@ -100,7 +104,7 @@ def load(path: Path | str) -> Library:
             error=error,
             inputs_sha256=str(file.attrs["inputs_sha256"]),
             statistics=_statistics(BuildStatistics, file, _DETAIL),
-            model=_model(file) if "model" in file else None,
+            model=model,
             model_error=model_error,
             corners=_corners(file["corners"]) if "corners" in file else None,
             neighbours=neighbours_of(file["neighbours"]) if "neighbours" in file else None,
@@ -151,12 +155,6 @@ def _put_model(file: h5py.File, model: RationalModel) -> None:
         text = f"coefficients of t_{axis}{axis} and r_{axis}{axis} {basis}"
         hdf5.put(group, "numerator", numerator, units="1", description=text)
         hdf5.put(group, "denominator", denominator, units="1", description=f"coefficients {basis}")
-
-
-def _model(file: h5py.File) -> RationalModel:
-    numerator = np.stack([_complex(file, f"model/{axis}/numerator") for axis in "xy"])
-    denominator = np.stack([_complex(file, f"model/{axis}/denominator") for axis in "xy"])
-    return _checked(file["model/x"], 1, 0, numerator, denominator)
 
 
 def _put_corners(group: h5py.Group, corners: Corners) -> None:

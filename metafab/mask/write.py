@@ -198,16 +198,12 @@ def _require_grid(pillars: PillarMap, design: Design) -> None:
     unit_nm = design.mask.database_unit_nm
     if pillars.lattice.database_unit_nm != unit_nm:
         expected = f"the unit of the pillars, {pillars.lattice.database_unit_nm:g} nm"
-        raise InputError.single(
-            design.name, "mask.database_unit_nm", expected, f"{unit_nm:g} nm", "map the design again"
-        )
+        got = f"{unit_nm:g} nm"
+        raise InputError.single(design.name, "mask.database_unit_nm", expected, got, "map the design again")
     odd = np.flatnonzero(np.any(pillars.size_dbu % 2, axis=1))
     if odd.size:
         width, length = pillars.size_nm()[odd[0]]
-        raise InputError.single(
-            design.name,
-            "mask.database_unit_nm",
-            "sizes of an even number of units, so that centred rectangles have their edges on the grid",
-            f"{odd.size} others (such as {width:g} nm x {length:g} nm in units of {unit_nm:g} nm)",
-            "halve the unit or use a coarser `sweep.size_grid_nm`; nothing is rounded silently",
-        )
+        expected = "sizes of an even number of units, so that centred rectangles have their edges on the grid"
+        got = f"{odd.size} others (such as {width:g} nm x {length:g} nm in units of {unit_nm:g} nm)"
+        remedy = "halve the unit or use a coarser `sweep.size_grid_nm`; nothing is rounded silently"
+        raise InputError.single(design.name, "mask.database_unit_nm", expected, got, remedy)

@@ -32,13 +32,9 @@ class IndexRecord:
         """Complex index for x and y polarisation; a wavelength outside the range of the source raises InputError."""
         low, high = self.range_nm
         if not low <= wavelength_nm <= high:
-            raise InputError.single(
-                f"material record {self.name}",
-                "wavelength_nm",
-                f"{low:g} to {high:g} nm, the range of {self.citation}",
-                f"{wavelength_nm:g} nm",
-                "take a record that covers it, or give `n` and `k`",
-            )
+            expected, got = f"{low:g} to {high:g} nm, the range of {self.citation}", f"{wavelength_nm:g} nm"
+            remedy = "take a record that covers it, or give `n` and `k`"
+            raise InputError.single(f"material record {self.name}", "wavelength_nm", expected, got, remedy)
         return self.index(wavelength_nm)
 
 

@@ -44,13 +44,8 @@ def at_depths(psf: Psf, depths_m: Sequence[float] | FloatArray) -> FloatArray:
     low, high = psf.depth_m[0], psf.depth_m[-1]
     if not np.all((wanted >= low * (1.0 - 1e-12)) & (wanted <= high * (1.0 + 1e-12))):
         outside = wanted[(wanted < low) | (wanted > high) | np.isnan(wanted)]
-        raise InputError.single(
-            "PSF stack",
-            "depths_m",
-            f"depths from {low:g} to {high:g} m",
-            f"{outside[0]:g} m ({outside.size} outside)",
-            "compute the stack over a wider range",
-        )
+        expected, got = f"depths from {low:g} to {high:g} m", f"{outside[0]:g} m ({outside.size} outside)"
+        raise InputError.single("PSF stack", "depths_m", expected, got, "compute the stack over a wider range")
     if np.all(np.isin(wanted, psf.depth_m)):
         return psf.psf[:, np.searchsorted(psf.depth_m, wanted)]
     if psf.depth_m.size < _FEWEST_NODES:
@@ -70,9 +65,8 @@ def at_tangent(psf: Psf, tangent: Tangent) -> FloatArray:
         InputError: the stack has no field, or the direction lies outside it (nothing is extrapolated).
     """
     if psf.field is None:
-        raise InputError.single(
-            "PSF stack", "field", "a stack over the field of view", "one direction", "set `verify.field_points`"
-        )
+        expected = "a stack over the field of view"
+        raise InputError.single("PSF stack", "field", expected, "one direction", "set `verify.field_points`")
     nodes = (psf.field.tangent_x, psf.field.tangent_y)
     for name, value, grid in zip("xy", tangent, nodes, strict=True):
         if not grid[0] <= value <= grid[-1]:

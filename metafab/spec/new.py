@@ -107,7 +107,7 @@ def write_new(
         written.insert(1, unit_cell)
     if sample is not None:
         with whole_file(sample) as part:
-            _write_picture(part) if kind == "hologram" else _write_phase(part)
+            _write_sample(part, kind)
     with whole_file(design) as part:
         part.write_text(filled, encoding="utf-8")
     return tuple(written)
@@ -136,14 +136,13 @@ def sample_picture(rows: int = 240) -> FloatArray:
     return np.where(bars, 1.0, np.where(wedge, 0.5 + x / 1.2, picture))
 
 
-def _write_picture(path: Path) -> None:
-    from PIL import Image
+def _write_sample(path: Path, kind: str) -> None:
+    """Write the picture of a hologram, or a cubic phase (Dowski and Cathey, Appl. Opt. 34, 1859, 1995) of 100 um."""
+    if kind == "hologram":
+        from PIL import Image
 
-    Image.fromarray(np.round(255.0 * sample_picture()).astype(np.uint8)).save(path, format="png")
-
-
-def _write_phase(path: Path) -> None:
-    """The cubic phase 30 (x^3 + y^3) rad over a square of 100 um (Dowski and Cathey, Appl. Opt. 34, 1859, 1995)."""
+        Image.fromarray(np.round(255.0 * sample_picture()).astype(np.uint8)).save(path, format="png")
+        return
     axis = np.linspace(-1.0, 1.0, 202)
     with path.open("wb") as file:
         np.save(file, 30.0 * (axis[:, None] ** 3 + axis**3))

@@ -284,13 +284,9 @@ def point_spread(
         imaging = imaging.aimed_at(centre_um)
     x_mm, y_mm = object_mm
     if (x_mm, y_mm) != (0.0, 0.0) and math.inf in depths_m:
-        raise InputError.single(
-            "psf",
-            "--object-mm",
-            "an object at a finite depth",
-            f"{x_mm:g} {y_mm:g} mm at infinity",
-            "leave inf out of --depths-m: a position in mm is no direction there",
-        )
+        expected = "an object at a finite depth"
+        remedy = "leave inf out of --depths-m: a position in mm is no direction there"
+        raise InputError.single("psf", "--object-mm", expected, f"{x_mm:g} {y_mm:g} mm at infinity", remedy)
     source = _source_of(job, path, copy, printed, sizes)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
     numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design), job.design.verify.vectorial)

@@ -319,12 +319,7 @@ def require_block_memory(
 
 
 def _fault_row(
-    fault: Fault,
-    reference: Reference,
-    optics: MaskOptics,
-    pupils: Sequence[Pupil],
-    written: WrittenField,
-    draws: int,
+    fault: Fault, reference: Reference, optics: MaskOptics, pupils: Sequence[Pupil], written: WrittenField, draws: int
 ) -> ToleranceRow:
     """The row of a random fault, over ``draws`` masks; the relative error of an rms over n draws is 1 / sqrt(2 n)."""
     block = fault.block_sites(pupils[0].carrier.block_sites)

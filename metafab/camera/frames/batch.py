@@ -55,9 +55,8 @@ def save_batch(
                 _reserve(file, frame, count)
             elif _place(frame) != _place(first):
                 expected = f"frames of one shape and place: shape {first.frame.shape}"
-                raise InputError.single(
-                    scenes[draw.scene], "field_px", expected, f"shape {frame.frame.shape}", "give all scenes one field"
-                )
+                got = f"shape {frame.frame.shape}"
+                raise InputError.single(scenes[draw.scene], "field_px", expected, got, "give all scenes one field")
             hdf5.require_space(path, int(_ROOM * frame.frame.nbytes))
             file["frame"][number] = frame.frame
             for name in TRUTH_UNITS if frame.truth is not None else ():

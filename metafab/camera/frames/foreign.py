@@ -60,9 +60,8 @@ def load_frame(path: Path, psf: Psf, *, counts: Counts = _ELECTRONS, first_row: 
     if path.suffix.lower() in HDF5_SUFFIXES:
         if counts != _ELECTRONS:
             expected = "a camera's TIFF, PNG or .npy, where counts are given a meaning"
-            raise InputError.single(
-                str(path), "file", expected, "metafab's own frame, in electrons already", "leave them out"
-            )
+            got = "metafab's own frame, in electrons already"
+            raise InputError.single(str(path), "file", expected, got, "leave them out")
         return load(path)
     values, saturation = read_counts(path)
     piled_up = None if counts.white is not None else _piled_up(values, counts.black)

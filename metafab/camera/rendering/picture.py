@@ -59,9 +59,8 @@ class DepthPicture:
             if values.shape != grey.shape:
                 raise InputError.single(f"{spec.image_file}", f"rgbd.{name}", f"shape {grey.shape}", f"{values.shape}")
         if not np.isfinite(grey).all() or grey.min() < 0.0 or grey.max() <= 0.0:
-            raise InputError.single(
-                str(spec.image_file), "rgbd.image_file", "finite light, not below zero", "otherwise"
-            )
+            expected = "finite light, not below zero"
+            raise InputError.single(str(spec.image_file), "rgbd.image_file", expected, "otherwise")
         if not (np.isfinite(contrast) & (contrast > 0.0)).all():
             expected = "ratios I_x / I_y above zero"
             raise InputError.single(str(spec.contrast_file), "rgbd.contrast_file", expected, "otherwise")

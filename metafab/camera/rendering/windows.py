@@ -81,13 +81,9 @@ def sensor_windows(scene: Scene, psf: Psf, image_map: ImageMap) -> tuple[Window,
     beside = abs(twin_column - column) >= (n_x if twin_column > column else twin_n_x)
     above = abs(twin_row - row) >= (n_y if twin_row > row else twin_n_y)
     if not beside and not above:
-        raise InputError.single(
-            "scene",
-            "field_px",
-            "a field whose two images lie side by side",
-            f"{n_y} x {n_x} pixels, with the images {abs(twin_column - column)} columns apart",
-            "make the field smaller or split by a larger angle",
-        )
+        expected = "a field whose two images lie side by side"
+        got = f"{n_y} x {n_x} pixels, with the images {abs(twin_column - column)} columns apart"
+        raise InputError.single("scene", "field_px", expected, got, "make the field smaller or split by a larger angle")
     first = Window.of(scene, pixel, image_map, 0, (column, row), (n_y, n_x))
     twin = Window.of(scene, pixel, image_map, 1, (twin_column, twin_row), (twin_n_y, twin_n_x))
     x_um, y_um = image_map.to_sensor_um(0, twin.tangent_x, twin.tangent_y)

@@ -65,12 +65,7 @@ class SolvedClass:
 
 
 def zero_order(
-    cell: PillarCell,
-    orders: int,
-    formulation: Formulation = "adaptive",
-    steps: int = 1,
-    *,
-    by_modes: bool = False,
+    cell: PillarCell, orders: int, formulation: Formulation = "adaptive", steps: int = 1, *, by_modes: bool = False
 ) -> ZeroOrder:
     """Solve ``cell`` for its Jones matrices with ``orders`` cosines besides the constant along each axis.
 

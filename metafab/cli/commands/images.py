@@ -83,7 +83,7 @@ def capture_command(
     A frame is an .h5 with its truth, or counts in .tif, .png or .npy.
     """
     from metafab.camera import counts_of
-    from metafab.core.storage.files import HDF5_SUFFIXES
+    from metafab.core.storage.files import HDF5_SUFFIXES, require_hdf5_name
     from metafab.spec import load_scene
     from metafab.steps.images import capture, capture_batch
 
@@ -93,7 +93,10 @@ def capture_command(
         expected = "a .tif, .png or .npy file, whose counts have a black level"
         raise InputError.single("capture", "--black", expected, f"{path.name}, in electrons", "leave it out")
     if draws is not None:
-        _require_batch(path, frames)
+        require_hdf5_name(path)
+        if frames > 1:
+            expected, remedy = "a film (`--frames`) or a batch (`--draws`)", "leave one of them out"
+            raise InputError.single("capture", "--draws", expected, "both", remedy)
         with open_work() as (work, cost):
             pairs = [(scene, load_scene(scene)) for scene in scenes]
             batch = capture_batch(pairs, psf, path, draws, seed=seed, progress=work.progress)
@@ -121,16 +124,6 @@ def capture_command(
     )
     # The options that `decode` needs to read files in counts.
     show(answer, json_, **({} if counts is None else vars(counts)))
-
-
-def _require_batch(path: Path, frames: int) -> None:
-    """Check the options of a batch."""
-    from metafab.core.storage.files import require_hdf5_name
-
-    require_hdf5_name(path)
-    if frames > 1:
-        remedy = "leave one of them out"
-        raise InputError.single("capture", "--draws", "a film (`--frames`) or a batch (`--draws`)", "both", remedy)
 
 
 @app.command("film")

@@ -86,13 +86,9 @@ def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterE
     try:
         client: Any = distributed.Client(address)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
-        raise InputError.single(
-            "--cluster",
-            "address",
-            "the address of a running Dask scheduler",
-            f"{address} ({error})",
-            "start one with `dask scheduler` and give the address that it prints",
-        ) from error
+        expected = "the address of a running Dask scheduler"
+        remedy = "start one with `dask scheduler` and give the address that it prints"
+        raise InputError.single("--cluster", "address", expected, f"{address} ({error})", remedy) from error
     their_log = logging.getLogger("distributed.client")
     level, ended = their_log.level, threading.Event()
     threading.Thread(target=_watch_workers, args=(client, address, progress, ended), daemon=True).start()

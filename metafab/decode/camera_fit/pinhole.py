@@ -159,9 +159,8 @@ def _check(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: Psf
         got = f"{len(frames)} frames and {len(set(depths_m))} depths"
         raise InputError.single("calibration", "frames", "frames at two depths or more, each with its depth", got)
     if predicted.depth_m.size < 4:
-        raise InputError.single(
-            "calibration", "psf", "a prediction at four depths or more", f"{predicted.depth_m.size}"
-        )
+        expected = "a prediction at four depths or more"
+        raise InputError.single("calibration", "psf", expected, f"{predicted.depth_m.size}")
     for frame, depth_m in zip(frames, depths_m, strict=True):
         if not low <= depth_m <= high:
             expected = f"a depth that the prediction covers, {low:g} to {high:g} m"

@@ -151,10 +151,6 @@ def _matched_place(
 
 
 def _no_point(depth_m: float, polarisation: int) -> InputError:
-    return InputError.single(
-        "calibration",
-        f"frame at {depth_m:g} m",
-        f"the {'xy'[polarisation]} image of a point within {_SEARCH_PX} pixels of its predicted place",
-        "none",
-        "leave the frame out, or expose longer",
-    )
+    expected = f"the {'xy'[polarisation]} image of a point within {_SEARCH_PX} pixels of its predicted place"
+    remedy = "leave the frame out, or expose longer"
+    return InputError.single("calibration", f"frame at {depth_m:g} m", expected, "none", remedy)

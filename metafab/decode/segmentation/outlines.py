@@ -20,11 +20,7 @@ ROUNDS = 4
 
 
 def refined_outlines(
-    layer: NDArray[np.intp],
-    scores: NDArray[np.float32],
-    counted: NDArray[np.bool_],
-    window: int,
-    rounds: int = ROUNDS,
+    layer: NDArray[np.intp], scores: NDArray[np.float32], counted: NDArray[np.bool_], window: int, rounds: int = ROUNDS
 ) -> NDArray[np.intp]:
     """Assign pixels to layers with outlines as short as the scores allow.
 

@@ -80,12 +80,8 @@ class BeamPsf:
             radius_nm.size >= 8 and radius_nm[0] > 0.0 and np.all(np.diff(radius_nm) > 0.0) and np.all(density >= 0.0)
         )
         if not sound or not np.any(density > 0.0):
-            raise InputError.single(
-                "exposure",
-                "table",
-                "at least 8 rows of ascending radius and energy density >= 0",
-                f"{radius_nm.size} rows",
-            )
+            expected = "at least 8 rows of ascending radius and energy density >= 0"
+            raise InputError.single("exposure", "table", expected, f"{radius_nm.size} rows")
         smallest = 0.25 * radius_nm[0]  # energy within the first radius may lie on the axis
         count = math.ceil(math.log(radius_nm[-1] / smallest) / math.log(_FIT_RATIO)) + 1
         ranges = smallest * _FIT_RATIO ** np.arange(count)

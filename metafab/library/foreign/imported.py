@@ -36,11 +36,7 @@ _MOST_POWER = 1.05
 
 
 def import_sweep(
-    path: Path,
-    unit_cell: UnitCell,
-    *,
-    quantity: Quantity,
-    time_sign: Literal["minus", "plus"] = "minus",
+    path: Path, unit_cell: UnitCell, *, quantity: Quantity, time_sign: Literal["minus", "plus"] = "minus"
 ) -> Library:
     """Make a library of a sweep in a file, with ``error`` from cross-validation; reflection is unknown (NaN).
 

@@ -158,7 +158,8 @@ def sample_grid(
         holds = float(np.max(miss - certificate)) <= tolerance or len(solved) == grid.distinct.size
         if holds and open_sizes.size == 0:
             rms = float(np.sqrt(np.mean(miss**2)))
-            return GridSampling(_sorted(solved), models, factor, even, float(miss.max()), rms, rounds)
+            in_order = dict(sorted(solved.items()))
+            return GridSampling(in_order, models, factor, even, float(miss.max()), rms, rounds)
         worst = _next_worst(grid, disagreement, open_sizes, solved)
         new = solve_sizes(worst, len(solved) + worst.size)
         factor = 1.0
@@ -167,7 +168,7 @@ def sample_grid(
         solved |= new
         ranking, left = np.concatenate([ranking, even, worst])[-RANKING:], open_sizes.size
     last = fit(grid, solved, ranking, None) if rounds > 1 else None
-    return GridSampling(_sorted(solved), last, factor, batch[:0], 0.0, 0.0, rounds)
+    return GridSampling(dict(sorted(solved.items())), last, factor, batch[:0], 0.0, 0.0, rounds)
 
 
 def prediction_errors(
@@ -229,7 +230,3 @@ def _is_solved(grid: SizeGrid, solved: dict[int, SolvedPoint]) -> NDArray[np.boo
     mask = np.zeros(grid.shape, dtype=bool)
     mask.ravel()[list(solved)] = True
     return mask | mask.T if grid.exchange else mask
-
-
-def _sorted(solved: dict[int, SolvedPoint]) -> dict[int, SolvedPoint]:
-    return {number: solved[number] for number in sorted(solved)}

@@ -145,7 +145,12 @@ def sample_corners(
         reached = holds and open_share <= OPEN_SHARE
         if reached or len(cells.taken) >= most:
             break
-    shape = models.best.shape
+    shape, target = models.best.shape, "reached"
+    if not reached:
+        target = (
+            f"not reached in {len(cells.taken)} cells: {100.0 * open_share:.1f} % of the box may miss {tolerance:.1e}; "
+            "every corner has its own error bound; a narrower span or a larger target_error needs fewer cells"
+        )
     statistics = CornerStatistics(
         points_solved=len(cells.taken),
         rounds=rounds,
@@ -153,20 +158,13 @@ def sample_corners(
         held_out_error=float(held_out.max()),
         held_out_rms=float(np.sqrt(np.mean(held_out**2))),
         open_share=open_share,
-        target="reached" if reached else _not_reached(len(cells.taken), open_share, tolerance),
+        target=target,
         axis_weight=shape.weight,
         numerator_degree=shape.degrees[0],
         denominator_degree=shape.degrees[1],
     )
     place = box.points(cells.samples.width_nm, cells.samples.length_nm, cells.samples.axes)
     return Corners(models, safety_factor, statistics.held_out_rms, place, cells.certificate, statistics)
-
-
-def _not_reached(solved: int, open_share: float, tolerance: float) -> str:
-    return (
-        f"not reached in {solved} cells: {100.0 * open_share:.1f} % of the box may miss {tolerance:.1e}; "
-        "every corner has its own error bound; a narrower span or a larger target_error needs fewer cells"
-    )
 
 
 @dataclass(frozen=True)

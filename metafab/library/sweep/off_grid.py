@@ -14,12 +14,10 @@ Sizes off the grid are no sizes of the library. They only improve its model and 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from metafab.cell import PillarCell
 from metafab.core.conventions import FloatArray
 from metafab.library.fit.certificate import SUBSTEPS, amplitude_slopes, disagreement_estimate, solver_errors
 from metafab.library.fit.models import RankedModels
@@ -88,7 +86,9 @@ class OffGridSampler:
         self.fine = self.grid.refined(PARTS)
         self.end_number = self.grid.size + self.fine.size
         self._sampling, self._limits, self._fit = sampling, limits, fit
-        self._solve_points = replace(solve_points, cell_of=partial(_cell, unit_cell, self.fine, self.grid.size))
+        self._solve_points = replace(
+            solve_points, cell_of=lambda number: self.fine.cell(unit_cell, number - self.grid.size)
+        )
 
     def sample_disagreement(self, tolerance: float) -> OffGridSampling:
         """Solve sizes off the grid until the models agree to ``tolerance`` between its sizes, too."""
@@ -165,10 +165,6 @@ class OffGridSampler:
         window = slope[top : row * SUBSTEPS + half + 1, left : column * SUBSTEPS + half + 1]
         down, right = np.unravel_index(int(np.argmax(window)), window.shape)
         return (top + int(down)) * scale * self.fine.width_nm.size + (left + int(right)) * scale
-
-
-def _cell(unit_cell: UnitCell, fine: SizeGrid, first_number: int, number: int) -> PillarCell:
-    return fine.cell(unit_cell, number - first_number)
 
 
 def _disagreement(grid: SizeGrid, models: RankedModels) -> FloatArray:

@@ -96,9 +96,7 @@ class MaskWriter(ABC):
             self._end_cell()
 
     def close(
-        self,
-        surroundings: Iterable[tuple[int, IntArray]] = (),
-        polygons: Iterable[tuple[int, int, IntArray]] = (),
+        self, surroundings: Iterable[tuple[int, IntArray]] = (), polygons: Iterable[tuple[int, int, IntArray]] = ()
     ) -> None:
         """Write the top cell and the end of the file.
 

@@ -42,9 +42,8 @@ def text_rectangles(text: str, square: int) -> IntArray:
     """
     unknown = sorted(set(text.upper()) - set(_GLYPHS))
     if unknown:
-        raise InputError.single(
-            "mask.chip", "label", "letters, figures, spaces and - _ . + /", f"{unknown[0]!r}", "leave it out"
-        )
+        expected = "letters, figures, spaces and - _ . + /"
+        raise InputError.single("mask.chip", "label", expected, f"{unknown[0]!r}", "leave it out")
     rectangles = []
     for place, character in enumerate(text.upper()):
         for row, bits in enumerate(bytes.fromhex(_GLYPHS[character])):

@@ -18,9 +18,8 @@ WINDOW = 1 << 22
 
 def damaged(source: str, expected: str, got: str) -> InputError:
     """Return the error for a file that is not whole GDSII."""
-    return InputError.single(
-        source, "file", expected, got, "the file is damaged or not GDSII: write or export it again"
-    )
+    remedy = "the file is damaged or not GDSII: write or export it again"
+    return InputError.single(source, "file", expected, got, remedy)
 
 
 class Window:

@@ -214,13 +214,8 @@ def boundary_template(layer: int, datatype: int) -> NDArray[np.int32]:
 
 
 def _out_of_range(reach: int, layer: str) -> InputError:
-    return InputError.single(
-        "mask",
-        "formats",
-        "coordinates of 32 bits and layers below 32768 for 'gds'",
-        f"{reach} database units, layer {layer}",
-        "write 'oas', which has no such limits",
-    )
+    expected, got = "coordinates of 32 bits and layers below 32768 for 'gds'", f"{reach} database units, layer {layer}"
+    return InputError.single("mask", "formats", expected, got, "write 'oas', which has no such limits")
 
 
 @compiled

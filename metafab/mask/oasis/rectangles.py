@@ -18,12 +18,7 @@ RUN = 1 << 16
 
 @compiled
 def read_rectangles(
-    data: ByteArray,
-    position: int,
-    state: NDArray[np.int64],
-    wanted: tuple[int, int, int],
-    out: IntArray,
-    capacity: int,
+    data: ByteArray, position: int, state: NDArray[np.int64], wanted: tuple[int, int, int], out: IntArray, capacity: int
 ) -> tuple[int, int]:
     """Read RECTANGLE records.
 

@@ -81,9 +81,8 @@ class Recovery:
         if not failures:
             return
         if np.any(verdict == TOO_MANY_SIZES):
-            raise InputError.single(
-                self._source, "pillars", "up to 65535 sizes", "more", "is this the mask of a metafab design?"
-            )
+            expected = "up to 65535 sizes"
+            raise InputError.single(self._source, "pillars", expected, "more", "is this the mask of a metafab design?")
         for kind, kept in self._kept.items():
             strays = rectangles[verdict == kind]
             room = KEPT - min(self._counts[kind], KEPT)

@@ -56,13 +56,9 @@ class Imaging:
         """
         device, sensor, angle_deg = design.device, design.sensor, design.split_angle_deg
         if sensor.focus_depth_m * 1e3 <= device.focal_length_mm:
-            raise InputError.single(
-                "design",
-                "sensor.focus_depth_m",
-                f"more than the focal length, {device.focal_length_mm * 1e-3:g} m",
-                f"{sensor.focus_depth_m:g} m",
-                "choose a larger depth; nearer objects have no real image",
-            )
+            expected = f"more than the focal length, {device.focal_length_mm * 1e-3:g} m"
+            remedy = "choose a larger depth; nearer objects have no real image"
+            raise InputError.single("design", "sensor.focus_depth_m", expected, f"{sensor.focus_depth_m:g} m", remedy)
         crystal = None if design.substrate is None else Crystal(design.substrate, design.wavelength_um)
         distance = sensor_distance_um(device.focal_length_mm, angle_deg, sensor.focus_depth_m)
         return cls(
@@ -112,13 +108,9 @@ class Imaging:
         s_y = -t_y / secant + add_y
         transverse = s_x * s_x + s_y * s_y
         if transverse >= 1.0:
-            raise InputError.single(
-                "optics",
-                "tangent",
-                "an object whose light leaves the lens towards the sensor",
-                f"({t_x:g}, {t_y:g}) with a split of {self.split_angle_deg:g} degrees",
-                "choose an object nearer to the axis",
-            )
+            expected = "an object whose light leaves the lens towards the sensor"
+            got = f"({t_x:g}, {t_y:g}) with a split of {self.split_angle_deg:g} degrees"
+            raise InputError.single("optics", "tangent", expected, got, "choose an object nearer to the axis")
         scale = self.sensor_distance_um / math.sqrt(1.0 - transverse)
         return s_x * scale, s_y * scale
 
@@ -152,9 +144,8 @@ def depth_nodes(imaging: Imaging, z_min_m: float, z_max_m: float, target_error: 
         InputError: the depths are not positive and ascending.
     """
     if not 0.0 < z_min_m < z_max_m:
-        raise InputError.single(
-            "optics", "depths", "0 < nearest < farthest depth", f"{z_min_m:g} and {z_max_m:g} m", "exchange them"
-        )
+        expected = "0 < nearest < farthest depth"
+        raise InputError.single("optics", "depths", expected, f"{z_min_m:g} and {z_max_m:g} m", "exchange them")
     near, far = 1.0 / z_min_m, 1.0 / z_max_m
     corner = math.sqrt(2.0) if imaging.aperture_shape in {"square", "polygon"} else 1.0
     rim_um = 0.5 * imaging.aperture_um * corner

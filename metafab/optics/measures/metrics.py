@@ -73,13 +73,8 @@ def pinhole_efficiency(psf: Psf, diameter_um: float = PINHOLE_UM) -> FloatArray:
     n_y, n_x = psf.psf.shape[2:]
     reach = int(np.ceil(0.5 * diameter_um / psf.pixel_um))
     if 2 * reach + 1 > min(n_y, n_x):
-        raise InputError.single(
-            "PSF stack",
-            "diameter_um",
-            f"a pinhole inside the window of {min(n_y, n_x) * psf.pixel_um:g} um",
-            f"{diameter_um:g} um",
-            "compute the stack on a larger window",
-        )
+        expected, got = f"a pinhole inside the window of {min(n_y, n_x) * psf.pixel_um:g} um", f"{diameter_um:g} um"
+        raise InputError.single("PSF stack", "diameter_um", expected, got, "compute the stack on a larger window")
     radius_um = 0.5 * diameter_um
     frequency = np.hypot(np.fft.fftfreq(n_y, psf.pixel_um)[:, None], np.fft.rfftfreq(n_x, psf.pixel_um)[None, :])
     frequency[0, 0] = 1.0

@@ -193,10 +193,6 @@ def _fade(side: int) -> FloatArray:
 def _require_fine_pixels(imaging: Imaging, polarisation: int, tangent: Tangent) -> None:
     largest = 0.5 * imaging.finest_fringe_um(polarisation, tangent)
     if imaging.pixel_um > largest:
-        raise InputError.single(
-            "optics",
-            "pixel_um",
-            f"at most {largest:.3g} um, half the period of the finest fringe, to add the wavelengths of a filter",
-            f"{imaging.pixel_um:g} um",
-            "sample finer, or leave `optics.filter_fwhm_nm` out",
-        )
+        expected = f"at most {largest:.3g} um, half the period of the finest fringe, to add the wavelengths of a filter"
+        remedy = "sample finer, or leave `optics.filter_fwhm_nm` out"
+        raise InputError.single("optics", "pixel_um", expected, f"{imaging.pixel_um:g} um", remedy)

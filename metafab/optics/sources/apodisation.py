@@ -53,13 +53,10 @@ class Apodisation:
         samples = _amplitudes(optics.amplitude_file, optics.amplitude_dataset)
         reach_um, radius_um = 0.5 * min(samples.shape) * optics.amplitude_pitch_um, 0.5 * design.device.aperture_um
         if reach_um < radius_um * (1.0 - 1e-9):
-            raise InputError.single(
-                str(optics.amplitude_file),
-                "optics.amplitude_pitch_um",
-                f"samples that cover the aperture to {radius_um:g} um from the axis",
-                f"a grid that reaches {reach_um:g} um",
-                "give more samples or the right pitch; nothing is extrapolated",
-            )
+            expected = f"samples that cover the aperture to {radius_um:g} um from the axis"
+            got = f"a grid that reaches {reach_um:g} um"
+            remedy = "give more samples or the right pitch; nothing is extrapolated"
+            raise InputError.single(str(optics.amplitude_file), "optics.amplitude_pitch_um", expected, got, remedy)
         return cls(stop_um, samples, optics.amplitude_pitch_um)
 
 

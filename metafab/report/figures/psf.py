@@ -179,10 +179,7 @@ def wavefront_map(front: AberrationFigures, axes: Axes) -> Axes:
 
 
 def modulation(
-    frequency_per_mm: FloatArray,
-    curves: Mapping[str, FloatArray],
-    axes: Axes,
-    lens: Sequence[FloatArray] = (),
+    frequency_per_mm: FloatArray, curves: Mapping[str, FloatArray], axes: Axes, lens: Sequence[FloatArray] = ()
 ) -> Axes:
     """Draw the modulation transfer over spatial frequency.
 

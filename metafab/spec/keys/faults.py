@@ -36,12 +36,12 @@ _LENGTHS: dict[str, Callable[[dict[str, Any]], str]] = {
 
 def faults_of(error: ValidationError, spec: Any) -> list[Fault]:
     """Return one fault for each error that the validation library found; the keys of ``spec`` are suggested."""
-    return [_fault(item, spec) for item in error.errors(include_url=False) if not _is_echo(item)]
-
-
-def _is_echo(item: Any) -> bool:
-    """Whether a list is called too short because its items, long enough in number, have faults of their own."""
-    return item["type"] == "too_short" and len(item["input"]) >= int(item["ctx"]["min_length"])
+    # A list whose items have faults of their own is also called too short.
+    return [
+        _fault(item, spec)
+        for item in error.errors(include_url=False)
+        if item["type"] != "too_short" or len(item["input"]) < int(item["ctx"]["min_length"])
+    ]
 
 
 def _fault(item: Any, spec: Any) -> Fault:

@@ -59,9 +59,11 @@ def keys_of(spec: type, path: str = "") -> tuple[Key, ...]:
     for item in dataclasses.fields(spec):
         key = f"{path}.{item.name}" if path else item.name
         tables = _tables(hints[item.name])
-        if _is_list(hints[item.name]) and tables:
+        if tables and get_origin(_bare(hints[item.name])) is tuple:
             key += "[]"
-        found.append(_key(spec, item, hints[item.name], key))
+        unit = next((unit for ending, unit in _UNITS.items() if item.name.endswith(ending)), "")
+        kind, allowed = _kind(hints[item.name]), _allowed(hints[item.name])
+        found.append(Key(key, kind, unit, _default(item), allowed, _meanings(spec).get(item.name, "")))
         for table in tables:
             inner = f"{key}.{_tag(table)}" if len(tables) > 1 else key
             found += [entry for entry in keys_of(table, inner) if not entry.path.endswith(".term")]
@@ -91,11 +93,6 @@ def near(name: str, known: Iterable[str], *, likeness: float = 0.6) -> str:
     words = {word.lower(): word for word in known}
     close = [words[word] for word in difflib.get_close_matches(name.lower(), words, n=3, cutoff=likeness)]
     return f"did you mean {' or '.join(f'`{word}`' for word in close)}?" if close else ""
-
-
-def _key(spec: type, item: dataclasses.Field[Any], hint: Any, path: str) -> Key:
-    unit = next((unit for ending, unit in _UNITS.items() if item.name.endswith(ending)), "")
-    return Key(path, _kind(hint), unit, _default(item), _allowed(hint), _meanings(spec).get(item.name, ""))
 
 
 @cache
@@ -143,15 +140,12 @@ def _kind(hint: Any) -> str:
     if get_origin(hint) is tuple:
         inner = get_args(hint)
         if inner[-1] is Ellipsis:
-            return "list of tables" if _tables(inner[0]) else f"list of {_plural(_kind(inner[0]))}"
+            kind = "table" if _tables(inner[0]) else _kind(inner[0])
+            return f"list of {kind}" + ("" if kind.startswith("[") or kind == "text" else "s")
         return f"[{', '.join(map(_kind, inner))}]"
     if _is_union(hint):
         return " or ".join(dict.fromkeys(map(_kind, get_args(hint))))
     return _PLAIN.get(hint, "value")
-
-
-def _plural(kind: str) -> str:
-    return kind if kind.startswith("[") or kind == "text" else f"{kind}s"
 
 
 def _allowed(hint: Any) -> str:
@@ -204,10 +198,6 @@ def _bare(hint: Any) -> Any:
 
 def _is_union(hint: Any) -> bool:
     return get_origin(hint) in {Union, types.UnionType}
-
-
-def _is_list(hint: Any) -> bool:
-    return get_origin(_bare(hint)) is tuple
 
 
 def _tables(hint: Any) -> list[type]:

@@ -34,12 +34,7 @@ def layer_matrices(
 
 
 def assembled(
-    basis: TransverseBasis,
-    k0_per_nm: float,
-    contrast_u: Matrix,
-    contrast_v: Matrix,
-    eta_z: Matrix,
-    eps_around: complex,
+    basis: TransverseBasis, k0_per_nm: float, contrast_u: Matrix, contrast_v: Matrix, eta_z: Matrix, eps_around: complex
 ) -> tuple[Matrix, Matrix]:
     """P and Q in the (TM, TE) basis from the permittivity matrix of each component of E.
 
