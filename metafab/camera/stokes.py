@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
 
 from metafab.camera.kernels import pixel_transfer
 from metafab.camera.rendering.occlusion import PINHOLE, Occluder, seen, seen_share
@@ -16,6 +15,7 @@ from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import shifts_px_m
 from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.spectra import convolved
 from metafab.core.numeric.splines import spline_weights
 from metafab.optics.polarisation_states import StokesPsf
 from metafab.spec import Scene
@@ -96,5 +96,5 @@ def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> Stok
 def _blurred(image: FloatArray, kernels: FloatArray) -> FloatArray:
     """Convolutions (n, n_y, n_x) of an image with kernels (n, k_y, k_x), origin [k_y // 2, k_x // 2]; dark outside."""
     (n_y, n_x), (k_y, k_x) = image.shape, kernels.shape[-2:]
-    whole = fftconvolve(image[None], kernels, axes=(-2, -1))
+    whole = convolved(image, kernels)
     return np.asarray(whole[:, k_y // 2 : k_y // 2 + n_y, k_x // 2 : k_x // 2 + n_x])

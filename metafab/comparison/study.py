@@ -18,6 +18,7 @@ from metafab.camera.rendering.texture import make_texture
 from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.numeric.spectra import convolved
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import read_json, write_json
@@ -181,15 +182,14 @@ def photographed(kernels: FloatArray, scene: Scene, number: int) -> FloatArray:
     Kernels, shape (2, k, k), are PSFs per pixel of both polarisations. ``number`` is the seed of texture and noise,
     from 0; one number gives all cameras the same texture.
     """
-    from scipy.signal import fftconvolve  # Loaded late: reading a comparison does not need it.
-
     side = _SIDE_PX + kernels.shape[-1] - 1
     draw, noise = (np.random.default_rng([scene.seed, number, part]) for part in (0, 1))
     axis = (np.arange(side) + 0.5) / side
     u, v = np.meshgrid(axis, axis)
     light = make_texture(scene.objects[0], (side, side), draw)(u, v)
     light = scene.photons_per_pixel * scene.quantum_efficiency * light
-    mean_e = np.stack([fftconvolve(light, kernel, mode="valid") for kernel in kernels])
+    edge = kernels.shape[-1] - 1
+    mean_e = convolved(light, kernels)[:, edge:side, edge:side]
     return expose(np.maximum(mean_e, 0.0), scene, FixedPattern.of(scene, mean_e.shape, scene.seed), noise)
 
 

@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.ndimage import label as connected_components
-from scipy.signal import fftconvolve
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.spectra import convolved
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.distance import distance, nearest
 from metafab.decode.segmentation.layer_light import LayerLight, LayerOptics
@@ -229,7 +229,8 @@ class _FrameModel:
             for j in nearer:
                 at = self.layers[j].at
                 kernel = _aperture_kernel(self.shifts_px_m * (vergence[j] - vergence[k]))
-                covered = fftconvolve(share[j][at], kernel, mode="same")
+                reach = len(kernel) // 2
+                covered = convolved(share[j][at], kernel)[reach:-reach, reach:-reach]
                 open_share[k][at] -= covered
                 extent[k] += np.where(support, share[j], np.float32(0.0))
         open_share = np.clip(open_share, np.float32(0.0), np.float32(1.0))

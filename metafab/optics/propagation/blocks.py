@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from contextlib import closing
+from functools import partial
+from itertools import product
 
 import numpy as np
 
 from metafab.core.errors import InputError
+from metafab.core.parallel.executor import in_order
 from metafab.core.parallel.work import Work
 from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.path import Ray
@@ -25,6 +29,8 @@ _EXPANSION_ERROR_RAD = 1e-4
 _LARGEST_EDGE_PHASE_RAD = 1.0
 #: Larger errors are not estimated reliably where few blocks are lit, and smaller ones cost next to nothing.
 _COARSEST_TARGET = 1e-2
+#: Windows whose errors are estimated at once, while earlier ones may decide.
+_AHEAD = 4
 #: Memory limit: a polarisation takes 96 bytes per block, coarser blocks included.
 MOST_BLOCKS = 20_000_000
 
@@ -75,14 +81,11 @@ def reduce_to_target(
     ends = sorted({depths_m[0], depths_m[-1]})
 
     def keep_target(pyramids: list[list[Pupil]], level: int) -> bool:
-        """Whether blocks of this level keep the target in all windows and directions."""
-        jobs = [
-            executor.submit(Window.irradiance, window, pyramids[p][level:], p, probe, ends)
-            for window in windows
-            for probe in probes
-            for p in (0, 1)
-        ]
-        return max(float(job.result()[1].max()) for job in jobs) <= target_error
+        """Whether blocks of this level keep the target in all windows and directions; the first that fails decides."""
+        error = partial(_largest_error, [pyramid[level:] for pyramid in pyramids], ends)
+        cases = product(windows, probes[::-1], (0, 1))  # corners of the field first, where blocks fail first
+        with closing(in_order(executor, error, cases, ahead=_AHEAD)) as errors:
+            return all(each <= target_error for each in errors)
 
     while True:
         require_memory(
@@ -105,6 +108,12 @@ def reduce_to_target(
         if block == 1:
             return pyramids, stray_pupil
         block = max(1, block // 4)
+
+
+def _largest_error(pyramids: list[list[Pupil]], depths_m: list[float], case: tuple[Window, Tangent, int]) -> float:
+    """Largest error over depth in a window (window, direction, polarisation)."""
+    window, tangent, polarisation = case
+    return float(window.irradiance(pyramids[polarisation], polarisation, tangent, depths_m)[1].max())
 
 
 def require_memory(

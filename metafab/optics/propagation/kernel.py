@@ -31,6 +31,9 @@ SingleComplexArray = NDArray[np.complex64]
 #: Size of the kernel cache (least recently used out first), and the largest window that is cached: up to 2 MB each.
 _KERNELS_KEPT, _LARGEST_KEPT_PX = 16, 128
 
+#: Vectors of the first random sketch of a kernel, and those of them that may not be needed: they make the others exact.
+_SKETCH, _SPARE = 40, 8
+
 
 @dataclass(frozen=True)
 class KernelSpec:
@@ -111,11 +114,7 @@ def _build(spec: KernelSpec) -> WindowKernel:
 
 
 def _split_rest(spec: KernelSpec, window_um: Span, rest_rad: float) -> tuple[ComplexArray, ComplexArray]:
-    """A_m and B_m, each of shape (rank, count, count), on Chebyshev points of the window and of the lens.
-
-    The right singular vectors are the eigenvectors of the Gram matrix. Squared singular values below 1e-14 of the
-    largest are lost in rounding, hence the smallest tolerance of 1e-7.
-    """
+    """A_m and B_m, each of shape (rank, count, count), on Chebyshev points of the window and of the lens."""
     count = chebyshev.points_needed(rest_rad, spec.tolerance)
     x, y = np.meshgrid(*(chebyshev.points(span, count) for span in spec.lens_um))
     u, v = np.meshgrid(*(chebyshev.points(span, count) for span in (window_um, window_um)))
@@ -125,12 +124,30 @@ def _split_rest(spec: KernelSpec, window_um: Span, rest_rad: float) -> tuple[Com
     distance = np.sqrt((c_x + u - x) ** 2 + (c_y + v - y) ** 2 + c_z**2)
     spreading = c_z / (2.0 * np.pi * distance**2) * (1.0 / distance - 1j * spec.wavenumber)
     kernel = spreading * np.exp(1j * spec.wavenumber * rest)
-    squares, vectors = np.linalg.eigh(kernel.conj().T @ kernel)
-    lost = np.cumsum(np.maximum(squares, 0.0))
-    first = min(int(np.searchsorted(lost, spec.tolerance**2 * lost[-1])), squares.size - 1)
-    kept = vectors[:, first:]
+    kept = _leading_vectors(kernel, spec.tolerance)
     shape = (-1, count, count)
-    return kept.conj().T.reshape(shape), (kernel @ kept).T.reshape(shape)
+    return kept.reshape(shape), (kernel @ kept.conj().T).T.reshape(shape)
+
+
+def _leading_vectors(matrix: ComplexArray, tolerance: float) -> ComplexArray:
+    """Fewest right singular vectors, rows of (rank, n), that hold a square matrix to ``tolerance``, weakest first.
+
+    The range is found by a random sketch (Halko, Martinsson and Tropp, SIAM Review 53, 217, 2011), which is widened
+    until what the vectors lose of the squared Frobenius norm, known to 1e-15, is small enough.
+    """
+    whole, n = float(np.vdot(matrix, matrix).real), len(matrix)
+    for width in (_SKETCH, 3 * _SKETCH, n):
+        part = matrix
+        if width < n:
+            sketch = np.random.default_rng(0).standard_normal((n, width))
+            part = np.linalg.qr(matrix @ sketch)[0].conj().T @ matrix
+        _, values, vectors = np.linalg.svd(part, full_matrices=False)
+        lost = whole - np.cumsum(values**2)
+        small = np.flatnonzero(lost <= tolerance**2 * whole)
+        if small.size and small[0] < width - _SPARE:
+            break
+    rank = int(small[0]) + 1 if small.size else n
+    return np.asarray(vectors[:rank][::-1])
 
 
 def _changes_um(

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.fft
+from scipy.signal import fftconvolve
 
-from metafab.core.numeric.spectra import independent_samples, transfer_functions
+from metafab.core.numeric.spectra import convolved, independent_samples, transfer_functions
 
 
 @pytest.mark.parametrize("shape", [(5, 8), (4, 7), (6, 6)])
@@ -40,3 +41,12 @@ def test_filtered_white_noise_has_the_stated_variance_and_samples() -> None:
     # The variance of a picture's mean square is 2 variance^2 over the number of independent samples.
     squares = (filtered**2).mean(axis=(1, 2))
     assert squares.var() == pytest.approx(2.0 * gain**2 / (samples * 64 * 64), rel=0.4)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_convolutions_are_scipys(dtype: type) -> None:
+    rng = np.random.default_rng(3)
+    picture, kernels = rng.random((17, 30)).astype(dtype), rng.random((2, 5, 9)).astype(dtype)
+    whole = convolved(picture, kernels)
+    assert whole.dtype == dtype
+    np.testing.assert_array_equal(whole, fftconvolve(picture[None], kernels, axes=(-2, -1)))
