@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
@@ -157,7 +157,7 @@ def stream(
 
 def in_order(
     executor: Executor, function: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = 8
-) -> Iterator[Result]:
+) -> Generator[Result]:
     """Apply ``function`` to each item and yield the results in the order of the items, at most ``ahead`` in flight.
 
     On a cluster, two calls per slot are in flight, and ``function`` is sent to each worker once.
