@@ -12,7 +12,7 @@ from metafab.cell import CellSolver, solve
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library import store
 from metafab.library.library import Library
-from metafab.library.neighbours.training import inputs_of_training, train
+from metafab.library.neighbours.training import inputs_of_rows, inputs_of_training, train
 from metafab.library.sweep.build import BuildNumerics, build_lone, with_target
 from metafab.spec import UnitCell
 
@@ -31,8 +31,9 @@ def build_file(
 
     Lone pillars that are in the file and current serve a training, or stay alone where the unit cell asks for no model
     any more. A killed build or training continues where it stopped: until the library is saved, files in its folder
-    keep what was solved. If two processes build one library, the second waits for the first and loads its file. A
-    damaged checkpoint raises InputError.
+    keep what was solved. The rows of a training stay there (``.rows``): another fit, or more rows, continue from them.
+    If two processes build one library, the second waits for the first and loads its file. A damaged checkpoint raises
+    InputError.
 
     Args:
         unit_cell: unit cell with its sweep and, for a model of neighbours, the table ``[neighbours]``.
@@ -53,11 +54,10 @@ def build_file(
         if kept:
             store.save(library, path)
         return library
-    checkpoint = path.with_name(f"{path.stem}.{inputs_of_training(unit_cell)[:8]}.neighbours.partial")
+    checkpoint = path.with_name(f"{path.stem}.{inputs_of_rows(library)[:8]}.rows")
     trained = train(library, executor=executor, checkpoint=checkpoint, progress=progress)
     library = replace(library, neighbours=trained)
     store.save(library, path)
-    checkpoint.unlink(missing_ok=True)
     return library
 
 

@@ -3,6 +3,7 @@
 - ``shapes``    polynomials on the side of an element, and their quadrature
 - ``line``      numbering of the functions along one axis, periodic or mirrored
 - ``mesh``      pillars and gaps as quadrilaterals, and the singular function of a corner
+- ``mirror``    sums of the functions of a row that is its own mirror image
 - ``basis``     the functions, and their values on each element
 - ``assembly``  matrices of the layer, and overlaps with the plane waves of the half spaces
 - ``solve``     the layer by doubling, the orders, and the bound on their error
@@ -10,6 +11,20 @@
 """
 
 from metafab.cell.elements.adjoint import OrderGradients, order_gradients
-from metafab.cell.elements.solve import ElementNumerics, orders_at, solve_supercell, supercell_orders
+from metafab.cell.elements.solve import (
+    ElementNumerics,
+    orders_at,
+    scattered_by_row,
+    solve_supercell,
+    supercell_orders,
+)
 
-__all__ = ["ElementNumerics", "OrderGradients", "order_gradients", "orders_at", "solve_supercell", "supercell_orders"]
+__all__ = [
+    "ElementNumerics",
+    "OrderGradients",
+    "order_gradients",
+    "orders_at",
+    "scattered_by_row",
+    "solve_supercell",
+    "supercell_orders",
+]

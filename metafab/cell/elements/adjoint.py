@@ -20,6 +20,7 @@ from metafab.cell.elements.solve import FaceSystem, exchanged_places, face_syste
 from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.jones import one_thread
+from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
 from metafab.cell.rcwa.scattering.doubling import pull_back_doubled
 from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.supercell import Supercell
@@ -128,7 +129,9 @@ class _Adjoint:
         gap, gap_m, mean, mean_m = near - far, near_m - far_m, near + far, near_m + far_m
         by_p, by_f = np.linalg.solve(layer.p.T, gap_m), np.linalg.solve(system.f, mean_m)
         f_bar = -1j * (np.outer(by_p, gap) + np.outer(system.z @ mean, by_f))
-        p_bar, q_bar = pull_back_doubled(layer.p, layer.q, k0 * cell.height_nm, f_bar, last=1)
+        p_bar, q_bar = pull_back_doubled(
+            layer.p, layer.q, k0 * cell.height_nm, largest_eigenvalue(*self._eps), f_bar, last=1
+        )
         p_bar = p_bar + 1j * np.outer(by_p, system.x @ gap)
         self._of_e_eps: Matrix = q_bar + 1j * np.outer(by_f, mean)
         self._of_curl = -self._of_e_eps / k0**2

@@ -14,6 +14,7 @@ functions of E. No function of the layer is expanded in plane waves: their numbe
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -77,7 +78,7 @@ class Grams:
 
 def grams_of(basis: Basis, elements: list[Element], cell: PillarCell) -> Grams:
     """Gram matrices summed over elements."""
-    n_e, n_z = sum(basis.counts), basis.along_x.nodal_count * basis.along_y.nodal_count + basis.counts[2]
+    n_e, n_z = basis.sizes
     eps = permittivity(cell.n_ambient), permittivity(cell.n_pillar)
     dtype = np.result_type(*map(type, eps))
     gram, curl = np.zeros((n_e, n_e)), np.zeros((n_e, n_e))
@@ -89,7 +90,7 @@ def grams_of(basis: Basis, elements: list[Element], cell: PillarCell) -> Grams:
         gram_eps[at_e] += eps[each.is_pillar] * of_e
         curl[at_e] += (each.curl * each.weight) @ each.curl.T
         gram_z[at_z] += eps[each.is_pillar] * ((each.e_z * each.weight) @ each.e_z.T)
-    return Grams(gram, gram_eps, curl, gram_z, _gradient(basis, n_e, n_z))
+    return Grams(gram, gram_eps, curl, gram_z, _gradient(basis))
 
 
 def layer_of(elements: list[Element], grams: Grams, waves: Waves, k0_per_nm: float) -> Layer:
@@ -106,15 +107,15 @@ def layer_of(elements: list[Element], grams: Grams, waves: Waves, k0_per_nm: flo
     return waves.overlaps(elements, 0.5 * (p + p.T), q)
 
 
-def _gradient(basis: Basis, n_e: int, n_z: int) -> FloatArray:
+def _gradient(basis: Basis) -> FloatArray:
     """D: each function of E_z -> its gradient among the functions of E."""
     x, y, (n_u, n_v, corners) = basis.along_x, basis.along_y, basis.counts
-    matrix = np.zeros((n_e, n_z))
-    plain = n_z - corners
+    plain = x.nodal_count * y.nodal_count
+    matrix = np.zeros((n_u + n_v + corners, plain + corners))
     matrix[:n_u, :plain] = np.kron(x.gradient(), np.eye(y.nodal_count))
     matrix[n_u : n_u + n_v, :plain] = np.kron(np.eye(x.nodal_count), y.gradient())
     matrix[n_u + n_v :, plain:] = np.eye(corners)
-    return matrix
+    return matrix if basis.fold is None else basis.fold[1].folded(matrix, into=basis.fold[0])
 
 
 class Waves:
@@ -126,30 +127,20 @@ class Waves:
     """
 
     def __init__(self, basis: Basis, orders: IntArray) -> None:
-        self._count, self._period = sum(basis.counts), basis.mesh.period_nm
+        self._count, self._period = basis.sizes[0], basis.mesh.period_nm
         self._even = basis.along_y.even
         self.area_nm2 = self._period[0] * self._period[1]
         self.k_order = 2.0 * np.pi * orders / np.array(self._period)
         m_x, m_y = basis.most_waves
-        # Functions along each axis as (number, phase): cos(k x - phase).
-        both = (0.0, 0.5 * math.pi)
-        x = [(m, phase) for m in range(m_x + 1) for phase in both if m or not phase]
-        # E_x of a TM wave has the parity of its scalar, E_x of a TE wave the other one.
-        tm, te = (
-            [
-                (m, phase)
-                for m in range(m_y + 1)
-                for phase in (both if self._even is None else both[:1] if even else both[1:])
-                if m or not phase
-            ]
-            for even in (self._even, not self._even)
-        )
-        #: Functions along x, and along y of TM and of TE waves.
-        self._numbers = np.array(x), (np.array(tm), np.array(te))
+        # E_x has the parity along y of the scalar of a TM wave, and along x that of a TE wave; the other two are odd
+        # to it. About a mirror along x, E_x has the parity that it has about the row's axis.
+        even_x = None if basis.fold is None or self._even is None else not self._even
+        #: Functions along x and along y, each of TM and of TE waves.
+        self._numbers = tuple(_numbers(m_x, even_x)), tuple(_numbers(m_y, self._even))
 
     def k_squared(self, kind: int) -> FloatArray:
         """In-plane wave number squared of the TM (0) or TE (1) waves, shape (n,), 1/nm^2."""
-        k_x, k_y = (self._k(axis, numbers) for axis, numbers in enumerate((self._numbers[0], self._numbers[1][kind])))
+        k_x, k_y = (self._k(axis, numbers) for axis, numbers in enumerate(of[kind] for of in self._numbers))
         return np.asarray(np.add.outer(k_x**2, k_y**2).ravel())
 
     def _k(self, axis: int, numbers: FloatArray) -> FloatArray:
@@ -173,8 +164,8 @@ class Waves:
         orders = np.zeros((len(self.k_order), 2, self._count), dtype=np.complex128)
         for each in elements:
             weighted = each.e * each.weight
-            x, d_x = self._along(0, self._numbers[0], each.at[0])
             for kind, target in enumerate(total):
+                x, d_x = self._along(0, self._numbers[0][kind], each.at[0])
                 y, d_y = self._along(1, self._numbers[1][kind], each.at[1])
                 by_x, by_y = ((a[:, None] * b).reshape(-1, each.weight.size) for a, b in ((d_x, y), (x, d_y)))
                 # TM: E along the gradient (d/dx, d/dy). TE: along (-d/dy, d/dx).
@@ -198,14 +189,27 @@ class Waves:
             amplitude: of the TM and TE waves, and of the uniform fields along x and y.
             at: shape (2, q), x and y, nm.
         """
-        x, d_x = self._along(0, self._numbers[0], at[0])
         total = np.repeat(amplitude[2][:, None] / math.sqrt(self.area_nm2), at.shape[1], axis=1)
         for kind in (0, 1):
+            x, d_x = self._along(0, self._numbers[0][kind], at[0])
             y, d_y = self._along(1, self._numbers[1][kind], at[1])
             weight = (amplitude[kind] * self._inverse_k(kind)).reshape(len(x), len(y))
             by_x, by_y = (np.sum(a * (weight @ b), axis=0) for a, b in ((d_x, y), (x, d_y)))
             total += np.stack([by_x, by_y] if kind == 0 else [-by_y, by_x])
         return np.asarray(total)
+
+
+def _numbers(most: int, even: bool | None) -> Iterator[FloatArray]:
+    """(number m, phase) of cos(k x - phase) along an axis, of TM and of TE waves, shape (n, 2) each.
+
+    Args:
+        most: largest m.
+        even: parity of the scalar of TM waves; that of TE waves has the other one. None for both.
+    """
+    both = (0.0, 0.5 * math.pi)
+    for parity in (even, None if even is None else not even):
+        phases = both if parity is None else both[:1] if parity else both[1:]
+        yield np.array([(m, phase) for m in range(most + 1) for phase in phases if m or not phase])
 
 
 def incident(layer: Layer, polarisation: Polarisation, n: complex) -> ComplexArray:

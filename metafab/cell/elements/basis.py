@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from metafab.cell.elements.line import Line, Places, mirrored_line, periodic_line
 from metafab.cell.elements.mesh import Geometry, Mesh, corner_function, geometry, mesh_of, singular_exponent
+from metafab.cell.elements.mirror import Fold, folds
 from metafab.cell.elements.shapes import graded_quadrature, shapes
 from metafab.cell.rcwa.basis.coordinates import IntArray
 from metafab.cell.rcwa.symmetry import permittivity
@@ -49,21 +50,31 @@ class Basis:
     corner_sign: FloatArray
     most_waves: tuple[int, int]  #: Largest numbers (m_x, m_y) of the plane waves.
     nodes: IntArray  #: Shape (2, ...) over the mesh's elements, quadrature nodes along each side of an element.
+    #: Of E and of E_z, where only the functions with the parity of the light about the mirror along x are kept.
+    fold: tuple[Fold, Fold] | None = None
 
     @property
     def counts(self) -> tuple[int, int, int]:
-        """Functions along u, along v, and of corners."""
+        """Functions along u, along v, and of corners, before they are folded."""
         x, y = self.along_x, self.along_y
         return x.edge_count * y.nodal_count, x.nodal_count * y.edge_count, int(self.corner.max()) + 1
 
+    @property
+    def sizes(self) -> tuple[int, int]:
+        """Functions of E and of E_z."""
+        if self.fold is not None:
+            return len(self.fold[0].first), len(self.fold[1].first)
+        return sum(self.counts), self.along_x.nodal_count * self.along_y.nodal_count + self.counts[2]
 
-def basis_of(supercell: Supercell, polarisation: Polarisation, resolution: float) -> Basis:
+
+def basis_of(supercell: Supercell, polarisation: Polarisation, resolution: float, *, mirrored: bool = False) -> Basis:
     """Basis of a supercell at a resolution.
 
     Args:
         supercell: the pillars.
         polarisation: of the incident light; it chooses the parity of one row. A block serves both polarisations.
         resolution: polynomial order of an element far smaller than the wavelength.
+        mirrored: keep only the functions with the light's parity about the middle of a row that is its mirror image.
     """
     mesh, cell = mesh_of(supercell), supercell.cell
     orders_x, orders_y = polynomial_orders(mesh, supercell, resolution)
@@ -85,7 +96,11 @@ def basis_of(supercell: Supercell, polarisation: Polarisation, resolution: float
         for axis, order in enumerate((orders_x[a], orders_y[b])):
             radians = 2.0 * math.pi * waves[axis] * float(np.ptp(mesh.corners(b, a)[axis])) / mesh.period_nm[axis]
             nodes[axis, b, a] = order + _NODES + math.ceil(_NODES_PER_RADIAN * radians)
-    return Basis(mesh, along_x, along_y, tau, number, sign, (waves[0], waves[1]), nodes)
+    basis = Basis(mesh, along_x, along_y, tau, number, sign, (waves[0], waves[1]), nodes)
+    if not mirrored:
+        return basis
+    across = along_y.nodal_count, along_y.edge_count
+    return replace(basis, fold=folds(along_x, across, number[0], even=polarisation == "x"))
 
 
 @dataclass(frozen=True)
@@ -142,8 +157,9 @@ def element(basis: Basis, b: int, a: int) -> Element:
         at_e.append(np.array([n_u + n_v + number]))
         at_z.append(np.array([x.nodal_count * y.nodal_count + number]))
     weight = weight_u[:, None] * weight_v * place.area
-    numbers_e, (e_x, e_y, curl) = _merged(np.concatenate(at_e), [*fields, curl / place.area])
-    numbers_z, (e_z,) = _merged(np.concatenate(at_z), [e_z])
+    fold_e, fold_z = basis.fold or (None, None)
+    numbers_e, (e_x, e_y, curl) = _merged(np.concatenate(at_e), [*fields, curl / place.area], fold_e)
+    numbers_z, (e_z,) = _merged(np.concatenate(at_z), [e_z], fold_z)
     at = np.stack([place.x.ravel(), place.y.ravel()])
     return Element(numbers_e, np.stack([e_x, e_y]), curl, numbers_z, e_z, weight.ravel(), at, is_pillar)
 
@@ -164,8 +180,13 @@ def _corner_functions(
                 yield i, j, number, float(basis.corner_sign[vertex]), value, (slope_x, slope_y)
 
 
-def _merged(place: IntArray, functions: list[FloatArray]) -> tuple[IntArray, list[FloatArray]]:
-    """Sum of the functions of equal number (vertices that a mirror identifies); points flattened."""
+def _merged(place: IntArray, functions: list[FloatArray], fold: Fold | None) -> tuple[IntArray, list[FloatArray]]:
+    """Sum of the functions of equal number (those that a mirror identifies); points flattened."""
+    if fold is not None:
+        kept = fold.number[place] >= 0
+        place = place[kept]
+        functions = [each[kept] * fold.factor[place, None, None] for each in functions]
+        place = fold.number[place]
     distinct, inverse = np.unique(place, return_inverse=True)
     merged = []
     for each in functions:

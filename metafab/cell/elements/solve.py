@@ -1,8 +1,9 @@
 """Transmitted orders of a supercell: doubling of half the layer, then both faces at once; and the error of both.
 
-Rows keep the mirror about their axis, so that each polarisation has half of the functions. Blocks solve both
-polarisations at once. The resolution rises until the bound on the error is below the target. The bound is a share of
-the change from one resolution to the next, and never below a floor that falls with the resolution.
+Rows keep the mirror about their axis, so that each polarisation has half of the functions, and a quarter if the row is
+its own mirror image along x. Blocks solve both polarisations at once. The resolution rises until the bound on the error
+is below the target. The bound is a share of the change from one resolution to the next, and never below a floor that
+falls with the resolution.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from metafab.cell.elements.basis import basis_of, elements_of
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.certificate import solve
 from metafab.cell.rcwa.jones import one_thread
+from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
 from metafab.cell.rcwa.scattering.doubling import doubled
 from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.response import CellNumerics
@@ -111,13 +113,55 @@ def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: 
         together = [tuple(lights)] if supercell.shape[0] > 1 else [(light,) for light in lights]
         found = []
         for some in together:
-            basis = basis_of(supercell, some[0], resolution)
-            elements = elements_of(basis)
-            grams = grams_of(basis, elements, supercell.cell)
-            layer = layer_of(elements, grams, Waves(basis, order), supercell.cell.k0_per_nm)
+            layer = _layer(supercell, some[0], resolution, order)
             system = face_system(layer, supercell, some)
             found.append(layer.orders @ system.solve(2.0 * system.source, np.zeros_like(system.source))[1])
     return np.concatenate(found, axis=2)
+
+
+def scattered_by_row(supercell: Supercell, light: Polarisation, resolution: float) -> ComplexArray:
+    """Orders that a row along x sends to both sides, with the polarisation of the light, at one resolution.
+
+    Args:
+        supercell: one row along x.
+        light: incident polarisation.
+        resolution: as in :func:`orders_at`.
+
+    Returns:
+        Shape (2, 2, n_orders), over the incident E: for light from the substrate and for light from the side behind the
+        pillars, the orders that leave into the substrate and those that leave behind the pillars. The reflected zero
+        order does not hold the incident wave.
+
+    Raises:
+        InputError: as :func:`supercell_orders`.
+        SolverError: as :func:`supercell_orders`.
+    """
+    order, axis = supercell.propagating_orders(light), POLARISATIONS.index(light)
+    with one_thread():
+        layer = _layer(supercell, light, resolution, order)
+        system = face_system(layer, supercell, (light,))
+        far_source = incident(layer, light, supercell.cell.n_out[axis])[:, None]
+        none = np.zeros_like(system.source)
+        near = np.concatenate([2.0 * system.source, none], axis=1)
+        far = np.concatenate([none, 2.0 * far_source], axis=1)
+        amplitudes = layer.orders[:, axis] @ system.solve(near, far)
+    found = np.moveaxis(amplitudes, -1, 0).copy()
+    zero = np.flatnonzero(np.all(order == 0, axis=1))
+    for side in range(2):
+        found[side, side, zero] -= 1.0
+    return found
+
+
+def _layer(supercell: Supercell, light: Polarisation, resolution: float, order: IntArray) -> Layer:
+    basis = basis_of(supercell, light, resolution, mirrored=_is_mirrored(supercell))
+    elements = elements_of(basis)
+    grams = grams_of(basis, elements, supercell.cell)
+    return layer_of(elements, grams, Waves(basis, order), supercell.cell.k0_per_nm)
+
+
+def _is_mirrored(supercell: Supercell) -> bool:
+    """Whether a row along x is its own mirror image about its middle."""
+    return supercell.shape[0] == 1 and np.array_equal(supercell.size_nm, supercell.size_nm[:, ::-1])
 
 
 def other_light(light: Polarisation) -> Polarisation:
@@ -161,7 +205,7 @@ def _feasible(supercell: Supercell, resolutions: tuple[float, ...]) -> list[floa
 
     def count(resolution: float) -> int:
         turned = supercell.exchanged() if supercell.shape[1] == 1 else supercell
-        return sum(basis_of(turned, "x", resolution).counts)
+        return basis_of(turned, "x", resolution, mirrored=_is_mirrored(turned)).sizes[0]
 
     for shift in (0.0, 0.5, 1.0):
         feasible = [each - shift for each in resolutions if count(each - shift) <= _MOST_FUNCTIONS]
@@ -209,7 +253,8 @@ def face_system(layer: Layer, supercell: Supercell, lights: Sequence[Polarisatio
     near, far = (layer.admittance(complex(permittivity(n[axis])), cell.k0_per_nm) for n in (cell.n_in, cell.n_out))
     source = np.stack([incident(layer, light, cell.n_in[axis]) for light in lights], axis=1)
     with np.errstate(all="ignore"):  # non-finite values are refused by the caller
-        half = doubled(layer.p, layer.q, cell.k0_per_nm * cell.height_nm, np.inf, last=1)
+        largest = largest_eigenvalue(permittivity(cell.n_ambient), permittivity(cell.n_pillar))
+        half = doubled(layer.p, layer.q, cell.k0_per_nm * cell.height_nm, largest, last=1)
     if half is None:
         raise SolverError("the layer of a supercell is singular")
     f = half[0]

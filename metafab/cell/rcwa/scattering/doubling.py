@@ -130,16 +130,18 @@ def doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: i
     return None if f is None else (f, g)
 
 
-def pull_back_doubled(p: Matrix, q: Matrix, thickness: float, f_bar: Matrix, *, last: int) -> tuple[Matrix, Matrix]:
+def pull_back_doubled(
+    p: Matrix, q: Matrix, thickness: float, largest_a: float, f_bar: Matrix, *, last: int
+) -> tuple[Matrix, Matrix]:
     """Derivatives of sum(f_bar * F) by P and by Q, all of shape (n, n): the steps of :func:`doubled` in reverse.
 
-    ``f_bar`` is the weight of each element of F, which :func:`doubled` returns with ``last``.
+    ``f_bar`` is the weight of each element of F, which :func:`doubled` returns with the other arguments.
 
     Raises:
         ValueError: the layer is singular.
     """
     powers = _powers(p, q)
-    halvings = _halvings(powers, thickness, np.inf)
+    halvings = _halvings(powers, thickness, largest_a)
     f = None if halvings is None else _thin_slab(powers, thickness / 2.0**halvings)
     if f is None or halvings is None:
         raise ValueError("`p`, `q`: expected a layer that doubling solves, got a singular one")

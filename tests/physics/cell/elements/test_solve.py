@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from metafab.cell import CellNumerics, PillarCell, rcwa
-from metafab.cell.elements import ElementNumerics, orders_at, supercell_orders
+from metafab.cell.elements import ElementNumerics, orders_at, scattered_by_row, supercell_orders
+from metafab.cell.elements.basis import basis_of
 from metafab.cell.supercell import Supercell, relative_rms
 from metafab.core.conventions import POLARISATIONS, Polarisation
 from metafab.core.errors import InputError
@@ -71,6 +72,34 @@ def test_a_mirrored_row_mirrors_its_orders_and_a_moved_one_turns_their_phases() 
     np.testing.assert_allclose(mirrored, here[::-1], atol=1e-9)
     np.testing.assert_allclose(moved[:, 1, 0], here[:, 1, 0] * np.exp(-2j * np.pi * order / 3.0), atol=1e-9)
     assert np.abs(here[0] - here[-1]).max() > 0.05
+
+
+@pytest.mark.parametrize("light", POLARISATIONS)
+@pytest.mark.parametrize("sizes", [[RAMP[0], RAMP[1], RAMP[0]], [RAMP[0], RAMP[2], RAMP[2], RAMP[0]]])
+def test_a_row_that_is_its_own_mirror_image_needs_half_of_the_functions(
+    sizes: list[tuple[float, float]], light: Polarisation
+) -> None:
+    """Moved by a site it is not its image about the middle, and all functions are kept."""
+    row, moved = _row(*sizes), _row(*sizes[-1:], *sizes[:-1])
+    order = row.propagating_orders(light)[:, 0]
+    turned = orders_at(row, (light,), COARSE) * np.exp(-2j * np.pi * order / len(sizes))[:, None, None]
+    np.testing.assert_allclose(orders_at(moved, (light,), COARSE), turned, atol=1e-9)
+    folded, whole = (basis_of(row, light, COARSE, mirrored=mirrored).sizes for mirrored in (True, False))
+    assert folded[0] <= 0.52 * whole[0] and folded[1] <= 0.55 * whole[1]
+
+
+@pytest.mark.parametrize("light", POLARISATIONS)
+def test_light_from_either_side_of_a_row(light: Polarisation) -> None:
+    """Transmitted orders as ever; zero orders are reciprocal; a lossless pillar divides the power."""
+    row, axis = _row(*RAMP, cell=replace(LOSSLESS, width_nm=0.0, length_nm=0.0)), POLARISATIONS.index(light)
+    scattered = scattered_by_row(row, light, COARSE)
+    np.testing.assert_allclose(scattered[0, 1], orders_at(row, (light,), COARSE)[:, axis, 0], atol=1e-12)
+    zero = int(np.flatnonzero(np.all(row.propagating_orders(light) == 0, axis=1))[0])
+    n_in, n_out = (complex(n[axis]).real for n in (row.cell.n_in, row.cell.n_out))
+    assert abs(n_out * scattered[0, 1, zero] - n_in * scattered[1, 0, zero]) < 1e-9
+    for index, incident in enumerate((n_in, n_out)):
+        near, far = scattered_by_row(replace(row, size_nm=row.size_nm[:, :1]), light, COARSE)[index, :, 0]
+        assert (n_in * abs(near) ** 2 + n_out * abs(far) ** 2) / incident == pytest.approx(1.0, abs=1e-9)
 
 
 def test_a_lossless_row_sends_out_no_more_than_came_in() -> None:

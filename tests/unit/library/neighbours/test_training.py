@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from metafab.cell import pillar_cell
-from metafab.cell.elements import orders_at
+from metafab.cell.elements import scattered_by_row
 from metafab.cell.supercell import Supercell
 from metafab.core.errors import InputError
 from metafab.library.library import Library, inputs_of
@@ -29,7 +29,7 @@ def coarse() -> Iterator[None]:
     """Rows of three pillars by coarse elements, and a small chain: a training within seconds."""
     with pytest.MonkeyPatch.context() as patch:
         for module in (rows, training):
-            patch.setattr(module, "ROW_SITES", (3,))
+            patch.setattr(module, "ROW_KINDS", (rows.RowKind(3),))
             patch.setattr(module, "RESOLUTION", 1.0)
         patch.setattr(training, "SHAPES", (SMALL_SHAPE, SMALL_SHAPE))
         patch.setattr(training, "STARTS", 1)
@@ -56,9 +56,9 @@ def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeyp
         calls.append(1)
         if len(calls) == 50:
             raise KeyboardInterrupt
-        return orders_at(*args)  # type: ignore[arg-type]
+        return scattered_by_row(*args)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(rows, "orders_at", counted)
+    monkeypatch.setattr(rows, "scattered_by_row", counted)
     with pytest.raises(KeyboardInterrupt):
         training.train(asked, checkpoint=tmp_path / "rows")
     steps: list[str] = []

@@ -89,7 +89,7 @@ def test_the_reverse_of_doubling_obeys_the_dot_product_identity(thickness: float
     draws = [rng.normal(size=(8, 8)) + 1j * rng.normal(size=(8, 8)) for _ in range(5)]
     noise_p, noise_q, d_p, d_q = (draw + draw.T for draw in draws[:4])
     p, q, weights = np.eye(8) + 0.1 * noise_p, 2.0 * np.eye(8) + 0.5 * noise_q, draws[4]
-    by_p, by_q = doubling.pull_back_doubled(p, q, thickness, weights, last=last)
+    by_p, by_q = doubling.pull_back_doubled(p, q, thickness, np.inf, weights, last=last)
     ends = [doubling.doubled(p + h * d_p, q + h * d_q, thickness, np.inf, last=last) for h in (1e-6, -1e-6)]
     assert ends[0] is not None and ends[1] is not None
     forward = np.sum(weights * (ends[0][0] - ends[1][0])) / 2e-6
