@@ -32,15 +32,10 @@ def interface(admittance_in: complex, admittance_out: complex) -> tuple[complex,
 def film(
     admittance_in: complex, admittance_film: complex, admittance_out: complex, propagation: complex
 ) -> tuple[complex, complex]:
-    """(t, r) of the tangential electric field through a film.
+    """(t, r) of the tangential electric field through a film between two media of given admittances.
 
-    Args:
-        admittance_in: admittance of the medium that the light comes from.
-        admittance_out: admittance of the medium behind the film.
-        propagation: exp(i q k0 d), one pass through the film.
-
-    Returns:
-        t, the field at the film's end over the incident field at its beginning; r, with both fields at its beginning.
+    ``propagation`` is exp(i q k0 d), one pass through the film. t is the field at the film's end over the incident
+    field at its beginning; r has both fields at its beginning.
     """
     t_near, r_near = interface(admittance_in, admittance_film)
     t_far, r_far = interface(admittance_film, admittance_out)
@@ -49,14 +44,10 @@ def film(
 
 
 def film_jones(cell: PillarCell, n_film: complex) -> tuple[ComplexArray, ComplexArray]:
-    """Jones matrices of ``cell`` with its whole layer of height ``height_nm`` filled by ``n_film``.
+    """Jones matrices t and r of ``cell`` with its whole layer of height ``height_nm`` filled by the index ``n_film``.
 
-    Args:
-        cell: half spaces, height and light; the pillar is ignored.
-        n_film: index of the layer: the pillar's for a closed film, the ambient's for an empty cell.
-
-    Returns:
-        t and r, each of shape (2, 2), of the tangential field in the basis (x, y).
+    That is the pillar's for a closed film, the ambient's for an empty cell. The matrices, shape (2, 2), are those of
+    the tangential field in the basis (x, y).
     """
     if cell.is_birefringent:
         return _film_on_birefringent(cell, n_film)

@@ -19,14 +19,9 @@ Variable = tuple[tuple[str, ...], ArrayLike, str]
 def dataset(
     variables: Mapping[str, Variable], coordinates: Mapping[str, ArrayLike], **attributes: Any
 ) -> xarray.Dataset:
-    """Make an xarray dataset.
+    """Make an xarray dataset of variables by name: dimensions, values of any shape, unit. MissingToolError without it.
 
-    Args:
-        variables: name -> (dimensions, values of any shape, unit).
-        coordinates: dimension -> values of shape (n,); the unit is the suffix of the name.
-
-    Raises:
-        MissingToolError: xarray is not installed.
+    Coordinates are dimension -> values of shape (n,); their unit is the suffix of the name.
     """
     try:
         import xarray

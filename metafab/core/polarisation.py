@@ -35,14 +35,8 @@ def stokes_of(jones: ComplexArray) -> FloatArray:
 def stokes_response(xx: ComplexArray, xy: ComplexArray, yx: ComplexArray, yy: ComplexArray) -> FloatArray:
     """Return the power behind a Jones matrix per unit of each Stokes parameter: power = response . S.
 
-    Args:
-        xx: E_x behind x polarised light, any shape.
-        xy: E_x behind y polarised light, same shape.
-        yx: E_y behind x polarised light, same shape.
-        yy: E_y behind y polarised light, same shape.
-
-    Returns:
-        Shape (4, ...): first row of the Mueller matrix.
+    The entries, of any one shape, are E_x behind x (xx) and y (xy) polarised light, and E_y likewise. The response,
+    shape (4, ...), is the first row of the Mueller matrix.
     """
     of_x, of_y = np.abs(xx) ** 2 + np.abs(yx) ** 2, np.abs(xy) ** 2 + np.abs(yy) ** 2
     coherence = xx * xy.conj() + yx * yy.conj()

@@ -55,10 +55,8 @@ def right_segment(misfit: Reals, misfit_across: Reals, outline_px: Reals) -> Flo
 def confidence(pixel_error: FloatArray, segment_error: FloatArray, right: FloatArray | float) -> FloatArray:
     """Confidence of each pixel's depth, 0 to 1, shape (n_y, n_x).
 
-    Args:
-        pixel_error: shape (n_y, n_x), relative standard error of the depth from the window about the pixel.
-        segment_error: shape (n_y, n_x), relative standard error of the depth of the pixel's segment.
-        right: shape (n_y, n_x), probability that the segment is the right one.
+    ``pixel_error`` and ``segment_error`` are relative standard errors of the depth, from the window about the pixel and
+    of its segment; ``right`` is the probability that the segment is the right one. All have the shape (n_y, n_x).
     """
     error = np.maximum(np.minimum(pixel_error, segment_error), 1e-12)
     return np.asarray(right * erf(RIGHT_WITHIN / (np.sqrt(2.0) * error)))

@@ -69,14 +69,10 @@ def decode(
 
     A depth is claimed only where the twins correlate, at a depth inside the calibrated range, and to better than a few
     per cent; everywhere else it is NaN. No frame raises: one that cannot be decoded gives an empty image, with the
-    reason in its ``figures``.
+    reason in its ``figures``. Saturated and invalid pixels are left out.
 
-    Args:
-        frame: electrons or counts; saturated and invalid pixels are left out.
-        psf: calibration over the depths that are to be measured, at least three.
-
-    Returns:
-        The image on the geometric image grid of the x polarisation.
+    ``psf`` is the calibration over the depths that are to be measured, at least three. The image stands on the
+    geometric image grid of the x polarisation.
     """
     started = time.perf_counter()
     values = np.asarray(frame.frame)
@@ -128,12 +124,10 @@ class Decoder:
         x_window: tuple[int, int, int, int] | None = None,
         numerics: DecoderNumerics | None = None,
     ) -> Decoder | None:
-        """A decoder, or None if no part of such frames holds both images.
+        """A decoder, or None if no part of frames of the shape ``frame_shape`` holds both images.
 
-        Args:
-            frame_shape: (n_y, n_x) of the frames.
-            origin_um: (x, y) on the sensor of pixel [0, 0].
-            x_window: (row, column, rows, columns) of the x image; by default, all pixels whose twins are in the frame.
+        ``origin_um`` is (x, y) on the sensor of pixel [0, 0]; ``x_window`` is (row, column, rows, columns) of the x
+        image, by default all pixels whose twins are in the frame.
         """
         numerics = numerics or DecoderNumerics()
         kernels, image_map = PairKernels.of_unpolarised(psf), ImageMap.from_psf(psf)
@@ -181,11 +175,9 @@ class Decoder:
         return evaluated(image, frame, seconds=time.perf_counter() - started)
 
     def prepare(self, frame: RawFrame, levels: Levels | None = None) -> PreparedFrame | str:
-        """Register and downsample a frame, or return the reason why it cannot be decoded.
+        """Register and downsample a frame of the decoder's shape, or return the reason why it cannot be decoded.
 
-        Args:
-            frame: of the decoder's shape.
-            levels: of an earlier frame in the same light; measured by default.
+        Levels are those of an earlier frame in the same light, or measured.
         """
         grid, values = self.calibration.grid, np.asarray(frame.frame)
         if not abs(frame.pixel_um / grid.pixel_um - 1.0) <= 1e-6:

@@ -138,13 +138,9 @@ def dose_to_size(resist: ResistEnergy, tables: EdgeTables, dose: Float32Array, e
 def predict(
     process: Printing, dose: Float32Array, places: NDArray[np.int64], *, keep_sizes: bool = False
 ) -> Prediction:
-    """Predict the printed sizes.
+    """Predict the printed sizes for a dose, shape (n_y, n_x).
 
-    Args:
-        process: the pattern.
-        dose: shape (n_y, n_x).
-        places: shape (n, 2), rows and columns of listed pillars.
-        keep_sizes: whether the sizes of all pillars are kept.
+    ``places``, shape (n, 2), are rows and columns of listed pillars; ``keep_sizes`` keeps the sizes of all.
     """
     tables, ratio, resist = process.tables, process.base_over_clearing_dose, process.resist
     shape = resist.size_index.shape

@@ -60,20 +60,17 @@ class EdgeTables:
 def corner_radius_nm(
     psf: BeamPsf, size_nm: FloatArray, dose: FloatArray, others: FloatArray, moved_nm: FloatArray, clearing: float
 ) -> FloatArray:
-    """Return the radii of printed corners, from the place where the printed outline crosses the corner's diagonal.
+    """Return the radii of printed corners, shape (n,), NaN where a pillar does not print.
 
-    A quarter of a circle of radius r that touches both edges leaves r (1 - 1 / sqrt(2)) along each axis.
+    They follow from the place where the printed outline crosses the corner's diagonal: a quarter of a circle of radius
+    r that touches both edges leaves r (1 - 1 / sqrt(2)) along each axis.
 
     Args:
-        psf: point-spread function of the beam.
         size_nm: shape (n, 2), drawn width and length.
         dose: shape (n,).
         others: shape (n,), energy of all other pillars at the corners.
         moved_nm: shape (n, 2), displacement of the printed edges outwards.
         clearing: energy above which the resist stays.
-
-    Returns:
-        Shape (n,); NaN where a pillar does not print.
     """
     # The outline crosses the diagonal from the printed sharp corner (outside) to half the smaller side (inside).
     outer, inner = -moved_nm.mean(axis=1), 0.5 * size_nm.min(axis=1)

@@ -46,16 +46,9 @@ def printing_of(
 def corrected_shapes(
     wanted: PillarMap, psf: BeamPsf, base_over_clearing_dose: float, executor: Executor, progress: Progress
 ) -> tuple[PillarMap, int]:
-    """Find the sizes to draw.
+    """Find the sizes to draw for the pillars that should be printed; return the pillars and the number of rounds.
 
-    Args:
-        wanted: pillars that should be printed.
-        psf: point-spread function of the beam.
-        base_over_clearing_dose: base dose over the clearing dose of a large pad.
-        executor: threads that compute tiles.
-
-    Returns:
-        The pillars to draw, and the number of rounds.
+    ``base_over_clearing_dose`` is the base dose over the clearing dose of a large pad.
     """
     dose = np.ones(wanted.lattice.shape, dtype=np.float32)
     drawn = wanted

@@ -34,15 +34,9 @@ def site_at(pillars: PillarMap, x_um: float, y_um: float) -> tuple[int, int]:
 
 
 def sizes_at(pillars: PillarMap, row: int, column: int, shape: tuple[int, int]) -> FloatArray:
-    """Return the sizes of a block of sites.
+    """Return the sizes (width, length) of a block of ``shape`` sites, nm, shape (n_y, n_x, 2).
 
-    Args:
-        row: first row of the block; may lie outside the lattice.
-        column: first column of the block; may lie outside the lattice.
-        shape: (n_y, n_x) sites.
-
-    Returns:
-        (width, length) in nm, shape (n_y, n_x, 2); zero where there is no pillar or no site.
+    Its first row and column may lie outside the lattice; sizes are zero where there is no pillar or no site.
     """
     index = np.zeros(shape, dtype=np.uint16)
     for tile in pillars.tiles():
@@ -59,16 +53,10 @@ def sizes_at(pillars: PillarMap, row: int, column: int, shape: tuple[int, int]) 
 def supercell_at(
     pillars: PillarMap, library: Library, x_um: float, y_um: float, shape: tuple[int, int]
 ) -> tuple[Supercell, FloatArray, FloatArray]:
-    """Return a block of written pillars around a point.
+    """Return a block of written pillars of ``shape`` sites around a point; its middle is the nearest site.
 
-    Args:
-        library: library with the pillars' materials and illumination.
-        x_um: middle of the block; the nearest site is used.
-        y_um: middle of the block; the nearest site is used.
-        shape: (n_y, n_x) sites.
-
-    Returns:
-        The supercell, and x, shape (n_x,), and y, shape (n_y,), of its sites in um.
+    The library has the pillars' materials and illumination. Also returns x, shape (n_x,), and y, shape (n_y,), of the
+    sites in um.
     """
     lattice = pillars.lattice
     row, column = site_at(pillars, x_um, y_um)
@@ -98,11 +86,8 @@ def line_at(pillars: PillarMap, library: Library, x_um: float, y_um: float, axis
 def local_period_sites(t: ComplexArray) -> tuple[int, int]:
     """Find the local period on a line of pillars from the peak of the spectrum of their responses, shape (n,).
 
-    Returns:
-        Sites of one local period, and the sign of its phase slope: the order (+1 or -1) of the deflected light.
-
-    Raises:
-        InputError: the phase changes by less than 2 pi in 40 sites.
+    Returns its sites, and the sign of its phase slope: the order (+1 or -1) of the deflected light. InputError if the
+    phase changes by less than 2 pi in 40 sites.
     """
     fine = 64 * t.size
     spectrum = np.abs(np.fft.fft(t * np.hanning(t.size), fine))

@@ -73,9 +73,7 @@ def write_time(
 def beam_seconds(exposure: Exposure, dose: float, area_um2: FloatArray, shots: FloatArray) -> FloatArray:
     """Time of the beam for areas and shots of equal shape: the charge over the current, or the shots over their rate.
 
-    Args:
-        dose: relative to the base dose.
-        shots: numbers of shots; 0 where they are not known.
+    The dose is relative to the base dose; shots are 0 where they are not known.
     """
     # 1 uC/cm2 is 1e-8 uC/um2; nA are 1e-3 uC/s.
     charge_s = exposure.dose_uc_per_cm2 * dose * area_um2 * 1e-8 / (exposure.beam_current_na * 1e-3)
@@ -180,11 +178,9 @@ def field_times(exposure: Exposure, lens_seconds: Sequence[FloatArray], centre_u
 
 
 def field_order(filled: BoolArray, order: str) -> IntegerArray:
-    """Order the fields of one lens, shape (n, 2), row and column of each field.
+    """Order the fields of one lens that hold shapes, ``filled`` of shape (rows, columns): row and column, shape (n, 2).
 
-    Args:
-        filled: shape (rows, columns), whether a field holds shapes.
-        order: "rows", "serpentine", "spiral" or "inwards", as ``mask.exposure.field_order``.
+    The orders are those of ``mask.exposure.field_order``.
     """
     row, column = np.nonzero(filled)
     if order in {"rows", "serpentine"}:

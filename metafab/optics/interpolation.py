@@ -58,11 +58,8 @@ def at_depths(psf: Psf, depths_m: Sequence[float] | FloatArray) -> FloatArray:
 def at_tangent(psf: Psf, tangent: Tangent) -> FloatArray:
     """Interpolate the irradiance about the geometric image point to any direction (x/z, y/z) inside the field.
 
-    Returns:
-        Shape (2, n_depth, n_y, n_x), 1/um^2.
-
-    Raises:
-        InputError: the stack has no field, or the direction lies outside it (nothing is extrapolated).
+    Its shape is (2, n_depth, n_y, n_x), 1/um^2. InputError if the stack has no field, or the direction lies outside it
+    (nothing is extrapolated).
     """
     if psf.field is None:
         expected = "a stack over the field of view"

@@ -95,13 +95,9 @@ def column(key: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], kinds: Sequence[str] = (), kind: str = "") -> str:
-    """A table of HTML cells.
+    """A table of HTML cells; class "n" of a column is for numbers.
 
-    Args:
-        head: cell of each column.
-        rows: cells of each row.
-        kinds: class of each column ("n" for numbers).
-        kind: class of the table ("stack" puts the last cell below the others on narrow screens).
+    The class "stack" of the table puts the last cell below the others on narrow screens.
     """
     classes = [*kinds, *[""] * (len(head) - len(kinds))]
 

@@ -36,12 +36,9 @@ class Functions:
 
 
 def functions_of(mesh: QuarterMesh, light: Polarisation, order: int) -> Functions:
-    """Number and evaluate the functions.
+    """Number and evaluate the functions of a polynomial order, from 2, on the elements of the quarter.
 
-    Args:
-        mesh: elements of the quarter.
-        light: incident polarisation, normal to the mirror planes on which its tangential E vanishes.
-        order: polynomial order, from 2.
+    The incident polarisation is normal to the mirror planes on which its tangential E vanishes.
     """
     numbering = _Numbering(mesh, light, order)
     numbered = [numbering.of_element(quad) for quad in mesh.quads]

@@ -135,11 +135,7 @@ def corner_function(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """r^tau Phi(theta) of one corner and its gradient (x, y) at points, each of shape (q_x, q_y).
 
-    Args:
-        tau: exponent.
-        place: the points.
-        inwards: signs of (x, y) from the corner into the pillar.
-        inside: whether the points lie in the pillar.
+    ``inwards`` are the signs of (x, y) from the corner into the pillar; ``inside`` says whether the points lie in it.
     """
     d_x, d_y = place.x - corner_nm[0], place.y - corner_nm[1]
     r = np.hypot(d_x, d_y)

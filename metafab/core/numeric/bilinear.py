@@ -13,15 +13,10 @@ Number = TypeVar("Number", np.float64, np.complex128)
 
 
 def bilinear_on_grid(samples: NDArray[Number], x: FloatArray, y: FloatArray) -> NDArray[Number]:
-    """Interpolate samples at the points of a rectangular grid; outside, the values of the border are held.
+    """Interpolate samples at the points of a rectangular grid, shape (n_y, n_x); outside, the border's values are held.
 
-    Args:
-        samples: shape (m_y, m_x), at least 2 x 2, real or complex; the grid is centred on the origin, lowest y first.
-        x: shape (n_x,), positions in units of the pitch of the samples.
-        y: shape (n_y,), positions in units of the pitch of the samples.
-
-    Returns:
-        Shape (n_y, n_x).
+    Samples, shape (m_y, m_x), at least 2 x 2, real or complex, are centred on the origin, lowest y first. Positions x,
+    shape (n_x,), and y, shape (n_y,), are in units of their pitch.
     """
     row, share_y = _neighbours(y, samples.shape[0])
     column, share_x = _neighbours(x, samples.shape[1])

@@ -86,13 +86,7 @@ class ChangeDetector:
         return PatchMeans(mean, full, invalid)
 
     def changed(self, now: PatchMeans, last: PatchMeans, levels: Levels) -> NDArray[np.bool_]:
-        """Patches, margin included, that differ by more than noise: shape (n_y, n_x).
-
-        Args:
-            now: a frame.
-            last: an earlier frame.
-            levels: of either, in the same light.
-        """
+        """Patches, margin included, in which two frames of one light differ by more than noise: shape (n_y, n_x)."""
         smallest = np.float32(levels.read_noise_e**2 + _SMALLEST_NOISE * levels.noise_variance)
         # Saturated light varies less, never more.
         variance = np.maximum(np.float32(0.5) * (now.mean + last.mean), np.float32(0.0)) + smallest
@@ -119,8 +113,7 @@ class ChangeDetector:
     def affected(self, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Downsampled pixels of the window that filters mix with a changed patch, shape (n_y, n_x).
 
-        Args:
-            changed: shape (n_y + 2 margin, n_x + 2 margin).
+        ``changed`` has the shape (n_y + 2 margin, n_x + 2 margin).
         """
         wide = maximum_filter(changed, 2 * math.ceil(_REACH * self.margin) + 1)
         return np.asarray(wide[self.margin : -self.margin, self.margin : -self.margin])

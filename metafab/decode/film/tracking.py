@@ -41,12 +41,9 @@ def planes_around(
 ) -> list[Plane]:
     """Distinct planes of the last frame's segments about the affected pixels, in the coordinates of the surroundings.
 
-    Args:
-        last: segments of the last frame.
-        part: slices of the changed part, downsampled pixels.
-        surroundings: slices of the part with the pixels around it.
-        affected: shape of the part, pixels whose light changed.
-        separation_per_m: vergence by which planes differ.
+    ``part`` and ``surroundings`` are slices, in downsampled pixels, of the changed part and of the part with the pixels
+    around it; ``affected``, of the part's shape, are the pixels whose light changed. Planes differ by
+    ``separation_per_m`` of vergence or more.
     """
     label = last.label[surroundings].copy()
     label[relative_slices(part, surroundings)][affected] = 0
@@ -68,15 +65,9 @@ def track(
 ) -> TrackedRegions:
     """Replace the affected pixels of a part of the last frame's segments by the current ones.
 
-    Numbers continue. All other pixels of the part keep their segments: new noise moves no outline.
-
-    Args:
-        last: segments of the last frame.
-        current: segments of the surroundings now.
-        part: slices of the changed part, downsampled pixels.
-        surroundings: slices of the part with the pixels around it.
-        affected: shape of the part, pixels whose light changed.
-        separation_per_m: vergence by which planes differ.
+    Current segments are those of the surroundings. Numbers continue. All other pixels of the part keep their segments:
+    new noise moves no outline. The arguments are those of :func:`planes_around`; ``affected`` has the shape (n_y, n_x)
+    of the part.
     """
     inside, count = relative_slices(part, surroundings), len(last.depths)
     continued = _continued(last, current, part, surroundings, affected, separation_per_m)

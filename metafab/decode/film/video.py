@@ -136,14 +136,10 @@ class VideoDecoder:
         affected: NDArray[np.bool_],
         changed: NDArray[np.bool_],
     ) -> DecodedFrame:
-        """The last frame with parts of the next one.
+        """The last frame with parts of the next one: changed rectangles, downsampled pixels.
 
-        Args:
-            frame: the next frame.
-            last: the last one.
-            parts: changed rectangles, downsampled pixels.
-            affected: shape (n_y, n_x), the pixels in them that filters mix with changed light.
-            changed: shape (n_y, n_x), the pixels whose light changed: only there may another surface stand.
+        ``affected``, shape (n_y, n_x), are the pixels in them that filters mix with changed light, ``changed`` those
+        whose light changed: only there may another surface stand.
         """
         prepared, volume = self._matched(frame, last, parts)
         with kept_threads() as pool:

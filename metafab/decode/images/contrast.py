@@ -68,14 +68,10 @@ class SegmentLight:
     def of(
         cls, images: NDArray[np.float32], segment: NDArray[np.int32], inner: NDArray[np.int32], count: int
     ) -> SegmentLight:
-        """Sum both images over the segments from 1 to ``count``.
+        """Sum both images, shape (2, n_y, n_x), electrons, over the segments from 1 to ``count``.
 
-        Args:
-            images: shape (2, n_y, n_x), electrons.
-            segment: shape (n_y, n_x), number of each pixel's segment; 0 for none.
-            inner: shape (n_y, n_x), number of the segment whose interior holds the pixel; it counts where ``segment``
-                is not 0.
-            count: the largest number.
+        ``segment``, shape (n_y, n_x), is the number of each pixel's segment, 0 for none; ``inner`` that of the segment
+        whose interior holds the pixel, which counts where ``segment`` is not 0.
         """
         rows = np.zeros((segment.shape[0], 4, count + 1))
         spread(_add_segments, segment.shape[0], images, segment, inner, rows)

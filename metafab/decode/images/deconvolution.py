@@ -123,7 +123,8 @@ class Deconvolver:
         """Deconvolve both images, each pixel at its own depth.
 
         The filter H* / (|H|^2 + noise / texture) is the best linear one for a texture of the spectrum of
-        :meth:`Levels.texture_spectrum` in white noise. It keeps the mean.
+        :meth:`Levels.texture_spectrum` in white noise. It keeps the mean. The images are not negative; they and their
+        noise gain are 0 where ``label`` is 0.
 
         Args:
             tiles: tiles that hold all pixels of ``label``.
@@ -131,9 +132,6 @@ class Deconvolver:
             label: shape (n_y, n_x), number of each pixel's depth from 1; 0 for none.
             vergences_per_m: shape (n_depths,), 1/depth of each number.
             broken: shape (2, n_y + 2 margin, n_x + 2 margin), pixels of both images without a datum; none by default.
-
-        Returns:
-            The images, not negative, and their noise gain; 0 where ``label`` is 0.
         """
         tiling, sharp = self.tiling, SharpImages(*np.zeros((2, 2, *self.tiling.shape), dtype=np.float32))
         ky, kx = scipy.fft.fftfreq(tiling.size[0])[:, None], scipy.fft.rfftfreq(tiling.size[1])[None, :]
@@ -259,10 +257,7 @@ def wiener_filter(
 ) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
     """Multiply a tile's spectra by H* / (|H|^2 + ratio), with H and spectra of shape (2, n_ky, n_kx).
 
-    ``ratio``, shape (n_ky, n_kx), is noise over texture.
-
-    Returns:
-        Filtered spectra, shape (2, n_ky, n_kx), and the gain of white noise's variance, shape (2,).
+    ``ratio``, shape (n_ky, n_kx), is noise over texture. Also returns the gain of white noise's variance, shape (2,).
     """
     _, n_y, n_x = transfer.shape
     out = np.empty((2, n_y, n_x), dtype=np.complex64)

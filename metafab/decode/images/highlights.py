@@ -47,12 +47,8 @@ def one_depth_each(broken: NDArray[np.bool_], label: NDArray[np.int32], numbers:
     """Number of the depth at which each broken pixel of a tile is solved: shape (n_y, n_x); 0 for none.
 
     Broken pixels that touch each other belong to one highlight: all have the depth of most of them. Solved in parts,
-    the pixels of the other part would pass for data.
-
-    Args:
-        broken: shape (n_y, n_x).
-        label: shape (n_y, n_x), number of each pixel's depth.
-        numbers: shape (n,), depths that count.
+    the pixels of the other part would pass for data. ``label``, shape (n_y, n_x), is the number of each pixel's depth,
+    ``numbers``, shape (n,), are those that count.
     """
     component, count = connected_components(broken, np.ones((3, 3)))
     votes = np.stack([np.bincount(component[broken & (label == one)], minlength=count + 1) for one in numbers], axis=1)
@@ -118,13 +114,10 @@ class _System:
     def solved(
         self, spectrum: NDArray[np.complex64], free: NDArray[np.intp], bright: NDArray[np.intp], ridge: float
     ) -> SeparatedTile:
-        """Light of the bright pixels, not below zero, and the free pixels' values for it.
+        """Light of the bright pixels, not below zero, and the values of the free pixels, those without a datum, for it.
 
-        Args:
-            spectrum: of the tile.
-            free: shape (n, 2), (row, column) of the pixels without a datum.
-            bright: shape (m, 2), of the highlights' pixels.
-            ridge: variance of the noise over that of the highlights' light.
+        Both sets of pixels are (row, column), shape (n, 2). ``ridge`` is the variance of the noise over that of the
+        highlights' light.
         """
         own = self._block(0, free, free) + _RIDGE * np.eye(len(free))
         light = np.zeros(self.shape)

@@ -45,13 +45,9 @@ class CostVolume:
         return CostVolume(self.vergences_per_m, halved(self.products), 4.0 * self.samples, self.noise_gain)
 
     def at(self, vergences_per_m: FloatArray) -> NDArray[np.float32]:
-        """Interpolate the products between the candidates by splines.
+        """Interpolate the products between the candidates by splines: shape (3, n, n_y, n_x).
 
-        Args:
-            vergences_per_m: shape (n,); or (n, n_y, n_x), different at each pixel.
-
-        Returns:
-            Shape (3, n, n_y, n_x).
+        Vergences have the shape (n,), or (n, n_y, n_x) where they differ at each pixel.
         """
         if vergences_per_m.ndim > 1:
             return np.stack([self._at_each_pixel(one) for one in vergences_per_m], axis=1)
@@ -69,14 +65,9 @@ class CostVolume:
         return _weighted_sums(self.products, weights, np.clip(place, 0, steps).astype(np.int32))
 
     def label_sums(self, label: NDArray[np.int32], count: int) -> FloatArray:
-        """Sum the products over the pixels of each number from 1 to ``count``.
+        """Sum the products over the pixels of each number from 1 to ``count``: shape (count, 3, n).
 
-        Args:
-            label: shape (n_y, n_x), 0 for none.
-            count: the largest number.
-
-        Returns:
-            Shape (count, 3, n).
+        ``label`` has the shape (n_y, n_x), 0 for none.
         """
         sums = label_sums(self.products.reshape(-1, *label.shape), label, count)
         return np.moveaxis(sums.reshape(*self.products.shape[:2], count), -1, 0)
@@ -85,11 +76,7 @@ class CostVolume:
 def correlation(products: np.ndarray) -> np.ndarray:
     """Normalised cross-correlation: 1 for equal twins without noise, whatever their polarisation contrast.
 
-    Args:
-        products: shape (3, ...), sums or means of a b, a^2 and b^2.
-
-    Returns:
-        Shape (...), -1 to 1.
+    Sums or means of a b, a^2 and b^2, shape (3, ...), give the shape (...), -1 to 1.
     """
     # Roots before the product: sums of squares of a bright frame are near the limit of single precision.
     norm = np.sqrt(np.maximum(products[1], 0.0)) * np.sqrt(np.maximum(products[2], 0.0))

@@ -70,10 +70,8 @@ class Peak:
 def pixel_depth(volume: CostVolume, window: int, noise_variance: FloatArray) -> PixelDepth:
     """Depth from the widest window whose depth agrees with that of the narrower windows.
 
-    Args:
-        volume: cost volume of at least three candidates.
-        window: side of the narrowest window, in pixels of the volume; odd.
-        noise_variance: shape (2, n_y, n_x), variance of a pixel of the frame, of both images.
+    The volume has at least three candidates. ``window`` is the side of the narrowest window in its pixels, odd;
+    ``noise_variance``, shape (2, n_y, n_x), that of a pixel of the frame, of both images.
     """
     shape = volume.shape
     first = int(window >= _WIDE_WINDOW and min(shape) > 2 * window)
@@ -104,9 +102,7 @@ def pixel_depth(volume: CostVolume, window: int, noise_variance: FloatArray) -> 
 def window_depth(volume: CostVolume, window: int) -> WindowDepth:
     """Depth at the peak of the correlation in the window about each pixel, claimed inside the range.
 
-    Args:
-        volume: cost volume of at least three candidates.
-        window: side of the window, in pixels of the volume; odd.
+    The volume has at least three candidates; ``window`` is the side of the window in its pixels, odd.
     """
     count = volume.vergences_per_m.size
     best, around, largest_product = best_candidates(volume.products, window)
@@ -120,13 +116,7 @@ def window_depth(volume: CostVolume, window: int) -> WindowDepth:
 
 
 def parabolic_peak(below: FloatArray, at: FloatArray, above: FloatArray) -> Peak:
-    """Vertex of the parabola through three equally spaced values, its place counted from the middle one.
-
-    Args:
-        below: any shape.
-        at: the same shape.
-        above: the same shape.
-    """
+    """Vertex of the parabola through three equally spaced values of one shape, counted from the middle one."""
     curvature = np.maximum(2.0 * at - below - above, 1e-12)
     shift = 0.5 * (above - below) / curvature
     return Peak(shift, at + 0.25 * (above - below) * shift, curvature, np.abs(shift) <= 1.0)
@@ -136,13 +126,8 @@ def quartic_peak(values: NDArray[np.float32]) -> Peak:
     """Maximum of the quartic through five values at every half step; its place counts in steps from the middle one.
 
     A parabola through three candidates leans by up to a tenth of a step where the maximum is as narrow as two steps:
-    0.9 % of the depth at the sides of the paper's field, calibrated from 0.23 to 0.71 m.
-
-    Args:
-        values: shape (5, ...).
-
-    Returns:
-        The peak within a step of the middle, of shape (...).
+    0.9 % of the depth at the sides of the paper's field, calibrated from 0.23 to 0.71 m. Values of shape (5, ...) give
+    the peak within a step of the middle, shape (...).
     """
     flat = np.ascontiguousarray(values, dtype=np.float32).reshape(5, -1)
     place, height, curvature, inside = *np.empty((3, flat.shape[1])), np.empty(flat.shape[1], dtype=np.bool_)
@@ -196,13 +181,8 @@ def _quartic_peaks(
 def spline_peaks(values: FloatArray) -> Peak:
     """Largest values of splines through equally spaced values; places are counted from the first one.
 
-    A parabola through three candidates has an error that is the same all over a frame.
-
-    Args:
-        values: shape (n, n_candidates).
-
-    Returns:
-        The peaks, of shape (n,).
+    A parabola through three candidates has an error that is the same all over a frame. Values of shape (n,
+    n_candidates) give n peaks.
     """
     fine = values @ _spline_table(values.shape[1]).T
     best = fine.argmax(axis=1)
@@ -223,15 +203,8 @@ def _spline_table(count: int) -> FloatArray:
 def standard_error(height: FloatArray, curvature: FloatArray, samples: float) -> FloatArray:
     """Standard error of the place of a correlation's maximum: the Cramer-Rao bound of a Gaussian pair of images.
 
-    With correlation rho over ``samples`` independent pairs of pixels, var = (1 - rho^2) / (samples rho |rho''|).
-
-    Args:
-        height: any shape, correlation at the maximum.
-        curvature: the same shape, -rho''.
-        samples: independent pairs of pixels.
-
-    Returns:
-        The same shape, in the unit of place.
+    With correlation rho over ``samples`` independent pairs of pixels, var = (1 - rho^2) / (samples rho |rho''|). The
+    height rho and the curvature -rho'' have any one shape, like the error, which is in the unit of place.
     """
     rho = np.clip(height, 1e-6, 1.0 - 1e-6)
     return np.sqrt((1.0 - rho**2) / (samples * rho * np.maximum(curvature, 1e-30)))
@@ -248,8 +221,8 @@ def best_candidates(
 
     Returns:
         Number of the best candidate, shape (n_y, n_x); the correlation at every half step from the candidate below to
-        the one above it (of the nearest candidate that has both neighbours), shape (5, n_y, n_x); the largest mean of
-        a b, shape (n_y, n_x).
+            the one above it (of the nearest candidate that has both neighbours), shape (5, n_y, n_x); the largest mean
+            of a b, shape (n_y, n_x).
     """
     shape = products.shape[2:]
     best, around = np.zeros(shape, dtype=np.intp), np.zeros((5, *shape), dtype=np.float32)

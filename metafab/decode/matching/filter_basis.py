@@ -97,14 +97,8 @@ def low_rank(
 def range_basis(table: NDArray[np.float32], error: float) -> NDArray[np.float32]:
     """Smallest orthonormal basis of a table's columns within a relative L2 error, by randomised range finding.
 
-    Halko, Martinsson and Tropp, SIAM Review 53, 217 (2011).
-
-    Args:
-        table: shape (n_rows, n_columns).
-        error: relative L2 error of the projection.
-
-    Returns:
-        Shape (n_rows, n_basis), at most 64 columns.
+    Halko, Martinsson and Tropp, SIAM Review 53, 217 (2011). A table of shape (n_rows, n_columns) gives the shape
+    (n_rows, n_basis), at most 64 columns.
     """
     most = min(_LARGEST_BASIS, *table.shape)
     probes = np.random.default_rng(0).standard_normal((table.shape[1], most)).astype(np.float32)

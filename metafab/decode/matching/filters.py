@@ -104,9 +104,7 @@ class CrossFilters:
     def within(self, rows: slice, columns: slice) -> CrossFilters:
         """The filters of a part of the window, with the same basis.
 
-        Args:
-            rows: downsampled pixels, whole blocks except at the window's end.
-            columns: likewise.
+        Rows and columns are downsampled pixels, whole blocks except at the window's end.
         """
         block = self.block
         blocks = (slice(at.start // block, -(-at.stop // block)) for at in (rows, columns))
@@ -116,12 +114,9 @@ class CrossFilters:
     def volume(
         self, spectra: NDArray[np.complex64], levels: Levels, lit: NDArray[np.bool_], progress: Progress
     ) -> CostVolume:
-        """Cost volume of the twins over the candidate depths.
+        """Cost volume of the twins over the candidate depths, from their downsampled transforms, shape (2, n_ky, n_kx).
 
-        Args:
-            spectra: shape (2, n_ky, n_kx), transforms of the downsampled twins.
-            levels: noise and texture of the frame.
-            lit: shape (n_y, n_x), whether a pixel is lit; blocks without a lit pixel are left out.
+        ``lit``, shape (n_y, n_x), says whether a pixel is lit; blocks without a lit pixel are left out.
         """
         kernels, power = self.basis.transforms(self.downsampling)
         weight = _likelihood_weight(levels, power, *self.downsampling.frequencies).astype(np.float32)

@@ -44,13 +44,9 @@ class Levels:
         return cls(signal, max(variance, 1e-12), texture, read_noise_e)
 
     def texture_spectrum(self, frequency_squared: FloatArray) -> FloatArray:
-        """Expected power of the sharp image, with amplitude 1/k as in natural scenes.
+        """Expected power of the sharp image, electrons squared, with amplitude 1/k as in natural scenes.
 
-        Args:
-            frequency_squared: any shape, squared frequency in (cycles a pixel)^2.
-
-        Returns:
-            Power of the same shape, electrons squared.
+        Squared frequencies, (cycles a pixel)^2, have any shape, which the power shares.
         """
         low = LOWEST_FREQUENCY**2
         return np.asarray(self.texture_rms**2 / (math.pi * math.log(0.25 / low)) / (frequency_squared + low))
@@ -58,12 +54,8 @@ class Levels:
     def likelihood_weight(self, power: FloatArray, frequency_squared: FloatArray) -> FloatArray:
         """Root of each frequency's share in the likelihood of a pair's depth, high-passed: 0 to 1.
 
-        Args:
-            power: any shape, mean squared transfer function of the pair.
-            frequency_squared: the same shape, (cycles a pixel)^2.
-
-        Returns:
-            The same shape.
+        The mean squared transfer function of the pair and the squared frequency, (cycles a pixel)^2, have any one
+        shape.
         """
         signal = power * self.texture_spectrum(frequency_squared)
         share = np.sqrt(2.0 * signal / (self.noise_variance + 2.0 * signal))

@@ -21,14 +21,9 @@ def mirrored(index: int, count: int) -> int:
 
 
 def window_means(pictures: NDArray[np.float32], window: int) -> NDArray[np.float32]:
-    """Means over a square window about each pixel; beyond an edge, the pictures are mirrored.
+    """Means over a square window of odd side about each pixel; beyond an edge, the pictures are mirrored.
 
-    Args:
-        pictures: shape (..., n_y, n_x).
-        window: side of the window, odd.
-
-    Returns:
-        Shape (..., n_y, n_x).
+    Pictures and means have the shape (..., n_y, n_x).
     """
     flat = np.ascontiguousarray(pictures).reshape(-1, *pictures.shape[-2:])
     out = np.empty_like(flat)
@@ -63,13 +58,9 @@ def _window_means(first: int, behind: int, pictures: NDArray[np.float32], reach:
 
 
 def halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Every second pixel of pictures (..., n_y, n_x), smoothed by (1, 2, 1) / 4 along both axes.
+    """Every second pixel of pictures, smoothed by (1, 2, 1) / 4 along both axes.
 
-    Args:
-        pictures: shape (..., n_y, n_x).
-
-    Returns:
-        Shape (..., ceil(n_y / 2), ceil(n_x / 2)).
+    The shape (..., n_y, n_x) becomes (..., ceil(n_y / 2), ceil(n_x / 2)).
     """
     flat = np.ascontiguousarray(pictures).reshape(-1, *pictures.shape[-2:])
     small = np.empty((flat.shape[0], *((n + 1) // 2 for n in flat.shape[1:])), dtype=np.float32)
@@ -94,15 +85,9 @@ def _halved(first: int, behind: int, pictures: NDArray[np.float32], out: NDArray
 
 
 def label_sums(pictures: NDArray[np.float32], label: NDArray[np.int32], count: int) -> FloatArray:
-    """Sums over the pixels of each label.
+    """Sums of pictures, shape (n, n_y, n_x), over the pixels of each label from 1: shape (n, count).
 
-    Args:
-        pictures: shape (n, n_y, n_x).
-        label: shape (n_y, n_x), numbers from 1; 0 for none.
-        count: the largest number.
-
-    Returns:
-        Shape (n, count).
+    ``label`` has the shape (n_y, n_x), 0 for none; ``count`` is the largest number.
     """
     sums = np.zeros((pictures.shape[0], count + 1))
     flat = pictures.reshape(pictures.shape[0], -1)

@@ -34,19 +34,13 @@ def compensated(
     calibration: Calibration,
     step: int,
 ) -> NDArray[np.complex64]:
-    """Correct filters for the pair's change over the field.
+    """Correct filters for the pair's change over the field; all frequencies are those of every ``step``-th pixel.
 
     Args:
-        filters: shape (2, n_candidates, n_field, m_y, m_x // 2 + 1), filters of the pair at each field point; they
-            are transforms of every ``step``-th pixel.
+        filters: shape (2, n_candidates, n_field, m_y, m_x // 2 + 1), filters of the pair at each field point.
         transfer: the shape of ``filters``, transfer functions H of the pair.
         total: shape (n_candidates, n_field, m_y, m_x // 2 + 1), sum of both |H|^2; positive.
         weight: shape (m_y, m_x // 2 + 1), weight that is common to both filtered images.
-        calibration: the pair and its field.
-        step: frame pixels from one pixel of the transforms to the next.
-
-    Returns:
-        Corrected filters, the shape of ``filters``.
     """
     gradient = field_gradient(calibration)
     if not gradient.any():

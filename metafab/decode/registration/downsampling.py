@@ -106,18 +106,11 @@ class Downsampling:
 
 
 def edge_taper(inner: int, margin: int, fade_share: float, size: int | None = None) -> FloatArray:
-    """A cosine taper: 1 over the inner pixels, falling to 0 over the outer part of the margins.
+    """A cosine taper: 1 over the inner pixels, falling to 0 over the outer part of the margins on both sides.
 
-    A step where a transform wraps round would be common to both images and pull the depth.
-
-    Args:
-        inner: pixels between the margins.
-        margin: pixels of each margin.
-        fade_share: share of the margin over which the taper falls.
-        size: length of the result; inner pixels and both margins by default.
-
-    Returns:
-        Shape (size,).
+    A step where a transform wraps round would be common to both images and pull the depth. ``fade_share`` is the share
+    of the margin over which the taper falls; its length ``size``, shape (size,), is by default that of inner pixels and
+    margins.
     """
     place = np.arange(inner + 2 * margin if size is None else size)
     outside = np.maximum(margin - place, place - (margin + inner - 1))

@@ -34,10 +34,8 @@ class Resampler:
     def of(cls, row: FloatArray, column: FloatArray, image_shape: tuple[int, int]) -> Resampler:
         """Interpolation of output pixel [i, j] at the place (row[i, j], column[i, j]) of an image.
 
-        Args:
-            row: shape (n_y, n_x), rising along the first axis.
-            column: shape (n_y, n_x).
-            image_shape: (n_y, n_x) of the images; beyond an edge, the value of the edge is taken.
+        Places have the shape (n_y, n_x), rows rising along the first axis. Beyond an edge of images of ``image_shape``,
+        the value of the edge is taken.
         """
         reach = _TAPS // 2
         first = int(np.clip(np.floor(row.min()) - reach, 0, image_shape[0] - 1))

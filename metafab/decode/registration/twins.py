@@ -90,12 +90,9 @@ class TwinGrid:
         pixel_um: float,
         margin: int,
     ) -> TwinGrid | None:
-        """The grid of all pixels of the calibrated field whose two images, blur included, lie in the frame.
+        """The grid of all pixels of the calibrated field whose two images, blur included, lie in the frame, or None.
 
         The x image is searched on its side of the midline between the two images of the axis.
-
-        Returns:
-            The grid; None if no pixel has both images in the frame.
         """
         n_y, n_x = frame_shape
         axis_x, axis_y = image_map.coefficients_um[0, :, 0, 0]
@@ -239,9 +236,8 @@ def _twin_maps(image_map: ImageMap, x_um: FloatArray, y_um: FloatArray) -> tuple
 def validated(counts: NDArray[Any], saturation: float) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Check the pixels of a frame, shape (n_rows, n_columns), which saturate at a level.
 
-    Returns:
-        Values in single precision, NaN where a pixel is not a number or too bright, and whether it is one of these or
-        saturated: both of shape (n_rows, n_columns).
+    Returns values in single precision, NaN where a pixel is not a number or too bright, and whether it is one of these
+    or saturated.
     """
     values = np.empty(counts.shape, dtype=np.float32)
     broken = np.empty(counts.shape, dtype=np.bool_)

@@ -23,13 +23,9 @@ def distance(mask: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 def nearest(mask: NDArray[np.bool_]) -> Nearest:
-    """Distance, row and column of the nearest pixel of a mask; of several equally near ones, any.
+    """Distance, row and column of the nearest pixel of a mask, shape (n_y, n_x) each; of equally near ones, any.
 
-    Args:
-        mask: shape (n_y, n_x).
-
-    Returns:
-        Three arrays of shape (n_y, n_x); for an empty mask, inf and the pixel itself.
+    For an empty mask they are inf and the pixel itself.
     """
     if not mask.any():
         row, column = np.meshgrid(*(np.arange(n, dtype=np.int32) for n in mask.shape), indexing="ij")

@@ -60,14 +60,9 @@ class Plane:
         return self.slope_per_m != (0.0, 0.0)
 
     def at(self, row: FloatArray, column: FloatArray) -> FloatArray:
-        """1/depth at places; at least a hundredth of that at the centre.
+        """1/depth (1/m) at places in downsampled pixels, scalars or arrays that broadcast.
 
-        Args:
-            row: scalar or array of any shape, downsampled pixels.
-            column: broadcast with ``row``.
-
-        Returns:
-            Vergence of the broadcast shape, 1/m.
+        It is at least a hundredth of that at the centre.
         """
         rise = self.slope_per_m[0] * (row - self.centre[0]) + self.slope_per_m[1] * (column - self.centre[1])
         return np.maximum(self.vergence_per_m + rise, 0.01 * self.vergence_per_m)
@@ -106,10 +101,8 @@ class Cells:
     def of(cls, volume: CostVolume, mask: NDArray[np.bool_], step: int, side_px: int = _CELL_PX) -> Cells:
         """Cells of a mask that hold at least a quarter of a whole cell.
 
-        Args:
-            mask: shape (n_y, n_x), downsampled pixels.
-            step: frame pixels from one downsampled pixel to the next.
-            side_px: side of a cell, frame pixels.
+        The mask, shape (n_y, n_x), has downsampled pixels of ``step`` frame pixels; ``side_px`` is the side of a cell
+        in frame pixels.
         """
         return cls.of_each(volume, mask.astype(np.int32), 1, step, side_px)[0]
 
@@ -227,10 +220,8 @@ def _least_median_of_squares(design: FloatArray, vergence: FloatArray, weight: F
 def ransac_planes(cells: Cells, side: int, separation_per_m: float) -> list[Plane]:
     """Find planes that span more than one layer by RANSAC, those of most cells first.
 
-    Args:
-        cells: of the whole picture, at most one at a place.
-        side: of a cell, downsampled pixels.
-        separation_per_m: vergence by which layers differ.
+    Cells are those of the whole picture, at most one at a place, of ``side`` downsampled pixels; layers differ by
+    ``separation_per_m`` of vergence.
     """
     remaining = np.isfinite(cells.error_per_m)
     near = np.hypot(cells.row[:, None] - cells.row, cells.column[:, None] - cells.column) <= _NEIGHBOURHOOD * side
@@ -291,10 +282,8 @@ def _connected_to(cells: Cells, chosen: NDArray[np.bool_], seed: int, side: int)
 def distinct_planes(planes: list[Plane], label: NDArray[np.int32], separation_per_m: float) -> list[Plane]:
     """Planes without those that continue the plane of a tilted neighbour; the larger segment's plane is kept.
 
-    Args:
-        planes: plane of each segment.
-        label: shape (n_y, n_x), numbers of the segments from 1.
-        separation_per_m: vergence by which planes differ; segments nearer than half of it are on one plane.
+    ``label``, shape (n_y, n_x), holds the numbers of the segments from 1. Planes differ by ``separation_per_m`` of
+    vergence; segments nearer than half of it are on one plane.
     """
     sizes = np.bincount(label.ravel(), minlength=len(planes) + 1)[1:]
     kept: list[int] = []

@@ -59,17 +59,9 @@ class PreparedFrame:
         levels: Levels | None = None,
         spill: tuple[tuple[int, float], ...] = (),
     ) -> PreparedFrame | str:
-        """Register and downsample a frame.
+        """Register and downsample a frame of the grid's shape, or return the reason why it cannot be decoded.
 
-        Args:
-            frame: of the grid's shape.
-            grid: place of its twins.
-            downsampling: of the grid's window.
-            levels: of an earlier frame in the same light; measured by default.
-            spill: of the calibration.
-
-        Returns:
-            The prepared frame, or the reason why the frame cannot be decoded.
+        Levels are those of an earlier frame in the same light, or measured; ``spill`` is that of the calibration.
         """
         level_e = pedestal_e(frame) if levels is None else levels.pedestal_e
         frame = without_pedestal(frame, level_e)

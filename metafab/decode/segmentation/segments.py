@@ -54,14 +54,9 @@ class SegmentDepth:
 
 
 def depth_layers(pixels: PixelDepth, separation_per_m: float) -> FloatArray:
-    """Vergences of layers: peaks of the histogram of the pixels' depths, strongest first.
+    """Vergences (1/m) of layers: peaks of the histogram of the pixels' depths, strongest first, shape (n_layers,).
 
-    Args:
-        pixels: depth of each pixel.
-        separation_per_m: peaks nearer to each other than 1.5 of this are one layer.
-
-    Returns:
-        Shape (n_layers,), 1/m.
+    Peaks nearer to each other than 1.5 times ``separation_per_m`` are one layer.
     """
     claimed = pixels.claimed
     if not claimed.any():
@@ -94,7 +89,7 @@ def assign_layers(
     allowed: NDArray[np.bool_] | None = None,
     outline_rounds: int = ROUNDS,
 ) -> NDArray[np.int32]:
-    """Assign each pixel to the layer at whose depth the twins correlate best about it.
+    """Assign each pixel to the layer at whose depth the twins correlate best about it: shape (n_y, n_x), from 1.
 
     Args:
         layers: depths of the layers over the picture.
@@ -104,9 +99,6 @@ def assign_layers(
         lit: shape (n_y, n_x), whether a pixel is lit.
         allowed: shape (n_layers, n_y, n_x), where each layer may be; everywhere by default.
         outline_rounds: most rounds of the refinement of outlines.
-
-    Returns:
-        Number of each pixel's layer from 1, shape (n_y, n_x).
     """
     flat = np.array([plane.vergence_per_m for plane in layers])
     tilted = any(plane.tilted for plane in layers)
@@ -133,19 +125,11 @@ def assign_layers(
 def connected_segments(
     layer: NDArray[np.int32], lit: NDArray[np.bool_], window_px: int, step: int
 ) -> NDArray[np.int32]:
-    """Number the connected lit pixels of each layer.
+    """Number the connected lit pixels of each layer from 1: shape (n_y, n_x), 0 for none.
 
     Specks are left out, and so is a part smaller than a window next to a larger one: it is the mixture of depths along
-    an outline.
-
-    Args:
-        layer: shape (n_y, n_x), numbers of the layers from 1.
-        lit: shape (n_y, n_x), whether a pixel is lit.
-        window_px: side of a window, frame pixels.
-        step: frame pixels from one downsampled pixel to the next.
-
-    Returns:
-        Number of each pixel's segment from 1, 0 for none: shape (n_y, n_x).
+    an outline. ``window_px`` is the side of a window in frame pixels, ``step`` the frame pixels from one downsampled
+    pixel to the next.
     """
     segment = np.zeros(layer.shape, dtype=np.int32)
     count = 0
@@ -167,15 +151,7 @@ def connected_segments(
 
 
 def opened(mask: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
-    """Morphological opening by a cross, ``steps`` times; ten times faster than SciPy's ``binary_opening``.
-
-    Args:
-        mask: shape (n_y, n_x).
-        steps: pixels of erosion and of dilation.
-
-    Returns:
-        Shape (n_y, n_x).
-    """
+    """Morphological opening of a mask, shape (n_y, n_x), by a cross, ``steps`` times; ten times faster than SciPy's."""
     for combine in (np.logical_and, np.logical_or):
         for _ in range(steps):
             wide = np.pad(mask, 1)
@@ -224,17 +200,10 @@ def _segment(tilt: Plane | None, vergence: float, error: float, height: float, p
 
 
 def interior(segment: NDArray[np.int32], number: int, step: int) -> NDArray[np.bool_]:
-    """The pixels of a segment away from other segments, as far as a fifth of them remain.
+    """The pixels of a segment away from other segments, shape (n_y, n_x), as far as a fifth of them remain.
 
-    Next to another depth the pair's lobes mix both; next to darkness there is nothing to mix.
-
-    Args:
-        segment: shape (n_y, n_x), numbers of the segments from 1.
-        number: of the segment.
-        step: frame pixels from one downsampled pixel to the next.
-
-    Returns:
-        Shape (n_y, n_x).
+    Next to another depth the pair's lobes mix both; next to darkness there is nothing to mix. ``segment`` holds the
+    numbers of the segments from 1; ``step`` is the frame pixels from one downsampled pixel to the next.
     """
     mask: NDArray[np.bool_] = segment == number
     others = (segment > 0) & ~mask
@@ -250,12 +219,9 @@ def interior(segment: NDArray[np.int32], number: int, step: int) -> NDArray[np.b
 
 
 def is_textured(region: NDArray[np.bool_], texture: NDArray[np.bool_], reach: int) -> bool:
-    """Whether a region shows texture away from its outline; True for one too small to have an interior.
+    """Whether a region, shape (n_y, n_x), of connected lit pixels shows texture away from its outline.
 
-    Args:
-        region: shape (n_y, n_x), connected lit pixels.
-        texture: shape (n_y, n_x), whether a window shows texture.
-        reach: distance from which a window contains the outline, pixels.
+    True for one too small to have an interior. From ``reach`` pixels on a window contains the outline.
     """
     inner = distance_transform_cdt(np.pad(region, 1), metric="taxicab")[1:-1, 1:-1] > reach
     return not inner.any() or float(texture[inner].mean()) > _LEAST_TEXTURED
@@ -272,14 +238,8 @@ def fragment_targets(depths: Sequence[SegmentDepth], label: NDArray[np.int32]) -
     """The segment that each segment is merged into: itself, or a much larger neighbour of the same depth.
 
     Along outlines, in shadows and at the picture's rim, narrow strips become segments whose depths have large errors.
-    Such a fragment belongs to a neighbour if their depths do not differ significantly.
-
-    Args:
-        depths: of the segments from 1.
-        label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
-
-    Returns:
-        Shape (len(depths) + 1,): number of the target by the number of the segment; 0 for 0.
+    Such a fragment belongs to a neighbour if their depths do not differ significantly. Depths are those of the segments
+    from 1, ``label``, shape (n_y, n_x), has 0 for none; targets have the shape (len(depths) + 1,), 0 for 0.
     """
     count = len(depths) + 1
     target = np.arange(count, dtype=np.int32)
@@ -303,15 +263,7 @@ def fragment_targets(depths: Sequence[SegmentDepth], label: NDArray[np.int32]) -
 
 
 def adjacency(label: NDArray[np.int32], count: int) -> NDArray[np.bool_]:
-    """Whether segments touch each other.
-
-    Args:
-        label: shape (n_y, n_x), numbers of the segments from 1; 0 for none.
-        count: the largest number plus one.
-
-    Returns:
-        Shape (count, count).
-    """
+    """Whether segments, numbers in ``label`` below ``count``, touch each other: shape (count, count)."""
     adjacent = np.zeros(count * count, dtype=bool)
     for one, other in ((label[:-1], label[1:]), (label[:, :-1], label[:, 1:])):
         codes = np.bincount((one * np.int32(count) + other).ravel(), minlength=count * count)

@@ -61,15 +61,10 @@ class MiddleRange:
         return cls(margin, size, np.asarray(transforms, dtype=np.float32))
 
     def energy(self, mass: Float32Array, width_nm: Float32Array, length_nm: Float32Array) -> Float32Array:
-        """Energy at the centres and at the edges of the pillars of a tile.
+        """Energy of a tile's pillars at the centre and at the x and the y edges (means): shape (3, n_y, n_x).
 
-        Args:
-            mass: shape (n_y + 2 margin, n_x + 2 margin), dose times area, nm^2; 0 where no pillar stands.
-            width_nm: shape (n_y + 2 margin, n_x + 2 margin).
-            length_nm: shape (n_y + 2 margin, n_x + 2 margin).
-
-        Returns:
-            Shape (3, n_y, n_x): at the centre, mean of the x edges, mean of the y edges.
+        Mass (dose times area, nm^2; 0 where no pillar stands), width and length have the shape (n_y + 2 margin, n_x + 2
+        margin).
         """
         shape, m = (self.size, self.size), self.margin
         n_y, n_x = mass.shape[0] - 2 * m, mass.shape[1] - 2 * m
@@ -94,12 +89,9 @@ class LongRange:
 
     @classmethod
     def of(cls, psf: BeamPsf, block_mass: FloatArray, period_nm: tuple[float, float]) -> LongRange | None:
-        """Convolve masses of blocks.
+        """Convolve masses of blocks (dose times area, nm^2), shape (blocks_y, blocks_x), with the long Gaussians.
 
-        Args:
-            psf: the long Gaussians.
-            block_mass: shape (blocks_y, blocks_x), dose times area, nm^2.
-            period_nm: lattice period (x, y); a block has :data:`BLOCK_SITES` sites a side.
+        A block has :data:`BLOCK_SITES` sites of the lattice period a side.
         """
         if psf.range_nm.size == 0:
             return None

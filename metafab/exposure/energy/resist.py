@@ -81,15 +81,10 @@ class ResistEnergy:
         work: Callable[[TileEnergy], FloatArray],
         tiles: Sequence[tuple[slice, slice]] | None = None,
     ) -> Iterator[tuple[tuple[slice, slice], FloatArray]]:
-        """Compute the energy of each tile and apply ``work`` to it, in the threads of ``executor``.
+        """Compute the energy of each tile and apply ``work`` to it, in threads; yield rows, columns and its array.
 
-        Args:
-            dose: shape (n_y, n_x) of the lattice, relative to the base dose.
-            work: called with each tile, returns an array of any shape.
-            tiles: some of ``tiles``; all by default.
-
-        Yields:
-            The tile's rows and columns, and the result of ``work``.
+        Doses, shape (n_y, n_x) of the lattice, are relative to the base dose. ``tiles`` are some of the tiles; all by
+        default.
         """
         long_range = self._long_range(dose, executor)
 
@@ -101,10 +96,8 @@ class ResistEnergy:
     def direct(self, dose: Float32Array, row: int, column: int) -> FloatArray:
         """Compute the energy at one pillar as a direct sum over all in reach, the reference of :meth:`map_tiles`.
 
-        Doses have the shape (n_y, n_x) of the lattice and are relative to the base dose.
-
-        Returns:
-            Shape (3,): at the centre, mean of the x edges, mean of the y edges; the pillar itself included.
+        Doses have the shape (n_y, n_x) of the lattice and are relative to the base dose. The energy, shape (3,), is
+        that at the centre, the mean of the x edges and that of the y edges; the pillar itself included.
         """
         reach = math.ceil(5.0 * float(self.psf.range_nm.max()) / min(self.period_nm)) + 1
         top, left = max(0, row - reach), max(0, column - reach)

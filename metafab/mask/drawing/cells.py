@@ -57,12 +57,10 @@ def pillar_stamp(
     variant: Variant = PLAIN,
     outline: Outline = RECTANGLE,
 ) -> Stamp:
-    """Return the stamp of centred pillars of one dose class and one variant of the lens.
+    """Return the stamp of centred pillars of one dose class and one variant (bias and dose) of the lens.
 
-    Args:
-        size_dbu: shape (n_sizes + 1, 2), width and length without the bias; row 0 means no pillar.
-        datatype: datatype of dose class 0 of the variant; the others follow.
-        variant: bias and dose of the copies.
+    Sizes, shape (n_sizes + 1, 2), are without the bias; row 0 means no pillar. ``datatype`` is that of dose class 0 of
+    the variant; the others follow.
     """
     drawn = size_dbu.astype(np.int64) + variant.bias_dbu
     tag = f"_D{dose_class:02d}" if dose_class else ""

@@ -17,16 +17,7 @@ def boxes_of(rectangles: IntArray) -> IntArray:
 
 
 def require_clear_of_lenses(design: Design, key: str, boxes: IntArray, name: str) -> None:
-    """Refuse boxes that reach into a lens.
-
-    Args:
-        key: table of the boxes in the design.
-        boxes: shape (n, 4), database units.
-        name: description of the shapes.
-
-    Raises:
-        InputError: a box touches a lens.
-    """
+    """Refuse boxes of a design's table ``key``, shape (n, 4), database units, that reach into a lens: InputError."""
     half = aperture_dbu(design) // 2
     for number, copy in enumerate(lens_copies(design), start=1):
         at = np.array([copy.x_dbu, copy.y_dbu])
@@ -41,17 +32,7 @@ def require_clear_of_lenses(design: Design, key: str, boxes: IntArray, name: str
 
 
 def require_apart(design: Design, key: str, boxes: IntArray, others: IntArray, name: str) -> None:
-    """Refuse boxes, shape (n, 4), that touch ``others``, shape (m, 4), described by ``name``.
-
-    Args:
-        key: table of the boxes in the design.
-        boxes: shape (n, 4), database units.
-        others: shape (m, 4), database units.
-        name: description of the other shapes.
-
-    Raises:
-        InputError: two boxes touch.
-    """
+    """Refuse boxes of a table ``key`` of the design, shape (n, 4), that touch ``others``, shape (m, 4): InputError."""
     for left, bottom, right, top in boxes.tolist():
         touching = (others[:, 0] <= right) & (others[:, 2] >= left) & (others[:, 1] <= top) & (others[:, 3] >= bottom)
         if touching.any():

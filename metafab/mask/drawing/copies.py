@@ -108,9 +108,8 @@ class OtherCopies:
     def without(self, rectangles: IntArray, shift: IntArray) -> IntArray:
         """Return the rectangles whose centres lie in no other copy, shape (m, 4), not shifted.
 
-        Args:
-            rectangles: shape (n, 4), x, y, width, height in file units.
-            shift: shape (2,), to be added to x and y.
+        Rectangles (x, y, width, height), shape (n, 4), are in file units; ``shift``, shape (2,), is to be added to x
+        and y.
         """
         if not self._centres or not len(rectangles):
             return rectangles

@@ -34,11 +34,8 @@ def width_squares(text: str) -> int:
 def text_rectangles(text: str, square: int) -> IntArray:
     """Draw ``text`` in one line from (0, 0) to the right, in capitals, of squares with the side ``square``.
 
-    Returns:
-        Shape (n, 4), x, y, width, height; a run of squares along x is one rectangle, and no two rectangles overlap.
-
-    Raises:
-        InputError: the font lacks a character.
+    A run of squares along x is one rectangle (x, y, width, height), shape (n, 4), and no two rectangles overlap.
+    InputError if the font lacks a character.
     """
     unknown = sorted(set(text.upper()) - set(_GLYPHS))
     if unknown:

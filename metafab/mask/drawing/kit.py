@@ -88,10 +88,9 @@ def require_clear_kit(
 
 
 def windows(marks: IntArray, margin_dbu: int) -> IntArray:
-    """Grow the bounding box (left, bottom, right, top) of each mark, shape (n, 4), by a margin.
+    """Grow the bounding box (left, bottom, right, top) of each mark by a margin; shape (n, 4).
 
-    Returns:
-        Shape (n, 4), rectangles (x, y, width, height).
+    The windows are x, y, width and height, shape (n, 4).
     """
     low, high = marks[:, :2] - margin_dbu, marks[:, 2:] + margin_dbu
     return np.concatenate([low, high - low], axis=1)

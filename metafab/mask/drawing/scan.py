@@ -21,15 +21,10 @@ class Scan:
 def sorted_by_size(
     size_index: NDArray[np.uint16], sizes: int, scan: Scan
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
-    """Sort the pillars of a tile by size, strip and line.
+    """Sort the pillars of a tile of size indices, shape (n_y, n_x), by size, strip and line.
 
-    Args:
-        size_index: shape (n_y, n_x), 0 for no pillar.
-        sizes: number of rows of the size table, index 0 included.
-        scan: order within a size.
-
-    Returns:
-        Row and column of each pillar, shape (n_pillars,) each; and the end of each size in the list, shape (sizes,).
+    Returns row and column of each pillar, shape (n_pillars,) each; and the end of each size in the list, shape
+    (sizes,).
     """
     # One layout in memory, so that one form is compiled.
     return _sorted_by_size(np.ascontiguousarray(size_index), sizes, scan.along_y, scan.strip_sites)

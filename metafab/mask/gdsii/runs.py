@@ -51,10 +51,7 @@ class Window:
     def repeats(self, start: int, stride: int, xy: tuple[int, int]) -> int:
         """Count the elements from ``start`` on that equal the first outside their coordinates; at least 1.
 
-        Args:
-            start: position of the first element.
-            stride: bytes of an element.
-            xy: offset of the coordinates in an element in bytes, and number of words.
+        Elements have ``stride`` bytes; ``xy`` is the offset of their coordinates in bytes, and the number of words.
         """
         count = 0
         self._load(start, stride)
@@ -97,15 +94,10 @@ def _equal_rows(rows: NDArray[np.uint16], first: NDArray[np.uint16], xy_start: i
 
 
 def rectangles_of(elements: NDArray[np.uint8], first: int) -> tuple[IntArray, NDArray[np.bool_]]:
-    """Convert elements with rings of five points to rectangles.
+    """Convert elements with rings of five points, shape (n, stride) bytes, to bounding boxes, shape (n, 4).
 
-    Args:
-        elements: shape (n, stride), the bytes of one element per row.
-        first: offset of the ten coordinates, big-endian words, in a row.
-
-    Returns:
-        Shape (n, 4), x, y, width, height of the bounding box; and shape (n,), whether the ring is an axis-parallel
-        rectangle, in either sense and from any corner.
+    ``first`` is the offset of the ten coordinates, big-endian words. Boxes are x, y, width and height. Also returns
+    whether the ring, shape (n,), is an axis-parallel rectangle, in either sense and from any corner.
     """
     if first % 4 or elements.shape[1] % 4:
         elements, first = np.ascontiguousarray(elements[:, first : first + 40]), 0

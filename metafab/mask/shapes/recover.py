@@ -58,14 +58,9 @@ class Recovery:
         self.size_index: SizeIndexArray = np.zeros(lattice.shape, dtype=np.uint16)
 
     def add(self, rectangles: IntArray, shift: IntArray) -> None:
-        """Put rectangles at their sites.
+        """Put rectangles (x, y, width, height), shape (n, 4), file units, moved by ``shift``, (2,), at their sites.
 
-        Args:
-            rectangles: shape (n, 4), x, y, width, height in file units.
-            shift: shape (2,), to be added to x and y.
-
-        Raises:
-            InputError: more sizes than indices.
+        InputError for more sizes than indices.
         """
         verdict = np.empty(len(rectangles), dtype=np.uint8)
         failures = _place(

@@ -90,10 +90,8 @@ class Crystal:
     def plane_wave_jones(self, kappa_x: FloatArray, kappa_y: FloatArray) -> ComplexArray:
         """Return the Jones matrix of a plane wave from the air to the pillars, relative to the ordinary path.
 
-        The direction cosines along x and y in the air have any shape.
-
-        Returns:
-            Shape (2, 2, ...): [pillar polarisation, incident polarisation], amplitudes per square root of the flux.
+        The direction cosines along x and y in the air have any shape. The matrix, shape (2, 2, ...), is indexed [pillar
+        polarisation, incident polarisation], amplitudes per square root of the flux.
         """
         ordinary, extraordinary = self.normal_components(kappa_x, kappa_y)
         return self._jones(kappa_x, kappa_y, self.substrate.thickness_um * (extraordinary - ordinary))
@@ -101,16 +99,10 @@ class Crystal:
     def jones(
         self, x_um: FloatArray, y_um: FloatArray, vergence_per_um: float, tangent: tuple[float, float]
     ) -> ComplexArray:
-        """Return the Jones matrix at the lens points (x, y) for an object, relative to the ordinary path there.
+        """Return the Jones matrix at the lens points (x, y), any shape, relative to the ordinary path there.
 
-        Args:
-            x_um: lens points, any shape.
-            y_um: the same shape.
-            vergence_per_um: 1 / depth of the object.
-            tangent: (x/z, y/z) of the object.
-
-        Returns:
-            Shape (2, 2, ...), as :meth:`plane_wave_jones`.
+        Its shape is (2, 2, ...), as that of :meth:`plane_wave_jones`; the object has a vergence and a tangent (x/z,
+        y/z).
         """
         thickness_um = self.substrate.thickness_um
         kappa_x, kappa_y = self.plate.direction_cosines(x_um, y_um, vergence_per_um, tangent)

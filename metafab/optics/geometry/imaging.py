@@ -129,19 +129,10 @@ class Imaging:
 
 
 def depth_nodes(imaging: Imaging, z_min_m: float, z_max_m: float, target_error: float) -> FloatArray:
-    """Return depths between which cubic interpolation in vergence keeps to ``target_error``.
+    """Return depths between which cubic interpolation in vergence keeps to ``target_error``, relative L2: shape (n,).
 
-    Args:
-        imaging: geometry; the rim defocus k R^2 / 2 (1/z_min - 1/z_max) sets the number of nodes.
-        z_min_m: nearest depth.
-        z_max_m: farthest depth; ``math.inf`` is allowed.
-        target_error: relative L2 error of the irradiance.
-
-    Returns:
-        Shape (n,), ascending, uniform in 1/z, both ends included.
-
-    Raises:
-        InputError: the depths are not positive and ascending.
+    They ascend, uniform in 1/z, both ends included; ``z_max_m`` may be infinite. The rim defocus k R^2 / 2 (1/z_min -
+    1/z_max) sets their number. InputError if the depths are not positive and ascending.
     """
     if not 0.0 < z_min_m < z_max_m:
         expected = "0 < nearest < farthest depth"

@@ -21,10 +21,8 @@ _REACH_PX, _NEWTON_STEPS = 6, 12
 def main_lobe_px(psf: FloatArray) -> tuple[float, float, float]:
     """Return the position and height of the highest maximum, by a quintic spline through the pixels around it.
 
-    The irradiance, shape (n_y, n_x), is sampled at or above its Nyquist rate.
-
-    Returns:
-        (x, y) in pixels from the centre pixel ``[n_y // 2, n_x // 2]``, and the irradiance there.
+    The irradiance, shape (n_y, n_x), is sampled at or above its Nyquist rate. The position is (x, y) in pixels from the
+    centre pixel ``[n_y // 2, n_x // 2]``.
     """
     n_y, n_x = psf.shape
     row, column = divmod(int(np.argmax(psf)), n_x)
@@ -124,10 +122,8 @@ def rotation_deg(psf: Psf) -> float:
 def depth_of_field_dioptre(psf: Psf, share: float = 0.8) -> FloatArray:
     """Return the span of vergence about the brightest depth over which the peak exceeds ``share`` of the highest.
 
-    Peaks are linear between depths. If the span reaches an end of the stack, the value is a lower bound.
-
-    Returns:
-        Shape (2,), dioptre.
+    Its shape is (2,). Peaks are linear between depths. If the span reaches an end of the stack, the value is a lower
+    bound.
     """
     peaks, vergence = peak_irradiance(psf), 1.0 / psf.depth_m
     spans = []

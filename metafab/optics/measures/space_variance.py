@@ -75,15 +75,10 @@ def aberration_dioptre(
 
 
 def depth_bias_dioptre(psf: Psf) -> FloatArray:
-    """Return the apparent minus the true vergence over the field, at the middle depth of the stack.
+    """Return the apparent minus the true vergence over the field, shape (2, n_y, n_x), at the stack's middle depth.
 
-    The apparent vergence is that of the PSF on the axis with the largest correlation with the PSF at the field point.
-
-    Returns:
-        Shape (2, n_y, n_x); NaN where the correlation is largest at an end of the stack.
-
-    Raises:
-        ValueError: the stack has no field.
+    The apparent vergence is that of the PSF on the axis with the largest correlation with the PSF at the field point;
+    NaN where that is at an end of the stack. ValueError for a stack without a field.
     """
     if psf.field is None:
         raise ValueError("`psf`: expected a stack with a field of view, got the axis alone")

@@ -119,18 +119,9 @@ def _largest_error(pyramids: list[list[Pupil]], depths_m: list[float], case: tup
 def require_memory(
     source: Source, block: int, field: str, expected: str, remedy: str, most_blocks: int = MOST_BLOCKS
 ) -> None:
-    """Refuse blocks whose sums do not fit into memory.
+    """Refuse blocks of ``block`` sites a side if there are more than ``most_blocks``: InputError.
 
-    Args:
-        source: field behind the metasurface.
-        block: sites along a side of a block.
-        field: input that requires this block size.
-        expected: start of the phrase for its valid values.
-        remedy: advice.
-        most_blocks: memory limit.
-
-    Raises:
-        InputError: there are more than ``most_blocks`` blocks.
+    ``field`` is the input that requires this size, ``expected`` the start of the phrase for its valid values.
     """
     n_y, n_x = source.lattice.shape
     blocks = -(-n_y // block) * -(-n_x // block)

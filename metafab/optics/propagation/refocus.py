@@ -17,15 +17,9 @@ from metafab.optics.propagation.pupil import Pupil
 def refocus(pupil: Pupil, ray: Ray, wavenumber: float) -> SingleComplexArray:
     """Return sums and moments with the path and incident amplitude of ``ray`` in place of the carrier's.
 
-    The change of phase is followed to second order in the block size. The carrier's path is always that in air.
-
-    Args:
-        pupil: block sums behind the carrier.
-        ray: new ray, with or without a plate.
-        wavenumber: k of the new ray, rad/um.
-
-    Returns:
-        Shape (3, n_y, n_x), or (1, n_y, n_x) for blocks of one site.
+    The change of phase is followed to second order in the block size. The carrier's path is always that in air; the new
+    ray has a wave number of its own, with or without a plate. Their shape is (3, n_y, n_x), or (1, n_y, n_x) for blocks
+    of one site.
     """
     orders = 1 if pupil.carrier.block_sites == 1 else 3
     blocks = np.empty((orders, *pupil.power.shape), dtype=np.complex64)

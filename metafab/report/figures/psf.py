@@ -181,12 +181,9 @@ def wavefront_map(front: AberrationFigures, axes: Axes) -> Axes:
 def modulation(
     frequency_per_mm: FloatArray, curves: Mapping[str, FloatArray], axes: Axes, lens: Sequence[FloatArray] = ()
 ) -> Axes:
-    """Draw the modulation transfer over spatial frequency.
+    """Draw the modulation transfer over spatial frequency on the sensor, shape (n,).
 
-    Args:
-        frequency_per_mm: shape (n,), spatial frequency on the sensor.
-        curves: shape (n,) each, transfer by the name of its depth.
-        lens: shape (n,) each, transfer of a standard lens at these depths.
+    ``curves`` and ``lens``, those of a standard lens, hold the transfer, shape (n,), by the name of its depth.
     """
     for transfer, style in zip(lens, ("-", "--", ":"), strict=False):
         label = "standard lens" if style == "-" else None

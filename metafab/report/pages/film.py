@@ -43,12 +43,7 @@ _KINDS = (".gif", ".mp4")
 
 
 def require_film_name(path: Path) -> None:
-    """Check the file name of a film.
-
-    Raises:
-        InputError: the name ends with neither .gif nor .mp4.
-        MissingToolError: the name ends with .mp4 and ffmpeg is not installed.
-    """
+    """Raise InputError unless a name ends with .gif or .mp4, and MissingToolError for .mp4 without ffmpeg."""
     if path.suffix.lower() not in _KINDS:
         raise InputError.single("film", "output", "a name ending with .gif or .mp4", str(path))
     if path.suffix.lower() == ".mp4" and shutil.which("ffmpeg") is None:

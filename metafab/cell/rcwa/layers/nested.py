@@ -76,15 +76,10 @@ def _rounded(cell: PillarCell, width_nm: float, length_nm: float, steps: int) ->
 def nested_matrices(
     bases: Sequence[TransverseBasis], k0_per_nm: float, eps_pillar: complex, eps_around: complex
 ) -> tuple[Matrix, Matrix]:
-    """P and Q of the layer in the (TM, TE) basis.
+    """P and Q of the layer in the (TM, TE) basis, each of shape (n, n).
 
-    Args:
-        bases: symmetry class with the outline of each rectangle, from the widest to the longest.
-        eps_pillar: permittivity of the pillar; a real number gives real matrices.
-        eps_around: permittivity around the pillar.
-
-    Returns:
-        P and Q, each of shape (n, n).
+    ``bases`` hold the symmetry class with the outline of each rectangle, from the widest to the longest. A real
+    permittivity of the pillar gives real matrices.
     """
     u_b, v_a = [basis.u.b for basis in bases], [basis.v.a for basis in bases]
     added_v = [v_a[0], *(v - shorter for shorter, v in pairwise(v_a))]

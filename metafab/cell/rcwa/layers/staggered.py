@@ -35,16 +35,10 @@ class Strips(NamedTuple):
 def staggered_matrices(
     basis: TransverseBasis, gap: TransverseBasis, k0_per_nm: float, eps_pillar: complex, eps_around: complex
 ) -> tuple[Matrix, Matrix]:
-    """P and Q of the layer in the (TM, TE) basis.
+    """P and Q of the layer in the (TM, TE) basis, each of shape (n, n).
 
-    Args:
-        basis: symmetry class with the first pillar's outline.
-        gap: the same class with the outline of the gap that the second pillar leaves around the origin.
-        eps_pillar: permittivity of the pillars; a real number gives real matrices.
-        eps_around: permittivity around them.
-
-    Returns:
-        P and Q, each of shape (n, n).
+    ``basis`` is the symmetry class with the first pillar's outline, ``gap`` that with the outline of the gap that the
+    second pillar leaves around the origin. A real permittivity of the pillars gives real matrices.
     """
     u_a, u_b = _strips(basis.u.a, gap.u.a), _strips(basis.u.b, gap.u.b)
     v_a, v_b = _strips(basis.v.a, gap.v.a), _strips(basis.v.b, gap.v.b)
@@ -69,12 +63,8 @@ def _permittivity(
 ) -> Matrix:
     """Permittivity by the direct rule over strips, and by the inverse rule across the walls in each strip.
 
-    Args:
-        strips: indicators along the axis that the field is tangential to.
-        across: indicators along the axis that the field is normal to.
-        eps_pillar: permittivity of the pillars.
-        eps_around: permittivity around them.
-        strip_first: whether the axis of the strips is the first factor of the Kronecker products.
+    ``strips`` and ``across`` are indicators along the axes that the field is tangential and normal to; ``strip_first``
+    says whether the axis of the strips is the first factor of the Kronecker products.
     """
 
     def product(strip: Matrix, rule: Matrix) -> Matrix:
