@@ -42,10 +42,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
-    __getattr__ = further_names(
-        __name__,
-        {
-            "metafab.mask.read": "Shapes",
-            "metafab.mask.shapes.recover": "Leftover",
-        },
-    )
+    __getattr__ = further_names(__name__, {"metafab.mask.read": "Shapes", "metafab.mask.shapes.recover": "Leftover"})

@@ -135,11 +135,7 @@ def open_library(job: Job) -> Library:
     if not library_is_current(job):
         with job.work.processes() as executor:
             return library.build_file(
-                job.design.unit_cell,
-                path,
-                executor=executor,
-                progress=job.work.progress,
-                every_size=not job.skips,
+                job.design.unit_cell, path, executor=executor, progress=job.work.progress, every_size=not job.skips
             )
     return _OPENED.of(file_mark(path), lambda: library.load(path))
 

@@ -11,13 +11,7 @@
 """
 
 from metafab.cell.elements.adjoint import OrderGradients, order_gradients
-from metafab.cell.elements.solve import (
-    ElementNumerics,
-    orders_at,
-    scattered_by_row,
-    solve_supercell,
-    supercell_orders,
-)
+from metafab.cell.elements.solve import ElementNumerics, orders_at, scattered_by_row, solve_supercell, supercell_orders
 
 __all__ = [
     "ElementNumerics",

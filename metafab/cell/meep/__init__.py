@@ -33,9 +33,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
-    __getattr__ = further_names(
-        __name__,
-        {
-            "metafab.cell.problem": "solve_many",
-        },
-    )
+    __getattr__ = further_names(__name__, {"metafab.cell.problem": "solve_many"})

@@ -26,8 +26,7 @@ Gain = Annotated[
     float, typer.Option("--electrons-per-count", metavar="E", help="Gain of the camera [for its own files].")
 ]
 ReadNoise = Annotated[
-    float,
-    typer.Option("--read-noise-e", min=0.0, metavar="E", help="Read noise of the camera [for its own files]."),
+    float, typer.Option("--read-noise-e", min=0.0, metavar="E", help="Read noise of the camera [for its own files].")
 ]
 White = Annotated[
     float | None,
@@ -159,8 +158,7 @@ def decode_command(
     read_noise_e: ReadNoise = 0.0,
     white: White = None,
     fast: Annotated[
-        bool,
-        typer.Option("--fast", help="Faster: segments are not refined, and confidence counts noise only."),
+        bool, typer.Option("--fast", help="Faster: segments are not refined, and confidence counts noise only.")
     ] = False,
     json_: Json = False,
 ) -> None:

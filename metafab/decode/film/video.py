@@ -232,13 +232,7 @@ class VideoDecoder:
             numerics, here = self.decoder.numerics, pixels.within(*around)
             # Segments that continue keep their depth: outliers are left out of the others once.
             current = find_regions(
-                local,
-                local_volume,
-                here,
-                known,
-                numerics.outline_rounds,
-                refined=numerics.refined,
-                robust_rounds=1,
+                local, local_volume, here, known, numerics.outline_rounds, refined=numerics.refined, robust_rounds=1
             )
             tracked = track(regions, current, part, around, renewed, separation)
             regions, number = tracked.regions, tracked.number[number]

@@ -17,14 +17,7 @@ from scipy import fft
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
 from metafab.information.texture import PointSource, Texture
 from metafab.information.twin_images import twin_information
-from metafab.phase.pupil import (
-    NyquistImages,
-    Pupil,
-    phasor,
-    pupil_field,
-    rim_defocus_per_dioptre_rad,
-    rim_defocus_rad,
-)
+from metafab.phase.pupil import NyquistImages, Pupil, phasor, pupil_field, rim_defocus_per_dioptre_rad, rim_defocus_rad
 from metafab.phase.terms.helices import DoubleHelixPhase, SpiralZonesPhase
 from metafab.phase.terms.profile import Term
 

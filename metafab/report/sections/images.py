@@ -90,11 +90,7 @@ def comparison(run: RunFolder, drawn: Drawn) -> str:
         return ""
     figures = comparison_figures(result)
     rows = [
-        [
-            escape(name),
-            html.number(100.0 * figures.depth_error[name]),
-            html.number(100.0 * figures.depth_bound[name]),
-        ]
+        [escape(name), html.number(100.0 * figures.depth_error[name]), html.number(100.0 * figures.depth_bound[name])]
         for name in result.methods
     ]
     caption = (

@@ -20,12 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from metafab.cell.rcwa.basis.coordinates import (
-    Formulation,
-    IntArray,
-    cosine_integrals_upto,
-    map_intervals,
-)
+from metafab.cell.rcwa.basis.coordinates import Formulation, IntArray, cosine_integrals_upto, map_intervals
 from metafab.core.conventions import FloatArray
 
 

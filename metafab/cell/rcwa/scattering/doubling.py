@@ -35,10 +35,7 @@ from metafab.core.conventions import ComplexArray
 #: quotients 1, 3, .., 17. For real x the error is 1e-13 at 1.5. For x = i y the value is wrong by a factor 1 - 2 q,
 #: with q = 4e-3 at y = 16, 0.06 at 32 and 0.25 at 64; each doubling squares q.
 _LAMBERT = np.array(
-    [
-        [34459425.0, -16216200.0, 945945.0, -13860.0, 45.0],
-        [34459425.0, -4729725.0, 135135.0, -990.0, 1.0],
-    ]
+    [[34459425.0, -16216200.0, 945945.0, -13860.0, 45.0], [34459425.0, -4729725.0, 135135.0, -990.0, 1.0]]
 )
 #: Largest x of a travelling mode in the thin slab.
 _THIN = 1.5
