@@ -12,7 +12,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.confidence import LEAST_RIGHT, confidence
+from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, confidence
 from metafab.decode.image import Image4D
 from metafab.decode.images.contrast import SegmentLight, pixel_contrast
 from metafab.decode.images.deconvolution import SharpImages
@@ -171,7 +171,9 @@ def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int
     right = np.ones(regions.grown.shape) if regions.right is None else regions.right
     known &= right >= LEAST_RIGHT
     vergence = regions.vergence_per_m(regions.grown)
-    pixel_error = np.where(claimed, pixels.relative_error, np.inf)
+    # A window about a pixel of a small object shows what is about the object.
+    agrees = claimed & (np.abs(pixels.vergence_per_m - vergence) < RIGHT_WITHIN * vergence)
+    pixel_error = np.where(agrees, pixels.relative_error, np.inf)
     trust = np.where(known, confidence(pixel_error, segment_error, right), 0.0)
     depth_m = np.where(known, 1.0 / vergence, np.nan)
     own = full_depth_m(replace(pixels, claimed=claimed), step, shape)

@@ -23,6 +23,9 @@ from metafab.decode.segmentation.prepared_frame import PreparedFrame
 _WINDOW_PX = 13
 #: Least error of a calibration, as a share of the texture's energy: that of filters mixed from a basis within 2 %.
 _LEAST_MODEL_ERROR = 1e-3
+#: Misfit, and share of the texture's energy, from which light of another depth is mixed in. Inside of surfaces noise
+#: leaves less than 2.5 in 99 of 100 pixels, and sharp edges in photographs a share of less than 0.04 in most.
+_FOREIGN, _FOREIGN_SHARE = 3.0, 0.06
 
 
 @dataclass(frozen=True)
@@ -56,17 +59,27 @@ class TwinEnergies:
         return np.asarray(np.maximum(half - root, np.float32(0.0)))
 
 
+@dataclass(frozen=True)
+class Misfit:
+    """What is left of the twins at each pixel's depth, shape (n_y, n_x)."""
+
+    over_noise: NDArray[np.float32]  #: Null energy over what noise and the calibration's error explain: 1 if it fits.
+    of_texture: NDArray[np.float32]  #: Null energy over the texture's energy.
+
+    @property
+    def is_foreign(self) -> NDArray[np.bool_]:
+        """Shape (n_y, n_x), whether more is left than noise and a calibration's error leave: light of another depth."""
+        return np.asarray((self.over_noise > _FOREIGN) & (self.of_texture > _FOREIGN_SHARE))
+
+
 def misfit_at(
     prepared: PreparedFrame, volume: CostVolume, vergence_per_m: FloatArray, interior: NDArray[np.int32]
-) -> NDArray[np.float32]:
-    """Null energy at each pixel's depth over what noise and the calibration's error explain.
+) -> Misfit:
+    """Goodness of fit at each pixel's depth.
 
     Args:
         vergence_per_m: shape (n_y, n_x), 1/depth of each pixel; any value where it has none.
         interior: shape (n_y, n_x), number of the segment whose interior holds the pixel, 0 for none.
-
-    Returns:
-        Shape (n_y, n_x): about 1 where the depth is right.
     """
     window = max(3, _WINDOW_PX // prepared.downsampling.step | 1)
     products = volume.at(np.nan_to_num(vergence_per_m, nan=float(volume.vergences_per_m[0]))[None])[:, 0]
@@ -78,7 +91,9 @@ def misfit_at(
     if inside.any():
         excess, textured = float(np.median(null[inside])) - 1.0, float(np.median(energy[inside]))
         share = max(share, excess / max(textured, 1e-9))
-    return (null / (np.float32(1.0) + np.float32(share) * energy)).astype(np.float32)
+    over_noise = null / (np.float32(1.0) + np.float32(share) * energy)
+    of_texture = null / np.maximum(energy, np.float32(1e-6))
+    return Misfit(over_noise.astype(np.float32), of_texture.astype(np.float32))
 
 
 def across_outlines(label: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:

@@ -12,10 +12,10 @@ from scipy.ndimage import binary_opening
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR, right_segment
-from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.segmentation.distance import distance
-from metafab.decode.segmentation.fit import across_outlines, misfit_at
+from metafab.decode.segmentation.fit import Misfit, across_outlines, misfit_at
 from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, fit_plane, ransac_planes
@@ -34,6 +34,7 @@ from metafab.decode.segmentation.segments import (
     textured_components,
 )
 from metafab.decode.segmentation.shares import outline_owners
+from metafab.decode.segmentation.small_objects import SmallObject, small_objects
 
 #: Largest separation of layers, as a share of the calibrated range of vergence.
 _LAYER_SHARE = 1.0 / 24.0
@@ -59,6 +60,8 @@ _REFITS = 3
 _OUTLIER = 16.0
 #: Distance from an outline up to which a window, with the pair's main lobes, contains it; frame pixels.
 _OUTLINE_REACH_PX = 40
+#: Distance from an outline beyond which light that does not fit is not that of the other side, frame pixels.
+_OUTLINE_LIGHT_PX = 20
 #: Number of layers from which they may be stripes of a tilted surface.
 _MANY_LAYERS = 5
 #: A segment is a stripe of a plane if its pixels' depths differ at most this many times as much from the plane.
@@ -163,6 +166,8 @@ def find_regions(
 ) -> Regions:
     """Segment a frame, with the probability that each pixel is in the right segment.
 
+    Light that does not fit its segment, away from outlines, is that of small objects, or is claimed by none.
+
     Args:
         pixels: depth of each pixel.
         known: planes of the picture; if some are tilted, pixels are assigned to them at once.
@@ -179,21 +184,52 @@ def find_regions(
         regions = regions if owner is None else with_owners(regions, owner)
     label = regions.grown
 
-    def misfit_of(number: NDArray[np.int32]) -> NDArray[np.float32]:
+    def misfit_of(number: NDArray[np.int32]) -> Misfit:
         return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior)
 
-    own, moving = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool)
+    own, moving, step = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool), prepared.downsampling.step
     for _ in range(robust_rounds):
-        judged = np.where(prepared.spoiled, np.float32(np.inf), own)
-        before, step = regions.depths, prepared.downsampling.step
+        judged = np.where(prepared.spoiled, np.float32(np.inf), own.over_noise)
+        before = regions.depths
         regions = without_outliers(regions, volume, judged, step, moving)
         moving[1:] = [not _is_settled(*both, label.shape) for both in zip(regions.depths, before, strict=True)]
         if not moving[1:].any():
             break
         own = misfit_of(label)
     across, away = across_outlines(label)
-    other = misfit_of(across) if across.any() else own
-    return replace(regions, right=right_segment(own, other, away * prepared.downsampling.step))
+    misfit_here, unexplained = own.over_noise, np.zeros(label.shape, dtype=bool)
+    foreign = own.is_foreign & (label > 0) & (away * step > _OUTLINE_LIGHT_PX) & ~prepared.spoiled
+    if optics is not None and foreign.any():
+        found = small_objects(prepared, optics, regions.vergence_per_m(label), foreign, misfit_here)
+        misfit_here, unexplained = misfit_here.copy(), foreign.copy()
+        for one in found:
+            misfit_here[one.blob] = np.minimum(misfit_here[one.blob], one.misfit)
+            unexplained[one.blob] = one.mask & (one.relative_error >= LARGEST_ERROR)
+        regions = with_small_objects(regions, found, volume)
+        label = regions.grown
+        across, away = across_outlines(label)
+    other = misfit_of(across).over_noise if across.any() else misfit_here
+    right = right_segment(misfit_here, other, away * step)
+    return replace(regions, right=np.where(unexplained, 0.0, right))
+
+
+def with_small_objects(regions: Regions, found: Sequence[SmallObject], volume: CostVolume) -> Regions:
+    """Segments, and those of small objects whose depth is known well enough to be claimed."""
+    depths, (label, inside, wide) = (
+        list(regions.depths),
+        (one.copy() for one in (regions.label, regions.interior, regions.grown)),
+    )
+    for one in found:
+        if one.relative_error >= LARGEST_ERROR:
+            continue
+        sums = volume.at(np.array([one.vergence_per_m]))[:, 0, *one.blob][:, one.mask].sum(axis=1, dtype=np.float64)
+        pixels = float(one.mask.sum())
+        power = float(np.sqrt(sums[1] * sums[2])) / pixels
+        agreement, plane = float(correlation(sums)), Plane(one.vergence_per_m)
+        depths.append(SegmentDepth(one.vergence_per_m, one.relative_error, agreement, power, plane, pixels))
+        for picture in (label, inside, wide):
+            picture[one.blob][one.mask] = len(depths)
+    return replace(regions, depths=tuple(depths), label=label, interior=inside, grown=wide)
 
 
 def with_owners(regions: Regions, owner: NDArray[np.int32]) -> Regions:

@@ -1,0 +1,51 @@
+"""Small objects before a wall: found with an honest error, never claimed for the wall, and none where there is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from metafab.camera import RawFrame, capture
+from metafab.decode.decoder import decode
+from metafab.decode.image import Image4D
+from metafab.spec import Scene, SceneObject
+from tests.conjugate_pair import helix_psf
+
+WALL_M = 0.0034
+
+
+def decoded(*things: SceneObject, wall: SceneObject | None = None) -> tuple[Image4D, RawFrame]:
+    psf = helix_psf(1.0 / np.linspace(1 / 0.0038, 1 / 0.0024, 13))
+    wall = wall or SceneObject(depth_m=WALL_M, size=(0.6, 0.6))
+    frame = capture(Scene(objects=(wall, *things), photons_per_pixel=3000.0, field_px=(260, 165), seed=4), psf)
+    return decode(frame, psf), frame
+
+
+def errors_of(image: Image4D, frame: RawFrame, number: int) -> np.ndarray:
+    """Relative errors of the pixels of an object; NaN where no depth is claimed."""
+    truth = frame.truth
+    assert truth is not None
+    row, column = (round((frame.truth_origin_um[a] - image.origin_um[a]) / image.pixel_um) for a in (1, 0))
+    rows, columns = truth.depth_m.shape
+    errors = image.depth_m[row : row + rows, column : column + columns] / truth.depth_m - 1.0
+    return np.asarray(errors[truth.label == number])
+
+
+@pytest.mark.parametrize("contrast", [0.5, 2.0])
+def test_a_small_object_of_another_contrast_is_found(contrast: float) -> None:
+    thing = SceneObject(depth_m=0.0027, size=(0.04, 0.04), polarisation_contrast=contrast)
+    image, frame = decoded(thing)
+    errors, wall = errors_of(image, frame, 2), errors_of(image, frame, 1)
+    small = min(image.segments, key=lambda one: one.depth_m)
+    assert np.isfinite(errors).mean() > 0.5
+    # Measured: 5.7 and 1.3 % off, 3.4 and 2.4 % stated.
+    assert abs(np.nanmedian(errors)) < min(3.0 * small.error_m / small.depth_m, 0.1)
+    assert abs(np.nanmedian(wall)) < 0.002
+    assert np.isfinite(wall).mean() > 0.95
+
+
+def test_a_patch_of_another_contrast_on_the_wall_is_no_object() -> None:
+    patch = SceneObject(depth_m=0.9999 * WALL_M, size=(0.04, 0.04), polarisation_contrast=2.0)
+    image, frame = decoded(patch)
+    assert all(abs(one.depth_m / WALL_M - 1.0) < 0.02 for one in image.segments)
+    assert np.nanmax(np.abs(errors_of(image, frame, 1))) < 0.02
