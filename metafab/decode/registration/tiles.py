@@ -16,7 +16,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.decode.registration.downsampling import blocks_with, edge_taper
 
-Value = TypeVar("Value", np.bool_, np.int32)
+Value = TypeVar("Value", np.bool_, np.int32, np.float32)
 
 #: Share of the margin over which a tile fades out.
 _FADE_SHARE = 0.75
@@ -73,10 +73,13 @@ class Tiling:
             yield cut
 
     def window(self, picture: NDArray[Value], tile: int) -> NDArray[Value]:
-        """A tile's part of a picture (n_y + 2 margin, n_x + 2 margin), 0 beyond it: shape ``size``."""
+        """A tile's part of pictures (..., n_y + 2 margin, n_x + 2 margin), 0 beyond them: shape (..., *size)."""
         row, column = (index * core for index, core in zip(divmod(tile, self.counts[1]), self.core, strict=True))
-        part = picture[row : row + self.size[0], column : column + self.size[1]]
-        return np.pad(part, [(0, n - have) for n, have in zip(self.size, part.shape, strict=True)])
+        part = picture[..., row : row + self.size[0], column : column + self.size[1]]
+        if part.shape[-2:] == self.size:
+            return part
+        extra = [(0, n - have) for n, have in zip(self.size, part.shape[-2:], strict=True)]
+        return np.pad(part, [(0, 0)] * (picture.ndim - 2) + extra)
 
     @cached_property
     def _taper(self) -> NDArray[np.float32]:

@@ -4,7 +4,8 @@
 - ``distance``        Euclidean distance transform
 - ``planes``          tilted planes through cells of a segment: least median of squares, RANSAC
 - ``outlines``        refinement of outlines by threshold dynamics
-- ``layer_light``     light of one layer: its blur on the downsampled pixels
+- ``layer_light``     light of layers in tiles: its blur on the downsampled pixels
+- ``tile_shares``     a round of expectation and maximisation: light and shares of the layers in some tiles
 - ``shares``          outlines from a model of the frame with occlusion
 - ``fit``             null energy of the twins by place: whether a segment explains its pixels
 - ``segments``        layers of depth, connected segments, the depth of a segment

@@ -1,88 +1,83 @@
-"""Light of one layer of a scene on the downsampled pixels: its blur by the pair, the adjoint, and its texture.
+"""Light of the layers of a scene in tiles of the downsampled images: its blur by the pair, the adjoint, its texture.
 
-The pair changes over the field, and over the depths of a tilted layer. Its kernels at the calibrated points are
-expanded in a few basis kernels of least squares error over the layer's pixels (Karhunen-Loeve), so that a blur costs
-one transform for each of them.
+In a tile of some 120 frame pixels, the pair is that of the tile's middle and of a layer's depth there. All pairs of a
+tile and a layer have transforms of one size and are computed at once.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from metafab.camera.rendering.windows import shifts_px_m
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.compiled import compiled
+from metafab.core.numeric.spectra import transfer_functions
 from metafab.decode.matching.filter_basis import frequencies
 from metafab.decode.matching.levels import LOWEST_FREQUENCY
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import Downsampling
+from metafab.decode.registration.tiles import Tiling
 
-#: Share of the pair that the basis kernels of a layer may leave out (rms), and most of them.
-_LEFT_OUT, _MOST_BASIS = 0.08, 8
+#: Side of a tile's core, frame pixels.
+_CORE_PX = 120.0
+#: Side of the blocks at whose centres the pair's place in the field is kept, frame pixels.
+_BLOCK_PX = 24
 #: Size of the windows of downsampled kernels over that of the pair's.
 _ROOM = 1.25
-#: Side of the blocks at whose centres the pair is computed, frame pixels.
-_BLOCK_PX = 24
-#: Relative change of vergence over a layer from which its kernels change over it.
-_TILT = 2e-3
-
-Part = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
 class LayerLight:
-    """Blur of the light of one layer, on a part of the downsampled images with margin."""
+    """Blur of the light of layers in tiles, for pairs of a tile and a layer; pictures are periodic."""
 
-    at: Part  #: The part: rows and columns.
-    size: tuple[int, int]  #: (n_y, n_x) of the transforms: the part and the reach of blur.
-    weights: NDArray[np.float32]  #: Shape (n_basis, n_y, n_x), share of each basis kernel at each pixel.
-    transfer: NDArray[np.complex64]  #: Shape (n_basis, 2, n_ky, n_kx), transforms of the basis kernels of both images.
+    of_tile: NDArray[np.intp]  #: Shape (n_pairs,), index of each pair's tile, ascending from 0.
+    transfer: NDArray[np.complex64]  #: Shape (n_pairs, 2, n_ky, n_kx), transfer functions of both images.
     texture: NDArray[np.float32]  #: Shape (n_ky, n_kx), amplitude of a texture of unit variance and 1/k spectrum.
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """(n_y, n_x) of the part."""
-        return self.weights.shape[-2], self.weights.shape[-1]
+    def size(self) -> tuple[int, int]:
+        """(n_y, n_x) of the pictures."""
+        n_y, n_kx = self.texture.shape
+        return n_y, 2 * (n_kx - 1)
 
     @property
-    def nbytes(self) -> int:
-        """Memory of the arrays."""
-        return self.weights.nbytes + self.transfer.nbytes + self.texture.nbytes
+    def starts(self) -> NDArray[np.intp]:
+        """First pair of each tile, shape (n_tiles,)."""
+        return np.searchsorted(self.of_tile, np.arange(self.of_tile[-1] + 1))
 
-    def blurred(self, light: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Both images of light of shape (n_y, n_x): shape (2, n_y, n_x)."""
-        spread = self._transform(self.weights * light)
-        return self._picture((spread[:, None] * self.transfer).sum(axis=0))
+    def rendered(self, light: NDArray[np.complex64]) -> NDArray[np.float32]:
+        """Both images of each tile, shape (n_tiles, 2, n_y, n_x), of the layers' light.
+
+        ``light``: its transforms, shape (n_pairs, n_ky, n_kx).
+        """
+        images = np.zeros((self.of_tile[-1] + 1, *self.transfer.shape[1:]), dtype=np.complex64)
+        _add_blurred(light, self.transfer, self.of_tile, images)
+        return self.pictures(images)
 
     def adjoint(self, images: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Adjoint of :meth:`blurred`: shape (2, n_y, n_x) to (n_y, n_x)."""
-        gathered = (self._transform(images)[None] * self.transfer.conj()).sum(axis=1)
-        return np.asarray((self.weights * self._picture(gathered)).sum(axis=0))
+        """Adjoint of :meth:`rendered`: shape (n_tiles, 2, n_y, n_x) to (n_pairs, n_y, n_x)."""
+        spectra = np.empty(self.transfer[:, 0].shape, dtype=np.complex64)
+        _correlate(self.spectra(images), self.transfer, self.of_tile, spectra)
+        return self.pictures(spectra)
 
-    def filtered(self, picture: NDArray[np.float32], response: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A picture (n_y, n_x) filtered by a real response of shape (n_ky, n_kx): the same shape."""
-        return self._picture(response * self._transform(picture))
+    @property
+    def power(self) -> NDArray[np.float32]:
+        """Sum of the squared transfer functions of both images, shape (n_pairs, n_ky, n_kx)."""
+        return np.asarray((self.transfer.real**2 + self.transfer.imag**2).sum(axis=1))
 
-    def power(self, gains: FloatArray) -> FloatArray:
-        """Squared transfer function of the mean kernel, images weighted by the squares of ``gains``, shape (2,).
+    def spectra(self, pictures: NDArray[np.float32]) -> NDArray[np.complex64]:
+        """Transforms of pictures (..., n_y, n_x): shape (..., n_ky, n_kx)."""
+        return np.asarray(scipy.fft.rfft2(pictures))
 
-        Returns:
-            Shape (n_ky, n_kx).
-        """
-        mean = np.tensordot(self.weights.mean(axis=(1, 2)), self.transfer, axes=(0, 0))
-        return np.asarray(np.tensordot(gains**2, mean.real**2 + mean.imag**2, axes=(0, 0)))
-
-    def _transform(self, pictures: NDArray[np.float32]) -> NDArray[np.complex64]:
-        return np.asarray(scipy.fft.rfft2(pictures, self.size))
-
-    def _picture(self, spectra: NDArray[np.complex64]) -> NDArray[np.float32]:
-        rows, columns = self.shape
-        return np.asarray(scipy.fft.irfft2(spectra, self.size)[..., :rows, :columns])
+    def pictures(self, spectra: NDArray[np.complex64]) -> NDArray[np.float32]:
+        """Pictures of transforms (..., n_ky, n_kx), which are overwritten: shape (..., n_y, n_x)."""
+        return np.asarray(scipy.fft.irfft2(spectra, self.size, overwrite_x=True))
 
 
 @dataclass(frozen=True)
@@ -92,7 +87,10 @@ class LayerOptics:
     calibration: Calibration  #: The pair on all pixels.
     downsampling: Downsampling  #: The pixels that are compared.
     kernels: NDArray[np.float32]  #: Shape (2, n_depth, n_field, m, m), origin at [m // 2, m // 2].
-    field_weights: NDArray[np.float32]  #: Shape (n_block_y, n_block_x, n_field), at the blocks' centres.
+    field_weights: NDArray[np.float32]  #: Shape (n_block_y, n_block_x, n_field), at the centres of blocks.
+    tiling: Tiling  #: Tiles of the downsampled window.
+    of_tiles: NDArray[np.float32]  #: Shape (n_tiles, n_depth, 2, m_y, m_x), the kernels at the middles of tiles.
+    texture: NDArray[np.float32]  #: As of :class:`LayerLight`.
 
     @classmethod
     def of(cls, calibration: Calibration, downsampling: Downsampling) -> LayerOptics:
@@ -108,24 +106,30 @@ class LayerOptics:
         low = along_y @ (stack @ along_x.T)
         low[..., size // 2, :] = 0.0
         low[..., -1] = 0.0
-        block = _BLOCK_PX // step
+        kernels = scipy.fft.irfft2(low, (size, size)).astype(np.float32)
+        core = _CORE_PX / step
+        tiling = Tiling.over(downsampling.shape, downsampling.margin, (core, core))
+        row, column = np.minimum(step * tiling.middles, np.array(downsampling.window) - 1).T + calibration.grid.margin
+        grid = calibration.grid
+        weights = calibration.kernels.field_weights(grid.tangent_x[row, column], grid.tangent_y[row, column])
+        # A tile of a small window may be smaller than the kernels.
+        rows, columns = (slice((size - min(size, n)) // 2, (size + min(size, n)) // 2) for n in tiling.size)
+        field = weights.reshape(tiling.n_tiles, -1).astype(np.float32)
+        of_tiles = np.tensordot(field, kernels[..., rows, columns], axes=(1, 2))
         return cls(
             calibration,
             downsampling,
-            scipy.fft.irfft2(low, (size, size)).astype(np.float32),
-            calibration.block_weights(downsampling.shape, step, block),
+            kernels,
+            calibration.block_weights(downsampling.shape, step, _BLOCK_PX // step),
+            tiling,
+            np.ascontiguousarray(np.moveaxis(of_tiles, 1, 2)),
+            _texture_amplitude(tiling.size, step),
         )
 
     @property
     def nbytes(self) -> int:
         """Memory of the kernels."""
-        return self.kernels.nbytes + self.field_weights.nbytes
-
-    @property
-    def reach(self) -> int:
-        """Distance up to which a layer's light is blurred, downsampled pixels."""
-        rows, columns = self.calibration.stack.shape[-2:]
-        return int(max(rows, columns)) // (2 * self.downsampling.step)
+        return self.kernels.nbytes + self.field_weights.nbytes + self.of_tiles.nbytes + self.texture.nbytes
 
     def shifts_px_m(self) -> FloatArray:
         """Shift of an outline as seen from each point of the aperture, for 1/m between the vergences of two layers.
@@ -133,87 +137,43 @@ class LayerOptics:
         Returns:
             Shape (n, 2): (columns, rows), downsampled pixels; (0, 0) where the calibration does not know the aperture.
         """
+        return self._shifts
+
+    @cached_property
+    def _shifts(self) -> FloatArray:
         grid = self.calibration.grid
         shifts = shifts_px_m(self.calibration.kernels.psf.aperture_um, grid.tangent_x, grid.tangent_y)
         return shifts / self.downsampling.step
 
-    def layer(self, vergence_per_m: FloatArray, support: NDArray[np.bool_]) -> LayerLight:
-        """The blur of a layer.
+    def light(
+        self, tile: NDArray[np.intp], of_tile: NDArray[np.intp], vergence_per_m: FloatArray, gains: NDArray[np.float32]
+    ) -> LayerLight:
+        """The blur of layers in tiles.
 
         Args:
-            vergence_per_m: shape (n_y, n_x) of the window without margin, 1/depth of the layer's plane.
-            support: shape of the images with margin, pixels that may hold light of the layer; at least one.
+            tile: shape (n_pairs,), number of each pair's tile.
+            of_tile: shape (n_pairs,), index of each pair's tile, ascending from 0.
+            vergence_per_m: shape (n_pairs,), 1/depth of each pair's layer at the middle of the tile.
+            gains: shape (n_pairs, 2), factors of the images.
         """
-        at, margin = self._part(support), self.downsampling.margin
-        rows, columns = (at[0].stop - at[0].start, at[1].stop - at[1].start)
-        block = _BLOCK_PX // self.downsampling.step
-        place = [
-            np.clip((np.arange(one.start, one.stop) - margin - 0.5 * (block - 1)) / block, 0.0, n - 1.0)
-            for one, n in zip(at, self.field_weights.shape, strict=False)
-        ]
-        first, last = ([int(one[end]) for one in place] for end in (0, -1))
-        blocks = tuple(slice(a, min(b + 2, n)) for a, b, n in zip(first, last, self.field_weights.shape, strict=False))
-        shares, kernels = self._points(vergence_per_m, blocks, block)
-        used = np.sqrt((shares**2).mean(axis=0)) + 1e-6
-        scaled = used[:, None] * kernels.reshape(len(used), -1)
-        power, vectors = np.linalg.eigh((scaled @ scaled.T).astype(np.float64))
-        left_out = np.cumsum(np.maximum(power, 0.0))
-        count = min(_MOST_BASIS, int((left_out > _LEFT_OUT**2 * left_out[-1]).sum()))
-        basis = vectors[:, ::-1][:, :count]
-        at_blocks = np.tensordot(shares, basis / used[:, None], axes=(1, 0)).reshape(
-            *(one.stop - one.start for one in blocks), count
-        )
-        grid = np.meshgrid(*(one - one_first for one, one_first in zip(place, first, strict=True)), indexing="ij")
-        weights = np.stack([map_coordinates(at_blocks[..., k], grid, order=1, mode="nearest") for k in range(count)])
-        shape = kernels.shape[-2:]
-        size = (max(_even(rows + self.reach), shape[0]), max(_even(columns + self.reach), shape[1]))
-        padded = np.zeros((count, 2, *size), dtype=np.float32)
-        padded[..., : shape[0], : shape[1]] = (basis.T @ scaled).reshape(count, 2, *shape)
-        rolled = np.roll(padded, (-(shape[0] // 2), -(shape[1] // 2)), axis=(-2, -1))
-        return LayerLight(
-            at,
-            size,
-            np.ascontiguousarray(weights, dtype=np.float32),
-            scipy.fft.rfft2(rolled).astype(np.complex64),
-            _texture_amplitude(size, self.downsampling.step),
-        )
+        share, shape = self.calibration.depth_weights(vergence_per_m), self.of_tiles.shape[2:]
+        pairs = [one @ self.of_tiles[at].reshape(one.size, -1) for one, at in zip(share, tile.tolist(), strict=True)]
+        kernels = np.stack(pairs).reshape(-1, *shape) * gains[:, :, None, None]
+        transfer = transfer_functions(kernels, self.tiling.size).astype(np.complex64)
+        return LayerLight(of_tile, transfer, self.texture)
 
-    def _part(self, support: NDArray[np.bool_]) -> Part:
-        """The part of the images that light of ``support`` reaches."""
-        lines = np.flatnonzero(support.any(axis=1)), np.flatnonzero(support.any(axis=0))
-        rows, columns = (
-            slice(max(0, int(line[0]) - self.reach), min(n, int(line[-1]) + self.reach + 1))
-            for line, n in zip(lines, support.shape, strict=True)
-        )
-        return rows, columns
+    def aperture(self, vergence_per_m: float) -> NDArray[np.complex64]:
+        """Transfer function of the share of the aperture that a nearer layer covers, shape (n_ky, n_kx).
 
-    def _points(
-        self, vergence_per_m: FloatArray, blocks: tuple[slice, ...], block: int
-    ) -> tuple[FloatArray, NDArray[np.float32]]:
-        """Shares of calibrated points in the kernels of blocks, shape (n_blocks, n_points), and those points' kernels.
-
-        Returns:
-            The shares, and kernels of shape (n_points, 2, m, m).
+        Args:
+            vergence_per_m: of the nearer layer, less that of the layer behind it.
         """
-        places = [
-            np.minimum(((np.arange(one.start, one.stop) + 0.5) * block).astype(int), n - 1)
-            for one, n in zip(blocks, vergence_per_m.shape, strict=True)
-        ]
-        vergence = vergence_per_m[np.ix_(*places)].ravel()
-        tilted = vergence.max() > (1.0 + _TILT) * vergence.min()
-        of_depth = self.calibration.depth_weights(vergence if tilted else np.array([vergence.mean()]))
-        of_field = self.field_weights[blocks].reshape(vergence.size, -1)
-        kernels = np.moveaxis(self.kernels, 0, 2)
-        if tilted:
-            shares = (of_depth[:, :, None] * of_field[:, None, :]).reshape(vergence.size, -1)
-            return np.asarray(shares, dtype=np.float64), kernels.reshape(-1, *kernels.shape[2:])
-        middle = np.tensordot(of_depth[0].astype(np.float32), kernels, axes=(0, 0))
-        return np.asarray(of_field, dtype=np.float64), np.asarray(middle)
-
-
-def _even(count: int) -> int:
-    """A fast, even length of a transform of at least ``count``."""
-    return int(2 * scipy.fft.next_fast_len(-(-count // 2), real=True))
+        ky, kx = frequencies(self.tiling.size, 1)
+        along_x, along_y = (
+            np.exp(2j * np.pi * vergence_per_m * shift[:, None] * k)
+            for shift, k in zip(self._shifts.T, (kx, ky), strict=True)
+        )
+        return np.asarray(along_y.T @ along_x / len(along_x), dtype=np.complex64)
 
 
 def _texture_amplitude(size: tuple[int, int], step: int) -> NDArray[np.float32]:
@@ -221,3 +181,42 @@ def _texture_amplitude(size: tuple[int, int], step: int) -> NDArray[np.float32]:
     power = 1.0 / (ky[:, None] ** 2 + kx[None, :] ** 2 + LOWEST_FREQUENCY**2)
     both_halves = 2.0 * power.sum() - power[:, 0].sum() - power[:, -1].sum()
     return np.asarray(np.sqrt(power * (size[0] * size[1] / both_halves)), dtype=np.float32)
+
+
+@compiled
+def _add_blurred(
+    spectra: NDArray[np.complex64],
+    transfer: NDArray[np.complex64],
+    of_tile: NDArray[np.intp],
+    images: NDArray[np.complex64],
+) -> None:
+    """Add spectra (n_pairs, n_ky, n_kx) times transfer functions to both images of their tiles."""
+    for p in range(spectra.shape[0]):
+        for image in range(2):
+            for i in range(spectra.shape[1]):
+                light, by, to = spectra[p, i], transfer[p, image, i], images[of_tile[p], image, i]
+                for j in range(light.size):
+                    a, b, c = light[j], by[j], to[j]
+                    to[j] = complex(
+                        c.real + (a.real * b.real - a.imag * b.imag), c.imag + (a.real * b.imag + a.imag * b.real)
+                    )
+
+
+@compiled
+def _correlate(
+    images: NDArray[np.complex64],
+    transfer: NDArray[np.complex64],
+    of_tile: NDArray[np.intp],
+    spectra: NDArray[np.complex64],
+) -> None:
+    """Sum, for each pair, both images of its tile times the conjugate transfer functions."""
+    for p in range(spectra.shape[0]):
+        for i in range(spectra.shape[1]):
+            x, y, to = images[of_tile[p], 0, i], images[of_tile[p], 1, i], spectra[p, i]
+            by_x, by_y = transfer[p, 0, i], transfer[p, 1, i]
+            for j in range(to.size):
+                a, b, h, g = x[j], y[j], by_x[j], by_y[j]
+                to[j] = complex(
+                    a.real * h.real + a.imag * h.imag + (b.real * g.real + b.imag * g.imag),
+                    a.imag * h.real - a.real * h.imag + (b.imag * g.real - b.real * g.imag),
+                )

@@ -12,7 +12,7 @@ from metafab.camera.kernels import PairKernels
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import Downsampling
 from metafab.decode.registration.twins import TwinGrid
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layer_light import LayerLight, LayerOptics
 from tests.conjugate_pair import PIXEL_UM, helix_psf
 
 SHAPE, MARGIN = (96, 120), 24
@@ -34,20 +34,24 @@ def optics() -> LayerOptics:
     return LayerOptics.of(calibration, Downsampling(2, SHAPE, MARGIN))
 
 
-def everywhere(optics: LayerOptics) -> np.ndarray:
-    rows, columns = (n + 2 * optics.downsampling.margin for n in optics.downsampling.shape)
-    return np.ones((rows, columns), dtype=bool)
+def flat(optics: LayerOptics, tiles: list[int], vergence_per_m: list[float]) -> LayerLight:
+    """Layers of one depth each, one to a tile."""
+    tile = np.array(tiles)
+    return optics.light(tile, np.arange(tile.size), np.array(vergence_per_m), np.ones((tile.size, 2), dtype=np.float32))
 
 
-def test_a_flat_layer_is_convolved_with_the_pair(optics: LayerOptics) -> None:
+def test_a_layer_is_convolved_with_the_pair(optics: LayerOptics) -> None:
     """Light without the highest frequencies is blurred at every second pixel as on all pixels."""
     vergence = 1.0 / 0.0029
-    layer = optics.layer(np.full(optics.downsampling.shape, vergence), everywhere(optics))
-    full = np.zeros((144, 168))
-    full[48:96, 48:120] = np.random.default_rng(3).uniform(size=(48, 72))
+    layer = flat(optics, [0], [vergence])
+    rows, columns = (2 * n for n in layer.size)
+    full = np.zeros((rows, columns))
+    full[rows // 3 : rows // 2, columns // 3 : columns // 2] = np.random.default_rng(3).uniform(
+        size=(rows // 2 - rows // 3, columns // 2 - columns // 3)
+    )
     full = gaussian_filter(full, 2.5)
     kernels = np.tensordot(optics.calibration.depth_weights(vergence), optics.calibration.stack[:, :, 0], axes=(0, 1))
-    images = layer.blurred(full[::2, ::2].astype(np.float32))
+    images = layer.rendered(layer.spectra(full[::2, ::2].astype(np.float32)[None]))[0]
     for image, kernel in zip(images, kernels, strict=True):
         # A kernel of even size has its origin at the middle pixel after half of it.
         expected = fftconvolve(full, np.pad(kernel, ((0, 1), (0, 1))), mode="same")[::2, ::2]
@@ -55,36 +59,45 @@ def test_a_flat_layer_is_convolved_with_the_pair(optics: LayerOptics) -> None:
         assert np.abs(image - expected).max() < 3e-3 * expected.max()
 
 
-@pytest.mark.parametrize("rise", [0.0, 0.15])
-def test_the_adjoint_is_that_of_the_blur(optics: LayerOptics, rise: float) -> None:
+def test_the_adjoint_is_that_of_the_blur(optics: LayerOptics) -> None:
+    """Three layers in two pictures, with gains."""
     rng = np.random.default_rng(1)
-    tilt = 1.0 + rise * np.linspace(-0.5, 0.5, optics.downsampling.shape[1])
-    vergence = np.broadcast_to(tilt / 0.0029, optics.downsampling.shape)
-    layer = optics.layer(vergence, everywhere(optics))
-    light, images = rng.normal(size=layer.shape), rng.normal(size=(2, *layer.shape))
-    one = np.vdot(images, layer.blurred(light.astype(np.float32)))
-    other = np.vdot(layer.adjoint(images.astype(np.float32)), light)
+    of_tile, vergence = np.array([0, 0, 1]), np.array([1.0, 1.1, 1.05]) / 0.0029
+    layers = optics.light(np.zeros(3, dtype=int), of_tile, vergence, rng.uniform(0.5, 1.5, size=(3, 2)).astype(np.float32))
+    light, images = rng.normal(size=(3, *layers.size)), rng.normal(size=(2, 2, *layers.size))
+    one = np.vdot(images, layers.rendered(layers.spectra(light.astype(np.float32))))
+    other = np.vdot(layers.adjoint(images.astype(np.float32)), light)
     # Single precision, over sums of 10^4 products of order 1.
     assert abs(one - other) < 1e-4 * np.linalg.norm(images) * np.linalg.norm(light)
 
 
-def test_a_tilted_layer_has_the_depth_of_its_place(optics: LayerOptics) -> None:
-    tilt = np.linspace(0.95, 1.05, optics.downsampling.shape[1])
-    vergence = np.broadcast_to(tilt / 0.0029, optics.downsampling.shape)
-    tilted = optics.layer(vergence, everywhere(optics))
-    margin = optics.downsampling.margin
-    for column in (8, 52):
-        flat = optics.layer(np.full(vergence.shape, vergence[0, column]), everywhere(optics))
-        light = np.zeros(flat.shape, dtype=np.float32)
-        light[flat.shape[0] // 2, margin + column] = 1.0
-        images, expected = tilted.blurred(light), flat.blurred(light)
-        # A change of vergence by the whole 10 % changes the images by their own size; the basis leaves 6 %.
-        assert np.linalg.norm(images - expected) < 0.1 * np.linalg.norm(expected)
+def test_layers_of_a_tile_add_up(optics: LayerOptics) -> None:
+    rng = np.random.default_rng(2)
+    vergence = [1.0 / 0.0029, 1.1 / 0.0029]
+    both = optics.light(np.zeros(2, dtype=int), np.zeros(2, dtype=int), np.array(vergence), np.ones((2, 2), np.float32))
+    light = rng.normal(size=(2, *both.size)).astype(np.float32)
+    apart = flat(optics, [0, 0], vergence)
+    images = apart.rendered(apart.spectra(light)).sum(axis=0)
+    # Rounding of single precision.
+    assert np.abs(both.rendered(both.spectra(light))[0] - images).max() < 1e-5 * np.abs(images).max()
 
 
 def test_texture_has_unit_variance(optics: LayerOptics) -> None:
-    layer = optics.layer(np.full(optics.downsampling.shape, 1.0 / 0.0029), everywhere(optics))
-    white = np.random.default_rng(5).normal(size=(40, *layer.shape)).astype(np.float32)
-    textures = np.stack([layer.filtered(one, layer.texture) for one in white])
+    layer = flat(optics, [0], [1.0 / 0.0029])
+    white = np.random.default_rng(5).normal(size=(40, *layer.size)).astype(np.float32)
+    textures = layer.pictures(layer.texture * layer.spectra(white))
     # 1/k^2 has most of its power in few waves: 40 pictures scatter by some 10 %.
     assert abs(textures.var() - 1.0) < 0.3
+
+
+def test_an_aperture_is_covered_by_the_shifted_outline(optics: LayerOptics) -> None:
+    """The covered share of a smooth outline is its mean over the shifts that the aperture's points see."""
+    shifts = np.array([[-3.0, 1.0], [0.0, 0.0], [2.0, -4.0], [5.0, 2.0]])
+    vars(optics)["_shifts"] = shifts
+    rows, columns = optics.tiling.size
+    share = gaussian_filter((np.arange(columns) > columns // 2) * np.ones((rows, 1)), 2.0, mode="wrap")
+    covered = np.fft.irfft2(np.fft.rfft2(share) * optics.aperture(1.0), (rows, columns))
+    expected = np.mean([np.roll(share, (-int(y), -int(x)), axis=(0, 1)) for x, y in shifts], axis=0)
+    del vars(optics)["_shifts"]
+    # Whole shifts are exact; transfer functions are of single precision.
+    assert np.abs(covered - expected).max() < 1e-5
