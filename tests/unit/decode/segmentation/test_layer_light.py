@@ -63,7 +63,8 @@ def test_the_adjoint_is_that_of_the_blur(optics: LayerOptics) -> None:
     """Three layers in two pictures, with gains."""
     rng = np.random.default_rng(1)
     of_tile, vergence = np.array([0, 0, 1]), np.array([1.0, 1.1, 1.05]) / 0.0029
-    layers = optics.light(np.zeros(3, dtype=int), of_tile, vergence, rng.uniform(0.5, 1.5, size=(3, 2)).astype(np.float32))
+    gains = rng.uniform(0.5, 1.5, size=(3, 2)).astype(np.float32)
+    layers = optics.light(np.zeros(3, dtype=int), of_tile, vergence, gains)
     light, images = rng.normal(size=(3, *layers.size)), rng.normal(size=(2, 2, *layers.size))
     one = np.vdot(images, layers.rendered(layers.spectra(light.astype(np.float32))))
     other = np.vdot(layers.adjoint(images.astype(np.float32)), light)
