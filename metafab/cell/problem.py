@@ -8,6 +8,7 @@ from functools import partial
 
 from metafab.cell import curved, rcwa
 from metafab.cell.pillar import PillarCell, Slice
+from metafab.cell.rcwa.jones import ZeroOrder
 from metafab.cell.response import CellNumerics, CellResponse
 from metafab.cell.validation import check, check_numerics
 from metafab.core.errors import Fault, InputError
@@ -79,8 +80,18 @@ def is_square(unit_cell: UnitCell) -> bool:
     return unit_cell.has_square_lattice and n_x == n_y
 
 
-def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResponse:  # noqa: B008 (frozen)
+def solve(
+    cell: PillarCell,
+    numerics: CellNumerics = CellNumerics(),  # noqa: B008 (frozen)
+    known: dict[tuple[int, int], ZeroOrder] | None = None,
+) -> CellResponse:
     """Solve one cell for its Jones matrices with the solver that ``numerics`` names.
+
+    Args:
+        cell: the cell.
+        numerics: solver, target error and largest truncation.
+        known: truncations of this cell by (cosines or polynomial order, steps), which are taken from there and added;
+            for several targets by RCWA or elements.
 
     Raises:
         InputError: the cell is unphysical, the numerics are out of range, or the solver does not treat the cell.
@@ -93,11 +104,11 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     if numerics.solver == "elements" and faults:
         raise InputError("cell", faults)
     if not faults and numerics.solver != "meep" and numerics.formulation == "adaptive":
-        return curved.solve(cell, numerics)
+        return curved.solve(cell, numerics, known)
     if cell.is_staggered:
         _refuse_in_hexagonal_lattice(cell, numerics)
     if numerics.solver == "rcwa":
-        return rcwa.solve(cell, numerics)
+        return rcwa.solve(cell, numerics, known)
     from metafab.cell import meep
 
     return meep.solve(cell, numerics)

@@ -28,7 +28,8 @@ class CellNumerics:
     solver: Literal["rcwa", "elements", "meep"] = "rcwa"
     #: Rcwa only: "adaptive" coordinates, or plain "fourier" harmonics as an independent check.
     formulation: Literal["adaptive", "fourier"] = "adaptive"
-    max_orders: int = 16  #: Rcwa only: largest number of cosines along each axis, from 3.
+    #: Largest number of cosines along each axis (rcwa) or largest polynomial order (elements, at least 5), from 3.
+    max_orders: int = 16
     #: Rcwa only: even number of layers that approximate a sloped pillar; None for as many as the target error requires.
     steps: int | None = None
 

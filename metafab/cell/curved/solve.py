@@ -46,22 +46,28 @@ class CurvedDetails(SolverDetails):
     reflected_power_y: float  #: Likewise for incident y.
 
 
-def solve(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+def solve(
+    cell: PillarCell, numerics: CellNumerics, known: dict[tuple[int, int], ZeroOrder] | None = None
+) -> CellResponse:
     """Solve ``cell`` for its Jones matrices, with a bound on their error that is at most the target if it converged.
 
     If the target is not met at the highest order, that solution is returned with ``converged`` false.
 
     Args:
         cell: a cell that :func:`metafab.cell.curved.mesh.is_treated` accepts.
-        numerics: target error.
+        numerics: target error and largest order.
+        known: solutions of this cell by (order, 1), which are taken from there and added; for several targets.
 
     Raises:
         SolverError: a layer is singular, or an amplitude is not a finite number.
     """
     started = time.perf_counter()
     solved: list[ZeroOrder] = []
-    for order in _ladder(numerics.target_error):
-        solved.append(zero_order(cell, order))
+    known = {} if known is None else known
+    for order in _ladder(numerics.target_error, numerics.max_orders):
+        if (order, 1) not in known:
+            known[order, 1] = zero_order(cell, order)
+        solved.append(known[order, 1])
         if len(solved) > 1:
             floor, share = _CLAIMS[order]
             error = max(floor, share * distance(solved[-1], solved[-2]))
@@ -101,6 +107,7 @@ def seconds_estimate(target_error: float, cell: PillarCell) -> float:
     return _OVER_RCWA * sum(seconds_of_truncation(round(order * quads**0.5 - 0.5), cell) for order in orders)
 
 
-def _ladder(target_error: float) -> range:
-    """Polynomial orders for a target, ascending."""
-    return range(_FINE if target_error < _FINE_TARGET else _COARSE, max(_CLAIMS) + 1)
+def _ladder(target_error: float, max_orders: int = max(_CLAIMS)) -> range:
+    """Polynomial orders for a target, ascending up to ``max_orders``; at least two."""
+    first = _FINE if target_error < _FINE_TARGET else _COARSE
+    return range(first, max(first + 1, min(max_orders, max(_CLAIMS))) + 1)

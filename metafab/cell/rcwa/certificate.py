@@ -170,11 +170,20 @@ class SlopedDetails(RcwaDetails):
     slicing_error: float  #: Bound on the error of the steps.
 
 
-def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResponse:  # noqa: B008 (frozen)
+def solve(
+    cell: PillarCell,
+    numerics: CellNumerics = CellNumerics(),  # noqa: B008 (frozen)
+    known: dict[tuple[int, int], ZeroOrder] | None = None,
+) -> CellResponse:
     """Solve ``cell`` for its Jones matrices, with a bound on their error that is at most the target if it converged.
 
     The truncation rises up to ``numerics.max_orders``. If the target is not met there, the finest solution is returned
     with ``converged`` false and the error that it has.
+
+    Args:
+        cell: the cell.
+        numerics: target error and largest truncation.
+        known: truncations of this cell by (cosines, steps), which are taken from there and added; for several targets.
 
     Raises:
         InputError: as :func:`metafab.cell.rcwa.jones.zero_order`.
@@ -184,8 +193,11 @@ def solve(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> CellResp
     cut = slicing(cell, numerics)
     measured, law, growth = is_measured(cell), power_law(cell), floor_growth(cell)
     solved: dict[int, ZeroOrder] = {}
+    known = {} if known is None else known
     for orders in ladder(numerics, measured=measured, law=law):
-        solved[orders] = smooth(cell, orders, numerics.formulation, cut.steps)
+        if (orders, cut.steps) not in known:
+            known[orders, cut.steps] = smooth(cell, orders, numerics.formulation, cut.steps)
+        solved[orders] = known[orders, cut.steps]
         error = bound(orders, solved, numerics.formulation, measured=measured, law=law, growth=growth) + cut.error
         error = max(error, solved[orders].conditioning.rounding)
         if error <= numerics.target_error:
