@@ -60,11 +60,13 @@ KINDS = {
 #: Rungs of the references by cosines, and those of spectral elements by polynomial order.
 _RUNGS, _ELEMENT_RUNGS = (6, 7, 8, 9, 10, 12, 14, 16, 18), (5, 6, 7, 8, 9)
 #: Estimated time, s, of the finest truncation of an answer and of a reference, where 5 cosines take 4 ms.
-_ANSWER_S, _REFERENCE_S, _FIVE_COSINES_S = 0.25, 2.8, 4e-3
+_ANSWER_S, _REFERENCE_S, _FIVE_COSINES_S = 0.06, 0.6, 4e-3
+#: One cell in so many is followed to finer truncations, which may take this much longer.
+_DEEP, _DEEP_TIME = 16, 5.0
 #: Time of a hexagonal lattice, which has no mirror planes through the middle of its rows, over that of a square one.
-_STAGGERED = 5.0
-#: Largest polynomial order of answers, and of those with rounded corners, which have more elements.
-_ELEMENT_ORDER, _ROUNDED_ORDER = 6, 5
+_STAGGERED = 2.0
+#: Largest polynomial order of answers; deep ones go one higher.
+_ELEMENT_ORDER = 5
 #: Largest cosines of answers with sloped walls, and the factor of the time that their references may take.
 _SLOPED_ORDERS, _SLOPED = 8, 20.0
 #: Largest error of a reference over the stated one: wanted, and accepted.
@@ -144,16 +146,16 @@ def _kept(file: Path) -> Iterator[tuple[int, list[Case]]]:
 
 def judge(seed: int, number: int) -> Iterator[Case]:
     """Solve a cell to every target, and compare each answer with a finer truncation."""
-    kind, cell = draw(seed, number)
+    (kind, cell), deep = draw(seed, number), number % _DEEP == 0
     known: Truncations = {}
     for target_error in TARGETS:
         start = time.thread_time()
-        answer = solve(cell, CellNumerics(target_error, max_orders=_finest_answer(cell)), known)
+        answer = solve(cell, CellNumerics(target_error, max_orders=_finest_answer(cell, deep=deep)), known)
         details = vars(answer.details)
         truncation = int(details.get("order") or details["orders_x"])
         steps = 2 * answer.details.steps if isinstance(answer.details, SlopedDetails) else 1
         true, error = math.nan, math.inf
-        for rung, error_there in _references(cell, truncation, steps, known):
+        for rung, error_there in _references(cell, truncation, steps, known, deep=deep):
             true, error = distance(answer, known[rung, steps]), error_there
             if error <= _FINE * answer.error:
                 break
@@ -163,14 +165,16 @@ def judge(seed: int, number: int) -> Iterator[Case]:
         )  # fmt: skip
 
 
-def _references(cell: PillarCell, truncation: int, steps: int, known: Truncations) -> Iterator[tuple[int, float]]:
+def _references(
+    cell: PillarCell, truncation: int, steps: int, known: Truncations, *, deep: bool
+) -> Iterator[tuple[int, float]]:
     """Ever finer references of an answer, which are added to ``known``, and the error of each."""
     by_elements = curved.is_treated(cell)
     law = None if by_elements else power_law(cell)
     if by_elements:
-        rungs = [rung for rung in _ELEMENT_RUNGS if truncation < rung <= _finest_answer(cell) + 2]
+        rungs = [rung for rung in _ELEMENT_RUNGS if truncation < rung <= _finest_answer(cell, deep=deep) + 2]
     else:
-        most_s = _REFERENCE_S * (_SLOPED if cell.is_sloped else 1.0)
+        most_s = _REFERENCE_S * (_SLOPED if cell.is_sloped else 1.0) * (_DEEP_TIME if deep else 1.0)
         least = truncation + (1 if cell.is_sloped else 2)
         rungs = [rung for rung in _RUNGS if rung >= least and _seconds(rung, cell) <= most_s]
 
@@ -188,13 +192,14 @@ def _references(cell: PillarCell, truncation: int, steps: int, known: Truncation
         yield rung, error + (distance(at(rung, steps // 2), finer) if steps > 1 else 0.0)
 
 
-def _finest_answer(cell: PillarCell) -> int:
+def _finest_answer(cell: PillarCell, *, deep: bool) -> int:
     """Largest truncation of answers."""
     if curved.is_treated(cell):
-        return _ELEMENT_ORDER if cell.shape == "ellipse" else _ROUNDED_ORDER
+        return _ELEMENT_ORDER + deep
     if cell.is_sloped:
         return _SLOPED_ORDERS
-    return max((rung for rung in _RUNGS if _seconds(rung, cell) <= _ANSWER_S), default=_RUNGS[0])
+    most_s = _ANSWER_S * (_DEEP_TIME if deep else 1.0)
+    return max((rung for rung in _RUNGS if _seconds(rung, cell) <= most_s), default=_RUNGS[0])
 
 
 def draw(seed: int, number: int) -> tuple[str, PillarCell]:
