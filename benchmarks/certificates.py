@@ -7,8 +7,8 @@ each is solved to 1e-2, 1e-3 and 1e-4. All targets of a cell share its truncatio
 The reference becomes finer until its own error is a fifth of the stated one. Its error is its distance to the
 truncation below; where errors fall as a power of the truncation, the largest error that the truncations down to 1 / 1.6
 of it imply by that law; for sloped walls also the distance to half as many steps. An answer whose reference stays worse
-than a third of the stated error is not judged. An answer is broken where it is off by more than stated, beyond the error
-of its reference.
+than a third of the stated error is not judged. An answer is broken where it is off by more than stated, beyond the
+error of its reference.
 
 Each cell is drawn from the seed and its number, and its answers are kept in the folder that ``METAFAB_CERTIFICATES``
 names, so that a run goes on where another one of the same seed and code has ended.
@@ -130,12 +130,13 @@ def audit(seed: int, samples: int) -> Iterator[Case]:
         if number not in kept:
             kept[number] = list(judge(seed, number))
             with file.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps([vars(case) for case in kept[number]]) + "\n")
+                # The line break comes first: a line that was cut short spoils none behind it.
+                stream.write("\n" + json.dumps([vars(case) for case in kept[number]]))
         yield from kept[number][: samples - number * len(TARGETS)]
 
 
 def _kept(file: Path) -> Iterator[tuple[int, list[Case]]]:
-    """Numbers and answers of the cells in a file; a last line that was cut short is left out."""
+    """Numbers and answers of the cells in a file; a line that was cut short is left out."""
     for line in file.read_text(encoding="utf-8").splitlines() if file.is_file() else ():
         try:
             cases = [Case(**table) for table in json.loads(line)]
@@ -256,14 +257,11 @@ def _varied(kind: str, cell: PillarCell, rng: np.random.Generator) -> PillarCell
     if kind == "sloped walls":
         wall_deg = float(rng.uniform(84.0, 89.5))
         # The wall may take a third of the smaller size off at the top, and add it at the bottom.
-        room_nm = min(cell.width_nm, cell.length_nm, *(p - s for p, s in zip(cell.period_nm, _sizes(cell), strict=True)))
+        gap_nm = min(cell.period_nm[0] - cell.width_nm, cell.period_nm[1] - cell.length_nm)
+        room_nm = min(cell.width_nm, cell.length_nm, gap_nm)
         height_nm = min(cell.height_nm, 0.33 * room_nm * math.tan(math.radians(wall_deg)))
         return replace(cell, sidewall_angle_deg=wall_deg, height_nm=height_nm)
     return cell
-
-
-def _sizes(cell: PillarCell) -> tuple[float, float]:
-    return cell.width_nm, cell.length_nm
 
 
 def _layered(cell: PillarCell, rng: np.random.Generator) -> PillarCell:

@@ -15,6 +15,7 @@ from typer.models import CommandFunctionType
 from metafab.cli.examples import epilog
 from metafab.cli.failures import DEBUG_VARIABLE
 from metafab.core.errors import InputError, noted
+from metafab.core.storage.limits import limited
 
 if TYPE_CHECKING:
     from metafab.core.parallel.work import Work
@@ -84,6 +85,24 @@ def _show_version(wanted: bool) -> None:
         raise typer.Exit
 
 
+def _state_limits(ctx: typer.Context, values: list[str]) -> list[str]:
+    """State the limits of ``--limit`` for as long as the command runs."""
+    if not values:
+        return values
+    from metafab.spec.design import Limits
+    from metafab.spec.toml import validate
+
+    stated: dict[str, float | str] = {}
+    for value in values:
+        name, _, number = value.partition("=")
+        try:
+            stated[name] = int(number) if number.isdecimal() else float(number)
+        except ValueError:
+            stated[name] = number
+    ctx.with_resource(limited(**vars(validate(Limits, stated, "--limit"))))
+    return values
+
+
 @app.callback()
 def program_options(
     version: Annotated[
@@ -93,9 +112,17 @@ def program_options(
     debug: Annotated[
         bool, typer.Option("--debug", help=f"Show the traceback of a failure (also {DEBUG_VARIABLE}=1).")
     ] = False,
+    limit: Annotated[
+        list[str],
+        typer.Option(
+            metavar="NAME=N",
+            help="Limit on what reading a file may take: memory_mb, shapes, depth or seconds; once for each.",
+            callback=_state_limits,
+        ),
+    ] = [],  # noqa: B006 (typer copies it)
 ) -> None:
     """Options of all commands."""
-    del version  # its callback has answered
+    del version, limit  # their callbacks have answered
     if debug:
         os.environ[DEBUG_VARIABLE] = "1"
 

@@ -41,7 +41,7 @@ def main() -> None:
         os.environ.setdefault(name, "1")
     try:
         with raised_interrupts():
-            app(spread_depths(sys.argv[1:]))
+            app(spread_depths(hoisted(sys.argv[1:])))
     except MetafabError as error:
         _end(error, str(error), error.exit_code)
     except InterruptedRunError as error:
@@ -57,6 +57,20 @@ def _end(error: BaseException, message: str, exit_code: int) -> NoReturn:
         traceback.print_exception(error)
     print(f"metafab: {message}", file=sys.stderr)
     sys.exit(exit_code)
+
+
+def hoisted(arguments: list[str]) -> list[str]:
+    """Move ``--limit NAME=N`` and ``--limit=NAME=N``, which belong to the program, before the command."""
+    first: list[str] = []
+    others: list[str] = []
+    rest = deque(arguments)
+    while rest:
+        argument = rest.popleft()
+        if argument == "--limit" and rest:
+            first += [argument, rest.popleft()]
+        else:
+            (first if argument.startswith("--limit=") else others).append(argument)
+    return first + others
 
 
 def spread_depths(arguments: list[str]) -> list[str]:

@@ -16,7 +16,9 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.limits import beyond, limit, limited
 from metafab.layout import Outline, PillarMap, lattice_of, tile_sites
+from metafab.mask.budget import Budget
 from metafab.mask.drawing.copies import OtherCopies, lens_copies, lens_copy
 from metafab.mask.gdsii.reader import GdsiiReader
 from metafab.mask.oasis.reader import MixedBlockError, OasisReader
@@ -100,10 +102,11 @@ def read(
             than the design has sites; or the design has no such copy.
     """
     known = known or KnownShapes(Outline.of(design))
-    try:
-        return _recover(path, _open(path, design, progress, known, skip_blocks=True), design, progress, copy)
-    except MixedBlockError:
-        return _recover(path, _open(path, design, progress, known, skip_blocks=False), design, progress, copy)
+    with limited(**design.stated_limits):
+        try:
+            return _recover(path, _open(path, design, progress, known, skip_blocks=True), design, progress, copy)
+        except MixedBlockError:
+            return _recover(path, _open(path, design, progress, known, skip_blocks=False), design, progress, copy)
 
 
 @dataclass(frozen=True)
@@ -124,10 +127,11 @@ def read_shapes(path: Path, design: Design, progress: Progress = silent, *, know
         InputError: as :func:`read`.
     """
     # Blocks are not skipped: a stream cannot start again once a block is found to hold more than pillars.
-    reader = _open(path, design, progress, known, skip_blocks=False)
-    hierarchy = Hierarchy(reader.cells, str(path))
-    count = hierarchy.count()
-    _refuse_many(path, design, count, _most_shapes(design))
+    with limited(**design.stated_limits):
+        reader = _open(path, design, progress, known, skip_blocks=False)
+        hierarchy = Hierarchy(reader.cells, str(path))
+        count = hierarchy.count()
+        _refuse_many(path, count, _most_shapes(design))
     return Shapes(reader.unit_nm, count, hierarchy.other_layers(), hierarchy.tops, lambda: _chunks(hierarchy))
 
 
@@ -135,9 +139,11 @@ def _open(
     path: Path, design: Design, progress: Progress, known: KnownShapes, *, skip_blocks: bool
 ) -> GdsiiReader | OasisReader:
     layer = (design.mask.layer, *design.mask.datatypes)
-    if format_of(path) == "gds":
-        return GdsiiReader(path, layer, progress, known=known)
-    return OasisReader(path, layer, progress, known=known, skip_blocks=skip_blocks, sites=_sites(design))
+    is_gdsii = format_of(path) == "gds"
+    budget = Budget(path, _sites(design))
+    if is_gdsii:
+        return GdsiiReader(path, layer, progress, known=known, budget=budget)
+    return OasisReader(path, layer, progress, known=known, skip_blocks=skip_blocks, budget=budget)
 
 
 def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, progress: Progress, copy: int) -> ReadBack:
@@ -152,8 +158,8 @@ def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, prog
     others = OtherCopies(design, copy, ratio)
     hierarchy = Hierarchy(reader.cells, str(path))
     total = hierarchy.count()
-    limit = _most_shapes(design)
-    _refuse_many(path, design, total, limit)
+    most = _most_shapes(design)
+    _refuse_many(path, total, most)
     recovery = Recovery(lattice, ratio, str(path), (place.x_dbu, place.y_dbu))
     foreign: Counter[str] = Counter()
     boxes: dict[str, list[IntArray]] = {}
@@ -165,7 +171,7 @@ def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, prog
         for other in chunk.others:
             _add_foreign(other, foreign, boxes)
         done += len(chunk.rectangles)
-        _refuse_many(path, design, done, limit)  # The total was an estimate where blocks were skipped.
+        _refuse_many(path, done, most)  # The total was an estimate where blocks were skipped.
         progress("reading", min(done, total), total)
     progress("reading", total, total)
     size_dbu = recovery.finish()
@@ -205,9 +211,9 @@ def _wide_crosses(rectangles: IntArray) -> IntArray:
     return np.asarray(rectangles + more)
 
 
-def _most_shapes(design: Design) -> int:
+def _most_shapes(design: Design) -> float:
     """Number of shapes above which a file is another design's."""
-    return 16 * _sites(design) + 1_000_000
+    return limit("shapes", 16 * _sites(design) + 1_000_000)
 
 
 def _sites(design: Design) -> int:
@@ -218,15 +224,14 @@ def _sites(design: Design) -> int:
         return _SITES_WITHOUT_LATTICE
 
 
-def _refuse_many(path: Path, design: Design, count: int, limit: int) -> None:
-    """Refuse a file with more shapes than ``limit``.
+def _refuse_many(path: Path, count: int, most: float) -> None:
+    """Refuse a file with more than ``most`` shapes.
 
     Raises:
         InputError: it holds more.
     """
-    if count > limit:
-        expected, remedy = f"about as many as the design's {_sites(design)} sites", "is it another design's?"
-        raise InputError.single(str(path), "shapes", expected, str(count), remedy)
+    if count > most:
+        raise beyond(str(path), "shapes", "shapes", f"at most {most:g}", str(count), "is it another design's?")
 
 
 def _chunks(hierarchy: Hierarchy) -> Iterator[Chunk]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import HDF5_SUFFIXES
-from metafab.core.storage.pictures import MOST_SAMPLES, read_array
+from metafab.core.storage.pictures import read_array, require_few
 
 _REMEDY = "export the stack as .npy of shape (depths, rows, columns) or (2, depths, rows, columns)"
 
@@ -126,9 +125,7 @@ def _chosen(path: Path, shapes: dict[str, tuple[int, ...]], names: Sequence[str]
         )
     chosen = wanted or stacks
     for name in chosen:
-        if math.prod(shapes[name]) > MOST_SAMPLES:
-            expected = f"at most {MOST_SAMPLES} values"
-            raise InputError.single(str(path), name, expected, f"shape {shapes[name]}", "crop the pictures")
+        require_few(path, *shapes[name])
     return chosen
 
 

@@ -208,6 +208,23 @@ class Numerics:
 
 
 @dataclass(frozen=True, config=CONFIG)
+class Limits:
+    """Limits on what reading a file may take; a small file can state more than any machine holds.
+
+    Each replaces the limits that the readers choose by the size of the file and of the lens. They hold for masks, and
+    in a run for every file that it reads.
+    """
+
+    memory_mb: Positive | None = None  #: Memory of what one file expands to.
+    #: Shapes of a mask file on the pillar layer, all placements and repetitions expanded.
+    shapes: Annotated[int | None, Field(strict=True, ge=1)] = None
+    #: Nesting of the cells of a mask file; omitted: 100.
+    depth: Annotated[int | None, Field(strict=True, ge=1, le=250)] = None
+    #: Processor time of reading a mask file, estimated from its records, so that it is the same on every machine.
+    seconds: Positive | None = None
+
+
+@dataclass(frozen=True, config=CONFIG)
 class Design(Checked):
     """A design file (``layouts/NAME.toml``) with its unit cell and scene resolved.
 
@@ -236,6 +253,7 @@ class Design(Checked):
     measured: Measured | None = None  #: Measured figures of the made device, shown beside the simulated ones.
     #: Wavelengths that the mask serves together, the unit cell's among them; it alone without the table.
     light: tuple[Light, ...] = ()
+    limits: Limits | None = None  #: Limits on what reading a file may take.
 
     def _faults(self) -> Iterator[str]:
         least_nm = _LEAST_RULE * self.unit_cell.illumination.wavelength_nm
@@ -267,6 +285,11 @@ class Design(Checked):
         stop_um = None if self.optics is None else self.optics.stop_um
         if stop_um is not None and stop_um > self.device.aperture_um:
             yield f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um"
+
+    @property
+    def stated_limits(self) -> dict[str, float | None]:
+        """Limits of reading a file by name; None where the readers choose."""
+        return {} if self.limits is None else dict(vars(self.limits))
 
     @property
     def depths_m(self) -> tuple[float, ...]:

@@ -16,6 +16,7 @@ import tomli_w
 from pydantic import TypeAdapter, ValidationError
 
 from metafab.core.errors import InputError
+from metafab.core.storage.limits import beyond, limit
 from metafab.spec.cell import UnitCell
 from metafab.spec.keys.faults import faults_of
 
@@ -27,8 +28,8 @@ LIBRARY_FORMAT = 1
 #: Keys whose values are paths relative to their file.
 _FILE_KEYS = {"file", "texture_file", "amplitude_file", "table_file", "image_file", "depth_file", "contrast_file"}
 
-#: Largest accepted file (bytes); an outline of 100 000 vertices is smaller.
-_LARGEST_BYTES = 4 * 10**6
+#: Largest accepted file (MB), unless the limit ``memory_mb`` is stated; an outline of 100 000 vertices is smaller.
+_LARGEST_MB = 4.0
 
 #: A key of more than 32 dotted parts, whose parsing takes time quadratic in their number; keys of a design have 5.
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
@@ -63,9 +64,9 @@ def _text(path: Path) -> str:
     """Text of a regular file of limited size; pipes and devices, which may never end, are refused."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise InputError.single(str(path), "file", "a TOML file", "a folder, pipe or device", "check the path")
-    if (size := path.stat().st_size) > _LARGEST_BYTES:
-        expected = f"a TOML file of at most {_LARGEST_BYTES // 10**6} MB"
-        raise InputError.single(str(path), "file", expected, f"{size} bytes", "check the path")
+    most_mb = limit("memory_mb", _LARGEST_MB)
+    if (size := path.stat().st_size) > 1e6 * most_mb:
+        raise beyond(str(path), "file", "memory_mb", f"a TOML file of at most {most_mb:g} MB", f"{size} bytes")
     text = path.read_text(encoding="utf-8-sig")  # Editors on Windows write a byte-order mark.
     if _LONG_KEY.search(text):
         raise ValueError("a key of more than 32 dotted parts")

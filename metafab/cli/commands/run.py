@@ -90,12 +90,13 @@ def run_command(
     json_: Json = False,
 ) -> None:
     """Run the whole pipeline, from unit cell to report; steps that are up to date are skipped."""
+    from metafab.core.storage.limits import limited
     from metafab.run import run
     from metafab.spec import load_design
 
     spec = load_design(design)
     folder = output or Path("runs") / (spec.name if skip else f"{spec.name}_no_skip")
-    with open_work(workers, cluster) as (work, _):
+    with limited(**spec.stated_limits), open_work(workers, cluster) as (work, _):
         summary = run(spec, folder, work=work, skips=skip, say=announce)
     if summary.library is not None:
         announce(coverage_warning(summary.library.coverage_rad))

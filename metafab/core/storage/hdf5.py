@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, DTypeLike
 from metafab import __version__
 from metafab.core.errors import InputError
 from metafab.core.storage.files import whole_file
+from metafab.core.storage.limits import beyond, limit
 
 
 @contextmanager
@@ -179,7 +180,8 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
     """Check links, types and sizes of a file before any array is read.
 
     A small file can claim large arrays that were never written or that deflate to almost nothing. A file of up to
-    10 MB may hold 768 MiB of arrays, a larger file 64 more bytes for each of its own.
+    10 MB may hold 768 MiB of arrays, a larger file 64 more bytes for each of its own, unless the limit ``memory_mb`` is
+    stated.
 
     Args:
         file: an open file.
@@ -191,7 +193,8 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
             numbers or bytes, more bytes than the budget, or hostile chunks.
     """
     file_bytes = path.stat().st_size
-    left = _BUDGET_BYTES + _EXPANSION * max(0, file_bytes - _SMALL_FILE_BYTES)
+    most = limit("memory_mb", (_BUDGET_BYTES + _EXPANSION * max(0, file_bytes - _SMALL_FILE_BYTES)) / 1e6)
+    left = most * 1e6
     most_chunks = _MOST_CHUNKS + file_bytes // 1024
 
     def refuse(name: str, expected: str, got: str) -> NoReturn:
@@ -228,7 +231,8 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
                 refuse(name, f"at most {most_chunks} chunks", f"{chunks} chunks of shape {chunk}")
             left -= max(item.size, math.prod(chunk)) * max(item.dtype.itemsize, 1)
             if left < 0:
-                refuse(name, "arrays that fit the size of the file", f"shape {item.shape} in chunks of {item.chunks}")
+                expected = f"at most {most:.0f} MB of arrays in a file of {file_bytes / 1e6:.3g} MB"
+                raise beyond(str(path), name, "memory_mb", expected, f"shape {item.shape} in chunks of {item.chunks}")
 
 
 #: Bytes of all arrays in a file of up to ``_SMALL_FILE_BYTES``, and bytes more for each byte of a larger file.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import warnings
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,10 +13,11 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.storage.limits import beyond, limit
 
 _SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy", ".npz": "npz"}
-#: Most pixels of a picture, times its colours or pages; as floats they take 512 MiB.
-MOST_SAMPLES = 1 << 26
+#: Most pixels of a picture, times its colours or pages, unless the limit ``memory_mb`` is stated: 512 MiB of floats.
+_MOST_SAMPLES, _BYTES_OF_A_SAMPLE = 1 << 26, 8
 #: Longest side of a picture (pixels); no image sensor has more.
 _LONGEST_SIDE_PX = 1 << 16
 _REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
@@ -59,7 +61,7 @@ def read_array(path: Path) -> np.ndarray:
     """Read the array of a picture file, of any shape and type: the pages of a TIFF are its first axis.
 
     Args:
-        path: .tif, .tiff, .png or .npy, or an .npz of one array; at most 2**26 values.
+        path: .tif, .tiff, .png or .npy, or an .npz of one array; at most 2**26 values, or what ``memory_mb`` allows.
 
     Raises:
         InputError: the file cannot be read.
@@ -71,6 +73,8 @@ def read_array(path: Path) -> np.ndarray:
         raise InputError.single(str(path), "file", f"a {kind} file", "no file at that path", "check the path")
     try:
         return _decoders()[kind](path)
+    except InputError:
+        raise
     except Exception as error:  # image libraries raise errors of any type on a broken file
         got = f"a truncated or foreign file ({type(error).__name__}: {error})"
         raise InputError.single(str(path), "file", f"a readable {kind} file", got, _REMEDY) from error
@@ -87,7 +91,7 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
             # A damaged size field may claim billions of strips.
             if max(page.imagewidth, page.imagelength) > _LONGEST_SIDE_PX:
                 raise ValueError(f"{page.imagelength} x {page.imagewidth} pixels, more than {_LONGEST_SIDE_PX} a side")
-            _require_few(*file.series[0].shape)
+            require_few(path, *file.series[0].shape)
             return np.asarray(file.asarray())
 
     def png(path: Path) -> np.ndarray:
@@ -97,31 +101,52 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             image = Image.open(path)
         with image:
-            _require_few(*image.size)
+            require_few(path, *image.size)
             image.load()
             grey = image.convert("RGB") if image.mode in {"P", "RGBA", "LA", "PA"} else image
             return np.asarray(grey)
 
     def npy(path: Path) -> np.ndarray:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-        _require_few(*mapped.shape)
+        require_few(path, *mapped.shape)
         return np.array(mapped)
 
     def npz(path: Path) -> np.ndarray:
-        with np.load(path, allow_pickle=False) as file:
-            if len(file.files) != 1:
-                raise ValueError(f"{len(file.files)} arrays ({', '.join(file.files)}), not one")
-            values = file[file.files[0]]
-        _require_few(*values.shape)
-        return np.asarray(values)
+        arrays = read_arrays(path)
+        if len(arrays) != 1:
+            raise ValueError(f"{len(arrays)} arrays ({', '.join(arrays)}), not one")
+        (values,) = arrays.values()
+        return values
 
     return {"tiff": tiff, "png": png, "npy": npy, "npz": npz}
 
 
-def _require_few(*shape: int) -> None:
-    """Refuse a picture by the size in its header, before it is decoded."""
-    if math.prod(shape) > MOST_SAMPLES:
-        raise ValueError(f"{' x '.join(map(str, shape))} pixels, more than {MOST_SAMPLES} in all")
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """Read all arrays of an .npz file, of any shape, by name; its directory states how many bytes they inflate to.
+
+    Raises:
+        InputError: that is more than the limit ``memory_mb``.
+        OSError, ValueError, BadZipFile: the file is no .npz file.
+    """
+    most_mb = limit("memory_mb", _MOST_SAMPLES * _BYTES_OF_A_SAMPLE / 1e6)
+    with zipfile.ZipFile(path) as directory:
+        inflated = sum(entry.file_size for entry in directory.infolist())
+    if inflated > 1e6 * most_mb:
+        raise beyond(str(path), "arrays", "memory_mb", f"at most {most_mb:.0f} MB", f"{inflated / 1e6:.0f} MB")
+    with np.load(path, allow_pickle=False) as file:
+        return {name: np.asarray(file[name]) for name in file.files}
+
+
+def require_few(path: Path, *shape: int) -> None:
+    """Refuse a picture or stack by the shape in its header, before it is decoded.
+
+    Raises:
+        InputError: it has more values than the limit ``memory_mb`` holds.
+    """
+    most_mb = limit("memory_mb", _MOST_SAMPLES * _BYTES_OF_A_SAMPLE / 1e6)
+    if math.prod(shape) * _BYTES_OF_A_SAMPLE > 1e6 * most_mb:
+        expected = f"at most {1e6 * most_mb / _BYTES_OF_A_SAMPLE:.3g} values"
+        raise beyond(str(path), "shape", "memory_mb", expected, " x ".join(map(str, shape)))
 
 
 def _saturation(values: np.ndarray) -> float | None:

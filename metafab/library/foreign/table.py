@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage import hdf5
+from metafab.core.storage.limits import beyond, limit
+from metafab.core.storage.pictures import read_arrays
 
 #: Amplitudes of a file: the ratio of the electric fields; a modulus that is the power transmittance, with the phase of
 #: that ratio; or a scattering parameter, whose squared modulus is the power transmittance.
@@ -29,8 +31,8 @@ Quantity: TypeAlias = Literal["field", "power", "s21"]
 
 _UNITS_NM = {"nm": 1.0, "um": 1e3, "m": 1e9}
 _SUFFIXES = ("_re", "_im", "_abs", "_phase_rad", "_phase_deg")
-#: Largest file, bytes.
-_LARGEST_BYTES = 1 << 30
+#: Largest file, MB, unless the limit ``memory_mb`` is stated.
+_LARGEST_MB = 1000.0
 
 
 @dataclass(frozen=True)
@@ -81,8 +83,9 @@ def _columns(path: Path) -> dict[str, NDArray[np.generic]]:
     if path.suffix.lower() not in readers:
         raise InputError.single(str(path), "file", expected, f"the ending {path.suffix!r}")
     try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise InputError.single(str(path), "file", f"at most {_LARGEST_BYTES >> 20} MB", "a larger one")
+        most_mb = limit("memory_mb", _LARGEST_MB)
+        if path.stat().st_size > 1e6 * most_mb:
+            raise beyond(str(path), "file", "memory_mb", f"at most {most_mb:.0f} MB", "a larger one")
         return readers[path.suffix.lower()](path)
     except InputError:
         raise
@@ -117,8 +120,7 @@ def _is_complex(text: str) -> bool:
 
 
 def _npz(path: Path) -> dict[str, NDArray[np.generic]]:
-    with np.load(path, allow_pickle=False) as file:
-        return {name.lower(): np.asarray(file[name]) for name in file.files}
+    return {name.lower(): array for name, array in read_arrays(path).items()}
 
 
 def _h5(path: Path) -> dict[str, NDArray[np.generic]]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
+from metafab.mask.budget import Budget
 from metafab.mask.gdsii import records
 from metafab.mask.gdsii.records import read_real
 from metafab.mask.gdsii.runs import WINDOW, Window, damaged, rectangles_of
@@ -31,6 +32,8 @@ _SHAPES = {
     records.NODE: "node",
     records.BOX: "box",
 }
+#: Estimated processor time, s: of the index of a run of elements, of its shapes, and of an empty cell.
+_SECONDS_OF_A_RUN, _SECONDS_OF_SHAPES, _SECONDS_OF_A_CELL = 3e-5, 5e-5, 2e-5
 #: Placements of an array that are expanded at a time.
 _PLACEMENTS = 1 << 16
 _REFERENCES = {records.SREF, records.AREF}
@@ -57,6 +60,7 @@ class GdsiiReader:
         layer: (layer, first datatype, last datatype) of the wanted shapes.
         progress: callback with the number of indexed bytes.
         known: distinguishes pillars from other shapes.
+        budget: processor time that elements may take; by default that of a lens of 1.4 mm.
 
     Attributes:
         cells: cells by name.
@@ -67,8 +71,15 @@ class GdsiiReader:
     """
 
     def __init__(
-        self, path: Path, layer: tuple[int, int, int], progress: Progress = silent, *, known: KnownShapes = RECTANGLES
+        self,
+        path: Path,
+        layer: tuple[int, int, int],
+        progress: Progress = silent,
+        *,
+        known: KnownShapes = RECTANGLES,
+        budget: Budget | None = None,
     ) -> None:
+        self._budget = budget or Budget(path, 1 << 24)
         self._path = path
         self._known = known
         self._layer = layer
@@ -91,6 +102,7 @@ class GdsiiReader:
                 if not 0.0 < self.unit_nm < 1e6:
                     raise self._damaged("a database unit", f"{self.unit_nm} nm")
             elif kind == records.STRNAME:
+                self._budget.work(_SECONDS_OF_A_CELL)
                 name = data.rstrip(b"\0").decode("latin-1")
                 if name in self.cells:
                     raise self._damaged("cells of different names", f"two of the name {name!r}")
@@ -115,6 +127,7 @@ class GdsiiReader:
 
     def _element(self, window: Window, start: int, kind: int, cell: Cell, runs: list[_Run]) -> int:
         """Add the run of elements that begins at ``start`` to a cell; return the position behind the run."""
+        self._budget.work(_SECONDS_OF_A_RUN)
         fields: dict[int, bytes] = {}
         position, xy = start, (0, 0)
         record = kind
@@ -212,6 +225,7 @@ class GdsiiReader:
 
     def _shapes(self, runs: list[_Run]) -> Iterator[Chunk]:
         for run in runs:
+            self._budget.work(_SECONDS_OF_SHAPES)
             if run.kind == records.PATH:
                 yield from (_paths(run, points, self._known) for points in self._coordinates(run))
             elif run.kind not in {records.BOUNDARY, records.BOX} or run.xy[1] != 10 or not self._known.are_rectangles:

@@ -22,8 +22,6 @@ ByteArray = NDArray[np.uint8]
 #: Form of a repetition whose copies stand at equal steps; the other forms are those of :func:`read_displacement`.
 REGULAR = 3
 
-# East, north, west, south, then the diagonals north-east, north-west, south-west, south-east.
-_DIRECTIONS = ((1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (-1, -1), (1, -1))
 _LARGEST_REPETITION = 1 << 28
 #: Largest coordinate (database units), a kilometre: sums over nested cells stay below 2^63.
 _LARGEST_PLACE = 1 << 40
@@ -122,10 +120,46 @@ def read_displacement(data: ByteArray, position: int, form: int) -> tuple[int, i
         second, position = read_unsigned(data, position)
         x, y = first >> 2, second >> 1
         return (-x if first & 2 else x), (-y if second & 1 else y), position
-    length, direction = first >> 4, first >> 1 & 7
+    x, y = _along(first >> 1 & 7, first >> 4)
+    return x, y, position
+
+
+@compiled
+def _along(direction: int, length: int) -> tuple[int, int]:
+    """x, y of a step east, north, west or south, or along the diagonals from north-east counter-clockwise."""
     x = length if direction in (0, 4, 7) else -length if direction in (2, 5, 6) else 0
     y = length if direction in (1, 4, 5) else -length if direction in (3, 6, 7) else 0
-    return x, y, position
+    return x, y
+
+
+@compiled
+def read_moves(data: ByteArray, position: int, kind: int, moves: IntArray) -> int:
+    """Read the displacements of a point list.
+
+    Args:
+        data: bytes, shape (n,).
+        position: where they begin.
+        kind: type of the list: 0 and 1 alternate between x and y, 2 and 3 have four and eight directions, 4 and 5 are
+            g-deltas.
+        moves: shape (m, 2), filled.
+
+    Returns:
+        The position behind; -1 if the data end.
+    """
+    for item in range(len(moves)):
+        if kind > 3:
+            x, y, position = read_displacement(data, position, 2)
+        else:
+            value, position = read_unsigned(data, position)
+            if kind > 1:
+                x, y = _along(value & ((1 << kind) - 1), value >> kind)
+            else:
+                step = -(value >> 1) if value & 1 else value >> 1
+                x, y = (step, 0) if (item + kind) % 2 == 0 else (0, step)
+        if position < 0:
+            return -1
+        moves[item, 0], moves[item, 1] = x, y
+    return position
 
 
 @compiled
@@ -299,14 +333,6 @@ class Stream:
         """Read a string."""
         return self.bytes(self.unsigned()).decode("latin-1")
 
-    def step(self) -> tuple[int, int]:
-        """Read a g-delta, (x, y): a displacement along one of eight directions, or any."""
-        x, y, end = read_displacement(self.data, self.position, 2)
-        if end < 0:
-            raise DamagedError("a displacement that is cut short")
-        self.position = int(end)
-        return int(x), int(y)
-
     def skip_padding(self) -> None:
         """Skip the zeros up to the next record."""
         size = 64
@@ -351,15 +377,13 @@ class Stream:
         kind, count = self.unsigned(), self.unsigned()
         if count > self.data.size - self.position:
             raise DamagedError("the data end inside a point list")
-        if kind in {0, 1}:
-            steps = [(self.signed(), 0) if (i + kind) % 2 == 0 else (0, self.signed()) for i in range(count)]
-        elif kind in {2, 3}:
-            steps = [self._direction(kind) for _ in range(count)]
-        elif kind in {4, 5}:
-            steps = [self.step() for _ in range(count)]
-        else:
+        if kind > 5:
             raise DamagedError(f"a point list of type {kind}")
-        moves = np.array(steps, dtype=np.int64).reshape(-1, 2)
+        moves = np.zeros((count, 2), dtype=np.int64)
+        end = read_moves(self.data, self.position, kind, moves)
+        if end < 0:
+            raise DamagedError("the data end inside a point list")
+        self.position = int(end)
         if kind == 5:
             moves = np.cumsum(moves, axis=0)
         vertices = np.concatenate([np.zeros((1, 2), dtype=np.int64), np.cumsum(moves, axis=0)])
@@ -367,12 +391,6 @@ class Stream:
             last = [0, vertices[-1, 1]] if kind == 0 else [vertices[-1, 0], 0]
             vertices = np.concatenate([vertices, np.array([last], dtype=np.int64)])
         return vertices
-
-    def _direction(self, bits: int) -> tuple[int, int]:
-        """Read a displacement along one of 2^bits directions."""
-        value = self.unsigned()
-        x, y = _DIRECTIONS[value & (1 << bits) - 1]
-        return x * (value >> bits), y * (value >> bits)
 
     def skip_property(self, kind: int) -> None:
         """Skip the content of a property (28, 29) or of an extension element (32)."""

@@ -12,6 +12,7 @@ import math
 import mmap
 import struct
 import zlib
+from array import array
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from deflate import DeflateError, deflate_decompress
 
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
+from metafab.mask.budget import Budget
 from metafab.mask.oasis.elements import DamagedError, Stream
 from metafab.mask.oasis.records import POLYGON, RECTANGLE
 from metafab.mask.oasis.rectangles import LARGEST_CHUNK, RUN, read_rectangles
@@ -35,9 +37,11 @@ _ENDS_OF_A_CELL = {_CELL_BY_NUMBER, CELL, *_TABLES}
 
 _REMEDY = "the file is damaged or not OASIS: write or export it again"
 _LARGEST_BLOCK = 1 << 31
-#: Budget of a file without sites, and more for each site. A pillar takes up to 76 bytes, in one or two passes.
-_BYTES, _BYTES_OF_A_SITE = 1 << 30, 1024
-_RECORDS, _RECORDS_OF_A_SITE = 1 << 20, 8
+#: Estimated processor time of a record in Python, s, by its kind: shapes and placements take the longest.
+_SECONDS_OF_A_RECORD = {_XYABSOLUTE: 1e-6, XYRELATIVE: 1e-6, 28: 4e-6, 29: 1e-6, _TEXT: 6e-6}
+_SECONDS_OF_A_SHAPE = 1.2e-5
+#: The same of a shape that is compared with the pillars, besides.
+_SECONDS_OF_A_PILLAR = 4e-5
 _LARGEST_RATIO = 1032  # Deflate needs at least two bits for 258 bytes.
 
 
@@ -55,7 +59,7 @@ class OasisReader:
         known: distinguishes pillars from other shapes.
         skip_blocks: whether the index may skip blocks that begin with a rectangle, or with a polygon if pillars are
             polygons.
-        sites: sites of the design, which set the budget of inflated bytes and of records of all passes.
+        budget: what all passes may take; by default that of a lens of 1.4 mm.
 
     Attributes:
         cells: cells by name.
@@ -73,11 +77,9 @@ class OasisReader:
         *,
         known: KnownShapes = RECTANGLES,
         skip_blocks: bool = True,
-        sites: int = 1 << 24,
+        budget: Budget | None = None,
     ) -> None:
-        self._sites = sites
-        self._left_bytes = _BYTES + _BYTES_OF_A_SITE * sites
-        self._left_records = _RECORDS + _RECORDS_OF_A_SITE * sites
+        self.budget = budget or Budget(path, 1 << 24)
         self.skip_blocks = skip_blocks
         self.known = known
         self.pillar_kind = RECTANGLE if known.are_rectangles else POLYGON
@@ -124,18 +126,6 @@ class OasisReader:
         for cell in self.cells.values():
             cell.references = [Reference(name(r.cell), r.orientation, r.count, r.offsets) for r in cell.references]
 
-    def spend(self, inflated_bytes: int = 0, records: int = 0) -> None:
-        """Take inflated bytes or single records from the budget.
-
-        Raises:
-            DamagedError: nothing is left of it.
-        """
-        self._left_bytes -= inflated_bytes
-        self._left_records -= records
-        if self._left_bytes < 0 or self._left_records < 0:
-            what = "bytes" if self._left_bytes < 0 else "records"
-            raise DamagedError(f"far more {what} than a mask of {self._sites} sites takes")
-
     def shapes_at(self, place: tuple[int | None, int]) -> Iterator[Chunk]:
         """Yield the shapes of the cell whose records begin at ``place`` (position of the CBLOCK or None, position)."""
         try:
@@ -162,6 +152,8 @@ class _Pass:
         self._implicit_names = 0
         self._rectangles: list[IntArray] = []
         self._others: list[Other] = []
+        #: Cell, orientation, and x and y of the placements that are not yet among the references.
+        self._placed: tuple[str, Orientation | None, array[int]] | None = None
         if place is not None:
             block, position = place
             if block is not None:
@@ -185,6 +177,7 @@ class _Pass:
             if kind == END or not self._record(kind):
                 break
             yield from self._flush(LARGEST_CHUNK)
+        self._add_reference()
         yield from self._flush(1)
 
     def _flush(self, at_least: int) -> Iterator[Chunk]:
@@ -201,7 +194,7 @@ class _Pass:
         if kind == 0:
             stream.skip_padding()
             return True
-        self._reader.spend(records=1)
+        self._reader.budget.work(_SECONDS_OF_A_RECORD.get(kind, _SECONDS_OF_A_SHAPE))
         if self._pillars_only and kind not in SHAPES:
             raise MixedBlockError
         if kind in _ENDS_OF_A_CELL and not self._indexing:
@@ -221,6 +214,7 @@ class _Pass:
         elif kind in _PROPERTIES:
             stream.skip_property(kind)
         elif kind in _TABLES:
+            self._add_reference()
             self._cell = None
             self._start() if kind == START else self._name(kind)
         else:
@@ -247,7 +241,7 @@ class _Pass:
                 self._cell.shape_count += size
                 self._pillars_only = False
                 return
-            self._reader.spend(size)
+            self._reader.budget.inflate(size)
             data = deflate_decompress(content, size)
         except (zlib.error, DeflateError) as error:
             raise DamagedError(f"a CBLOCK that cannot be inflated ({error})") from error
@@ -257,6 +251,7 @@ class _Pass:
 
     def _begin_cell(self, key: str) -> None:
         reader = self._reader
+        self._add_reference()
         if key in reader.cells:
             raise DamagedError(f"two cells of the name {key!r}")
         cell = Cell()
@@ -318,14 +313,30 @@ class _Pass:
         modal.placement = modal.read_position(stream, modal.placement, bool(info & 0b10_0000), bool(info & 0b1_0000))
         if not math.isfinite(quarters):
             raise DamagedError(f"a placement that is turned by {90.0 * quarters} degrees")
-        copies, origin = modal.read_repetition(stream, bool(info & 0b1000)), np.array(modal.placement, dtype=np.int64)
+        copies = modal.read_repetition(stream, bool(info & 0b1000))
         if not self._indexing:
             return
         exact = not magnified and abs(quarters - round(quarters)) < 1e-9
         orientation = Orientation(bool(info & 1), round(quarters) % 4) if exact else None
+        if self._placed is None or copies.count > 1 or (modal.cell, orientation) != self._placed[:2]:
+            self._add_reference()
+            self._placed = modal.cell, orientation, array("q")
+        if copies.count == 1:
+            self._placed[2].extend(modal.placement)
+            return
+        origin, self._placed = np.array(modal.placement, dtype=np.int64), None
         cell.references.append(
             Reference(modal.cell, orientation, copies.count, lambda: (block + origin for block in copies.blocks()))
         )
+
+    def _add_reference(self) -> None:
+        """Add the single placements of one cell that stand next to each other in the file as one reference."""
+        if self._placed is None or self._cell is None:
+            return
+        name, orientation, origins = self._placed
+        offsets = np.frombuffer(origins, dtype=np.int64).reshape(-1, 2)
+        self._cell.references.append(Reference(name, orientation, len(offsets), lambda: iter((offsets,))))
+        self._placed = None
 
     def _text(self) -> None:
         stream, modal, cell = self._stream, self._modal, self._inside()
@@ -361,6 +372,7 @@ class _Pass:
         cell.shape_count += copies.count
         if self._indexing:
             return
+        self._reader.budget.work(_SECONDS_OF_A_PILLAR)
         origin = np.concatenate([modal.geometry, [0, 0]])
         rectangle = self._reader.known(shape, self._reader.unit_nm) if name != "circle" else None
         box = (box_of(shape) if rectangle is None else rectangle) + origin

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.errors import InputError
+from metafab.core.storage.limits import beyond, limit
 
 IntArray = NDArray[np.int64]
 
 # Rectangles expanded at a time; keeps a chunk in the cache.
 _CHUNK = 1 << 16
 
-#: Deepest nesting of cells; masks of a chip have fewer than twenty levels.
+#: Deepest nesting of cells, unless the limit ``depth`` is stated; masks of a chip have fewer than twenty levels.
 _DEEPEST = 100
 
 _ORIGIN = np.zeros(2, dtype=np.int64)
@@ -184,7 +185,7 @@ class Hierarchy:
     def _count(self, source: str) -> dict[str, tuple[int, Counter[str]]]:
         """Expanded counts of every cell, children first, without recursion (files may nest deeply)."""
         totals: dict[str, tuple[int, Counter[str]]] = {}
-        depth: dict[str, int] = {}
+        depth, deepest = dict[str, int](), limit("depth", _DEEPEST)
         for top in self._cells:
             stack, open_cells = [(top, False)], set()
             while stack:
@@ -201,9 +202,9 @@ class Hierarchy:
                             layers[layer] += number * reference.count
                     totals[name] = (count, layers)
                     depth[name] = 1 + max((depth[reference.cell] for reference in cell.references), default=0)
-                    if depth[name] > _DEEPEST:
-                        expected, got = f"cells nested at most {_DEEPEST} deep", "deeper ones"
-                        raise InputError.single(source, f"cell {name}", expected, got, "flatten the mask")
+                    if depth[name] > deepest:
+                        expected = f"cells nested at most {deepest:g} deep"
+                        raise beyond(source, f"cell {name}", "depth", expected, "deeper ones", "flatten the mask")
                     open_cells.discard(name)
                     continue
                 open_cells.add(name)

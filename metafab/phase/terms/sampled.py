@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
 from metafab.core.numeric.bilinear import bilinear_on_grid
-from metafab.core.storage import hdf5
+from metafab.core.storage import hdf5, pictures
 from metafab.phase.pupil import Pupil, phasor
 from metafab.phase.terms.angles import angle
 from metafab.phase.terms.profile import PolarisedTerm
@@ -96,7 +96,7 @@ def read_array(file: Path, dataset: str) -> NDArray[np.generic]:
         raise InputError.single(str(file), "file", expected, f"the ending {file.suffix!r}")
     try:
         if file.suffix == ".npy":
-            return np.asarray(np.load(file, allow_pickle=False))
+            return pictures.read_array(file)
         if file.suffix == ".csv":
             return np.loadtxt(file, delimiter=",", ndmin=2)
         with h5py.File(file, "r") as source:

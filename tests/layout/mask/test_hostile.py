@@ -11,14 +11,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from metafab import mask
 from metafab.core.errors import InputError
 from metafab.mask.gdsii import records as gds
 from metafab.mask.oasis.elements import real, signed, string, unsigned
+from metafab.mask.oasis.reader import OasisReader
 from metafab.mask.read import read_shapes
 from metafab.spec import Design
+from metafab.spec.design import Limits
 
 _MAGIC = b"%SEMI-OASIS\r\n"
 _START = b"\x01" + string("1.0") + real(1000.0) + b"\x01"
@@ -156,3 +159,41 @@ def test_what_is_only_counted_costs_nothing(make: Callable[[], bytes], design: D
     path.write_bytes(make())
     _bounded(path, lambda file: mask.read(file, design))
     _bounded(path, lambda file: list(read_shapes(file, design).chunks()))
+
+
+#: Name of a limit, a file, a value that refuses it and one that lets it pass; None for the default.
+LIMITS: dict[str, tuple[str, Callable[[], bytes], float | None, float | None]] = {
+    "memory": ("memory_mb", lambda: _oasis(_cell("T", _block(b"\x0f" + bytes(10**6) + _PILLAR))), 0.9, None),
+    "shapes": ("shapes", lambda: _oasis(_cell("T", _PILLAR * 20)), 19, 20),
+    "depth": ("depth", lambda: _oasis(
+        _cell("C0", _PILLAR), *(_cell(f"C{k}", _place(f"C{k - 1}")) for k in range(1, 250))
+    ), None, 250),
+    "seconds": ("seconds", lambda: _oasis(_cell("A", _PILLAR), _cell("T", *[_place("A")] * 100)), 1e-3, None),
+    "GDSII depth": ("depth", lambda: _gdsii(
+        ("C0", _boundary()), *((f"C{k}", _single(f"C{k - 1}")) for k in range(1, 250))
+    ), None, 250),
+    "GDSII seconds": ("seconds", lambda: _gdsii(("C0", (_boundary() + _single("C1")) * 50), ("C1", b"")), 1e-3, None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", LIMITS.values(), ids=LIMITS.keys())
+def test_a_design_sets_the_limits(
+    case: tuple[str, Callable[[], bytes], float | None, float | None], design: Design, tmp_path: Path
+) -> None:
+    name, make, too_low, enough = case
+    path = tmp_path / "mask"
+    path.write_bytes(make())
+    for read in (lambda of: mask.read(path, of), lambda of: list(read_shapes(path, of).chunks())):
+        with pytest.raises(InputError, match=rf"raise `limits\.{name}` of the design, or `--limit {name}=N`"):
+            read(replace(design, limits=Limits(**{name: too_low})))
+        read(replace(design, limits=Limits(**{name: enough})))
+
+
+def test_single_placements_of_a_cell_are_one_reference(design: Design, tmp_path: Path) -> None:
+    path = tmp_path / "mask.oas"
+    places = [(0, "A"), (700, "A"), (1400, "B"), (2100, "A"), (2800, "A")]
+    path.write_bytes(_oasis(_cell("A", _PILLAR), _cell("B", _PILLAR), _cell("T", *(_place(n, x=x) for x, n in places))))
+    reader = OasisReader(path, (1, 0, 0))
+    assert [(each.cell, each.count) for each in reader.cells["T"].references] == [("A", 2), ("B", 1), ("A", 2)]
+    shapes = np.concatenate([chunk.rectangles[:, :2] + chunk.shift for chunk in read_shapes(path, design).chunks()])
+    assert shapes[:, 0].tolist() == [x for x, _ in places]

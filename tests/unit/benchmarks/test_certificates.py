@@ -7,23 +7,28 @@ import math
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks.certificates import KINDS, TARGETS, Case, audit, draw, judge
+from benchmarks import certificates
+from benchmarks.certificates import KINDS, TARGETS, Case, audit, draw
 from metafab.benchmark import rows_of
+from metafab.cell import CellNumerics, solve
 from metafab.cell.validation import check
 from metafab.cli.app import app
 from metafab.core.errors import InputError
 from tests.paper_cell import SILICON
 
-CASE = Case("rectangle", SILICON, 1e-3, 6, True, 1e-3, 1.2e-3, 1e-4, 0.01)
+CASE = Case(0, "rectangle", 1e-3, 6, True, 1e-3, 1.2e-3, 1e-4, 0.01)
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(certificates, "KEPT", tmp_path / "kept")
 
 
 def test_cells_of_all_kinds_are_drawn_and_physical() -> None:
-    rng = np.random.default_rng(1)
-    drawn = [draw(rng) for _ in range(400)]
+    drawn = [draw(1, number) for number in range(600)]
     for _, cell in drawn:
         check(cell)
     assert {kind for kind, _ in drawn} == set(KINDS)
@@ -32,6 +37,8 @@ def test_cells_of_all_kinds_are_drawn_and_physical() -> None:
     assert {cell.shape for cell in cells} == {"rectangle", "ellipse", "cross"}
     assert {cell.side for cell in cells} == {"substrate", "ambient"}
     assert any(cell.height_nm > cell.wavelength_nm for cell in cells)
+    assert any(cell.is_sloped for cell in cells) and any(cell.under and not cell.over for cell in cells)
+    assert any(cell.is_staggered and cell.shape == "ellipse" for cell in cells)
 
 
 def test_an_answer_is_broken_beyond_the_error_of_its_reference() -> None:
@@ -43,16 +50,33 @@ def test_an_answer_is_broken_beyond_the_error_of_its_reference() -> None:
     assert not replace(CASE, stated=math.inf).judged
 
 
-def test_the_same_seed_gives_the_same_answers() -> None:
-    first, second = (list(audit(3, 3)) for _ in range(2))
+def test_answers_are_kept_by_seed_and_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = list(audit(3, 3))
     assert [case.target_error for case in first] == list(TARGETS)
-    assert [replace(case, seconds=0.0) for case in first] == [replace(case, seconds=0.0) for case in second]
+    (kept,) = certificates.KEPT.iterdir()
+    kept.write_text(kept.read_text() + '\n[{"number": 1, ')  # cut short by a kill
+    again = list(audit(3, 4))
+    assert again[:3] == first and again[3].number == 1
+    monkeypatch.setattr(certificates, "judge", lambda *_: pytest.fail("solved again"))
+    assert list(audit(3, 2)) == first[:2]
 
 
-def test_the_reference_is_finer_than_the_answer() -> None:
-    case = judge("rectangle", SILICON, 1e-2, {})
-    assert case.judged and not case.broken and case.orders == 6
-    assert case.reference_error <= 0.1 * case.stated
+def test_a_kept_line_that_was_cut_short_is_solved_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(certificates, "judge", lambda seed, number: [replace(CASE, number=number)] * 3)
+    assert len(list(audit(3, 6))) == 6
+    (kept,) = certificates.KEPT.iterdir()
+    kept.write_text(kept.read_text()[:-9])
+    assert [case.number for case in audit(3, 9)] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+    assert [case.number for case in audit(3, 9)] == [0, 0, 0, 1, 1, 1, 2, 2, 2]
+
+
+def test_targets_share_truncations_and_the_reference_is_finer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(certificates, "draw", lambda seed, number: ("rectangle", SILICON))
+    alone = [solve(SILICON, CellNumerics(target)) for target in TARGETS]
+    cases = list(certificates.judge(0, 16))
+    assert [case.stated for case in cases] == [answer.error for answer in alone]
+    assert all(case.judged and not case.broken for case in cases)
+    assert cases[0].truncation == 6 and cases[0].reference_error <= 0.2 * cases[0].stated
 
 
 def test_the_command_counts_the_broken(tmp_path: Path) -> None:

@@ -199,3 +199,17 @@ def test_no_bound_from_a_single_truncation() -> None:
     response = solve(SILICON, CellNumerics(1e-2, max_orders=3))
     assert not response.converged
     assert response.error == np.inf
+
+
+def test_truncations_that_do_not_resolve_the_waves_in_the_pillar_state_no_error_below_one() -> None:
+    """5.2 wavelengths in the pillar: 5 and 6 cosines differ by 0.03, and both are off by 0.16."""
+    cell = replace(
+        SILICON, period_nm=(523.0, 523.0), width_nm=76.0, length_nm=223.0, height_nm=168.0, n_pillar=4.997,
+        n_substrate=(2.305, 2.305), wavelength_nm=502.0, side="ambient", angle_deg=24.0, azimuth_deg=323.0,
+    )  # fmt: skip
+    few, more = (solve(cell, CellNumerics(1e-3, max_orders=count)) for count in (6, 8))
+    assert few.error == 1.0 and not few.converged
+    reference = zero_order(cell, 10)
+    # 10 cosines are off by 0.01 themselves.
+    assert np.abs(few.t - reference.t).max() > 0.08
+    assert np.abs(more.t - reference.t).max() + 0.01 <= more.error < 1.0
