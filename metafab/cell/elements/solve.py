@@ -120,7 +120,7 @@ def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: 
 
 
 def scattered_by_row(supercell: Supercell, light: Polarisation, resolution: float) -> ComplexArray:
-    """Orders that a row along x sends to both sides, with the polarisation of the light, at one resolution.
+    """Reflected and transmitted orders of a row along x, with the polarisation of the light, at one resolution.
 
     Args:
         supercell: one row along x.
@@ -128,9 +128,8 @@ def scattered_by_row(supercell: Supercell, light: Polarisation, resolution: floa
         resolution: as in :func:`orders_at`.
 
     Returns:
-        Shape (2, 2, n_orders), over the incident E: for light from the substrate and for light from the side behind the
-        pillars, the orders that leave into the substrate and those that leave behind the pillars. The reflected zero
-        order does not hold the incident wave.
+        Shape (2, n_orders), amplitudes over the incident E: of the orders that return into the substrate, then of those
+        that leave behind the pillars. Both are the orders that propagate behind the pillars.
 
     Raises:
         InputError: as :func:`supercell_orders`.
@@ -140,16 +139,10 @@ def scattered_by_row(supercell: Supercell, light: Polarisation, resolution: floa
     with one_thread():
         layer = _layer(supercell, light, resolution, order)
         system = face_system(layer, supercell, (light,))
-        far_source = incident(layer, light, supercell.cell.n_out[axis])[:, None]
-        none = np.zeros_like(system.source)
-        near = np.concatenate([2.0 * system.source, none], axis=1)
-        far = np.concatenate([none, 2.0 * far_source], axis=1)
-        amplitudes = layer.orders[:, axis] @ system.solve(near, far)
-    found = np.moveaxis(amplitudes, -1, 0).copy()
-    zero = np.flatnonzero(np.all(order == 0, axis=1))
-    for side in range(2):
-        found[side, side, zero] -= 1.0
-    return found
+        fields = system.solve(2.0 * system.source, np.zeros_like(system.source))[..., 0]
+    scattered = fields @ layer.orders[:, axis].T
+    scattered[0] -= np.all(order == 0, axis=1)
+    return np.asarray(scattered)
 
 
 def _layer(supercell: Supercell, light: Polarisation, resolution: float, order: IntArray) -> Layer:

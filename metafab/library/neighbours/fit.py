@@ -10,10 +10,12 @@ from scipy.linalg import cho_factor, cho_solve
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.library.neighbours.line import LineModel, LineShape
-from metafab.library.neighbours.solve import corrections_and_jacobian, line_corrections
+from metafab.library.neighbours.solve import corrections_and_jacobian, line_corrections, scattered_corrections
 
 #: Rows whose Jacobian is held at once.
-_ROWS_AT_ONCE = 48
+_ROWS_AT_ONCE = 32
+#: Weights of the squared residuals of reflected and transmitted light, each over its own power.
+_FACES = np.array([0.5, 1.0])
 
 
 @dataclass(frozen=True)
@@ -21,8 +23,8 @@ class RowSet:
     """Solved rows of one length."""
 
     size_nm: FloatArray  #: Shape (rows, sites, 2), width and length of each pillar.
-    local: ComplexArray  #: Shape (rows, sites), the library's t of each pillar.
-    amplitude: ComplexArray  #: Shape (rows, orders), solved amplitudes of the orders.
+    local: ComplexArray  #: Shape (2, rows, sites), the library's r and t of each pillar.
+    amplitude: ComplexArray  #: Shape (2, rows, orders), solved amplitudes of the reflected and transmitted orders.
     order: FloatArray  #: Shape (orders,), numbers of the orders.
     weight: FloatArray  #: Shape (orders,), weight of each squared residual.
 
@@ -33,15 +35,16 @@ class RowSet:
         at = (np.arange(sites) + 0.5) / sites - 0.5
         return np.asarray(np.exp(-2j * np.pi * np.outer(self.order, at)) / sites)
 
-    def subset(self, rows: slice) -> RowSet:
-        """Some of the rows."""
-        return RowSet(self.size_nm[rows], self.local[rows], self.amplitude[rows], self.order, self.weight)
-
     def errors(self, model: LineModel | None) -> FloatArray:
-        """Relative rms error of each row over its orders, shape (rows,); None for the local-period approximation."""
-        field = self.local if model is None else self.local + line_corrections(model, model.polynomials(self.size_nm))
-        off = field @ self.to_orders.T - self.amplitude
-        return np.asarray(np.linalg.norm(off, axis=1) / np.linalg.norm(self.amplitude, axis=1))
+        """Relative rms error of each row over its transmitted orders, shape (rows,).
+
+        ``model`` None is the local-period approximation.
+        """
+        field, amplitude = self.local[1], self.amplitude[1]
+        if model is not None:
+            field = field + line_corrections(model, model.polynomials(self.size_nm))
+        off = field @ self.to_orders.T - amplitude
+        return np.asarray(np.linalg.norm(off, axis=1) / np.linalg.norm(amplitude, axis=1))
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,7 @@ def fit(
     limits: FitLimits = FitLimits(),
     report: Callable[[int, int], None] | None = None,
 ) -> LineModel:
-    """Fit a chain to rows: least squares of the orders' amplitudes, with a prior that keeps high degrees small.
+    """Fit a chain to the light that rows reflect and transmit: least squares, with a prior against high degrees.
 
     Args:
         model: parameters to start from.
@@ -106,18 +109,19 @@ def _prior(shape: LineShape) -> FloatArray:
     degree = shape.powers.sum(axis=1)
     weight = (1.0 + degree) ** 2.0
     r, _ = shape.pairs
-    parts = [np.repeat(weight, n) for n in (r.size, shape.even, shape.even, shape.modes)]
+    parts = [np.repeat(weight, n) for n in (r.size, shape.even, shape.modes, shape.even, shape.modes)]
     return np.concatenate([*parts, np.ones(shape.hop_pairs[0].size)])
 
 
 def _residuals(rows: RowSet, correction: ComplexArray) -> ComplexArray:
-    """Weighted differences of the orders, shape (rows, orders), over the rms field of a row."""
-    off = (rows.local + correction) @ rows.to_orders.T - rows.amplitude
-    return off * np.sqrt(rows.weight) / _norm(rows)
+    """Weighted differences of the orders, shape (2, rows, orders), over the rms light of a row."""
+    return ((rows.local + correction) @ rows.to_orders.T - rows.amplitude) * _weights(rows)[:, None]
 
 
-def _norm(rows: RowSet) -> float:
-    return float(np.sqrt(np.mean(np.sum(np.abs(rows.amplitude) ** 2, axis=1))))
+def _weights(rows: RowSet) -> FloatArray:
+    """Factors of the residuals, shape (2, orders)."""
+    power = np.mean(np.sum(np.abs(rows.amplitude) ** 2, axis=-1), axis=1)
+    return np.asarray(np.sqrt(rows.weight * (_FACES / power)[:, None]))
 
 
 def _loss(
@@ -128,7 +132,7 @@ def _loss(
 ) -> float:
     total = float(ridge @ np.abs(model.vector) ** 2)
     for rows, values in zip(sets, terms, strict=True):
-        total += float(np.sum(np.abs(_residuals(rows, line_corrections(model, values))) ** 2))
+        total += float(np.sum(np.abs(_residuals(rows, scattered_corrections(model, values))) ** 2))
     return total if np.isfinite(total) else np.inf
 
 
@@ -139,12 +143,14 @@ def _normal_equations(
     n = model.vector.size
     normal, gradient = np.zeros((n, n), dtype=np.complex128), np.zeros(n, dtype=np.complex128)
     for rows, values in zip(sets, terms, strict=True):
-        to_orders = rows.to_orders * np.sqrt(rows.weight)[:, None] / _norm(rows)
+        to_orders = rows.to_orders * _weights(rows)[..., None]
         for start in range(0, len(values), _ROWS_AT_ONCE):
             part = slice(start, start + _ROWS_AT_ONCE)
             correction, jacobian = corrections_and_jacobian(model, values[part])
-            jacobian = (to_orders @ jacobian).reshape(-1, n)
-            residual = _residuals(rows.subset(part), correction).ravel()
-            normal += jacobian.conj().T @ jacobian
-            gradient += jacobian.conj().T @ residual
+            jacobian = (to_orders[:, None] @ jacobian).reshape(-1, n)
+            # The whole set's power weighs each part of it.
+            off = (rows.local[:, part] + correction) @ rows.to_orders.T - rows.amplitude[:, part]
+            adjoint = jacobian.conj().T
+            normal += adjoint @ jacobian
+            gradient += adjoint @ (off * _weights(rows)[:, None]).ravel()
     return normal, gradient

@@ -12,7 +12,9 @@ odd modes. Light still reaches far: it is guided from site to site. Pillar m tra
     t_m = t(s_m) + y_m - y(s_m),      y_m = e(s_m) a_m + g(s_{m-1}) a_{m-1} + Pi g(s_{m+1}) a_{m+1}.
 
 Here t(s) is the library's value and y(s) the same sum in a line of equal pillars of size s, so that equal pillars are
-exact. H, c, e and g are polynomials of the size. Their coefficients and the hop are the parameters.
+exact. It reflects r_m, likewise from r(s), with e' and g' of its own. Reciprocity ties the source to them: light along
+the axis excites what radiates along the axis, c = e' + 2 g' of the even modes. H, e, g, e' and g' are polynomials of
+the size. Their coefficients and the hop are the parameters.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ IntArray = NDArray[np.intp]
 Span = tuple[float, float]
 
 #: Names of the parameters, in the order of :attr:`LineModel.vector`.
-PARAMETERS = ("site", "source", "own", "side", "hop")
+PARAMETERS = ("site", "own", "side", "back_own", "back_side", "hop")
 
 
 @dataclass(frozen=True)
@@ -85,10 +87,16 @@ class LineModel:
     along_nm: Span  #: Range of sizes along the row that maps to -1..1.
     across_nm: Span  #: Range of sizes across the row that maps to -1..1.
     site: ComplexArray  #: Shape (terms, n_pairs), coefficients of the free elements of H.
-    source: ComplexArray  #: Shape (terms, even), of c.
     own: ComplexArray  #: Shape (terms, even), of e.
     side: ComplexArray  #: Shape (terms, modes), of g.
+    back_own: ComplexArray  #: Shape (terms, even), of e'.
+    back_side: ComplexArray  #: Shape (terms, modes), of g'.
     hop: ComplexArray  #: Shape (n_hop_pairs,), free elements of W.
+
+    @property
+    def source(self) -> ComplexArray:
+        """Coefficients of c, shape (terms, even)."""
+        return self.back_own + 2.0 * self.back_side[:, : self.shape.even]
 
     @property
     def vector(self) -> ComplexArray:
@@ -100,8 +108,10 @@ class LineModel:
         olds = [getattr(self, name) for name in PARAMETERS]
         ends = np.cumsum([old.size for old in olds])
         parts = np.split(np.asarray(vector, dtype=np.complex128), ends[:-1])
-        site, source, own, side, hop = (part.reshape(old.shape) for part, old in zip(parts, olds, strict=True))
-        return replace(self, site=site, source=source, own=own, side=side, hop=hop)
+        site, own, side, back_own, back_side, hop = (
+            part.reshape(old.shape) for part, old in zip(parts, olds, strict=True)
+        )
+        return replace(self, site=site, own=own, side=side, back_own=back_own, back_side=back_side, hop=hop)
 
     def polynomials(self, size_nm: FloatArray) -> FloatArray:
         """Values of the terms at sizes, shape (..., 2) to (..., terms)."""
@@ -172,9 +182,9 @@ def initial_model(shape: LineShape, along_nm: Span, across_nm: Span, seed: int) 
     site = noise(0.05, shape.terms, r.size)
     detuning = np.concatenate([np.linspace(0.8, 1.5, shape.even), np.linspace(0.9, 1.4, shape.odd)])
     site[0] = np.where(r == s, (detuning * np.exp(0.6j))[r], 0.0)
-    source = noise(0.1, shape.terms, shape.even)
-    source[0] += 0.5
-    own, side = noise(0.01, shape.terms, shape.even), noise(0.01, shape.terms, shape.modes)
-    own[0] += 0.03
+    own, back_own = noise(0.03, shape.terms, shape.even), noise(0.03, shape.terms, shape.even)
+    side, back_side = noise(0.03, shape.terms, shape.modes), noise(0.03, shape.terms, shape.modes)
+    own[0] += 0.12
+    back_own[0] += 0.12
     hop = noise(0.15, shape.hop_pairs[0].size)
-    return LineModel(shape, along_nm, across_nm, site, source, own, side, hop)
+    return LineModel(shape, along_nm, across_nm, site, own, side, back_own, back_side, hop)

@@ -68,7 +68,8 @@ class RowSampler:
     cell: PillarCell  #: Period and materials; its size is ignored.
     polarisation: Polarisation  #: Of the incident light.
     size_nm: FloatArray  #: Shape (n, 2), the library's sizes, (width, length).
-    t: ComplexArray  #: Shape (n, 2), the library's t of x and y polarised light.
+    r: ComplexArray  #: Shape (n, 2), the library's r of x and y polarised light.
+    t: ComplexArray  #: Shape (n, 2), the library's t.
     stream: int  #: Number that sets the random rows apart from those of other chains.
 
     def pillars(self, number: int) -> FloatArray:
@@ -88,7 +89,7 @@ class RowSampler:
         return self.size_nm[best[np.arange(sites), rng.integers(0, _BEST, sites)]]
 
     def solve(self, number: int, resolution: float) -> tuple[complex, ...]:
-        """Amplitudes of all orders of row ``number`` at one resolution, as :func:`scattered_by_row` has them."""
+        """Amplitudes of all reflected orders of row ``number``, then of all transmitted ones, at one resolution."""
         supercell = Supercell(self.cell, self.pillars(number)[None])
         scattered = scattered_by_row(supercell, self.polarisation, resolution)
         return tuple(complex(value) for value in scattered.ravel())

@@ -1,7 +1,7 @@
-"""Field of closed lines (periods of unlike pillars), and its derivatives by all parameters of the model.
+"""Light that closed lines (periods of unlike pillars) reflect and transmit, and its derivatives by all parameters.
 
-The field is a holomorphic function of the parameters, so that its Jacobian is one complex matrix. It follows from one
-inverse of each line's matrix: with q_m the row of taps of output m, y_m = q_m A^-1 c, and lambda_m = q_m A^-1,
+It is a holomorphic function of the parameters, so that its Jacobian is one complex matrix. It follows from one inverse
+of each line's matrix: with q_m the row of taps of output m, y_m = q_m A^-1 c, and lambda_m = q_m A^-1,
 
     dy_m = dq_m a + lambda_m (dc - dA a).
 """
@@ -16,16 +16,15 @@ from metafab.library.neighbours.line import IntArray, LineModel
 
 def uniform_field(model: LineModel, terms: FloatArray) -> ComplexArray:
     """y(s) of lines of equal pillars, shape (..., terms) to (...)."""
-    even = model.shape.even
-    amplitude = _uniform_amplitude(model, terms)[0]
-    return np.asarray(np.sum((terms @ (model.own + 2.0 * model.side[:, :even])) * amplitude, axis=-1))
+    amplitude, _, taps = _uniform_amplitude(model, terms)
+    return np.asarray(np.sum(taps[1] * amplitude, axis=-1))
 
 
 def uniform_slopes(model: LineModel, terms: FloatArray, d_terms: FloatArray) -> ComplexArray:
     """Derivatives of y(s) by both sizes, shapes (n, terms) and (2, n, terms) to (2, n), per nm."""
     even = model.shape.even
     amplitude, inverse, taps = _uniform_amplitude(model, terms)
-    adjoint = np.einsum("nr,nrs->ns", taps, inverse)
+    adjoint = np.einsum("nr,nrs->ns", taps[1], inverse)
     d_taps, d_source = d_terms @ (model.own + 2.0 * model.side[:, :even]), d_terms @ model.source
     d_site = model.site_matrix(d_terms)[..., :even, :even]
     flow = np.einsum("nr,cnrs,ns->cn", adjoint, d_site, amplitude, optimize=True)
@@ -33,83 +32,114 @@ def uniform_slopes(model: LineModel, terms: FloatArray, d_terms: FloatArray) -> 
 
 
 def line_corrections(model: LineModel, terms: FloatArray) -> ComplexArray:
-    """t_m - t(s_m) of closed lines.
+    """t_m - t(s_m) of closed lines: :func:`scattered_corrections` of the transmitted light, shape (..., n)."""
+    return np.asarray(scattered_corrections(model, terms)[1])
+
+
+def scattered_corrections(model: LineModel, terms: FloatArray) -> ComplexArray:
+    """r_m - r(s_m) and t_m - t(s_m) of closed lines.
 
     Args:
         model: parameters.
         terms: shape (..., n, terms), polynomial values of each site.
 
     Returns:
-        Shape (..., n).
+        Shape (2, ..., n).
     """
     count, modes, even = terms.shape[-2], model.shape.modes, model.shape.even
     source = np.zeros((*terms.shape[:-1], modes), dtype=np.complex128)
     source[..., :even] = terms @ model.source
     flat = source.reshape(*terms.shape[:-2], count * modes, 1)
     a = np.linalg.solve(model.periodic_matrix(terms), flat).reshape(source.shape)
-    side = (terms @ model.side) * a
-    y = np.sum((terms @ model.own) * a[..., :even], axis=-1)
-    y = y + np.roll(side.sum(axis=-1), 1, axis=-1) + np.roll((side * model.shape.parity).sum(axis=-1), -1, axis=-1)
-    return np.asarray(y - uniform_field(model, terms))
+    fields = []
+    for own, of_side in _faces(model):
+        side = (terms @ of_side) * a
+        y = np.sum((terms @ own) * a[..., :even], axis=-1) + np.roll(side.sum(axis=-1), 1, axis=-1)
+        fields.append(y + np.roll((side * model.shape.parity).sum(axis=-1), -1, axis=-1))
+    amplitude, _, taps = _uniform_amplitude(model, terms)
+    return np.asarray(np.stack(fields) - np.sum(taps * amplitude, axis=-1))
 
 
 def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """:func:`line_corrections` and their derivatives by :attr:`LineModel.vector`.
+    """:func:`scattered_corrections` and their derivatives by :attr:`LineModel.vector`.
 
     Args:
         model: parameters, n of them.
         terms: shape (lines, sites, terms), polynomial values of each site.
 
     Returns:
-        Shapes (lines, sites) and (lines, sites, n).
+        Shapes (2, lines, sites) and (2, lines, sites, n).
     """
     lines, count, _ = terms.shape
-    shape = model.shape
-    modes, even, parity = shape.modes, shape.even, shape.parity
+    modes, even, parity = model.shape.modes, model.shape.even, model.shape.parity
     source = np.zeros((lines, count, modes), dtype=np.complex128)
     source[..., :even] = terms @ model.source
-    own = np.zeros_like(source)
-    own[..., :even] = terms @ model.own
-    side = terms @ model.side
-    taps = np.zeros((lines, count, count, modes), dtype=np.complex128)
     site = np.arange(count)
     before, after = (site - 1) % count, (site + 1) % count
-    taps[:, site, site] += own
-    for m in range(count):
-        taps[:, m, before[m]] += side[:, before[m]]
-        taps[:, m, after[m]] += side[:, after[m]] * parity
     inverse = np.linalg.inv(model.periodic_matrix(terms))
     a = (inverse @ source.reshape(lines, -1, 1)).reshape(lines, count, modes)
-    y = np.einsum("bmnr,bnr->bm", taps, a, optimize=True)
-    adjoint = (taps.reshape(lines, count, -1) @ inverse).reshape(lines, count, count, modes)
-
-    d_site = _site_derivatives(model, terms, a, adjoint)
-    d_source = (adjoint[..., :even].transpose(0, 1, 3, 2) @ terms[:, None]).swapaxes(-1, -2)
-    d_own = terms[..., :, None] * a[..., None, :even]
     flow = terms[..., :, None] * a[..., None, :]
-    d_side = flow[:, before] + flow[:, after] * parity
-    d_hop = _hop_derivatives(model, a, adjoint)
-    parts = (d_site, d_source, d_own, d_side, d_hop)
-    jacobian = np.concatenate([part.reshape(lines, count, -1) for part in parts], axis=-1)
+    by_own, by_side = flow[..., :even], flow[:, before] + flow[:, after] * parity
+    fields, jacobians = [], []
+    for face, (own, of_side) in enumerate(_faces(model)):
+        taps = np.zeros((lines, count, count, modes), dtype=np.complex128)
+        taps[:, site, site, :even] += terms @ own
+        side = terms @ of_side
+        for m in range(count):
+            taps[:, m, before[m]] += side[:, before[m]]
+            taps[:, m, after[m]] += side[:, after[m]] * parity
+        fields.append((taps.reshape(lines, count, -1) @ a.reshape(lines, -1, 1))[..., 0])
+        adjoint = (taps.reshape(lines, count, -1) @ inverse).reshape(lines, count, count, modes)
+        by_source = np.asarray(adjoint[..., :even].transpose(0, 1, 3, 2) @ terms[:, None], dtype=np.complex128)
+        ends = _site_derivatives(model, terms, a, adjoint), _hop_derivatives(model, a, adjoint)
+        jacobians.append(_gathered(face, ends, by_own, by_side, by_source.swapaxes(-1, -2)))
     uniform, d_uniform = _uniform_jacobian(model, terms)
-    return y - uniform, jacobian - d_uniform
+    return np.stack(fields) - uniform, np.stack(jacobians) - d_uniform
+
+
+def _faces(model: LineModel) -> tuple[tuple[ComplexArray, ComplexArray], ...]:
+    """(e', g') of the reflected and (e, g) of the transmitted light."""
+    return (model.back_own, model.back_side), (model.own, model.side)
+
+
+def _gathered(
+    face: int,
+    ends: tuple[ComplexArray, ComplexArray],
+    by_own: ComplexArray,
+    by_side: ComplexArray,
+    by_source: ComplexArray,
+) -> ComplexArray:
+    """Derivatives of one face's light by :attr:`LineModel.vector`, shape (lines, sites, n).
+
+    Args:
+        face: 0 for reflected, 1 for transmitted light.
+        ends: by the site matrix, shape (lines, sites, terms, pairs), and by the hop, shape (lines, sites, n_hop_pairs).
+        by_own: by e or e' of this face, shape (lines, sites, terms, even).
+        by_side: by g or g' of this face, shape (lines, sites, terms, modes).
+        by_source: by c, shape of ``by_own``; it moves with e' and g'.
+    """
+    d_own, d_side = (np.zeros((2, *values.shape), dtype=np.complex128) for values in (by_own, by_side))
+    d_own[face], d_side[face] = by_own, by_side
+    d_own[0] += by_source
+    d_side[0, ..., : by_own.shape[-1]] += 2.0 * by_source
+    parts = (ends[0], d_own[1], d_side[1], d_own[0], d_side[0], ends[1])
+    return np.concatenate([part.reshape(*by_own.shape[:2], -1) for part in parts], axis=-1)
 
 
 def _uniform_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """:func:`uniform_field` and its derivatives by :attr:`LineModel.vector`.
+    """Light of lines of equal pillars, reflected and transmitted, and its derivatives by :attr:`LineModel.vector`.
 
     Args:
         model: parameters, n of them.
-        terms: shape (..., terms), polynomial values of each size.
+        terms: shape (lines, sites, terms), polynomial values of each size.
 
     Returns:
-        Shapes (...) and (..., n).
+        Shapes (2, lines, sites) and (2, lines, sites, n).
     """
     shape, even = model.shape, model.shape.even
     amplitude, inverse, taps = _uniform_amplitude(model, terms)
-    adjoint = np.einsum("...r,...rs->...s", taps, inverse)
 
-    def pairs(row: IntArray, column: IntArray) -> ComplexArray:
+    def pairs(adjoint: ComplexArray, row: IntArray, column: IntArray) -> ComplexArray:
         """Derivatives by the elements (row, column) = (column, row) of a symmetric matrix; 0 for odd modes."""
         found = np.zeros((*terms.shape[:-1], row.size), dtype=np.complex128)
         within = np.flatnonzero((row < even) & (column < even))
@@ -118,23 +148,29 @@ def _uniform_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray
         found[..., within] += np.where(r != s, adjoint[..., s] * amplitude[..., r], 0.0)
         return found
 
-    d_site = -terms[..., :, None] * pairs(*shape.pairs)[..., None, :]
-    d_source = terms[..., :, None] * adjoint[..., None, :]
-    d_own = terms[..., :, None] * amplitude[..., None, :]
-    d_side = np.zeros((*terms.shape, shape.modes), dtype=np.complex128)
-    d_side[..., :even] = 2.0 * d_own
-    parts = [part.reshape(*terms.shape[:-1], -1) for part in (d_site, d_source, d_own, d_side)]
-    d_hop = 2.0 * pairs(*shape.hop_pairs[:2])
-    return np.sum(taps * amplitude, axis=-1), np.concatenate([*parts, d_hop], axis=-1)
+    by_own = terms[..., :, None] * amplitude[..., None, :]
+    by_side = np.zeros((*terms.shape, shape.modes), dtype=np.complex128)
+    by_side[..., :even] = 2.0 * by_own
+    jacobians = []
+    for face in range(2):
+        adjoint = np.einsum("...r,...rs->...s", taps[face], inverse)
+        d_site = -terms[..., :, None] * pairs(adjoint, *shape.pairs)[..., None, :]
+        ends = d_site, 2.0 * pairs(adjoint, *shape.hop_pairs[:2])
+        jacobians.append(_gathered(face, ends, by_own, by_side, terms[..., :, None] * adjoint[..., None, :]))
+    return np.sum(taps * amplitude, axis=-1), np.stack(jacobians)
 
 
 def _uniform_amplitude(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Even amplitudes (..., even) in lines of equal pillars, inverse matrix (..., even, even), and taps (..., even)."""
+    """Even amplitudes in lines of equal pillars, shape (..., even), inverse matrix, and taps of both faces.
+
+    The inverse has shape (..., even, even), the taps (2, ..., even).
+    """
     even = model.shape.even
     matrix = model.site_matrix(terms)[..., :even, :even] - model.uniform_hop
     inverse = np.linalg.inv(matrix)
     amplitude = (inverse @ (terms @ model.source)[..., None])[..., 0]
-    return amplitude, np.asarray(inverse, dtype=np.complex128), terms @ (model.own + 2.0 * model.side[:, :even])
+    taps = np.stack([terms @ (own + 2.0 * side[:, :even]) for own, side in _faces(model)])
+    return amplitude, np.asarray(inverse, dtype=np.complex128), taps
 
 
 def _site_derivatives(model: LineModel, terms: FloatArray, a: ComplexArray, adjoint: ComplexArray) -> ComplexArray:

@@ -14,9 +14,10 @@ from metafab.library.neighbours.model import LineStatistics, Neighbours, Trained
 
 _TEXT = {
     "site": "free elements of the site matrix, by term of T_i(along) T_j(across), i + j up to the degree",
-    "source": "excitation of the even modes, by term",
-    "own": "field of the even modes at their own site, by term",
-    "side": "field of the modes at the neighbouring site, by term",
+    "own": "transmitted field of the even modes at their own site, by term",
+    "side": "transmitted field of the modes at the neighbouring site, by term",
+    "back_own": "reflected field of the even modes at their own site, by term",
+    "back_side": "reflected field of the modes at the neighbouring site, by term",
     "hop": "free elements of the hop to the next site",
 }
 _STATISTIC = "detail_"
@@ -64,14 +65,16 @@ def _put_line(group: h5py.Group, line: TrainedLine) -> None:
 
 def _line(group: h5py.Group) -> TrainedLine:
     shape = LineShape(**{field.name: int(group.attrs[field.name]) for field in fields(LineShape)})
-    arrays = {name: np.asarray(group[name][()], dtype=np.complex128) for name in PARAMETERS}
     n_pairs, n_hops = shape.pairs[0].size, shape.hop_pairs[0].size
-    expected = {
-        "site": (shape.terms, n_pairs),
-        "source": (shape.terms, shape.even),
-        "own": (shape.terms, shape.even),
-        "side": (shape.terms, shape.modes),
-        "hop": (n_hops,),
+    own, side = (shape.terms, shape.even), (shape.terms, shape.modes)
+    expected = dict(zip(PARAMETERS, ((shape.terms, n_pairs), own, side, own, side, (n_hops,)), strict=True))
+    # Older files hold the source itself, which is the reflected field of modes that radiate at their own site only.
+    stored = {"back_own": "source"} if "source" in group else {}
+    arrays = {
+        name: np.asarray(group[stored.get(name, name)][()], dtype=np.complex128)
+        if stored.get(name, name) in group or not stored
+        else np.zeros(expected[name], dtype=np.complex128)
+        for name in PARAMETERS
     }
     for name, array in arrays.items():
         if array.shape != expected[name]:

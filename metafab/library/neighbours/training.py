@@ -118,11 +118,12 @@ def _samplers(library: Library) -> list[RowSampler]:
     """Rows of each direction and polarisation; rows along y are exchanged into rows along x."""
     width, length = np.meshgrid(library.width_nm, library.length_nm)
     size_nm, t = np.stack([width, length], axis=-1).reshape(-1, 2), library.t.reshape(-1, 2)
+    r = np.stack([library.r_xx, library.r_yy], axis=-1).reshape(-1, 2)
     cell = pillar_cell(library.unit_cell, 0.0, 0.0)
-    samplers = [RowSampler(cell, light, size_nm, t, number) for number, light in enumerate(POLARISATIONS)]
+    samplers = [RowSampler(cell, light, size_nm, r, t, number) for number, light in enumerate(POLARISATIONS)]
     if not _shares_directions(library.unit_cell):
-        cell, size_nm, t = exchanged_site(cell), size_nm[:, ::-1], t[:, ::-1]
-        samplers += [RowSampler(cell, light, size_nm, t, 2 + number) for number, light in enumerate(POLARISATIONS)]
+        cell, size_nm, r, t = exchanged_site(cell), size_nm[:, ::-1], r[:, ::-1], t[:, ::-1]
+        samplers += [RowSampler(cell, light, size_nm, r, t, 2 + number) for number, light in enumerate(POLARISATIONS)]
     return samplers
 
 
@@ -162,16 +163,16 @@ def _is_held_out(number: int) -> bool:
 def _row_sets(sampler: RowSampler, answers: dict[int, tuple[complex, ...]], numbers: Sequence[int]) -> list[RowSet]:
     """Rows by their length."""
     place = {tuple(size): k for k, size in enumerate(sampler.size_nm)}
-    t = sampler.t[:, POLARISATIONS.index(sampler.polarisation)]
+    known = np.stack([sampler.r, sampler.t])[..., POLARISATIONS.index(sampler.polarisation)]
     sets = []
     for sites in sorted({kind.sites for kind in ROW_KINDS}):
         of_length = [number for number in numbers if kind_of(number).sites == sites]
         if of_length:
             size_nm = np.stack([sampler.pillars(number) for number in of_length])
-            local = t[[place[tuple(size)] for size in size_nm.reshape(-1, 2)]].reshape(size_nm.shape[:-1])
+            at = np.reshape([place[tuple(size)] for size in size_nm.reshape(-1, 2)], size_nm.shape[:-1])
             order, weight = _orders(Supercell(sampler.cell, size_nm[:1]), sampler.polarisation)
-            transmitted = np.array([answers[number] for number in of_length]).reshape(len(size_nm), 2, 2, -1)[:, 0, 1]
-            sets.append(RowSet(size_nm, local, transmitted, order, weight))
+            amplitude = np.array([answers[number] for number in of_length]).reshape(len(size_nm), 2, -1)
+            sets.append(RowSet(size_nm, known[:, at], amplitude.swapaxes(0, 1), order, weight))
     return sets
 
 
@@ -198,7 +199,7 @@ def _measured(
     checked = []
     for number in held[:_CHECKED_ROWS]:
         fine, coarse = (
-            np.reshape(scattered, (2, 2, -1))[0, 1]
+            np.reshape(scattered, (2, -1))[1]
             for scattered in (sampler.solve(number, RESOLUTION + _FINER), answers[number])
         )
         checked.append(np.linalg.norm(fine - coarse) / np.linalg.norm(fine))
@@ -222,8 +223,9 @@ def _measured(
 def _doubts(rows: RowSet, model: LineModel) -> FloatArray:
     """Relative correction of each row times its relative step of t from site to site, rms each, shape (rows,)."""
     corrections = line_corrections(model, model.polynomials(rows.size_nm))
-    norms = [np.linalg.norm(part, axis=1) for part in (corrections, rows.local - np.roll(rows.local, 1, axis=1))]
-    return np.asarray(norms[0] * norms[1] / np.linalg.norm(rows.local, axis=1) ** 2)
+    local = rows.local[1]
+    norms = [np.linalg.norm(part, axis=1) for part in (corrections, local - np.roll(local, 1, axis=1))]
+    return np.asarray(norms[0] * norms[1] / np.linalg.norm(local, axis=1) ** 2)
 
 
 def _error_line(doubts: FloatArray, errors: FloatArray) -> tuple[float, float]:

@@ -89,17 +89,15 @@ def test_a_row_that_is_its_own_mirror_image_needs_half_of_the_functions(
 
 
 @pytest.mark.parametrize("light", POLARISATIONS)
-def test_light_from_either_side_of_a_row(light: Polarisation) -> None:
-    """Transmitted orders as ever; zero orders are reciprocal; a lossless pillar divides the power."""
+def test_a_row_divides_the_light_between_both_sides(light: Polarisation) -> None:
+    """Transmitted orders as ever; a lossless pillar, whose only order is the zero order, loses no power."""
     row, axis = _row(*RAMP, cell=replace(LOSSLESS, width_nm=0.0, length_nm=0.0)), POLARISATIONS.index(light)
-    scattered = scattered_by_row(row, light, COARSE)
-    np.testing.assert_allclose(scattered[0, 1], orders_at(row, (light,), COARSE)[:, axis, 0], atol=1e-12)
-    zero = int(np.flatnonzero(np.all(row.propagating_orders(light) == 0, axis=1))[0])
+    transmitted = scattered_by_row(row, light, COARSE)[1]
+    np.testing.assert_allclose(transmitted, orders_at(row, (light,), COARSE)[:, axis, 0], atol=1e-12)
+    near, far = scattered_by_row(replace(row, size_nm=row.size_nm[:, :1]), light, COARSE)[:, 0]
     n_in, n_out = (complex(n[axis]).real for n in (row.cell.n_in, row.cell.n_out))
-    assert abs(n_out * scattered[0, 1, zero] - n_in * scattered[1, 0, zero]) < 1e-9
-    for index, incident in enumerate((n_in, n_out)):
-        near, far = scattered_by_row(replace(row, size_nm=row.size_nm[:, :1]), light, COARSE)[index, :, 0]
-        assert (n_in * abs(near) ** 2 + n_out * abs(far) ** 2) / incident == pytest.approx(1.0, abs=1e-9)
+    assert abs(near) ** 2 + n_out / n_in * abs(far) ** 2 == pytest.approx(1.0, abs=1e-9)
+    assert abs(near) > 0.1
 
 
 def test_a_lossless_row_sends_out_no_more_than_came_in() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from metafab.library.neighbours.fit import FitLimits, RowSet, fit
 from metafab.library.neighbours.line import LineShape, initial_model
-from metafab.library.neighbours.solve import line_corrections
+from metafab.library.neighbours.solve import scattered_corrections
 
 SPAN = (100.0, 250.0)
 
@@ -16,10 +16,10 @@ def _rows(seed: int, rows: int, sites: int) -> RowSet:
     rng = np.random.default_rng(seed)
     truth = initial_model(LineShape(2, 1, 1), SPAN, SPAN, 7)
     size_nm = rng.uniform(*SPAN, (rows, sites, 2))
-    local = np.exp(2j * np.pi * (size_nm[..., 0] - 100.0) / 150.0)
+    local = np.exp(2j * np.pi * (size_nm[..., 0] - 100.0) / 150.0) * np.array([0.5, 1.0])[:, None, None]
     order = np.arange(sites) - sites // 2
     bare = RowSet(size_nm, local, np.zeros((rows, sites), complex), order.astype(float), np.ones(sites))
-    field = local + 20.0 * line_corrections(truth, truth.polynomials(size_nm))
+    field = local + 20.0 * scattered_corrections(truth, truth.polynomials(size_nm))
     return RowSet(size_nm, local, field @ bare.to_orders.T, bare.order, bare.weight)
 
 

@@ -1,0 +1,29 @@
+"""Chains in a file: what is written is read, and files of earlier versions give the same fields."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from metafab.library.neighbours.line import PARAMETERS, LineShape, initial_model
+from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
+from metafab.library.neighbours.solve import line_corrections
+from metafab.library.neighbours.storage import neighbours_of, put_neighbours
+
+
+def test_chains_of_earlier_versions_hold_their_source(tmp_path: Path) -> None:
+    model = initial_model(LineShape(2, 1, 2), (100.0, 250.0), (90.0, 200.0), 3)
+    line = TrainedLine(model, LineStatistics(rows=10, held_out=2, error=0.1))
+    with h5py.File(tmp_path / "lines.h5", "w") as file:
+        put_neighbours(file.create_group("new"), Neighbours((line, line), (line, line), "inputs"))
+        file.copy("new", "old")
+        for group in file["old"].values():
+            group["source"] = model.source
+            del group["back_own"], group["back_side"]
+        new, old = (neighbours_of(file[name]).along[0] for name in ("new", "old"))
+    assert new.statistics.rows == old.statistics.rows == 10
+    assert all(np.array_equal(getattr(new.model, name), getattr(model, name)) for name in PARAMETERS)
+    terms = model.polynomials(np.random.default_rng(1).uniform(100.0, 200.0, (3, 5, 2)))
+    assert np.abs(line_corrections(old.model, terms) - line_corrections(model, terms)).max() < 1e-14
