@@ -12,7 +12,7 @@ from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.lens import Lens, partial_progress
 from metafab.camera.rendering.motion import Shutter, moved
-from metafab.camera.rendering.occlusion import PINHOLE, Occluder, seen
+from metafab.camera.rendering.occlusion import PINHOLE, Occluder, visible_piece
 from metafab.camera.rendering.picture import DepthPicture
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import Window, sensor_windows
@@ -26,12 +26,12 @@ from metafab.spec.scene import Scene
 def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress = silent) -> RawFrame:
     """Expose one frame of a scene through the lens: the first frame of its film.
 
-    Each depth is blurred by its own pair, which varies over the field where ``psf.field`` is present. A point sends the
-    share of its light that nearer surfaces let through to the aperture, by the geometry of each ray
-    (:mod:`metafab.camera.rendering.occlusion`), in the shape of its whole PSF. A cut aperture has a PSF of its own:
-    what differs on the mean is balanced by the law that radiance does not change along a ray, the rest is the camera's
-    error at outlines (``tests/physics/camera/test_occlusion.py``). Surfaces of equal depth touch without a seam. A pair
-    without ``aperture_um`` hides as a pinhole sees.
+    Each depth is blurred by its own pair, which varies over the field where ``psf.field`` is present. A point sends to
+    the aperture the share of its light that nearer surfaces let through, by the geometry of each ray
+    (:mod:`metafab.camera.rendering.occlusion`), in the shape of its whole PSF. A partly hidden aperture has another
+    PSF. The mean light at outlines is corrected by the law that radiance does not change along a ray; the rest is the
+    camera's error there (``tests/physics/camera/test_occlusion.py``). Surfaces of equal depth touch without a seam. A
+    pair without ``aperture_um`` hides as a pinhole sees.
 
     Behind a birefringent substrate (``psf.ghost``), each image also holds light of the other polarisation: of a scene
     whose x and y polarised light are uncorrelated.
@@ -43,7 +43,7 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
 
     Returns:
         A frame of both images and the margin of their blur. Its pixels stand on whole multiples of ``psf.pixel_um``
-        from the axis.
+            from the axis.
 
     Raises:
         InputError: a depth is outside the calibrated range, or the two images overlap.
@@ -137,7 +137,7 @@ def _truth(renderer: Renderer, window: Window) -> Truth:
     uncovered, intensity = np.ones(shape), np.zeros((2, *shape))
     for number, (piece, mask) in enumerate(zip(pieces, masks, strict=True), start=1):
         crop = (piece.rows, piece.columns)
-        light = seen(piece, masks[number:], PINHOLE).brightness.sum(axis=0) * window.gain[crop]
+        light = visible_piece(piece, masks[number:], PINHOLE).brightness.sum(axis=0) * window.gain[crop]
         for channel in (0, 1):
             intensity[channel][crop] += light * piece.share[channel]
         uncovered[crop] -= mask.coverage

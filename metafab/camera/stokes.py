@@ -9,7 +9,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.camera.kernels import pixel_transfer
-from metafab.camera.rendering.occlusion import PINHOLE, Occluder, seen, seen_share
+from metafab.camera.rendering.occlusion import PINHOLE, Occluder, visible_piece, visible_share
 from metafab.camera.rendering.picture import require_objects
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import shifts_px_m
@@ -72,11 +72,13 @@ def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> Stok
     for number, (piece, mask) in enumerate(zip(pieces, masks, strict=True), start=1):
         state = np.array([1.0, *scene.objects[piece.label - 1].stokes_vector])
         crop, nearer = (piece.rows, piece.columns), masks[number:]
-        for step_depth_m, brightness in zip(piece.depth_m, seen(piece, nearer, shifts).brightness, strict=True):
+        for step_depth_m, brightness in zip(
+            piece.depth_m, visible_piece(piece, nearer, shifts).brightness, strict=True
+        ):
             light = np.zeros((n_y, n_x))
             light[crop] = electrons * brightness
             images += _blurred(light * stop, np.einsum("kjyx,j->kyx", kernels_at(psf, float(step_depth_m)), state))
-        sharp = electrons * seen(piece, nearer, PINHOLE).brightness.sum(axis=0) * stop[crop]
+        sharp = electrons * visible_piece(piece, nearer, PINHOLE).brightness.sum(axis=0) * stop[crop]
         stokes[:, *crop] += sharp * state[:, None, None]
         covers = mask.coverage * stop[crop] >= 0.5
         depth_m[crop] = np.where(covers, piece.mean_depth_m, depth_m[crop])
@@ -86,8 +88,8 @@ def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> Stok
     sky = Occluder(*whole, np.ones((n_y, n_x)), np.full((n_y, n_x), 1.0 / psf.depth_m[-1]))
     gain = kernels_at(psf, float(psf.depth_m[psf.depth_m.size // 2]))[:, 0].sum(axis=(-2, -1))
     light = electrons * scene.background * stop
-    images += gain[:, None, None] * light * seen_share(sky, masks, shifts)
-    stokes[0] += light * seen_share(sky, masks, PINHOLE)
+    images += gain[:, None, None] * light * visible_share(sky, masks, shifts)
+    stokes[0] += light * visible_share(sky, masks, PINHOLE)
     rng = np.random.default_rng(np.random.SeedSequence((seed, 0x570CE5)))
     exposed = expose(images, scene, FixedPattern.of(scene, images.shape, seed), rng)
     return StokesFrame(exposed, scene.read_noise_e, stokes, depth_m, label)

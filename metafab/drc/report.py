@@ -108,7 +108,7 @@ def spanning_boxes(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
 def save(reports: Sequence[DrcReport], directory: Path, top_cell: str = "TOP") -> tuple[Path, Path]:
     """Write ``drc.json``, every report by its file and without its time, and ``drc.lyrdb`` for KLayout.
 
-    The files of one mask hold the same pillars, so that the database shows the report with the most violations.
+    All files of a mask hold the same pillars; the database shows the report with the most violations.
     """
     json_path, database_path = directory / "drc.json", directory / "drc.lyrdb"
     write_json(json_path, {report.file: untimed(vars(report)) for report in reports})

@@ -10,7 +10,7 @@ import numpy as np
 
 from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.blur import FieldBlur
-from metafab.camera.rendering.occlusion import Occluder, reached, seen, seen_share, shifted, widened
+from metafab.camera.rendering.occlusion import Occluder, hidden_region, padded, shifted, visible_piece, visible_share
 from metafab.camera.rendering.picture import DepthPicture, pieces
 from metafab.camera.rendering.render import Piece, Renderer, extent
 from metafab.camera.rendering.windows import Window, shifts_px_m
@@ -126,7 +126,7 @@ class Lens:
             # calibrated depth.
             whole = (slice(0, n_y), slice(0, n_x))
             farthest = np.full((n_y, n_x), 1.0 / self.kernels.psf.depth_m.max())
-            share = seen_share(Occluder(*whole, np.ones((n_y, n_x)), farthest), nearer, self._shifts(window))
+            share = visible_share(Occluder(*whole, np.ones((n_y, n_x)), farthest), nearer, self._shifts(window))
             inner = (slice(k_y // 2, k_y // 2 + n_y), slice(k_x // 2, k_x // 2 + n_x))
             light[inner] += scene.background * self.kernels.mean_throughput * window.gain * window.stop * share
         return light
@@ -155,7 +155,7 @@ class Lens:
         """The layer of a piece behind others."""
         if piece is None:
             return Layer.empty()
-        visible = seen(piece, nearer, self._shifts(self.windows[polarisation]))
+        visible = visible_piece(piece, nearer, self._shifts(self.windows[polarisation]))
         crop = (piece.rows, piece.columns)
         window = self.windows[polarisation]
         flux = self._share(piece, polarisation) * window.gain[crop] * window.stop[crop] * piece.brightness.sum(axis=0)
@@ -170,16 +170,16 @@ class Lens:
         polarisation: int,
         nearer: Sequence[Occluder],
     ) -> None:
-        """Let the pixels that see a surface past others see as much of it as those others leave of their view.
+        """Correct the light of a surface at the outlines of nearer ones.
 
-        A pixel that sees a share a of nearer surfaces sees the share 1 - a of what is behind, for radiance does not
-        change along a ray. The blurred share of visible points differs from it, because each depth has its own blur;
-        the difference, times the surface's mean light there, is added. ``veil`` is a, and gets the surface's own part.
+        Radiance does not change along a ray, so a pixel whose view nearer surfaces cover by the share a sees 1 - a of
+        what is behind. The blurred visible points give another share there, because each depth has its own blur. The
+        difference, times the surface's mean light, is added. ``veil`` is a; the surface adds its own part to it.
         """
         window, shape = self.windows[polarisation], self.kernels.shape
         margin = (shape[0] // 2, shape[1] // 2)
-        own = widened(mask, margin)
-        share = seen_share(replace(own, coverage=np.ones_like(own.coverage)), nearer, self._shifts(window))
+        own = padded(mask, margin)
+        share = visible_share(replace(own, coverage=np.ones_like(own.coverage)), nearer, self._shifts(window))
         depth_m = float(1.0 / np.average(mask.vergence_per_m, weights=mask.coverage + 1e-12))
         if depth_m not in self.blurs:
             self.blurs[depth_m] = FieldBlur.at_depth(self.kernels, depth_m)
@@ -207,17 +207,17 @@ class Lens:
         mask: Occluder,
         nearer: Sequence[Occluder],
     ) -> None:
-        """Take off the light of an object at rest that moving ones hide; only what they may hide is drawn again."""
+        """Subtract the light of a resting object that moving ones hide; only the region that they may hide is drawn."""
         window = self.windows[polarisation]
         shifts = self._shifts(window)
-        crop = reached(mask, [other for other in nearer if other.moves], shifts, window.stop.shape)
+        crop = hidden_region(mask, [other for other in nearer if other.moves], shifts, window.stop.shape)
         piece = None if crop is None else renderer.piece(index, window.tangent_x[crop], window.tangent_y[crop])
         if crop is None or piece is None:
             return
         rows, columns = shifted(piece.rows, crop[0].start), shifted(piece.columns, crop[1].start)
         piece = replace(piece, rows=rows, columns=columns)
-        before = seen(piece, [other for other in nearer if not other.moves], shifts)
-        lost = before.brightness - seen(piece, nearer, shifts).brightness
+        before = visible_piece(piece, [other for other in nearer if not other.moves], shifts)
+        lost = before.brightness - visible_piece(piece, nearer, shifts).brightness
         place_y, place_x, dark = self._blurred(replace(piece, brightness=lost), polarisation)
         light[place_y, place_x] -= dark
 

@@ -53,16 +53,16 @@ class Occluder:
         return cls(piece.rows, piece.columns, coverage, vergence, moves)
 
 
-def seen(piece: Piece, nearer: Sequence[Occluder], aperture_px_m: FloatArray) -> Piece:
+def visible_piece(piece: Piece, nearer: Sequence[Occluder], aperture_px_m: FloatArray) -> Piece:
     """The piece with the brightness of what the aperture sees of it behind nearer surfaces; its coverage stays whole.
 
     ``aperture_px_m``, shape (n, 2), is the shift (columns, rows) of an outline by each aperture point, pixels per 1/m.
     """
     own = Occluder.of(piece)
-    return replace(piece, brightness=piece.brightness * seen_share(own, nearer, aperture_px_m)) if nearer else piece
+    return replace(piece, brightness=piece.brightness * visible_share(own, nearer, aperture_px_m)) if nearer else piece
 
 
-def seen_share(surface: Occluder, nearer: Sequence[Occluder], aperture_px_m: FloatArray) -> FloatArray:
+def visible_share(surface: Occluder, nearer: Sequence[Occluder], aperture_px_m: FloatArray) -> FloatArray:
     """Share of the aperture and of the pixel that sees each pixel of a surface: shape of ``surface``, 0 to 1."""
     shape = surface.coverage.shape
     behind, undecided = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
@@ -96,7 +96,7 @@ def seen_share(surface: Occluder, nearer: Sequence[Occluder], aperture_px_m: Flo
 def _placed(mask: Occluder, surface: Occluder, margin: int) -> FloatArray | None:
     """Coverage of a mask on the grid of a surface and a margin around it; None if it does not reach there.
 
-    A mask goes on beyond its grid as at the grid's edge: only the image's own edge cuts a surface.
+    Beyond its own grid a mask keeps the coverage of the grid's edge: only the edge of the image cuts a surface.
     """
     indices = []
     for own, part, count in zip(
@@ -114,7 +114,7 @@ def _margin(surface: Occluder, mask: Occluder, aperture_px_m: FloatArray) -> int
     return int(np.ceil(shift_px)) + 1 if shift_px >= _LEAST_SHIFT_PX else 0
 
 
-def reached(
+def hidden_region(
     surface: Occluder, nearer: Sequence[Occluder], aperture_px_m: FloatArray, shape: tuple[int, ...]
 ) -> tuple[slice, slice] | None:
     """Rows and columns of a grid of ``shape`` within which masks may hide parts of a surface; None for none."""
@@ -137,8 +137,8 @@ def reached(
     return crop[0], crop[1]
 
 
-def widened(mask: Occluder, margin: tuple[int, int]) -> Occluder:
-    """The mask on a grid that is wider by (rows, columns) on each side; it goes on as at the edge of its grid."""
+def padded(mask: Occluder, margin: tuple[int, int]) -> Occluder:
+    """The mask on a grid that is wider by (rows, columns) on each side, with the values of the edge."""
     pads = [(wide, wide) for wide in margin]
     rows, columns = (
         slice(part.start - wide, part.stop + wide) for part, wide in zip((mask.rows, mask.columns), margin, strict=True)

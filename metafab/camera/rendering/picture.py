@@ -2,7 +2,7 @@
 
 The blur between calibrated depths is a sum over them with the weights of a cubic spline in vergence. The light of each
 pixel is therefore shared among as many layers as the calibration has depths, with no error beyond the calibration's.
-Behind an outline the farther side is taken to go on as it is at the outline, as far as some point of the aperture sees.
+Behind an outline, the farther surface keeps its depth and light at the outline, as far as any aperture point sees it.
 """
 
 from __future__ import annotations

@@ -47,9 +47,21 @@ def test_a_design_may_ask_for_it(small_design: Design) -> None:
     lobe = main_lobe(fine, field, optimise_peak(4, pupil=PUPIL).defocus_rad, 14.0)
     # Between the samples the field is interpolated: some light is lost, none of the turning.
     assert lobe.peak.mean() == pytest.approx(profile.figures.peak_mean, rel=0.03)
-    impossible = dataclasses.replace(spiral, side_lobe_limit=0.01)
-    with pytest.raises(InputError, match="side_lobe_limit"):
-        profile_of(dataclasses.replace(design, phase=(impossible, *small_design.phase[1:])))
+
+
+def test_a_limit_that_no_mask_keeps_is_a_fault_of_the_design(
+    small_design: Design, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The refusal itself is tested with the optimiser."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise ValueError("`limit`: expected at least about 0.2, the lowest met, got 0.01")
+
+    monkeypatch.setattr("metafab.phase.build.limit_side_lobes", refuse)
+    spiral = dataclasses.replace(small_design.phase[0], optimise="peak", side_lobe_limit=0.01)  # type: ignore[call-arg]
+    numerics = dataclasses.replace(small_design.numerics, iterations=1)
+    with pytest.raises(InputError, match=r"`phase\.side_lobe_limit`: expected a limit that some mask keeps, got 0\.01"):
+        profile_of(dataclasses.replace(small_design, phase=(spiral, *small_design.phase[1:]), numerics=numerics))
 
 
 def test_the_limit_goes_with_the_peak() -> None:
